@@ -1,0 +1,59 @@
+"""Whisker-like tactile sensing: large-deflection contact mechanics of a swept elastic rod, forward and inverse.
+
+Names are loaded when first used, so that `import vibrissa` and the command line's help stay quick.
+"""
+
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from vibrissa import surfaces
+    from vibrissa.contacts import ContactKind, Status
+    from vibrissa.reactions import Reactions
+    from vibrissa.rod import Rod
+    from vibrissa.scan import Event, EventKind, Scan, scan
+    from vibrissa.trail import Trail
+
+_HOMES = {
+    "ContactKind": "contacts",
+    "Event": "scan",
+    "EventKind": "scan",
+    "Reactions": "reactions",
+    "Rod": "rod",
+    "Scan": "scan",
+    "Status": "contacts",
+    "Trail": "trail",
+    "scan": "scan",
+    "surfaces": "surfaces",
+}
+
+__all__ = ["ContactKind", "Event", "EventKind", "Reactions", "Rod", "Scan", "Status", "Trail", "__version__", "scan", "surfaces"]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'vibrissa' has no attribute {name!r}")
+    home = importlib.import_module(f"vibrissa.{_HOMES[name]}")
+    value = home if name == _HOMES[name] == "surfaces" else getattr(home, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+class _Face(ModuleType):
+    """Keeps `vibrissa.scan` the function, though a room has the same name: importing the room would put the module in its place."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if isinstance(value, ModuleType) and name in _HOMES and name != "surfaces":
+            value = getattr(value, name)
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Face

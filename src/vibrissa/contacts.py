@@ -1,0 +1,49 @@
+"""What forward and inverse say of a position: the kind of contact, and whether the row can be trusted."""
+
+from enum import IntEnum
+
+
+class ContactKind(IntEnum):
+    """How the rod touches the object (paper, section II)."""
+
+    NONE = 0
+    TIP = 1
+    TANGENTIAL = 2
+
+
+class Status(IntEnum):
+    """Whether a row can be trusted; `text` says what is wrong and what to do. The worst finding wins."""
+
+    OK = 0
+    OVERSTRAINED = 1
+    LATERALLY_UNSTABLE = 2
+    PENETRATING = 3
+    HEAD_ON = 4
+    NOT_CONVERGED = 5
+    NO_EQUILIBRIUM = 6
+    CLAMP_INSIDE = 7
+    NOT_SINGLE_CONTACT = 8
+    BEYOND_TIP = 9
+    NO_CURVATURE_ZERO = 10
+    BAD_DATA = 11
+
+    @property
+    def text(self) -> str:
+        """One sentence: what the row's finding means and what to do about it."""
+        return _TEXTS[self]
+
+
+_TEXTS = {
+    Status.OK: "All checks passed.",
+    Status.OVERSTRAINED: "The largest bending strain exceeds the rod's yield strain; take a thinner or longer rod, or move the clamp away from the object.",
+    Status.LATERALLY_UNSTABLE: "The equilibrium is unstable, a real rod leaves its bending plane here; offset the trail a little to follow the stable branch.",
+    Status.PENETRATING: "The rod passes through the object away from its contact: a second contact is missing, so the reactions are not those of a real rod.",
+    Status.HEAD_ON: "The contact force acts along the straight rod, which does not bend before it buckles in a direction that is not determined; offset or tilt the clamp.",
+    Status.NOT_CONVERGED: "The equations could not be solved to their tolerance; refine the trail or check the level function's smoothness.",
+    Status.NO_EQUILIBRIUM: "No admissible equilibrium with a single contact was found; the rod may be jammed, or touch in more than one place.",
+    Status.CLAMP_INSIDE: "The clamp lies inside the object; move the trail out of it.",
+    Status.NOT_SINGLE_CONTACT: "Force and moment do not belong to one contact force (m0·f0 ≠ 0 beyond the noise); check the tare, the mount, or for a second contact.",
+    Status.BEYOND_TIP: "The first zero of the curvature lies beyond the rod's tip; check the rod's length and stiffness, the tare and the mount.",
+    Status.NO_CURVATURE_ZERO: "The curvature has no zero for these reactions, so no single contact explains them; check the rod, the tare and the sign of the wrench.",
+    Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
+}

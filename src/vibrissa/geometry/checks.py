@@ -1,0 +1,65 @@
+"""Validation of arguments: each failure names the parameter, the value received and what is allowed."""
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+
+def positive(value: float, name: str) -> float:
+    """Return `value` as a float; raise ValueError unless it is finite and greater than zero."""
+    number = _number(value, name)
+    if not number > 0 or not np.isfinite(number):
+        raise ValueError(f"{name} = {value!r}; allowed is a finite number greater than 0")
+    return number
+
+
+def finite(value: float, name: str) -> float:
+    """Return `value` as a float; raise ValueError unless it is finite."""
+    number = _number(value, name)
+    if not np.isfinite(number):
+        raise ValueError(f"{name} = {value!r}; allowed is a finite number")
+    return number
+
+
+def finite_array(value: ArrayLike, name: str, *, last: int | None = None, ndim: int | None = None) -> Float[np.ndarray, "..."]:
+    """Return a float64 copy of `value`.
+
+    Raises
+    ------
+    ValueError
+        If it does not convert, has another number of axes than `ndim`, another last axis than `last`, or entries that are not finite.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} = {value!r}; allowed is an array of numbers") from error
+    if last is not None and (array.ndim == 0 or array.shape[-1] != last):
+        raise ValueError(f"{name} has shape {array.shape}; allowed is (…, {last})")
+    if ndim is not None and array.ndim != ndim:
+        raise ValueError(f"{name} has shape {array.shape}; allowed are {ndim} axes")
+    if not np.all(np.isfinite(array)):
+        where = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"{name}{where} = {array[tuple(where)]}; allowed are finite numbers")
+    return array
+
+
+def unit_vector(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
+    """Return `value` scaled to length 1; raise ValueError unless it is a finite 3-vector of non-zero length."""
+    vector = finite_array(value, name, last=3, ndim=1)
+    length = float(np.linalg.norm(vector))
+    if length == 0:
+        raise ValueError(f"{name} = {vector.tolist()}; allowed is any 3-vector of non-zero length")
+    return vector / length
+
+
+def frozen(array: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Return the array, marked read-only."""
+    array.flags.writeable = False
+    return array
+
+
+def _number(value: float, name: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} = {value!r}; allowed is a number") from error

@@ -1,0 +1,51 @@
+"""Unit quaternions x, y, z, w (REP-103) as arrays; they map the axes of a body frame onto world axes."""
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from vibrissa.geometry.checks import finite_array
+
+Quaternions = Float[np.ndarray, "*batch 4"]
+
+_AXIS_TOLERANCE = 1e-12
+
+
+def unit_quaternions(value: "ArrayLike | Rotation", name: str) -> Quaternions:
+    """Normalised quaternions x, y, z, w from an array (…, 4) or a SciPy `Rotation`.
+
+    Raises
+    ------
+    ValueError
+        If an entry is not finite or a quaternion has zero norm.
+    """
+    if isinstance(value, Rotation):
+        return np.asarray(value.as_quat(), dtype=np.float64)
+    quaternion = finite_array(value, name, last=4)
+    norm = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    if np.any(norm < _AXIS_TOLERANCE):
+        where = np.argwhere(norm[..., 0] < _AXIS_TOLERANCE)[0]
+        raise ValueError(f"{name}: quaternion {where.tolist()} has zero norm; allowed is any x, y, z, w of non-zero norm")
+    return quaternion / norm
+
+
+def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
+    """World direction of the body's +z axis: the way the rod leaves its clamp."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], axis=-1)
+
+
+def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrices (…, 3, 3) that take body components to world components."""
+    flat = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
+    return np.asarray(flat.reshape(*quaternion.shape[:-1], 3, 3))
+
+
+def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
+    """Quaternion of the shortest rotation that takes +z to the unit vector `axis`."""
+    x, y, z = axis
+    if z < -1 + _AXIS_TOLERANCE:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    quaternion = np.array([-y, x, 0.0, 1.0 + z])
+    return quaternion / np.linalg.norm(quaternion)

@@ -1,0 +1,86 @@
+"""The shape of the rod between clamp and contact, and straight on to its tip."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from scipy.special import ellipeinc, ellipj
+
+from vibrissa.mechanics.elastica import BasePlane, ContactOnRod
+
+Scalar = Float[Array, ""]
+Vector = Float[Array, "3"]
+
+BEND_NODES = 14
+_LEAST_FORCE = 1e-12
+
+
+def _cumulative_chebyshev(count: int) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n n"]]:
+    """Chebyshev–Lobatto nodes on [0, 1] and the matrix that integrates values there from 0 to each node."""
+    nodes = (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2
+    basis = np.polynomial.chebyshev.chebvander(2 * nodes - 1, count - 1)
+    integrals = np.empty((count, count))
+    for degree in range(count):
+        antiderivative = np.polynomial.chebyshev.chebint(np.eye(count)[degree], lbnd=-1)
+        integrals[:, degree] = np.polynomial.chebyshev.chebval(2 * nodes - 1, antiderivative) / 2
+    return nodes, integrals @ np.linalg.inv(basis)
+
+
+_NODES, _INTEGRATE = _cumulative_chebyshev(BEND_NODES)
+
+
+def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float[Array, "nodes"], Float[Array, "nodes"]]:
+    """Fourteen points from the contact back to the clamp, seen from the contact: how far along n̂, and how far from the line of the force [L].
+
+    With c = π/2 − χ: ds = dc / (√f √(1 − k² cos² c)), the distance from the line of the force is κ/f = 2 k sin c / √f, and the rod advances along −n̂ by
+    (1 − 2 k² cos² c) ds. Error below 1e-8 for k² ≤ ½.
+    """
+    root = jnp.sqrt(jnp.maximum(force, _LEAST_FORCE))
+    k2 = rod.modulus
+    span = jnp.arctan2(root * plane.lever_arm / 2, plane.sin_a0)
+    c = span * jnp.asarray(_NODES)
+    cos2 = jnp.cos(c) ** 2
+    rate = span / (root * jnp.sqrt(1 - k2 * cos2))
+    advance = jnp.asarray(_INTEGRATE) @ ((1 - 2 * k2 * cos2) * rate)
+    return advance, 2 * jnp.sqrt(k2) * jnp.sin(c) / root
+
+
+def contact_tangent(normal: Vector, side: Vector, rod: ContactOnRod) -> Vector:
+    """Unit tangent at the contact, where a = α: it makes 2α with −n̂, towards `side`, the unit vector from the clamp to the line of the force."""
+    k2 = rod.modulus
+    return -(1 - 2 * k2) * normal + 2 * jnp.sqrt(jnp.maximum(k2 * (1 - k2), 0.0)) * side
+
+
+def elastic_line(  # noqa: PLR0913
+    contact: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+    side: Float[np.ndarray, "3"],
+    force: float,
+    modulus: float,
+    contact_arc_length: float,
+    arc_length: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n 3"]:
+    """Points of the rod at given arc lengths, in closed form (mechanics.md, "Uniform straight rod"); model units.
+
+    Parameters
+    ----------
+    contact, direction, side
+        Contact point; unit vector n̂ of the contact force; unit vector from the clamp to the line of the force, square to n̂ (3,).
+    force, modulus, contact_arc_length
+        f [EI/L²], k² and s₁ [L] of the equilibrium.
+    arc_length
+        Where the points are wanted, 0 at the clamp [L]; beyond s₁ the rod is straight.
+
+    Notes
+    -----
+    With u = √f (s₁ − s): sin a = k cd u, κ = 2 √f k k' sd u, and the advance left to the contact is (2 [E(am u) − k² sn u cd u] − u)/√f.
+    """
+    root = np.sqrt(max(force, _LEAST_FORCE))
+    left = np.maximum(contact_arc_length - arc_length, 0.0)
+    u = root * left
+    sn, cn, dn, amplitude = ellipj(u, modulus)
+    advance = (2 * (ellipeinc(amplitude, modulus) - modulus * sn * cn / dn) - u) / root
+    distance = 2 * np.sqrt(modulus * (1 - modulus)) * sn / dn / root
+    tangent = -(1 - 2 * modulus) * direction + 2 * np.sqrt(max(modulus * (1 - modulus), 0.0)) * side
+    beyond = np.maximum(arc_length - contact_arc_length, 0.0)
+    return np.asarray(contact + advance[:, None] * direction - distance[:, None] * side + beyond[:, None] * tangent)

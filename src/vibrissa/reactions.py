@@ -1,0 +1,96 @@
+"""Support reactions: the only thing that forward, sensor and inverse share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from vibrissa.geometry.checks import finite_array, frozen
+from vibrissa.trail import Trail
+
+
+@dataclass(frozen=True, eq=False)
+class Reactions:
+    """What the clamp exerts on the rod, at known clamp poses.
+
+    Attributes
+    ----------
+    trail
+        Clamp poses (n, …) or (m, n, …).
+    force
+        f0 (…, 3) [N], world axes, on the rod. A row of NaN stands for a position without a value.
+    moment
+        m0 (…, 3) [N m] about the clamp point, world axes, on the rod.
+    time
+        (…) [s], or None.
+    covariance
+        Of (force, moment), (6, 6) or (…, 6, 6), world axes, or None where the sensor's noise is not known.
+    position_covariance
+        Of the clamp point (3, 3) [m²], or None.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, times do not increase, or a covariance is not symmetric and positive semidefinite.
+    """
+
+    trail: Trail
+    force: Float[np.ndarray, "*trail n 3"]
+    moment: Float[np.ndarray, "*trail n 3"]
+    time: Float[np.ndarray, "*trail n"] | None = None
+    covariance: Float[np.ndarray, "... 6 6"] | None = None
+    position_covariance: Float[np.ndarray, "3 3"] | None = None
+
+    def __init__(  # noqa: PLR0913
+        self,
+        trail: Trail,
+        force: ArrayLike,
+        moment: ArrayLike,
+        time: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        position_covariance: ArrayLike | None = None,
+    ) -> None:
+        shape = trail.shape
+        self._set("trail", trail)
+        self._set("force", _rows(force, "force", (*shape, 3)))
+        self._set("moment", _rows(moment, "moment", (*shape, 3)))
+        self._set("time", None if time is None else _increasing(time, shape))
+        self._set("covariance", None if covariance is None else _covariance(covariance, "covariance", 6, shape))
+        self._set("position_covariance", None if position_covariance is None else _covariance(position_covariance, "position_covariance", 3, ()))
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    @property
+    def single_contact_residual(self) -> Float[np.ndarray, "*trail n"]:
+        """m0·f0 / (‖m0‖ ‖f0‖): zero where one contact force explains the reactions (mechanics.md, "Statics alone"); NaN without a force."""
+        scale = np.linalg.norm(self.force, axis=-1) * np.linalg.norm(self.moment, axis=-1)
+        return np.divide(np.sum(self.force * self.moment, axis=-1), scale, out=np.full(scale.shape, np.nan), where=scale > 0)
+
+
+def _rows(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; allowed is {shape}, as the trail has")
+    return frozen(array)
+
+
+def _increasing(value: ArrayLike, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    time = finite_array(value, "time")
+    if time.shape != shape:
+        raise ValueError(f"time has shape {time.shape}; allowed is {shape}, as the trail has")
+    falling = np.argwhere(np.diff(time, axis=-1) <= 0)
+    if falling.size:
+        row = tuple(falling[0])
+        raise ValueError(f"time{list(map(int, row))} = {time[row]} is not before the next; allowed are increasing times")
+    return frozen(time)
+
+
+def _covariance(value: ArrayLike, name: str, size: int, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    array = finite_array(value, name, last=size)
+    if array.shape not in ((size, size), (*shape, size, size)):
+        raise ValueError(f"{name} has shape {array.shape}; allowed is {(size, size)} or {(*shape, size, size)}")
+    if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=1e-9, atol=0) or np.any(np.linalg.eigvalsh(array)[..., 0] < -1e-9 * np.abs(array).max()):
+        raise ValueError(f"{name} is not symmetric and positive semidefinite")
+    return frozen(array)

@@ -1,0 +1,86 @@
+"""Uniform straight rod, clamped at one end."""
+
+import math
+from dataclasses import dataclass
+
+from vibrissa.geometry.checks import positive
+
+FIRST_CLAMPED_ROOT = 1.8751040687119611
+"""First root of cos β cosh β = −1, clamped-free beam (Euler–Bernoulli)."""
+
+
+@dataclass(frozen=True)
+class Rod:
+    """Uniform, straight, unshearable, inextensible rod of isotropic section (paper, section II).
+
+    All results come in the units in which the rod is given: SI, or the model's own (L = EI = 1; paper, eq. 1).
+
+    Attributes
+    ----------
+    length
+        L [m].
+    bending_stiffness
+        EI [N m²].
+    radius
+        Of the section [m]; needed for strains.
+    linear_density
+        ρA [kg/m]; needed for natural frequencies.
+    yield_strain
+        Largest bending strain allowed [1]; a scan marks positions beyond it.
+
+    Raises
+    ------
+    ValueError
+        If a figure is not positive and finite, or a yield strain comes without a radius.
+    """
+
+    length: float
+    bending_stiffness: float
+    radius: float | None = None
+    linear_density: float | None = None
+    yield_strain: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("length", "bending_stiffness", "radius", "linear_density", "yield_strain"):
+            value = getattr(self, name)
+            if value is not None or name in ("length", "bending_stiffness"):
+                object.__setattr__(self, name, positive(value, name))
+        if self.yield_strain is not None and self.radius is None:
+            raise ValueError(f"yield_strain = {self.yield_strain}: needs radius, since bending strain is radius times curvature")
+
+    @classmethod
+    def unit(cls) -> "Rod":
+        """The model's own units: L = EI = 1 (paper, eq. 1)."""
+        return cls(length=1.0, bending_stiffness=1.0)
+
+    @classmethod
+    def cylinder(
+        cls, *, length: float, radius: float, youngs_modulus: float, density: float | None = None, yield_strain: float | None = None
+    ) -> "Rod":
+        """Return a wire of circular section: EI = E π r⁴/4. SI units: m, m, Pa, kg/m³, 1."""
+        positive(radius, "radius")
+        stiffness = positive(youngs_modulus, "youngs_modulus") * math.pi * radius**4 / 4
+        linear_density = None if density is None else positive(density, "density") * math.pi * radius**2
+        return cls(length, stiffness, radius=radius, linear_density=linear_density, yield_strain=yield_strain)
+
+    @property
+    def force_scale(self) -> float:
+        """EI/L² [N]."""
+        return self.bending_stiffness / self.length**2
+
+    @property
+    def moment_scale(self) -> float:
+        """EI/L [N m], also the scale of energy [J]."""
+        return self.bending_stiffness / self.length
+
+    def first_natural_frequency(self) -> float:
+        """First bending frequency [Hz] of the clamped rod with a free end: β² √(EI/(ρA L⁴)) / 2π, β = 1.8751.
+
+        Raises
+        ------
+        ValueError
+            If the rod has no density.
+        """
+        if self.linear_density is None:
+            raise ValueError("linear_density = None: a natural frequency needs the rod's density")
+        return FIRST_CLAMPED_ROOT**2 / (2 * math.pi) * math.sqrt(self.bending_stiffness / (self.linear_density * self.length**4))

@@ -1,0 +1,8 @@
+"""The forward problem: rod, object and clamp path in, support reactions out."""
+
+from vibrissa.scan.events import Event, EventKind
+from vibrissa.scan.result import Scan
+from vibrissa.scan.scan import scan
+from vibrissa.scan.slip import Slip
+
+__all__ = ["Event", "EventKind", "Scan", "Slip", "scan"]

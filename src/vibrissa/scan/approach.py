@@ -1,0 +1,89 @@
+"""The straight rod against the object: first contact is geometry, before any mechanics.
+
+The tip may touch first, or the flank, where the rod meets the object tangentially.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.numerics.bracket import bracketed_root
+from vibrissa.scan.equations import Clamp, Scene, level
+from vibrissa.scan.path import clamp_between
+
+Scalar = Float[Array, ""]
+
+_SAMPLES = 16
+_REFINEMENTS = 4
+
+
+def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
+    """Smallest first-order distance [L] of the straight rod from the object, negative where it enters, and the arc length [L] where.
+
+    The level function is sampled at 17 points; the lowest is refined by Newton's method on its derivative along the rod.
+    """
+
+    def along(s: Scalar) -> Scalar:
+        return level(scene, clamp.point + s * clamp.tangent)
+
+    s = _lowest_sample(along)
+    low, high = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
+    slope = jax.grad(along)
+
+    def refine(_: int, s: Scalar) -> Scalar:
+        first, second = jax.jvp(slope, (s,), (jnp.ones_like(s),))
+        # Where the level is not convex the lower end of the bracket is taken.
+        target = jnp.where(second > 0, s - first / jnp.where(second > 0, second, 1.0), jnp.where(first > 0, low, high))
+        return jnp.clip(target, low, high)
+
+    s = lax.fori_loop(0, _REFINEMENTS, refine, s, unroll=True)
+    value, gradient = jax.value_and_grad(level, argnums=1)(scene, clamp.point + s * clamp.tangent)
+    return value / jnp.sqrt(jnp.sum(gradient * gradient)), s
+
+
+def _lowest_sample(along: Callable[[Scalar], Scalar]) -> Scalar:
+    best, lowest = jnp.zeros(()), along(jnp.zeros(()))
+    for index in range(1, _SAMPLES + 1):
+        s = jnp.asarray(index / _SAMPLES)
+        value = along(s)
+        lower = value < lowest
+        best, lowest = jnp.where(lower, s, best), jnp.where(lower, value, lowest)
+    return best
+
+
+@jax.jit
+def clearances(scene: Scene, point: Float[Array, "blocks 3 width"], tangent: Float[Array, "blocks 3 width"]) -> Float[Array, "blocks 2 width"]:
+    """Clearance of the straight rod and level at the clamp, for blocks of poses."""
+
+    def one(point: Float[Array, "3"], tangent: Float[Array, "3"]) -> Float[Array, "2"]:
+        distance, _ = clearance(scene, Clamp(point, tangent))
+        return jnp.stack([distance, level(scene, point)])
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (point, tangent))
+
+
+@jax.jit
+def first_contacts(scene: Scene, stretches: Float[Array, "blocks 14 width"]) -> Float[Array, "blocks 6 width"]:
+    """First contact on stretches of the path at whose start the straight rod is clear, and at whose end it is not.
+
+    Returns the fraction of the stretch, the contact point [L] (3), the arc length [L], and the cosine between normal and rod: −1 is head-on.
+    """
+
+    def one(ends: Float[Array, "14"]) -> Float[Array, "6"]:
+        def distance(fraction: Scalar) -> Scalar:
+            return clearance(scene, clamp_between(ends, fraction))[0]
+
+        zero, full = jnp.zeros(()), jnp.ones(())
+        start = distance(zero)
+        fraction = jnp.where(start <= 0, 0.0, bracketed_root(distance, zero, full, start, distance(full)))
+        clamp = clamp_between(ends, fraction)
+        _, s = clearance(scene, clamp)
+        point = clamp.point + s * clamp.tangent
+        gradient = jax.grad(level, argnums=1)(scene, point)
+        cosine = jnp.dot(gradient, clamp.tangent) / jnp.sqrt(jnp.sum(gradient * gradient))
+        return jnp.concatenate([jnp.stack([fraction]), point, jnp.stack([s, cosine])])
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(block), stretches)

@@ -1,0 +1,78 @@
+"""What an equilibrium means: reactions, energy, and the checks of the state that is returned."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.mechanics.elastic_line import bent_part, contact_tangent
+from vibrissa.mechanics.elastica import bending_energy
+from vibrissa.scan.equations import Clamp, ContactState, Scene, contact_state, level, phase_difference
+
+Scalar = Float[Array, ""]
+Vector = Float[Array, "3"]
+
+
+class Assessment(NamedTuple):
+    """One equilibrium in model units; arrays when assessed in a batch."""
+
+    point: Vector
+    force: Scalar
+    normal: Vector
+    arc_length: Scalar
+    moment: Vector
+    energy: Scalar
+    base_curvature: Scalar
+    phase: Scalar
+    residual: Scalar
+    depth: Scalar
+    """Largest depth to which the elastic line enters the object [L], to first order; negative or rounding where it does not."""
+    contact_tangent: Vector
+    plane_normal: Vector
+
+
+WIDTH = 22
+"""Numbers in one assessment, in the order above."""
+
+_TAIL_NODES = 6
+
+
+def assess(scene: Scene, x: Float[Array, "4"], clamp: Clamp) -> Assessment:
+    """Reactions, energy and checks of the state x = (p, f) at a clamp pose."""
+    state = contact_state(scene, x, clamp)
+    f, n, r, rod = x[3], state.normal, state.to_contact, state.rod
+    # r × F + m0 = 0: one contact carries no couple.
+    moment = -f * jnp.cross(r, n)
+    side = (r - jnp.dot(r, n) * n) / state.plane.lever_arm
+    tangent = contact_tangent(n, side, rod)
+    across = jnp.cross(clamp.tangent, n)
+    plane_normal = across / jnp.sqrt(jnp.sum(across * across))
+    depth = _depth(scene, x, state, side, tangent)
+    return Assessment(
+        x[:3], f, n, rod.arc_length, moment, bending_energy(rod, f), f * state.plane.lever_arm,
+        phase_difference(rod), jnp.max(jnp.abs(state.residual)), depth, tangent, plane_normal,
+    )  # fmt: skip
+
+
+def _depth(scene: Scene, x: Float[Array, "4"], state: ContactState, side: Vector, tangent: Vector) -> Scalar:
+    """Deepest of 14 points between clamp and contact and 6 between contact and tip."""
+    p = x[:3]
+    advance, distance = bent_part(state.plane, state.rod, x[3])
+    bend = p + advance[:, None] * state.normal - distance[:, None] * side
+    tail = p + (jnp.arange(1, _TAIL_NODES + 1) / _TAIL_NODES)[:, None] * jnp.maximum(1 - state.rod.arc_length, 0.0) * tangent
+    levels = jax.vmap(lambda q: level(scene, q))(jnp.concatenate([bend, tail]))
+    gradient = jax.grad(level, argnums=1)(scene, p)
+    return -jnp.min(levels) / jnp.sqrt(jnp.sum(gradient * gradient))
+
+
+@jax.jit
+def assess_blocks(scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]) -> Float[Array, "blocks 22 width"]:
+    """`assess` for blocks of states; clamps hold point and tangent."""
+
+    def one(x: Float[Array, "4"], clamp: Float[Array, "6"]) -> Float[Array, "22"]:
+        parts = assess(scene, x, Clamp(clamp[:3], clamp[3:]))
+        return jnp.concatenate([jnp.atleast_1d(part) for part in parts])
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (x, clamps))

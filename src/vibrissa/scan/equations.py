@@ -1,0 +1,108 @@
+"""The forward problem as a root of the inverse map (mechanics.md, "Contact conditions").
+
+Unknown are the contact point p on the object and the magnitude f of the contact force F = f n(p), x = (p, f). Everything is dimensionless: lengths in
+L, forces in EI/L². The line of the force fixes the lever arm, and with it the whole rod; four conditions are left:
+
+    g(p) = 0                              the point lies on the object,
+    (p − P0) · (t0 × n) = 0               the rod stays in the plane of t0 and n,
+    (p − P0) · n + I₁ = 0                 the rod reaches the point,
+    min(1 − s₁, ½ − k²) = 0               tip contact, or the rod tangent to the object: no phase logic.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, base_plane, contact_on_rod
+from vibrissa.numerics.linear import solve_4x4
+from vibrissa.surfaces import Surface
+
+Unknowns = Float[Array, "4"]
+Vector = Float[Array, "3"]
+Scalar = Float[Array, ""]
+
+
+class Scene(NamedTuple):
+    """The object and the rod's length, which turns its units into the model's."""
+
+    surface: Surface
+    length: Float[Array, ""] | float
+
+
+class Clamp(NamedTuple):
+    """Clamp point [L] and unit tangent of the rod there."""
+
+    point: Vector
+    tangent: Vector
+
+
+class ContactState(NamedTuple):
+    """Everything the unknowns imply at one clamp pose."""
+
+    residual: Float[Array, "4"]
+    gap: Scalar
+    """First-order distance of the contact point from the object [L]."""
+    normal: Vector
+    to_contact: Vector
+    """r = p − P0 [L]."""
+    plane: BasePlane
+    rod: ContactOnRod
+
+
+def level(scene: Scene, point: Vector) -> Scalar:
+    """Level function of the object in model units."""
+    return scene.surface.level(point * scene.length) / scene.length
+
+
+def contact_state(scene: Scene, x: Unknowns, clamp: Clamp) -> ContactState:
+    """Evaluate the contact conditions."""
+    p, f = x[:3], x[3]
+    value, gradient = jax.value_and_grad(level, argnums=1)(scene, p)
+    steepness = jnp.sqrt(jnp.sum(gradient * gradient))
+    n = gradient / steepness
+    r = p - clamp.point
+    r_n = jnp.dot(r, n)
+    plane = base_plane(n, n * jnp.dot(r, clamp.tangent) - r * jnp.dot(n, clamp.tangent), clamp.tangent)
+    rod = contact_on_rod(plane, f)
+    gap = value / lax.stop_gradient(steepness)
+    out_of_plane = jnp.dot(r, jnp.cross(clamp.tangent, n))
+    phase = jnp.minimum(1 - rod.arc_length, 0.5 - rod.modulus)
+    residual = jnp.stack([gap, out_of_plane, r_n + rod.advance, phase])
+    return ContactState(residual, gap, n, r, plane, rod)
+
+
+def phase_difference(rod: ContactOnRod) -> Scalar:
+    """(1 − s₁) − (½ − k²): negative in tip contact, positive in tangential contact, zero where one turns into the other."""
+    return (1 - rod.arc_length) - (0.5 - rod.modulus)
+
+
+class NewtonStep(NamedTuple):
+    """One step of Newton's method from x."""
+
+    x: Unknowns
+    residual: Scalar
+    """Largest residual before the step."""
+    determinant: Scalar
+    """Of the Jacobian before the step: its sign changes where an equilibrium gains or loses stability."""
+    phase: Scalar
+    """`phase_difference` before the step."""
+
+
+_LONGEST_STEP = 0.3
+
+
+def newton_step(scene: Scene, x: Unknowns, clamp: Clamp) -> NewtonStep:
+    """Semi-smooth Newton step; the contact point moves by at most 0.3 L."""
+
+    def conditions(x: Unknowns) -> tuple[Float[Array, "4"], tuple[Float[Array, "4"], Scalar]]:
+        state = contact_state(scene, x, clamp)
+        return state.residual, (state.residual, phase_difference(state.rod))
+
+    jacobian, (residual, phase) = jax.jacfwd(conditions, has_aux=True)(x)
+    step, determinant = solve_4x4(jacobian, residual)
+    distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
+    shortened = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(distance, _LONGEST_STEP))
+    return NewtonStep(x - shortened * step, jnp.max(jnp.abs(residual)), determinant, phase)

@@ -1,0 +1,298 @@
+"""One stretch of one trail, resolved with care: where the march lost a lane.
+
+The branch is followed by its arc length, so that it can be seen to turn back (fold). Steps are halved where Newton's method does not converge.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from vibrissa.contacts import Status
+from vibrissa.scan.approach import clearance, first_contacts
+from vibrissa.scan.assess import assess
+from vibrissa.scan.equations import Scene, contact_state, phase_difference
+from vibrissa.scan.events import EventKind
+from vibrissa.scan.march import Mode
+from vibrissa.scan.path import clamp_between, slerp
+from vibrissa.scan.search import stable_equilibria
+
+HEAD_ON_COSINE = -1 + 1e-9
+CLEAR = -1e-10
+"""Clearance [L] from which the straight rod counts as outside the object."""
+
+_CONVERGED = 1e-12
+_ITERATIONS = 12
+_FIRST_STEP = 0.01
+_LONGEST_STEP = 0.03
+_SHORTEST_STEP = 1e-10
+_MOST_STEPS = 600
+_MOST_CHANGES = 12
+_ENERGY_MARGIN = 1e-9
+# Weights that make force and fraction of the stretch commensurable with the contact point's path.
+_FORCE_WEIGHT = 0.1
+
+Point5 = Float[np.ndarray, "5"]
+
+
+@dataclass
+class Outcome:
+    """How a stretch ended: mode, unknowns, determinant and phase at its end, what happened on it, and a status where it failed."""
+
+    mode: Mode
+    x: Float[np.ndarray, "4"]
+    determinant: float = np.nan
+    phase: float = np.nan
+    happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]] = field(default_factory=list)
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A point (p, f, fraction) on a branch, with the Jacobian's determinant, the phase difference, and the tangent."""
+
+    y: Point5
+    tangent: Point5
+    determinant: float
+    phase: float
+
+
+@dataclass(frozen=True)
+class _End:
+    """Why the tracker stopped: arrived, released, folded, or stuck."""
+
+    reason: str
+    at: Branch
+
+
+@jax.jit
+def _linearised(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> Float[Array, "25"]:
+    def conditions(y: Float[Array, "5"]) -> tuple[Float[Array, "4"], Float[Array, "5"]]:
+        state = contact_state(scene, y[:4], clamp_between(stretch, y[4]))
+        return state.residual, jnp.append(state.residual, phase_difference(state.rod))
+
+    jacobian, values = jax.jacfwd(conditions, has_aux=True)(y)
+    return jnp.concatenate([values, jacobian.ravel()])
+
+
+@jax.jit
+def _straight(scene: Scene, stretch: Float[Array, "14"], fraction: Float[Array, ""]) -> Float[Array, "7"]:
+    distance, _ = clearance(scene, clamp_between(stretch, fraction))
+    clamp = clamp_between(stretch, fraction)
+    return jnp.concatenate([distance[None], clamp.point, clamp.tangent])
+
+
+@jax.jit
+def _energy(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> Float[Array, ""]:
+    return assess(scene, y[:4], clamp_between(stretch, y[4])).energy
+
+
+class Tracker:
+    """Pseudo-arclength continuation on one stretch."""
+
+    def __init__(self, scene: Scene, stretch: Float[np.ndarray, "14"]) -> None:
+        self._scene, self._stretch = scene, stretch
+        motion = float(np.linalg.norm(stretch[7:10] - stretch[:3]) + 2 * np.linalg.norm(stretch[10:] - stretch[3:7]))
+        self._weights = np.array([1.0, 1.0, 1.0, _FORCE_WEIGHT, max(motion, 1e-6)])
+        self._inverse_weights = 1 / self._weights
+
+    def _linear(self, y: Point5) -> tuple[Float[np.ndarray, "4"], float, Float[np.ndarray, "4 5"]]:
+        values = np.asarray(_linearised(self._scene, self._stretch, y))
+        return values[:4], float(values[4]), values[5:].reshape(4, 5)
+
+    def at(self, y: Point5, ahead: Point5 | None = None) -> Branch | None:
+        """Branch point at y, its tangent towards `ahead` (default: forward on the stretch)."""
+        _, phase, jacobian = self._linear(y)
+        if not np.all(np.isfinite(jacobian)):
+            return None
+        tangent = np.linalg.svd(jacobian * self._inverse_weights)[2][-1]
+        onward = tangent[4] if ahead is None else tangent @ ahead
+        return Branch(y, tangent if onward > 0 else -tangent, float(np.linalg.det(jacobian[:, :4])), phase)
+
+    def corrected(self, guess: Point5, normal: Point5) -> Point5 | None:
+        """Newton's method on the plane through the guess whose normal is given (weighted coordinates); None without convergence."""
+        y = guess
+        for _ in range(_ITERATIONS):
+            residual, _, jacobian = self._linear(y)
+            offset = normal @ ((y - guess) * self._weights)
+            bordered = np.vstack([jacobian * self._inverse_weights, normal])
+            right = np.append(residual, offset)
+            if not np.all(np.isfinite(bordered)) or not np.all(np.isfinite(right)):
+                return None
+            try:
+                step = np.linalg.solve(bordered, right) * self._inverse_weights
+            except np.linalg.LinAlgError:
+                return None
+            y = y - step
+            if np.abs(right).max() < _CONVERGED or np.abs(step * self._weights).max() < 1e-15:
+                return y if np.abs(right).max() < 1e-9 else None
+        return None
+
+    def at_fraction(self, guess: Point5, fraction: float) -> Point5 | None:
+        """Equilibrium at a given fraction of the stretch."""
+        start = guess.copy()
+        start[4] = fraction
+        return self.corrected(start, np.array([0.0, 0.0, 0.0, 0.0, 1.0]))
+
+    def along(self, start: Branch, step: float) -> Branch | None:
+        """Branch point one step of arc length on."""
+        y = self.corrected(start.y + step * start.tangent * self._inverse_weights, start.tangent)
+        if y is None or np.abs((y - start.y) * self._weights).max() > 3 * step:
+            return None
+        return self.at(y, start.tangent)
+
+    def root(self, start: Branch, step: float, figure: Callable[[Branch], float]) -> Branch:
+        """Branch point between `start` and one step on at which a figure of opposite signs there is zero."""
+
+        def value(length: float) -> float:
+            point = self.along(start, length) if length > 0 else start
+            if point is None:
+                raise _LostOnTheWayError
+            return figure(point)
+
+        try:
+            length = brentq(value, 0.0, step, xtol=1e-15, rtol=1e-14)
+        except (_LostOnTheWayError, ValueError):
+            length = 0.0
+        point = self.along(start, length) if length > 0 else start
+        return start if point is None else point
+
+    def track(self, start: Branch, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]) -> _End:
+        """Follow the branch to the end of the stretch, its release, or its fold; phase changes and lateral instabilities are noted on the way."""
+        here, step = start, _FIRST_STEP
+        for _ in range(_MOST_STEPS):
+            following = self.along(here, step)
+            if following is None:
+                step /= 2
+                if step < _SHORTEST_STEP:
+                    # Where the phases meet the branch may turn back in a corner: there it ends as at a fold.
+                    return _End("folded" if abs(here.phase) < 1e-6 else "stuck", here)
+                continue
+            if following.tangent[4] <= 0:
+                return _End("folded", self.root(here, step, lambda point: point.tangent[4]))
+            if following.y[4] >= 1:
+                arrival = self.at_fraction(here.y + (following.y - here.y) * (1 - here.y[4]) / (following.y[4] - here.y[4]), 1.0)
+                last = None if arrival is None else self.at(arrival, here.tangent)
+                if last is None:
+                    step /= 2
+                    if step < _SHORTEST_STEP:
+                        return _End("stuck", here)
+                    continue
+                following, step = last, float(here.tangent @ ((last.y - here.y) * self._weights))
+            if following.y[3] < 0:
+                release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
+                self._changes(here, release, step, happened)
+                return _End("released", release)
+            self._changes(here, following, step, happened)
+            here = following
+            if here.y[4] >= 1:
+                return _End("arrived", here)
+            step = min(1.5 * step, _LONGEST_STEP)
+        return _End("stuck", here)
+
+    def _changes(self, here: Branch, following: Branch, step: float, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]) -> None:
+        if here.phase * following.phase < 0:
+            change = self.root(here, step, lambda point: point.phase)
+            kind = EventKind.TIP_TO_TANGENTIAL if following.phase > 0 else EventKind.TANGENTIAL_TO_TIP
+            happened.append((kind, float(change.y[4]), change.y[:3]))
+        if here.determinant * following.determinant < 0:
+            change = self.root(here, step, lambda point: point.determinant)
+            kind = EventKind.LATERAL_INSTABILITY if following.determinant > 0 else EventKind.LATERAL_RECOVERY
+            happened.append((kind, float(change.y[4]), change.y[:3]))
+
+
+class _LostOnTheWayError(Exception):
+    pass
+
+
+def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[np.ndarray, "4"], *, begins: bool = False) -> Outcome:
+    """Resolve a stretch from mode FREE or CONTACT (with x) at its start; with mode LOST only its end is known.
+
+    Parameters
+    ----------
+    begins
+        The trail begins here: an equilibrium found by search is an event of its own kind.
+    """
+    tracker = Tracker(scene, stretch)
+    outcome = Outcome(mode, x)
+    fraction = 0.0
+    here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None
+    if mode == Mode.LOST or (mode == Mode.CONTACT and here is None):
+        fraction, here = 1.0, _settled(scene, tracker, stretch, 1.0, np.inf)
+        if here is None:
+            return _failed(outcome, Status.NO_EQUILIBRIUM)
+        if begins:
+            outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, here.y[:3]))
+        return _arrived(outcome, here)
+    for _ in range(_MOST_CHANGES):
+        if here is None:
+            outcome.mode = Mode.FREE
+            here = _first_contact(scene, tracker, stretch, fraction, outcome)
+            if here is None:
+                return outcome
+        end = tracker.track(here, outcome.happened)
+        fraction = float(end.at.y[4])
+        if end.reason == "arrived":
+            return _arrived(outcome, end.at)
+        if end.reason == "stuck":
+            return _failed(outcome, Status.NOT_CONVERGED)
+        if end.reason == "released":
+            outcome.happened.append((EventKind.DETACH, fraction, end.at.y[:3]))
+            here = None
+            continue
+        outcome.happened.append((EventKind.SNAP, fraction, end.at.y[:3]))
+        here = None
+        if float(_straight(scene, stretch, jnp.asarray(fraction))[0]) < CLEAR:
+            energy = float(_energy(scene, stretch, end.at.y))
+            here = _settled(scene, tracker, stretch, fraction, energy - _ENERGY_MARGIN)
+            if here is None:
+                return _failed(outcome, Status.NO_EQUILIBRIUM)
+    return _failed(outcome, Status.NOT_CONVERGED)
+
+
+def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, outcome: Outcome) -> Branch | None:
+    # Free from `fraction` on: the next first contact before the end, if any.
+    if float(_straight(scene, stretch, jnp.asarray(1.0))[0]) >= CLEAR:
+        return None
+    rest = _shortened(scene, stretch, fraction)
+    share, *point, _, cosine = np.asarray(first_contacts(scene, rest[None, :, None]))[0, :, 0]
+    at = fraction + (1 - fraction) * share
+    if cosine < HEAD_ON_COSINE:
+        outcome.happened.append((EventKind.HEAD_ON, float(at), np.array(point)))
+        _failed(outcome, Status.HEAD_ON)
+        return None
+    outcome.happened.append((EventKind.FIRST_CONTACT, float(at), np.array(point)))
+    here = tracker.at(np.array([*point, 0.0, at]))
+    if here is None:
+        _failed(outcome, Status.NOT_CONVERGED)
+    return here
+
+
+def _settled(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, energy: float) -> Branch | None:
+    pose = np.asarray(_straight(scene, stretch, jnp.asarray(fraction)))
+    for equilibrium in stable_equilibria(scene, pose[1:4], pose[4:]):
+        if equilibrium.energy < energy:
+            return tracker.at(np.append(equilibrium.x, fraction))
+    return None
+
+
+def _shortened(scene: Scene, stretch: Float[np.ndarray, "14"], fraction: float) -> Float[np.ndarray, "14"]:
+
+
+    point = stretch[:3] + fraction * (stretch[7:10] - stretch[:3])
+    return np.concatenate([point, slerp(stretch[3:7], stretch[10:], np.array([fraction])), stretch[7:]])
+
+
+def _arrived(outcome: Outcome, at: Branch) -> Outcome:
+    outcome.mode, outcome.x, outcome.determinant, outcome.phase = Mode.CONTACT, at.y[:4], at.determinant, at.phase
+    return outcome
+
+
+def _failed(outcome: Outcome, status: Status) -> Outcome:
+    outcome.mode, outcome.status, outcome.x = Mode.LOST, status, np.full(4, np.nan)
+    return outcome

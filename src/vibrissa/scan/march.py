@@ -1,0 +1,153 @@
+"""Many trails in step: each position is started from the last, extrapolated, and solved by Newton's method.
+
+The march does what goes smoothly. Where a lane does not converge, jumps, changes the sign of its Jacobian, or finds the straight rod in the object
+without having met it, it stops that lane as lost; `follow` resolves the stretch, and the march resumes behind it.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.scan.equations import Clamp, NewtonStep, Scene, newton_step
+
+
+class Mode(IntEnum):
+    """What a lane does at a position."""
+
+    FREE = 0
+    CONTACT = 1
+    LOST = 2
+    WAITING = 3
+
+
+class Legs(NamedTuple):
+    """What the march needs of each lane, in blocks; the last axis is the lane."""
+
+    point: Float[Array, "blocks n 3 width"]
+    tangent: Float[Array, "blocks n 3 width"]
+    clear: Bool[Array, "blocks n width"]
+    """The straight rod is outside the object."""
+    met: Bool[Array, "blocks n width"]
+    """First contact of the straight rod lies on the stretch that ends here."""
+    meeting_point: Float[Array, "blocks n 3 width"]
+    start: Int[Array, "blocks width"]
+    """Index at which the lane enters, with `mode` and `x` given there."""
+    mode: Int[Array, "blocks width"]
+    x: Float[Array, "blocks 4 width"]
+    sign: Float[Array, "blocks width"]
+    """Sign of the Jacobian's determinant: negative on a stable branch."""
+
+
+class Steps(NamedTuple):
+    """What the march found, in blocks."""
+
+    x: Float[Array, "blocks n 4 width"]
+    mode: Int[Array, "blocks n width"]
+    determinant: Float[Array, "blocks n width"]
+    phase: Float[Array, "blocks n width"]
+
+
+class _Carry(NamedTuple):
+    x: Array
+    before: Array
+    second_before: Array
+    age: Array
+    mode: Array
+    sign: Array
+
+
+TOLERANCE = 1e-9
+"""Largest residual from which one more quadratic step is taken, and no other."""
+
+_MOST_ITERATIONS = 12
+_JUMP = 8.0
+_JUMP_FLOOR = 0.02
+
+_newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
+
+
+@jax.jit
+def march(scene: Scene, legs: Legs, count: Int[Array, ""]) -> Steps:
+    """Walk all lanes through the first `count` positions."""
+    return lax.map(lambda block: _march_block(scene, block, count), legs)
+
+
+def _march_block(scene: Scene, legs: Legs, count: Int[Array, ""]) -> Steps:
+    capacity, _, width = legs.point.shape
+    steps = Steps(
+        jnp.full((capacity, 4, width), jnp.nan),
+        jnp.full((capacity, width), int(Mode.WAITING)),
+        jnp.full((capacity, width), jnp.nan),
+        jnp.full((capacity, width), jnp.nan),
+    )
+    waiting = jnp.full(width, int(Mode.WAITING))
+    carry = _Carry(legs.x, legs.x, legs.x, jnp.zeros(width, dtype=int), waiting, legs.sign)
+
+    def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
+        carry, steps = state
+        carry, row = _advance(scene, legs, index, carry)
+        return carry, Steps(*(whole.at[index].set(part) for whole, part in zip(steps, row, strict=True)))
+
+    return lax.fori_loop(jnp.min(legs.start), count, advance, (carry, steps))[1]
+
+
+def _advance(scene: Scene, legs: Legs, index: Array, carry: _Carry) -> tuple[_Carry, Steps]:
+    clamp = Clamp(legs.point[index], legs.tangent[index])
+    free, touching = carry.mode == Mode.FREE, carry.mode == Mode.CONTACT
+    entering = free & legs.met[index]
+    active = touching | entering
+    met = jnp.concatenate([legs.meeting_point[index], jnp.zeros((1, active.shape[0]))])
+    x, residual, determinant, phase = _solve(scene, jnp.where(entering, met, _extrapolated(carry)), clamp, active)
+
+    solved = residual <= TOLERANCE
+    moved = jnp.sqrt(jnp.sum((x - carry.x)[:3] ** 2, axis=0))
+    clamp_moved = _clamp_motion(legs, index)
+    leaps = touching & (moved > _JUMP_FLOOR + _JUMP * clamp_moved)
+    # A contact that pulls is one that has been lost; the solution beyond tells by how much.
+    released = touching & solved & ~leaps & (x[3] < 0)
+    held = active & solved & ~leaps & (x[3] >= 0) & (determinant * carry.sign > 0)
+    clear = legs.clear[index]
+    mode = jnp.where(held, Mode.CONTACT, Mode.LOST)
+    mode = jnp.where((free & ~entering & clear) | (released & clear), Mode.FREE, mode)
+    given = index == legs.start
+    mode = jnp.where(given, legs.mode, mode)
+    mode = jnp.where((carry.mode == Mode.WAITING) & ~given, Mode.WAITING, mode)
+    mode = jnp.where(carry.mode == Mode.LOST, Mode.LOST, mode)
+    x = jnp.where(given, legs.x, x)
+
+    fresh = entering | given
+    age = jnp.where(fresh, 0, carry.age + 1)
+    following = _Carry(x, jnp.where(fresh, x, carry.x), jnp.where(fresh, x, carry.before), age, mode, carry.sign)
+    return following, Steps(x, mode, determinant, phase)
+
+
+def _extrapolated(carry: _Carry) -> Float[Array, "4 width"]:
+    linear = 2 * carry.x - carry.before
+    quadratic = 3 * (carry.x - carry.before) + carry.second_before
+    return jnp.where(carry.age >= 2, quadratic, jnp.where(carry.age >= 1, linear, carry.x))
+
+
+def _clamp_motion(legs: Legs, index: Array) -> Float[Array, "width"]:
+    before = jnp.maximum(index - 1, 0)
+    moved = jnp.sum((legs.point[index] - legs.point[before]) ** 2, axis=0)
+    return jnp.sqrt(moved + jnp.sum((legs.tangent[index] - legs.tangent[before]) ** 2, axis=0))
+
+
+def _solve(scene: Scene, guess: Array, clamp: Clamp, active: Array) -> tuple[Array, Array, Array, Array]:
+    def unfinished(state: tuple[Array, ...]) -> Array:
+        _, residual, _, _, iteration = state
+        return jnp.any(active & (residual > TOLERANCE)) & (iteration < _MOST_ITERATIONS)
+
+    def iterate(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        step = _newton(scene, state[0], clamp)
+        return step.x, step.residual, step.determinant, step.phase, state[4] + 1
+
+    width = active.shape[0]
+    nothing = jnp.full(width, jnp.nan)
+    start = (guess, jnp.full(width, jnp.inf), nothing, nothing, jnp.zeros((), dtype=int))
+    x, residual, determinant, phase, _ = lax.while_loop(unfinished, iterate, start)
+    return x, residual, determinant, phase

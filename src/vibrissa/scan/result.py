@@ -1,0 +1,135 @@
+"""What a scan returns."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.mechanics.elastic_line import elastic_line
+from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
+from vibrissa.scan.events import Event
+from vibrissa.scan.slip import Slip, slip_along
+from vibrissa.surfaces import Surface
+from vibrissa.trail import Trail
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Equilibria of the rod along one trail (n, …) or several (m, n, …), in units of the rod, world axes.
+
+    Attributes
+    ----------
+    rod, surface, trail
+        What was scanned with what, where.
+    kind
+        (…) values of `ContactKind`.
+    point, normal
+        Contact point and outward unit normal of the object there (…, 3); NaN without contact.
+    arc_length
+        s₁ (…) [m]: arc length of the contact from the clamp; NaN without contact.
+    reactions
+        Support reactions, on the rod, moment about the clamp; zero without contact, NaN where unsolved.
+    energy
+        Bending energy (…) [J].
+    largest_curvature
+        (…) [1/m], at the clamp.
+    contact_tangent, plane_normal
+        Unit tangent of the rod at the contact and unit normal t0 × n of its bending plane (…, 3).
+    residual
+        Largest residual (…) of the contact conditions of the returned state, dimensionless.
+    depth
+        How deep (…) [m] the elastic line enters the object at the deepest of 20 sampled points; rounding where it does not.
+    status
+        (…) values of `Status`.
+    events
+        By trail and then in order.
+    """
+
+    rod: Rod
+    surface: Surface
+    trail: Trail
+    kind: Int[np.ndarray, "*trail n"]
+    point: Float[np.ndarray, "*trail n 3"]
+    normal: Float[np.ndarray, "*trail n 3"]
+    arc_length: Float[np.ndarray, "*trail n"]
+    reactions: Reactions
+    energy: Float[np.ndarray, "*trail n"]
+    largest_curvature: Float[np.ndarray, "*trail n"]
+    contact_tangent: Float[np.ndarray, "*trail n 3"]
+    plane_normal: Float[np.ndarray, "*trail n 3"]
+    residual: Float[np.ndarray, "*trail n"]
+    depth: Float[np.ndarray, "*trail n"]
+    status: Int[np.ndarray, "*trail n"]
+    events: list[Event]
+
+    @property
+    def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
+        """Whether a contact was found (…)."""
+        return self.kind != ContactKind.NONE
+
+    @property
+    def bending_strain(self) -> Float[np.ndarray, "*trail n"]:
+        """Largest bending strain (…): radius times curvature at the clamp.
+
+        Raises
+        ------
+        ValueError
+            If the rod has no radius.
+        """
+        if self.rod.radius is None:
+            raise ValueError("radius = None: a bending strain needs the rod's radius")
+        return self.rod.radius * self.largest_curvature
+
+    @cached_property
+    def slip(self) -> Slip:
+        """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
+        return slip_along(self.point, self.arc_length, self.contact_tangent, self.plane_normal)
+
+    def elastic_line(self, index: "int | tuple[int, int]", count: int = 200) -> Float[np.ndarray, "count 3"]:
+        """The rod's shape at a position: `count` points equally spaced in arc length from clamp to tip.
+
+        Parameters
+        ----------
+        index
+            Position i on one trail, or (trail, i) on several.
+        count
+            Number of points, at least 2.
+
+        Raises
+        ------
+        ValueError
+            If the position was not solved, or `count` is less than 2.
+        IndexError
+            If there is no such position.
+        """
+        if count < 2:
+            raise ValueError(f"count = {count}; allowed is at least 2")
+        clamp, axis = self.trail.position[index], self.trail.axis[index]
+        if clamp.ndim != 1:
+            raise ValueError(f"index = {index}; allowed is (trail, i), as the scan holds several trails")
+        length = self.rod.length
+        s = np.linspace(0, 1, count)
+        if self.kind[index] == ContactKind.NONE:
+            if not np.isfinite(self.energy[index]):
+                raise ValueError(f"index = {index}: this position was not solved: {Status(int(self.status[index])).text}")
+            return np.asarray(clamp + length * s[:, None] * axis)
+        n, r = self.normal[index], (self.point[index] - clamp) / length
+        force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
+        side = r - (r @ n) * n
+        lever_arm = np.linalg.norm(side)
+        modulus = float((1 + n @ axis) / 2 + force * lever_arm**2 / 4)
+        line = elastic_line(r, n, side / lever_arm, force, modulus, float(self.arc_length[index]) / length, s)
+        return np.asarray(clamp + length * line)
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""
+        from vibrissa.scan.dataset import scan_dataset  # noqa: PLC0415
+
+        return scan_dataset(self)

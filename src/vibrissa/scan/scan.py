@@ -1,0 +1,122 @@
+"""The forward problem's entry point."""
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
+from vibrissa.scan.assess import assess_blocks
+from vibrissa.scan.equations import Scene
+from vibrissa.scan.events import Event, Happening
+from vibrissa.scan.march import Mode
+from vibrissa.scan.path import Path, path_of
+from vibrissa.scan.result import Scan
+from vibrissa.scan.search import DEPTH_TOLERANCE
+from vibrissa.scan.sweep import Sweep, _in_blocks, sweep
+from vibrissa.surfaces import Surface
+from vibrissa.trail import Trail
+
+_RESIDUAL_TOLERANCE = 1e-9
+
+
+def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
+    """Quasi-static equilibria of a rod swept along an object: frictionless, one contact (paper, sections II and III).
+
+    Parameters
+    ----------
+    rod
+        Uniform straight rod.
+    surface
+        Object; smooth, in units of the rod.
+    trail
+        Clamp poses (n, …), or several trails (m, n, …), in units of the rod. The sweep runs in their order.
+
+    Returns
+    -------
+    Scan
+        One row a position; a row that could not be solved, or whose state fails a check, carries a status, the others their results.
+
+    Raises
+    ------
+    ValueError
+        If the clamp is inside the object at every position.
+
+    Notes
+    -----
+    The branch that continues from first contact is followed, also where it has become laterally unstable, with a status there. Steps longer than 0.05 L are
+    divided. Of several equilibria at a position this is the one that the sweep reaches.
+    """
+    scene = Scene(surface, rod.length)
+    path = path_of(trail, rod.length)
+    found = sweep(scene, path)
+    if np.all(found.status == Status.CLAMP_INSIDE):
+        raise ValueError(f"trail.position = {trail.position.reshape(-1, 3)[0].tolist()} …: the clamp is inside the object; allowed is outside")
+    events = _events(found.happenings, rod, trail, path.stride)
+    return _result(rod, surface, trail, scene, path, found, events)
+
+
+def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:  # noqa: PLR0913
+    step = path.stride
+    x, mode, determinant, status = (part[:, ::step] for part in (found.x, found.mode, found.determinant, found.status))
+    clamps = np.concatenate([path.point[:, ::step], path.tangent[:, ::step]], axis=-1)
+    contact = mode == Mode.CONTACT
+    unsolved = mode == Mode.LOST
+    fields = np.full((*mode.shape, 22), np.nan)
+    if contact.any():
+        fields[contact] = _in_blocks(lambda *parts: assess_blocks(scene, *parts), x[contact], clamps[contact])
+    phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
+    kind = np.where(contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE).astype(np.int8)
+    status = _status(rod, status, contact, determinant, fields)
+
+    length, force_scale, moment_scale = rod.length, rod.force_scale, rod.moment_scale
+    absent = np.where(unsolved, np.nan, 0.0)
+    force = np.where(contact[..., None], -fields[..., 3:4] * fields[..., 4:7] * force_scale, absent[..., None])
+    moment = np.where(contact[..., None], fields[..., 8:11] * moment_scale, absent[..., None])
+    shape = trail.shape
+    reactions = Reactions(trail, force.reshape(*shape, 3), moment.reshape(*shape, 3))
+    return Scan(
+        rod, surface, trail,
+        kind=kind.reshape(shape),
+        point=(fields[..., :3] * length).reshape(*shape, 3),
+        normal=fields[..., 4:7].reshape(*shape, 3),
+        arc_length=(fields[..., 7] * length).reshape(shape),
+        reactions=reactions,
+        energy=np.where(contact, fields[..., 11] * moment_scale, absent).reshape(shape),
+        largest_curvature=np.where(contact, fields[..., 12] / length, absent).reshape(shape),
+        contact_tangent=fields[..., 16:19].reshape(*shape, 3),
+        plane_normal=fields[..., 19:22].reshape(*shape, 3),
+        residual=residual.reshape(shape),
+        depth=(depth * length).reshape(shape),
+        status=status.astype(np.int8).reshape(shape),
+        events=events,
+    )  # fmt: skip
+
+
+def _status(
+    rod: Rod, status: np.ndarray, contact: np.ndarray, determinant: Float[np.ndarray, "m n"], fields: Float[np.ndarray, "m n 22"]
+) -> np.ndarray:
+    """The worst finding of each row."""
+    findings = [(determinant > 0, Status.LATERALLY_UNSTABLE), (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
+    if rod.yield_strain is not None and rod.radius is not None:
+        findings.append((fields[..., 12] * rod.radius / rod.length > rod.yield_strain, Status.OVERSTRAINED))
+    sound = (fields[..., 14] <= _RESIDUAL_TOLERANCE) & (fields[..., 3] >= 0) & (fields[..., 7] <= 1 + _RESIDUAL_TOLERANCE)
+    findings.append((~sound, Status.NOT_CONVERGED))
+    for wrong, finding in findings:
+        status = np.where(contact & wrong, np.maximum(status, int(finding)), status)
+    return status
+
+
+def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int) -> list[Event]:
+    """The solver's happenings in the user's terms."""
+    n = trail.count
+    positions, parameters = trail.position.reshape(-1, n, 3), trail.parameter.reshape(-1, n)
+    events = []
+    for happening in happenings:
+        lane, share = happening.lane, (max(happening.index - 1, 0) + happening.fraction * (happening.index > 0)) / stride
+        before = min(int(share), max(n - 2, 0))
+        after, fraction = min(before + 1, n - 1), share - before
+        parameter = parameters[lane, before] * (1 - fraction) + parameters[lane, after] * fraction
+        clamp = positions[lane, before] * (1 - fraction) + positions[lane, after] * fraction
+        events.append(Event(happening.kind, lane, float(parameter), clamp, happening.point * rod.length))
+    return events

@@ -1,0 +1,98 @@
+"""All equilibria that a search from many starting points finds at one clamp pose: for the rest after a snap, and for trails that begin in contact."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.scan.assess import assess_blocks
+from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
+from vibrissa.scan.kernels import WIDE
+
+_DIRECTIONS = 56
+_RAY_SAMPLES = 32
+_FORCES = (0.05, 0.5, 1.5, 4.0)
+_ITERATIONS = 40
+_SAME = 1e-6
+DEPTH_TOLERANCE = 1e-7
+"""Depth [L] up to which the elastic line may enter the object: the error of its sampling."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """One equilibrium: unknowns x = (p, f), bending energy [EI/L], sign of the Jacobian's determinant, and the phase difference."""
+
+    x: Float[np.ndarray, "4"]
+    energy: float
+    determinant: float
+    phase: float
+
+
+def stable_equilibria(scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"]) -> list[Equilibrium]:
+    """Admissible stable equilibria found at a clamp pose, lowest energy first.
+
+    Newton's method starts from the points where 56 rays from the clamp meet the object within the rod's length, with four magnitudes of the force.
+    """
+    seeds = _seeds(scene, point, tangent)
+    if not len(seeds):
+        return []
+    blocks = -(-len(seeds) // WIDE)
+    filled = np.resize(seeds, (blocks * WIDE, 4)).reshape(blocks, WIDE, 4).transpose(0, 2, 1)
+    clamp = np.concatenate([point, tangent])
+    clamps = np.broadcast_to(clamp[None, :, None], (blocks, 6, WIDE))
+    solved = np.asarray(_solve_blocks(scene, filled, clamps))
+    assessed = np.asarray(assess_blocks(scene, solved[:, :4], clamps))
+    rows = np.concatenate([solved, assessed], axis=1).transpose(0, 2, 1).reshape(-1, 5 + assessed.shape[1])
+    x, determinant = rows[:, :4], rows[:, 4]
+    arc_length, energy, phase, residual, depth = (rows[:, 5 + column] for column in (7, 11, 13, 14, 15))
+    good = (residual < DEPTH_TOLERANCE) & (depth < DEPTH_TOLERANCE) & (x[:, 3] > 0) & (determinant < 0) & (arc_length < 1 + DEPTH_TOLERANCE)
+    found: list[Equilibrium] = []
+    for row in np.flatnonzero(good)[np.argsort(energy[good])]:
+        if all(np.abs(x[row] - other.x).max() > _SAME for other in found):
+            found.append(Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row])))
+    return found
+
+
+def _seeds(scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"]) -> Float[np.ndarray, "seeds 4"]:
+    # A Fibonacci spiral over the directions within 105° of the tangent.
+    order = np.arange(_DIRECTIONS) + 0.5
+    cosine = 1 - 1.25 * order / _DIRECTIONS
+    azimuth = np.pi * (1 + np.sqrt(5)) * order
+    first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
+    first /= np.linalg.norm(first)
+    second = np.cross(tangent, first)
+    sine = np.sqrt(1 - cosine**2)
+    rays = cosine[:, None] * tangent + (sine * np.cos(azimuth))[:, None] * first + (sine * np.sin(azimuth))[:, None] * second
+    distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
+    values = np.asarray(_levels(scene, point + distance[None, :, None] * rays[:, None, :]))
+    enters = (values[:, 1:] < 0) & (values[:, :-1] >= 0)
+    ray, sample = np.nonzero(enters)
+    before, after = values[ray, sample], values[ray, sample + 1]
+    meets = distance[sample] + before / (before - after) / _RAY_SAMPLES
+    points = point + meets[:, None] * rays[ray]
+    return np.concatenate([np.column_stack([points, np.full(len(points), force)]) for force in _FORCES])
+
+
+@jax.jit
+def _levels(scene: Scene, points: Float[Array, "rays samples 3"]) -> Float[Array, "rays samples"]:
+    return jax.vmap(jax.vmap(lambda point: level(scene, point)))(points)
+
+
+@jax.jit
+def _solve_blocks(scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]) -> Float[Array, "blocks 5 width"]:
+    newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
+
+    def solve(block: tuple[Array, Array]) -> Array:
+        x, clamp = block
+
+        def iterate(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+            step = newton(scene, state[0], Clamp(clamp[:3], clamp[3:]))
+            return step.x, step.determinant
+
+        x, determinant = lax.fori_loop(0, _ITERATIONS, iterate, (x, jnp.zeros(x.shape[1])))
+        return jnp.concatenate([x, determinant[None]])
+
+    return lax.map(solve, (x, clamps))

@@ -1,0 +1,272 @@
+"""The sweep: geometry of the straight rod, the march, and `follow` wherever the march lost a lane; then the events."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.contacts import Status
+from vibrissa.scan.approach import clearances, first_contacts
+from vibrissa.scan.equations import Scene
+from vibrissa.scan.events import EventKind, Happening
+from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
+from vibrissa.scan.kernels import from_blocks, lanes_per_block, rounded_up, to_blocks
+from vibrissa.scan.locate import Indicator, locate
+from vibrissa.scan.march import Legs, Mode, march
+from vibrissa.scan.path import Path, stretch
+
+_STABLE = -1.0
+
+
+class Meetings(NamedTuple):
+    """First contacts of the straight rod, one a row."""
+
+    lane: Int[np.ndarray, "k"]
+    index: Int[np.ndarray, "k"]
+    fraction: Float[np.ndarray, "k"]
+    point: Float[np.ndarray, "k 3"]
+    phase: Float[np.ndarray, "k"]
+
+
+@dataclass
+class Sweep:
+    """What the solver knows of all positions (m, n), model units."""
+
+    x: Float[np.ndarray, "m n 4"]
+    mode: Int[np.ndarray, "m n"]
+    determinant: Float[np.ndarray, "m n"]
+    phase: Float[np.ndarray, "m n"]
+    status: Int[np.ndarray, "m n"]
+    happenings: list[Happening] = field(default_factory=list)
+
+
+def sweep(scene: Scene, path: Path) -> Sweep:
+    """Equilibria at all positions of the path, and the events between them."""
+    m, n = path.point.shape[:2]
+    distance, at_clamp = _clearances(scene, path)
+    inside = at_clamp < 0
+    clear = (distance >= CLEAR) & ~inside
+    meetings = _meetings(scene, path, clear)
+    walk = _Walk(scene, path, clear, inside, meetings)
+    walk.begin()
+    while walk.pending:
+        walk.march()
+    result = walk.result
+    result.happenings += _smooth_happenings(scene, path, result, meetings, walk.by_hand)
+    result.happenings.sort(key=lambda happening: (happening.lane, happening.index, happening.fraction))
+    assert result.mode.shape == (m, n)  # noqa: S101
+    return result
+
+
+class _Start(NamedTuple):
+    lane: int
+    index: int
+    mode: Mode
+    x: Float[np.ndarray, "4"]
+    sign: float
+    patience: int
+    """Positions to pass over after the next failure of a search, doubled each time."""
+
+
+class _Walk:
+    """The lanes still on their way, and what has been found so far."""
+
+    def __init__(self, scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], inside: Bool[np.ndarray, "m n"], meetings: Meetings) -> None:
+        m, n = clear.shape
+        self._scene, self._path, self._clear, self._inside = scene, path, clear, inside
+        self._met = np.zeros((m, n), dtype=bool)
+        self._met[meetings.lane, meetings.index] = True
+        self._meeting_point = np.zeros((m, n, 3))
+        self._meeting_point[meetings.lane, meetings.index] = meetings.point
+        self.by_hand = np.zeros((m, n), dtype=bool)
+        self.pending: list[_Start] = []
+        nothing = np.full((m, n), np.nan)
+        self.result = Sweep(np.full((m, n, 4), np.nan), np.full((m, n), int(Mode.FREE)), nothing, nothing.copy(), np.zeros((m, n), dtype=np.int64))
+
+    def begin(self) -> None:
+        """Start every lane at its first position: free, or in contact already."""
+        for lane in range(len(self._clear)):
+            if self._clear[lane, 0]:
+                self.pending.append(_Start(lane, 0, Mode.FREE, np.zeros(4), _STABLE, 1))
+            else:
+                self._resolve(lane, 0, Mode.LOST, np.full(4, np.nan), 1)
+
+    def march(self) -> None:
+        """March all pending lanes to their ends, or to where they are lost."""
+        starts, self.pending = self.pending, []
+        lanes = np.array([start.lane for start in starts])
+        first = np.array([start.index for start in starts])
+        x, mode, determinant, phase = self._marched(starts, lanes)
+        n = mode.shape[1]
+        own = np.arange(n) >= first[:, None]
+        lost = own & (mode == Mode.LOST)
+        ends = np.where(lost.any(axis=1), lost.argmax(axis=1), n)
+        kept = own & (np.arange(n) < ends[:, None])
+        # The first row of a resumed lane was found by hand, with its determinant and phase.
+        kept &= (np.arange(n) > first[:, None]) | (first[:, None] == 0) | (mode == Mode.FREE)
+        rows = np.nonzero(kept)
+        at = (lanes[rows[0]], rows[1])
+        for target, source in ((self.result.x, x), (self.result.mode, mode), (self.result.determinant, determinant), (self.result.phase, phase)):
+            target[at] = source[rows]
+        for row in np.flatnonzero(ends < n):
+            lane, index = int(lanes[row]), int(ends[row])
+            before = Mode(int(self.result.mode[lane, index - 1])) if index else Mode.LOST
+            self._resolve(lane, index, before, self.result.x[lane, index - 1], starts[row].patience)
+
+    def _marched(self, starts: list[_Start], lanes: Int[np.ndarray, "k"]) -> tuple[np.ndarray, ...]:
+        n = self._clear.shape[1]
+        width = lanes_per_block(len(starts))
+        blocks = -(-len(starts) // width)
+        blocks = blocks if blocks == 1 else rounded_up(blocks)
+        capacity = rounded_up(n)
+
+        def lane_blocks(rows: np.ndarray) -> np.ndarray:
+            return to_blocks(rows, width, blocks)
+
+        def position_blocks(rows: np.ndarray) -> np.ndarray:
+            padded = np.zeros((len(rows), capacity, *rows.shape[2:]), dtype=rows.dtype)
+            padded[:, :n] = rows
+            return to_blocks(padded, width, blocks)
+
+        legs = Legs(
+            point=position_blocks(self._path.point[lanes]),
+            tangent=position_blocks(self._path.tangent[lanes]),
+            clear=position_blocks(self._clear[lanes]),
+            met=position_blocks(self._met[lanes]),
+            meeting_point=position_blocks(self._meeting_point[lanes]),
+            start=lane_blocks(np.array([start.index for start in starts])),
+            mode=lane_blocks(np.array([int(start.mode) for start in starts])),
+            x=lane_blocks(np.array([start.x for start in starts])),
+            sign=lane_blocks(np.array([start.sign for start in starts])),
+        )
+        steps = march(self._scene, legs, np.asarray(n))
+        return tuple(from_blocks(np.asarray(part), len(starts))[:, :n] for part in steps)
+
+    def _resolve(self, lane: int, index: int, mode: Mode, x: Float[np.ndarray, "4"], patience: int) -> None:
+        """Settle the stretch that ends at `index` and let the lane go on behind it."""
+        if self._inside[lane, index]:
+            outcome = Outcome(Mode.LOST, np.full(4, np.nan), status=Status.CLAMP_INSIDE)
+        elif mode in (Mode.LOST, Mode.WAITING) and self._clear[lane, index]:
+            outcome = Outcome(Mode.FREE, np.zeros(4))
+        else:
+            outcome = follow(self._scene, stretch(self._path, lane, index), mode, x, begins=index == 0)
+        result = self.result
+        self.by_hand[lane, index] = True
+        result.x[lane, index], result.mode[lane, index] = outcome.x, int(outcome.mode)
+        result.determinant[lane, index], result.phase[lane, index] = outcome.determinant, outcome.phase
+        result.status[lane, index] = int(outcome.status)
+        result.happenings += [Happening(kind, lane, index, fraction, np.asarray(point)) for kind, fraction, point in outcome.happened]
+        if outcome.mode == Mode.LOST:
+            self._pass_over(lane, index, outcome.status, patience)
+        else:
+            sign = float(np.sign(outcome.determinant)) if outcome.mode == Mode.CONTACT else _STABLE
+            self._go_on(_Start(lane, index, outcome.mode, outcome.x, sign, patience))
+
+    def _go_on(self, start: _Start) -> None:
+        if start.index < self._clear.shape[1] - 1:
+            self.pending.append(start)
+
+    def _pass_over(self, lane: int, index: int, status: Status, patience: int) -> None:
+        """Give the rows behind a failure its status, up to where the straight rod is clear again or another search is due."""
+        n = self._clear.shape[1]
+        clear = np.flatnonzero(self._clear[lane, index + 1 :])
+        stop = index + 1 + int(clear[0]) if clear.size else n
+        if status not in (Status.HEAD_ON, Status.CLAMP_INSIDE):
+            stop = min(stop, index + patience)
+        elif status == Status.CLAMP_INSIDE:
+            outside = np.flatnonzero(~self._inside[lane, index + 1 :])
+            stop = min(stop, index + 1 + int(outside[0])) if outside.size else n
+        stop = max(stop, index + 1)
+        self.result.mode[lane, index + 1 : stop] = int(Mode.LOST)
+        self.result.status[lane, index + 1 : stop] = int(status)
+        self.by_hand[lane, index + 1 : stop + 1] = True
+        if stop < n:
+            self._resolve_later(lane, stop, patience * 2)
+
+    def _resolve_later(self, lane: int, index: int, patience: int) -> None:
+        self._resolve(lane, index, Mode.LOST, np.full(4, np.nan), patience)
+
+
+def _clearances(scene: Scene, path: Path) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
+    shape = path.point.shape[:2]
+    poses = (path.point.reshape(-1, 3), path.tangent.reshape(-1, 3))
+    values = _in_blocks(lambda *parts: clearances(scene, *parts), *poses)
+    return values[:, 0].reshape(shape), values[:, 1].reshape(shape)
+
+
+def _meetings(scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"]) -> Meetings:
+    lane, index = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
+    index = index + 1
+    if not len(lane):
+        return Meetings(lane, index, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
+    found = _in_blocks(lambda part: first_contacts(scene, part), stretch(path, lane, index))
+    cosine = found[:, 5]
+    bends = cosine > HEAD_ON_COSINE
+    # At f = 0: k² = sin² a₀ = (1 + n·t0)/2.
+    phase = (1 - found[:, 4]) + cosine / 2
+    return Meetings(*(part[bends] for part in (lane, index, found[:, 0], found[:, 1:4], phase)))
+
+
+def _in_blocks(kernel: "object", *rows: Float[np.ndarray, "count ..."]) -> Float[np.ndarray, "count ..."]:
+    count = len(rows[0])
+    width = lanes_per_block(count)
+    blocks = rounded_up(-(-count // width)) if count > width else 1
+    return from_blocks(np.asarray(kernel(*(to_blocks(part, width, blocks) for part in rows))), count)  # type: ignore[operator]
+
+
+class _Bracket(NamedTuple):
+    kind: EventKind
+    indicator: Indicator
+    lane: int
+    index: int
+    ends: Float[np.ndarray, "10"]
+
+
+def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetings, by_hand: Bool[np.ndarray, "m n"]) -> list[Happening]:
+    """Events on stretches that the march passed without help."""
+    contact = result.mode == Mode.CONTACT
+    entered = contact[meetings.lane, meetings.index] & ~by_hand[meetings.lane, meetings.index]
+    entered &= ~contact[meetings.lane, meetings.index - 1]
+    happenings, brackets = [], []
+    for lane, index, fraction, point, phase in zip(*(part[entered] for part in meetings), strict=True):
+        happenings.append(Happening(EventKind.FIRST_CONTACT, int(lane), int(index), float(fraction), point))
+        after = result.phase[lane, index]
+        if phase * after < 0:
+            ends = np.concatenate([[fraction], point, [0.0, 1.0], result.x[lane, index]])
+            brackets.append(_Bracket(_change(after), Indicator.PHASE, int(lane), int(index), ends))
+    before, after = contact[:, :-1], contact[:, 1:]
+    marched = ~by_hand[:, 1:]
+    changed = marched & before & (result.phase[:, :-1] * result.phase[:, 1:] < 0)
+    changed &= after | (result.mode[:, 1:] == Mode.FREE)
+    released = marched & before & (result.mode[:, 1:] == Mode.FREE)
+    for lane, index in np.argwhere(changed) + (0, 1):
+        brackets.append(_Bracket(_change(result.phase[lane, index]), Indicator.PHASE, int(lane), int(index), _ends(result, lane, index)))
+    for lane, index in np.argwhere(released) + (0, 1):
+        brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, int(lane), int(index), _ends(result, lane, index)))
+    return happenings + _located(scene, path, brackets)
+
+
+def _change(phase: float) -> EventKind:
+    return EventKind.TIP_TO_TANGENTIAL if phase > 0 else EventKind.TANGENTIAL_TO_TIP
+
+
+def _ends(result: Sweep, lane: int, index: int) -> Float[np.ndarray, "10"]:
+    return np.concatenate([[0.0], result.x[lane, index - 1], [1.0], result.x[lane, index]])
+
+
+def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happening]:
+    if not brackets:
+        return []
+    lanes = np.array([bracket.lane for bracket in brackets])
+    indices = np.array([bracket.index for bracket in brackets])
+    ends = np.array([bracket.ends for bracket in brackets])
+    indicator = np.array([int(bracket.indicator) for bracket in brackets])
+    found = _in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator)
+    release = {(b.lane, b.index): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
+    return [
+        Happening(b.kind, b.lane, b.index, float(row[0]), row[1:4])
+        for b, row in zip(brackets, found, strict=True)
+        # A change of phase behind the loss of contact belongs to no rod.
+        if b.kind == EventKind.DETACH or row[0] < release.get((b.lane, b.index), np.inf)
+    ]

@@ -1,0 +1,75 @@
+"""The seam between objects and the rest: a level function, differentiable by JAX."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from vibrissa.geometry.checks import finite_array
+from vibrissa.geometry.rotation import rotation_matrices, unit_quaternions
+
+
+class Surface(eqx.Module):
+    """A solid object, given by a level function.
+
+    Implement `level`. It must be traceable by JAX and twice differentiable near the surface. Its gradient must not vanish on the surface; a gradient of
+    about unit length (a distance, at least near the surface) keeps tolerances meaningful. Lengths are in the units of the rod.
+    """
+
+    @abstractmethod
+    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """g(p): zero on the surface, positive outside, negative in the solid."""
+
+    def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
+        """Outward unit normals ∇g/‖∇g‖ at points (…, 3)."""
+        array = finite_array(points, "points", last=3)
+        gradient = np.asarray(_gradients(self, jnp.asarray(array.reshape(-1, 3)))).reshape(array.shape)
+        return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
+
+    def levels(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
+        """g at points (…, 3)."""
+        array = finite_array(points, "points", last=3)
+        return np.asarray(_levels(self, jnp.asarray(array.reshape(-1, 3)))).reshape(array.shape[:-1])
+
+    def placed(self, rotation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0), translation: ArrayLike = (0.0, 0.0, 0.0)) -> "Placed":
+        """Return the object turned about the origin (quaternion x, y, z, w, or a SciPy `Rotation`), then moved.
+
+        Raises
+        ------
+        ValueError
+            If the quaternion has zero norm or an entry is not finite.
+        """
+        quaternion = unit_quaternions(rotation, "rotation")
+        if quaternion.shape != (4,):
+            raise ValueError(f"rotation has shape {quaternion.shape}; allowed is one quaternion (4,)")
+        return Placed(self, rotation_matrices(quaternion), finite_array(translation, "translation", last=3, ndim=1))
+
+
+class Placed(Surface):
+    """A surface turned by a rotation matrix, then moved by a translation."""
+
+    surface: Surface
+    rotation: Float[np.ndarray | Array, "3 3"]
+    translation: Float[np.ndarray | Array, "3"]
+
+    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """g of the object at the point seen from the object's own axes."""
+        offset = point - self.translation
+        own = self.rotation[0] * offset[0] + self.rotation[1] * offset[1] + self.rotation[2] * offset[2]
+        return self.surface.level(own)
+
+
+@jax.jit
+def _levels(surface: Surface, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return jax.vmap(surface.level)(points)
+
+
+@jax.jit
+def _gradients(surface: Surface, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    return jax.vmap(jax.grad(surface.level))(points)

@@ -22,7 +22,7 @@ class Indicator(IntEnum):
     DETERMINANT = 2
 
 
-_ITERATIONS = 6
+_ITERATIONS = 4
 
 
 @jax.jit

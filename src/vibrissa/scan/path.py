@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vibrissa.geometry.rotation import third_axis
 from vibrissa.scan.equations import Clamp
@@ -46,6 +46,16 @@ def path_of(trail: Trail, length: float) -> Path:
     fraction = (share - start)[:, None]
     finer = point[:, start] * (1 - fraction) + point[:, start + 1] * fraction
     return Path(finer, slerp(orientation[:, start], orientation[:, start + 1], fraction), stride)
+
+
+def extended_back(path: Path, lanes: Int[np.ndarray, "k"], count: int) -> Path:
+    """The way on which the first step of each lane would have come: `count` positions `LONGEST_STEP` apart, and the lane's first position as the last."""
+    first, second = (path.point[lanes, index] for index in (0, 1))
+    turn, next_turn = (path.orientation[lanes, index] for index in (0, 1))
+    motion = np.linalg.norm(second - first, axis=-1) + 2 * np.linalg.norm(next_turn - turn, axis=-1)
+    share = -LONGEST_STEP * np.arange(count, -1, -1)[:, None] / np.where(motion > 0, motion, np.inf)[:, None, None]
+    point = first[:, None] + share * (second - first)[:, None]
+    return Path(point, slerp(turn[:, None], next_turn[:, None], share), 1)
 
 
 def slerp(first: Float[np.ndarray, "*batch 4"], last: Float[np.ndarray, "*batch 4"], fraction: Float[np.ndarray, "..."]) -> Float[np.ndarray, "*batch 4"]:

@@ -14,9 +14,10 @@ from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
 from vibrissa.scan.kernels import from_blocks, lanes_per_block, rounded_up, to_blocks
 from vibrissa.scan.locate import Indicator, locate
 from vibrissa.scan.march import Legs, Mode, march
-from vibrissa.scan.path import Path, stretch
+from vibrissa.scan.path import Path, extended_back, stretch
 
 _STABLE = -1.0
+_WAY_BACK = 40
 
 
 class Meetings(NamedTuple):
@@ -86,14 +87,21 @@ class _Walk:
 
     def begin(self) -> None:
         """Start every lane at its first position: free, or in contact already."""
+        entered = _entered(self._scene, self._path, np.flatnonzero(~self._clear[:, 0] & ~self._inside[:, 0]))
         for lane in range(len(self._clear)):
             if self._clear[lane, 0]:
                 self.pending.append(_Start(lane, 0, Mode.FREE, np.zeros(4), _STABLE, 1))
+            elif lane in entered:
+                self._settle(lane, 0, entered[lane], 1)
             else:
                 self._resolve(lane, 0, Mode.LOST, np.full(4, np.nan), 1)
 
-    def march(self) -> None:
-        """March all pending lanes to their ends, or to where they are lost."""
+    def start_at(self, first: Int[np.ndarray, "m"]) -> None:
+        """Start every lane free at a given position."""
+        self.pending = [_Start(lane, int(index), Mode.FREE, np.zeros(4), _STABLE, 1) for lane, index in enumerate(first)]
+
+    def march(self, *, resolve: bool = True) -> None:
+        """March all pending lanes to their ends, or to where they are lost; resolve those, or leave them."""
         starts, self.pending = self.pending, []
         lanes = np.array([start.lane for start in starts])
         first = np.array([start.index for start in starts])
@@ -109,7 +117,8 @@ class _Walk:
         at = (lanes[rows[0]], rows[1])
         for target, source in ((self.result.x, x), (self.result.mode, mode), (self.result.determinant, determinant), (self.result.phase, phase)):
             target[at] = source[rows]
-        for row in np.flatnonzero(ends < n):
+        self.result.mode[lanes[ends < n], ends[ends < n]] = int(Mode.LOST)
+        for row in np.flatnonzero(ends < n) if resolve else ():
             lane, index = int(lanes[row]), int(ends[row])
             before = Mode(int(self.result.mode[lane, index - 1])) if index else Mode.LOST
             self._resolve(lane, index, before, self.result.x[lane, index - 1], starts[row].patience)
@@ -151,6 +160,9 @@ class _Walk:
             outcome = Outcome(Mode.FREE, np.zeros(4))
         else:
             outcome = follow(self._scene, stretch(self._path, lane, index), mode, x, begins=index == 0)
+        self._settle(lane, index, outcome, patience)
+
+    def _settle(self, lane: int, index: int, outcome: Outcome, patience: int) -> None:
         result = self.result
         self.by_hand[lane, index] = True
         result.x[lane, index], result.mode[lane, index] = outcome.x, int(outcome.mode)
@@ -186,6 +198,32 @@ class _Walk:
 
     def _resolve_later(self, lane: int, index: int, patience: int) -> None:
         self._resolve(lane, index, Mode.LOST, np.full(4, np.nan), patience)
+
+
+def _entered(scene: Scene, path: Path, lanes: Int[np.ndarray, "k"]) -> dict[int, Outcome]:
+    """Lanes that begin in contact, as if their first step had come from outside the object; those for which that goes smoothly."""
+    if not len(lanes) or path.point.shape[1] < 2:
+        return {}
+    way = extended_back(path, lanes, _WAY_BACK)
+    distance, at_clamp = _clearances(scene, way)
+    clear = (distance >= CLEAR) & (at_clamp >= 0)
+    last_clear = clear.shape[1] - 1 - np.argmax(clear[:, ::-1], axis=1)
+    found = np.flatnonzero(clear.any(axis=1))
+    if not len(found):
+        return {}
+    # Only the part of the way that some lane needs.
+    from_ = int(last_clear[found].min())
+    way = Path(way.point[found, from_:], way.orientation[found, from_:], 1)
+    clear, inside = clear[found, from_:], at_clamp[found, from_:] < 0
+    walk = _Walk(scene, way, clear, inside, _meetings(scene, way, clear))
+    walk.start_at(last_clear[found] - from_)
+    walk.march(resolve=False)
+    x, mode, determinant, phase = (part[:, -1] for part in (walk.result.x, walk.result.mode, walk.result.determinant, walk.result.phase))
+    return {
+        int(lanes[row]): Outcome(Mode.CONTACT, x[k], determinant[k], phase[k], [(EventKind.STARTED_IN_CONTACT, 1.0, x[k, :3])])
+        for k, row in enumerate(found)
+        if mode[k] == Mode.CONTACT and determinant[k] < 0
+    }
 
 
 def _clearances(scene: Scene, path: Path) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:

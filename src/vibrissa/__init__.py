@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vibrissa import surfaces
     from vibrissa.contacts import ContactKind, Status
     from vibrissa.reactions import Reactions
+    from vibrissa.reconstruct import Reconstruction, reconstruct
     from vibrissa.rod import Rod
     from vibrissa.scan import Event, EventKind, Scan, scan
     from vibrissa.trail import Trail
@@ -23,6 +24,8 @@ _HOMES = {
     "Event": "scan",
     "EventKind": "scan",
     "Reactions": "reactions",
+    "Reconstruction": "reconstruct",
+    "reconstruct": "reconstruct",
     "Rod": "rod",
     "Scan": "scan",
     "Status": "contacts",
@@ -31,7 +34,7 @@ _HOMES = {
     "surfaces": "surfaces",
 }
 
-__all__ = ["ContactKind", "Event", "EventKind", "Reactions", "Rod", "Scan", "Status", "Trail", "__version__", "scan", "surfaces"]
+__all__ = ["ContactKind", "Event", "EventKind", "Reactions", "Reconstruction", "Rod", "Scan", "Status", "Trail", "__version__", "reconstruct", "scan", "surfaces"]
 
 
 def __getattr__(name: str) -> object:

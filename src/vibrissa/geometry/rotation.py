@@ -49,3 +49,9 @@ def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
         return np.array([1.0, 0.0, 0.0, 0.0])
     quaternion = np.array([-y, x, 0.0, 1.0 + z])
     return quaternion / np.linalg.norm(quaternion)
+
+
+def multiplied(first: Quaternions, second: Float[np.ndarray, "4"]) -> Quaternions:
+    """Quaternions of the rotation `second`, seen in the frames that `first` (…, 4) turns."""
+    flat = Rotation.from_quat(first.reshape(-1, 4)) * Rotation.from_quat(second)
+    return np.asarray(flat.as_quat().reshape(first.shape))

@@ -84,3 +84,32 @@ def elastic_line(  # noqa: PLR0913
     tangent = -(1 - 2 * modulus) * direction + 2 * np.sqrt(max(modulus * (1 - modulus), 0.0)) * side
     beyond = np.maximum(arc_length - contact_arc_length, 0.0)
     return np.asarray(contact + advance[:, None] * direction - distance[:, None] * side + beyond[:, None] * tangent)
+
+
+def sampled_line(  # noqa: PLR0913
+    clamp: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+    length: float,
+    reach: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+    force: float,
+    contact_arc_length: float,
+    count: int,
+) -> Float[np.ndarray, "count 3"]:
+    """`count` points of the rod, equally spaced in arc length from clamp to tip.
+
+    Parameters
+    ----------
+    clamp, axis, length
+        Clamp point (3,), unit tangent there (3,), and the rod's length, in units of the rod.
+    reach, direction, force, contact_arc_length
+        r = P1 − P0 (3,) [L], unit vector of the contact force (3,), its magnitude [EI/L²] and s₁ [L]; a force of zero gives the straight rod.
+    """
+    s = np.linspace(0, 1, count)
+    if force == 0:
+        return np.asarray(clamp + length * s[:, None] * axis)
+    side = reach - (reach @ direction) * direction
+    lever_arm = float(np.linalg.norm(side))
+    modulus = float((1 + direction @ axis) / 2 + force * lever_arm**2 / 4)
+    line = elastic_line(reach, direction, side / lever_arm, force, modulus, contact_arc_length, s)
+    return np.asarray(clamp + length * line)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.mechanics.elastic_line import elastic_line
+from vibrissa.mechanics.elastic_line import sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.events import Event
@@ -115,18 +115,13 @@ class Scan:
         if clamp.ndim != 1:
             raise ValueError(f"index = {index}; allowed is (trail, i), as the scan holds several trails")
         length = self.rod.length
-        s = np.linspace(0, 1, count)
         if self.kind[index] == ContactKind.NONE:
             if not np.isfinite(self.energy[index]):
                 raise ValueError(f"index = {index}: this position was not solved: {Status(int(self.status[index])).text}")
-            return np.asarray(clamp + length * s[:, None] * axis)
-        n, r = self.normal[index], (self.point[index] - clamp) / length
+            return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
-        side = r - (r @ n) * n
-        lever_arm = np.linalg.norm(side)
-        modulus = float((1 + n @ axis) / 2 + force * lever_arm**2 / 4)
-        line = elastic_line(r, n, side / lever_arm, force, modulus, float(self.arc_length[index]) / length, s)
-        return np.asarray(clamp + length * line)
+        reach = (self.point[index] - clamp) / length
+        return sampled_line(clamp, axis, length, reach, self.normal[index], force, float(self.arc_length[index]) / length, count)
 
     def to_dataset(self) -> "xarray.Dataset":
         """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""

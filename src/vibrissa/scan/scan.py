@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.assess import assess_blocks
@@ -13,7 +14,7 @@ from vibrissa.scan.march import Mode
 from vibrissa.scan.path import Path, path_of
 from vibrissa.scan.result import Scan
 from vibrissa.scan.search import DEPTH_TOLERANCE
-from vibrissa.scan.sweep import Sweep, _in_blocks, sweep
+from vibrissa.scan.sweep import Sweep, sweep
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
 
@@ -64,7 +65,7 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     unsolved = mode == Mode.LOST
     fields = np.full((*mode.shape, 22), np.nan)
     if contact.any():
-        fields[contact] = _in_blocks(lambda *parts: assess_blocks(scene, *parts), x[contact], clamps[contact])
+        fields[contact] = in_blocks(lambda *parts: assess_blocks(scene, *parts), x[contact], clamps[contact])
     phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
     kind = np.where(contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE).astype(np.int8)
     status = _status(rod, status, contact, determinant, fields)

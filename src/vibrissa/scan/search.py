@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from vibrissa.scan.assess import assess_blocks
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
-from vibrissa.scan.kernels import WIDE
+from vibrissa.numerics.blocks import WIDE
 
 _DIRECTIONS = 56
 _RAY_SAMPLES = 32

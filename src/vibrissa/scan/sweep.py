@@ -11,7 +11,7 @@ from vibrissa.scan.approach import clearances, first_contacts
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import EventKind, Happening
 from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
-from vibrissa.scan.kernels import from_blocks, lanes_per_block, rounded_up, to_blocks
+from vibrissa.numerics.blocks import from_blocks, in_blocks, lanes_per_block, rounded_up, to_blocks
 from vibrissa.scan.locate import Indicator, locate
 from vibrissa.scan.march import Legs, Mode, march
 from vibrissa.scan.path import Path, extended_back, stretch
@@ -229,7 +229,7 @@ def _entered(scene: Scene, path: Path, lanes: Int[np.ndarray, "k"]) -> dict[int,
 def _clearances(scene: Scene, path: Path) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
     shape = path.point.shape[:2]
     poses = (path.point.reshape(-1, 3), path.tangent.reshape(-1, 3))
-    values = _in_blocks(lambda *parts: clearances(scene, *parts), *poses)
+    values = in_blocks(lambda *parts: clearances(scene, *parts), *poses)
     return values[:, 0].reshape(shape), values[:, 1].reshape(shape)
 
 
@@ -238,19 +238,12 @@ def _meetings(scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"]) -> Meeti
     index = index + 1
     if not len(lane):
         return Meetings(lane, index, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
-    found = _in_blocks(lambda part: first_contacts(scene, part), stretch(path, lane, index))
+    found = in_blocks(lambda part: first_contacts(scene, part), stretch(path, lane, index))
     cosine = found[:, 5]
     bends = cosine > HEAD_ON_COSINE
     # At f = 0: k² = sin² a₀ = (1 + n·t0)/2.
     phase = (1 - found[:, 4]) + cosine / 2
     return Meetings(*(part[bends] for part in (lane, index, found[:, 0], found[:, 1:4], phase)))
-
-
-def _in_blocks(kernel: "object", *rows: Float[np.ndarray, "count ..."]) -> Float[np.ndarray, "count ..."]:
-    count = len(rows[0])
-    width = lanes_per_block(count)
-    blocks = rounded_up(-(-count // width)) if count > width else 1
-    return from_blocks(np.asarray(kernel(*(to_blocks(part, width, blocks) for part in rows))), count)  # type: ignore[operator]
 
 
 class _Bracket(NamedTuple):
@@ -300,7 +293,7 @@ def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happeni
     indices = np.array([bracket.index for bracket in brackets])
     ends = np.array([bracket.ends for bracket in brackets])
     indicator = np.array([int(bracket.indicator) for bracket in brackets])
-    found = _in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator)
+    found = in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator)
     release = {(b.lane, b.index): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
     return [
         Happening(b.kind, b.lane, b.index, float(row[0]), row[1:4])

@@ -1,0 +1,91 @@
+"""The inverse map in batches: without noise, and with what the noise implies."""
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.reconstruct.inverse import invert, single_contact
+
+WIDTH = 11
+"""r (3), n̂ (3), s₁, k², energy, f, and m0·f0 / (‖m0‖ f)."""
+NOISY_WIDTH = WIDTH + 9 + 9 + 2
+"""The same; covariance of r, covariance of n̂, standard deviation of s₁, m0·f0 in standard deviations."""
+
+# The tip is imposed where s₁ comes out longer than the rod by less than this many standard deviations.
+TIP_DEVIATIONS = 4.0
+_TIP_STEPS = 8
+
+
+@jax.jit
+def invert_blocks(
+    force: Float[Array, "blocks 3 width"], moment: Float[Array, "blocks 3 width"], orientation: Float[Array, "blocks 4 width"], scales: Float[Array, "2"]
+) -> Array:
+    """`invert` for blocks of support reactions and clamp orientations, with the units of force and moment: (blocks, 11, width)."""
+
+    def one(force: Float[Array, "3"], moment: Float[Array, "3"], orientation: Float[Array, "4"]) -> Float[Array, "11"]:
+        return _packed(jnp.concatenate([force / scales[0], moment / scales[1]]), _tangent(orientation))
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (force, moment, orientation))
+
+
+@jax.jit
+def invert_noisy_blocks(
+    wrench: Float[Array, "blocks 6 width"], orientation: Float[Array, "blocks 4 width"], covariance: Float[Array, "blocks 6 6 width"]
+) -> Array:
+    """`invert` of the most probable wrench (model units) of a single contact on this rod, with its errors: (blocks, 31, width)."""
+
+    def one(wrench: Float[Array, "6"], orientation: Float[Array, "4"], covariance: Float[Array, "6 6"]) -> Float[Array, "31"]:
+        return _noisy(wrench, _tangent(orientation), covariance)
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=(1, 1, 2), out_axes=1)(*block), (wrench, orientation, covariance))
+
+
+def _tangent(orientation: Float[Array, "4"]) -> Float[Array, "3"]:
+    """The clamp's +z axis (geometry.rotation.third_axis, traceable)."""
+    x, y, z, w = orientation
+    return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z])
+
+
+def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Array, "11"]:
+    force, moment = wrench[:3], wrench[3:]
+    contact = invert(force, moment, tangent)
+    f, m = jnp.sqrt(jnp.sum(force * force)), jnp.sqrt(jnp.sum(moment * moment))
+    single = jnp.dot(force, moment) / (f * m)
+    return jnp.concatenate([contact.reach, contact.direction, jnp.stack([contact.arc_length, contact.modulus, contact.energy, f, single])])
+
+
+def _noisy(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]) -> Float[Array, "31"]:
+    single, deviation = single_contact(wrench, covariance)
+    within = _within_the_rod(single, tangent, covariance)
+
+    def observed(measured: Float[Array, "6"]) -> Float[Array, "7"]:
+        # Errors pass through the projection on a single contact, but not through the limit at the tip, where they would be cut.
+        shifted, _ = single_contact(measured, covariance)
+        return _packed(shifted, tangent)[:7]
+
+    jacobian = jax.jacfwd(observed)(within)
+    errors = jacobian @ covariance @ jacobian.T
+    values = _packed(within, tangent)
+    extra = jnp.stack([jnp.sqrt(errors[6, 6]), deviation])
+    return jnp.concatenate([values, errors[:3, :3].ravel(), errors[3:6, 3:6].ravel(), extra])
+
+
+def _within_the_rod(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]) -> Float[Array, "6"]:
+    """The most probable wrench with s₁ ≤ L: a contact beyond the tip, by less than the noise explains, is one at the tip."""
+
+    def log_arc_length(wrench: Float[Array, "6"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
+        return value, value
+
+    def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        current, _ = state
+        slope, value = jax.jacfwd(log_arc_length, has_aux=True)(current)
+        spread = covariance @ slope
+        multiplier = (value + slope @ (wrench - current)) / (slope @ spread)
+        # The change of the wrench, Σ · slope · multiplier, in standard deviations.
+        return wrench - spread * multiplier, multiplier * jnp.sqrt(slope @ spread)
+
+    limited, deviations = lax.fori_loop(0, _TIP_STEPS, step, (wrench, jnp.zeros(())))
+    beyond = log_arc_length(wrench)[0] > 0
+    return jnp.where(beyond & (jnp.abs(deviations) < TIP_DEVIATIONS) & jnp.all(jnp.isfinite(limited)), limited, wrench)

@@ -1,0 +1,146 @@
+"""The inverse problem's entry point. It sees the rod and the reactions, nothing else."""
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
+
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.numerics.blocks import in_blocks
+from vibrissa.reactions import Reactions
+from vibrissa.reconstruct.kernels import NOISY_WIDTH, TIP_DEVIATIONS, WIDTH, invert_blocks, invert_noisy_blocks
+from vibrissa.reconstruct.result import Reconstruction
+from vibrissa.rod import Rod
+
+# Without known noise: how exactly reactions must fit one contact, and reach the tip.
+_SINGLE_CONTACT = 1e-3
+_TIP = 1e-6
+_LEAST_FORCE = 1e-14
+# With known noise, in standard deviations.
+_SINGLE_CONTACT_DEVIATIONS = 6.0
+_KIND_DEVIATIONS = 2.0
+_FAST_LANES = 512
+# As plain numbers: looking up a member of an enumeration costs as much as the arithmetic of a sample.
+_NONE, _TIP_KIND, _TANGENTIAL = (int(kind) for kind in ContactKind)
+_NOT_SINGLE_CONTACT, _BEYOND_TIP, _NO_CURVATURE_ZERO = int(Status.NOT_SINGLE_CONTACT), int(Status.BEYOND_TIP), int(Status.NO_CURVATURE_ZERO)
+_BAD_DATA = int(Status.BAD_DATA)
+
+
+def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) -> Reconstruction:
+    """Contact points, normals and arc lengths from support reactions (paper, section II; mechanics.md).
+
+    Parameters
+    ----------
+    rod
+        Uniform straight rod, in the units of the reactions.
+    reactions
+        Support reactions and clamp poses (n, …) or (m, n, …). With a covariance, the most probable wrench of a single contact within the rod's length is taken
+        for each sample, and its errors are carried to point and normal.
+    false_alarm
+        Share of samples without contact that may be taken for one; used where the noise is known.
+
+    Returns
+    -------
+    Reconstruction
+        One row a sample; rows that cannot be solved carry a status, the others their results.
+
+    Raises
+    ------
+    ValueError
+        If `false_alarm` is not between 0 and 1.
+
+    Notes
+    -----
+    The contact is the first zero of the curvature, in closed form. With friction, point and arc length stay exact, and only `normal` is the direction of the
+    force instead of the object's normal.
+    """
+    if not 0 < false_alarm < 1:
+        raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
+    trail, scales = reactions.trail, np.array([rod.force_scale, rod.moment_scale])
+    orientation = trail.orientation.reshape(-1, 4)
+    force, moment = reactions.force.reshape(-1, 3), reactions.moment.reshape(-1, 3)
+    if reactions.covariance is None:
+        fields = in_blocks(lambda *rows: invert_blocks(*rows, scales), force, moment, orientation, width=_FAST_LANES)
+        return _exact(rod, reactions, fields)
+    units = np.repeat(scales, 3)
+    wrench = np.concatenate([force, moment], axis=1) / units
+    covariance = reactions.covariance / np.outer(units, units)
+    chi_square = np.einsum("ni,ni->n", wrench, np.linalg.solve(covariance, wrench[..., None])[..., 0])
+    rows = np.broadcast_to(covariance, (*trail.shape, 6, 6)).reshape(-1, 6, 6)
+    fields = in_blocks(invert_noisy_blocks, wrench, orientation, rows)
+    return _noisy(rod, reactions, fields, chi_square, _threshold(false_alarm))
+
+
+@lru_cache(maxsize=32)
+def _threshold(false_alarm: float) -> float:
+    return float(chi2.isf(false_alarm, df=6))
+
+
+def _exact(rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 11"]) -> Reconstruction:
+    arc_length, modulus, magnitude, single = fields[:, 6], fields[:, 7], fields[:, 9], fields[:, 10]
+    status = np.zeros(len(fields), dtype=np.int8)
+    status[np.abs(single) > _SINGLE_CONTACT] = _NOT_SINGLE_CONTACT
+    status[arc_length > 1 + _TIP] = _BEYOND_TIP
+    status[modulus >= 1] = _NO_CURVATURE_ZERO
+    return _result(rod, reactions, fields, magnitude > _LEAST_FORCE, arc_length > 1 - _TIP, status, single)
+
+
+def _noisy(rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 31"], chi_square: Float[np.ndarray, "k"], threshold: float) -> Reconstruction:
+    deviation, single = fields[:, NOISY_WIDTH - 2], fields[:, NOISY_WIDTH - 1]
+    arc_length = fields[:, 6]
+    status = np.zeros(len(fields), dtype=np.int8)
+    status[np.abs(single) > _SINGLE_CONTACT_DEVIATIONS] = _NOT_SINGLE_CONTACT
+    status[arc_length > 1 + _TIP + TIP_DEVIATIONS * deviation] = _BEYOND_TIP
+    status[fields[:, 7] >= 1] = _NO_CURVATURE_ZERO
+    tip = arc_length > 1 - _TIP - _KIND_DEVIATIONS * deviation
+    return _result(rod, reactions, fields, chi_square > threshold, tip, status, single, fields[:, WIDTH:], chi_square)
+
+
+def _result(  # noqa: PLR0913
+    rod: Rod,
+    reactions: Reactions,
+    fields: Float[np.ndarray, "k width"],
+    contact: np.ndarray,
+    tip: np.ndarray,
+    status: np.ndarray,
+    single: Float[np.ndarray, "k"],
+    errors: Float[np.ndarray, "k 20"] | None = None,
+    chi_square: Float[np.ndarray, "k"] | None = None,
+) -> Reconstruction:
+    shape, length = reactions.trail.shape, rod.length
+    # The residual of the single-contact condition holds every number of the row; without a force it is not a number either.
+    bad = np.isnan(fields[:, 10])
+    if bad.any():
+        bad &= ~np.isfinite(reactions.force.sum(axis=-1) + reactions.moment.sum(axis=-1)).reshape(-1)
+    none = ~contact | bad
+    values, energy = fields[:, :WIDTH], fields[:, 8] * rod.moment_scale
+    if none.any():
+        status[none], status[bad] = 0, _BAD_DATA
+        values = np.where(none[:, None], np.nan, values)
+        energy = np.where(none, np.where(bad, np.nan, 0.0), energy)
+    kind = np.where(none, _NONE, np.where(tip, _TIP_KIND, _TANGENTIAL)).astype(np.int8)
+    covariance = normal_covariance = deviation = None
+    if errors is not None:
+        errors = np.where(none[:, None], np.nan, errors) if none.any() else errors
+        covariance = (errors[:, :9] * length**2).reshape(*shape, 3, 3)
+        if reactions.position_covariance is not None:
+            covariance = covariance + reactions.position_covariance
+        normal_covariance = errors[:, 9:18].reshape(*shape, 3, 3)
+        deviation = (errors[:, 18] * length).reshape(shape)
+    return Reconstruction(
+        rod,
+        reactions,
+        kind=kind.reshape(shape),
+        point=reactions.trail.position + (values[:, :3] * length).reshape(*shape, 3),
+        normal=values[:, 3:6].reshape(*shape, 3),
+        arc_length=(values[:, 6] * length).reshape(shape),
+        energy=energy.reshape(shape),
+        modulus=values[:, 7].reshape(shape),
+        covariance=covariance,
+        normal_covariance=normal_covariance,
+        arc_length_deviation=deviation,
+        chi_square=None if chi_square is None else chi_square.reshape(shape),
+        single_contact_residual=single.reshape(shape),
+        status=status.reshape(shape),
+    )

@@ -1,0 +1,146 @@
+"""A six-axis force/torque sensor that carries the rod's clamp."""
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrissa.geometry.checks import finite_array, frozen
+from vibrissa.geometry.rotation import multiplied, rotation_matrices, unit_quaternions
+from vibrissa.reactions import Reactions
+from vibrissa.trail import Trail
+
+WrenchSign = Literal["on_sensor", "on_rod"]
+WrenchFrame = Literal["sensor", "world"]
+
+
+@dataclass(frozen=True, eq=False)
+class RawRecording:
+    """Rows of a log, as the sensor and the robot wrote them.
+
+    Attributes
+    ----------
+    time
+        (n,) [s], increasing.
+    position, orientation
+        Pose of the sensor frame in the world: (n, 3) [m] and quaternions x, y, z, w (n, 4).
+    force, torque
+        (n, 3) [N], [N m]: sign, frame and reference point are the sensor's (`Sensor`), tare included.
+    """
+
+    time: Float[np.ndarray, "n"]
+    position: Float[np.ndarray, "n 3"]
+    orientation: Float[np.ndarray, "n 4"]
+    force: Float[np.ndarray, "n 3"]
+    torque: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """Where the clamp sits on the sensor, what the wrench's numbers mean, and how noisy they are. SI units.
+
+    Attributes
+    ----------
+    clamp_position, clamp_orientation
+        Clamp in the sensor frame: (3,) [m], and the quaternion x, y, z, w that maps clamp axes onto sensor axes. The rod leaves along clamp +z.
+    wrench
+        "on_sensor": exerted by the rod on the sensor. "on_rod": the support reaction. A wrench message does not say; it must be given.
+    wrench_frame
+        Axes of the wrench: "sensor" or "world".
+    wrench_point
+        Reference point of the torque in the sensor frame (3,) [m].
+    tare_seconds
+        Leading time free of contact, whose mean wrench is taken off; 0 for none.
+    force_noise, torque_noise
+        Standard deviation of a sample on each axis [N], [N m]; None where unknown.
+    force_resolution, torque_resolution
+        Steps of the numbers [N], [N m].
+    position_noise
+        Standard deviation of the robot's position on each axis [m].
+
+    Raises
+    ------
+    ValueError
+        If a figure is negative or not finite, a quaternion has zero norm, or sign or frame are none of those named.
+    """
+
+    clamp_position: Float[np.ndarray, "3"]
+    clamp_orientation: Float[np.ndarray, "4"]
+    wrench: WrenchSign
+    wrench_frame: WrenchFrame = "sensor"
+    wrench_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tare_seconds: float = 0.0
+    force_noise: float | None = None
+    torque_noise: float | None = None
+    force_resolution: float = 0.0
+    torque_resolution: float = 0.0
+    position_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "clamp_position", frozen(finite_array(self.clamp_position, "clamp_position", last=3, ndim=1)))
+        object.__setattr__(self, "clamp_orientation", frozen(unit_quaternions(self.clamp_orientation, "clamp_orientation")))
+        for name, allowed in (("wrench", ("on_sensor", "on_rod")), ("wrench_frame", ("sensor", "world"))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")
+        for name in (field.name for field in fields(self) if field.name.endswith(("seconds", "noise", "resolution"))):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} = {value!r}; allowed is a finite number of at least 0")
+        if (self.force_noise is None) != (self.torque_noise is None):
+            raise ValueError("force_noise and torque_noise: one is given without the other; allowed are both or none")
+
+    def reactions(self, raw: RawRecording) -> Reactions:
+        """Support reactions on the rod about the clamp, in world axes, tare removed, with their covariance where the noise is known.
+
+        Raises
+        ------
+        ValueError
+            If the tare window holds fewer than two samples, or the whole recording.
+        """
+        tared = self._tared(raw)
+        sensor_axes = rotation_matrices(raw.orientation)
+        arm = np.einsum("nij,j->ni", sensor_axes, self.clamp_position - np.asarray(self.wrench_point))
+        in_world = self.wrench_frame == "world"
+        force, torque = (part if in_world else np.einsum("nij,nj->ni", sensor_axes, part) for part in tared)
+        sign = -1.0 if self.wrench == "on_sensor" else 1.0
+        trail = Trail(
+            raw.position + np.einsum("nij,j->ni", sensor_axes, self.clamp_position), multiplied(raw.orientation, self.clamp_orientation)
+        )
+        return Reactions(
+            trail,
+            sign * force,
+            sign * (torque - np.cross(arm, force)),
+            time=raw.time,
+            covariance=self._covariance(arm, self._tare_count(raw)),
+            position_covariance=np.eye(3) * self.position_noise**2 if self.force_noise is not None else None,
+        )
+
+    def _tare_count(self, raw: RawRecording) -> int:
+        return int(np.count_nonzero(raw.time - raw.time[0] < self.tare_seconds))
+
+    def _tared(self, raw: RawRecording) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        if self.tare_seconds == 0:
+            return raw.force, raw.torque
+        count, total = self._tare_count(raw), len(raw.time)
+        if count < 2 or count >= total:
+            raise ValueError(f"tare_seconds = {self.tare_seconds}: {count} of {total} samples lie within it; allowed are at least 2, and fewer than all")
+        return raw.force - raw.force[:count].mean(axis=0), raw.torque - raw.torque[:count].mean(axis=0)
+
+    def _covariance(self, arm: Float[np.ndarray, "n 3"], tare_count: int) -> Float[np.ndarray, "..."] | None:
+        """Of (f0, m0): independent axes at the reference point, carried to the clamp; the tare's own error is added."""
+        if self.force_noise is None or self.torque_noise is None:
+            return None
+        tare = 1 + (1 / tare_count if tare_count else 0)
+        force_variance = tare * self.force_noise**2 + self.force_resolution**2 / 12
+        torque_variance = tare * self.torque_noise**2 + self.torque_resolution**2 / 12
+        arms = arm[:1] if np.allclose(arm, arm[0], rtol=0, atol=1e-12 + 1e-9 * np.abs(arm).max()) else arm
+        cross = np.zeros((len(arms), 3, 3))
+        for axis, (row, column) in enumerate(((2, 1), (0, 2), (1, 0))):
+            cross[:, row, column], cross[:, column, row] = arms[:, axis], -arms[:, axis]
+        covariance = np.zeros((len(arms), 6, 6))
+        covariance[:, :3, :3] = force_variance * np.eye(3)
+        covariance[:, 3:, :3] = -force_variance * cross
+        covariance[:, :3, 3:] = np.swapaxes(covariance[:, 3:, :3], 1, 2)
+        covariance[:, 3:, 3:] = torque_variance * np.eye(3) + force_variance * cross @ np.swapaxes(cross, 1, 2)
+        return covariance[0] if len(arms) == 1 else covariance

@@ -1,13 +1,15 @@
-"""The forward problem by shooting: the rod's equation integrated in space and Newton's method on its end, without any of the package's closed forms.
+"""The forward problem by shooting: the rod's equation in space and Newton's method, without the package's closed forms.
 
-Kirchhoff's rod, straight when free, of isotropic section, unshearable and inextensible, in model units L = EI = 1. Beyond the contact it carries
-nothing; up to it the internal force is the contact force F, and with m the moment that the part beyond s exerts on the part before it
+Kirchhoff's rod, straight when free, of isotropic section, unshearable and inextensible, in model units L = EI = 1.
+Beyond the contact it carries nothing; up to it the internal force is the contact force F, and with m the moment that
+the part beyond s exerts on the part before it
 
     r' = t,   t' = m × t,   m' = −t × F,   r(0) = P0,   t(0) = t0.
 
-Nothing is said of a plane, of elliptic integrals, or of the base moment's direction. Unknown are m(0), f, the contact point p and s₁; the conditions
-(paper, eqs. 7 to 13; mechanics.md, "Contact conditions") are m(s₁) = 0, r(s₁) = p, g(p) = 0 with F = f ∇g/‖∇g‖ at p, and either s₁ = 1 (tip) or
-t(s₁) · ∇g = 0 (tangential). The support reactions are f0 = −F and m0 = −m(0).
+Nothing is said of a plane, of elliptic integrals, or of the base moment's direction. Unknown are m(0), f, the contact
+point p and s₁; the conditions (paper, eqs. 7 to 13; mechanics.md, "Contact conditions") are m(s₁) = 0, r(s₁) = p,
+g(p) = 0 with F = f ∇g/‖∇g‖ at p, and either s₁ = 1 (tip) or t(s₁) · ∇g = 0 (tangential). The support reactions are
+f0 = −F and m0 = −m(0).
 """
 
 from collections.abc import Callable
@@ -91,19 +93,24 @@ def clamp_tangent(quaternion: ArrayLike) -> np.ndarray:
     return Rotation.from_quat(quaternion).apply([0.0, 0.0, 1.0])
 
 
-def rod_end(clamp: ArrayLike, tangent: ArrayLike, base_moment: ArrayLike, force: ArrayLike, arc_length: float) -> np.ndarray:
-    """(r, t, m, ∫ m² ds / 2) at an arc length (10,): the rod's initial value problem from its clamp."""
+def rod_along(
+    clamp: ArrayLike, tangent: ArrayLike, base_moment: ArrayLike, force: ArrayLike, arc_lengths: ArrayLike
+) -> np.ndarray:
+    """(r, t, m, bending energy so far) at increasing arc lengths (k, 10): an initial value problem from the clamp."""
 
     def slope(_s: float, y: np.ndarray) -> np.ndarray:
         t, m = y[3:6], y[6:9]
         return np.concatenate([t, np.cross(m, t), np.cross(force, t), [m @ m / 2]])
 
+    s = np.atleast_1d(arc_lengths)
     start = np.concatenate([clamp, tangent, base_moment, [0.0]])
-    return solve_ivp(slope, (0, arc_length), start, method="DOP853", rtol=_RTOL, atol=_ATOL).y[:, -1]
+    return solve_ivp(slope, (0, s[-1]), start, method="DOP853", rtol=_RTOL, atol=_ATOL, t_eval=s).y.T
 
 
-def _shot(clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(r, t, m) at s₁ (9,), their derivatives by m(0) and F (9, 6), and by s₁ (9,): the rod and its variational equations."""
+def _shot(
+    clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, force: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(r, t, m) at s₁ (9,), and by the variational equations its derivatives by m(0) and F (9, 6) and by s₁ (9,)."""
 
     def slope(_s: float, y: np.ndarray) -> np.ndarray:
         # Columns: the rod itself, then its derivatives by m(0) and by F.
@@ -130,13 +137,20 @@ def _cross_matrix(v: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def _conditions(level: Level, clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, *, tip: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _conditions(
+    level: Level, clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, *, tip: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Residual (8,), its Jacobian (8, 8) and t(s₁)."""
     f, p = u[3], u[4:7]
     n, dn = level.normal(p), level.normal_slope(p)
     end, derivative, rate = _shot(clamp, tangent, u, f * n)
     by = np.zeros((9, 8))
-    by[:, :3], by[:, 3], by[:, 4:7], by[:, 7] = derivative[:, :3], derivative[:, 3:] @ n, f * derivative[:, 3:] @ dn, rate
+    by[:, :3], by[:, 3], by[:, 4:7], by[:, 7] = (
+        derivative[:, :3],
+        derivative[:, 3:] @ n,
+        f * derivative[:, 3:] @ dn,
+        rate,
+    )
     r, t, m = end[:3], end[3:6], end[6:]
     steepness = np.linalg.norm(level.gradient(p))
     residual = np.concatenate([r - p, m, [level.value(p) / steepness, u[7] - 1 if tip else t @ n]])
@@ -174,17 +188,19 @@ def shoot(level: Level, clamp: ArrayLike, tangent: ArrayLike, guess: ArrayLike, 
         residual, jacobian, t = _conditions(level, clamp, tangent, u, tip=tip)
         largest = float(np.abs(residual).max())
         if largest < _CONVERGED:
-            return Equilibrium(u[:3], float(u[3]), u[4:7], 1.0 if tip else float(u[7]), level.normal(u[4:7]), t, largest)
+            return Equilibrium(
+                u[:3], float(u[3]), u[4:7], 1.0 if tip else float(u[7]), level.normal(u[4:7]), t, largest
+            )
         step = np.linalg.solve(jacobian, residual)
         u -= step * min(1.0, _LARGEST_STEP / np.abs(step[4:]).max())
     raise ArithmeticError(f"residual {largest} after {_ITERATIONS} iterations from {np.asarray(guess)}")
 
 
 def follow(level: Level, clamps: np.ndarray, tangents: np.ndarray) -> list[Equilibrium | None]:
-    """Equilibria along a path (n, 3), (n, 3) on the branch that begins at first contact; None while the rod is straight and free.
+    """Equilibria along a path (n, 3), (n, 3) on the branch that begins at first contact; None while the rod is free.
 
-    The next state is guessed from the last two. Tip contact turns tangential where the tip would pass beyond tangency, and back where the contact
-    would slide off the tip. The path must begin free and must not meet a fold.
+    The next state is guessed from the last two. Tip contact turns tangential where the tip would pass beyond tangency,
+    and back where the contact would slide off the tip. The path must begin free and must not meet a fold.
     """
     found: list[Equilibrium | None] = []
     for clamp, tangent in zip(clamps, tangents, strict=True):
@@ -200,7 +216,7 @@ def follow(level: Level, clamps: np.ndarray, tangents: np.ndarray) -> list[Equil
 
 
 def _first(level: Level, clamp: np.ndarray, tangent: np.ndarray) -> Equilibrium | None:
-    """First contact, if the straight rod enters the solid: guessed as a slightly bent cantilever, loaded where it is deepest."""
+    """First contact, if the straight rod enters the solid: guessed as a cantilever, loaded where it is deepest."""
     s = np.linspace(0, 1, 1001)[1:]
     line = clamp + s[:, None] * tangent
     depth = np.array([-level.value(p) / np.linalg.norm(level.gradient(p)) for p in line])

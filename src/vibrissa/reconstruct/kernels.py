@@ -13,8 +13,9 @@ NOISY_WIDTH = WIDTH + 9 + 9 + 2
 """The same; covariance of r, covariance of n̂, standard deviation of s₁, m0·f0 in standard deviations."""
 
 # The tip is imposed where s₁ comes out longer than the rod by less than this many standard deviations.
-TIP_DEVIATIONS = 4.0
-_TIP_STEPS = 8
+TIP_DEVIATIONS = 5.0
+_TIP_STEPS = 10
+_AT_TIP = 1e-6
 
 
 @jax.jit
@@ -78,6 +79,7 @@ def _within_the_rod(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covar
         value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
         return value, value
 
+    measured = log_arc_length(wrench)[0]
     def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
         current, _ = state
         slope, value = jax.jacfwd(log_arc_length, has_aux=True)(current)
@@ -87,5 +89,24 @@ def _within_the_rod(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covar
         return wrench - spread * multiplier, multiplier * jnp.sqrt(slope @ spread)
 
     limited, deviations = lax.fori_loop(0, _TIP_STEPS, step, (wrench, jnp.zeros(())))
-    beyond = log_arc_length(wrench)[0] > 0
-    return jnp.where(beyond & (jnp.abs(deviations) < TIP_DEVIATIONS) & jnp.all(jnp.isfinite(limited)), limited, wrench)
+    reached = jnp.abs(log_arc_length(limited)[0]) < _AT_TIP
+    near = reached & (jnp.abs(deviations) < TIP_DEVIATIONS)
+    straight, straight_deviations = _straight_tip(wrench, tangent, covariance)
+    chosen = jnp.where(near, limited, jnp.where(straight_deviations < TIP_DEVIATIONS, straight, wrench))
+    return jnp.where(measured > 0, chosen, wrench)
+
+
+def _straight_tip(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]) -> tuple[Float[Array, "6"], Float[Array, ""]]:
+    """Most probable wrench of a force at the tip of the rod while it is still straight, and its distance in standard deviations.
+
+    Near first contact noise may move s₁ by rod lengths, and the bent rod's equations are of no use.
+    """
+    x, y, z = tangent
+    reach = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
+    reach = reach + jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x + jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
+    # f0 = −F and m0 = −t0 × F, so m0 = t0 × f0.
+    design = jnp.concatenate([jnp.eye(3), reach])
+    weighted = jnp.linalg.solve(covariance, jnp.concatenate([design, wrench[:, None]], axis=1))
+    straight = design @ jnp.linalg.solve(design.T @ weighted[:, :3], design.T @ weighted[:, 3])
+    # At the minimum the square of the distance is wᵀΣ⁻¹w less what the design explains.
+    return straight, jnp.sqrt(jnp.maximum(wrench @ weighted[:, 3] - straight @ weighted[:, 3], 0.0))

@@ -13,13 +13,22 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from vibrissa import surfaces
     from vibrissa.contacts import ContactKind, Status
+    from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
     from vibrissa.reconstruct import Reconstruction, reconstruct
     from vibrissa.rod import Rod
     from vibrissa.scan import Event, EventKind, Scan, scan
+    from vibrissa.sensor import Sensor
     from vibrissa.trail import Trail
 
 _HOMES = {
+    "Case": "io",
+    "Sensor": "sensor",
+    "Setup": "io",
+    "load_case": "io",
+    "load_setup": "io",
+    "read_recording": "io",
+    "write_contacts": "io",
     "ContactKind": "contacts",
     "Event": "scan",
     "EventKind": "scan",
@@ -34,7 +43,28 @@ _HOMES = {
     "surfaces": "surfaces",
 }
 
-__all__ = ["ContactKind", "Event", "EventKind", "Reactions", "Reconstruction", "Rod", "Scan", "Status", "Trail", "__version__", "reconstruct", "scan", "surfaces"]
+__all__ = [
+    "Case",
+    "ContactKind",
+    "Event",
+    "EventKind",
+    "Reactions",
+    "Reconstruction",
+    "Rod",
+    "Scan",
+    "Sensor",
+    "Setup",
+    "Status",
+    "Trail",
+    "__version__",
+    "load_case",
+    "load_setup",
+    "read_recording",
+    "reconstruct",
+    "scan",
+    "surfaces",
+    "write_contacts",
+]
 
 
 def __getattr__(name: str) -> object:

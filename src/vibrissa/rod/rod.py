@@ -2,11 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from vibrissa.geometry.checks import positive
 
 FIRST_CLAMPED_ROOT = 1.8751040687119611
 """First root of cos β cosh β = −1, clamped-free beam (Euler–Bernoulli)."""
+
+_SI_UNITS = {"length": "m", "force": "N", "moment": "N m", "energy": "J", "curvature": "m-1"}
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,8 @@ class Rod:
         ρA [kg/m]; needed for natural frequencies.
     yield_strain
         Largest bending strain allowed [1]; a scan marks positions beyond it.
+    units
+        "SI", or "model" for lengths in L, forces in EI/L² and moments in EI/L: what files and figures write beside the numbers.
 
     Raises
     ------
@@ -39,6 +44,7 @@ class Rod:
     radius: float | None = None
     linear_density: float | None = None
     yield_strain: float | None = None
+    units: Literal["SI", "model"] = "SI"
 
     def __post_init__(self) -> None:
         for name in ("length", "bending_stiffness", "radius", "linear_density", "yield_strain"):
@@ -51,7 +57,7 @@ class Rod:
     @classmethod
     def unit(cls) -> "Rod":
         """The model's own units: L = EI = 1 (paper, eq. 1)."""
-        return cls(length=1.0, bending_stiffness=1.0)
+        return cls(length=1.0, bending_stiffness=1.0, units="model")
 
     @classmethod
     def cylinder(
@@ -72,6 +78,10 @@ class Rod:
     def moment_scale(self) -> float:
         """EI/L [N m], also the scale of energy [J]."""
         return self.bending_stiffness / self.length
+
+    def unit_of(self, quantity: Literal["length", "force", "moment", "energy", "curvature"]) -> str:
+        """Unit of a quantity as files write it: SI, or "1" in the model's units."""
+        return _SI_UNITS[quantity] if self.units == "SI" else "1"
 
     def first_natural_frequency(self) -> float:
         """First bending frequency [Hz] of the clamped rod with a free end: β² √(EI/(ρA L⁴)) / 2π, β = 1.8751.

@@ -1,0 +1,48 @@
+"""What is wrong with a file, in one line."""
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """A file, or an argument that names one, that cannot be used: the message names file, field, value and what is allowed."""
+
+
+def readable(path: Path) -> Path:
+    """Return the path; raise InputError unless it is a file that can be opened."""
+    try:
+        with path.open("rb"):
+            return path
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); allowed is a readable file") from error
+
+
+def writable(path: Path) -> Path:
+    """Return the path of a file to be written, its folder made if need be; raise InputError where that cannot be."""
+    _folder(path.parent)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; allowed is a file")
+    _probe(path.parent)
+    return path
+
+
+def writable_folder(path: Path) -> Path:
+    """Return the path of a folder to write into, made if need be; raise InputError where that cannot be."""
+    _folder(path)
+    _probe(path)
+    return path
+
+
+def _folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: the output folder cannot be made ({error.strerror or error}); allowed is a folder that can be written to") from error
+
+
+def _probe(path: Path) -> None:
+    probe = path / ".vibrissa-write-test"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: the output folder is not writable ({error.strerror or error}); allowed is a folder that can be written to") from error

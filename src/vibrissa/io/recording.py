@@ -1,0 +1,137 @@
+"""Logs of a force/torque sensor and a robot's poses, as CSV."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrissa.io.errors import InputError, readable
+from vibrissa.io.setup import Setup
+from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
+from vibrissa.sensor import RawRecording
+
+COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "tx", "ty", "tz")
+"""Time [s]; pose of the sensor frame in the world [m], quaternion x, y, z, w; force [N] and torque [N m] as the setup says."""
+
+_QUATERNION_TOLERANCE = 1e-3
+_LONGEST_STEP = 20.0
+_LOADED = 20.0
+_SHORTEST_ARM = 1e-2
+_LONGEST_ARM = 5.0
+_LARGEST_FORCE = 500.0
+
+
+def read_recording(path: str | Path, setup: Setup) -> Reactions:
+    """Read a recording and return support reactions on the rod about the clamp, world axes, tare removed, with covariance where the noise is known.
+
+    Parameters
+    ----------
+    path
+        CSV with the header `time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz`, SI units.
+    setup
+        Mount, sign, frame and noise.
+
+    Raises
+    ------
+    InputError
+        If columns differ from those, a row is short, a number is missing, not finite, or cut off, time does not increase, a quaternion has no unit norm, the
+        tare window does not fit, or the numbers cannot be in metres, newtons and newton metres.
+    """
+    file = readable(Path(path))
+    table = _table(file)
+    raw = RawRecording(table[:, 0], table[:, 1:4], _unit_quaternions(file, table[:, 4:8]), table[:, 8:11], table[:, 11:])
+    _check_time(file, raw.time)
+    try:
+        reactions = setup.sensor.reactions(raw)
+    except ValueError as error:
+        raise InputError(f"{file}: {error}") from error
+    _check_scale(file, raw, reactions, setup.rod)
+    return reactions
+
+
+def _table(file: Path) -> Float[np.ndarray, "rows columns"]:
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: not a text file ({error.reason} at byte {error.start}); allowed is CSV in UTF-8") from error
+    lines = text.splitlines()
+    if not lines:
+        raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(COLUMNS)}")
+    _check_header(file, lines[0])
+    if len(lines) < 2:
+        raise InputError(f"{file}: no rows; allowed is at least one sample")
+    _check_end(file, text, lines)
+    rows = [_row(file, number, line) for number, line in enumerate(lines[1:], start=2)]
+    table = np.array(rows)
+    if not np.all(np.isfinite(table)):
+        bad = np.argwhere(~np.isfinite(table))
+        row, column = bad[0]
+        raise InputError(
+            f"{file}, line {row + 2}: {COLUMNS[column]} = {table[row, column]} ({len(np.unique(bad[:, 0]))} of {len(table)} rows hold such); allowed are finite numbers"
+        )
+    return table
+
+
+def _check_header(file: Path, line: str) -> None:
+    names = [name.strip() for name in line.split(",")]
+    if names == list(COLUMNS):
+        return
+    missing, unknown = [name for name in COLUMNS if name not in names], [name for name in names if name not in COLUMNS]
+    finding = ", ".join(filter(None, [missing and f"missing {', '.join(missing)}", unknown and f"unknown {', '.join(unknown)}"])) or "another order"
+    raise InputError(f"{file}, line 1: columns: {finding[:200]}; allowed are {','.join(COLUMNS)}")
+
+
+def _row(file: Path, number: int, line: str) -> list[float]:
+    cells = line.split(",")
+    if len(cells) != len(COLUMNS):
+        raise InputError(f"{file}, line {number}: {len(cells)} of {len(COLUMNS)} columns, the line is truncated or damaged; allowed are {len(COLUMNS)} numbers a line")
+    values = []
+    for name, cell in zip(COLUMNS, cells, strict=True):
+        try:
+            values.append(float(cell))
+        except ValueError:
+            raise InputError(f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number") from None
+    return values
+
+
+def _check_end(file: Path, text: str, lines: list[str]) -> None:
+    """A last line without its end may have lost digits: then its last number is shorter than the one above it."""
+    if text.endswith(("\n", "\r")) or len(lines) < 3:
+        return
+    last, above = (line.rsplit(",", 1)[-1].strip() for line in (lines[-1], lines[-2]))
+    if lines[-1].count(",") == len(COLUMNS) - 1 and len(last.lstrip("-")) < len(above.lstrip("-")):
+        raise InputError(f"{file}, line {len(lines)}: tz = {last!r}, the last line is truncated; allowed are complete lines")
+
+
+def _check_time(file: Path, time: Float[np.ndarray, "n"]) -> None:
+    falling = np.flatnonzero(np.diff(time) <= 0)
+    if falling.size:
+        row = falling[0]
+        raise InputError(f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} ({len(falling)} such); allowed are increasing times")
+
+
+def _unit_quaternions(file: Path, quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
+    norm = np.linalg.norm(quaternion, axis=1)
+    wrong = np.flatnonzero(np.abs(norm - 1) > _QUATERNION_TOLERANCE)
+    if wrong.size:
+        row = wrong[0]
+        raise InputError(f"{file}, line {row + 2}: qx,qy,qz,qw = {quaternion[row].tolist()} has the norm {norm[row]:.3g} ({len(wrong)} such); allowed is 1")
+    return quaternion / norm[:, None]
+
+
+def _check_scale(file: Path, raw: RawRecording, reactions: Reactions, rod: Rod) -> None:
+    """Tell millimetres, millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever arm is of its length."""
+    step = np.linalg.norm(np.diff(raw.position, axis=0), axis=1)
+    if step.size and np.median(step) > _LONGEST_STEP * rod.length:
+        raise InputError(f"{file}: px,py,pz move by {np.median(step):.3g} a row with a rod of {rod.length:g} m; allowed are metres")
+    force, moment = (np.linalg.norm(part, axis=1) for part in (reactions.force, reactions.moment))
+    loaded = force > max(_LOADED * np.median(force[: max(2, len(force) // 50)]), 1e-12)
+    if np.count_nonzero(loaded) < 10:
+        return
+    arm = float(np.median(moment[loaded] / force[loaded])) / rod.length
+    if not _SHORTEST_ARM < arm < _LONGEST_ARM:
+        raise InputError(f"{file}: torque over force is {arm:.3g} rod lengths in the median, so tx,ty,tz or fx,fy,fz are mis-scaled; allowed are N and N m")
+    typical = float(np.median(force[loaded])) / rod.force_scale
+    if typical > _LARGEST_FORCE or typical < 1 / _LARGEST_FORCE:
+        raise InputError(f"{file}: force is {typical:.3g} EI/L² in the median of the loaded samples, so wrench or rod are mis-scaled; allowed are N, m, Pa")

@@ -1,0 +1,89 @@
+"""One experiment: rod, sensor and, where it is known, the object (`setup.toml`)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from vibrissa.io.config import ORIGIN, NotNegative, ObjectTable, Quaternion, RodTable, Table, Vector, load_table
+from vibrissa.io.errors import InputError
+from vibrissa.rod import Rod
+from vibrissa.sensor import Sensor
+from vibrissa.surfaces import Surface
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a recording needs to be read.
+
+    Attributes
+    ----------
+    rod
+        The rod, SI units.
+    sensor
+        Mount, sign, frame and noise of the wrench.
+    surface
+        The object that was scanned, or None.
+    """
+
+    rod: Rod
+    sensor: Sensor
+    surface: Surface | None = None
+
+
+class SensorTable(Table):
+    """Fields of `vibrissa.sensor.Sensor`; SI units."""
+
+    clamp_position: Vector
+    clamp_orientation: Quaternion
+    wrench: Annotated[Literal["on_sensor", "on_rod"], Field(description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' (the support reaction)")]
+    wrench_frame: Annotated[Literal["sensor", "world"], Field(description="'sensor' or 'world'")] = "sensor"
+    wrench_point: Vector = ORIGIN
+    tare_seconds: NotNegative = 0.0
+    force_noise: NotNegative | None = None
+    torque_noise: NotNegative | None = None
+    force_resolution: NotNegative = 0.0
+    torque_resolution: NotNegative = 0.0
+    position_noise: NotNegative = 0.0
+
+    def build(self) -> Sensor:
+        """Return the sensor."""
+        return Sensor(
+            np.array(self.clamp_position),
+            np.array(self.clamp_orientation),
+            self.wrench,
+            self.wrench_frame,
+            self.wrench_point,
+            self.tare_seconds,
+            self.force_noise,
+            self.torque_noise,
+            self.force_resolution,
+            self.torque_resolution,
+            self.position_noise,
+        )
+
+
+class SetupFile(Table):
+    """The whole file."""
+
+    rod: RodTable
+    sensor: SensorTable
+    object: ObjectTable | None = None
+
+
+def load_setup(path: str | Path) -> Setup:
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object].
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a key is missing, unknown or out of range.
+    """
+    file = Path(path)
+    table = load_table(file, SetupFile)
+    try:
+        return Setup(table.rod.build(), table.sensor.build(), None if table.object is None else table.object.build())
+    except ValueError as error:
+        raise InputError(f"{file}: {error}") from error

@@ -4,5 +4,6 @@ from vibrissa.scan.events import Event, EventKind
 from vibrissa.scan.result import Scan
 from vibrissa.scan.scan import scan
 from vibrissa.scan.slip import Slip
+from vibrissa.scan.validity import QuasiStatic
 
-__all__ = ["Event", "EventKind", "Scan", "Slip", "scan"]
+__all__ = ["Event", "EventKind", "QuasiStatic", "Scan", "Slip", "scan"]

@@ -28,17 +28,6 @@ class EventKind(IntEnum):
     """The rod meets the object along its own axis, and does not bend before it buckles in a direction that is not determined."""
 
 
-FIRST_CONTACT = EventKind.FIRST_CONTACT
-TIP_TO_TANGENTIAL = EventKind.TIP_TO_TANGENTIAL
-TANGENTIAL_TO_TIP = EventKind.TANGENTIAL_TO_TIP
-DETACH = EventKind.DETACH
-SNAP = EventKind.SNAP
-LATERAL_INSTABILITY = EventKind.LATERAL_INSTABILITY
-LATERAL_RECOVERY = EventKind.LATERAL_RECOVERY
-STARTED_IN_CONTACT = EventKind.STARTED_IN_CONTACT
-HEAD_ON = EventKind.HEAD_ON
-
-
 @dataclass(frozen=True, eq=False)
 class Event:
     """One event.

@@ -11,8 +11,9 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.mechanics.elastic_line import sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.scan.events import Event
+from vibrissa.scan.events import Event, EventKind
 from vibrissa.scan.slip import Slip, slip_along
+from vibrissa.scan.validity import QuasiStatic, quasi_static
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
 
@@ -91,6 +92,21 @@ class Scan:
     def slip(self) -> Slip:
         """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
         return slip_along(self.point, self.arc_length, self.contact_tangent, self.plane_normal)
+
+    def quasi_static(self, speed: float) -> QuasiStatic:
+        """Whether a clamp speed [m/s] is slow enough for statics, given the rod's density.
+
+        Raises
+        ------
+        ValueError
+            If the rod has no density, or the speed is not positive.
+        """
+        smooth = np.ones(self.kind.shape, dtype=bool)
+        snaps = [event for event in self.events if event.kind == EventKind.SNAP]
+        for event in snaps:
+            trail = (event.trail,) if self.kind.ndim == 2 else ()
+            smooth[(*trail, np.searchsorted(self.trail.parameter[trail], event.parameter))] = False
+        return quasi_static(self.rod, self.trail, self.reactions.force, self.reactions.moment, smooth, speed)
 
     def elastic_line(self, index: "int | tuple[int, int]", count: int = 200) -> Float[np.ndarray, "count 3"]:
         """The rod's shape at a position: `count` points equally spaced in arc length from clamp to tip.

@@ -1,0 +1,79 @@
+"""Cold costs, each in a fresh process: imports, first calls, memory."""
+
+import json
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from time import perf_counter
+
+_MIB = 1024.0
+
+
+def cold() -> dict[str, float]:
+    """Seconds of a process's first use of the package, by step."""
+    return _in_fresh_process("first_use")
+
+
+def memory() -> dict[str, float]:
+    """Peak resident memory [MiB] before and after the batch, kernels compiled in both."""
+    return _in_fresh_process("batch_memory")
+
+
+def first_use() -> dict[str, float]:
+    """Time the steps of first use; the face is imported before anything else."""
+    times, clock = {}, _Clock()
+    import vibrissa as vb  # noqa: PLC0415
+
+    times["import vibrissa"] = clock.lap()
+    _ = vb.scan, vb.reconstruct, vb.surfaces, vb.Trail, vb.Rod
+    times["first use of its names (loads JAX)"] = clock.lap()
+    from cases import OBJECT, ROD, one_trail, samples_of  # noqa: PLC0415
+
+    clock.lap()
+    found = vb.scan(ROD, OBJECT, one_trail(0.2))
+    times["first scan of an object's type (compiles)"] = clock.lap()
+    vb.scan(ROD, OBJECT, one_trail(0.1))
+    times["second scan"] = clock.lap()
+    samples = samples_of(found, 1000)
+    clock.lap()
+    vb.reconstruct(ROD, samples)
+    times["first reconstruction (compiles)"] = clock.lap()
+    vb.reconstruct(ROD, samples)
+    times["second reconstruction"] = clock.lap()
+    return times
+
+
+def batch_memory() -> dict[str, float]:
+    """Peak memory after a batch of 100 trails, and after one of 1000."""
+    from cases import OBJECT, ROD, batch  # noqa: PLC0415
+
+    import vibrissa as vb  # noqa: PLC0415
+
+    vb.scan(ROD, OBJECT, batch(100))
+    before = _peak()
+    vb.scan(ROD, OBJECT, batch())
+    return {"after 100 trails x 211": before, "after 1000 trails x 211": _peak()}
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self._start = perf_counter()
+
+    def lap(self) -> float:
+        """Seconds since the last lap."""
+        last, self._start = self._start, perf_counter()
+        return self._start - last
+
+
+def _peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MIB
+
+
+def _in_fresh_process(name: str) -> dict[str, float]:
+    # The child inherits the core and the environment of this process.
+    script = f"import json, cold; print(json.dumps(cold.{name}()))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=Path(__file__).parent, check=True, capture_output=True, text=True
+    )
+    return json.loads(done.stdout)

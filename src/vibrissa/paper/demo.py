@@ -1,0 +1,124 @@
+"""Everything `vibrissa demo` computes and writes."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vibrissa.io import write_dataset
+from vibrissa.paper import case
+from vibrissa.paper.statements import Statement, statements
+from vibrissa.reconstruct import Reconstruction, reconstruct
+from vibrissa.scan import Scan, scan
+from vibrissa.shape import coverage
+from vibrissa.trail import Trail
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COVERED_WITHIN = 0.05
+"""Distance [L] within which a contact covers the surface."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """What the demo found and wrote."""
+
+    statements: list[Statement]
+    coverage: dict[str, float]
+    files: list[Path]
+
+
+def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
+    """The paper, forward and inverse: figures 2, 3a and 3b, the plane case, further sweeps, and the table of statements.
+
+    Parameters
+    ----------
+    folder
+        Where figures (PNG, PDF), datasets (NetCDF) and the table (CSV) go; it must exist.
+    report
+        Called with the name of each step as it begins.
+    """
+    report("forward: eleven trails")
+    paper = scan(case.ROD, case.SURFACE, case.trails())
+    report("inverse: contacts from reactions alone")
+    found = reconstruct(case.ROD, paper.reactions)
+    report("forward: the plane case y0 = 0")
+    plane = scan(case.ROD, case.SURFACE, case.plane_trail())
+    report("further sweeps: across the trails, and at other distances")
+    further = _further()
+    covered = _covered(found, further)
+    checked = statements(paper, plane, found)
+    report("datasets")
+    files = [
+        write_dataset(folder / "paper_scan.nc", paper.to_dataset()),
+        write_dataset(folder / "paper_contacts.nc", found.to_dataset()),
+        write_dataset(folder / "plane_scan.nc", plane.to_dataset()),
+        *(write_dataset(folder / f"{name}_scan.nc", part.to_dataset()) for name, part in further.items()),
+        _write_table(folder / "statements.csv", checked),
+    ]
+    files += _figures(folder, report, paper, found, plane, covered)
+    return Demo(checked, {name: share for name, _, _, share in covered}, files)
+
+
+def _further() -> dict[str, Scan]:
+    """Carry out the paper's suggestion: sweeps perpendicular to the trails, and at other distances h."""
+    sweeps = {
+        "perpendicular": case.perpendicular_trails(),
+        "nearer": Trail.stack([case.lifted(case.trails(), 0.2), case.lifted(case.perpendicular_trails(), 0.2)]),
+        "farther": Trail.stack([case.lifted(case.trails(), -0.2), case.lifted(case.perpendicular_trails(), -0.2)]),
+    }
+    return {name: scan(case.ROD, case.SURFACE, trail) for name, trail in sweeps.items()}
+
+
+def _covered(found: Reconstruction, further: dict[str, Scan]) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
+    samples = case.region()
+    rows = [lane for lane in range(len(case.Y0)) if lane != case.PLANE]
+    contacts = found.point[rows].reshape(-1, 3)
+    cases = []
+    for name, more in (("ten trails", ()), ("and across", ("perpendicular",)), ("and other h", ("nearer", "farther"))):
+        for extra in more:
+            # Only positions that pass every check count: a real rod would not be where the others say.
+            again = reconstruct(case.ROD, further[extra].reactions)
+            sound = (further[extra].status == 0) & again.in_contact
+            contacts = np.vstack([contacts, again.point[sound]])
+        share, near = coverage(contacts, samples, COVERED_WITHIN)
+        cases.append((name, contacts, near, share))
+    return cases
+
+
+def _write_table(path: Path, checked: list[Statement]) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["statement", "measured", "holds"])
+        writer.writerows([part.text, part.measured, "yes" if part.holds else "no"] for part in checked)
+    return path
+
+
+def _figures(  # noqa: PLR0913
+    folder: Path,
+    report: Callable[[str], None],
+    paper: Scan,
+    found: Reconstruction,
+    plane: Scan,
+    covered: list[tuple[str, np.ndarray, np.ndarray, float]],
+) -> list[Path]:
+    from vibrissa import plot  # noqa: PLC0415
+
+    shown = tuple(int(lane) for lane in np.flatnonzero(np.isin(np.abs(case.Y0), (0.2, 0.5))))
+    drawings: list[tuple[str, Callable[[], "Axes | list[Axes]"]]] = [
+        ("figure2_reactions", lambda: plot.reactions_over_plane(paper, skip=(case.PLANE,))),
+        ("figure3a_elastic_lines", lambda: plot.elastic_lines(paper, lanes=shown)),
+        ("figure3b_contacts", lambda: plot.contact_sequences(paper, found, case.patch(), skip=(case.PLANE,))),
+        ("plane_case", lambda: plot.reactions_along(plane)),
+        ("coverage", lambda: plot.coverage_figure(case.region(), covered)),
+    ]
+    files = []
+    for name, draw in drawings:
+        report(f"figure: {name}")
+        with plot.journal():
+            files += plot.save(draw(), folder, name)
+    return files

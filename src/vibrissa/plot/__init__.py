@@ -1,0 +1,11 @@
+"""Figures, one a function. The only room that knows matplotlib."""
+
+from vibrissa.plot.contacts import contacts_figure
+from vibrissa.plot.coverage import coverage_figure
+from vibrissa.plot.events import reactions_along
+from vibrissa.plot.lines import elastic_lines
+from vibrissa.plot.reactions import reactions_over_plane
+from vibrissa.plot.sequences import contact_sequences
+from vibrissa.plot.style import journal, save
+
+__all__ = ["contact_sequences", "contacts_figure", "coverage_figure", "elastic_lines", "journal", "reactions_along", "reactions_over_plane", "save"]

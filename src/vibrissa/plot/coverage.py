@@ -1,0 +1,34 @@
+"""What part of a surface the contacts cover, seen from above."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+
+from vibrissa.plot.style import PAGE
+
+_COVERED, _OPEN = "#9ecae1", "#f0f0f0"
+
+
+def coverage_figure(
+    samples: Float[np.ndarray, "n 3"], cases: list[tuple[str, Float[np.ndarray, "k 3"], Bool[np.ndarray, "n"], float]]
+) -> list[Axes]:
+    """One panel a case: covered samples, open samples, and the contacts, over x and y in rod lengths.
+
+    Parameters
+    ----------
+    samples
+        Points of the surface region (n, 3).
+    cases
+        For each: name, contacts (k, 3), which samples are covered (n,), and their share.
+    """
+    figure, panels = plt.subplots(1, len(cases), figsize=(PAGE, 2.5), sharey=True, layout="constrained", squeeze=False)
+    for axes, (name, contacts, covered, share) in zip(panels[0], cases, strict=True):
+        axes.scatter(*samples[~covered, :2].T, s=1.2, color=_OPEN, linewidths=0, rasterized=True)
+        axes.scatter(*samples[covered, :2].T, s=1.2, color=_COVERED, linewidths=0, rasterized=True)
+        axes.plot(*contacts[:, :2].T, ".", color="black", markersize=0.8)
+        axes.set_title(f"{name}: {share:.0%}")
+        axes.set_xlabel("$x/L$")
+        axes.set_aspect("equal")
+    panels[0, 0].set_ylabel("$y/L$")
+    return list(panels[0])

@@ -1,9 +1,9 @@
 """The paper's case, in the sizes that are measured."""
 
 import numpy as np
-from peers import A, B, H
 
 import vibrissa as vb
+from peers import A, B, H
 
 ROD = vb.Rod.unit()
 OBJECT = vb.surfaces.EllipticParaboloid(a=A, b=B, h=H)

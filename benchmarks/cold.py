@@ -1,4 +1,4 @@
-"""Cold costs, each in a fresh process: imports, first calls, memory."""
+"""Cold costs, each in a fresh process: imports, first calls, memory. This module itself loads nothing heavy."""
 
 import json
 import resource
@@ -16,7 +16,7 @@ def cold() -> dict[str, float]:
 
 
 def memory() -> dict[str, float]:
-    """Peak resident memory [MiB] before and after the batch, kernels compiled in both."""
+    """Peak resident memory [MiB] of a fresh process, by step."""
     return _in_fresh_process("batch_memory")
 
 
@@ -45,15 +45,18 @@ def first_use() -> dict[str, float]:
 
 
 def batch_memory() -> dict[str, float]:
-    """Peak memory after a batch of 100 trails, and after one of 1000."""
-    from cases import OBJECT, ROD, batch  # noqa: PLC0415
-
+    """Peak memory after the imports, after one trail with its compilation, and after the batch."""
     import vibrissa as vb  # noqa: PLC0415
+    from cases import OBJECT, ROD, batch, one_trail  # noqa: PLC0415
 
-    vb.scan(ROD, OBJECT, batch(100))
-    before = _peak()
+    peaks = {"imports": _peak()}
+    vb.scan(ROD, OBJECT, one_trail(0.2))
+    peaks["one trail (compiles)"] = _peak()
     vb.scan(ROD, OBJECT, batch())
-    return {"after 100 trails x 211": before, "after 1000 trails x 211": _peak()}
+    peaks["batch of 1000 x 211 (compiles)"] = _peak()
+    vb.scan(ROD, OBJECT, batch())
+    peaks["the batch again"] = _peak()
+    return peaks
 
 
 class _Clock:
@@ -71,7 +74,7 @@ def _peak() -> float:
 
 
 def _in_fresh_process(name: str) -> dict[str, float]:
-    # The child inherits the core and the environment of this process.
+    # The child inherits the core, the environment, and as a floor of its own the peak memory of this process.
     script = f"import json, cold; print(json.dumps(cold.{name}()))"
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=Path(__file__).parent, check=True, capture_output=True, text=True

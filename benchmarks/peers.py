@@ -70,7 +70,7 @@ def first_guess(x0: float, y0: float) -> np.ndarray:
 
 
 def bvp_along(positions: np.ndarray) -> Iterator[np.ndarray]:
-    """Contact points along a trail (n, 2) by SciPy's `solve_bvp`, tol 1e-6, with exact Jacobians; each from the last mesh.
+    """Contact points along a trail (n, 2) by `solve_bvp`, tol 1e-6, with exact Jacobians, each from the last mesh.
 
     The unknown length is scaled out, σ = s/s₁.
     """

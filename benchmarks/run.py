@@ -2,29 +2,29 @@
 
 import platform
 
+from cold import cold, memory
 from timing import Row, pin_to_one_core
 
 
 def main() -> list[Row]:
     """Print the table; return its warm rows."""
     core = pin_to_one_core()
-    # Only now, so that NumPy and JAX start on that core.
-    from cold import cold, memory  # noqa: PLC0415
+    print(f"one core (number {core}), Python {platform.python_version()}, {platform.machine()}\n")
+    for title, unit, measured in (("cold, a fresh process", "s", cold()), ("peak resident memory", "MiB", memory())):
+        print(f"{title:<58}{unit:>14}")
+        for name, value in measured.items():
+            print(f"{name:<58}{value:>14,.3f}")
+        print()
+
+    # Only now, so that NumPy and JAX start on that core and do not add to the memory that the fresh processes inherit.
     from warm import forward, inverse  # noqa: PLC0415
 
-    print(f"one core (number {core}), Python {platform.python_version()}, {platform.machine()}\n")
-    tables = (("forward, µs a position", forward), ("inverse, µs a sample", inverse))
     rows = []
-    for title, measure in tables:
+    for title, measure in (("forward, a position", forward), ("inverse, a sample", inverse)):
         print(f"{title:<58}{'µs':>14}{'ratio':>12}")
         for row in measure():
             rows.append(row)
             print(row)
-        print()
-    for title, unit, measure in (("cold, a fresh process", "s", cold), ("peak resident memory", "MiB", memory)):
-        print(f"{title:<58}{unit:>14}")
-        for name, value in measure().items():
-            print(f"{name:<58}{value:>14,.3f}")
         print()
     return rows
 

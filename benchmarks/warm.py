@@ -1,11 +1,11 @@
 """Warm figures: the package and its peers on the same positions and samples, in one run, with the same answers."""
 
 import numpy as np
+
+import vibrissa as vb
 from cases import OBJECT, POSITIONS, ROD, SAMPLES, TRAILS, assert_close, batch, one_trail, samples_of
 from peers import bvp_along, inverse_by_integration, shooting_along
 from timing import Row, best_of
-
-import vibrissa as vb
 
 _PEER_SAMPLES = 211
 

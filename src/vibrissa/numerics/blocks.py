@@ -1,31 +1,37 @@
 """Blocks of lanes: how many trails or samples share one compiled loop.
 
 Inside a kernel the last axis is the lane, one trail or one position each, so that every operation is plain vector arithmetic. A block of 64 lanes keeps
-its intermediates in the core's nearest cache. Array sizes are rounded up, so that a new number of trails or positions seldom compiles anew.
+its intermediates in the core's nearest cache. Kernels are called with few different numbers of blocks, since each compiles anew.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Shaped
 
 WIDE = 64
-NARROW = 8
-# Rows handled by one call of a kernel: what passes through it stays in the cache, and only the last call is filled up.
-_LONGEST_RUN = 1 << 16
-
-
-def lanes_per_block(count: int) -> int:
-    """1, 8 or 64 lanes."""
-    if count == 1:
-        return 1
-    return NARROW if count <= NARROW else WIDE
+_BLOCKS = (1, 16, 1024)
 
 
 def rounded_up(count: int) -> int:
-    """Next power of two, at least 16: the capacity of an array whose filled length varies."""
-    return max(16, 1 << (count - 1).bit_length())
+    """Next power of two, at least 256: the capacity of an array whose filled length varies."""
+    return max(256, 1 << (count - 1).bit_length())
+
+
+def runs(count: int, width: int) -> Iterator[tuple[int, int, int]]:
+    """Divide rows into calls of a kernel: first row, last row + 1, and number of blocks."""
+    first = 0
+    while first < count:
+        left = -(-(count - first) // width)
+        # The smallest that holds the rest; the next smaller one again and again where that would mostly be filling.
+        blocks = next((size for size in _BLOCKS if size >= left), _BLOCKS[-1])
+        smaller = [size for size in _BLOCKS if size < blocks]
+        if smaller and left < blocks / 4:
+            blocks = smaller[-1]
+        last = min(count, first + blocks * width)
+        yield first, last, blocks
+        first = last
 
 
 def to_blocks(rows: Shaped[np.ndarray, "lanes ..."], lanes: int, blocks: int) -> Shaped[np.ndarray, "blocks ... width"]:
@@ -45,17 +51,18 @@ def from_blocks(blocks: Shaped[np.ndarray, "blocks ... width"], count: int) -> S
 def in_blocks(kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "count ..."], width: int = WIDE) -> Float[np.ndarray, "count ..."]:
     """Apply a compiled kernel of blocks (blocks, …, width) to rows (count, …)."""
     count = len(rows[0])
-    if count == 1:
-        return np.asarray(kernel(*(part.reshape(1, *part.shape[1:], 1) for part in rows)))[..., 0]
-    if count <= _LONGEST_RUN:
-        lanes = width if count > width else lanes_per_block(count)
-        blocks = rounded_up(-(-count // lanes)) if count > lanes else 1
-        return from_blocks(np.asarray(kernel(*(to_blocks(part, lanes, blocks) for part in rows))), count)
-    parts = (in_blocks(kernel, *(part[first : first + _LONGEST_RUN] for part in rows), width=width) for first in range(0, count, _LONGEST_RUN))
-    filled, out = 0, None
-    for part in parts:
+    out: np.ndarray | None = None
+    for first, last, blocks in runs(count, width):
+        part = from_blocks(np.asarray(kernel(*(to_blocks(part[first:last], width, blocks) for part in rows))), last - first)
+        if first == 0 and last == count:
+            return part
         out = np.empty((count, *part.shape[1:])) if out is None else out
-        out[filled : filled + len(part)] = part
-        filled += len(part)
-    assert out is not None  # noqa: S101
+        out[first:last] = part
+    if out is None:
+        raise ValueError("rows = 0; allowed is at least one row")
     return out
+
+
+def single(kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "1 ..."]) -> Float[np.ndarray, "1 ..."]:
+    """The same for one row, in a block of one lane: the quickest answer to one question."""
+    return np.asarray(kernel(*(part.reshape(1, *part.shape[1:], 1) for part in rows)))[..., 0]

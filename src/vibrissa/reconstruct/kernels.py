@@ -20,9 +20,9 @@ _AT_TIP = 1e-6
 
 @jax.jit
 def invert_blocks(
-    force: Float[Array, "blocks 3 width"], moment: Float[Array, "blocks 3 width"], orientation: Float[Array, "blocks 4 width"], scales: Float[Array, "2"]
+    scales: Float[Array, "2"], force: Float[Array, "blocks 3 width"], moment: Float[Array, "blocks 3 width"], orientation: Float[Array, "blocks 4 width"]
 ) -> Array:
-    """`invert` for blocks of support reactions and clamp orientations, with the units of force and moment: (blocks, 11, width)."""
+    """`invert` for the units of force and moment, and blocks of support reactions and clamp orientations: (blocks, 11, width)."""
 
     def one(force: Float[Array, "3"], moment: Float[Array, "3"], orientation: Float[Array, "4"]) -> Float[Array, "11"]:
         return _packed(jnp.concatenate([force / scales[0], moment / scales[1]]), _tangent(orientation))

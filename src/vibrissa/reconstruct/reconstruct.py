@@ -1,13 +1,13 @@
 """The inverse problem's entry point. It sees the rod and the reactions, nothing else."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.numerics.blocks import in_blocks
+from vibrissa.numerics.blocks import in_blocks, single
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.kernels import NOISY_WIDTH, TIP_DEVIATIONS, WIDTH, invert_blocks, invert_noisy_blocks
 from vibrissa.reconstruct.result import Reconstruction
@@ -20,7 +20,6 @@ _LEAST_FORCE = 1e-14
 # With known noise, in standard deviations.
 _SINGLE_CONTACT_DEVIATIONS = 6.0
 _KIND_DEVIATIONS = 2.0
-_FAST_LANES = 512
 # As plain numbers: looking up a member of an enumeration costs as much as the arithmetic of a sample.
 _NONE, _TIP_KIND, _TANGENTIAL = (int(kind) for kind in ContactKind)
 _NOT_SINGLE_CONTACT, _BEYOND_TIP, _NO_CURVATURE_ZERO = int(Status.NOT_SINGLE_CONTACT), int(Status.BEYOND_TIP), int(Status.NO_CURVATURE_ZERO)
@@ -61,14 +60,16 @@ def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) ->
     orientation = trail.orientation.reshape(-1, 4)
     force, moment = reactions.force.reshape(-1, 3), reactions.moment.reshape(-1, 3)
     if reactions.covariance is None:
-        fields = in_blocks(lambda *rows: invert_blocks(*rows, scales), force, moment, orientation, width=_FAST_LANES)
+        rows = (force, moment, orientation)
+        kernel = partial(invert_blocks, scales)
+        fields = single(kernel, *rows) if len(force) == 1 else in_blocks(kernel, *rows)
         return _exact(rod, reactions, fields)
     units = np.repeat(scales, 3)
     wrench = np.concatenate([force, moment], axis=1) / units
     covariance = reactions.covariance / np.outer(units, units)
     chi_square = np.einsum("ni,ni->n", wrench, np.linalg.solve(covariance, wrench[..., None])[..., 0])
-    rows = np.broadcast_to(covariance, (*trail.shape, 6, 6)).reshape(-1, 6, 6)
-    fields = in_blocks(invert_noisy_blocks, wrench, orientation, rows)
+    covariances = np.broadcast_to(covariance, (*trail.shape, 6, 6)).reshape(-1, 6, 6)
+    fields = in_blocks(invert_noisy_blocks, wrench, orientation, covariances)
     return _noisy(rod, reactions, fields, chi_square, _threshold(false_alarm))
 
 

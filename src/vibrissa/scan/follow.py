@@ -14,6 +14,8 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from vibrissa.contacts import Status
+from vibrissa.numerics.blocks import in_blocks
+from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.approach import clearance, first_contacts
 from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
@@ -70,7 +72,7 @@ class _End:
     at: Branch
 
 
-@jax.jit
+@compiled
 def _linearised(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> Float[Array, "25"]:
     def conditions(y: Float[Array, "5"]) -> tuple[Float[Array, "4"], Float[Array, "5"]]:
         state = contact_state(scene, y[:4], clamp_between(stretch, y[4]))
@@ -260,7 +262,7 @@ def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "1
     if float(_straight(scene, stretch, jnp.asarray(1.0))[0]) >= CLEAR:
         return None
     rest = _shortened(scene, stretch, fraction)
-    share, *point, _, cosine = np.asarray(first_contacts(scene, rest[None, :, None]))[0, :, 0]
+    share, *point, _, cosine = in_blocks(lambda part: first_contacts(scene, part), rest[None, :])[0]
     at = fraction + (1 - fraction) * share
     if cosine < HEAD_ON_COSINE:
         outcome.happened.append((EventKind.HEAD_ON, float(at), np.array(point)))

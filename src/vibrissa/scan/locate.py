@@ -8,6 +8,7 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from vibrissa.numerics.bracket import bracketed_root
+from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.equations import Scene, newton_step
 from vibrissa.scan.path import clamp_between
 
@@ -25,7 +26,7 @@ class Indicator(IntEnum):
 _ITERATIONS = 4
 
 
-@jax.jit
+@compiled
 def locate(
     scene: Scene,
     stretches: Float[Array, "blocks 14 width"],

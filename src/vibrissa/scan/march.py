@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, newton_step
 
 
@@ -70,7 +71,7 @@ _JUMP_FLOOR = 0.02
 _newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
 
 
-@jax.jit
+@compiled
 def march(scene: Scene, legs: Legs, count: Int[Array, ""]) -> Steps:
     """Walk all lanes through the first `count` positions."""
     return lax.map(lambda block: _march_block(scene, block, count), legs)

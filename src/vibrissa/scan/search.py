@@ -8,9 +8,10 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
+from vibrissa.numerics.blocks import in_blocks
+from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.assess import assess_blocks
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
-from vibrissa.numerics.blocks import WIDE
 
 _DIRECTIONS = 56
 _RAY_SAMPLES = 32
@@ -39,13 +40,10 @@ def stable_equilibria(scene: Scene, point: Float[np.ndarray, "3"], tangent: Floa
     seeds = _seeds(scene, point, tangent)
     if not len(seeds):
         return []
-    blocks = -(-len(seeds) // WIDE)
-    filled = np.resize(seeds, (blocks * WIDE, 4)).reshape(blocks, WIDE, 4).transpose(0, 2, 1)
-    clamp = np.concatenate([point, tangent])
-    clamps = np.broadcast_to(clamp[None, :, None], (blocks, 6, WIDE))
-    solved = np.asarray(_solve_blocks(scene, filled, clamps))
-    assessed = np.asarray(assess_blocks(scene, solved[:, :4], clamps))
-    rows = np.concatenate([solved, assessed], axis=1).transpose(0, 2, 1).reshape(-1, 5 + assessed.shape[1])
+    clamps = np.broadcast_to(np.concatenate([point, tangent]), (len(seeds), 6))
+    solved = in_blocks(lambda *parts: _solve_blocks(scene, *parts), seeds, clamps)
+    assessed = in_blocks(lambda *parts: assess_blocks(scene, *parts), solved[:, :4], clamps)
+    rows = np.concatenate([solved, assessed], axis=1)
     x, determinant = rows[:, :4], rows[:, 4]
     arc_length, energy, phase, residual, depth = (rows[:, 5 + column] for column in (7, 11, 13, 14, 15))
     good = (residual < DEPTH_TOLERANCE) & (depth < DEPTH_TOLERANCE) & (x[:, 3] > 0) & (determinant < 0) & (arc_length < 1 + DEPTH_TOLERANCE)
@@ -81,7 +79,7 @@ def _levels(scene: Scene, points: Float[Array, "rays samples 3"]) -> Float[Array
     return jax.vmap(jax.vmap(lambda point: level(scene, point)))(points)
 
 
-@jax.jit
+@compiled
 def _solve_blocks(scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]) -> Float[Array, "blocks 5 width"]:
     newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
 

@@ -56,4 +56,5 @@ def _dot(first: Float[np.ndarray, "*batch 3"], second: Float[np.ndarray, "*batch
 
 
 def _direction(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.divide(vector, length, out=np.full_like(vector, np.nan), where=length > 0)

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import Status
+from vibrissa.numerics.blocks import WIDE, from_blocks, in_blocks, rounded_up, runs, to_blocks
 from vibrissa.scan.approach import clearances, first_contacts
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import EventKind, Happening
 from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
-from vibrissa.numerics.blocks import from_blocks, in_blocks, lanes_per_block, rounded_up, to_blocks
 from vibrissa.scan.locate import Indicator, locate
 from vibrissa.scan.march import Legs, Mode, march
 from vibrissa.scan.path import Path, extended_back, stretch
@@ -124,10 +124,12 @@ class _Walk:
             self._resolve(lane, index, before, self.result.x[lane, index - 1], starts[row].patience)
 
     def _marched(self, starts: list[_Start], lanes: Int[np.ndarray, "k"]) -> tuple[np.ndarray, ...]:
+        width = 1 if len(starts) == 1 else WIDE
+        parts = [self._marched_run(starts[first:last], lanes[first:last], width, blocks) for first, last, blocks in runs(len(starts), width)]
+        return tuple(np.concatenate(columns) if len(parts) > 1 else columns[0] for columns in zip(*parts, strict=True))
+
+    def _marched_run(self, starts: list[_Start], lanes: Int[np.ndarray, "k"], width: int, blocks: int) -> tuple[np.ndarray, ...]:
         n = self._clear.shape[1]
-        width = lanes_per_block(len(starts))
-        blocks = -(-len(starts) // width)
-        blocks = blocks if blocks == 1 else rounded_up(blocks)
         capacity = rounded_up(n)
 
         def lane_blocks(rows: np.ndarray) -> np.ndarray:

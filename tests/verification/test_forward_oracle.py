@@ -10,7 +10,6 @@ from shooting import rod_along
 
 import vibrissa as vb
 
-ORACLE = Path(__file__).parents[2].parent / "shared" / "oracle" / "paraboloid_trails.csv"
 GRID = np.round(np.arange(1.2, -1.4001, -0.025), 3)
 
 # y0: first contact, tip to tangential, (ξ, η, f) there, f at x0 = 0, smallest s₁.
@@ -52,37 +51,35 @@ def force(scan: vb.Scan, row: tuple[int, int]) -> float:
     return float(np.linalg.norm(scan.reactions.force[row]))
 
 
-def oracle_rows() -> list[dict[str, str]]:
-    if not ORACLE.exists():
-        pytest.skip("the 40-digit oracle paraboloid_trails.csv does not lie beside this checkout (shared/oracle)")
-    with ORACLE.open() as file:
+@pytest.fixture(scope="module")
+def rows(oracle: Path) -> list[dict[str, str]]:
+    with oracle.open() as file:
         return list(csv.DictReader(file))
 
 
-def test_every_field_agrees_with_forty_digits(scan: vb.Scan) -> None:
-    oracle = oracle_rows()
-    rows = tuple(np.array([row_at(scan, float(row["y0"]), float(row["x0"])) for row in oracle]).T)
-    assert len(oracle) == 790
-    assert np.all(scan.status[rows] == vb.Status.OK)
+def test_every_field_agrees_with_forty_digits(scan: vb.Scan, rows: list[dict[str, str]]) -> None:
+    at = tuple(np.array([row_at(scan, float(row["y0"]), float(row["x0"])) for row in rows]).T)
+    assert len(rows) == 790
+    assert np.all(scan.status[at] == vb.Status.OK)
 
     def columns(*names: str) -> np.ndarray:
-        return np.array([[float(row[name]) for name in names] for row in oracle])
+        return np.array([[float(row[name]) for name in names] for row in rows])
 
     def agree(found: np.ndarray, *names: str) -> None:
         np.testing.assert_allclose(found, columns(*names), rtol=0, atol=1e-9)
 
-    agree(scan.point[rows], "xi", "eta", "theta")
-    agree(scan.normal[rows], "n_x", "n_y", "n_z")
-    agree(scan.arc_length[rows][:, None], "s1")
-    agree(scan.reactions.force[rows], "f0x", "f0y", "f0z")
-    agree(scan.reactions.moment[rows], "m0x", "m0y", "m0z")
-    agree(np.linalg.norm(scan.reactions.force[rows], axis=-1)[:, None], "f")
-    kinds = [vb.ContactKind[row["contact"].upper()] for row in oracle]
-    np.testing.assert_array_equal(scan.kind[rows], kinds)
+    agree(scan.point[at], "xi", "eta", "theta")
+    agree(scan.normal[at], "n_x", "n_y", "n_z")
+    agree(scan.arc_length[at][:, None], "s1")
+    agree(scan.reactions.force[at], "f0x", "f0y", "f0z")
+    agree(scan.reactions.moment[at], "m0x", "m0y", "m0z")
+    agree(np.linalg.norm(scan.reactions.force[at], axis=-1)[:, None], "f")
+    kinds = [vb.ContactKind[row["contact"].upper()] for row in rows]
+    np.testing.assert_array_equal(scan.kind[at], kinds)
 
 
-def test_contact_begins_and_ends_where_the_oracle_does(scan: vb.Scan) -> None:
-    known = {(float(row["y0"]), float(row["x0"])) for row in oracle_rows()}
+def test_contact_begins_and_ends_where_the_oracle_does(scan: vb.Scan, rows: list[dict[str, str]]) -> None:
+    known = {(float(row["y0"]), float(row["x0"])) for row in rows}
     found = {(y0, x0) for y0 in OFFSETS[:10] for x0 in GRID if scan.kind[row_at(scan, y0, x0)] != vb.ContactKind.NONE}
     assert found == known
 

@@ -66,24 +66,22 @@ def clearances(scene: Scene, point: Float[Array, "blocks 3 width"], tangent: Flo
 
 
 @jax.jit
-def first_contacts(scene: Scene, stretches: Float[Array, "blocks 14 width"]) -> Float[Array, "blocks 6 width"]:
-    """First contact on stretches of the path at whose start the straight rod is clear, and at whose end it is not.
+def first_contacts(scene: Scene, stretches: Float[Array, "blocks 14 width"], distances: Float[Array, "blocks 2 width"]) -> Float[Array, "blocks 6 width"]:
+    """First contact on stretches of the path, given the straight rod's clearance at their ends: clear at the start, not at the end.
 
     Returns the fraction of the stretch, the contact point [L] (3), the arc length [L], and the cosine between normal and rod: −1 is head-on.
     """
 
-    def one(ends: Float[Array, "14"]) -> Float[Array, "6"]:
-        def distance(fraction: Scalar) -> Scalar:
-            return clearance(scene, clamp_between(ends, fraction))[0]
+    def one(ends: Float[Array, "14"], distances: Float[Array, "2"]) -> Float[Array, "6"]:
+        def distance(fraction: Scalar) -> tuple[Scalar, Scalar]:
+            return clearance(scene, clamp_between(ends, fraction))
 
         zero, full = jnp.zeros(()), jnp.ones(())
-        start = distance(zero)
-        fraction = jnp.where(start <= 0, 0.0, bracketed_root(distance, zero, full, start, distance(full)))
+        fraction, s = bracketed_root(distance, (zero, full), (distances[0], distances[1]), zero)
         clamp = clamp_between(ends, fraction)
-        _, s = clearance(scene, clamp)
         point = clamp.point + s * clamp.tangent
         gradient = jax.grad(level, argnums=1)(scene, point)
         cosine = jnp.dot(gradient, clamp.tangent) / jnp.sqrt(jnp.sum(gradient * gradient))
         return jnp.concatenate([jnp.stack([fraction]), point, jnp.stack([s, cosine])])
 
-    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(block), stretches)
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (stretches, distances))

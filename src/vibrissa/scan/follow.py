@@ -20,6 +20,7 @@ from vibrissa.scan.approach import clearance, first_contacts
 from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
+from vibrissa.scan.locate import WIDTH as EVENT_LANES
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import clamp_between, slerp
 from vibrissa.scan.search import stable_equilibria
@@ -259,10 +260,11 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
 
 def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, outcome: Outcome) -> Branch | None:
     # Free from `fraction` on: the next first contact before the end, if any.
-    if float(_straight(scene, stretch, jnp.asarray(1.0))[0]) >= CLEAR:
+    distances = np.array([float(_straight(scene, stretch, jnp.asarray(at))[0]) for at in (fraction, 1.0)])
+    if distances[1] >= CLEAR:
         return None
     rest = _shortened(scene, stretch, fraction)
-    share, *point, _, cosine = in_blocks(lambda part: first_contacts(scene, part), rest[None, :])[0]
+    share, *point, _, cosine = in_blocks(lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES)[0]
     at = fraction + (1 - fraction) * share
     if cosine < HEAD_ON_COSINE:
         outcome.happened.append((EventKind.HEAD_ON, float(at), np.array(point)))

@@ -20,8 +20,10 @@ class Indicator(IntEnum):
 
     FORCE = 0
     PHASE = 1
-    DETERMINANT = 2
 
+
+WIDTH = 16
+"""Lanes of a block: events are few."""
 
 _ITERATIONS = 4
 
@@ -30,31 +32,29 @@ _ITERATIONS = 4
 def locate(
     scene: Scene,
     stretches: Float[Array, "blocks 14 width"],
-    ends: Float[Array, "blocks 10 width"],
+    ends: Float[Array, "blocks 12 width"],
     indicator: Int[Array, "blocks width"],
 ) -> Float[Array, "blocks 5 width"]:
     """Fraction of the stretch and unknowns x (4) at which the indicator is zero.
 
-    `ends` holds for both ends of the bracket the fraction and the unknowns there (5 + 5).
+    `ends` holds for both ends of the bracket the fraction, the unknowns and the indicator there (6 + 6).
     """
 
-    def one(stretch: Float[Array, "14"], ends: Float[Array, "10"], indicator: Int[Array, ""]) -> Float[Array, "5"]:
-        low, x_low, high, x_high = ends[0], ends[1:5], ends[5], ends[6:10]
+    def one(stretch: Float[Array, "14"], ends: Float[Array, "12"], indicator: Int[Array, ""]) -> Float[Array, "5"]:
+        low, x_low, high, x_high = ends[0], ends[1:5], ends[6], ends[7:11]
 
-        def solved(fraction: Scalar) -> tuple[Float[Array, "4"], Float[Array, "3"]]:
+        def solved(fraction: Scalar) -> tuple[Scalar, Float[Array, "4"]]:
             clamp = clamp_between(stretch, fraction)
             share = (fraction - low) / jnp.where(high > low, high - low, 1.0)
 
             def iterate(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
                 step = newton_step(scene, state[0], clamp)
-                return step.x, jnp.stack([step.x[3], step.phase, step.determinant])
+                return step.x, jnp.stack([step.x[3], step.phase])
 
-            return lax.fori_loop(0, _ITERATIONS, iterate, (x_low + share * (x_high - x_low), jnp.zeros(3)))
+            x, figures = lax.fori_loop(0, _ITERATIONS, iterate, (x_low + share * (x_high - x_low), jnp.zeros(2)))
+            return figures[indicator], x
 
-        def value(fraction: Scalar) -> Scalar:
-            return solved(fraction)[1][indicator]
-
-        fraction = bracketed_root(value, low, high, value(low), value(high))
-        return jnp.concatenate([jnp.stack([fraction]), solved(fraction)[0]])
+        fraction, x = bracketed_root(solved, (low, high), (ends[5], ends[11]), x_low)
+        return jnp.concatenate([jnp.stack([fraction]), x])
 
     return lax.map(lambda block: jax.vmap(one, in_axes=(1, 1, 0), out_axes=1)(*block), (stretches, ends, indicator))

@@ -12,6 +12,7 @@ from vibrissa.scan.approach import clearances, first_contacts
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import EventKind, Happening
 from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
+from vibrissa.scan.locate import WIDTH as EVENT_LANES
 from vibrissa.scan.locate import Indicator, locate
 from vibrissa.scan.march import Legs, Mode, march
 from vibrissa.scan.path import Path, extended_back, stretch
@@ -48,7 +49,7 @@ def sweep(scene: Scene, path: Path) -> Sweep:
     distance, at_clamp = _clearances(scene, path)
     inside = at_clamp < 0
     clear = (distance >= CLEAR) & ~inside
-    meetings = _meetings(scene, path, clear)
+    meetings = _meetings(scene, path, clear, distance)
     walk = _Walk(scene, path, clear, inside, meetings)
     walk.begin()
     while walk.pending:
@@ -217,7 +218,7 @@ def _entered(scene: Scene, path: Path, lanes: Int[np.ndarray, "k"]) -> dict[int,
     from_ = int(last_clear[found].min())
     way = Path(way.point[found, from_:], way.orientation[found, from_:], 1)
     clear, inside = clear[found, from_:], at_clamp[found, from_:] < 0
-    walk = _Walk(scene, way, clear, inside, _meetings(scene, way, clear))
+    walk = _Walk(scene, way, clear, inside, _meetings(scene, way, clear, distance[found, from_:]))
     walk.start_at(last_clear[found] - from_)
     walk.march(resolve=False)
     x, mode, determinant, phase = (part[:, -1] for part in (walk.result.x, walk.result.mode, walk.result.determinant, walk.result.phase))
@@ -235,12 +236,13 @@ def _clearances(scene: Scene, path: Path) -> tuple[Float[np.ndarray, "m n"], Flo
     return values[:, 0].reshape(shape), values[:, 1].reshape(shape)
 
 
-def _meetings(scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"]) -> Meetings:
+def _meetings(scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]) -> Meetings:
     lane, index = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
     index = index + 1
     if not len(lane):
         return Meetings(lane, index, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
-    found = in_blocks(lambda part: first_contacts(scene, part), stretch(path, lane, index))
+    distances = np.column_stack([distance[lane, index - 1], distance[lane, index]])
+    found = in_blocks(lambda *parts: first_contacts(scene, *parts), stretch(path, lane, index), distances, width=EVENT_LANES)
     cosine = found[:, 5]
     bends = cosine > HEAD_ON_COSINE
     # At f = 0: k² = sin² a₀ = (1 + n·t0)/2.
@@ -253,7 +255,7 @@ class _Bracket(NamedTuple):
     indicator: Indicator
     lane: int
     index: int
-    ends: Float[np.ndarray, "10"]
+    ends: Float[np.ndarray, "12"]
 
 
 def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetings, by_hand: Bool[np.ndarray, "m n"]) -> list[Happening]:
@@ -266,7 +268,7 @@ def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetin
         happenings.append(Happening(EventKind.FIRST_CONTACT, int(lane), int(index), float(fraction), point))
         after = result.phase[lane, index]
         if phase * after < 0:
-            ends = np.concatenate([[fraction], point, [0.0, 1.0], result.x[lane, index]])
+            ends = np.concatenate([[fraction], point, [0.0, phase, 1.0], result.x[lane, index], [after]])
             brackets.append(_Bracket(_change(after), Indicator.PHASE, int(lane), int(index), ends))
     before, after = contact[:, :-1], contact[:, 1:]
     marched = ~by_hand[:, 1:]
@@ -274,9 +276,11 @@ def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetin
     changed &= after | (result.mode[:, 1:] == Mode.FREE)
     released = marched & before & (result.mode[:, 1:] == Mode.FREE)
     for lane, index in np.argwhere(changed) + (0, 1):
-        brackets.append(_Bracket(_change(result.phase[lane, index]), Indicator.PHASE, int(lane), int(index), _ends(result, lane, index)))
+        ends = _ends(result, lane, index, result.phase[lane, index - 1], result.phase[lane, index])
+        brackets.append(_Bracket(_change(result.phase[lane, index]), Indicator.PHASE, int(lane), int(index), ends))
     for lane, index in np.argwhere(released) + (0, 1):
-        brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, int(lane), int(index), _ends(result, lane, index)))
+        ends = _ends(result, lane, index, result.x[lane, index - 1, 3], result.x[lane, index, 3])
+        brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, int(lane), int(index), ends))
     return happenings + _located(scene, path, brackets)
 
 
@@ -284,8 +288,8 @@ def _change(phase: float) -> EventKind:
     return EventKind.TIP_TO_TANGENTIAL if phase > 0 else EventKind.TANGENTIAL_TO_TIP
 
 
-def _ends(result: Sweep, lane: int, index: int) -> Float[np.ndarray, "10"]:
-    return np.concatenate([[0.0], result.x[lane, index - 1], [1.0], result.x[lane, index]])
+def _ends(result: Sweep, lane: int, index: int, before: float, after: float) -> Float[np.ndarray, "12"]:
+    return np.concatenate([[0.0], result.x[lane, index - 1], [before, 1.0], result.x[lane, index], [after]])
 
 
 def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happening]:
@@ -295,7 +299,7 @@ def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happeni
     indices = np.array([bracket.index for bracket in brackets])
     ends = np.array([bracket.ends for bracket in brackets])
     indicator = np.array([int(bracket.indicator) for bracket in brackets])
-    found = in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator)
+    found = in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator, width=EVENT_LANES)
     release = {(b.lane, b.index): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
     return [
         Happening(b.kind, b.lane, b.index, float(row[0]), row[1:4])

@@ -1,0 +1,92 @@
+"""Sphinx configuration: the documentation builds, and reads, without a network."""
+
+import ast
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+
+import vibrissa
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.scan import EventKind
+
+ROOT = Path(__file__).parent.parent
+
+project = "vibrissa"
+author = "The vibrissa developers"
+copyright = "The vibrissa developers, Apache-2.0"  # noqa: A001
+version = release = vibrissa.__version__
+
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "myst_parser"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = "vibrissa"
+html_math_renderer = "mathml"
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+
+myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath", "substitution"]
+myst_heading_anchors = 3
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def _status_table() -> str:
+    """Every `Status`, with the sentence that the code itself gives."""
+    rows = [(str(int(status)), f"`{status.name}`", status.text) for status in Status]
+    return _table(("", "status", "what it means, and what to do"), rows)
+
+
+def _rooms_table() -> str:
+    """The rooms from top to bottom, as import-linter's contract holds them, with the first line of each one's docstring."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+    rows = []
+    for level, layer in enumerate(layers, start=1):
+        for room in (name.strip() for name in layer.replace(":", "|").split("|")):
+            source = _source(room)
+            if source is not None:
+                rows.append((str(level), f"`{room}`", (ast.get_docstring(ast.parse(source)) or "").split("\n\n")[0].replace("\n", " ")))
+    return _table(("", "room", "what it holds"), rows)
+
+
+def _source(room: str) -> str | None:
+    folder = ROOT / "src" / Path(*room.split("."))
+    file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+    return file.read_text(encoding="utf-8") if file.exists() else None
+
+
+def _names(enumeration: type[ContactKind] | type[EventKind]) -> str:
+    return ", ".join(f"`{member.name}` {int(member)}" for member in enumeration)
+
+
+myst_substitutions = {
+    "contact_kinds": _names(ContactKind),
+    "event_kinds": _names(EventKind),
+    "rooms_table": _rooms_table(),
+    "status_table": _status_table(),
+}
+
+
+def _inline_math(translator: Any, node: nodes.math) -> None:
+    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    raise nodes.SkipNode
+
+
+def _block_math(translator: Any, node: nodes.math_block) -> None:
+    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app: Any) -> None:
+    """Render formulas as MathML, which browsers show by themselves, so that no script has to be fetched."""
+    app.add_html_math_renderer("mathml", inline_renderers=(_inline_math, None), block_renderers=(_block_math, None))

@@ -1,0 +1,40 @@
+"""For all tests: shape checks that take plain numbers, Hypothesis without a clock, and the data beside the checkout."""
+
+from pathlib import Path
+from typing import get_args
+
+import beartype
+import pytest
+from hypothesis import settings
+from numpy.typing import ArrayLike
+
+# NumPy's `ArrayLike` says complex for "any number" and a protocol for "any sequence" that tuples do not fulfil; read to
+# the letter, (0.0, 0.0, 1.0) would be none. The shape checks look up `beartype.beartype` when the package is imported.
+_SEQUENCES = {hint: tuple | hint for hint in get_args(ArrayLike) if "NestedSequence" in repr(hint)}
+beartype.beartype = beartype.beartype(
+    conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES))
+)
+
+settings.register_profile("vibrissa", deadline=None, derandomize=True, database=None, max_examples=25)
+settings.load_profile("vibrissa")
+
+_SHARED = Path(__file__).parents[1].parent / "shared"
+
+
+def _shared(*parts: str) -> Path:
+    path = _SHARED.joinpath(*parts)
+    if not path.exists():
+        pytest.skip(f"{'/'.join(parts)} does not lie beside this checkout, in the folder shared")
+    return path
+
+
+@pytest.fixture(scope="session")
+def oracle() -> Path:
+    """The 40-digit solutions of the paper's case."""
+    return _shared("oracle", "paraboloid_trails.csv")
+
+
+@pytest.fixture(scope="session")
+def sphere_60mm() -> Path:
+    """The folder of recordings of a steel wire under a sphere."""
+    return _shared("recordings", "sphere_60mm")

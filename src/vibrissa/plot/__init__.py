@@ -6,6 +6,6 @@ from vibrissa.plot.events import reactions_along
 from vibrissa.plot.lines import elastic_lines
 from vibrissa.plot.reactions import reactions_over_plane
 from vibrissa.plot.sequences import contact_sequences
-from vibrissa.plot.style import journal, save
+from vibrissa.plot.style import journal, save, save_as
 
-__all__ = ["contact_sequences", "contacts_figure", "coverage_figure", "elastic_lines", "journal", "reactions_along", "reactions_over_plane", "save"]
+__all__ = ["contact_sequences", "contacts_figure", "coverage_figure", "elastic_lines", "journal", "reactions_along", "reactions_over_plane", "save", "save_as"]

@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from vibrissa.contacts import ContactKind
 from vibrissa.rod import Rod
@@ -48,14 +49,29 @@ def journal() -> Iterator[None]:
 
 def save(axes: Axes | Sequence[Axes], folder: Path, name: str) -> list[Path]:
     """Write the figure of some axes as PNG and as PDF, and close it; return both paths."""
-    figure = (axes if isinstance(axes, Axes) else axes[0]).get_figure(root=True)
-    assert figure is not None  # noqa: S101
     paths = [folder / f"{name}.{suffix}" for suffix in ("png", "pdf")]
     for path in paths:
-        # Without a date in its metadata the same figure gives the same file.
-        figure.savefig(path, bbox_inches="tight", pad_inches=0.04, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
-    plt.close(figure)
+        _write(_figure(axes), path)
+    plt.close(_figure(axes))
     return paths
+
+
+def save_as(axes: Axes | Sequence[Axes], path: Path) -> Path:
+    """Write the figure of some axes in the format of the path's suffix, and close it."""
+    _write(_figure(axes), path)
+    plt.close(_figure(axes))
+    return path
+
+
+def _figure(axes: Axes | Sequence[Axes]) -> Figure:
+    figure = (axes if isinstance(axes, Axes) else axes[0]).get_figure(root=True)
+    assert figure is not None  # noqa: S101
+    return figure
+
+
+def _write(figure: Figure, path: Path) -> None:
+    # Without a date in its metadata the same figure gives the same file.
+    figure.savefig(path, bbox_inches="tight", pad_inches=0.04, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
 
 
 def length_label(symbol: str, rod: Rod) -> str:

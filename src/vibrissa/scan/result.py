@@ -76,6 +76,11 @@ class Scan:
         return self.kind != ContactKind.NONE
 
     @property
+    def solved(self) -> Bool[np.ndarray, "*trail n"]:
+        """Whether the row holds an equilibrium (…), with contact or without, whatever its checks say."""
+        return np.isfinite(self.energy)
+
+    @property
     def bending_strain(self) -> Float[np.ndarray, "*trail n"]:
         """Largest bending strain (…): radius times curvature at the clamp.
 
@@ -132,7 +137,7 @@ class Scan:
             raise ValueError(f"index = {index}; allowed is (trail, i), as the scan holds several trails")
         length = self.rod.length
         if self.kind[index] == ContactKind.NONE:
-            if not np.isfinite(self.energy[index]):
+            if not self.solved[index]:
                 raise ValueError(f"index = {index}: this position was not solved: {Status(int(self.status[index])).text}")
             return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale

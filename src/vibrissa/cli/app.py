@@ -1,0 +1,66 @@
+"""The commands' names, and what happens to their errors."""
+
+import os
+import sys
+from pathlib import Path
+
+import typer
+
+from vibrissa.cli.demo import demo
+from vibrissa.cli.reconstruct import reconstruct
+from vibrissa.cli.scan import scan
+
+app = typer.Typer(
+    name="vibrissa",
+    help="Whisker-like tactile sensing: contact mechanics of a swept elastic rod, forward and inverse.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.command()(demo)
+app.command()(scan)
+app.command()(reconstruct)
+
+
+@app.callback(invoke_without_command=True)
+def _version(*, version: bool = typer.Option(False, "--version", help="Print the version and exit.")) -> None:
+    if version:
+        from vibrissa import __version__  # noqa: PLC0415
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run a command; exit status 2 for wrong input, in one line, and 1 for failed work."""
+    _keep_compiled_code()
+    try:
+        app()
+    except ValueError as error:
+        from vibrissa.io.errors import InputError  # noqa: PLC0415
+
+        if not isinstance(error, InputError):
+            raise
+        print(f"vibrissa: error: {error}", file=sys.stderr)  # noqa: T201
+        sys.exit(2)
+
+
+def _keep_compiled_code() -> None:
+    """Let JAX keep what it compiles between runs, in the user's cache folder, one for each kind of machine."""
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(root / "vibrissa" / "compiled" / _machine()))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+
+def _machine() -> str:
+    """Name of the processor's instruction set: compiled code does not travel between different ones."""
+    import hashlib  # noqa: PLC0415
+    import platform  # noqa: PLC0415
+
+    description = platform.machine() + platform.processor()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        description += next((line for line in cpuinfo.read_text(errors="replace").splitlines() if line.startswith(("flags", "Features"))), "")
+    return hashlib.sha256(description.encode()).hexdigest()[:12]

@@ -1,0 +1,55 @@
+"""`vibrissa demo`: the paper, end to end."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from vibrissa.paper import Demo
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for figures, tables and datasets.")] = Path("demo"),
+    as_json: Annotated[bool, typer.Option("--json", help="Print the statements as JSON.")] = False,
+) -> None:
+    """Compute the whole paper: figures 2, 3a and 3b, its statements checked, and the sweeps it suggests."""
+    from vibrissa.cli.progress import reporting  # noqa: PLC0415
+    from vibrissa.io.errors import writable_folder  # noqa: PLC0415
+
+    folder = writable_folder(output)
+    with reporting() as report:
+        report("loading")
+        import matplotlib as mpl  # noqa: PLC0415
+
+        mpl.use("Agg")
+        from vibrissa.paper import run_demo  # noqa: PLC0415
+
+        result = run_demo(folder, report)
+    if as_json:
+        rows = [{"statement": part.text, "measured": part.measured, "holds": part.holds} for part in result.statements]
+        typer.echo(json.dumps({"statements": rows, "coverage": result.coverage, "files": [str(path) for path in result.files]}, indent=1))
+    else:
+        _print(result, folder)
+    if not all(part.holds for part in result.statements):
+        raise typer.Exit(1)
+
+
+def _print(result: "Demo", folder: Path) -> None:
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=160)
+    table = Table(title="Statements of the paper's section III", title_justify="left", show_lines=False)
+    for name, ratio in (("statement", 5), ("measured here", 6)):
+        table.add_column(name, ratio=ratio, overflow="fold")
+    table.add_column("holds")
+    for part in result.statements:
+        table.add_row(part.text, part.measured, "yes" if part.holds else "NO")
+    console.print(table)
+    shares = ", ".join(f"{name} {share:.1%}" for name, share in result.coverage.items())
+    console.print(f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}", soft_wrap=True)
+    console.print(f"{len(result.files)} files in {folder}", soft_wrap=True)

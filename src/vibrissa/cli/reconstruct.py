@@ -1,0 +1,89 @@
+"""`vibrissa reconstruct`: a recording to contacts."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from vibrissa.reconstruct import Reconstruction
+
+
+def reconstruct(
+    recording: Annotated[Path, typer.Argument(help="CSV log of the sensor.", show_default=False)],
+    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)],
+    output: Annotated[list[Path] | None, typer.Option("--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again.")] = None,
+    figure: Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Find where the rod touched, from a recording of forces and torques alone."""
+    from vibrissa.cli.progress import reporting  # noqa: PLC0415
+    from vibrissa.io.contacts import checked_output, write_contacts  # noqa: PLC0415
+    from vibrissa.io.recording import read_recording  # noqa: PLC0415
+    from vibrissa.io.setup import load_setup  # noqa: PLC0415
+
+    for path in output or []:
+        checked_output(path)
+    if figure is not None:
+        checked_output(figure, (".png", ".pdf"))
+    loaded = load_setup(setup)
+    reactions = read_recording(recording, loaded)
+    with reporting() as report:
+        report("loading")
+        from vibrissa.reconstruct import reconstruct as run  # noqa: PLC0415
+
+        report("reconstructing")
+        found = run(loaded.rod, reactions)
+        report("writing")
+        for path in output or []:
+            write_contacts(path, found)
+        if figure is not None:
+            _draw(found, figure)
+    summary = _summary(found)
+    typer.echo(json.dumps(summary, indent=1) if as_json else _text(summary))
+
+
+def _summary(found: "Reconstruction") -> dict[str, object]:
+    import numpy as np  # noqa: PLC0415
+
+    from vibrissa.contacts import ContactKind, Status  # noqa: PLC0415
+
+    contact = found.in_contact
+    summary: dict[str, object] = {
+        "samples": found.kind.size,
+        "kinds": {kind.name: int(np.sum(found.kind == kind)) for kind in ContactKind},
+        "status": {status.name: int(np.sum(found.status == status)) for status in Status if np.any(found.status == status)},
+    }
+    if found.covariance is not None and contact.any():
+        deviations = np.sqrt(np.linalg.eigvalsh(found.covariance[contact]))
+        summary["median_standard_deviations"] = np.median(deviations, axis=0).tolist()
+        residual = found.single_contact_residual[contact]
+        summary["single_contact_residual_rms"] = float(np.sqrt(np.mean(residual**2)))
+    return summary
+
+
+def _text(summary: dict[str, object]) -> str:
+    from vibrissa.contacts import Status  # noqa: PLC0415
+
+    kinds, status = summary["kinds"], summary["status"]
+    assert isinstance(kinds, dict)  # noqa: S101
+    assert isinstance(status, dict)  # noqa: S101
+    lines = [f"{summary['samples']} samples: " + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())]
+    lines += [f"{count} rows {name}: {Status[name].text}" for name, count in status.items() if name != "OK"]
+    deviations = summary.get("median_standard_deviations")
+    if isinstance(deviations, list):
+        shown = ", ".join(f"{1e3 * value:.3g}" for value in deviations)
+        lines.append(f"standard deviations of the points along their axes, median: {shown} mm")
+        lines.append(f"m0·f0 = 0 is violated by {summary['single_contact_residual_rms']:.2f} standard deviations (rms; 1 is noise alone)")
+    return "\n".join(lines)
+
+
+def _draw(found: "Reconstruction", path: Path) -> None:
+    import matplotlib as mpl  # noqa: PLC0415
+
+    mpl.use("Agg")
+    from vibrissa import plot  # noqa: PLC0415
+
+    with plot.journal():
+        plot.save_as(plot.contacts_figure(found), path)

@@ -2,6 +2,7 @@
 
 import ast
 import tomllib
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,10 @@ from docutils.utils.math.latex2mathml import tex2mathml
 import vibrissa
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.scan import EventKind
+
+# Sphinx 9 deprecates what its own napoleon and the MyST parser still do.
+warnings.filterwarnings("ignore", message="The mapping interface for autodoc options objects is deprecated")
+warnings.filterwarnings("ignore", message="'myst_parser")
 
 ROOT = Path(__file__).parent.parent
 
@@ -29,6 +34,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_google_docstring = False
 napoleon_use_ivar = True
+napoleon_attr_annotations = False
 napoleon_use_rtype = False
 
 myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath", "substitution"]

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import get_args
 
 import beartype
+import jaxtyping
 import pytest
 from hypothesis import settings
 from numpy.typing import ArrayLike
@@ -26,6 +27,12 @@ def _shared(*parts: str) -> Path:
     if not path.exists():
         pytest.skip(f"{'/'.join(parts)} does not lie beside this checkout, in the folder shared")
     return path
+
+
+@pytest.fixture
+def no_shape_checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the user meets, who runs without them: for arguments of another type than the signature says."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """Objects: positive outside, zero on the surface, normals outward, and placed as a body is moved."""
 
+import re
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -118,3 +119,52 @@ def test_batches_keep_their_shape() -> None:
     assert surface.levels(grid).shape == (5, 8)
     assert surface.normal(grid).shape == (5, 8, 3)
     assert float(surface.levels(POINTS[3])) == pytest.approx(float(level(POINTS[3])), abs=1e-15)
+
+
+BAD = {
+    "a": (lambda: surfaces.EllipticParaboloid(a=np.nan, b=1.0, h=0.4), "a = nan; allowed is a finite number"),
+    "b": (lambda: surfaces.EllipticParaboloid(a=0.5, b=np.inf, h=0.4), "b = inf; allowed is a finite number"),
+    "h": (lambda: surfaces.EllipticParaboloid(a=0.5, b=1.0, h=-np.inf), "h = -inf; allowed is a finite number"),
+    "radius": (lambda: surfaces.Sphere(center=CENTER, radius=0.0), "radius = 0.0; allowed is a finite number greater"),
+    "center": (lambda: surfaces.Sphere(center=(0, 0), radius=1.0), "center has shape (2,); allowed is (…, 3)"),
+    "center nan": (lambda: surfaces.Sphere(center=(0, np.nan, 0), radius=1.0), "center[1] = nan; allowed are finite"),
+    "semi-axis": (
+        lambda: surfaces.Ellipsoid(center=CENTER, semi_axes=(1, -0.5, 1)),
+        "semi_axes[1] = -0.5; allowed is a finite number greater than 0",
+    ),
+    "semi-axes": (
+        lambda: surfaces.EllipticCylinder(center=CENTER, semi_axes=(1, 1, 1)),
+        "semi_axes has shape (3,); allowed is (…, 2)",
+    ),
+    "normal": (
+        lambda: surfaces.Plane(point=CENTER, normal=(0, 0, 0)),
+        "normal = [0.0, 0.0, 0.0]; allowed is any 3-vector of non-zero length",
+    ),
+    "point": (lambda: surfaces.Plane(point=(0, 0, np.inf), normal=(0, 0, 1)), "point[2] = inf; allowed are finite"),
+    "vector height": (lambda: surfaces.HeightField(lambda x, y: jnp.stack([x, y])), "allowed is one real number"),
+    "untraceable height": (lambda: surfaces.HeightField(lambda x, y: float(x)), "allowed is a function of jax.numpy"),
+    "whole level": (lambda: surfaces.Implicit(lambda p: jnp.asarray(1)), "allowed is one real number"),
+    "rotation": (
+        lambda: surfaces.Sphere(center=CENTER, radius=1.0).placed(rotation=(0, 0, 0, 0)),
+        "rotation: quaternion [] has zero norm; allowed is any x, y, z, w of non-zero norm",
+    ),
+    "rotations": (
+        lambda: surfaces.Sphere(center=CENTER, radius=1.0).placed(rotation=np.ones((2, 4))),
+        "rotation has shape (2, 4); allowed is one quaternion (4,)",
+    ),
+    "translation": (
+        lambda: surfaces.Sphere(center=CENTER, radius=1.0).placed(translation=(0, 0, np.nan)),
+        "translation[2] = nan; allowed are finite numbers",
+    ),
+    "points": (
+        lambda: surfaces.Sphere(center=CENTER, radius=1.0).normal(np.ones((2, 2))),
+        "points has shape (2, 2); allowed is (…, 3)",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_what_is_wrong_is_named(what: str) -> None:
+    build, message = BAD[what]
+    with pytest.raises(ValueError, match=re.escape(message)):
+        build()

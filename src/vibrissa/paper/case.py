@@ -18,9 +18,9 @@ REACH_X, REACH_Y = 1.0, 0.7
 """Half widths of the surface region on which coverage is measured [L]."""
 
 
-def trails(count: int = 241) -> Trail:
-    """The eleven trails y0 = −0.5 : 0.1 : 0.5, from x0 = 1.2 to −1.2."""
-    return Trail.raster(start=(1.2, Y0[0], 0), stop=(-1.2, Y0[0], 0), count=count, step=(0, 0.1, 0), trails=len(Y0))
+def trails(count: int = 241, reach: float = 1.2) -> Trail:
+    """The eleven trails y0 = −0.5 : 0.1 : 0.5, from x0 = `reach` to −`reach`."""
+    return Trail.raster(start=(reach, Y0[0], 0), stop=(-reach, Y0[0], 0), count=count, step=(0, 0.1, 0), trails=len(Y0))
 
 
 def plane_trail(count: int = 521) -> Trail:
@@ -28,9 +28,14 @@ def plane_trail(count: int = 521) -> Trail:
     return Trail.line(start=(1.2, 0, 0), stop=(-1.4, 0, 0), count=count)
 
 
-def perpendicular_trails(count: int = 241) -> Trail:
-    """Sweeps across the trails, along −y, at x0 = −1 : 0.2 : 1."""
-    return Trail.raster(start=(-1.0, 1.2, 0), stop=(-1.0, -1.2, 0), count=count, step=(0.2, 0, 0), trails=11)
+def perpendicular_trails(count: int = 241, reach: float = 1.2) -> Trail:
+    """Sweeps across the trails, along −y, at x0 = −1 : 0.2 : 1, from y0 = `reach` to −`reach`."""
+    return Trail.raster(start=(-1.0, reach, 0), stop=(-1.0, -reach, 0), count=count, step=(0.2, 0, 0), trails=11)
+
+
+def crossed(count: int = 301, reach: float = 1.5) -> Trail:
+    """Both, from further out."""
+    return Trail.stack([trails(count, reach), perpendicular_trails(count, reach)])
 
 
 def lifted(trail: Trail, height: float) -> Trail:

@@ -14,7 +14,6 @@ from vibrissa.paper.statements import Statement, statements
 from vibrissa.reconstruct import Reconstruction, reconstruct
 from vibrissa.scan import Scan, scan
 from vibrissa.shape import coverage
-from vibrissa.trail import Trail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,8 +67,8 @@ def _further() -> dict[str, Scan]:
     """Carry out the paper's suggestion: sweeps perpendicular to the trails, and at other distances h."""
     sweeps = {
         "perpendicular": case.perpendicular_trails(),
-        "nearer": Trail.stack([case.lifted(case.trails(), 0.2), case.lifted(case.perpendicular_trails(), 0.2)]),
-        "farther": Trail.stack([case.lifted(case.trails(), -0.2), case.lifted(case.perpendicular_trails(), -0.2)]),
+        "nearer": case.lifted(case.crossed(), 0.2),
+        "farther": case.lifted(case.crossed(), -0.2),
     }
     return {name: scan(case.ROD, case.SURFACE, trail) for name, trail in sweeps.items()}
 
@@ -79,7 +78,7 @@ def _covered(found: Reconstruction, further: dict[str, Scan]) -> list[tuple[str,
     rows = [lane for lane in range(len(case.Y0)) if lane != case.PLANE]
     contacts = found.point[rows].reshape(-1, 3)
     cases = []
-    for name, more in (("ten trails", ()), ("and across", ("perpendicular",)), ("and other h", ("nearer", "farther"))):
+    for name, more in (("ten trails", ()), ("and perpendicular trails", ("perpendicular",)), ("and other distances", ("nearer", "farther"))):
         for extra in more:
             # Only positions that pass every check count: a real rod would not be where the others say.
             again = reconstruct(case.ROD, further[extra].reactions)

@@ -13,10 +13,11 @@ from vibrissa.reconstruct import Reconstruction
 _TWO_DIMENSIONS_95 = 2.4477
 _VIEWS = ((0, 1), (0, 2), (1, 2))
 _NAMES = "xyz"
+_ELLIPSES = 60
 
 
-def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.1) -> list[Axes]:
-    """Contacts in the planes xy, xz and yz, with 95 % ellipses where the noise is known.
+def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -> list[Axes]:
+    """Contacts in the planes xy, xz and yz, with 95 % ellipses of every so many samples where the noise is known.
 
     Parameters
     ----------
@@ -34,14 +35,15 @@ def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.1) ->
     figure, panels = plt.subplots(1, 3, figsize=(PAGE, 2.9), layout="constrained")
     points, kinds = factor * found.point[rows], found.kind[rows]
     for axes, (first, second) in zip(panels, _VIEWS, strict=True):
-        if found.covariance is not None:
-            _ellipses(axes, points, found.covariance[rows] * factor**2, (first, second))
         for kind, colour in KIND_COLOURS.items():
             chosen = points[kinds == kind]
             axes.plot(chosen[:, first], chosen[:, second], ".", color=colour, markersize=1.6, label=KIND_NAMES[ContactKind(kind)])
         axes.set_xlabel(length_label(_NAMES[first], found.rod))
         axes.set_ylabel(length_label(_NAMES[second], found.rod))
         axes.set_aspect("equal", adjustable="datalim")
+        if found.covariance is not None:
+            shown = slice(None, None, max(1, len(points) // _ELLIPSES))
+            _ellipses(axes, points[shown], found.covariance[rows][shown] * factor**2, (first, second))
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=2, markerscale=4)
     return list(panels)
@@ -55,6 +57,6 @@ def _ellipses(axes: Axes, points: np.ndarray, covariance: np.ndarray, view: tupl
     widths = 2 * _TWO_DIMENSIONS_95 * np.sqrt(variances)
     angles = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))
     ellipses = EllipseCollection(
-        widths[:, 1], widths[:, 0], angles, units="xy", offsets=points[:, view], offset_transform=axes.transData, facecolor="0.6", edgecolor="none", alpha=0.08
+        widths[:, 1], widths[:, 0], angles, units="xy", offsets=points[:, view], offset_transform=axes.transData, facecolor="none", edgecolor="0.45", linewidth=0.4, zorder=3
     )
-    axes.add_collection(ellipses)
+    axes.add_collection(ellipses, autolim=False)

@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from vibrissa.contacts import ContactKind
@@ -34,7 +35,7 @@ def elastic_lines(scan: Scan, *, every: int = 10, lanes: tuple[int, ...] | None 
     for kind, colour in KIND_COLOURS.items():
         axes.plot([], [], [], color=colour, label=KIND_NAMES[kind])
     axes.plot([], [], [], color=_STRAIGHT, label="straight part")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.02), ncols=3, handlelength=1.4, columnspacing=1.2)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.92), ncols=3, handlelength=1.4, columnspacing=1.2)
     dress(axes, scan)
     return axes
 
@@ -56,16 +57,18 @@ def _rod(axes: Axes3D, scan: Scan, at: tuple[int, int], factor: float) -> None:
         axes.plot(*rest.T, color=_STRAIGHT, linewidth=0.5)
 
 
-def dress(axes: Axes3D, scan: Scan, *, box: tuple[float, float, float] | None = None) -> None:
+def dress(axes: Axes3D, scan: Scan) -> None:
     """Labels, equal aspect, and a quiet background."""
-    axes.set_xlabel(length_label("x", scan.rod), labelpad=4)
+    axes.set_xlabel(length_label("x", scan.rod), labelpad=2)
     axes.set_ylabel(length_label("y", scan.rod), labelpad=2)
-    axes.set_zlabel(length_label("z", scan.rod), labelpad=0)
+    axes.set_zlabel(length_label("z", scan.rod), labelpad=-2)
     axes.set_aspect("equal")
-    if box is not None:
-        axes.set_box_aspect(box)
-    axes.view_init(elev=20, azim=-58)
-    axes.tick_params(pad=0)
+    extents = [high - low for low, high in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
+    axes.set_box_aspect(extents, zoom=1.15)
+    axes.view_init(elev=24, azim=-52)
+    axes.tick_params(pad=-1)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_major_locator(MaxNLocator(nbins=4))
     for pane in (axes.xaxis, axes.yaxis, axes.zaxis):
         pane.set_pane_color((1, 1, 1, 0))  # type: ignore[attr-defined]
         pane._axinfo["grid"].update(color=(0.85, 0.85, 0.85, 1), linewidth=0.4)  # type: ignore[attr-defined]  # noqa: SLF001

@@ -5,6 +5,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import CenteredNorm
+from matplotlib.ticker import MaxNLocator
 
 from vibrissa.plot.style import PAGE, length_factor, length_label
 from vibrissa.scan import Scan
@@ -30,8 +31,8 @@ def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes
     """
     if scan.kind.ndim != 2:
         raise ValueError(f"scan has the shape {scan.kind.shape}; allowed are several trails (m, n)")
-    figure, grid = plt.subplots(2, 3, figsize=(PAGE, 4.1), sharex=True, sharey=True, layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.06, h_pad=0.06)  # type: ignore[union-attr]
+    figure, grid = plt.subplots(2, 3, figsize=(PAGE, 2.7), sharex=True, sharey=True)
+    figure.subplots_adjust(left=0.07, right=0.93, top=0.93, bottom=0.15, wspace=0.42, hspace=0.35)
     values = np.concatenate([scan.reactions.force, scan.reactions.moment], axis=-1)
     shown = [lane for lane in range(len(scan.kind)) if lane not in skip]
     panels = list(grid.ravel())
@@ -67,5 +68,7 @@ def _panel(axes: Axes, scan: Scan, values: np.ndarray, shown: list[int], label: 
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.margins(y=0.08)
-    bar = plt.colorbar(line, ax=axes, shrink=0.85, pad=0.03, aspect=18)
+    bar = plt.colorbar(line, cax=axes.inset_axes((1.03, 0, 0.045, 1)))
+    bar.locator = MaxNLocator(nbins=5, symmetric=True)
+    bar.update_ticks()
     bar.outline.set_linewidth(0.5)  # type: ignore[operator]

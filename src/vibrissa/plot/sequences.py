@@ -36,6 +36,6 @@ def contact_sequences(
         rows = found.kind[shown] == kind
         points = factor * found.point[shown][rows]
         axes.scatter(*points.T, color=colour, s=1.6, linewidths=0, depthshade=False, label=KIND_NAMES[kind], zorder=3)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.02), ncols=2, markerscale=4, handletextpad=0.2)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.95), ncols=2, markerscale=4, handletextpad=0.2)
     dress(axes, scan)
     return axes

@@ -80,7 +80,7 @@ def _within_the_rod(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covar
         return value, value
 
     measured = log_arc_length(wrench)[0]
-    def step(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+    def step(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
         current, _ = state
         slope, value = jax.jacfwd(log_arc_length, has_aux=True)(current)
         spread = covariance @ slope

@@ -33,7 +33,7 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
     low, high = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
     slope = jax.grad(along)
 
-    def refine(_: int, s: Scalar) -> Scalar:
+    def refine(_: Array | int, s: Scalar) -> Scalar:
         first, second = jax.jvp(slope, (s,), (jnp.ones_like(s),))
         # Where the level is not convex the lower end of the bracket is taken.
         target = jnp.where(second > 0, s - first / jnp.where(second > 0, second, 1.0), jnp.where(first > 0, low, high))

@@ -47,7 +47,7 @@ def locate(
             clamp = clamp_between(stretch, fraction)
             share = (fraction - low) / jnp.where(high > low, high - low, 1.0)
 
-            def iterate(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+            def iterate(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
                 step = newton_step(scene, state[0], clamp)
                 return step.x, jnp.stack([step.x[3], step.phase])
 

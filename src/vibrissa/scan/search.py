@@ -86,7 +86,7 @@ def _solve_blocks(scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float
     def solve(block: tuple[Array, Array]) -> Array:
         x, clamp = block
 
-        def iterate(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        def iterate(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
             step = newton(scene, state[0], Clamp(clamp[:3], clamp[3:]))
             return step.x, step.determinant
 

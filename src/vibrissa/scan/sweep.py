@@ -275,10 +275,10 @@ def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetin
     changed = marched & before & (result.phase[:, :-1] * result.phase[:, 1:] < 0)
     changed &= after | (result.mode[:, 1:] == Mode.FREE)
     released = marched & before & (result.mode[:, 1:] == Mode.FREE)
-    for lane, index in np.argwhere(changed) + (0, 1):
+    for lane, index in (np.argwhere(changed) + (0, 1)).tolist():
         ends = _ends(result, lane, index, result.phase[lane, index - 1], result.phase[lane, index])
         brackets.append(_Bracket(_change(result.phase[lane, index]), Indicator.PHASE, int(lane), int(index), ends))
-    for lane, index in np.argwhere(released) + (0, 1):
+    for lane, index in (np.argwhere(released) + (0, 1)).tolist():
         ends = _ends(result, lane, index, result.x[lane, index - 1, 3], result.x[lane, index, 3])
         brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, int(lane), int(index), ends))
     return happenings + _located(scene, path, brackets)

@@ -1,0 +1,25 @@
+"""The names of the public face."""
+
+import importlib
+
+import pytest
+
+import vibrissa as vb
+
+
+def test_every_public_name_is_there() -> None:
+    assert [name for name in vb.__all__ if not hasattr(vb, name)] == []
+    assert set(dir(vb)) == set(vb.__all__)
+
+
+def test_functions_keep_their_names_when_their_rooms_are_imported() -> None:
+    for room in ("scan", "reconstruct", "sensor", "rod", "trail"):
+        importlib.import_module(f"vibrissa.{room}")
+    assert callable(vb.scan)
+    assert callable(vb.reconstruct)
+    assert isinstance(vb.Rod.unit(), vb.Rod)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'whisker'"):
+        _ = vb.whisker

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 
 project = "vibrissa"
 author = "The vibrissa developers"
-copyright = "The vibrissa developers, Apache-2.0"  # noqa: A001
+copyright = "The vibrissa developers, Apache-2.0"
 version = release = vibrissa.__version__
 
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "myst_parser"]

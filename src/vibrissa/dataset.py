@@ -24,12 +24,16 @@ class Variable(NamedTuple):
     long_name: str
 
 
-def dataset_of(shape: tuple[int, ...], variables: dict[str, Variable], kind: Shaped[np.ndarray, "..."], status: Shaped[np.ndarray, "..."]) -> "xarray.Dataset":
+def dataset_of(
+    shape: tuple[int, ...], variables: dict[str, Variable], kind: Shaped[np.ndarray, "..."], status: Shaped[np.ndarray, "..."]
+) -> "xarray.Dataset":
     """Return a dataset over positions (n,) or trails and positions (m, n), with the flags that every result has."""
     import xarray  # noqa: PLC0415
 
     rows = ("position",) if len(shape) == 1 else ("trail", "position")
-    data = {name: (rows + part.extra, part.values, {"units": part.unit, "long_name": part.long_name}) for name, part in variables.items()}
+    data: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, object]]] = {
+        name: (rows + part.extra, part.values, {"units": part.unit, "long_name": part.long_name}) for name, part in variables.items()
+    }
     data["kind"] = (rows, kind, flags(ContactKind, "kind of contact"))
     data["status"] = (rows, status, flags(Status, "whether the row can be trusted"))
     labels = {"axis": list(AXES), "other_axis": list(AXES), "quaternion": list(QUATERNION)}
@@ -40,4 +44,8 @@ def dataset_of(shape: tuple[int, ...], variables: dict[str, Variable], kind: Sha
 def flags(enumeration: type[IntEnum], long_name: str) -> dict[str, object]:
     """Attributes of a variable that holds members of an enumeration."""
     meanings = " ".join(member.name.lower() for member in enumeration)
-    return {"long_name": long_name, "flag_values": np.array([int(member) for member in enumeration], dtype=np.int8), "flag_meanings": meanings}
+    return {
+        "long_name": long_name,
+        "flag_values": np.array([int(member) for member in enumeration], dtype=np.int8),
+        "flag_meanings": meanings,
+    }

@@ -42,7 +42,7 @@ class Reactions:
     covariance: Float[np.ndarray, "... 6 6"] | None = None
     position_covariance: Float[np.ndarray, "3 3"] | None = None
 
-    def __init__(  # noqa: PLR0913
+    def __init__(
         self,
         trail: Trail,
         force: ArrayLike,
@@ -57,7 +57,9 @@ class Reactions:
         self._set("moment", _rows(moment, "moment", (*shape, 3)))
         self._set("time", None if time is None else _increasing(time, shape))
         self._set("covariance", None if covariance is None else _covariance(covariance, "covariance", 6, shape))
-        self._set("position_covariance", None if position_covariance is None else _covariance(position_covariance, "position_covariance", 3, ()))
+        self._set(
+            "position_covariance", None if position_covariance is None else _covariance(position_covariance, "position_covariance", 3, ())
+        )
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
@@ -91,6 +93,8 @@ def _covariance(value: ArrayLike, name: str, size: int, shape: tuple[int, ...]) 
     array = finite_array(value, name, last=size)
     if array.shape not in ((size, size), (*shape, size, size)):
         raise ValueError(f"{name} has shape {array.shape}; allowed is {(size, size)} or {(*shape, size, size)}")
-    if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=1e-9, atol=0) or np.any(np.linalg.eigvalsh(array)[..., 0] < -1e-9 * np.abs(array).max()):
+    if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=1e-9, atol=0) or np.any(
+        np.linalg.eigvalsh(array)[..., 0] < -1e-9 * np.abs(array).max()
+    ):
         raise ValueError(f"{name} is not symmetric and positive semidefinite")
     return frozen(array)

@@ -44,7 +44,9 @@ class Trail:
         try:
             turns = np.array(np.broadcast_to(turns, (*points.shape[:-1], 4)))
         except ValueError as error:
-            raise ValueError(f"orientation has shape {turns.shape}; allowed is (4,) or {(*points.shape[:-1], 4)}, as position has") from error
+            raise ValueError(
+                f"orientation has shape {turns.shape}; allowed is (4,) or {(*points.shape[:-1], 4)}, as position has"
+            ) from error
         object.__setattr__(self, "position", frozen(points))
         object.__setattr__(self, "orientation", frozen(turns))
 

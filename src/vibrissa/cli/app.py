@@ -62,5 +62,7 @@ def _machine() -> str:
     description = platform.machine() + platform.processor()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        description += next((line for line in cpuinfo.read_text(errors="replace").splitlines() if line.startswith(("flags", "Features"))), "")
+        description += next(
+            (line for line in cpuinfo.read_text(errors="replace").splitlines() if line.startswith(("flags", "Features"))), ""
+        )
     return hashlib.sha256(description.encode()).hexdigest()[:12]

@@ -14,4 +14,4 @@ def reporting() -> Iterator[Callable[[str], None]]:
         yield lambda step: console.print(step, soft_wrap=True, markup=False)
         return
     with console.status("starting") as status:
-        yield lambda step: status.update(step)
+        yield status.update

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 def reconstruct(
     recording: Annotated[Path, typer.Argument(help="CSV log of the sensor.", show_default=False)],
     setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)],
-    output: Annotated[list[Path] | None, typer.Option("--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again.")] = None,
+    output: Annotated[
+        list[Path] | None, typer.Option("--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again.")
+    ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
@@ -67,8 +69,8 @@ def _text(summary: dict[str, object]) -> str:
     from vibrissa.contacts import Status  # noqa: PLC0415
 
     kinds, status = summary["kinds"], summary["status"]
-    assert isinstance(kinds, dict)  # noqa: S101
-    assert isinstance(status, dict)  # noqa: S101
+    assert isinstance(kinds, dict)
+    assert isinstance(status, dict)
     lines = [f"{summary['samples']} samples: " + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())]
     lines += [f"{count} rows {name}: {Status[name].text}" for name, count in status.items() if name != "OK"]
     deviations = summary.get("median_standard_deviations")

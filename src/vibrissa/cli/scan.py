@@ -66,7 +66,9 @@ def _check_start(case: Path, loaded: "Case") -> None:
     starts = loaded.trail.position.reshape(-1, loaded.trail.count, 3)[:, 0]
     for lane, level in enumerate(loaded.surface.levels(starts)):
         if level < 0:
-            raise InputError(f"{case}: trail[{lane}] starts at {starts[lane].tolist()}, where the rod is clamped inside the object; allowed is outside")
+            raise InputError(
+                f"{case}: trail[{lane}] starts at {starts[lane].tolist()}, where the rod is clamped inside the object; allowed is outside"
+            )
 
 
 def _summary(result: "Scan", speed: float | None) -> dict[str, object]:
@@ -101,8 +103,8 @@ def _text(result: "Scan", summary: dict[str, object]) -> str:
     from vibrissa.contacts import Status  # noqa: PLC0415
 
     kinds, status = summary["kinds"], summary["status"]
-    assert isinstance(kinds, dict)  # noqa: S101
-    assert isinstance(status, dict)  # noqa: S101
+    assert isinstance(kinds, dict)
+    assert isinstance(status, dict)
     force = result.rod.unit_of("force")
     unit = "EI/L²" if force == "1" else force
     lines = [f"{summary['positions']} positions: " + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())]

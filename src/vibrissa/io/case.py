@@ -58,10 +58,10 @@ class PosesTable(Table):
     """Positions, and one orientation for all or one each."""
 
     kind: Literal["poses"]
-    position: Annotated[list[Vector], Field(min_length=1, description="a list of at least one position of three finite numbers")]
-    orientation: Annotated[list[Quaternion], Field(min_length=1, description="a list of one quaternion x, y, z, w, or one for each position")] = [
-        (0.0, 0.0, 0.0, 1.0)
-    ]
+    position: Annotated[tuple[Vector, ...], Field(min_length=1, description="a list of at least one position of three finite numbers")]
+    orientation: Annotated[
+        tuple[Quaternion, ...], Field(min_length=1, description="a list of one quaternion x, y, z, w, or one for each position")
+    ] = ((0.0, 0.0, 0.0, 1.0),)
 
     def build(self) -> Trail:
         """Return the trail."""

@@ -2,9 +2,10 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from vibrissa.io.errors import InputError, readable
 from vibrissa.rod import Rod
@@ -18,6 +19,7 @@ Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], Field(description=
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
+_LONGEST_VALUE = 80
 
 
 class Table(BaseModel):
@@ -173,67 +175,63 @@ def load_table(path: Path, model: type[Model]) -> Model:
 def _one_line(error: ValidationError, model: type[Table]) -> str:
     findings = error.errors(include_url=False)
     first = findings[0]
-    tag = {part for table in _tables(model) for part in (table.model_fields["kind"].annotation.__args__ if "kind" in table.model_fields else ())}  # type: ignore[union-attr]
-    where = ".".join(str(part) for part in first["loc"] if part not in tag)
+    where, allowed = _place(first["loc"], model)
     more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
-    allowed = _allowed(first["loc"], model)
     match first["type"]:
         case "extra_forbidden":
             return f"{where}: unknown key; allowed are {allowed}{more}"
-        case "missing" | "union_tag_not_found":
-            name = f"{where}.kind" if first["type"] == "union_tag_not_found" else where
-            return f"{name}: missing; allowed is {allowed}{more}"
+        case "missing":
+            return f"{where}: missing; allowed is {allowed}{more}"
+        case "union_tag_not_found":
+            return f"{where}.kind: missing; allowed is {allowed}{more}"
         case _:
-            value = first.get("input")
-            return f"{where} = {value!r}: {first['msg'][:1].lower()}{first['msg'][1:]}; allowed is {allowed}{more}"
+            value = repr(first.get("input"))
+            return f"{where} = {value if len(value) < _LONGEST_VALUE else value[:_LONGEST_VALUE] + '…'}: allowed is {allowed}{more}"
 
 
-def _tables(model: type[Table]) -> list[type[Table]]:
-    """All tables in a model, itself first."""
-    found = [model]
-    for field in model.model_fields.values():
-        for table in _table_types(field.annotation):
-            found += [part for part in _tables(table) if part not in found]
-    return found
+def _place(location: tuple[int | str, ...], model: type[Table]) -> tuple[str, str]:
+    """Name of a place in the file, and what the schema allows there."""
+    names: list[str] = []
+    here, choices, field = model, [model], None
+    for part in location:
+        if isinstance(part, int):
+            names[-1] += f"[{part}]"
+            continue
+        tagged = [table for table in choices if part in _tags(table)]
+        if part in here.model_fields:
+            names.append(part)
+            field = here.model_fields[part]
+            choices = _tables_in(field.annotation) or choices
+            here = choices[0] if len(choices) == 1 else here
+        elif tagged:
+            # The location names which table of a union was taken; that is no key of the file.
+            here, choices = tagged[0], tagged
+        else:
+            names.append(part)
+            return ".".join(names), ", ".join(here.model_fields)
+    return ".".join(names), _described(field)
 
 
-def _table_types(annotation: object) -> list[type[Table]]:
+def _tables_in(annotation: object) -> list[type[Table]]:
     if isinstance(annotation, type) and issubclass(annotation, Table):
         return [annotation]
-    return [table for part in getattr(annotation, "__args__", ()) for table in _table_types(part)]
+    return [table for part in get_args(annotation) for table in _tables_in(part)]
 
 
-def _allowed(location: tuple[int | str, ...], model: type[Table]) -> str:
-    """What the schema says of the place where validation failed."""
-    name = str(next((part for part in reversed(location) if isinstance(part, str)), ""))
-    holders = [table for table in _tables(model) if name in table.model_fields]
-    parents = _holder(location, model)
-    if parents is not None and name not in parents.model_fields:
-        return ", ".join(parents.model_fields)
-    field = (parents if parents is not None and name in parents.model_fields else holders[0]).model_fields[name] if holders else None
+def _tags(table: type[Table]) -> tuple[str, ...]:
+    return get_args(table.model_fields["kind"].annotation) if "kind" in table.model_fields else ()
+
+
+def _described(field: FieldInfo | None) -> str:
+    """What a field's own schema says it allows, where need be that of the type inside it."""
     if field is None:
-        return "what the documentation of the file says"
+        return "a TOML table"
     if field.description:
         return field.description
-    for part in field.metadata:
-        if getattr(part, "description", None):
-            return str(part.description)
-    nested = [str(getattr(part, "description", "")) for inner in getattr(field.annotation, "__args__", ()) for part in getattr(inner, "__metadata__", ())]
-    choices = getattr(field.annotation, "__args__", ())
-    described = [text for text in nested if text]
-    return described[0] if described else " or ".join(repr(choice) for choice in choices if not isinstance(choice, type)) or str(field.annotation)
-
-
-def _holder(location: tuple[int | str, ...], model: type[Table]) -> type[Table] | None:
-    """The table that holds the last key of a location."""
-    here: list[type[Table]] = [model]
-    for part in location[:-1]:
-        if isinstance(part, int):
-            continue
-        named = [table for table in here if part in table.model_fields]
-        if named:
-            here = _table_types(named[0].model_fields[part].annotation) or here
-        else:
-            tagged = [table for table in here if "kind" in table.model_fields and part in getattr(table.model_fields["kind"].annotation, "__args__", ())]
-            here = tagged or here
-    return here[0] if len(here) == 1 or location else None
+    nested = [part.description for inner in get_args(field.annotation) for part in get_args(inner) if getattr(part, "description", None)]
+    if nested:
+        return str(nested[0])
+    tables = _tables_in(field.annotation)
+    if tables:
+        return "a table with " + ", ".join(name for name, inner in tables[0].model_fields.items() if inner.is_required())
+    return " or ".join(map(repr, get_args(field.annotation))) or str(field.annotation)

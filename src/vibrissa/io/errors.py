@@ -36,7 +36,9 @@ def _folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: the output folder cannot be made ({error.strerror or error}); allowed is a folder that can be written to") from error
+        raise InputError(
+            f"{path}: the output folder cannot be made ({error.strerror or error}); allowed is a folder that can be written to"
+        ) from error
 
 
 def _probe(path: Path) -> None:
@@ -45,4 +47,6 @@ def _probe(path: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise InputError(f"{path}: the output folder is not writable ({error.strerror or error}); allowed is a folder that can be written to") from error
+        raise InputError(
+            f"{path}: the output folder is not writable ({error.strerror or error}); allowed is a folder that can be written to"
+        ) from error

@@ -15,7 +15,7 @@ COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "
 """Time [s]; pose of the sensor frame in the world [m], quaternion x, y, z, w; force [N] and torque [N m] as the setup says."""
 
 _QUATERNION_TOLERANCE = 1e-3
-_LONGEST_STEP = 20.0
+_LONGEST_SWEEP = 200.0
 _LOADED = 20.0
 _SHORTEST_ARM = 1e-2
 _LONGEST_ARM = 5.0
@@ -78,14 +78,17 @@ def _check_header(file: Path, line: str) -> None:
     if names == list(COLUMNS):
         return
     missing, unknown = [name for name in COLUMNS if name not in names], [name for name in names if name not in COLUMNS]
-    finding = ", ".join(filter(None, [missing and f"missing {', '.join(missing)}", unknown and f"unknown {', '.join(unknown)}"])) or "another order"
+    findings = [f"{word} {', '.join(found)}" for word, found in (("missing", missing), ("unknown", unknown)) if found]
+    finding = ", ".join(findings) or "another order"
     raise InputError(f"{file}, line 1: columns: {finding[:200]}; allowed are {','.join(COLUMNS)}")
 
 
 def _row(file: Path, number: int, line: str) -> list[float]:
     cells = line.split(",")
     if len(cells) != len(COLUMNS):
-        raise InputError(f"{file}, line {number}: {len(cells)} of {len(COLUMNS)} columns, the line is truncated or damaged; allowed are {len(COLUMNS)} numbers a line")
+        raise InputError(
+            f"{file}, line {number}: {len(cells)} of {len(COLUMNS)} columns, the line is truncated or damaged; allowed are {len(COLUMNS)} numbers a line"
+        )
     values = []
     for name, cell in zip(COLUMNS, cells, strict=True):
         try:
@@ -108,7 +111,9 @@ def _check_time(file: Path, time: Float[np.ndarray, "n"]) -> None:
     falling = np.flatnonzero(np.diff(time) <= 0)
     if falling.size:
         row = falling[0]
-        raise InputError(f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} ({len(falling)} such); allowed are increasing times")
+        raise InputError(
+            f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} ({len(falling)} such); allowed are increasing times"
+        )
 
 
 def _unit_quaternions(file: Path, quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
@@ -116,22 +121,28 @@ def _unit_quaternions(file: Path, quaternion: Float[np.ndarray, "n 4"]) -> Float
     wrong = np.flatnonzero(np.abs(norm - 1) > _QUATERNION_TOLERANCE)
     if wrong.size:
         row = wrong[0]
-        raise InputError(f"{file}, line {row + 2}: qx,qy,qz,qw = {quaternion[row].tolist()} has the norm {norm[row]:.3g} ({len(wrong)} such); allowed is 1")
+        raise InputError(
+            f"{file}, line {row + 2}: qx,qy,qz,qw = {quaternion[row].tolist()} has the norm {norm[row]:.3g} ({len(wrong)} such); allowed is 1"
+        )
     return quaternion / norm[:, None]
 
 
 def _check_scale(file: Path, raw: RawRecording, reactions: Reactions, rod: Rod) -> None:
     """Tell millimetres, millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever arm is of its length."""
-    step = np.linalg.norm(np.diff(raw.position, axis=0), axis=1)
-    if step.size and np.median(step) > _LONGEST_STEP * rod.length:
-        raise InputError(f"{file}: px,py,pz move by {np.median(step):.3g} a row with a rod of {rod.length:g} m; allowed are metres")
+    extent = float(np.ptp(raw.position, axis=0).max())
+    if extent > _LONGEST_SWEEP * rod.length:
+        raise InputError(f"{file}: px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres")
     force, moment = (np.linalg.norm(part, axis=1) for part in (reactions.force, reactions.moment))
     loaded = force > max(_LOADED * np.median(force[: max(2, len(force) // 50)]), 1e-12)
     if np.count_nonzero(loaded) < 10:
         return
     arm = float(np.median(moment[loaded] / force[loaded])) / rod.length
     if not _SHORTEST_ARM < arm < _LONGEST_ARM:
-        raise InputError(f"{file}: torque over force is {arm:.3g} rod lengths in the median, so tx,ty,tz or fx,fy,fz are mis-scaled; allowed are N and N m")
+        raise InputError(
+            f"{file}: torque over force is {arm:.3g} rod lengths in the median, so tx,ty,tz or fx,fy,fz are mis-scaled; allowed are N and N m"
+        )
     typical = float(np.median(force[loaded])) / rod.force_scale
     if typical > _LARGEST_FORCE or typical < 1 / _LARGEST_FORCE:
-        raise InputError(f"{file}: force is {typical:.3g} EI/L² in the median of the loaded samples, so wrench or rod are mis-scaled; allowed are N, m, Pa")
+        raise InputError(
+            f"{file}: force is {typical:.3g} EI/L² in the median of the loaded samples, so wrench or rod are mis-scaled; allowed are N, m, Pa"
+        )

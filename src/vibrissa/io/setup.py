@@ -38,7 +38,10 @@ class SensorTable(Table):
 
     clamp_position: Vector
     clamp_orientation: Quaternion
-    wrench: Annotated[Literal["on_sensor", "on_rod"], Field(description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' (the support reaction)")]
+    wrench: Annotated[
+        Literal["on_sensor", "on_rod"],
+        Field(description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' (the support reaction)"),
+    ]
     wrench_frame: Annotated[Literal["sensor", "world"], Field(description="'sensor' or 'world'")] = "sensor"
     wrench_point: Vector = ORIGIN
     tare_seconds: NotNegative = 0.0

@@ -51,7 +51,7 @@ def contact_tangent(normal: Vector, side: Vector, rod: ContactOnRod) -> Vector:
     return -(1 - 2 * k2) * normal + 2 * jnp.sqrt(jnp.maximum(k2 * (1 - k2), 0.0)) * side
 
 
-def elastic_line(  # noqa: PLR0913
+def elastic_line(
     contact: Float[np.ndarray, "3"],
     direction: Float[np.ndarray, "3"],
     side: Float[np.ndarray, "3"],
@@ -86,7 +86,7 @@ def elastic_line(  # noqa: PLR0913
     return np.asarray(contact + advance[:, None] * direction - distance[:, None] * side + beyond[:, None] * tangent)
 
 
-def sampled_line(  # noqa: PLR0913
+def sampled_line(
     clamp: Float[np.ndarray, "3"],
     axis: Float[np.ndarray, "3"],
     length: float,

@@ -114,7 +114,9 @@ def legendre_over_sine(X: Scalar, k2: Scalar) -> tuple[Scalar, Scalar]:
 
 
 @legendre_over_sine.defjvp
-def _legendre_over_sine_jvp(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+def _legendre_over_sine_jvp(
+    primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
+) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     # ∂R_F/∂x = −R_D(y, z, x)/6 (DLMF 19.18.1), and the three R_D add up to 3/√(xyz) (DLMF 19.21.8): nothing cancels at X = 0.
     X, k2 = primals
     x, y = 1 - X, 1 - k2 * X

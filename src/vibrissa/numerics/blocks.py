@@ -10,6 +10,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Shaped
 
+AnyArray = Array | np.ndarray
+
 WIDE = 64
 _BLOCKS = (1, 16, 1024)
 

@@ -78,7 +78,11 @@ def _covered(found: Reconstruction, further: dict[str, Scan]) -> list[tuple[str,
     rows = [lane for lane in range(len(case.Y0)) if lane != case.PLANE]
     contacts = found.point[rows].reshape(-1, 3)
     cases = []
-    for name, more in (("ten trails", ()), ("and perpendicular trails", ("perpendicular",)), ("and other distances", ("nearer", "farther"))):
+    for name, more in (
+        ("ten trails", ()),
+        ("and perpendicular trails", ("perpendicular",)),
+        ("and other distances", ("nearer", "farther")),
+    ):
         for extra in more:
             # Only positions that pass every check count: a real rod would not be where the others say.
             again = reconstruct(case.ROD, further[extra].reactions)
@@ -97,7 +101,7 @@ def _write_table(path: Path, checked: list[Statement]) -> Path:
     return path
 
 
-def _figures(  # noqa: PLR0913
+def _figures(
     folder: Path,
     report: Callable[[str], None],
     paper: Scan,
@@ -108,7 +112,7 @@ def _figures(  # noqa: PLR0913
     from vibrissa import plot  # noqa: PLC0415
 
     shown = tuple(int(lane) for lane in np.flatnonzero(np.isin(np.abs(case.Y0), (0.2, 0.5))))
-    drawings: list[tuple[str, Callable[[], "Axes | list[Axes]"]]] = [
+    drawings: list[tuple[str, Callable[[], Axes | list[Axes]]]] = [
         ("figure2_reactions", lambda: plot.reactions_over_plane(paper, skip=(case.PLANE,))),
         ("figure3a_elastic_lines", lambda: plot.elastic_lines(paper, lanes=shown)),
         ("figure3b_contacts", lambda: plot.contact_sequences(paper, found, case.patch(), skip=(case.PLANE,))),

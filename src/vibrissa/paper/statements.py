@@ -1,6 +1,7 @@
 """The statements of the paper's section III, each with the figure measured here."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -60,7 +61,11 @@ def _signs(scan: Scan, rows: list[int]) -> list[Statement]:
     least = float(np.min(np.where(contact, force[..., 2], np.inf)))
     twist = float(np.max(np.abs(np.where(contact, moment[..., 2], 0))))
     return [
-        Statement("f0z is positive throughout: the object presses the rod towards its clamp", f"{wrong[0]} of {total} otherwise; least {least:.3g} EI/L²", wrong[0] == 0),
+        Statement(
+            "f0z is positive throughout: the object presses the rod towards its clamp",
+            f"{wrong[0]} of {total} otherwise; least {least:.3g} EI/L²",
+            wrong[0] == 0,
+        ),
         Statement("f0x changes its sign at x0 = 0, from − to + along the sweep", f"{wrong[1]} of {total} otherwise", wrong[1] == 0),
         Statement("f0y has the sign of −y0", f"{wrong[2]} of {total} otherwise", wrong[2] == 0),
         Statement("m0x has the sign of y0", f"{wrong[3]} of {total} otherwise", wrong[3] == 0),
@@ -91,7 +96,7 @@ def _sizes(scan: Scan, rows: list[int]) -> list[Statement]:
         largest = np.linalg.norm(values, axis=-1)[rows].max(axis=1)
         by_distance = [float(largest[distances == y].max()) for y in np.unique(distances)]
         shown = ", ".join(f"{value:.3f}" for value in by_distance)
-        falling = all(a > b for a, b in zip(by_distance, by_distance[1:], strict=False))
+        falling = all(a > b for a, b in pairwise(by_distance))
         results.append(Statement(f"The support {name} is largest for small |y0|", f"largest at |y0| = 0.1 … 0.5: {shown} {unit}", falling))
     return results
 
@@ -106,13 +111,21 @@ def _phases(scan: Scan, rows: list[int]) -> list[Statement]:
     mirrored = max((abs(event.clamp[0] + met[event.trail]) for event in released), default=np.inf)
     shortest = [float(np.nanmin(scan.arc_length[lane])) for lane in rows if (scan.kind[lane] == ContactKind.TANGENTIAL).any()]
     return [
-        Statement("For large |y0| the rod touches with its tip only", f"tip only on |y0| = {', '.join(map(str, tip_only))}", tip_only == [0.4, 0.5]),
+        Statement(
+            "For large |y0| the rod touches with its tip only",
+            f"tip only on |y0| = {', '.join(map(str, tip_only))}",
+            tip_only == [0.4, 0.5],
+        ),
         Statement(
             "For small |y0| tip contact turns into tangential contact and back",
             f"tangential on |y0| = {', '.join(map(str, sorted(touching)))}; least s1 = {min(shortest):.5f} L",
             touching == {0.1, 0.2, 0.3},
         ),
-        Statement("For y0 ≠ 0 there is no snap-off: the force falls to zero at detachment", f"{snaps} snaps, {len(released)} smooth detachments", snaps == 0 and len(released) == len(rows)),
+        Statement(
+            "For y0 ≠ 0 there is no snap-off: the force falls to zero at detachment",
+            f"{snaps} snaps, {len(released)} smooth detachments",
+            snaps == 0 and len(released) == len(rows),
+        ),
         Statement("Detachment mirrors first contact", f"largest difference {mirrored:.1e} L", mirrored < _ZERO),
     ]
 
@@ -130,8 +143,16 @@ def _sequences(found: Reconstruction, scan: Scan, rows: list[int]) -> list[State
             f"turn of {min(kinks):.1f}° to {max(kinks):.1f}° at {len(kinks)} phase changes, at most {smooth:.1f}° a step elsewhere",
             min(kinks) > 2 * smooth,
         ),
-        Statement("Equal steps of the clamp give contacts of uneven density", f"spacing varies by a factor of {ratio:.1f} (5th to 95th percentile)", ratio > 2),
-        Statement("A region around the vertex is not reached", f"no contact with |x| < 0.3 L comes nearer to the plane y = 0 than {gap:.3f} L", gap > 0.3),
+        Statement(
+            "Equal steps of the clamp give contacts of uneven density",
+            f"spacing varies by a factor of {ratio:.1f} (5th to 95th percentile)",
+            ratio > 2,
+        ),
+        Statement(
+            "A region around the vertex is not reached",
+            f"no contact with |x| < 0.3 L comes nearer to the plane y = 0 than {gap:.3f} L",
+            gap > 0.3,
+        ),
     ]
 
 
@@ -156,7 +177,11 @@ def _plane(plane: Scan) -> list[Statement]:
 def _inverse(scan: Scan, found: Reconstruction, rows: list[int]) -> Statement:
     error = float(np.nanmax(np.linalg.norm(found.point[rows] - scan.point[rows], axis=-1)))
     total, got = int(scan.in_contact[rows].sum()), int(found.in_contact[rows].sum())
-    return Statement("The contact points follow from the reactions alone", f"{got} of {total} found, largest error {error:.1e} L", error < 1e-10 and got == total)
+    return Statement(
+        "The contact points follow from the reactions alone",
+        f"{got} of {total} found, largest error {error:.1e} L",
+        error < 1e-10 and got == total,
+    )
 
 
 def _steps(point: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]:

@@ -8,4 +8,14 @@ from vibrissa.plot.reactions import reactions_over_plane
 from vibrissa.plot.sequences import contact_sequences
 from vibrissa.plot.style import journal, save, save_as
 
-__all__ = ["contact_sequences", "contacts_figure", "coverage_figure", "elastic_lines", "journal", "reactions_along", "reactions_over_plane", "save", "save_as"]
+__all__ = [
+    "contact_sequences",
+    "contacts_figure",
+    "coverage_figure",
+    "elastic_lines",
+    "journal",
+    "reactions_along",
+    "reactions_over_plane",
+    "save",
+    "save_as",
+]

@@ -57,6 +57,15 @@ def _ellipses(axes: Axes, points: np.ndarray, covariance: np.ndarray, view: tupl
     widths = 2 * _TWO_DIMENSIONS_95 * np.sqrt(variances)
     angles = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))
     ellipses = EllipseCollection(
-        widths[:, 1], widths[:, 0], angles, units="xy", offsets=points[:, view], offset_transform=axes.transData, facecolor="none", edgecolor="0.45", linewidth=0.4, zorder=3
+        widths[:, 1],
+        widths[:, 0],
+        angles,
+        units="xy",
+        offsets=points[:, view],
+        offset_transform=axes.transData,
+        facecolor="none",
+        edgecolor="0.45",
+        linewidth=0.4,
+        zorder=3,
     )
     axes.add_collection(ellipses, autolim=False)

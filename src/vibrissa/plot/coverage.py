@@ -23,7 +23,7 @@ def coverage_figure(
         For each: name, contacts (k, 3), which samples are covered (n,), and their share.
     """
     span = 1.04 * np.max([np.nanmax(np.abs(contacts[:, :2]), axis=0) for _, contacts, _, _ in cases], axis=0)
-    figure, panels = plt.subplots(1, len(cases), figsize=(PAGE, 2.2), sharey=True, layout="constrained", squeeze=False)
+    _, panels = plt.subplots(1, len(cases), figsize=(PAGE, 2.2), sharey=True, layout="constrained", squeeze=False)
     for axes, (name, contacts, covered, share) in zip(panels[0], cases, strict=True):
         axes.scatter(*samples[~covered, :2].T, s=1.2, color=_OPEN, linewidths=0, rasterized=True)
         axes.scatter(*samples[covered, :2].T, s=1.2, color=_COVERED, linewidths=0, rasterized=True)

@@ -38,7 +38,9 @@ def reactions_along(scan: Scan) -> list[Axes]:
         for event in scan.events:
             marker, name = _MARKS[event.kind]
             at = factor * event.clamp[0]
-            axes.plot(at, _value_at(x, values, at), marker=marker, color="#c1121f", markersize=5, linestyle="none", label=name, clip_on=False)
+            axes.plot(
+                at, _value_at(x, values, at), marker=marker, color="#c1121f", markersize=5, linestyle="none", label=name, clip_on=False
+            )
     panels[-1].set_xlabel(length_label("x_0", scan.rod))
     panels[-1].invert_xaxis()
     handles, names = panels[0].get_legend_handles_labels()

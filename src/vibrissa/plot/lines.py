@@ -25,7 +25,7 @@ def elastic_lines(scan: Scan, *, every: int = 10, lanes: tuple[int, ...] | None 
         Trails to show; all by default.
     """
     figure = plt.figure(figsize=(COLUMN * 1.5, COLUMN * 1.3))
-    axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)  # type: ignore[assignment]
+    axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)
     factor = length_factor(scan.rod)
     for lane in range(len(scan.kind)) if lanes is None else lanes:
         clamp = factor * scan.trail.position[lane]
@@ -70,5 +70,5 @@ def dress(axes: Axes3D, scan: Scan) -> None:
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_major_locator(MaxNLocator(nbins=4))
     for pane in (axes.xaxis, axes.yaxis, axes.zaxis):
-        pane.set_pane_color((1, 1, 1, 0))  # type: ignore[attr-defined]
-        pane._axinfo["grid"].update(color=(0.85, 0.85, 0.85, 1), linewidth=0.4)  # type: ignore[attr-defined]  # noqa: SLF001
+        pane.set_pane_color((1, 1, 1, 0))
+        pane._axinfo["grid"].update(color=(0.85, 0.85, 0.85, 1), linewidth=0.4)

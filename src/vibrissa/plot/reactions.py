@@ -62,7 +62,14 @@ def _panel(axes: Axes, scan: Scan, values: np.ndarray, shown: list[int], label: 
         points = np.column_stack([x, y])
         pieces = np.stack([points[:-1], points[1:]], axis=1)
         both = scan.in_contact[lane, :-1] & scan.in_contact[lane, 1:]
-        line = LineCollection(list(pieces[both]), array=((values[lane, :-1] + values[lane, 1:]) / 2)[both], cmap="RdBu_r", norm=norm, linewidth=5, capstyle="butt")
+        line = LineCollection(
+            list(pieces[both]),
+            array=((values[lane, :-1] + values[lane, 1:]) / 2)[both],
+            cmap="RdBu_r",
+            norm=norm,
+            linewidth=5,
+            capstyle="butt",
+        )
         axes.add_collection(line)
     axes.set_title(label)
     axes.set_aspect("equal")
@@ -71,4 +78,4 @@ def _panel(axes: Axes, scan: Scan, values: np.ndarray, shown: list[int], label: 
     bar = plt.colorbar(line, cax=axes.inset_axes((1.03, 0, 0.045, 1)))
     bar.locator = MaxNLocator(nbins=5, symmetric=True)
     bar.update_ticks()
-    bar.outline.set_linewidth(0.5)  # type: ignore[operator]
+    bar.outline.set_linewidth(0.5)

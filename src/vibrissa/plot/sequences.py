@@ -12,7 +12,11 @@ from vibrissa.scan import Scan
 
 
 def contact_sequences(
-    scan: Scan, found: Reconstruction, surface: tuple[Float[np.ndarray, "i j"], Float[np.ndarray, "i j"], Float[np.ndarray, "i j"]], *, skip: tuple[int, ...] = ()
+    scan: Scan,
+    found: Reconstruction,
+    surface: tuple[Float[np.ndarray, "i j"], Float[np.ndarray, "i j"], Float[np.ndarray, "i j"]],
+    *,
+    skip: tuple[int, ...] = (),
 ) -> Axes3D:
     """Reconstructed contacts, one sequence a trail, over the object's surface.
 
@@ -26,7 +30,7 @@ def contact_sequences(
         Trails to leave out.
     """
     figure = plt.figure(figsize=(COLUMN * 1.5, COLUMN * 1.3))
-    axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)  # type: ignore[assignment]
+    axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)
     factor = length_factor(scan.rod)
     x, y, z = (factor * part for part in surface)
     axes.plot_surface(x, y, z, color="0.88", alpha=0.55, linewidth=0, antialiased=True, rstride=1, cstride=1, zorder=1)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib import pyplot as plt
@@ -19,7 +20,7 @@ KIND_NAMES = {ContactKind.TIP: "tip contact", ContactKind.TANGENTIAL: "tangentia
 COLUMN, PAGE = 3.5, 7.2
 """Widths of one and of two journal columns [inch]."""
 
-_SETTINGS = {
+_SETTINGS: dict[Any, Any] = {
     "font.family": "serif",
     "font.serif": ["STIXGeneral", "DejaVu Serif"],
     "mathtext.fontset": "stix",
@@ -65,7 +66,7 @@ def save_as(axes: Axes | Sequence[Axes], path: Path) -> Path:
 
 def _figure(axes: Axes | Sequence[Axes]) -> Figure:
     figure = (axes if isinstance(axes, Axes) else axes[0]).get_figure(root=True)
-    assert figure is not None  # noqa: S101
+    assert figure is not None
     return figure
 
 

@@ -20,7 +20,9 @@ def reconstruction_dataset(found: "Reconstruction") -> "xarray.Dataset":
         "support_force": Variable(reactions.force, axis, force, "force of the clamp on the rod, world axes"),
         "support_moment": Variable(reactions.moment, axis, moment, "moment of the clamp on the rod about the clamp point, world axes"),
         "contact_point": Variable(found.point, axis, length, "contact point"),
-        "normal": Variable(found.normal, axis, "1", "unit vector of the contact force on the rod; the object's outward normal without friction"),
+        "normal": Variable(
+            found.normal, axis, "1", "unit vector of the contact force on the rod; the object's outward normal without friction"
+        ),
         "arc_length": Variable(found.arc_length, (), length, "arc length from clamp to contact"),
         "bending_energy": Variable(found.energy, (), rod.unit_of("energy"), "bending energy"),
         "single_contact_residual": Variable(found.single_contact_residual, (), "1", "violation of m0·f0 = 0"),
@@ -33,5 +35,9 @@ def reconstruction_dataset(found: "Reconstruction") -> "xarray.Dataset":
     result = dataset_of(reactions.trail.shape, variables, found.kind, found.status)
     if reactions.time is not None:
         result["time"] = (result["kind"].dims, reactions.time, {"units": "s", "long_name": "time of the sample"})
-    result.attrs |= {"title": "Contacts reconstructed from support reactions", "rod_length": rod.length, "rod_bending_stiffness": rod.bending_stiffness}
+    result.attrs |= {
+        "title": "Contacts reconstructed from support reactions",
+        "rod_length": rod.length,
+        "rod_bending_stiffness": rod.bending_stiffness,
+    }
     return result

@@ -48,7 +48,9 @@ def reconstruct_by_integration(
     return point, direction, arc_length
 
 
-def _integrated(f0: Float[np.ndarray, "3"], m0: Float[np.ndarray, "3"], t0: Float[np.ndarray, "3"], tolerance: float) -> tuple[Float[np.ndarray, "3"], float]:
+def _integrated(
+    f0: Float[np.ndarray, "3"], m0: Float[np.ndarray, "3"], t0: Float[np.ndarray, "3"], tolerance: float
+) -> tuple[Float[np.ndarray, "3"], float]:
     """Reach r [L] and s₁ [L] in the plane of t0 and b = t0 × m0/‖m0‖, the side to which the rod bends."""
     curvature = float(np.linalg.norm(np.cross(t0, m0)))
     b = np.cross(t0, m0) / curvature
@@ -69,4 +71,3 @@ def _integrated(f0: Float[np.ndarray, "3"], m0: Float[np.ndarray, "3"], t0: Floa
         return np.full(3, np.nan), np.nan
     u, v = path.y_events[0][0][:2]
     return u * t0 + v * b, float(path.t_events[0][0])
-

@@ -20,7 +20,10 @@ _AT_TIP = 1e-6
 
 @jax.jit
 def invert_blocks(
-    scales: Float[Array, "2"], force: Float[Array, "blocks 3 width"], moment: Float[Array, "blocks 3 width"], orientation: Float[Array, "blocks 4 width"]
+    scales: Float[Array, "2"],
+    force: Float[Array, "blocks 3 width"],
+    moment: Float[Array, "blocks 3 width"],
+    orientation: Float[Array, "blocks 4 width"],
 ) -> Array:
     """`invert` for the units of force and moment, and blocks of support reactions and clamp orientations: (blocks, 11, width)."""
 
@@ -80,6 +83,7 @@ def _within_the_rod(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covar
         return value, value
 
     measured = log_arc_length(wrench)[0]
+
     def step(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
         current, _ = state
         slope, value = jax.jacfwd(log_arc_length, has_aux=True)(current)
@@ -96,14 +100,20 @@ def _within_the_rod(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covar
     return jnp.where(measured > 0, chosen, wrench)
 
 
-def _straight_tip(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]) -> tuple[Float[Array, "6"], Float[Array, ""]]:
+def _straight_tip(
+    wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]
+) -> tuple[Float[Array, "6"], Float[Array, ""]]:
     """Most probable wrench of a force at the tip of the rod while it is still straight, and its distance in standard deviations.
 
     Near first contact noise may move s₁ by rod lengths, and the bent rod's equations are of no use.
     """
     x, y, z = tangent
     reach = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
-    reach = reach + jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x + jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
+    reach = (
+        reach
+        + jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x
+        + jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
+    )
     # f0 = −F and m0 = −t0 × F, so m0 = t0 × f0.
     design = jnp.concatenate([jnp.eye(3), reach])
     weighted = jnp.linalg.solve(covariance, jnp.concatenate([design, wrench[:, None]], axis=1))

@@ -87,7 +87,9 @@ def _exact(rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 11"]) ->
     return _result(rod, reactions, fields, magnitude > _LEAST_FORCE, arc_length > 1 - _TIP, status, single)
 
 
-def _noisy(rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 31"], chi_square: Float[np.ndarray, "k"], threshold: float) -> Reconstruction:
+def _noisy(
+    rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 31"], chi_square: Float[np.ndarray, "k"], threshold: float
+) -> Reconstruction:
     deviation, single = fields[:, NOISY_WIDTH - 2], fields[:, NOISY_WIDTH - 1]
     arc_length = fields[:, 6]
     status = np.zeros(len(fields), dtype=np.int8)
@@ -98,7 +100,7 @@ def _noisy(rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 31"], ch
     return _result(rod, reactions, fields, chi_square > threshold, tip, status, single, fields[:, WIDTH:], chi_square)
 
 
-def _result(  # noqa: PLR0913
+def _result(
     rod: Rod,
     reactions: Reactions,
     fields: Float[np.ndarray, "k width"],

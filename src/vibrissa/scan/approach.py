@@ -55,7 +55,9 @@ def _lowest_sample(along: Callable[[Scalar], Scalar]) -> Scalar:
 
 
 @jax.jit
-def clearances(scene: Scene, point: Float[Array, "blocks 3 width"], tangent: Float[Array, "blocks 3 width"]) -> Float[Array, "blocks 2 width"]:
+def clearances(
+    scene: Scene, point: Float[Array, "blocks 3 width"], tangent: Float[Array, "blocks 3 width"]
+) -> Float[Array, "blocks 2 width"]:
     """Clearance of the straight rod and level at the clamp, for blocks of poses."""
 
     def one(point: Float[Array, "3"], tangent: Float[Array, "3"]) -> Float[Array, "2"]:
@@ -66,7 +68,9 @@ def clearances(scene: Scene, point: Float[Array, "blocks 3 width"], tangent: Flo
 
 
 @jax.jit
-def first_contacts(scene: Scene, stretches: Float[Array, "blocks 14 width"], distances: Float[Array, "blocks 2 width"]) -> Float[Array, "blocks 6 width"]:
+def first_contacts(
+    scene: Scene, stretches: Float[Array, "blocks 14 width"], distances: Float[Array, "blocks 2 width"]
+) -> Float[Array, "blocks 6 width"]:
     """First contact on stretches of the path, given the straight rod's clearance at their ends: clear at the start, not at the end.
 
     Returns the fraction of the stretch, the contact point [L] (3), the arc length [L], and the cosine between normal and rod: −1 is head-on.

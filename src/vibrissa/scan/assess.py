@@ -68,7 +68,9 @@ def _depth(scene: Scene, x: Float[Array, "4"], state: ContactState, side: Vector
 
 
 @jax.jit
-def assess_blocks(scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]) -> Float[Array, "blocks 22 width"]:
+def assess_blocks(
+    scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]
+) -> Float[Array, "blocks 22 width"]:
     """`assess` for blocks of states; clamps hold point and tangent."""
 
     def one(x: Float[Array, "4"], clamp: Float[Array, "6"]) -> Float[Array, "22"]:

@@ -36,10 +36,17 @@ def scan_dataset(scan: "Scan") -> "xarray.Dataset":
     events = scan.events
     result["event_kind"] = ("event", np.array([int(event.kind) for event in events], dtype=np.int8), flags(EventKind, "what happened"))
     result["event_trail"] = ("event", np.array([event.trail for event in events], dtype=np.int64), {"long_name": "on which trail"})
-    result["event_parameter"] = ("event", np.array([event.parameter for event in events], dtype=float), {"units": "1", "long_name": "0 to 1 along the trail"})
+    result["event_parameter"] = (
+        "event",
+        np.array([event.parameter for event in events], dtype=float),
+        {"units": "1", "long_name": "0 to 1 along the trail"},
+    )
     for name, long_name in (("clamp", "clamp point at the event"), ("point", "contact point at the event")):
         values = np.array([getattr(event, name) for event in events], dtype=float).reshape(-1, 3)
         result[f"event_{name}"] = (("event", "axis"), values, {"units": length, "long_name": long_name})
-    result.attrs |= {"title": "Quasi-static scan of an object with an elastic rod", "rod_length": rod.length, "rod_bending_stiffness": rod.bending_stiffness}
+    result.attrs |= {
+        "title": "Quasi-static scan of an object with an elastic rod",
+        "rod_length": rod.length,
+        "rod_bending_stiffness": rod.bending_stiffness,
+    }
     return result
-

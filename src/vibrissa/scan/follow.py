@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from vibrissa.contacts import Status
-from vibrissa.numerics.blocks import in_blocks
+from vibrissa.numerics.blocks import AnyArray, in_blocks
 from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.approach import clearance, first_contacts
 from vibrissa.scan.assess import assess
@@ -74,9 +74,9 @@ class _End:
 
 
 @compiled
-def _linearised(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> Float[Array, "25"]:
+def _linearised(scene: Scene, stretch: Float[AnyArray, "14"], y: Float[AnyArray, "5"]) -> Float[Array, "25"]:
     def conditions(y: Float[Array, "5"]) -> tuple[Float[Array, "4"], Float[Array, "5"]]:
-        state = contact_state(scene, y[:4], clamp_between(stretch, y[4]))
+        state = contact_state(scene, y[:4], clamp_between(jnp.asarray(stretch), y[4]))
         return state.residual, jnp.append(state.residual, phase_difference(state.rod))
 
     jacobian, values = jax.jacfwd(conditions, has_aux=True)(y)
@@ -198,7 +198,9 @@ class Tracker:
             step = min(1.5 * step, _LONGEST_STEP)
         return _End("stuck", here)
 
-    def _changes(self, here: Branch, following: Branch, step: float, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]) -> None:
+    def _changes(
+        self, here: Branch, following: Branch, step: float, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]
+    ) -> None:
         if here.phase * following.phase < 0:
             change = self.root(here, step, lambda point: point.phase)
             kind = EventKind.TIP_TO_TANGENTIAL if following.phase > 0 else EventKind.TANGENTIAL_TO_TIP
@@ -263,8 +265,10 @@ def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "1
     distances = np.array([float(_straight(scene, stretch, jnp.asarray(at))[0]) for at in (fraction, 1.0)])
     if distances[1] >= CLEAR:
         return None
-    rest = _shortened(scene, stretch, fraction)
-    share, *point, _, cosine = in_blocks(lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES)[0]
+    rest = _shortened(stretch, fraction)
+    share, *point, _, cosine = in_blocks(
+        lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES
+    )[0]
     at = fraction + (1 - fraction) * share
     if cosine < HEAD_ON_COSINE:
         outcome.happened.append((EventKind.HEAD_ON, float(at), np.array(point)))
@@ -285,9 +289,7 @@ def _settled(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], f
     return None
 
 
-def _shortened(scene: Scene, stretch: Float[np.ndarray, "14"], fraction: float) -> Float[np.ndarray, "14"]:
-
-
+def _shortened(stretch: Float[np.ndarray, "14"], fraction: float) -> Float[np.ndarray, "14"]:
     point = stretch[:3] + fraction * (stretch[7:10] - stretch[:3])
     return np.concatenate([point, slerp(stretch[3:7], stretch[10:], np.array([fraction])), stretch[7:]])
 

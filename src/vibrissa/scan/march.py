@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, newton_step
 
@@ -28,18 +29,18 @@ class Mode(IntEnum):
 class Legs(NamedTuple):
     """What the march needs of each lane, in blocks; the last axis is the lane."""
 
-    point: Float[Array, "blocks n 3 width"]
-    tangent: Float[Array, "blocks n 3 width"]
-    clear: Bool[Array, "blocks n width"]
+    point: Float[AnyArray, "blocks n 3 width"]
+    tangent: Float[AnyArray, "blocks n 3 width"]
+    clear: Bool[AnyArray, "blocks n width"]
     """The straight rod is outside the object."""
-    met: Bool[Array, "blocks n width"]
+    met: Bool[AnyArray, "blocks n width"]
     """First contact of the straight rod lies on the stretch that ends here."""
-    meeting_point: Float[Array, "blocks n 3 width"]
-    start: Int[Array, "blocks width"]
+    meeting_point: Float[AnyArray, "blocks n 3 width"]
+    start: Int[AnyArray, "blocks width"]
     """Index at which the lane enters, with `mode` and `x` given there."""
-    mode: Int[Array, "blocks width"]
-    x: Float[Array, "blocks 4 width"]
-    sign: Float[Array, "blocks width"]
+    mode: Int[AnyArray, "blocks width"]
+    x: Float[AnyArray, "blocks 4 width"]
+    sign: Float[AnyArray, "blocks width"]
     """Sign of the Jacobian's determinant: negative on a stable branch."""
 
 
@@ -72,12 +73,13 @@ _newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 
 
 
 @compiled
-def march(scene: Scene, legs: Legs, count: Int[Array, ""]) -> Steps:
+def march(scene: Scene, legs: Legs, count: Int[AnyArray, ""]) -> Steps:
     """Walk all lanes through the first `count` positions."""
-    return lax.map(lambda block: _march_block(scene, block, count), legs)
+    steps: Steps = lax.map(lambda block: _march_block(scene, block, count), legs)
+    return steps
 
 
-def _march_block(scene: Scene, legs: Legs, count: Int[Array, ""]) -> Steps:
+def _march_block(scene: Scene, legs: Legs, count: Int[AnyArray, ""]) -> Steps:
     capacity, _, width = legs.point.shape
     steps = Steps(
         jnp.full((capacity, 4, width), jnp.nan),
@@ -85,15 +87,16 @@ def _march_block(scene: Scene, legs: Legs, count: Int[Array, ""]) -> Steps:
         jnp.full((capacity, width), jnp.nan),
         jnp.full((capacity, width), jnp.nan),
     )
-    waiting = jnp.full(width, int(Mode.WAITING))
-    carry = _Carry(legs.x, legs.x, legs.x, jnp.zeros(width, dtype=int), waiting, legs.sign)
+    waiting, start = jnp.full(width, int(Mode.WAITING)), jnp.asarray(legs.x)
+    carry = _Carry(start, start, start, jnp.zeros(width, dtype=int), waiting, jnp.asarray(legs.sign))
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
         carry, steps = state
         carry, row = _advance(scene, legs, index, carry)
         return carry, Steps(*(whole.at[index].set(part) for whole, part in zip(steps, row, strict=True)))
 
-    return lax.fori_loop(jnp.min(legs.start), count, advance, (carry, steps))[1]
+    walked: tuple[_Carry, Steps] = lax.fori_loop(jnp.min(legs.start), count, advance, (carry, steps))
+    return walked[1]
 
 
 def _advance(scene: Scene, legs: Legs, index: Array, carry: _Carry) -> tuple[_Carry, Steps]:
@@ -139,11 +142,11 @@ def _clamp_motion(legs: Legs, index: Array) -> Float[Array, "width"]:
 
 
 def _solve(scene: Scene, guess: Array, clamp: Clamp, active: Array) -> tuple[Array, Array, Array, Array]:
-    def unfinished(state: tuple[Array, ...]) -> Array:
+    def unfinished(state: tuple[Array, Array, Array, Array, Array]) -> Array:
         _, residual, _, _, iteration = state
         return jnp.any(active & (residual > TOLERANCE)) & (iteration < _MOST_ITERATIONS)
 
-    def iterate(state: tuple[Array, ...]) -> tuple[Array, ...]:
+    def iterate(state: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
         step = _newton(scene, state[0], clamp)
         return step.x, step.residual, step.determinant, step.phase, state[4] + 1
 

@@ -58,7 +58,9 @@ def extended_back(path: Path, lanes: Int[np.ndarray, "k"], count: int) -> Path:
     return Path(point, slerp(turn[:, None], next_turn[:, None], share), 1)
 
 
-def slerp(first: Float[np.ndarray, "*batch 4"], last: Float[np.ndarray, "*batch 4"], fraction: Float[np.ndarray, "..."]) -> Float[np.ndarray, "*batch 4"]:
+def slerp(
+    first: Float[np.ndarray, "*batch 4"], last: Float[np.ndarray, "*batch 4"], fraction: Float[np.ndarray, "..."]
+) -> Float[np.ndarray, "*batch 4"]:
     """Rotation at constant rate from `first` to `last`, whose signs agree."""
     angle = 2 * np.arcsin(np.minimum(np.linalg.norm(last - first, axis=-1, keepdims=True) / 2, 1))
     sine = np.sin(angle)

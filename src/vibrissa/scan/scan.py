@@ -52,12 +52,14 @@ def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
     path = path_of(trail, rod.length)
     found = sweep(scene, path)
     if np.all(found.status == Status.CLAMP_INSIDE):
-        raise ValueError(f"trail.position = {trail.position.reshape(-1, 3)[0].tolist()} …: the clamp is inside the object; allowed is outside")
+        raise ValueError(
+            f"trail.position = {trail.position.reshape(-1, 3)[0].tolist()} …: the clamp is inside the object; allowed is outside"
+        )
     events = _events(found.happenings, rod, trail, path.stride)
     return _result(rod, surface, trail, scene, path, found, events)
 
 
-def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:  # noqa: PLR0913
+def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:
     step = path.stride
     x, mode, determinant, status = (part[:, ::step] for part in (found.x, found.mode, found.determinant, found.status))
     clamps = np.concatenate([path.point[:, ::step], path.tangent[:, ::step]], axis=-1)

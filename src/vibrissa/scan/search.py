@@ -80,7 +80,9 @@ def _levels(scene: Scene, points: Float[Array, "rays samples 3"]) -> Float[Array
 
 
 @compiled
-def _solve_blocks(scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]) -> Float[Array, "blocks 5 width"]:
+def _solve_blocks(
+    scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]
+) -> Float[Array, "blocks 5 width"]:
     newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
 
     def solve(block: tuple[Array, Array]) -> Array:

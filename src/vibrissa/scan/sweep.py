@@ -25,7 +25,7 @@ class Meetings(NamedTuple):
     """First contacts of the straight rod, one a row."""
 
     lane: Int[np.ndarray, "k"]
-    index: Int[np.ndarray, "k"]
+    step: Int[np.ndarray, "k"]
     fraction: Float[np.ndarray, "k"]
     point: Float[np.ndarray, "k 3"]
     phase: Float[np.ndarray, "k"]
@@ -57,13 +57,13 @@ def sweep(scene: Scene, path: Path) -> Sweep:
     result = walk.result
     result.happenings += _smooth_happenings(scene, path, result, meetings, walk.by_hand)
     result.happenings.sort(key=lambda happening: (happening.lane, happening.index, happening.fraction))
-    assert result.mode.shape == (m, n)  # noqa: S101
+    assert result.mode.shape == (m, n)
     return result
 
 
 class _Start(NamedTuple):
     lane: int
-    index: int
+    step: int
     mode: Mode
     x: Float[np.ndarray, "4"]
     sign: float
@@ -74,17 +74,21 @@ class _Start(NamedTuple):
 class _Walk:
     """The lanes still on their way, and what has been found so far."""
 
-    def __init__(self, scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], inside: Bool[np.ndarray, "m n"], meetings: Meetings) -> None:
+    def __init__(
+        self, scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], inside: Bool[np.ndarray, "m n"], meetings: Meetings
+    ) -> None:
         m, n = clear.shape
         self._scene, self._path, self._clear, self._inside = scene, path, clear, inside
         self._met = np.zeros((m, n), dtype=bool)
-        self._met[meetings.lane, meetings.index] = True
+        self._met[meetings.lane, meetings.step] = True
         self._meeting_point = np.zeros((m, n, 3))
-        self._meeting_point[meetings.lane, meetings.index] = meetings.point
+        self._meeting_point[meetings.lane, meetings.step] = meetings.point
         self.by_hand = np.zeros((m, n), dtype=bool)
         self.pending: list[_Start] = []
         nothing = np.full((m, n), np.nan)
-        self.result = Sweep(np.full((m, n, 4), np.nan), np.full((m, n), int(Mode.FREE)), nothing, nothing.copy(), np.zeros((m, n), dtype=np.int64))
+        self.result = Sweep(
+            np.full((m, n, 4), np.nan), np.full((m, n), int(Mode.FREE)), nothing, nothing.copy(), np.zeros((m, n), dtype=np.int64)
+        )
 
     def begin(self) -> None:
         """Start every lane at its first position: free, or in contact already."""
@@ -105,7 +109,7 @@ class _Walk:
         """March all pending lanes to their ends, or to where they are lost; resolve those, or leave them."""
         starts, self.pending = self.pending, []
         lanes = np.array([start.lane for start in starts])
-        first = np.array([start.index for start in starts])
+        first = np.array([start.step for start in starts])
         x, mode, determinant, phase = self._marched(starts, lanes)
         n = mode.shape[1]
         own = np.arange(n) >= first[:, None]
@@ -116,7 +120,12 @@ class _Walk:
         kept &= (np.arange(n) > first[:, None]) | (first[:, None] == 0) | (mode == Mode.FREE)
         rows = np.nonzero(kept)
         at = (lanes[rows[0]], rows[1])
-        for target, source in ((self.result.x, x), (self.result.mode, mode), (self.result.determinant, determinant), (self.result.phase, phase)):
+        for target, source in (
+            (self.result.x, x),
+            (self.result.mode, mode),
+            (self.result.determinant, determinant),
+            (self.result.phase, phase),
+        ):
             target[at] = source[rows]
         self.result.mode[lanes[ends < n], ends[ends < n]] = int(Mode.LOST)
         for row in np.flatnonzero(ends < n) if resolve else ():
@@ -126,7 +135,9 @@ class _Walk:
 
     def _marched(self, starts: list[_Start], lanes: Int[np.ndarray, "k"]) -> tuple[np.ndarray, ...]:
         width = 1 if len(starts) == 1 else WIDE
-        parts = [self._marched_run(starts[first:last], lanes[first:last], width, blocks) for first, last, blocks in runs(len(starts), width)]
+        parts = [
+            self._marched_run(starts[first:last], lanes[first:last], width, blocks) for first, last, blocks in runs(len(starts), width)
+        ]
         return tuple(np.concatenate(columns) if len(parts) > 1 else columns[0] for columns in zip(*parts, strict=True))
 
     def _marched_run(self, starts: list[_Start], lanes: Int[np.ndarray, "k"], width: int, blocks: int) -> tuple[np.ndarray, ...]:
@@ -147,7 +158,7 @@ class _Walk:
             clear=position_blocks(self._clear[lanes]),
             met=position_blocks(self._met[lanes]),
             meeting_point=position_blocks(self._meeting_point[lanes]),
-            start=lane_blocks(np.array([start.index for start in starts])),
+            start=lane_blocks(np.array([start.step for start in starts])),
             mode=lane_blocks(np.array([int(start.mode) for start in starts])),
             x=lane_blocks(np.array([start.x for start in starts])),
             sign=lane_blocks(np.array([start.sign for start in starts])),
@@ -179,7 +190,7 @@ class _Walk:
             self._go_on(_Start(lane, index, outcome.mode, outcome.x, sign, patience))
 
     def _go_on(self, start: _Start) -> None:
-        if start.index < self._clear.shape[1] - 1:
+        if start.step < self._clear.shape[1] - 1:
             self.pending.append(start)
 
     def _pass_over(self, lane: int, index: int, status: Status, patience: int) -> None:
@@ -254,34 +265,39 @@ class _Bracket(NamedTuple):
     kind: EventKind
     indicator: Indicator
     lane: int
-    index: int
+    step: int
     ends: Float[np.ndarray, "12"]
 
 
 def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetings, by_hand: Bool[np.ndarray, "m n"]) -> list[Happening]:
     """Events on stretches that the march passed without help."""
     contact = result.mode == Mode.CONTACT
-    entered = contact[meetings.lane, meetings.index] & ~by_hand[meetings.lane, meetings.index]
-    entered &= ~contact[meetings.lane, meetings.index - 1]
+    entered = contact[meetings.lane, meetings.step] & ~by_hand[meetings.lane, meetings.step]
+    entered &= ~contact[meetings.lane, meetings.step - 1]
     happenings, brackets = [], []
     for lane, index, fraction, point, phase in zip(*(part[entered] for part in meetings), strict=True):
         happenings.append(Happening(EventKind.FIRST_CONTACT, int(lane), int(index), float(fraction), point))
         after = result.phase[lane, index]
         if phase * after < 0:
             ends = np.concatenate([[fraction], point, [0.0, phase, 1.0], result.x[lane, index], [after]])
-            brackets.append(_Bracket(_change(after), Indicator.PHASE, int(lane), int(index), ends))
+            brackets.append(_Bracket(_change(after), Indicator.PHASE, lane, index, ends))
     before, after = contact[:, :-1], contact[:, 1:]
     marched = ~by_hand[:, 1:]
     changed = marched & before & (result.phase[:, :-1] * result.phase[:, 1:] < 0)
     changed &= after | (result.mode[:, 1:] == Mode.FREE)
     released = marched & before & (result.mode[:, 1:] == Mode.FREE)
-    for lane, index in (np.argwhere(changed) + (0, 1)).tolist():
+    for lane, index in _ends_of_steps(changed):
         ends = _ends(result, lane, index, result.phase[lane, index - 1], result.phase[lane, index])
-        brackets.append(_Bracket(_change(result.phase[lane, index]), Indicator.PHASE, int(lane), int(index), ends))
-    for lane, index in (np.argwhere(released) + (0, 1)).tolist():
+        brackets.append(_Bracket(_change(result.phase[lane, index]), Indicator.PHASE, lane, index, ends))
+    for lane, index in _ends_of_steps(released):
         ends = _ends(result, lane, index, result.x[lane, index - 1, 3], result.x[lane, index, 3])
-        brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, int(lane), int(index), ends))
+        brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, lane, index, ends))
     return happenings + _located(scene, path, brackets)
+
+
+def _ends_of_steps(chosen: Bool[np.ndarray, "m steps"]) -> list[tuple[int, int]]:
+    """Lane and index of the position at the end of each chosen step."""
+    return [(int(lane), int(step) + 1) for lane, step in np.argwhere(chosen)]
 
 
 def _change(phase: float) -> EventKind:
@@ -296,14 +312,14 @@ def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happeni
     if not brackets:
         return []
     lanes = np.array([bracket.lane for bracket in brackets])
-    indices = np.array([bracket.index for bracket in brackets])
+    indices = np.array([bracket.step for bracket in brackets])
     ends = np.array([bracket.ends for bracket in brackets])
     indicator = np.array([int(bracket.indicator) for bracket in brackets])
     found = in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator, width=EVENT_LANES)
-    release = {(b.lane, b.index): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
+    release = {(b.lane, b.step): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
     return [
-        Happening(b.kind, b.lane, b.index, float(row[0]), row[1:4])
+        Happening(b.kind, b.lane, b.step, float(row[0]), row[1:4])
         for b, row in zip(brackets, found, strict=True)
         # A change of phase behind the loss of contact belongs to no rod.
-        if b.kind == EventKind.DETACH or row[0] < release.get((b.lane, b.index), np.inf)
+        if b.kind == EventKind.DETACH or row[0] < release.get((b.lane, b.step), np.inf)
     ]

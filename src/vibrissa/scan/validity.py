@@ -1,4 +1,4 @@
-"""Is the sweep slow enough for statics?"""
+"""Whether a sweep is slow enough for statics."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ class QuasiStatic:
     holds: bool
 
 
-def quasi_static(  # noqa: PLR0913
+def quasi_static(
     rod: Rod,
     trail: Trail,
     force: Float[np.ndarray, "*trail n 3"],

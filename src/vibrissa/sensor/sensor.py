@@ -124,7 +124,9 @@ class Sensor:
             return raw.force, raw.torque
         count, total = self._tare_count(raw), len(raw.time)
         if count < 2 or count >= total:
-            raise ValueError(f"tare_seconds = {self.tare_seconds}: {count} of {total} samples lie within it; allowed are at least 2, and fewer than all")
+            raise ValueError(
+                f"tare_seconds = {self.tare_seconds}: {count} of {total} samples lie within it; allowed are at least 2, and fewer than all"
+            )
         return raw.force - raw.force[:count].mean(axis=0), raw.torque - raw.torque[:count].mean(axis=0)
 
     def _covariance(self, arm: Float[np.ndarray, "n 3"], tare_count: int) -> Float[np.ndarray, "..."] | None:

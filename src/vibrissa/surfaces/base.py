@@ -33,7 +33,7 @@ class Surface(eqx.Module):
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def levels(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
-        """g at points (…, 3)."""
+        """G at points (…, 3)."""
         array = finite_array(points, "points", last=3)
         return np.asarray(_levels(self, jnp.asarray(array.reshape(-1, 3)))).reshape(array.shape[:-1])
 
@@ -59,7 +59,7 @@ class Placed(Surface):
     translation: Float[np.ndarray | Array, "3"]
 
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        """g of the object at the point seen from the object's own axes."""
+        """G of the object at the point seen from the object's own axes."""
         offset = point - self.translation
         own = self.rotation[0] * offset[0] + self.rotation[1] * offset[1] + self.rotation[2] * offset[2]
         return self.surface.level(own)

@@ -21,7 +21,9 @@ def _scalar_function(function: Function, name: str, *arguments: Float[Array, "..
     try:
         shape = jax.eval_shape(function, *arguments)
     except Exception as error:
-        raise ValueError(f"{name}: {function!r} cannot be traced by JAX ({error}); allowed is a function of jax.numpy operations") from error
+        raise ValueError(
+            f"{name}: {function!r} cannot be traced by JAX ({error}); allowed is a function of jax.numpy operations"
+        ) from error
     if getattr(shape, "shape", None) != () or not jnp.issubdtype(shape.dtype, jnp.floating):
         raise ValueError(f"{name}: {function!r} returns {shape}; allowed is one real number")
     return function

@@ -40,8 +40,12 @@ class EllipticParaboloid(Surface):
 class Sphere(Surface):
     """A ball, given by its centre (3,) and radius."""
 
-    center: Float[np.ndarray | Array, "3"] = eqx.field(converter=_center)
-    radius: float = eqx.field(converter=lambda value: positive(value, "radius"))
+    center: Float[np.ndarray | Array, "3"]
+    radius: float
+
+    def __init__(self, center: ArrayLike, radius: float) -> None:
+        self.center = _center(center)
+        self.radius = positive(radius, "radius")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
@@ -51,8 +55,12 @@ class Sphere(Surface):
 class Ellipsoid(Surface):
     """Ellipsoid with its axes along x, y, z; `placed` turns it. Centre (3,) and semi-axes (3,)."""
 
-    center: Float[np.ndarray | Array, "3"] = eqx.field(converter=_center)
-    semi_axes: Float[np.ndarray | Array, "3"] = eqx.field(converter=lambda value: _semi_axes(value, 3))
+    center: Float[np.ndarray | Array, "3"]
+    semi_axes: Float[np.ndarray | Array, "3"]
+
+    def __init__(self, center: ArrayLike, semi_axes: ArrayLike) -> None:
+        self.center = _center(center)
+        self.semi_axes = _semi_axes(semi_axes, 3)
 
     def level(self, point: Point) -> Scalar:
         """(ρ − 1) times the smallest semi-axis, ρ the norm of the point in units of the semi-axes."""
@@ -62,8 +70,12 @@ class Ellipsoid(Surface):
 class EllipticCylinder(Surface):
     """Cylinder without ends along the y axis through `center` (3,), with semi-axes (2,) along x and z; `placed` turns it."""
 
-    center: Float[np.ndarray | Array, "3"] = eqx.field(converter=_center)
-    semi_axes: Float[np.ndarray | Array, "2"] = eqx.field(converter=lambda value: _semi_axes(value, 2))
+    center: Float[np.ndarray | Array, "3"]
+    semi_axes: Float[np.ndarray | Array, "2"]
+
+    def __init__(self, center: ArrayLike, semi_axes: ArrayLike) -> None:
+        self.center = _center(center)
+        self.semi_axes = _semi_axes(semi_axes, 2)
 
     def level(self, point: Point) -> Scalar:
         """As for the ellipsoid, in the cross-section."""

@@ -1,0 +1,192 @@
+"""Contacts to CSV, PLY and NetCDF, and back by other readers."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from plyfile import PlyData
+
+import vibrissa as vb
+from vibrissa.io import InputError, write_dataset
+
+ROD = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+COLUMNS = "time,x,y,z,nx,ny,nz,arc_length,kind,status,cxx,cxy,cxz,cyy,cyz,czz"
+
+
+def reactions(*, noise: bool, lanes: int = 0) -> vb.Reactions:
+    """Tip contacts of a growing force that leans over; the first two rows are free, the third of a broken sample."""
+    count = 12
+    shape = (lanes, count) if lanes else (count,)
+    rng = np.random.default_rng(6)
+    load = np.linspace(0.05, 0.8, count)
+    direction = np.array([0.6, 0.3, -0.8]) / np.linalg.norm([0.6, 0.3, -0.8])
+    force = np.broadcast_to(load[:, None] * direction * ROD.force_scale, (*shape, 3)).copy()
+    at = np.broadcast_to(np.array([0.02, 0.01, 0.045]), (*shape, 3))
+    moment = np.cross(at, force)
+    for part in (force, moment):
+        part[..., :2, :] = 0
+        part[..., 2, :] = np.nan
+    trail = vb.Trail(rng.normal(size=(*shape, 3)))
+    covariance = np.diag([4e-6] * 3 + [1e-9] * 3) if noise else None
+    time = np.broadcast_to(0.1 + np.arange(count) / 3, shape)
+    return vb.Reactions(trail, -force, -moment, time=time, covariance=covariance)
+
+
+@pytest.fixture(scope="module", params=["exact", "noisy", "two trails"])
+def found(request: pytest.FixtureRequest) -> vb.Reconstruction:
+    lanes = 2 if request.param == "two trails" else 0
+    found = vb.reconstruct(ROD, reactions(noise=request.param != "exact", lanes=lanes))
+    assert set(np.unique(found.kind)) >= {vb.ContactKind.NONE}
+    assert 6 <= np.count_nonzero(found.in_contact) / max(lanes, 1) <= 9
+    return found
+
+
+def test_csv_holds_every_digit_of_every_row(found: vb.Reconstruction, tmp_path: Path) -> None:
+    file = vb.write_contacts(tmp_path / "contacts.csv", found)
+    with file.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == COLUMNS.split(",")
+    assert len(rows) == found.kind.size
+    contact, none = [], []
+    for row, index in zip(rows, np.ndindex(*found.kind.shape), strict=True):
+        assert float(row["time"]) == found.reactions.time[index]
+        assert (int(row["kind"]), int(row["status"])) == (found.kind[index], found.status[index])
+        (contact if found.in_contact[index] else none).append((row, index))
+    for row, index in contact:
+        values = [float(row[name]) for name in COLUMNS.split(",")[1:8]]
+        assert values == [*found.point[index], *found.normal[index], found.arc_length[index]]
+        covariance = [row[name] for name in COLUMNS.split(",")[10:]]
+        if found.covariance is None:
+            assert covariance == [""] * 6
+        else:
+            upper = found.covariance[index][np.triu_indices(3)]
+            assert [float(value) for value in covariance] == upper.tolist()
+    for row, _ in none:
+        empty = COLUMNS.split(",")[1:8] + COLUMNS.split(",")[10:]
+        assert {row[name] for name in empty} == {""}
+
+
+def test_ply_holds_the_contacts_and_nothing_else(found: vb.Reconstruction, tmp_path: Path) -> None:
+    vertex = PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"]
+    rows = found.in_contact
+    for names, values in (("x y z", found.point), ("nx ny nz", found.normal)):
+        np.testing.assert_array_equal(np.stack([vertex[name] for name in names.split()], axis=1), values[rows])
+    np.testing.assert_array_equal(vertex["arc_length"], found.arc_length[rows])
+    np.testing.assert_array_equal(vertex["kind"], found.kind[rows])
+    np.testing.assert_array_equal(vertex["status"], found.status[rows])
+    if found.covariance is not None:
+        spread = [np.sqrt(np.trace(part)) for part in found.covariance[rows]]
+        np.testing.assert_allclose(vertex["standard_deviation"], spread, rtol=1e-14)
+
+
+def test_netcdf_holds_everything_with_units_and_meanings(found: vb.Reconstruction, tmp_path: Path) -> None:
+    file = vb.write_contacts(tmp_path / "contacts.nc", found)
+    with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+        for name, values, unit in (
+            ("contact_point", found.point, "m"),
+            ("normal", found.normal, "1"),
+            ("arc_length", found.arc_length, "m"),
+            ("bending_energy", found.energy, "J"),
+            ("support_force", found.reactions.force, "N"),
+            ("support_moment", found.reactions.moment, "N m"),
+            ("clamp_position", found.reactions.trail.position, "m"),
+            ("time", found.reactions.time, "s"),
+        ):
+            np.testing.assert_array_equal(data[name].values, values)
+            assert data[name].attrs["units"] == unit
+        if found.covariance is not None:
+            np.testing.assert_array_equal(data["contact_point_covariance"].values, found.covariance)
+            assert data["contact_point_covariance"].attrs["units"] == "m2"
+        for name, values, members in (
+            ("kind", found.kind, vb.ContactKind),
+            ("status", found.status, vb.Status),
+        ):
+            np.testing.assert_array_equal(data[name].values, values)
+            meanings = dict(zip(data[name].attrs["flag_values"], data[name].attrs["flag_meanings"].split(), strict=True))
+            assert meanings == {int(member): member.name.lower() for member in members}
+        assert data.sizes["axis"] == 3
+        assert data.attrs["rod_length"] == ROD.length
+
+
+def test_model_units_are_written_as_such(tmp_path: Path) -> None:
+    rod, si = vb.Rod.unit(), reactions(noise=False)
+    scaled = vb.Reactions(si.trail, si.force / ROD.force_scale, si.moment / ROD.moment_scale)
+    found = vb.reconstruct(rod, scaled)
+    assert found.to_dataset()["contact_point"].attrs["units"] == "1"
+    assert found.to_dataset()["support_force"].attrs["units"] == "1"
+    assert "rod length" in PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found))).comments[0]
+
+
+def test_no_contact_at_all_gives_files_without_points(tmp_path: Path) -> None:
+    trail, zero = vb.Trail(np.zeros((3, 3))), np.zeros((3, 3))
+    found = vb.reconstruct(ROD, vb.Reactions(trail, zero, zero))
+    assert len(PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"].data) == 0
+    assert vb.write_contacts(tmp_path / "contacts.csv", found).read_text().splitlines()[1:] == [",,,,,,,,0,0,,,,,,"] * 3
+
+
+def refusal(write: Callable[[], object]) -> str:
+    with pytest.raises(InputError) as caught:
+        write()
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "allowed" in message
+    return message
+
+
+@pytest.mark.parametrize("name", ["contacts.stl", "contacts", "contacts.csv.gz"])
+def test_another_suffix_is_refused(found: vb.Reconstruction, tmp_path: Path, name: str) -> None:
+    message = refusal(lambda: vb.write_contacts(tmp_path / name, found))
+    assert f"{name}: suffix" in message
+    assert "allowed are .ply, .csv, .nc" in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dataset_is_netcdf_only(found: vb.Reconstruction, tmp_path: Path) -> None:
+    assert "allowed are .nc" in refusal(lambda: write_dataset(tmp_path / "a.csv", found.to_dataset()))
+
+
+def test_folders_are_made(found: vb.Reconstruction, tmp_path: Path) -> None:
+    assert vb.write_contacts(tmp_path / "new" / "deep" / "contacts.csv", found).stat().st_size > 0
+    assert [file.name for file in (tmp_path / "new" / "deep").iterdir()] == ["contacts.csv"]
+
+
+def test_a_folder_that_cannot_be_made_is_named(found: vb.Reconstruction, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file where a folder should be")
+    message = refusal(lambda: vb.write_contacts(tmp_path / "taken" / "contacts.csv", found))
+    assert f"{tmp_path / 'taken'}: the output folder cannot be made" in message
+
+
+def test_a_folder_that_cannot_be_written_to_is_named(
+    found: vb.Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Permissions do not bind every user who runs tests, so the refusal of the system is put in its place."""
+
+    def refuse(_path: Path, *_args: object, **_options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    message = refusal(lambda: vb.write_contacts(tmp_path / "contacts.csv", found))
+    assert message.startswith(f"{tmp_path}: the output folder is not writable (Permission denied)")
+
+
+def test_a_folder_in_place_of_the_file_is_named(found: vb.Reconstruction, tmp_path: Path) -> None:
+    (tmp_path / "contacts.csv").mkdir()
+    assert "is a folder; allowed is a file" in refusal(lambda: vb.write_contacts(tmp_path / "contacts.csv", found))
+
+
+def test_a_file_that_may_not_be_overwritten_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = vb.reconstruct(ROD, reactions(noise=False))
+    file = tmp_path / "contacts.csv"
+    file.touch()
+    opened = Path.open
+
+    def refuse(path: Path, mode: str = "r", *args: object, **options: object) -> object:
+        if path == file and "w" in mode:
+            raise PermissionError(13, "Permission denied")
+        return opened(path, mode, *args, **options)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    assert str(file) in refusal(lambda: vb.write_contacts(file, found))

@@ -1,0 +1,197 @@
+"""Setups and cases: what a good file builds, and the one line that says what is wrong with a bad one."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_files import CASE, SETUP
+from scipy.spatial.transform import Rotation
+
+import vibrissa as vb
+from vibrissa.io import InputError
+
+
+def written(folder: Path, text: str | bytes) -> Path:
+    file = folder / "file.toml"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return file
+
+
+def refusal(load: Callable[[Path], object], file: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        load(file)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(file))
+    return message.removeprefix(f"{file}").lstrip(": ")
+
+
+def test_a_setup_builds_rod_sensor_and_object(tmp_path: Path) -> None:
+    setup = vb.load_setup(written(tmp_path, SETUP))
+    assert setup.rod == vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+    np.testing.assert_array_equal(setup.sensor.clamp_position, [0.001, 0.002, 0.025])
+    figures = ("wrench", "wrench_frame", "wrench_point", "tare_seconds", "force_noise", "torque_noise")
+    expected = ["on_sensor", "sensor", (0.0, 0.0, 0.001), 0.85, 2e-3, 4e-5, 1.5625e-3, 7.8125e-6, 1e-5]
+    steps = ("force_resolution", "torque_resolution", "position_noise")
+    assert [getattr(setup.sensor, name) for name in figures + steps] == expected
+    assert setup.surface is not None
+    assert float(setup.surface.levels([0.0, 0.0, 0.0])) == pytest.approx(0.0275, abs=1e-15)
+
+
+def test_object_and_noise_may_be_left_out(tmp_path: Path) -> None:
+    lines = SETUP[: SETUP.index("[object]")].splitlines()
+    kept = [line for line in lines if "noise" not in line and "resolution" not in line]
+    setup = vb.load_setup(written(tmp_path, "\n".join(kept)))
+    assert (setup.surface, setup.sensor.force_noise, setup.sensor.force_resolution) == (None, None, 0.0)
+
+
+def test_a_case_builds_rod_object_and_trails(tmp_path: Path) -> None:
+    case = vb.load_case(written(tmp_path, CASE))
+    assert (case.rod.length, case.rod.bending_stiffness, case.rod.units) == (0.05, 6.3e-4, "SI")
+    assert case.trail.shape == (2, 9)
+    np.testing.assert_allclose(case.trail.position[0, [0, -1]], [(0.04, 0.005, 0), (-0.04, 0.005, 0)], atol=1e-17)
+    np.testing.assert_allclose(case.trail.axis[1], [Rotation.from_quat([0, 0.6, 0, 0.8]).apply([0, 0, 1])] * 9)
+    # On the surface: an end of the second semi-axis, turned and moved as the table says.
+    end = Rotation.from_quat([0, 0, 0.6, 0.8]).apply([0, 0.02, 0.0575]) + [0.001, 0, 0]
+    assert float(case.surface.levels(end)) == pytest.approx(0, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("table", "inside"),
+    [
+        ('kind = "elliptic_paraboloid"\na = 0.5\nb = 1\nh = 0.4', (0.0, 0.0, 0.5)),
+        ('kind = "sphere"\ncenter = [0, 0, 1]\nradius = 0.1', (0.0, 0.05, 1.0)),
+        ('kind = "ellipsoid"\ncenter = [0, 0, 1]\nsemi_axes = [0.1, 0.2, 0.3]', (0.0, 0.0, 1.2)),
+        ('kind = "elliptic_cylinder"\ncenter = [0, 0, 1]\nsemi_axes = [0.1, 0.2]', (0.0, 9.0, 1.1)),
+        ('kind = "plane"\npoint = [0, 0, 1]\nnormal = [0, 0, -1]', (0.0, 0.0, 2.0)),
+    ],
+)
+def test_every_kind_of_object_can_be_written_down(tmp_path: Path, table: str, inside: tuple[float, ...]) -> None:
+    start, stop = CASE.index("[object]"), CASE.index("[[trail]]")
+    case = vb.load_case(written(tmp_path, f"{CASE[:start]}[object]\n{table}\n\n{CASE[stop:]}"))
+    assert float(case.surface.levels(np.array(inside))) < 0 < float(case.surface.levels([0.0, 0.0, 0.0]))
+
+
+def test_model_units_and_rasters(tmp_path: Path) -> None:
+    text = """
+    [rod]
+    kind = "unit"
+    [object]
+    kind = "plane"
+    point = [0, 0, 1]
+    normal = [0, 0, -1]
+    [[trail]]
+    kind = "raster"
+    start = [1, 0, 0]
+    stop = [0, 0, 0]
+    count = 3
+    step = [0, 0.5, 0]
+    trails = 4
+    axis = [0, 0, 2]
+    """
+    case = vb.load_case(written(tmp_path, text))
+    assert case.rod == vb.Rod.unit()
+    np.testing.assert_allclose(case.trail.position[3, 2], [0, 1.5, 0])
+
+
+def test_the_recordings_own_setup_is_read(sphere_60mm: Path) -> None:
+    setup = vb.load_setup(sphere_60mm / "setup.toml")
+    assert setup.rod.bending_stiffness == pytest.approx(206e9 * np.pi * 0.25e-3**4 / 4, rel=1e-14)
+    assert setup.sensor.wrench == "on_sensor"
+
+
+SETUP_DAMAGE = {
+    "missing key": ("length = 0.05\n", "", ["rod.length: missing", "a number greater than 0"]),
+    "unknown key": ("length = 0.05", "length = 0.05\nlenght = 1", ["rod.lenght: unknown key", "allowed are", "length"]),
+    "negative length": ("length = 0.05", "length = -0.05", ["rod.length = -0.05", "a number greater than 0"]),
+    "zero radius": ("radius = 0.25e-3", "radius = 0.0", ["rod.radius = 0.0", "a number greater than 0"]),
+    "no number": ("length = 0.05", "length = nan", ["rod.length = nan", "allowed is a number greater than 0"]),
+    "words": ("length = 0.05", 'length = "long"', ["rod.length = 'long'", "allowed is a number greater than 0"]),
+    "number in quotes": ("length = 0.05", 'length = "0.05"', ["rod.length = '0.05'", "a number greater than 0"]),
+    "yes for a number": ("length = 0.05", "length = true", ["rod.length = True", "a number greater than 0"]),
+    "list for a number": ("length = 0.05", "length = [1]", ["rod.length = [1]", "a number greater than 0"]),
+    "kind of rod": ('"cylinder"', '"cone"', ["rod", "'cone'", "allowed is cylinder, uniform or unit"]),
+    "no kind": ('kind = "cylinder"\n', "", ["rod.kind: missing", "cylinder, uniform or unit"]),
+    "no sign": ('wrench = "on_sensor"\n', "", ["sensor.wrench: missing", "'on_sensor'", "'on_rod'"]),
+    "other sign": ('"on_sensor"', '"by_sensor"', ["sensor.wrench = 'by_sensor'", "'on_sensor'", "'on_rod'"]),
+    "other frame": ('frame = "sensor"', 'frame = "clamp"', ["sensor.wrench_frame = 'clamp'", "'sensor' or 'world'"]),
+    "zero quaternion": (
+        "clamp_orientation = [0.0, 0.0, 0.0, 1.0]",
+        "clamp_orientation = [0.0, 0.0, 0.0, 0.0]",
+        ["clamp_orientation", "zero norm", "allowed is any x, y, z, w of non-zero norm"],
+    ),
+    "short vector": ("[0.001, 0.002, 0.025]", "[0.001, 0.002]", ["sensor.clamp_position", "three finite numbers"]),
+    "long vector": ("[0.001, 0.002, 0.025]", "[0, 0, 0, 0]", ["sensor.clamp_position", "three finite numbers"]),
+    "infinite entry": ("[0.001, 0.002, 0.025]", "[0, inf, 0]", ["sensor.clamp_position.1 = inf", "finite number"]),
+    "negative noise": ("force_noise = 2.0e-3", "force_noise = -1", ["sensor.force_noise = -1", "at least 0"]),
+    "one noise": ("torque_noise = 4.0e-5\n", "", ["force_noise and torque_noise", "allowed are both or none"]),
+    "negative tare": ("tare_seconds = 0.85", "tare_seconds = -0.5", ["sensor.tare_seconds = -0.5", "at least 0"]),
+    "unknown table": ("[object]", "[environment]\n[object]", ["environment: unknown key", "rod, sensor, object"]),
+    "no sensor": (SETUP[SETUP.index("[sensor]") : SETUP.index("[object]")], "", ["sensor: missing"]),
+    "ball of no size": ("radius = 0.03", "radius = 0", ["object.radius = 0", "a number greater than 0"]),
+    "kind of object": ('"sphere"', '"cube"', ["object", "'cube'", "allowed is elliptic_paraboloid, sphere"]),
+    "object's unknown key": ("radius = 0.03", "radius = 0.03\ncolour = 1", ["object.colour: unknown key", "center"]),
+    "not TOML": ("length = 0.05", "length 0.05", ["not valid TOML", "line 3"]),
+    "twice": ("length = 0.05", "length = 0.05\nlength = 0.06", ["not valid TOML", "line 4"]),
+    "thick beyond numbers": ("radius = 0.25e-3", "radius = 1e200", ["radius"]),
+    "a key of two lines": ("length = 0.05", 'length = 0.05\n"len\\ngth" = 1', ["unknown key"]),
+    "endless digits": ("length = 0.05", "length = 1" + "0" * 5000, ["length"]),
+    "endless nesting": ("length = 0.05", "length = " + "[" * 5000, ["TOML"]),
+}
+
+
+@pytest.mark.parametrize("what", SETUP_DAMAGE)
+def test_damage_to_a_setup_is_named(tmp_path: Path, what: str) -> None:
+    good, bad, words = SETUP_DAMAGE[what]
+    assert good in SETUP
+    message = refusal(vb.load_setup, written(tmp_path, SETUP.replace(good, bad, 1)))
+    assert [word for word in words if word not in message] == []
+
+
+CASE_DAMAGE = {
+    "empty trail": ("count = 9", "count = 0", ["trail.0.count = 0", "a whole number of at least 1"]),
+    "half a position": ("count = 9", "count = 8.5", ["trail.0.count = 8.5", "a whole number of at least 1"]),
+    "no trail": (CASE[CASE.index("[[trail]]") :], "", ["trail: missing", "at least one table [[trail]]"]),
+    "no poses": (
+        CASE[CASE.index("position = ") : CASE.index("orientation = ")],
+        "position = []\n",
+        ["trail.1.position = []", "a list of at least one position"],
+    ),
+    "unequal trails": ("count = 9", "count = 7", ["trails have [7, 9] positions", "allowed are equal lengths"]),
+    "no axis": ("count = 9", "count = 9\naxis = [0, 0, 0]", ["axis = [0.0, 0.0, 0.0]", "non-zero length"]),
+    "no turn": ("[[0.0, 0.6, 0.0, 0.8]]", "[[0.0, 0.0, 0.0, 0.0]]", ["orientation", "zero norm", "allowed"]),
+    "two turns": ("[[0.0, 0.6, 0.0, 0.8]]", "[[0, 0, 0, 1], [0, 0, 0, 1]]", ["orientation has shape (2, 4)", "(9, 4)"]),
+    "kind of trail": ('"line"', '"circle"', ["trail.0", "'circle'", "allowed is line, raster or poses"]),
+    "missing start": ("start = [0.04, 0.005, 0.0]\n", "", ["trail.0.start: missing", "three finite numbers"]),
+    "another kind's key": ("count = 9", "count = 9\ntrails = 3", ["trail.0.trails: unknown key", "count"]),
+    "soft rod": ("6.3e-4", "-6.3e-4", ["rod.bending_stiffness = -0.00063", "a number greater than 0"]),
+    "thin ellipsoid": ("[0.03, 0.02, 0.03]", "[0.03, 0.0, 0.03]", ["object.semi_axes.1 = 0.0", "greater than 0"]),
+    "object's turn": ("[0.0, 0.0, 0.6, 0.8]", "[0.0, 0.0, 0.0, 0.0]", ["rotation", "zero norm", "allowed"]),
+    "trail is no list": ("[[trail]]\nkind = \"line\"", "[trail]\nkind = \"line\"", []),
+    "more than memory": ("count = 9", "count = 1000000000000000", ["count"]),
+}
+
+
+@pytest.mark.parametrize("what", CASE_DAMAGE)
+def test_damage_to_a_case_is_named(tmp_path: Path, what: str) -> None:
+    good, bad, words = CASE_DAMAGE[what]
+    assert good in CASE
+    message = refusal(vb.load_case, written(tmp_path, CASE.replace(good, bad, 1)))
+    assert [word for word in words if word not in message] == []
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"\x00" * 100, b"[rod\n", b"= 1"])
+def test_other_files_are_no_toml(tmp_path: Path, content: bytes) -> None:
+    for load in (vb.load_setup, vb.load_case):
+        assert "not valid TOML" in refusal(load, written(tmp_path, content))
+
+
+def test_an_empty_file_lacks_its_tables(tmp_path: Path) -> None:
+    assert "rod: missing" in refusal(vb.load_setup, written(tmp_path, ""))
+
+
+def test_a_missing_file_or_a_folder_cannot_be_read(tmp_path: Path) -> None:
+    for load in (vb.load_setup, vb.load_case):
+        assert "cannot be read (No such file or directory)" in refusal(load, tmp_path / "none.toml")
+        assert "cannot be read (Is a directory)" in refusal(load, tmp_path)

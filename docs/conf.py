@@ -1,8 +1,10 @@
 """Sphinx configuration: the documentation builds, and reads, without a network."""
 
 import ast
+import re
 import tomllib
 import warnings
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,8 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "vibrissa"
 html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_css_files = ["math.css"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
@@ -93,6 +97,23 @@ def _block_math(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def _names_together(_app: Any, _what: str, _name: str, _object: object, _options: object, lines: list[str]) -> None:
+    """Keep names that share one description ("point, normal") together: napoleon takes all but the last for a type."""
+    for index, (line, following) in enumerate(pairwise(lines)):
+        if re.fullmatch(r"\w+(, \w+)+", line) and following.startswith("    "):
+            lines[index] = line.replace(", ", ",\u200b")
+
+
+def _property_in_one(_app: Any, what: str, _name: str, _object: object, _options: object, lines: list[str]) -> None:
+    """Undo what napoleon does to a property: it takes what stands before a colon for a type."""
+    types = [line for line in lines if line.startswith(":type: ")]
+    if what == "property" and types:
+        lines.remove(types[0])
+        lines[0] = f"{types[0].removeprefix(':type: ')}: {lines[0]}"
+
+
 def setup(app: Any) -> None:
-    """Render formulas as MathML, which browsers show by themselves, so that no script has to be fetched."""
+    """Render formulas as MathML, which browsers show by themselves, so that no script has to be fetched; mend docstrings around napoleon."""
     app.add_html_math_renderer("mathml", inline_renderers=(_inline_math, None), block_renderers=(_block_math, None))
+    app.connect("autodoc-process-docstring", _names_together, priority=400)
+    app.connect("autodoc-process-docstring", _property_in_one, priority=600)

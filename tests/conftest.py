@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 # NumPy's `ArrayLike` says complex for "any number" and a protocol for "any sequence" that tuples do not fulfil; read to
 # the letter, (0.0, 0.0, 1.0) would be none. The shape checks look up `beartype.beartype` when the package is imported.
 _SEQUENCES = {hint: tuple | hint for hint in get_args(ArrayLike) if "NestedSequence" in repr(hint)}
-beartype.beartype = beartype.beartype(
-    conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES))
-)
+beartype.beartype = beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES)))
 
 settings.register_profile("vibrissa", deadline=None, derandomize=True, database=None, max_examples=25)
 settings.load_profile("vibrissa")

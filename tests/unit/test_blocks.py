@@ -10,7 +10,7 @@ from vibrissa.numerics.blocks import from_blocks, in_blocks, to_blocks
 
 @jax.jit
 def moment(position: jax.Array, force: jax.Array) -> jax.Array:
-    """r × F for blocks (blocks, 3, width), which mixes no lanes."""
+    """R × F for blocks (blocks, 3, width), which mixes no lanes."""
     return jnp.cross(position, force, axis=1)
 
 

@@ -159,9 +159,7 @@ def test_a_folder_that_cannot_be_made_is_named(found: vb.Reconstruction, tmp_pat
     assert f"{tmp_path / 'taken'}: the output folder cannot be made" in message
 
 
-def test_a_folder_that_cannot_be_written_to_is_named(
-    found: vb.Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_written_to_is_named(found: vb.Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Permissions do not bind every user who runs tests, so the refusal of the system is put in its place."""
 
     def refuse(_path: Path, *_args: object, **_options: object) -> None:

@@ -63,6 +63,15 @@ def test_recordings(tmp_path: Path, setup: vb.Setup, content: bytes) -> None:
     taken_or_refused(lambda file: vb.read_recording(file, setup), tmp_path, content)
 
 
+@pytest.mark.parametrize("column", ["time", "px", "qx", "fx", "tx"])
+@pytest.mark.parametrize("value", ["1e300", "-1e200", "1e-320"])
+def test_numbers_beyond_their_squares(tmp_path: Path, setup: vb.Setup, column: str, value: str) -> None:
+    lines = [line.split(",") for line in RECORDING.splitlines()]
+    lines[16][lines[0].index(column)] = value
+    content = "\n".join(map(",".join, lines)) + "\n"
+    taken_or_refused(lambda file: vb.read_recording(file, setup), tmp_path, content.encode())
+
+
 @TORN
 @given(content=st.one_of(st.binary(max_size=200), damaged(SETUP)))
 def test_setups(tmp_path: Path, content: bytes) -> None:
@@ -75,9 +84,7 @@ def test_cases(tmp_path: Path, content: bytes) -> None:
     taken_or_refused(vb.load_case, tmp_path, content)
 
 
-NUMBERS = st.one_of(
-    st.integers(-3, 3), st.floats(), st.sampled_from([1e308, 1e200, 1e-200, 5e-324, 10**400, -(10**400)])
-)
+NUMBERS = st.one_of(st.integers(-3, 3), st.floats(), st.sampled_from([1e308, 1e200, 1e-200, 5e-324, 10**400, -(10**400)]))
 VALUES = st.recursive(
     st.one_of(NUMBERS, st.booleans(), st.text(max_size=5)),
     lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=3), inner, max_size=2)),

@@ -44,7 +44,7 @@ class Bent(NamedTuple):
 
     @property
     def reach(self) -> np.ndarray:
-        """r = P1 − P0 (3,)."""
+        """R = P1 − P0 (3,)."""
         return self.curvature / self.force * self.side - float(self.rod.advance) * self.n
 
     def line(self, arc_length: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ def test_arc_length_and_advance_are_mechanics_formulas(sin_a0: float, w: float) 
 
 @pytest.mark.parametrize("sin_a0", [0.05, 0.4, 0.7, 0.95])
 def test_a_straight_rod_at_first_contact(sin_a0: float) -> None:
-    """f = 0: s₁ sin 2a₀ is the lever arm, s₁ cos 2a₀ the advance."""
+    """F = 0: s₁ sin 2a₀ is the lever arm, s₁ cos 2a₀ the advance."""
     sigma, iota = lever(sin_a0, 0.0)
     a0 = np.arcsin(sin_a0)
     assert float(sigma) == pytest.approx(1 / np.sin(2 * a0), rel=1e-14)

@@ -23,7 +23,7 @@ def test_scales_are_those_of_eq_1() -> None:
 
 
 def test_first_frequency_of_the_clamped_beam() -> None:
-    """cos β cosh β = −1, ω = β² √(EI/ρA)/L², and √(I/A) = r/2."""
+    """Cos β cosh β = −1, ω = β² √(EI/ρA)/L², and √(I/A) = r/2."""
     beta = brentq(lambda b: np.cos(b) * np.cosh(b) + 1, 1, 3, xtol=1e-14)
     omega = beta**2 * 0.125e-3 * np.sqrt(206e9 / 7850.0) / 0.05**2
     assert WIRE.first_natural_frequency() == pytest.approx(omega / (2 * np.pi), rel=1e-12)

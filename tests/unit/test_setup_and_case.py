@@ -168,7 +168,7 @@ CASE_DAMAGE = {
     "soft rod": ("6.3e-4", "-6.3e-4", ["rod.bending_stiffness = -0.00063", "a number greater than 0"]),
     "thin ellipsoid": ("[0.03, 0.02, 0.03]", "[0.03, 0.0, 0.03]", ["object.semi_axes.1 = 0.0", "greater than 0"]),
     "object's turn": ("[0.0, 0.0, 0.6, 0.8]", "[0.0, 0.0, 0.0, 0.0]", ["rotation", "zero norm", "allowed"]),
-    "trail is no list": ("[[trail]]\nkind = \"line\"", "[trail]\nkind = \"line\"", []),
+    "trail is no list": ('[[trail]]\nkind = "line"', '[trail]\nkind = "line"', []),
     "more than memory": ("count = 9", "count = 1000000000000000", ["count"]),
 }
 

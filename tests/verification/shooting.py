@@ -93,9 +93,7 @@ def clamp_tangent(quaternion: ArrayLike) -> np.ndarray:
     return Rotation.from_quat(quaternion).apply([0.0, 0.0, 1.0])
 
 
-def rod_along(
-    clamp: ArrayLike, tangent: ArrayLike, base_moment: ArrayLike, force: ArrayLike, arc_lengths: ArrayLike
-) -> np.ndarray:
+def rod_along(clamp: ArrayLike, tangent: ArrayLike, base_moment: ArrayLike, force: ArrayLike, arc_lengths: ArrayLike) -> np.ndarray:
     """(r, t, m, bending energy so far) at increasing arc lengths (k, 10): an initial value problem from the clamp."""
 
     def slope(_s: float, y: np.ndarray) -> np.ndarray:
@@ -107,9 +105,7 @@ def rod_along(
     return solve_ivp(slope, (0, s[-1]), start, method="DOP853", rtol=_RTOL, atol=_ATOL, t_eval=s).y.T
 
 
-def _shot(
-    clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, force: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shot(clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(r, t, m) at s₁ (9,), and by the variational equations its derivatives by m(0) and F (9, 6) and by s₁ (9,)."""
 
     def slope(_s: float, y: np.ndarray) -> np.ndarray:
@@ -188,9 +184,7 @@ def shoot(level: Level, clamp: ArrayLike, tangent: ArrayLike, guess: ArrayLike, 
         residual, jacobian, t = _conditions(level, clamp, tangent, u, tip=tip)
         largest = float(np.abs(residual).max())
         if largest < _CONVERGED:
-            return Equilibrium(
-                u[:3], float(u[3]), u[4:7], 1.0 if tip else float(u[7]), level.normal(u[4:7]), t, largest
-            )
+            return Equilibrium(u[:3], float(u[3]), u[4:7], 1.0 if tip else float(u[7]), level.normal(u[4:7]), t, largest)
         step = np.linalg.solve(jacobian, residual)
         u -= step * min(1.0, _LARGEST_STEP / np.abs(step[4:]).max())
     raise ArithmeticError(f"residual {largest} after {_ITERATIONS} iterations from {np.asarray(guess)}")

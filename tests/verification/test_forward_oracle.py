@@ -146,9 +146,7 @@ def test_the_plane_branch_loses_lateral_stability(scan: vb.Scan) -> None:
         "SNAP",
     ]
     _, pitchfork, _, tip_again, _ = events_of(scan, 0.0)
-    np.testing.assert_allclose(
-        [pitchfork.clamp[0], pitchfork.point[0]], [PITCHFORK, 0.949025564884334], rtol=0, atol=1e-9
-    )
+    np.testing.assert_allclose([pitchfork.clamp[0], pitchfork.point[0]], [PITCHFORK, 0.949025564884334], rtol=0, atol=1e-9)
     assert force(scan, row_at(scan, 0.0, PITCHFORK)) == pytest.approx(1.57567831969, abs=1e-9)
     assert tip_again.clamp[0] == pytest.approx(FIRST_TIP_AGAIN, abs=1e-9)
     assert force(scan, row_at(scan, 0.0, FIRST_TIP_AGAIN)) == pytest.approx(3.68949810669125, abs=1e-9)

@@ -63,13 +63,9 @@ def placed_paraboloid() -> Case:
 
 def ellipsoid_and_a_turning_clamp() -> Case:
     center, semi_axes = np.array([0.1, 0.0, 0.7]), np.array([0.6, 0.5, 0.4])
-    turning = Rotation.from_rotvec(np.linspace(-0.2, 0.2, COUNT)[:, None] * [0.1, 1.0, 0.2]) * Rotation.from_euler(
-        "z", 0.3
-    )
+    turning = Rotation.from_rotvec(np.linspace(-0.2, 0.2, COUNT)[:, None] * [0.1, 1.0, 0.2]) * Rotation.from_euler("z", 0.3)
     trail = vb.Trail(np.linspace([1.1, 0.15, 0.0], [0.2, 0.1, 0.1], COUNT), turning.as_quat())
-    return Case(
-        vb.surfaces.Ellipsoid(center=center, semi_axes=semi_axes), quadric(center, semi_axes), trail, "TANGENTIAL"
-    )
+    return Case(vb.surfaces.Ellipsoid(center=center, semi_axes=semi_axes), quadric(center, semi_axes), trail, "TANGENTIAL")
 
 
 def elliptic_cylinder() -> Case:
@@ -85,9 +81,7 @@ def elliptic_cylinder() -> Case:
 
 def wavy_height_field() -> Case:
     """The trail stops short of a fold."""
-    surface = vb.surfaces.HeightField(
-        lambda x, y: 0.5 + 0.4 * x * x + 0.3 * x * y + 0.7 * y * y + 0.05 * jnp.sin(4 * x)
-    )
+    surface = vb.surfaces.HeightField(lambda x, y: 0.5 + 0.4 * x * x + 0.3 * x * y + 0.7 * y * y + 0.05 * jnp.sin(4 * x))
     level = height_field(
         lambda x, y: 0.5 + 0.4 * x * x + 0.3 * x * y + 0.7 * y * y + 0.05 * np.sin(4 * x),
         lambda x, y: (0.8 * x + 0.3 * y + 0.2 * np.cos(4 * x), 0.3 * x + 1.4 * y),
@@ -141,9 +135,7 @@ def test_every_field_agrees_with_shooting(pair: Pair) -> None:
         shot, scan = pair.shot[i], pair.scan
         assert shot is not None
         found = np.concatenate([point, scan.normal[i], [scan.arc_length[i] / pair.case.rod.length], force, moment])
-        expected = np.concatenate(
-            [shot.point, shot.normal, [shot.arc_length], -shot.force * shot.normal, -shot.base_moment]
-        )
+        expected = np.concatenate([shot.point, shot.normal, [shot.arc_length], -shot.force * shot.normal, -shot.base_moment])
         np.testing.assert_allclose(found, expected, rtol=0, atol=TOLERANCE)
         np.testing.assert_allclose(scan.contact_tangent[i], shot.tangent, rtol=0, atol=TOLERANCE)
 
@@ -157,9 +149,7 @@ def test_returned_reactions_bend_the_rod_to_the_returned_contact(pair: Pair) -> 
         np.testing.assert_allclose(along[-1, 6:9], 0, atol=TOLERANCE)
         np.testing.assert_allclose(along[-1, :3], point, rtol=0, atol=TOLERANCE)
         assert np.all(along[:-1, 6:9] @ -moment > 0)
-        assert along[-1, 9] * pair.case.rod.moment_scale == pytest.approx(
-            pair.scan.energy[i], abs=TOLERANCE * pair.case.rod.moment_scale
-        )
+        assert along[-1, 9] * pair.case.rod.moment_scale == pytest.approx(pair.scan.energy[i], abs=TOLERANCE * pair.case.rod.moment_scale)
 
 
 def test_returned_contact_obeys_the_contact_law(pair: Pair) -> None:
@@ -182,10 +172,6 @@ def test_elastic_line_is_the_integrated_rod(pair: Pair) -> None:
         contact = pair.scan.arc_length[i] / pair.case.rod.length
         s = np.linspace(0, 1, 41)
         end, bent = s[s >= contact], s[s < contact]
-        along = rod_along(
-            clamp, clamp_tangent(pair.case.trail.orientation[i]), -moment, -force, np.append(bent, contact)
-        )
+        along = rod_along(clamp, clamp_tangent(pair.case.trail.orientation[i]), -moment, -force, np.append(bent, contact))
         expected = np.vstack([along[:-1, :3], along[-1, :3] + (end - contact)[:, None] * along[-1, 3:6]])
-        np.testing.assert_allclose(
-            pair.scan.elastic_line(i, 41) / pair.case.rod.length, expected, rtol=0, atol=TOLERANCE
-        )
+        np.testing.assert_allclose(pair.scan.elastic_line(i, 41) / pair.case.rod.length, expected, rtol=0, atol=TOLERANCE)

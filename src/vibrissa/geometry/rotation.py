@@ -57,3 +57,8 @@ def multiplied(first: Quaternions, second: Float[np.ndarray, "4"]) -> Quaternion
     """Quaternions of the rotation `second`, seen in the frames that `first` (…, 4) turns."""
     flat = Rotation.from_quat(first.reshape(-1, 4)) * Rotation.from_quat(second)
     return np.asarray(flat.as_quat().reshape(first.shape))
+
+
+def inverse(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
+    """Quaternion of the rotation back."""
+    return quaternion * np.array([-1.0, -1.0, -1.0, 1.0])

@@ -184,6 +184,8 @@ def _one_line(error: ValidationError, model: type[Table]) -> str:
             return f"{where}: missing; allowed is {allowed}{more}"
         case "union_tag_not_found":
             return f"{where}.kind: missing; allowed is {allowed}{more}"
+        case "union_tag_invalid":
+            return f"{where}.kind = {first['ctx']['tag']!r}: allowed is {allowed}{more}"
         case _:
             value = repr(first.get("input"))
             return f"{where} = {value if len(value) < _LONGEST_VALUE else value[:_LONGEST_VALUE] + '…'}: allowed is {allowed}{more}"
@@ -209,7 +211,7 @@ def _place(location: tuple[int | str, ...], model: type[Table]) -> tuple[str, st
         else:
             names.append(part)
             return ".".join(names), ", ".join(here.model_fields)
-    return ".".join(names), _described(field)
+    return ".".join(names), _described(field, of_an_item=isinstance(location[-1], int))
 
 
 def _tables_in(annotation: object) -> list[type[Table]]:
@@ -222,15 +224,17 @@ def _tags(table: type[Table]) -> tuple[str, ...]:
     return get_args(table.model_fields["kind"].annotation) if "kind" in table.model_fields else ()
 
 
-def _described(field: FieldInfo | None) -> str:
-    """What a field's own schema says it allows, where need be that of the type inside it."""
+def _described(field: FieldInfo | None, *, of_an_item: bool) -> str:
+    """What a field's own schema says it allows; of an item of a list, and where need be, that of the type inside it."""
     if field is None:
         return "a TOML table"
-    if field.description:
+    if field.description and not of_an_item:
         return field.description
     nested = [part.description for inner in get_args(field.annotation) for part in get_args(inner) if getattr(part, "description", None)]
     if nested:
         return str(nested[0])
+    if field.description:
+        return field.description
     tables = _tables_in(field.annotation)
     if tables:
         return "a table with " + ", ".join(name for name, inner in tables[0].model_fields.items() if inner.is_required())

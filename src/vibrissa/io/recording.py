@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.io.errors import InputError, readable
+from vibrissa.io.errors import InputError, readable, writable
 from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -48,6 +48,23 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
         raise InputError(f"{file}: {error}") from error
     _check_scale(file, raw, reactions, setup.rod)
     return reactions
+
+
+_FORMATS = ("%.4f", *["%.6f"] * 3, *["%.9f"] * 4, *["%.5f"] * 3, *["%.7f"] * 3)
+
+
+def write_recording(path: str | Path, raw: RawRecording) -> Path:
+    """Write a recording as `read_recording` reads it: to 0.1 ms, 1 µm, 10 µN and 0.1 µN m.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    file = writable(Path(path))
+    table = np.column_stack([raw.time, raw.position, raw.orientation, raw.force, raw.torque])
+    np.savetxt(file, table, fmt=_FORMATS, delimiter=",", header=",".join(COLUMNS), comments="")
+    return file
 
 
 def _table(file: Path) -> Float[np.ndarray, "rows columns"]:

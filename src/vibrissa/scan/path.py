@@ -59,9 +59,9 @@ def extended_back(path: Path, lanes: Int[np.ndarray, "k"], count: int) -> Path:
 
 
 def slerp(
-    first: Float[np.ndarray, "*batch 4"], last: Float[np.ndarray, "*batch 4"], fraction: Float[np.ndarray, "..."]
-) -> Float[np.ndarray, "*batch 4"]:
-    """Rotation at constant rate from `first` to `last`, whose signs agree."""
+    first: Float[np.ndarray, "*#batch 4"], last: Float[np.ndarray, "*#batch 4"], fraction: Float[np.ndarray, "*#batch 1"]
+) -> Float[np.ndarray, "... 4"]:
+    """Rotation at constant rate from `first` to `last` (…, 4), whose signs agree, at a fraction that broadcasts with their rows."""
     angle = 2 * np.arcsin(np.minimum(np.linalg.norm(last - first, axis=-1, keepdims=True) / 2, 1))
     sine = np.sin(angle)
     turning = sine > 1e-9

@@ -5,9 +5,10 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array, frozen
-from vibrissa.geometry.rotation import multiplied, rotation_matrices, unit_quaternions
+from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices, unit_quaternions
 from vibrissa.reactions import Reactions
 from vibrissa.trail import Trail
 
@@ -116,6 +117,44 @@ class Sensor:
             position_covariance=np.eye(3) * self.position_noise**2 if self.force_noise is not None else None,
         )
 
+    def measure(
+        self, reactions: Reactions, rng: np.random.Generator, *, force_tare: ArrayLike = (0.0, 0.0, 0.0), torque_tare: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> RawRecording:
+        """Return what this sensor would log: `reactions` undone, with tare, white noise, quantisation and noise of the robot's position.
+
+        Parameters
+        ----------
+        reactions
+            On one trail (n, …), with time, in SI units.
+        rng
+            Source of the noise; sensors of unknown noise are taken as noiseless.
+        force_tare, torque_tare
+            Offsets of the sensor (3,) [N], [N m], in the axes of the wrench.
+
+        Raises
+        ------
+        ValueError
+            If the reactions are of several trails, or have no time.
+        """
+        if reactions.time is None or reactions.force.ndim != 2:
+            raise ValueError(f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …) with time")
+        orientation = multiplied(reactions.trail.orientation, inverse(self.clamp_orientation))
+        sensor_axes = rotation_matrices(orientation)
+        position = reactions.trail.position - np.einsum("nij,j->ni", sensor_axes, self.clamp_position)
+        arm = np.einsum("nij,j->ni", sensor_axes, self.clamp_position - np.asarray(self.wrench_point))
+        sign = -1.0 if self.wrench == "on_sensor" else 1.0
+        force = sign * reactions.force
+        torque = sign * reactions.moment + np.cross(arm, force)
+        if self.wrench_frame == "sensor":
+            force, torque = (np.einsum("nji,nj->ni", sensor_axes, part) for part in (force, torque))
+        return RawRecording(
+            reactions.time,
+            position + rng.normal(0.0, self.position_noise, position.shape),
+            orientation,
+            _logged(force + np.asarray(force_tare), self.force_noise, self.force_resolution, rng),
+            _logged(torque + np.asarray(torque_tare), self.torque_noise, self.torque_resolution, rng),
+        )
+
     def _tare_count(self, raw: RawRecording) -> int:
         return int(np.count_nonzero(raw.time - raw.time[0] < self.tare_seconds))
 
@@ -146,3 +185,8 @@ class Sensor:
         covariance[:, :3, 3:] = np.swapaxes(covariance[:, 3:, :3], 1, 2)
         covariance[:, 3:, 3:] = torque_variance * np.eye(3) + force_variance * cross @ np.swapaxes(cross, 1, 2)
         return covariance[0] if len(arms) == 1 else covariance
+
+
+def _logged(values: Float[np.ndarray, "n 3"], noise: float | None, resolution: float, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    noisy = values + rng.normal(0.0, noise or 0.0, values.shape)
+    return np.asarray(np.round(noisy / resolution) * resolution if resolution else noisy)

@@ -1,0 +1,72 @@
+"""Every example runs, and its numbers are right."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import vibrissa as vb
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SPHERE = np.array([0.0, 0.0, 0.0575])
+
+
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_example_is_tested() -> None:
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {"first_steps", "make_recording", "own_surface"}
+
+
+def test_first_steps() -> None:
+    assert _load("first_steps").main() < 1e-14
+
+
+def test_own_surface() -> None:
+    counts = _load("own_surface").main()
+    assert counts["wavy"] > 400
+    assert counts["blob"] > 300
+
+
+def test_recording_is_the_one_that_the_script_makes(tmp_path: Path) -> None:
+    path = tmp_path / "trail.csv"
+    scan = _load("make_recording").main(path)
+    shipped = np.loadtxt(EXAMPLES / "recordings/sphere_60mm/trail.csv", delimiter=",", skiprows=1)
+    made = np.loadtxt(path, delimiter=",", skiprows=1)
+    # Rounding to the sensor's resolution may differ by a step where a platform's last digit does.
+    assert np.mean(np.abs(made - shipped) > 1e-12) < 1e-3
+    assert np.linalg.norm(scan.point[scan.in_contact] - SPHERE, axis=-1) == pytest.approx(0.03, abs=1e-12)
+
+
+def test_shipped_recording_gives_the_sphere() -> None:
+    setup = vb.load_setup(EXAMPLES / "recordings/sphere_60mm/setup.toml")
+    found = vb.reconstruct(setup.rod, vb.read_recording(EXAMPLES / "recordings/sphere_60mm/trail.csv", setup))
+    assert found.covariance is not None
+    rows = found.in_contact & (found.status == vb.Status.OK)
+    radius = np.linalg.norm(found.point[rows] - SPHERE, axis=-1)
+    outward = (found.point[rows] - SPHERE) / radius[:, None]
+    deviation = np.sqrt(np.einsum("ni,nij,nj->n", outward, found.covariance[rows], outward))
+    assert np.median(np.abs(radius - 0.03)) < 2e-4
+    assert 0.9 < np.mean(np.abs(radius - 0.03) < 1.96 * deviation) < 0.99
+    tilt = np.degrees(np.arccos(np.sum(outward * found.normal[rows], axis=-1)))
+    assert np.median(tilt) < 2.0
+
+
+@pytest.mark.parametrize("path", sorted((EXAMPLES / "cases").glob("*.toml")), ids=lambda path: path.stem)
+def test_cases(path: Path) -> None:
+    case = vb.load_case(path)
+    scan = vb.scan(case.rod, case.surface, case.trail)
+    contact = scan.in_contact
+    assert contact.any()
+    assert scan.solved.all()
+    assert np.max(scan.residual[contact]) < 1e-12
+    assert np.max(scan.depth[contact]) < 1e-7 * case.rod.length
+    assert np.max(np.abs(case.surface.levels(scan.point[contact]))) < 1e-12

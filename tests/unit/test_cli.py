@@ -1,0 +1,109 @@
+"""The command line: exit status 2 and one line for wrong input, results to stdout, files where they were asked for."""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+CASE = (EXAMPLES / "cases/plane_snap_off.toml").read_text(encoding="utf-8")
+SETUP = EXAMPLES / "recordings/sphere_60mm/setup.toml"
+TRAIL = EXAMPLES / "recordings/sphere_60mm/trail.csv"
+
+
+def _run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    from vibrissa.cli.app import main
+
+    monkeypatch.setattr(sys, "argv", ["vibrissa", *map(str, arguments)])
+    # main() offers the user's cache to JAX by way of the environment; what it sets is undone after the test.
+    monkeypatch.setattr(os, "environ", dict(os.environ))
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return int(stopped.value.code or 0)
+
+
+def _refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert _run(monkeypatch, *arguments) == 2
+    out, err = capsys.readouterr()
+    lines = [line for line in err.splitlines() if line.startswith("vibrissa: error:")]
+    assert out == ""
+    assert len(lines) == 1
+    assert "Traceback" not in err
+    assert "allowed" in lines[0]
+    return lines[0]
+
+
+BAD_CASES = {
+    "missing key": (("b = 1.0\n", ""), ["object.b", "missing"]),
+    "unknown key": (("h = 0.4", "h = 0.4\nheight = 3"), ["object.height", "unknown"]),
+    "unknown kind": (('kind = "line"', 'kind = "zigzag"'), ["trail[0]", "line, raster or poses"]),
+    "empty trail": (("count = 521", "count = 0"), ["trail[0].count", "0", "at least 1"]),
+    "no number": (("h = 0.4", 'h = "high"'), ["object.h", "high", "finite number"]),
+    "not finite": (("h = 0.4", "h = nan"), ["object.h", "nan"]),
+    "not TOML": (("[rod]", "[rod"), ["not valid TOML"]),
+    "negative length": (('kind = "unit"', 'kind = "uniform"\nlength = -1\nbending_stiffness = 1'), ["rod.length", "-1", "greater than 0"]),
+    "zero radius": (
+        ('kind = "unit"', 'kind = "cylinder"\nlength = 1\nradius = 0\nyoungs_modulus = 1'),
+        ["rod.radius", "0", "greater than 0"],
+    ),
+    "zero axis": (("count = 521", "count = 5\naxis = [0, 0, 0]"), ["axis", "non-zero"]),
+    "clamp inside": (("start = [1.2, 0.0, 0.0]", "start = [0.1, 0.0, 0.9]"), ["trail[0]", "inside the object"]),
+}
+
+
+@pytest.mark.parametrize("name", BAD_CASES)
+def test_bad_cases(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    (old, new), words = BAD_CASES[name]
+    assert old in CASE
+    path = tmp_path / "case.toml"
+    path.write_text(CASE.replace(old, new), encoding="utf-8")
+    message = _refused(monkeypatch, capsys, "scan", path)
+    assert [word for word in words if word not in message] == []
+
+
+def test_folders_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    for arguments in (
+        ("demo", "-o", tmp_path / "file" / "demo"),
+        ("scan", EXAMPLES / "cases/paper.toml", "-o", tmp_path / "file" / "scan.nc"),
+        ("reconstruct", TRAIL, "--setup", SETUP, "-o", tmp_path / "file" / "contacts.ply"),
+    ):
+        assert str(tmp_path / "file") in _refused(monkeypatch, capsys, *arguments)
+    assert "suffix" in _refused(monkeypatch, capsys, "reconstruct", TRAIL, "--setup", SETUP, "-o", tmp_path / "contacts.xyz")
+
+
+def test_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "case.toml"
+    path.write_text(CASE, encoding="utf-8")
+    output, figure = tmp_path / "scan.nc", tmp_path / "scan.png"
+    assert _run(monkeypatch, "scan", path, "-o", output, "--figure", figure, "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    places = {event["kind"]: event["clamp"][0] for event in summary["events"]}
+    assert places["SNAP"] == pytest.approx(-1.34212374, abs=1e-8)
+    assert places["LATERAL_INSTABILITY"] == pytest.approx(0.474512782442167, abs=1e-10)
+    with xarray.open_dataset(output, engine="h5netcdf") as data:
+        force = data["support_force"].values
+        assert summary["largest_force"] == pytest.approx(np.nanmax(np.linalg.norm(force, axis=-1)))
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_reconstruct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    outputs = [tmp_path / f"contacts.{suffix}" for suffix in ("ply", "csv", "nc")]
+    options = [part for path in outputs for part in ("-o", path)]
+    assert _run(monkeypatch, "reconstruct", TRAIL, "--setup", SETUP, *options, "--figure", tmp_path / "contacts.pdf") == 0
+    assert "901 samples" in capsys.readouterr().out
+    table = np.genfromtxt(outputs[1], delimiter=",", names=True)
+    rows = np.isfinite(table["x"])
+    with xarray.open_dataset(outputs[2], engine="h5netcdf") as data:
+        assert np.array_equal(data["contact_point"].values[rows][:, 0], table["x"][rows])
+        assert np.array_equal(data["kind"].values > 0, rows)
+
+
+def test_recording_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "trail.csv"
+    path.write_bytes(TRAIL.read_bytes()[:-30])
+    assert "truncated" in _refused(monkeypatch, capsys, "reconstruct", path, "--setup", SETUP)

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike
 from vibrissa.geometry.checks import finite_array, frozen
 from vibrissa.trail import Trail
 
+_WRENCH = 6
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Reactions:
@@ -32,7 +35,7 @@ class Reactions:
     Raises
     ------
     ValueError
-        If shapes do not fit, times do not increase, or a covariance is not symmetric and positive semidefinite.
+        If shapes do not fit, times do not increase, or `covariance` is not symmetric and positive definite, `position_covariance` not positive semidefinite.
     """
 
     trail: Trail
@@ -56,7 +59,7 @@ class Reactions:
         self._set("force", _rows(force, "force", (*shape, 3)))
         self._set("moment", _rows(moment, "moment", (*shape, 3)))
         self._set("time", None if time is None else _increasing(time, shape))
-        self._set("covariance", None if covariance is None else _covariance(covariance, "covariance", 6, shape))
+        self._set("covariance", None if covariance is None else _covariance(covariance, "covariance", _WRENCH, shape))
         self._set(
             "position_covariance", None if position_covariance is None else _covariance(position_covariance, "position_covariance", 3, ())
         )
@@ -93,8 +96,9 @@ def _covariance(value: ArrayLike, name: str, size: int, shape: tuple[int, ...]) 
     array = finite_array(value, name, last=size)
     if array.shape not in ((size, size), (*shape, size, size)):
         raise ValueError(f"{name} has shape {array.shape}; allowed is {(size, size)} or {(*shape, size, size)}")
-    if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=1e-9, atol=0) or np.any(
-        np.linalg.eigvalsh(array)[..., 0] < -1e-9 * np.abs(array).max()
-    ):
-        raise ValueError(f"{name} is not symmetric and positive semidefinite")
+    least = np.linalg.eigvalsh(array)[..., 0]
+    definite = np.all(least > 0) if size == _WRENCH else np.all(least >= -_ROUNDING * np.abs(array).max())
+    if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=_ROUNDING, atol=0) or not definite:
+        kind = "positive definite" if size == _WRENCH else "positive semidefinite"
+        raise ValueError(f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and {kind}")
     return frozen(array)

@@ -56,9 +56,7 @@ def test_turning_and_moving_the_sensor_turns_and_moves_the_contacts(
     scan = scene.scan()
     assume(np.count_nonzero(sound(scan)) > 5)
     still = noisy(scan, seed, covariance)
-    trail = vb.Trail(
-        rotation.apply(still.trail.position) + translation, rotation * Rotation.from_quat(still.trail.orientation)
-    )
+    trail = vb.Trail(rotation.apply(still.trail.position) + translation, rotation * Rotation.from_quat(still.trail.orientation))
     turned = None if covariance is None else both_ways(covariance, rotation.as_matrix(), 1.0)
     moved = vb.Reactions(trail, rotation.apply(still.force), rotation.apply(still.moment), covariance=turned)
     compare(vb.reconstruct(UNIT, moved), vb.reconstruct(UNIT, still), rotation.as_matrix(), translation)

@@ -26,16 +26,12 @@ def kinds(scan: vb.Scan) -> list[vb.EventKind]:
 
 @FEW
 @given(scenes(), motions)
-def test_turning_and_moving_everything_turns_and_moves_the_result(
-    scene: Scene, motion: tuple[Rotation, np.ndarray]
-) -> None:
+def test_turning_and_moving_everything_turns_and_moves_the_result(scene: Scene, motion: tuple[Rotation, np.ndarray]) -> None:
     rotation, translation = motion
     still = scene.scan()
     assume(smooth(still))
     trail = scene.trail()
-    moved_trail = vb.Trail(
-        rotation.apply(trail.position) + translation, rotation * Rotation.from_quat(trail.orientation)
-    )
+    moved_trail = vb.Trail(rotation.apply(trail.position) + translation, rotation * Rotation.from_quat(trail.orientation))
     moved = vb.scan(UNIT, scene.solid.moved(rotation, translation).surface(), moved_trail)
 
     def change(name: str, values: np.ndarray) -> np.ndarray:
@@ -176,9 +172,7 @@ def stretches(scan: vb.Scan) -> list[np.ndarray]:
     return [
         run[: 4 * ((len(run) - 1) // 4) + 1]
         for run in runs
-        if codes[run[0]]
-        and len(run) >= 9
-        and not np.any((events > parameter[run[0]]) & (events < parameter[run[-1]]))
+        if codes[run[0]] and len(run) >= 9 and not np.any((events > parameter[run[0]]) & (events < parameter[run[-1]]))
     ]
 
 

@@ -58,6 +58,7 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
         "status": {status.name: int(np.sum(found.status == status)) for status in Status if np.any(found.status == status)},
     }
     if found.covariance is not None and contact.any():
+        summary["unit"] = found.rod.unit_of("length")
         deviations = np.sqrt(np.linalg.eigvalsh(found.covariance[contact]))
         summary["median_standard_deviations"] = np.median(deviations, axis=0).tolist()
         residual = found.single_contact_residual[contact]
@@ -75,8 +76,9 @@ def _text(summary: dict[str, object]) -> str:
     lines += [f"{count} rows {name}: {Status[name].text}" for name, count in status.items() if name != "OK"]
     deviations = summary.get("median_standard_deviations")
     if isinstance(deviations, list):
-        shown = ", ".join(f"{1e3 * value:.3g}" for value in deviations)
-        lines.append(f"standard deviations of the points along their axes, median: {shown} mm")
+        factor, unit = (1e3, "mm") if summary["unit"] == "m" else (1.0, "L")
+        shown = ", ".join(f"{factor * value:.3g}" for value in deviations)
+        lines.append(f"standard deviations of the points along their axes, median: {shown} {unit}")
         lines.append(f"m0·f0 = 0 is violated by {summary['single_contact_residual_rms']:.2f} standard deviations (rms; 1 is noise alone)")
     return "\n".join(lines)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from vibrissa.io.config import ORIGIN, NotNegative, ObjectTable, Quaternion, RodTable, Table, Vector, load_table
+from vibrissa.io.config import ORIGIN, NotNegative, ObjectTable, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
@@ -45,8 +45,8 @@ class SensorTable(Table):
     wrench_frame: Annotated[Literal["sensor", "world"], Field(description="'sensor' or 'world'")] = "sensor"
     wrench_point: Vector = ORIGIN
     tare_seconds: NotNegative = 0.0
-    force_noise: NotNegative | None = None
-    torque_noise: NotNegative | None = None
+    force_noise: Positive | None = None
+    torque_noise: Positive | None = None
     force_resolution: NotNegative = 0.0
     torque_resolution: NotNegative = 0.0
     position_noise: NotNegative = 0.0

@@ -73,6 +73,12 @@ def bending_energy(contact: ContactOnRod, force: Scalar) -> Scalar:
     return force * (contact.advance - (1 - 2 * contact.modulus) * contact.arc_length)
 
 
+def largest_curvature(plane: BasePlane, contact: ContactOnRod, force: Scalar) -> Scalar:
+    """Largest curvature along the rod [1/L]: κ = 2√f √(k² − sin² a), so f ℓ at the clamp, or 2√f k further out where a passes through zero (a₀ < 0)."""
+    inside = 2 * jnp.sqrt(jnp.maximum(force * contact.modulus, 0.0))
+    return jnp.where(plane.sin_a0 < 0, inside, force * plane.lever_arm)
+
+
 @jax.custom_jvp
 def unit_lever(sin_a0: Scalar, w: Scalar) -> tuple[Scalar, Scalar]:
     """σ = s₁/ℓ and ι = I₁/ℓ as functions of sin a₀ and w = f ℓ²/4; NaN where the curvature has no zero (k² ≥ 1)."""

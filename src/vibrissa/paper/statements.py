@@ -108,7 +108,7 @@ def _phases(scan: Scan, rows: list[int]) -> list[Statement]:
     snaps = sum(event.kind == EventKind.SNAP for event in scan.events if event.trail in rows)
     released = [event for event in scan.events if event.kind == EventKind.DETACH and event.trail in rows]
     met = {event.trail: event.clamp[0] for event in scan.events if event.kind == EventKind.FIRST_CONTACT}
-    mirrored = max((abs(event.clamp[0] + met[event.trail]) for event in released), default=np.inf)
+    mirrored = max((abs(float(event.clamp[0] + met[event.trail])) for event in released), default=np.inf)
     shortest = [float(np.nanmin(scan.arc_length[lane])) for lane in rows if (scan.kind[lane] == ContactKind.TANGENTIAL).any()]
     return [
         Statement(
@@ -164,12 +164,12 @@ def _plane(plane: Scan) -> list[Statement]:
         Statement(
             "On y0 = 0 the rod stays in the plane and snaps off",
             "no snap" if snap is None else f"snap at x0 = {snap.clamp[0]:.8f} L with f up to {force:.2f} EI/L²",
-            snap is not None and abs(snap.clamp[0] + 1.34212374) < 1e-8,
+            snap is not None and abs(float(snap.clamp[0]) + 1.34212374) < 1e-8,
         ),
         Statement(
             "(beyond the paper) that plane branch is laterally unstable",
             "no instability" if lateral is None else f"from x0 = {lateral.clamp[0]:.12f} L on, contact at x = {lateral.point[0]:.12f} L",
-            lateral is not None and abs(lateral.clamp[0] - 0.474512782442167) < _ZERO,
+            lateral is not None and abs(float(lateral.clamp[0]) - 0.474512782442167) < _ZERO,
         ),
     ]
 

@@ -24,7 +24,8 @@ class Reconstruction:
     rod, reactions
         What was given.
     kind
-        (…) values of `ContactKind`; TIP where the arc length is that of the rod within two of its standard deviations.
+        (…) values of `ContactKind`; TIP where the arc length is that of the rod, within two of its standard deviations or, where
+        the noise is not known, within 1e-6 L.
     point
         (…, 3); NaN without contact.
     normal
@@ -42,7 +43,8 @@ class Reconstruction:
     chi_square
         (…) of the wrench being noise alone, with six degrees of freedom, or None.
     single_contact_residual
-        (…): violation of m0·f0 = 0, in standard deviations where the noise is known, else relative to ‖m0‖ ‖f0‖.
+        (…): violation of m0·f0 = 0, in standard deviations where the noise is known, else relative to ‖m0‖ ‖f0‖; also on rows
+        without contact.
     status
         (…) values of `Status`.
     """

@@ -8,7 +8,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastic_line import bent_part, contact_tangent
-from vibrissa.mechanics.elastica import bending_energy
+from vibrissa.mechanics.elastica import bending_energy, largest_curvature
 from vibrissa.scan.equations import Clamp, ContactState, Scene, contact_state, level, phase_difference
 
 Scalar = Float[Array, ""]
@@ -24,7 +24,8 @@ class Assessment(NamedTuple):
     arc_length: Scalar
     moment: Vector
     energy: Scalar
-    base_curvature: Scalar
+    largest_curvature: Scalar
+    """Along the rod [1/L]."""
     phase: Scalar
     residual: Scalar
     depth: Scalar
@@ -51,7 +52,7 @@ def assess(scene: Scene, x: Float[Array, "4"], clamp: Clamp) -> Assessment:
     plane_normal = across / jnp.sqrt(jnp.sum(across * across))
     depth = _depth(scene, x, state, side, tangent)
     return Assessment(
-        x[:3], f, n, rod.arc_length, moment, bending_energy(rod, f), f * state.plane.lever_arm,
+        x[:3], f, n, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(state.plane, rod, f),
         phase_difference(rod), jnp.max(jnp.abs(state.residual)), depth, tangent, plane_normal,
     )  # fmt: skip
 

@@ -26,7 +26,7 @@ def scan_dataset(scan: "Scan") -> "xarray.Dataset":
         "support_force": Variable(scan.reactions.force, axis, force, "force of the clamp on the rod, world axes"),
         "support_moment": Variable(scan.reactions.moment, axis, moment, "moment of the clamp on the rod about the clamp point, world axes"),
         "bending_energy": Variable(scan.energy, (), energy, "bending energy"),
-        "largest_curvature": Variable(scan.largest_curvature, (), curvature, "curvature at the clamp"),
+        "largest_curvature": Variable(scan.largest_curvature, (), curvature, "largest curvature along the rod"),
         "residual": Variable(scan.residual, (), "1", "largest residual of the contact conditions"),
         "axial_slip": Variable(scan.slip.axial, (), length, "motion of the contact along the rod since the last position"),
         "longitudinal_slip": Variable(scan.slip.longitudinal, (), length, "motion of the contact point within the bending plane"),

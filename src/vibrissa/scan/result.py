@@ -40,7 +40,7 @@ class Scan:
     energy
         Bending energy (…) [J].
     largest_curvature
-        (…) [1/m], at the clamp.
+        (…) [1/m] along the rod: at the clamp, or further out where the contact force passes behind the clamp axis.
     contact_tangent, plane_normal
         Unit tangent of the rod at the contact and unit normal t0 × n of its bending plane (…, 3).
     residual
@@ -82,7 +82,7 @@ class Scan:
 
     @property
     def bending_strain(self) -> Float[np.ndarray, "*trail n"]:
-        """Largest bending strain (…): radius times curvature at the clamp.
+        """Largest bending strain (…): radius times the largest curvature along the rod.
 
         Raises
         ------

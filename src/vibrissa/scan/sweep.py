@@ -205,7 +205,7 @@ class _Walk:
             stop = min(stop, index + 1 + int(outside[0])) if outside.size else n
         stop = max(stop, index + 1)
         self.result.mode[lane, index + 1 : stop] = int(Mode.LOST)
-        self.result.status[lane, index + 1 : stop] = int(status)
+        self.result.status[lane, index + 1 : stop] = np.where(self._inside[lane, index + 1 : stop], int(Status.CLAMP_INSIDE), int(status))
         self.by_hand[lane, index + 1 : stop + 1] = True
         if stop < n:
             self._resolve_later(lane, stop, patience * 2)

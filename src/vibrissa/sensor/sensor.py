@@ -54,11 +54,11 @@ class Sensor:
     tare_seconds
         Leading time free of contact, whose mean wrench is taken off; 0 for none.
     force_noise, torque_noise
-        Standard deviation of a sample on each axis [N], [N m]; None where unknown.
+        Standard deviation of a sample on each axis [N], [N m], greater than 0; None where unknown.
     force_resolution, torque_resolution
         Steps of the numbers [N], [N m].
     position_noise
-        Standard deviation of the robot's position on each axis [m].
+        Standard deviation of the robot's position on each axis [m]; used where the wrench's noise is known.
 
     Raises
     ------
@@ -88,6 +88,9 @@ class Sensor:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} = {value!r}; allowed is a finite number of at least 0")
+        for name in ("force_noise", "torque_noise"):
+            if getattr(self, name) == 0:
+                raise ValueError(f"{name} = 0; allowed is a finite number greater than 0, or none where the noise is not known")
         if (self.force_noise is None) != (self.torque_noise is None):
             raise ValueError("force_noise and torque_noise: one is given without the other; allowed are both or none")
 
@@ -118,7 +121,12 @@ class Sensor:
         )
 
     def measure(
-        self, reactions: Reactions, rng: np.random.Generator, *, force_tare: ArrayLike = (0.0, 0.0, 0.0), torque_tare: ArrayLike = (0.0, 0.0, 0.0)
+        self,
+        reactions: Reactions,
+        rng: np.random.Generator,
+        *,
+        force_tare: ArrayLike = (0.0, 0.0, 0.0),
+        torque_tare: ArrayLike = (0.0, 0.0, 0.0),
     ) -> RawRecording:
         """Return what this sensor would log: `reactions` undone, with tare, white noise, quantisation and noise of the robot's position.
 

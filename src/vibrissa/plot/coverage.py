@@ -11,7 +11,7 @@ _COVERED, _OPEN = "#9ecae1", "#f0f0f0"
 
 
 def coverage_figure(
-    samples: Float[np.ndarray, "n 3"], cases: list[tuple[str, Float[np.ndarray, "k 3"], Bool[np.ndarray, "n"], float]]
+    samples: Float[np.ndarray, "n 3"], cases: list[tuple[str, Float[np.ndarray, "_ 3"], Bool[np.ndarray, "_"], float]]
 ) -> list[Axes]:
     """One panel a case: covered samples, open samples, and the contacts, over x and y in rod lengths.
 

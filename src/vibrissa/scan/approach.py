@@ -77,11 +77,11 @@ def first_contacts(
     """
 
     def one(ends: Float[Array, "14"], distances: Float[Array, "2"]) -> Float[Array, "6"]:
-        def distance(fraction: Scalar) -> tuple[Scalar, Scalar]:
+        def distance(fraction: Scalar, _: Scalar) -> tuple[Scalar, Scalar]:
             return clearance(scene, clamp_between(ends, fraction))
 
         zero, full = jnp.zeros(()), jnp.ones(())
-        fraction, s = bracketed_root(distance, (zero, full), (distances[0], distances[1]), zero)
+        fraction, s = bracketed_root(distance, (zero, full), (distances[0], distances[1]), (zero, zero))
         clamp = clamp_between(ends, fraction)
         point = clamp.point + s * clamp.tangent
         gradient = jax.grad(level, argnums=1)(scene, point)

@@ -98,7 +98,7 @@ def _covariance(value: ArrayLike, name: str, size: int, shape: tuple[int, ...]) 
         raise ValueError(f"{name} has shape {array.shape}; allowed is {(size, size)} or {(*shape, size, size)}")
     least = np.linalg.eigvalsh(array)[..., 0]
     definite = np.all(least > 0) if size == _WRENCH else np.all(least >= -_ROUNDING * np.abs(array).max())
-    if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=_ROUNDING, atol=0) or not definite:
+    if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=0, atol=_ROUNDING * np.abs(array).max()) or not definite:
         kind = "positive definite" if size == _WRENCH else "positive semidefinite"
         raise ValueError(f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and {kind}")
     return frozen(array)

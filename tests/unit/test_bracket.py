@@ -11,9 +11,31 @@ from scipy.optimize import brentq
 from vibrissa.numerics.bracket import bracketed_root
 
 
+def bracketed(function: Callable[[jax.Array], jax.Array], a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Root, and its double as what was found there."""
+    return bracketed_root(lambda x, _: (function(x), 2 * x), (a, b), (function(a), function(b)), (2 * a, 2 * b))
+
+
 def root(function: Callable[[jax.Array], jax.Array], low: float, high: float) -> float:
-    a, b = jnp.asarray(low), jnp.asarray(high)
-    return float(jax.jit(lambda a, b: bracketed_root(function, a, b, function(a), function(b)))(a, b))
+    found, double = jax.jit(lambda a, b: bracketed(function, a, b))(jnp.asarray(low), jnp.asarray(high))
+    assert float(double) == 2 * float(found)
+    return float(found)
+
+
+def test_the_guess_is_interpolated_between_the_ends_of_the_bracket() -> None:
+    """Of a straight line, whatever the function does, the guess is the line itself."""
+    worst = jnp.zeros(())
+
+    def value(x: jax.Array, guess: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        line, error = guess
+        return jnp.exp(x) - 2, (3 * x - 1, jnp.maximum(jnp.abs(line - (3 * x - 1)), error))
+
+    ends = (jnp.zeros(()), jnp.ones(()))
+    found, (_, error) = bracketed_root(
+        value, ends, (jnp.asarray(-1.0), jnp.exp(1.0) - 2), ((jnp.asarray(-1.0), worst), (jnp.asarray(2.0), worst))
+    )
+    assert float(found) == pytest.approx(np.log(2), abs=1e-14)
+    assert float(error) < 1e-14
 
 
 SMOOTH = {
@@ -45,7 +67,7 @@ def test_agrees_with_brent_in_a_batch() -> None:
         def value(x: jax.Array) -> jax.Array:
             return x * jnp.exp(x - 1) - c
 
-        return bracketed_root(value, jnp.zeros(()), jnp.ones(()), value(jnp.zeros(())), value(jnp.ones(())))
+        return bracketed(value, jnp.zeros(()), jnp.ones(()))[0]
 
     exact = [brentq(lambda x, c=c: x * np.exp(x - 1) - c, 0, 1, xtol=1e-15) for c in levels]
     np.testing.assert_allclose(jax.jit(jax.vmap(one))(jnp.asarray(levels)), exact, rtol=0, atol=1e-13)

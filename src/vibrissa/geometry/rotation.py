@@ -47,9 +47,11 @@ def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"
 def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
     """Quaternion of the shortest rotation that takes +z to the unit vector `axis`."""
     x, y, z = axis
-    if z < -1 + _AXIS_TOLERANCE:
+    # 1 + z without cancellation next to −z, where the axis of the half turn is any across.
+    w = 1 + z if z > 0 else (x * x + y * y) / (1 - z)
+    if w == 0:
         return np.array([1.0, 0.0, 0.0, 0.0])
-    quaternion = np.array([-y, x, 0.0, 1.0 + z])
+    quaternion = np.array([-y, x, 0.0, w])
     return quaternion / np.linalg.norm(quaternion)
 
 

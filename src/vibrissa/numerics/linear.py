@@ -37,3 +37,11 @@ def solve_4x4(matrix: Float[Array, "4 4"], right: Float[Array, "4"]) -> tuple[Fl
 
 def _minor(a: Float[Array, "4 4"], row: int, i: int, j: int) -> Float[Array, ""]:
     return a[row, i] * a[row + 1, j] - a[row, j] * a[row + 1, i]
+
+
+def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Solution by Cramer's rule."""
+    first, second, third = matrix[:, 0], matrix[:, 1], matrix[:, 2]
+    across = jnp.cross(second, third)
+    values = (jnp.dot(right, across), jnp.dot(first, jnp.cross(right, third)), jnp.dot(first, jnp.cross(second, right)))
+    return jnp.stack(values) / jnp.dot(first, across)

@@ -5,6 +5,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
+from vibrissa.numerics.compiled import compiled
+from vibrissa.numerics.linear import solve_3x3
+from vibrissa.numerics.rotation import cross_matrix, third_axis
 from vibrissa.reconstruct.inverse import invert, single_contact
 
 WIDTH = 11
@@ -28,27 +31,28 @@ def invert_blocks(
     """`invert` for the units of force and moment, and blocks of support reactions and clamp orientations: (blocks, 11, width)."""
 
     def one(force: Float[Array, "3"], moment: Float[Array, "3"], orientation: Float[Array, "4"]) -> Float[Array, "11"]:
-        return _packed(jnp.concatenate([force / scales[0], moment / scales[1]]), _tangent(orientation))
+        return _packed(jnp.concatenate([force / scales[0], moment / scales[1]]), third_axis(orientation))
 
     return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (force, moment, orientation))
 
 
-@jax.jit
+@compiled
 def invert_noisy_blocks(
-    wrench: Float[Array, "blocks 6 width"], orientation: Float[Array, "blocks 4 width"], covariance: Float[Array, "blocks 6 6 width"]
+    wrench: Float[Array, "blocks 6 width"],
+    orientation: Float[Array, "blocks 4 width"],
+    covariance: Float[Array, "blocks 6 6 width"],
+    precision: Float[Array, "blocks 6 6 width"],
 ) -> Array:
-    """`invert` of the most probable wrench (model units) of a single contact on this rod, with its errors: (blocks, 31, width)."""
+    """`invert` of the most probable wrench (model units) of a single contact on this rod, with its errors: (blocks, 31, width).
 
-    def one(wrench: Float[Array, "6"], orientation: Float[Array, "4"], covariance: Float[Array, "6 6"]) -> Float[Array, "31"]:
-        return _noisy(wrench, _tangent(orientation), covariance)
+    `precision` is the inverse of the covariance.
+    """
 
-    return lax.map(lambda block: jax.vmap(one, in_axes=(1, 1, 2), out_axes=1)(*block), (wrench, orientation, covariance))
+    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array) -> Float[Array, "31"]:
+        return _noisy(wrench, third_axis(orientation), covariance, precision)
 
-
-def _tangent(orientation: Float[Array, "4"]) -> Float[Array, "3"]:
-    """The clamp's +z axis (geometry.rotation.third_axis, traceable)."""
-    x, y, z, w = orientation
-    return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z])
+    lanes = jax.vmap(one, in_axes=(1, 1, 2, 2), out_axes=1)
+    return lax.map(lambda block: lanes(*block), (wrench, orientation, covariance, precision))
 
 
 def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Array, "11"]:
@@ -59,9 +63,11 @@ def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Arra
     return jnp.concatenate([contact.reach, contact.direction, jnp.stack([contact.arc_length, contact.modulus, contact.energy, f, single])])
 
 
-def _noisy(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]) -> Float[Array, "31"]:
+def _noisy(
+    wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"], precision: Float[Array, "6 6"]
+) -> Float[Array, "31"]:
     single, deviation = single_contact(wrench, covariance)
-    within = _within_the_rod(single, tangent, covariance)
+    within = _within_the_rod(single, tangent, covariance, precision)
 
     def observed(measured: Float[Array, "6"]) -> Float[Array, "7"]:
         # Errors pass through the projection on a single contact, but not through the limit at the tip, where they would be cut.
@@ -75,48 +81,42 @@ def _noisy(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Fl
     return jnp.concatenate([values, errors[:3, :3].ravel(), errors[3:6, 3:6].ravel(), extra])
 
 
-def _within_the_rod(wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]) -> Float[Array, "6"]:
+def _within_the_rod(
+    wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"], precision: Float[Array, "6 6"]
+) -> Float[Array, "6"]:
     """The most probable wrench with s₁ ≤ L: a contact beyond the tip, by less than the noise explains, is one at the tip."""
 
     def log_arc_length(wrench: Float[Array, "6"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
         return value, value
 
-    measured = log_arc_length(wrench)[0]
-
-    def step(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        current, _ = state
+    def step(_: Array | int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        current, _, _ = state
         slope, value = jax.jacfwd(log_arc_length, has_aux=True)(current)
         spread = covariance @ slope
         multiplier = (value + slope @ (wrench - current)) / (slope @ spread)
         # The change of the wrench, Σ · slope · multiplier, in standard deviations.
-        return wrench - spread * multiplier, multiplier * jnp.sqrt(slope @ spread)
+        return wrench - spread * multiplier, multiplier * jnp.sqrt(slope @ spread), value
 
-    limited, deviations = lax.fori_loop(0, _TIP_STEPS, step, (wrench, jnp.zeros(())))
-    reached = jnp.abs(log_arc_length(limited)[0]) < _AT_TIP
-    near = reached & (jnp.abs(deviations) < TIP_DEVIATIONS)
-    straight, straight_deviations = _straight_tip(wrench, tangent, covariance)
+    beyond = log_arc_length(wrench)[0] > 0
+    limited, deviations, value = lax.fori_loop(0, _TIP_STEPS, step, (wrench, jnp.zeros(()), jnp.zeros(())))
+    near = (jnp.abs(value) < _AT_TIP) & (jnp.abs(deviations) < TIP_DEVIATIONS)
+    straight, straight_deviations = _straight_tip(wrench, tangent, precision)
     chosen = jnp.where(near, limited, jnp.where(straight_deviations < TIP_DEVIATIONS, straight, wrench))
-    return jnp.where(measured > 0, chosen, wrench)
+    return jnp.where(beyond, chosen, wrench)
 
 
 def _straight_tip(
-    wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]
+    wrench: Float[Array, "6"], tangent: Float[Array, "3"], precision: Float[Array, "6 6"]
 ) -> tuple[Float[Array, "6"], Float[Array, ""]]:
     """Most probable wrench of a force at the tip of the rod while it is still straight, and its distance in standard deviations.
 
     Near first contact noise may move s₁ by rod lengths, and the bent rod's equations are of no use.
     """
-    x, y, z = tangent
-    reach = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
-    reach = (
-        reach
-        + jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x
-        + jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
-    )
     # f0 = −F and m0 = −t0 × F, so m0 = t0 × f0.
-    design = jnp.concatenate([jnp.eye(3), reach])
-    weighted = jnp.linalg.solve(covariance, jnp.concatenate([design, wrench[:, None]], axis=1))
-    straight = design @ jnp.linalg.solve(design.T @ weighted[:, :3], design.T @ weighted[:, 3])
+    design = jnp.concatenate([jnp.eye(3), cross_matrix(tangent)])
+    weighted = precision @ design
+    straight = design @ solve_3x3(design.T @ weighted, weighted.T @ wrench)
     # At the minimum the square of the distance is wᵀΣ⁻¹w less what the design explains.
-    return straight, jnp.sqrt(jnp.maximum(wrench @ weighted[:, 3] - straight @ weighted[:, 3], 0.0))
+    weighted_wrench = precision @ wrench
+    return straight, jnp.sqrt(jnp.maximum((wrench - straight) @ weighted_wrench, 0.0))

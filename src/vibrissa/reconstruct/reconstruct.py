@@ -67,9 +67,9 @@ def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) ->
     units = np.repeat(scales, 3)
     wrench = np.concatenate([force, moment], axis=1) / units
     covariance = reactions.covariance / np.outer(units, units)
-    chi_square = np.einsum("ni,ni->n", wrench, np.linalg.solve(covariance, wrench[..., None])[..., 0])
-    covariances = np.broadcast_to(covariance, (*trail.shape, 6, 6)).reshape(-1, 6, 6)
-    fields = in_blocks(invert_noisy_blocks, wrench, orientation, covariances)
+    matrices = [np.broadcast_to(part, (*trail.shape, 6, 6)).reshape(-1, 6, 6) for part in (covariance, np.linalg.inv(covariance))]
+    chi_square = np.einsum("ni,nij,nj->n", wrench, matrices[1], wrench)
+    fields = in_blocks(invert_noisy_blocks, wrench, orientation, *matrices)
     return _noisy(rod, reactions, fields, chi_square, _threshold(false_alarm))
 
 

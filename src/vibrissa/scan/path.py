@@ -8,6 +8,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from vibrissa.geometry.rotation import third_axis
+from vibrissa.numerics.rotation import third_axis as traced_third_axis
 from vibrissa.scan.equations import Clamp
 from vibrissa.trail import Trail
 
@@ -80,8 +81,7 @@ def clamp_between(ends: Float[Array, "14"], fraction: Float[Array, ""]) -> Clamp
     sine = jnp.where(turning, jnp.sin(angle), 1.0)
     weight = jnp.where(turning, jnp.sin(fraction * angle) / sine, fraction)
     other = jnp.where(turning, jnp.sin((1 - fraction) * angle) / sine, 1 - fraction)
-    x, y, z, w = other * first + weight * last
-    tangent = jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z])
+    tangent = traced_third_axis(other * first + weight * last)
     return Clamp(ends[:3] + fraction * (ends[7:10] - ends[:3]), tangent)
 
 

@@ -1,0 +1,18 @@
+"""Rotations inside compiled code; outside it they are the library's (`vibrissa.geometry.rotation`)."""
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+
+def third_axis(quaternion: Float[Array, "4"]) -> Float[Array, "3"]:
+    """World direction of the +z axis of a frame turned by a unit quaternion x, y, z, w."""
+    x, y, z, w = quaternion
+    return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z])
+
+
+def cross_matrix(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """[v]× with [v]× u = v × u."""
+    x, y, z = vector
+    zero = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])

@@ -7,12 +7,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from hypothesis import Phase
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 
 COUNT = 61
+UNSHRUNK = (Phase.explicit, Phase.generate)
+"""A sweep costs milliseconds and a smaller counterexample says little more: failures are shown as they were drawn."""
 IDENTITY = Rotation.identity()
 UNIT = vb.Rod.unit()
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
@@ -69,11 +72,22 @@ class Solid(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """An object and a clamp path in model units."""
+    """An object and a clamp path along −x, from 1.2 to −1.2 at y = side, in model units."""
 
     solid: Solid
-    position: np.ndarray
+    side: float
     axis: np.ndarray
+
+    @property
+    def position(self) -> np.ndarray:
+        """Clamp points (61, 3)."""
+        x = np.linspace(1.2, -1.2, COUNT)
+        return np.stack([x, np.full(COUNT, self.side), np.zeros(COUNT)], axis=1)
+
+    @property
+    def orientation(self) -> Rotation:
+        """Of the clamp, all along the path."""
+        return Rotation.from_quat(np.tile(self.trail().orientation[0], (COUNT, 1)))
 
     def trail(self, length: float = 1.0) -> vb.Trail:
         """The path in units in which the rod has this length."""
@@ -110,9 +124,7 @@ def scenes(draw: st.DrawFn, kinds: tuple[str, ...] = ("paraboloid", "ellipsoid")
         solid = Solid("ellipsoid", np.concatenate([center, axes]), Rotation.from_rotvec(turn), np.zeros(3))
     side = draw(numbers(0.1, 0.35)) * draw(st.sampled_from([-1, 1]))
     axis = np.array([draw(numbers(-0.15, 0.15)), draw(numbers(-0.15, 0.15)), 1.0])
-    x = np.linspace(1.2, -1.2, COUNT)
-    position = np.stack([x, np.full(COUNT, side), np.zeros(COUNT)], axis=1)
-    return Scene(solid, position, axis / np.linalg.norm(axis))
+    return Scene(solid, side, axis / np.linalg.norm(axis))
 
 
 def sound(scan: vb.Scan) -> np.ndarray:

@@ -3,12 +3,12 @@
 import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scenes import UNIT, WIRE, Scene, motions, scenes, sound
+from scenes import UNIT, UNSHRUNK, WIRE, Scene, motions, scenes, sound
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 
-FEW = settings(max_examples=10)
+FEW = settings(max_examples=10, phases=UNSHRUNK)
 MIRROR = np.diag([1.0, -1.0, 1.0])
 SPREAD = np.diag([4e-6, 1e-6, 2e-6, 1e-6, 3e-6, 1e-6])
 
@@ -53,13 +53,14 @@ def test_turning_and_moving_the_sensor_turns_and_moves_the_contacts(
     scene: Scene, motion: tuple[Rotation, np.ndarray], seed: int, covariance: np.ndarray | None
 ) -> None:
     rotation, translation = motion
+    R = rotation.as_matrix()
     scan = scene.scan()
     assume(np.count_nonzero(sound(scan)) > 5)
     still = noisy(scan, seed, covariance)
-    trail = vb.Trail(rotation.apply(still.trail.position) + translation, rotation * Rotation.from_quat(still.trail.orientation))
-    turned = None if covariance is None else both_ways(covariance, rotation.as_matrix(), 1.0)
-    moved = vb.Reactions(trail, rotation.apply(still.force), rotation.apply(still.moment), covariance=turned)
-    compare(vb.reconstruct(UNIT, moved), vb.reconstruct(UNIT, still), rotation.as_matrix(), translation)
+    trail = vb.Trail(rotation.apply(scene.position) + translation, rotation * scene.orientation)
+    turned = None if covariance is None else both_ways(covariance, R, 1.0)
+    moved = vb.Reactions(trail, still.force @ R.T, still.moment @ R.T, covariance=turned)
+    compare(vb.reconstruct(UNIT, moved), vb.reconstruct(UNIT, still), R, translation)
 
 
 @FEW
@@ -116,4 +117,4 @@ def test_covariances_are_those_of_something(scene: Scene, seed: int) -> None:
         assert np.all(np.linalg.eigvalsh(covariance)[:, 0] > -1e-9 * scale)
     n = found.normal[rows]
     along = np.einsum("ni,nij,nj->n", n, found.normal_covariance[rows], n)
-    assert np.all(np.abs(along) < 1e-9 * np.trace(found.normal_covariance[rows], axis1=1, axis2=2))
+    assert np.all(np.abs(along) < 1e-4 * np.trace(found.normal_covariance[rows], axis1=1, axis2=2))

@@ -52,10 +52,8 @@ class Solid(NamedTuple):
     def normal(self, points: np.ndarray) -> np.ndarray:
         """Outward unit normals (k, 3)."""
         p, f = self.own(points), self.figures
-        if self.kind == "paraboloid":
-            gradient = np.stack([2 * f[0] * p[:, 0], 2 * f[1] * p[:, 1], -np.ones(len(p))], axis=1)
-        else:
-            gradient = (p - f[:3]) / f[3:] ** 2
+        bowl = np.stack([2 * f[0] * p[:, 0], 2 * f[1] * p[:, 1], -np.ones(len(p))], axis=1)
+        gradient = bowl if self.kind == "paraboloid" else (p - f[:3]) / f[3:] ** 2
         return self.rotation.apply(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
 
     def moved(self, rotation: Rotation, translation: np.ndarray) -> "Solid":

@@ -12,6 +12,8 @@ import vibrissa as vb
 FEW = settings(max_examples=8, phases=UNSHRUNK)
 SOME = settings(max_examples=20, phases=UNSHRUNK)
 CLOSE = 1e-9
+RACING = 0.02
+"""Motion of the contact [L] in a step of 0.01 L: near a fold it would take shorter steps to integrate its work."""
 
 
 def smooth(scan: vb.Scan) -> bool:
@@ -161,16 +163,18 @@ def test_a_free_rod_is_clear_of_the_object(scene: Scene) -> None:
 
 
 def stretches(scan: vb.Scan) -> list[np.ndarray]:
-    """Runs of at least 17 rows of one kind of contact, without an event within."""
+    """Runs of at least 17 rows of one kind of contact, without an event within, on which the contact does not race over the object."""
     codes = np.where(sound(scan), scan.kind, 0)
-    runs = np.split(np.arange(len(codes)), np.flatnonzero(np.diff(codes)) + 1)
     events = np.array([event.parameter for event in scan.events])
     parameter = scan.trail.parameter
-    return [
-        run[: 4 * ((len(run) - 1) // 4) + 1]
-        for run in runs
-        if codes[run[0]] and len(run) >= 17 and not np.any((events > parameter[run[0]]) & (events < parameter[run[-1]]))
-    ]
+    found = []
+    for run in np.split(np.arange(len(codes)), np.flatnonzero(np.diff(codes)) + 1):
+        rows = run[: 4 * ((len(run) - 1) // 4) + 1]
+        within = np.any((events > parameter[rows[0]]) & (events < parameter[rows[-1]]))
+        if codes[rows[0]] and len(rows) >= 17 and not within:
+            moved = np.linalg.norm(np.diff(scan.point[rows], axis=0), axis=1)
+            found += [rows] if moved.max() < RACING else []
+    return found
 
 
 def work(scan: vb.Scan, rows: np.ndarray) -> float:

@@ -39,7 +39,7 @@ def test_the_guess_is_interpolated_between_the_ends_of_the_bracket() -> None:
 
 
 SMOOTH = {
-    "cosine": (lambda x: jnp.cos(x), 0.0, 3.0, np.pi / 2),
+    "cosine": (jnp.cos, 0.0, 3.0, np.pi / 2),
     "falling line": (lambda x: 1 - 3 * x, 0.0, 1.0, 1 / 3),
     "first contact, f ~ √x": (lambda x: jnp.sqrt(jnp.maximum(x - 0.2, 0)) - jnp.sqrt(jnp.maximum(0.2 - x, 0)), 0.0, 1.0, 0.2),
     "exponential": (lambda x: jnp.exp(8 * x) - jnp.exp(2.4), 0.0, 1.0, 0.3),

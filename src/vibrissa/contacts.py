@@ -25,7 +25,8 @@ class Status(IntEnum):
     NOT_SINGLE_CONTACT = 8
     BEYOND_TIP = 9
     NO_CURVATURE_ZERO = 10
-    BAD_DATA = 11
+    STEEP_TANGENT = 11
+    BAD_DATA = 12
 
     @property
     def text(self) -> str:
@@ -45,5 +46,6 @@ _TEXTS = {
     Status.NOT_SINGLE_CONTACT: "Force and moment do not belong to one contact force (m0·f0 ≠ 0 beyond the noise); check the tare, the mount, or for a second contact.",
     Status.BEYOND_TIP: "The first zero of the curvature lies beyond the rod's tip; check the rod's length and stiffness, the tare and the mount.",
     Status.NO_CURVATURE_ZERO: "The curvature has no zero for these reactions, so no single contact explains them; check the rod, the tare and the sign of the wrench.",
+    Status.STEEP_TANGENT: "At the contact the rod would point into the object (k² > 0.8, more than any friction explains); check the sign of the wrench and the rod.",
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
 }

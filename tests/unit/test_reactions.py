@@ -63,15 +63,19 @@ BAD = {
     ),
     "not symmetric": (
         lambda: vb.Reactions(TRAIL, ZERO, ZERO, covariance=np.eye(6) + np.eye(6, k=1)),
-        "covariance is not symmetric and positive semidefinite",
+        "covariance",
     ),
     "negative": (
         lambda: vb.Reactions(TRAIL, ZERO, ZERO, covariance=np.diag([1.0, 1, 1, 1, 1, -0.1])),
-        "covariance is not symmetric and positive semidefinite",
+        "covariance has the least eigenvalue -0.1; allowed is symmetric and positive definite",
     ),
     "position covariance": (
         lambda: vb.Reactions(TRAIL, ZERO, ZERO, position_covariance=np.diag([1.0, -1, 1])),
-        "position_covariance is not symmetric and positive semidefinite",
+        "position_covariance has the least eigenvalue -1; allowed is symmetric and positive semidefinite",
+    ),
+    "singular": (
+        lambda: vb.Reactions(TRAIL, ZERO, ZERO, covariance=np.diag([1.0, 1, 1, 1, 1, 0])),
+        "covariance has the least eigenvalue 0; allowed is symmetric and positive definite",
     ),
     "infinite": (
         lambda: vb.Reactions(TRAIL, ZERO, ZERO, covariance=np.diag([np.inf] * 6)),

@@ -146,7 +146,7 @@ BAD = {
     "whole level": (lambda: surfaces.Implicit(lambda p: jnp.asarray(1)), "allowed is one real number"),
     "rotation": (
         lambda: surfaces.Sphere(center=CENTER, radius=1.0).placed(rotation=(0, 0, 0, 0)),
-        "rotation: quaternion [] has zero norm; allowed is any x, y, z, w of non-zero norm",
+        "rotation = [0.0, 0.0, 0.0, 0.0] has zero norm; allowed is any quaternion",
     ),
     "rotations": (
         lambda: surfaces.Sphere(center=CENTER, radius=1.0).placed(rotation=np.ones((2, 4))),

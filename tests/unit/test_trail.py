@@ -72,7 +72,10 @@ BAD = {
     "a point": (lambda: vb.Trail(np.zeros(3)), "position has shape (3,); allowed is (n, 3)"),
     "plane points": (lambda: vb.Trail(np.zeros((4, 2))), "position has shape (4, 2); allowed is (…, 3)"),
     "not finite": (lambda: vb.Trail([(0, 0, 0), (0, np.nan, 0)]), "position[1, 1] = nan; allowed are finite numbers"),
-    "zero norm": (lambda: vb.Trail(np.zeros((2, 3)), ZERO_SECOND), "orientation: quaternion [1] has zero norm"),
+    "zero norm": (
+        lambda: vb.Trail(np.zeros((2, 3)), ZERO_SECOND),
+        "orientation[1] = [0.0, 0.0, 0.0, 0.0] has zero norm; allowed is any quaternion",
+    ),
     "three numbers": (lambda: vb.Trail(np.zeros((2, 3)), np.ones(3)), "orientation has shape (3,); allowed is (…, 4)"),
     "too many": (
         lambda: vb.Trail(np.zeros((2, 3)), np.ones((3, 4))),

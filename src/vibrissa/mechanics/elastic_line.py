@@ -11,26 +11,30 @@ from vibrissa.mechanics.elastica import BasePlane, ContactOnRod
 Scalar = Float[Array, ""]
 Vector = Float[Array, "3"]
 
-BEND_NODES = 14
+_NODE_COUNT = 14
+BEND_POINTS = 41
 _LEAST_FORCE = 1e-12
 
 
-def _cumulative_chebyshev(count: int) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n n"]]:
-    """Chebyshev–Lobatto nodes on [0, 1] and the matrix that integrates values there from 0 to each node."""
+def _cumulative_chebyshev(
+    count: int, points: int
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "points"], Float[np.ndarray, "points n"]]:
+    """Chebyshev–Lobatto nodes on [0, 1], equally spaced points there, and the matrix that integrates values at the nodes from 0 to each point."""
     nodes = (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2
+    targets = np.linspace(0, 1, points)
     basis = np.polynomial.chebyshev.chebvander(2 * nodes - 1, count - 1)
-    integrals = np.empty((count, count))
+    integrals = np.empty((points, count))
     for degree in range(count):
         antiderivative = np.polynomial.chebyshev.chebint(np.eye(count)[degree], lbnd=-1)
-        integrals[:, degree] = np.polynomial.chebyshev.chebval(2 * nodes - 1, antiderivative) / 2
-    return nodes, integrals @ np.linalg.inv(basis)
+        integrals[:, degree] = np.polynomial.chebyshev.chebval(2 * targets - 1, antiderivative) / 2
+    return nodes, targets, integrals @ np.linalg.inv(basis)
 
 
-_NODES, _INTEGRATE = _cumulative_chebyshev(BEND_NODES)
+_NODES, _POINTS, _INTEGRATE = _cumulative_chebyshev(_NODE_COUNT, BEND_POINTS)
 
 
-def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float[Array, "nodes"], Float[Array, "nodes"]]:
-    """Fourteen points from the contact back to the clamp, seen from the contact: how far along n̂, and how far from the line of the force [L].
+def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
+    """41 points from the contact back to the clamp, seen from the contact: how far along n̂, and how far from the line of the force [L].
 
     With c = π/2 − χ: ds = dc / (√f √(1 − k² cos² c)), the distance from the line of the force is κ/f = 2 k sin c / √f, and the rod advances along −n̂ by
     (1 − 2 k² cos² c) ds. Error below 1e-8 for k² ≤ ½.
@@ -38,11 +42,10 @@ def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float
     root = jnp.sqrt(jnp.maximum(force, _LEAST_FORCE))
     k2 = rod.modulus
     span = jnp.arctan2(root * plane.lever_arm / 2, plane.sin_a0)
-    c = span * jnp.asarray(_NODES)
-    cos2 = jnp.cos(c) ** 2
+    cos2 = jnp.cos(span * jnp.asarray(_NODES)) ** 2
     rate = span / (root * jnp.sqrt(1 - k2 * cos2))
     advance = jnp.asarray(_INTEGRATE) @ ((1 - 2 * k2 * cos2) * rate)
-    return advance, 2 * jnp.sqrt(k2) * jnp.sin(c) / root
+    return advance, 2 * jnp.sqrt(k2) * jnp.sin(span * jnp.asarray(_POINTS)) / root
 
 
 def contact_tangent(normal: Vector, side: Vector, rod: ContactOnRod) -> Vector:

@@ -12,8 +12,8 @@ from vibrissa.reconstruct.inverse import invert, single_contact
 
 WIDTH = 11
 """r (3), n̂ (3), s₁, k², energy, f, and m0·f0 / (‖m0‖ f)."""
-NOISY_WIDTH = WIDTH + 9 + 9 + 2
-"""The same; covariance of r, covariance of n̂, standard deviation of s₁, m0·f0 in standard deviations."""
+NOISY_WIDTH = WIDTH + 9 + 9 + 3
+"""The same; covariance of r, covariance of n̂, standard deviations of s₁ and k², m0·f0 in standard deviations."""
 
 # The tip is imposed where s₁ comes out longer than the rod by less than this many standard deviations.
 TIP_DEVIATIONS = 5.0
@@ -43,12 +43,12 @@ def invert_noisy_blocks(
     covariance: Float[Array, "blocks 6 6 width"],
     precision: Float[Array, "blocks 6 6 width"],
 ) -> Array:
-    """`invert` of the most probable wrench (model units) of a single contact on this rod, with its errors: (blocks, 31, width).
+    """`invert` of the most probable wrench (model units) of a single contact on this rod, with its errors: (blocks, 32, width).
 
     `precision` is the inverse of the covariance.
     """
 
-    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array) -> Float[Array, "31"]:
+    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array) -> Float[Array, "32"]:
         return _noisy(wrench, third_axis(orientation), covariance, precision)
 
     lanes = jax.vmap(one, in_axes=(1, 1, 2, 2), out_axes=1)
@@ -65,19 +65,19 @@ def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Arra
 
 def _noisy(
     wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"], precision: Float[Array, "6 6"]
-) -> Float[Array, "31"]:
+) -> Float[Array, "32"]:
     single, deviation = single_contact(wrench, covariance)
     within = _within_the_rod(single, tangent, covariance, precision)
 
-    def observed(measured: Float[Array, "6"]) -> Float[Array, "7"]:
+    def observed(measured: Float[Array, "6"]) -> Float[Array, "8"]:
         # Errors pass through the projection on a single contact, but not through the limit at the tip, where they would be cut.
         shifted, _ = single_contact(measured, covariance)
-        return _packed(shifted, tangent)[:7]
+        return _packed(shifted, tangent)[:8]
 
     jacobian = jax.jacfwd(observed)(within)
     errors = jacobian @ covariance @ jacobian.T
     values = _packed(within, tangent)
-    extra = jnp.stack([jnp.sqrt(errors[6, 6]), deviation])
+    extra = jnp.stack([jnp.sqrt(errors[6, 6]), jnp.sqrt(errors[7, 7]), deviation])
     return jnp.concatenate([values, errors[:3, :3].ravel(), errors[3:6, 3:6].ravel(), extra])
 
 

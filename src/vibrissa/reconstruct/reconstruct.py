@@ -17,13 +17,16 @@ from vibrissa.rod import Rod
 _SINGLE_CONTACT = 1e-3
 _TIP = 1e-6
 _LEAST_FORCE = 1e-14
+# Without friction k² ≤ ½, with it k² ≤ (1 + sin atan μ)/2: this is μ = 0.75.
+_STEEPEST = 0.8
 # With known noise, in standard deviations.
 _SINGLE_CONTACT_DEVIATIONS = 6.0
+_STEEP_DEVIATIONS = 3.0
 _KIND_DEVIATIONS = 2.0
 # As plain numbers: looking up a member of an enumeration costs as much as the arithmetic of a sample.
 _NONE, _TIP_KIND, _TANGENTIAL = (int(kind) for kind in ContactKind)
 _NOT_SINGLE_CONTACT, _BEYOND_TIP, _NO_CURVATURE_ZERO = int(Status.NOT_SINGLE_CONTACT), int(Status.BEYOND_TIP), int(Status.NO_CURVATURE_ZERO)
-_BAD_DATA = int(Status.BAD_DATA)
+_STEEP_TANGENT, _BAD_DATA = int(Status.STEEP_TANGENT), int(Status.BAD_DATA)
 
 
 def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) -> Reconstruction:
@@ -83,18 +86,20 @@ def _exact(rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 11"]) ->
     status = np.zeros(len(fields), dtype=np.int8)
     status[np.abs(single) > _SINGLE_CONTACT] = _NOT_SINGLE_CONTACT
     status[arc_length > 1 + _TIP] = _BEYOND_TIP
+    status[modulus > _STEEPEST] = _STEEP_TANGENT
     status[modulus >= 1] = _NO_CURVATURE_ZERO
     return _result(rod, reactions, fields, magnitude > _LEAST_FORCE, arc_length > 1 - _TIP, status, single)
 
 
 def _noisy(
-    rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 31"], chi_square: Float[np.ndarray, "k"], threshold: float
+    rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 32"], chi_square: Float[np.ndarray, "k"], threshold: float
 ) -> Reconstruction:
-    deviation, single = fields[:, NOISY_WIDTH - 2], fields[:, NOISY_WIDTH - 1]
+    deviation, steep_deviation, single = (fields[:, NOISY_WIDTH - back] for back in (3, 2, 1))
     arc_length = fields[:, 6]
     status = np.zeros(len(fields), dtype=np.int8)
     status[np.abs(single) > _SINGLE_CONTACT_DEVIATIONS] = _NOT_SINGLE_CONTACT
     status[arc_length > 1 + _TIP + TIP_DEVIATIONS * deviation] = _BEYOND_TIP
+    status[fields[:, 7] - _STEEP_DEVIATIONS * steep_deviation > _STEEPEST] = _STEEP_TANGENT
     status[fields[:, 7] >= 1] = _NO_CURVATURE_ZERO
     tip = arc_length > 1 - _TIP - _KIND_DEVIATIONS * deviation
     return _result(rod, reactions, fields, chi_square > threshold, tip, status, single, fields[:, WIDTH:], chi_square)
@@ -108,18 +113,24 @@ def _result(
     tip: np.ndarray,
     status: np.ndarray,
     single: Float[np.ndarray, "k"],
-    errors: Float[np.ndarray, "k 20"] | None = None,
+    errors: Float[np.ndarray, "k 21"] | None = None,
     chi_square: Float[np.ndarray, "k"] | None = None,
 ) -> Reconstruction:
     shape, length = reactions.trail.shape, rod.length
     # The residual of the single-contact condition holds every number of the row; without a force it is not a number either.
     bad = np.isnan(fields[:, 10])
     if bad.any():
-        bad &= ~np.isfinite(reactions.force.sum(axis=-1) + reactions.moment.sum(axis=-1)).reshape(-1)
-    none = ~contact | bad
+        bad &= ~(np.isfinite(reactions.force).all(axis=-1) & np.isfinite(reactions.moment).all(axis=-1)).reshape(-1)
+    unsolved = contact & ~np.isfinite(fields[:, 6])
+    none = ~contact | bad | unsolved
     values, energy = fields[:, :WIDTH], fields[:, 8] * rod.moment_scale
     if none.any():
-        status[none], status[bad] = 0, _BAD_DATA
+        couple = (
+            ~np.any(reactions.force, axis=-1).reshape(-1) & np.any(reactions.moment, axis=-1).reshape(-1) & (contact | (errors is None))
+        )
+        status[none], status[unsolved] = 0, _NO_CURVATURE_ZERO
+        status[couple], status[bad] = _NOT_SINGLE_CONTACT, _BAD_DATA
+        bad |= unsolved | couple
         values = np.where(none[:, None], np.nan, values)
         energy = np.where(none, np.where(bad, np.nan, 0.0), energy)
     kind = np.where(none, _NONE, np.where(tip, _TIP_KIND, _TANGENTIAL)).astype(np.int8)

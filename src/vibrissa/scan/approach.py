@@ -17,7 +17,7 @@ from vibrissa.scan.path import clamp_between
 Scalar = Float[Array, ""]
 
 _SAMPLES = 16
-_REFINEMENTS = 4
+_REFINEMENTS = 10
 
 
 def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
@@ -33,13 +33,16 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
     low, high = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
     slope = jax.grad(along)
 
-    def refine(_: Array | int, s: Scalar) -> Scalar:
+    def refine(_: Array | int, state: tuple[Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+        # Newton's method for the zero of the slope, held in a bracket by bisection.
+        s, low, high = state
         first, second = jax.jvp(slope, (s,), (jnp.ones_like(s),))
-        # Where the level is not convex the lower end of the bracket is taken.
-        target = jnp.where(second > 0, s - first / jnp.where(second > 0, second, 1.0), jnp.where(first > 0, low, high))
-        return jnp.clip(target, low, high)
+        low, high = jnp.where(first < 0, s, low), jnp.where(first < 0, high, s)
+        target = s - first / jnp.where(second > 0, second, 1.0)
+        return jnp.where((second > 0) & (target > low) & (target < high), target, (low + high) / 2), low, high
 
-    s = lax.fori_loop(0, _REFINEMENTS, refine, s, unroll=True)
+    refined, _, _ = lax.fori_loop(0, _REFINEMENTS, refine, (s, low, high))
+    s = jnp.where(along(refined) <= along(s), refined, s)
     value, gradient = jax.value_and_grad(level, argnums=1)(scene, clamp.point + s * clamp.tangent)
     return value / jnp.sqrt(jnp.sum(gradient * gradient)), s
 

@@ -37,7 +37,7 @@ class Assessment(NamedTuple):
 WIDTH = 22
 """Numbers in one assessment, in the order above."""
 
-_TAIL_NODES = 6
+_TAIL_POINTS = 13
 
 
 def assess(scene: Scene, x: Float[Array, "4"], clamp: Clamp) -> Assessment:
@@ -58,14 +58,23 @@ def assess(scene: Scene, x: Float[Array, "4"], clamp: Clamp) -> Assessment:
 
 
 def _depth(scene: Scene, x: Float[Array, "4"], state: ContactState, side: Vector, tangent: Vector) -> Scalar:
-    """Deepest of 14 points between clamp and contact and 6 between contact and tip."""
+    """Deepest place of the rod, from 41 points between clamp and contact and 13 between contact and tip, and parabolas through their minima."""
     p = x[:3]
     advance, distance = bent_part(state.plane, state.rod, x[3])
     bend = p + advance[:, None] * state.normal - distance[:, None] * side
-    tail = p + (jnp.arange(1, _TAIL_NODES + 1) / _TAIL_NODES)[:, None] * jnp.maximum(1 - state.rod.arc_length, 0.0) * tangent
-    levels = jax.vmap(lambda q: level(scene, q))(jnp.concatenate([bend, tail]))
+    tail = p + (jnp.arange(_TAIL_POINTS) / (_TAIL_POINTS - 1))[:, None] * jnp.maximum(1 - state.rod.arc_length, 0.0) * tangent
+    lowest = jnp.minimum(*(_lowest(jax.vmap(lambda q: level(scene, q))(part)) for part in (bend, tail)))
     gradient = jax.grad(level, argnums=1)(scene, p)
-    return -jnp.min(levels) / jnp.sqrt(jnp.sum(gradient * gradient))
+    return -lowest / jnp.sqrt(jnp.sum(gradient * gradient))
+
+
+def _lowest(levels: Float[Array, "points"]) -> Scalar:
+    """Least value at equally spaced points, and at the vertices of the parabolas through three of them that lie nearest to the middle one."""
+    before, here, after = levels[:-2], levels[1:-1], levels[2:]
+    bend = before - 2 * here + after
+    vertex = here - (after - before) ** 2 / jnp.where(bend > 0, 8 * bend, 1.0)
+    inside = (bend > 0) & (jnp.abs(after - before) < bend)
+    return jnp.minimum(jnp.min(levels), jnp.min(jnp.where(inside, vertex, here)))
 
 
 @jax.jit

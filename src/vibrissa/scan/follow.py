@@ -4,7 +4,7 @@ The branch is followed by its arc length, so that it can be seen to turn back (f
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +21,9 @@ from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
 from vibrissa.scan.locate import WIDTH as EVENT_LANES
+from vibrissa.scan.locate import polished
 from vibrissa.scan.march import Mode
-from vibrissa.scan.path import clamp_between, slerp
+from vibrissa.scan.path import clamp_between, shortened
 from vibrissa.scan.search import stable_equilibria
 
 HEAD_ON_COSINE = -1 + 1e-9
@@ -37,6 +38,8 @@ _SHORTEST_STEP = 1e-10
 _MOST_STEPS = 600
 _MOST_CHANGES = 12
 _ENERGY_MARGIN = 1e-9
+_NO_FORCE = 1e-7
+_BIFURCATION_STEP = 2e-5
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
 
@@ -189,8 +192,18 @@ class Tracker:
                 following, step = last, float(here.tangent @ ((last.y - here.y) * self._weights))
             if following.y[3] < 0:
                 release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
+                if abs(release.y[3]) > _NO_FORCE:
+                    # Not a force that falls to zero, but another branch on which it pulls.
+                    step /= 2
+                    if step < _SHORTEST_STEP:
+                        return _End("stuck", here)
+                    continue
                 self._changes(here, release, step, happened)
                 return _End("released", release)
+            if following.determinant * here.determinant < 0 and step > _BIFURCATION_STEP:
+                # A bifurcation keeps its place when the step is refined; a branch that only comes near another one is followed round.
+                step = max(step / 4, 0.5 * _BIFURCATION_STEP)
+                continue
             self._changes(here, following, step, happened)
             here = following
             if here.y[4] >= 1:
@@ -202,37 +215,36 @@ class Tracker:
         self, here: Branch, following: Branch, step: float, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]
     ) -> None:
         if here.phase * following.phase < 0:
-            change = self.root(here, step, lambda point: point.phase)
+            change = self._polished(self.root(here, step, lambda point: point.phase))
             kind = EventKind.TIP_TO_TANGENTIAL if following.phase > 0 else EventKind.TANGENTIAL_TO_TIP
             happened.append((kind, float(change.y[4]), change.y[:3]))
         if here.determinant * following.determinant < 0:
-            change = self.root(here, step, lambda point: point.determinant)
+            # The step is short here: between its ends the determinant is a straight line.
+            share = here.determinant / (here.determinant - following.determinant)
+            change = replace(here, y=here.y + share * (following.y - here.y))
             kind = EventKind.LATERAL_INSTABILITY if following.determinant > 0 else EventKind.LATERAL_RECOVERY
             happened.append((kind, float(change.y[4]), change.y[:3]))
+
+    def _polished(self, at: Branch) -> Branch:
+        y, sound = polished(self._scene, self._stretch[None], at.y[None])
+        return replace(at, y=y[0]) if sound[0] else at
 
 
 class _LostOnTheWayError(Exception):
     pass
 
 
-def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[np.ndarray, "4"], *, begins: bool = False) -> Outcome:
-    """Resolve a stretch from mode FREE or CONTACT (with x) at its start; with mode LOST only its end is known.
-
-    Parameters
-    ----------
-    begins
-        The trail begins here: an equilibrium found by search is an event of its own kind.
-    """
+def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[np.ndarray, "4"]) -> Outcome:
+    """Resolve a stretch from mode FREE or CONTACT (with x) at its start; with mode LOST only its end is known."""
     tracker = Tracker(scene, stretch)
     outcome = Outcome(mode, x)
     fraction = 0.0
     here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None
     if mode == Mode.LOST or (mode == Mode.CONTACT and here is None):
-        fraction, here = 1.0, _settled(scene, tracker, stretch, 1.0, np.inf)
+        fraction, here = 1.0, _settled(scene, tracker, stretch, 1.0, np.inf, [])
         if here is None:
             return _failed(outcome, Status.NO_EQUILIBRIUM)
-        if begins:
-            outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, here.y[:3]))
+        outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, here.y[:3]))
         return _arrived(outcome, here)
     for _ in range(_MOST_CHANGES):
         if here is None:
@@ -254,7 +266,7 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
         here = None
         if float(_straight(scene, stretch, jnp.asarray(fraction))[0]) < CLEAR:
             energy = float(_energy(scene, stretch, end.at.y))
-            here = _settled(scene, tracker, stretch, fraction, energy - _ENERGY_MARGIN)
+            here = _settled(scene, tracker, stretch, fraction, energy - _ENERGY_MARGIN, [end.at.y[:3]])
             if here is None:
                 return _failed(outcome, Status.NO_EQUILIBRIUM)
     return _failed(outcome, Status.NOT_CONVERGED)
@@ -265,7 +277,7 @@ def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "1
     distances = np.array([float(_straight(scene, stretch, jnp.asarray(at))[0]) for at in (fraction, 1.0)])
     if distances[1] >= CLEAR:
         return None
-    rest = _shortened(stretch, fraction)
+    rest = shortened(stretch, np.asarray(fraction), np.asarray(1.0))
     share, *point, _, cosine = in_blocks(
         lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES
     )[0]
@@ -281,17 +293,14 @@ def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "1
     return here
 
 
-def _settled(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, energy: float) -> Branch | None:
+def _settled(
+    scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
+) -> Branch | None:
     pose = np.asarray(_straight(scene, stretch, jnp.asarray(fraction)))
-    for equilibrium in stable_equilibria(scene, pose[1:4], pose[4:]):
+    for equilibrium in stable_equilibria(scene, pose[1:4], pose[4:], near):
         if equilibrium.energy < energy:
             return tracker.at(np.append(equilibrium.x, fraction))
     return None
-
-
-def _shortened(stretch: Float[np.ndarray, "14"], fraction: float) -> Float[np.ndarray, "14"]:
-    point = stretch[:3] + fraction * (stretch[7:10] - stretch[:3])
-    return np.concatenate([point, slerp(stretch[3:7], stretch[10:], np.array([fraction])), stretch[7:]])
 
 
 def _arrived(outcome: Outcome, at: Branch) -> Outcome:

@@ -4,12 +4,14 @@ from enum import IntEnum
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from vibrissa.numerics.blocks import AnyArray, in_blocks
 from vibrissa.numerics.bracket import bracketed_root
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Scene, newton_step
+from vibrissa.scan.equations import Scene, contact_state, newton_step
 from vibrissa.scan.path import clamp_between
 
 Scalar = Float[Array, ""]
@@ -58,3 +60,44 @@ def locate(
         return jnp.concatenate([jnp.stack([fraction]), x])
 
     return lax.map(lambda block: jax.vmap(one, in_axes=(1, 1, 0), out_axes=1)(*block), (stretches, ends, indicator))
+
+
+_POLISHING_STEPS = 4
+_POLISHED = 1e-12
+_FARTHEST = 0.05
+
+
+@compiled
+def _change_conditions(
+    scene: Scene, stretches: Float[AnyArray, "blocks 14 width"], y: Float[AnyArray, "blocks 5 width"]
+) -> Float[Array, "blocks 30 width"]:
+    """The five conditions of a change of phase at y = (x, fraction), and their Jacobian."""
+
+    def one(stretch: Float[Array, "14"], y: Float[Array, "5"]) -> Float[Array, "30"]:
+        def conditions(y: Float[Array, "5"]) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
+            state = contact_state(scene, y[:4], clamp_between(stretch, y[4]))
+            # Both phases at once: no kink is left.
+            both = jnp.stack([1 - state.rod.arc_length, 0.5 - state.rod.modulus])
+            residual = jnp.concatenate([state.residual[:3], both])
+            return residual, residual
+
+        jacobian, residual = jax.jacfwd(conditions, has_aux=True)(y)
+        return jnp.concatenate([residual, jacobian.ravel()])
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (jnp.asarray(stretches), jnp.asarray(y)))
+
+
+def polished(
+    scene: Scene, stretches: Float[np.ndarray, "k 14"], y: Float[np.ndarray, "k 5"]
+) -> tuple[Float[np.ndarray, "k 5"], Bool[np.ndarray, "k"]]:
+    """Changes of phase by Newton's method on (x, fraction) with s₁ = 1 and k² = ½ both imposed, and where that converged near its start."""
+    start, residual = y, np.full(len(y), np.inf)
+    for _ in range(_POLISHING_STEPS):
+        values = in_blocks(lambda *parts: _change_conditions(scene, *parts), stretches, y, width=WIDTH)
+        jacobian = values[:, 5:].reshape(-1, 5, 5)
+        regular = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0)
+        jacobian = np.where(regular[:, None, None], jacobian, np.eye(5))
+        right = np.where(regular[:, None], values[:, :5], 0.0)
+        residual = np.where(regular, np.abs(right).max(axis=1), np.inf)
+        y = y - np.linalg.solve(jacobian, right[..., None])[..., 0]
+    return y, (residual < _POLISHED) & (np.abs(y - start).max(axis=1) < _FARTHEST)

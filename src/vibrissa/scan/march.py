@@ -68,6 +68,8 @@ TOLERANCE = 1e-9
 _MOST_ITERATIONS = 12
 _JUMP = 8.0
 _JUMP_FLOOR = 0.02
+_MISS = 0.7
+_MISS_FLOOR = 0.005
 
 _newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
 
@@ -105,12 +107,14 @@ def _advance(scene: Scene, legs: Legs, index: Array, carry: _Carry) -> tuple[_Ca
     entering = free & legs.met[index]
     active = touching | entering
     met = jnp.concatenate([legs.meeting_point[index], jnp.zeros((1, active.shape[0]))])
-    x, residual, determinant, phase = _solve(scene, jnp.where(entering, met, _extrapolated(carry)), clamp, active)
+    guess = _extrapolated(carry)
+    x, residual, determinant, phase = _solve(scene, jnp.where(entering, met, guess), clamp, active)
 
     solved = residual <= TOLERANCE
     moved = jnp.sqrt(jnp.sum((x - carry.x)[:3] ** 2, axis=0))
     clamp_moved = _clamp_motion(legs, index)
-    leaps = touching & (moved > _JUMP_FLOOR + _JUMP * clamp_moved)
+    missed = jnp.sqrt(jnp.sum((x - guess)[:3] ** 2, axis=0))
+    leaps = touching & ((moved > _JUMP_FLOOR + _JUMP * clamp_moved) | ((carry.age >= 1) & (missed > _MISS_FLOOR + _MISS * moved)))
     # A contact that pulls is one that has been lost; the solution beyond tells by how much.
     released = touching & solved & ~leaps & (x[3] < 0)
     held = active & solved & ~leaps & (x[3] >= 0) & (determinant * carry.sign > 0)

@@ -72,6 +72,25 @@ def slerp(
     return np.asarray(other * first + weight * last)
 
 
+def pose_between(
+    stretches: Float[np.ndarray, "*#batch 14"], fraction: Float[np.ndarray, "*#batch 1"]
+) -> tuple[Float[np.ndarray, "... 3"], Float[np.ndarray, "... 3"]]:
+    """Clamp points and tangents at fractions of stretches."""
+    point = stretches[..., :3] + fraction * (stretches[..., 7:10] - stretches[..., :3])
+    return point, third_axis(slerp(stretches[..., 3:7], stretches[..., 10:], fraction))
+
+
+def shortened(
+    stretches: Float[np.ndarray, "*batch 14"], start: Float[np.ndarray, "*batch"], stop: Float[np.ndarray, "*batch"]
+) -> Float[np.ndarray, "*batch 14"]:
+    """The part of each stretch between two fractions."""
+    ends = []
+    for fraction in (start[..., None], stop[..., None]):
+        ends.append(stretches[..., :3] + fraction * (stretches[..., 7:10] - stretches[..., :3]))
+        ends.append(slerp(stretches[..., 3:7], stretches[..., 10:], fraction))
+    return np.concatenate(ends, axis=-1)
+
+
 def clamp_between(ends: Float[Array, "14"], fraction: Float[Array, ""]) -> Clamp:
     """Pose on a stretch, given as (point, quaternion) at its start and its end, 14 numbers."""
     first, last = ends[3:7], ends[10:14]

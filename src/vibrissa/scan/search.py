@@ -13,8 +13,9 @@ from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.assess import assess_blocks
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
 
-_DIRECTIONS = 56
-_RAY_SAMPLES = 32
+_DIRECTIONS = 96
+_RAY_SAMPLES = 48
+_BESIDE = 0.04
 _FORCES = (0.05, 0.5, 1.5, 4.0)
 _ITERATIONS = 40
 _SAME = 1e-6
@@ -32,12 +33,15 @@ class Equilibrium:
     phase: float
 
 
-def stable_equilibria(scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"]) -> list[Equilibrium]:
+def stable_equilibria(
+    scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"], near: list[Float[np.ndarray, "3"]]
+) -> list[Equilibrium]:
     """Admissible stable equilibria found at a clamp pose, lowest energy first.
 
-    Newton's method starts from the points where 56 rays from the clamp meet the object within the rod's length, with four magnitudes of the force.
+    Newton's method starts, with four magnitudes of the force, from the points where rays from the clamp meet the object within the rod's length; from where the
+    straight rod lies in it, and a little beside that; and from points `near` which a contact is expected.
     """
-    seeds = _seeds(scene, point, tangent)
+    seeds = _seeds(scene, point, tangent, near)
     if not len(seeds):
         return []
     clamps = np.broadcast_to(np.concatenate([point, tangent]), (len(seeds), 6))
@@ -54,7 +58,9 @@ def stable_equilibria(scene: Scene, point: Float[np.ndarray, "3"], tangent: Floa
     return found
 
 
-def _seeds(scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"]) -> Float[np.ndarray, "seeds 4"]:
+def _seeds(
+    scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"], near: list[Float[np.ndarray, "3"]]
+) -> Float[np.ndarray, "seeds 4"]:
     # A Fibonacci spiral over the directions within 105° of the tangent.
     order = np.arange(_DIRECTIONS) + 0.5
     cosine = 1 - 1.25 * order / _DIRECTIONS
@@ -70,7 +76,11 @@ def _seeds(scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarra
     ray, sample = np.nonzero(enters)
     before, after = values[ray, sample], values[ray, sample + 1]
     meets = distance[sample] + before / (before - after) / _RAY_SAMPLES
-    points = point + meets[:, None] * rays[ray]
+    along = point + distance[:, None] * tangent
+    inside = along[np.asarray(_levels(scene, along[None]))[0] < 0]
+    expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
+    around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
+    points = np.concatenate([point + meets[:, None] * rays[ray], around.reshape(-1, 3)])
     return np.concatenate([np.column_stack([points, np.full(len(points), force)]) for force in _FORCES])
 
 

@@ -13,12 +13,14 @@ from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import EventKind, Happening
 from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
 from vibrissa.scan.locate import WIDTH as EVENT_LANES
-from vibrissa.scan.locate import Indicator, locate
+from vibrissa.scan.locate import Indicator, locate, polished
 from vibrissa.scan.march import Legs, Mode, march
-from vibrissa.scan.path import Path, extended_back, stretch
+from vibrissa.scan.path import Path, extended_back, pose_between, shortened, stretch
 
 _STABLE = -1.0
 _WAY_BACK = 40
+# Poses looked at between two positions near the object, lest something thin be passed through.
+_LOOKS = 16
 
 
 class Meetings(NamedTuple):
@@ -117,7 +119,7 @@ class _Walk:
         ends = np.where(lost.any(axis=1), lost.argmax(axis=1), n)
         kept = own & (np.arange(n) < ends[:, None])
         # The first row of a resumed lane was found by hand, with its determinant and phase.
-        kept &= (np.arange(n) > first[:, None]) | (first[:, None] == 0) | (mode == Mode.FREE)
+        kept &= (np.arange(n) > first[:, None]) | (mode == Mode.FREE)
         rows = np.nonzero(kept)
         at = (lanes[rows[0]], rows[1])
         for target, source in (
@@ -173,7 +175,7 @@ class _Walk:
         elif mode in (Mode.LOST, Mode.WAITING) and self._clear[lane, index]:
             outcome = Outcome(Mode.FREE, np.zeros(4))
         else:
-            outcome = follow(self._scene, stretch(self._path, lane, index), mode, x, begins=index == 0)
+            outcome = follow(self._scene, stretch(self._path, lane, index), mode, x)
         self._settle(lane, index, outcome, patience)
 
     def _settle(self, lane: int, index: int, outcome: Outcome, patience: int) -> None:
@@ -248,17 +250,40 @@ def _clearances(scene: Scene, path: Path) -> tuple[Float[np.ndarray, "m n"], Flo
 
 
 def _meetings(scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]) -> Meetings:
-    lane, index = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
-    index = index + 1
+    lane, step = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
+    index, whole = step + 1, np.ones(len(lane))
+    blocked = distance[lane, index]
+    passed = _passed_through(scene, path, clear, distance)
+    lane, index, whole, blocked = (np.concatenate(parts) for parts in zip((lane, index, whole, blocked), passed, strict=True))
     if not len(lane):
         return Meetings(lane, index, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
-    distances = np.column_stack([distance[lane, index - 1], distance[lane, index]])
-    found = in_blocks(lambda *parts: first_contacts(scene, *parts), stretch(path, lane, index), distances, width=EVENT_LANES)
+    distances = np.column_stack([distance[lane, index - 1], blocked])
+    stretches = shortened(stretch(path, lane, index), np.zeros(len(lane)), whole)
+    found = in_blocks(lambda *parts: first_contacts(scene, *parts), stretches, distances, width=EVENT_LANES)
+    found = np.column_stack([found[:, 0] * whole, found[:, 1:]])
     cosine = found[:, 5]
     bends = cosine > HEAD_ON_COSINE
     # At f = 0: k² = sin² a₀ = (1 + n·t0)/2.
     phase = (1 - found[:, 4]) + cosine / 2
     return Meetings(*(part[bends] for part in (lane, index, found[:, 0], found[:, 1:4], phase)))
+
+
+def _passed_through(
+    scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]
+) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Steps between two clear positions on which the straight rod passes through something thin: lane, index of the end, fraction and clearance within."""
+    tangent = path.tangent
+    motion = np.linalg.norm(np.diff(path.point, axis=1), axis=-1) + np.linalg.norm(np.diff(tangent, axis=1), axis=-1)
+    near = clear[:, :-1] & clear[:, 1:] & (np.maximum(distance[:, :-1], distance[:, 1:]) < motion)
+    lane, step = np.nonzero(near)
+    if not len(lane):
+        return lane, step, np.zeros(0), np.zeros(0)
+    fractions = np.arange(1, _LOOKS) / _LOOKS
+    poses = pose_between(stretch(path, lane, step + 1)[:, None], fractions[:, None])
+    within = in_blocks(lambda *parts: clearances(scene, *parts), *(part.reshape(-1, 3) for part in poses))[:, 0].reshape(len(lane), -1)
+    hit = np.flatnonzero((within < CLEAR).any(axis=1))
+    first = np.argmax(within[hit] < CLEAR, axis=1)
+    return lane[hit], step[hit] + 1, fractions[first], within[hit, first]
 
 
 class _Bracket(NamedTuple):
@@ -316,6 +341,11 @@ def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happeni
     ends = np.array([bracket.ends for bracket in brackets])
     indicator = np.array([int(bracket.indicator) for bracket in brackets])
     found = in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator, width=EVENT_LANES)
+    changes = np.flatnonzero(indicator == Indicator.PHASE)
+    if changes.size:
+        y, sound = polished(scene, stretch(path, lanes[changes], indices[changes]), np.roll(found[changes], -1, axis=1))
+        found = found.copy()
+        found[changes[sound]] = np.roll(y[sound], 1, axis=1)
     release = {(b.lane, b.step): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
     return [
         Happening(b.kind, b.lane, b.step, float(row[0]), row[1:4])

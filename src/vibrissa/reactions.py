@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from vibrissa.geometry.checks import finite_array, frozen
+from vibrissa.geometry.checks import finite_array
 from vibrissa.trail import Trail
 
 _WRENCH = 6
@@ -78,7 +78,7 @@ def _rows(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarr
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; allowed is {shape}, as the trail has")
-    return frozen(array)
+    return array
 
 
 def _increasing(value: ArrayLike, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
@@ -89,7 +89,7 @@ def _increasing(value: ArrayLike, shape: tuple[int, ...]) -> Float[np.ndarray, "
     if falling.size:
         row = tuple(falling[0])
         raise ValueError(f"time{list(map(int, row))} = {time[row]} is not before the next; allowed are increasing times")
-    return frozen(time)
+    return time
 
 
 def _covariance(value: ArrayLike, name: str, size: int, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
@@ -101,4 +101,4 @@ def _covariance(value: ArrayLike, name: str, size: int, shape: tuple[int, ...]) 
     if not np.allclose(array, np.swapaxes(array, -1, -2), rtol=0, atol=_ROUNDING * np.abs(array).max()) or not definite:
         kind = "positive definite" if size == _WRENCH else "positive semidefinite"
         raise ValueError(f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and {kind}")
-    return frozen(array)
+    return array

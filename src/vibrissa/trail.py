@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from vibrissa.geometry.checks import finite_array, frozen, unit_vector
+from vibrissa.geometry.checks import finite_array, unit_vector
 from vibrissa.geometry.rotation import third_axis, turning_axis_to, unit_quaternions
 
 
@@ -47,8 +47,8 @@ class Trail:
             raise ValueError(
                 f"orientation has shape {turns.shape}; allowed is (4,) or {(*points.shape[:-1], 4)}, as position has"
             ) from error
-        object.__setattr__(self, "position", frozen(points))
-        object.__setattr__(self, "orientation", frozen(turns))
+        object.__setattr__(self, "position", points)
+        object.__setattr__(self, "orientation", turns)
 
     @classmethod
     def line(cls, *, start: ArrayLike, stop: ArrayLike, count: int, axis: ArrayLike = (0.0, 0.0, 1.0)) -> "Trail":

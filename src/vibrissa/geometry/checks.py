@@ -52,12 +52,6 @@ def unit_vector(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
     return vector / length
 
 
-def frozen(array: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Return the array, marked read-only."""
-    array.flags.writeable = False
-    return array
-
-
 def _number(value: float, name: str) -> float:
     try:
         return float(value)

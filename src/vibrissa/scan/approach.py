@@ -17,7 +17,7 @@ from vibrissa.scan.path import clamp_between
 Scalar = Float[Array, ""]
 
 _SAMPLES = 16
-_REFINEMENTS = 10
+_REFINEMENTS = 16
 
 
 def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:

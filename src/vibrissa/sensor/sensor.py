@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from vibrissa.geometry.checks import finite_array, frozen
+from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices, unit_quaternions
 from vibrissa.reactions import Reactions
 from vibrissa.trail import Trail
@@ -79,8 +79,8 @@ class Sensor:
     position_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "clamp_position", frozen(finite_array(self.clamp_position, "clamp_position", last=3, ndim=1)))
-        object.__setattr__(self, "clamp_orientation", frozen(unit_quaternions(self.clamp_orientation, "clamp_orientation")))
+        object.__setattr__(self, "clamp_position", finite_array(self.clamp_position, "clamp_position", last=3, ndim=1))
+        object.__setattr__(self, "clamp_orientation", unit_quaternions(self.clamp_orientation, "clamp_orientation"))
         for name, allowed in (("wrench", ("on_sensor", "on_rod")), ("wrench_frame", ("sensor", "world"))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")

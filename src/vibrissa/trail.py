@@ -1,5 +1,6 @@
 """Paths of the clamp."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -120,6 +121,6 @@ class Trail:
 
 
 def _count(value: int, name: str) -> int:
-    if int(value) != value or value < 1:
+    if not math.isfinite(value) or int(value) != value or value < 1:
         raise ValueError(f"{name} = {value!r}; allowed is a whole number of at least 1")
     return int(value)

@@ -134,11 +134,11 @@ def test_bent_part_runs_from_contact_to_clamp_on_the_rod(bent: Bent) -> None:
     nodes = bent.reach + advance[:, None] * bent.n - distance[:, None] * bent.side
     np.testing.assert_allclose(nodes[0], bent.reach, rtol=0, atol=1e-12)
     np.testing.assert_allclose(nodes[-1], 0, atol=1e-8)
-    # Their arc lengths from the contact, by quadrature of ds = dc / (√f √(1 − k² cos² c)).
+    # Their arc lengths from the contact, by quadrature of ds = dc / (√f √(1 − k² cos² c)); they are equally spaced in c.
     k2 = float(bent.rod.modulus)
     span = np.arctan2(bent.curvature / (2 * np.sqrt(bent.force)), np.cos(bent.delta / 2))
-    shares = (1 - np.cos(np.pi * np.arange(14) / 13)) / 2
-    left = [quad(lambda c: 1 / np.sqrt(bent.force * (1 - k2 * np.cos(c) ** 2)), 0, span * share)[0] for share in shares]
+    ends = span * np.linspace(0, 1, len(nodes))
+    left = [quad(lambda c: 1 / np.sqrt(bent.force * (1 - k2 * np.cos(c) ** 2)), 0, end)[0] for end in ends]
     exact = bent.line(np.maximum(float(bent.rod.arc_length) - np.array(left), 0))
     np.testing.assert_allclose(nodes, exact, rtol=0, atol=1e-8)
 

@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bent_rods import RODS, TANGENTIAL, TIP, reactions_of
+from bent_rods import RODS, TANGENTIAL, TIP, BentRod, bent_rod, reactions_of
 from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 import vibrissa as vb
@@ -97,9 +98,29 @@ def test_a_wrench_of_the_wrong_sign_has_no_contact() -> None:
     """The rod would bend away from the force that bends it."""
     good = reactions_of(TANGENTIAL, UNIT)
     found = vb.reconstruct(UNIT, vb.Reactions(good.trail, -good.force, good.moment))
-    assert set(found.status.tolist()) <= {int(STATUS.NO_CURVATURE_ZERO), int(STATUS.BEYOND_TIP)}
+    assert set(found.status.tolist()) <= {int(STATUS.NO_CURVATURE_ZERO), int(STATUS.BEYOND_TIP), int(STATUS.STEEP_TANGENT)}
     strong = vb.Reactions(good.trail, good.force, 3 * good.moment)
     np.testing.assert_array_equal(vb.reconstruct(UNIT, strong).status, STATUS.NO_CURVATURE_ZERO)
+
+
+def leaning(mu: float) -> BentRod:
+    """A rod tangent to an object whose force leans against the tangent by atan μ: a(s₁) = π/4 + atan(μ)/2, k² = sin² a(s₁)."""
+    modulus, sin2_a0 = (1 + np.sin(np.arctan(mu))) / 2, 0.3
+    delta = np.pi - 2 * np.arcsin(np.sqrt(sin2_a0))
+    return bent_rod(1.0, delta, 2 * np.sqrt(modulus - sin2_a0), 0.8, Rotation.from_rotvec([0.2, 0.5, -0.3]))
+
+
+@pytest.mark.parametrize(("mu", "status"), [(0.0, STATUS.OK), (0.25, STATUS.OK), (0.7, STATUS.OK), (2.0, STATUS.STEEP_TANGENT)])
+def test_friction_is_admitted_and_a_rod_that_points_into_the_object_is_not(mu: float, status: vb.Status) -> None:
+    rod = leaning(mu)
+    found = vb.reconstruct(UNIT, reactions_of([rod], UNIT))
+    assert found.status[0] == status
+    assert found.modulus[0] == pytest.approx((1 + np.sin(np.arctan(mu))) / 2, abs=1e-11)
+    np.testing.assert_allclose(found.point[0], rod.point, rtol=0, atol=1e-11)
+    # The tangent at the contact makes 90° − atan μ with the force: it is straight from there on.
+    line = found.elastic_line(0, 1001)
+    tangent = (line[1000] - line[900]) / np.linalg.norm(line[1000] - line[900])
+    assert tangent @ found.normal[0] == pytest.approx(np.sin(np.arctan(mu)), abs=1e-9)
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, -0.1, float("nan")])
@@ -147,7 +168,7 @@ def test_violations_by_noise_are_standard_deviations() -> None:
 
 
 @pytest.mark.parametrize("rod", TANGENTIAL, ids=["slight", "strong"])
-def test_covariance_is_carried_by_the_derivatives_of_the_result(rod: object) -> None:
+def test_covariance_is_carried_by_the_derivatives_of_the_result(rod: BentRod) -> None:
     """Central differences of what `reconstruct` returns, by each component of the wrench."""
     step = 1e-6
     pushes = np.concatenate([step * np.eye(6), -step * np.eye(6)])

@@ -136,7 +136,7 @@ SETUP_DAMAGE = {
     "twice": ("length = 0.05", "length = 0.05\nlength = 0.06", ["not valid TOML", "line 4"]),
     "thick beyond numbers": ("radius = 0.25e-3", "radius = 1e200", ["radius"]),
     "a key of two lines": ("length = 0.05", 'length = 0.05\n"len\\ngth" = 1', ["unknown key"]),
-    "endless digits": ("length = 0.05", "length = 1" + "0" * 5000, ["length"]),
+    "endless digits": ("length = 0.05", "length = 1" + "0" * 5000, ["not valid TOML"]),
     "endless nesting": ("length = 0.05", "length = " + "[" * 5000, ["TOML"]),
 }
 

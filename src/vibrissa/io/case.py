@@ -12,7 +12,7 @@ from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
 
-Count = Annotated[int, Field(ge=1, description="a whole number of at least 1")]
+Count = Annotated[int, Field(strict=True, ge=1, le=10_000_000, description="a whole number of at least 1, and at most 10,000,000")]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from vibrissa.io.errors import InputError, readable
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Ellipsoid, EllipticCylinder, EllipticParaboloid, Plane, Sphere, Surface
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, description="a number greater than 0")]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, description="a number of at least 0")]
-Finite = Annotated[float, Field(allow_inf_nan=False, description="a finite number")]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False, description="a number greater than 0")]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False, description="a number of at least 0")]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False, description="a finite number")]
 Vector = Annotated[tuple[Finite, Finite, Finite], Field(description="three finite numbers")]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], Field(description="a quaternion x, y, z, w of non-zero norm")]
 
@@ -164,7 +164,7 @@ def load_table(path: Path, model: type[Model]) -> Model:
     readable(path)
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid TOML ({error}); allowed is a TOML file in UTF-8") from error
     try:
         return model.model_validate(content)

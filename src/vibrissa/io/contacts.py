@@ -1,6 +1,7 @@
 """Contacts to PLY, CSV or NetCDF, by the file's suffix."""
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,9 +37,9 @@ def write_contacts(path: str | Path, found: Reconstruction) -> Path:
     file = checked_output(path)
     match file.suffix.lower():
         case ".ply":
-            _write_ply(file, found)
+            _written(file, lambda: _write_ply(file, found))
         case ".csv":
-            _write_csv(file, found)
+            _written(file, lambda: _write_csv(file, found))
         case _:
             write_dataset(file, found.to_dataset())
     return file
@@ -53,8 +54,15 @@ def write_dataset(path: str | Path, dataset: "xarray.Dataset") -> Path:
         If the suffix is not .nc, or the folder cannot be written to.
     """
     file = checked_output(path, (".nc",))
-    dataset.to_netcdf(file, engine="h5netcdf")
+    _written(file, lambda: dataset.to_netcdf(file, engine="h5netcdf"))
     return file
+
+
+def _written(file: Path, write: Callable[[], object]) -> None:
+    try:
+        write()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror or error}); allowed is a file that can be written") from error
 
 
 def _write_csv(file: Path, found: Reconstruction) -> None:

@@ -6,6 +6,9 @@ from pathlib import Path
 class InputError(ValueError):
     """A file, or an argument that names one, that cannot be used: the message names file, field, value and what is allowed."""
 
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.splitlines()))
+
 
 def readable(path: Path) -> Path:
     """Return the path; raise InputError unless it is a file that can be opened."""

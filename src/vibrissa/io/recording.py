@@ -15,6 +15,7 @@ COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "
 """Time [s]; pose of the sensor frame in the world [m], quaternion x, y, z, w; force [N] and torque [N m] as the setup says."""
 
 _QUATERNION_TOLERANCE = 1e-3
+_LARGEST = 1e12
 _LONGEST_SWEEP = 200.0
 _LOADED = 20.0
 _SHORTEST_ARM = 1e-2
@@ -87,6 +88,10 @@ def _table(file: Path) -> Float[np.ndarray, "rows columns"]:
         raise InputError(
             f"{file}, line {row + 2}: {COLUMNS[column]} = {table[row, column]} ({len(np.unique(bad[:, 0]))} of {len(table)} rows hold such); allowed are finite numbers"
         )
+    large = np.argwhere(np.abs(table) > _LARGEST)
+    if large.size:
+        row, column = large[0]
+        raise InputError(f"{file}, line {row + 2}: {COLUMNS[column]} = {table[row, column]:g}; allowed are numbers up to {_LARGEST:g}")
     return table
 
 
@@ -109,7 +114,7 @@ def _row(file: Path, number: int, line: str) -> list[float]:
     values = []
     for name, cell in zip(COLUMNS, cells, strict=True):
         try:
-            values.append(float(cell))
+            values.append(float(cell.replace("_", "?")))
         except ValueError:
             raise InputError(f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number") from None
     return values

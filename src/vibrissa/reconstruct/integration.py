@@ -66,7 +66,9 @@ def _integrated(
 
     straightens.terminal = True  # type: ignore[attr-defined]
     straightens.direction = -1  # type: ignore[attr-defined]
-    path = solve_ivp(rod, (0, _LONGEST), [0, 0, 0, curvature], method="DOP853", events=straightens, rtol=tolerance, atol=tolerance)
+    path = solve_ivp(
+        rod, (0, _LONGEST), np.array([0.0, 0.0, 0.0, curvature]), method="DOP853", events=straightens, rtol=tolerance, atol=tolerance
+    )
     if not path.t_events[0].size:
         return np.full(3, np.nan), np.nan
     u, v = path.y_events[0][0][:2]

@@ -9,6 +9,7 @@ from vibrissa.geometry.checks import positive
 FIRST_CLAMPED_ROOT = 1.8751040687119611
 """First root of cos β cosh β = −1, clamped-free beam (Euler–Bernoulli)."""
 
+_LARGEST_RADIUS = 1e6
 _SI_UNITS = {"length": "m", "force": "N", "moment": "N m", "energy": "J", "curvature": "m-1"}
 
 
@@ -64,8 +65,10 @@ class Rod:
         cls, *, length: float, radius: float, youngs_modulus: float, density: float | None = None, yield_strain: float | None = None
     ) -> "Rod":
         """Return a wire of circular section: EI = E π r⁴/4. SI units: m, m, Pa, kg/m³, 1."""
-        positive(radius, "radius")
-        stiffness = positive(youngs_modulus, "youngs_modulus") * math.pi * radius**4 / 4
+        second_moment = math.pi / 4 * math.pow(min(positive(radius, "radius"), _LARGEST_RADIUS), 4)
+        if radius > _LARGEST_RADIUS:
+            raise ValueError(f"radius = {radius!r}; allowed is a number greater than 0 and at most {_LARGEST_RADIUS:g}")
+        stiffness = positive(youngs_modulus, "youngs_modulus") * second_moment
         linear_density = None if density is None else positive(density, "density") * math.pi * radius**2
         return cls(length, stiffness, radius=radius, linear_density=linear_density, yield_strain=yield_strain)
 

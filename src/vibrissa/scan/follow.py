@@ -164,7 +164,9 @@ class Tracker:
         try:
             length = brentq(value, 0.0, step, xtol=1e-15, rtol=1e-14)
         except (_LostOnTheWayError, ValueError):
-            length = 0.0
+            # No root between them, to rounding: the end that comes nearer to it.
+            end = self.along(start, step)
+            return start if end is None or abs(figure(start)) <= abs(figure(end)) else end
         point = self.along(start, length) if length > 0 else start
         return start if point is None else point
 
@@ -214,7 +216,7 @@ class Tracker:
     def _changes(
         self, here: Branch, following: Branch, step: float, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]
     ) -> None:
-        if here.phase * following.phase < 0:
+        if (here.phase > 0) != (following.phase > 0):
             change = self._polished(self.root(here, step, lambda point: point.phase))
             kind = EventKind.TIP_TO_TANGENTIAL if following.phase > 0 else EventKind.TANGENTIAL_TO_TIP
             happened.append((kind, float(change.y[4]), change.y[:3]))

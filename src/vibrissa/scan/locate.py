@@ -65,6 +65,7 @@ def locate(
 _POLISHING_STEPS = 4
 _POLISHED = 1e-12
 _FARTHEST = 0.05
+_ROUNDING = 1e-9
 
 
 @compiled
@@ -100,4 +101,5 @@ def polished(
         right = np.where(regular[:, None], values[:, :5], 0.0)
         residual = np.where(regular, np.abs(right).max(axis=1), np.inf)
         y = y - np.linalg.solve(jacobian, right[..., None])[..., 0]
-    return y, (residual < _POLISHED) & (np.abs(y - start).max(axis=1) < _FARTHEST)
+    inside = (y[:, 4] > -_ROUNDING) & (y[:, 4] < 1 + _ROUNDING)
+    return y, (residual < _POLISHED) & (np.abs(y - start)[:, :4].max(axis=1) < _FARTHEST) & inside

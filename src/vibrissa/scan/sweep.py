@@ -47,7 +47,6 @@ class Sweep:
 
 def sweep(scene: Scene, path: Path) -> Sweep:
     """Equilibria at all positions of the path, and the events between them."""
-    m, n = path.point.shape[:2]
     distance, at_clamp = _clearances(scene, path)
     inside = at_clamp < 0
     clear = (distance >= CLEAR) & ~inside
@@ -59,8 +58,23 @@ def sweep(scene: Scene, path: Path) -> Sweep:
     result = walk.result
     result.happenings += _smooth_happenings(scene, path, result, meetings, walk.by_hand)
     result.happenings.sort(key=lambda happening: (happening.lane, happening.index, happening.fraction))
-    assert result.mode.shape == (m, n)
+    result.happenings = _once(result.happenings)
     return result
+
+
+def _once(happenings: list[Happening]) -> list[Happening]:
+    """Drop changes into a phase that the lane is in already: at a position that lies on a change, rounding may report it on both sides."""
+    kept: list[Happening] = []
+    last: dict[int, EventKind] = {}
+    for happening in happenings:
+        if happening.kind in (EventKind.TIP_TO_TANGENTIAL, EventKind.TANGENTIAL_TO_TIP):
+            if last.get(happening.lane) == happening.kind:
+                continue
+            last[happening.lane] = happening.kind
+        elif happening.kind not in (EventKind.LATERAL_INSTABILITY, EventKind.LATERAL_RECOVERY):
+            last.pop(happening.lane, None)
+        kept.append(happening)
+    return kept
 
 
 class _Start(NamedTuple):
@@ -303,12 +317,12 @@ def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetin
     for lane, index, fraction, point, phase in zip(*(part[entered] for part in meetings), strict=True):
         happenings.append(Happening(EventKind.FIRST_CONTACT, int(lane), int(index), float(fraction), point))
         after = result.phase[lane, index]
-        if phase * after < 0:
+        if (phase > 0) != (after > 0):
             ends = np.concatenate([[fraction], point, [0.0, phase, 1.0], result.x[lane, index], [after]])
             brackets.append(_Bracket(_change(after), Indicator.PHASE, lane, index, ends))
     before, after = contact[:, :-1], contact[:, 1:]
     marched = ~by_hand[:, 1:]
-    changed = marched & before & (result.phase[:, :-1] * result.phase[:, 1:] < 0)
+    changed = marched & before & ((result.phase[:, :-1] > 0) != (result.phase[:, 1:] > 0))
     changed &= after | (result.mode[:, 1:] == Mode.FREE)
     released = marched & before & (result.mode[:, 1:] == Mode.FREE)
     for lane, index in _ends_of_steps(changed):

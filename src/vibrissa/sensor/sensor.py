@@ -81,6 +81,9 @@ class Sensor:
     def __post_init__(self) -> None:
         object.__setattr__(self, "clamp_position", finite_array(self.clamp_position, "clamp_position", last=3, ndim=1))
         object.__setattr__(self, "clamp_orientation", unit_quaternions(self.clamp_orientation, "clamp_orientation"))
+        if self.clamp_orientation.shape != (4,):
+            raise ValueError(f"clamp_orientation has shape {self.clamp_orientation.shape}; allowed is (4,)")
+        finite_array(self.wrench_point, "wrench_point", last=3, ndim=1)
         for name, allowed in (("wrench", ("on_sensor", "on_rod")), ("wrench_frame", ("sensor", "world"))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")

@@ -21,7 +21,7 @@ def _center(value: ArrayLike) -> Float[np.ndarray, "3"]:
 def _semi_axes(value: ArrayLike, count: int) -> Float[np.ndarray, "n"]:
     axes = finite_array(value, "semi_axes", last=count, ndim=1)
     for index, axis in enumerate(axes):
-        positive(axis, f"semi_axes[{index}]")
+        positive(float(axis), f"semi_axes[{index}]")
     return axes
 
 

@@ -319,7 +319,7 @@ def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetin
         after = result.phase[lane, index]
         if (phase > 0) != (after > 0):
             ends = np.concatenate([[fraction], point, [0.0, phase, 1.0], result.x[lane, index], [after]])
-            brackets.append(_Bracket(_change(after), Indicator.PHASE, lane, index, ends))
+            brackets.append(_Bracket(_change(after), Indicator.PHASE, int(lane), int(index), ends))
     before, after = contact[:, :-1], contact[:, 1:]
     marched = ~by_hand[:, 1:]
     changed = marched & before & ((result.phase[:, :-1] > 0) != (result.phase[:, 1:] > 0))

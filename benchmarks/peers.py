@@ -69,8 +69,8 @@ def first_guess(x0: float, y0: float) -> np.ndarray:
     return np.array([np.arctan2(Cy, Cx), f * np.hypot(Cx, Cy), -f, 1.0])
 
 
-def bvp_along(positions: np.ndarray) -> Iterator[np.ndarray]:
-    """Contact points along a trail (n, 2) by `solve_bvp`, tol 1e-6, with exact Jacobians, each from the last mesh.
+def bvp_along(positions: np.ndarray, *, exact_jacobians: bool = True) -> Iterator[np.ndarray]:
+    """Contact points along a trail (n, 2) by `solve_bvp`, tol 1e-6, each from the last mesh; Jacobians exact, or by SciPy's differences.
 
     The unknown length is scaled out, σ = s/s₁.
     """
@@ -89,7 +89,15 @@ def bvp_along(positions: np.ndarray) -> Iterator[np.ndarray]:
             by_end[3:], by_unknowns[3:] = _condition_slopes(x0, y0, end, u)
             return by_start, by_end, by_unknowns
 
-        found = solve_bvp(_scaled_rod, conditions, mesh, y, p=u, fun_jac=_scaled_rod_slopes, bc_jac=slopes, tol=1e-6)
+        found = solve_bvp(
+            _scaled_rod,
+            conditions,
+            mesh,
+            y,
+            p=u,
+            tol=1e-6,
+            **({"fun_jac": _scaled_rod_slopes, "bc_jac": slopes} if exact_jacobians else {}),
+        )
         if not found.success:
             raise ArithmeticError(f"solve_bvp at {x0}, {y0}: {found.message}")
         u, mesh, y = found.p, found.x, found.y

@@ -1,5 +1,7 @@
 """Warm figures: the package and its peers on the same positions and samples, in one run, with the same answers."""
 
+from functools import partial
+
 import numpy as np
 
 import vibrissa as vb
@@ -25,7 +27,8 @@ def forward() -> list[Row]:
         Row("vb.scan, one trail of 241 positions", alone),
     ]
     for peer, tolerance, name in (
-        (bvp_along, 1e-5, "SciPy solve_bvp, tol 1e-6, warm-started"),
+        (partial(bvp_along, exact_jacobians=False), 1e-5, "SciPy solve_bvp, tol 1e-6, warm-started"),
+        (bvp_along, 1e-5, "the same, with exact Jacobians of ours"),
         (shooting_along, 1e-8, "SciPy shooting, solve_ivp + root, warm-started"),
     ):
         assert_close(np.array(list(peer(positions))), found.point, tolerance, name)

@@ -12,7 +12,7 @@ Scalar = Float[Array, ""]
 Vector = Float[Array, "3"]
 
 _NODE_COUNT = 14
-BEND_POINTS = 41
+BEND_POINTS = 25
 _LEAST_FORCE = 1e-12
 
 
@@ -34,7 +34,7 @@ _NODES, _POINTS, _INTEGRATE = _cumulative_chebyshev(_NODE_COUNT, BEND_POINTS)
 
 
 def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
-    """41 points from the contact back to the clamp, seen from the contact: how far along n̂, and how far from the line of the force [L].
+    """25 points from the contact back to the clamp, seen from the contact: how far along n̂, and how far from the line of the force [L].
 
     With c = π/2 − χ: ds = dc / (√f √(1 − k² cos² c)), the distance from the line of the force is κ/f = 2 k sin c / √f, and the rod advances along −n̂ by
     (1 − 2 k² cos² c) ds. Error below 1e-8 for k² ≤ ½.

@@ -37,7 +37,7 @@ class Assessment(NamedTuple):
 WIDTH = 22
 """Numbers in one assessment, in the order above."""
 
-_TAIL_POINTS = 13
+_TAIL_POINTS = 9
 
 
 def assess(scene: Scene, x: Float[Array, "4"], clamp: Clamp) -> Assessment:
@@ -58,7 +58,7 @@ def assess(scene: Scene, x: Float[Array, "4"], clamp: Clamp) -> Assessment:
 
 
 def _depth(scene: Scene, x: Float[Array, "4"], state: ContactState, side: Vector, tangent: Vector) -> Scalar:
-    """Deepest place of the rod, from 41 points between clamp and contact and 13 between contact and tip, and parabolas through their minima."""
+    """Deepest place of the rod, from 25 points between clamp and contact and 9 between contact and tip, and parabolas through their minima."""
     p = x[:3]
     advance, distance = bent_part(state.plane, state.rod, x[3])
     bend = p + advance[:, None] * state.normal - distance[:, None] * side

@@ -44,7 +44,7 @@ def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float
     span = jnp.arctan2(root * plane.lever_arm / 2, plane.sin_a0)
     cos2 = jnp.cos(span * jnp.asarray(_NODES)) ** 2
     rate = span / (root * jnp.sqrt(1 - k2 * cos2))
-    advance = jnp.asarray(_INTEGRATE) @ ((1 - 2 * k2 * cos2) * rate)
+    advance = jnp.sum(jnp.asarray(_INTEGRATE) * ((1 - 2 * k2 * cos2) * rate), axis=1)
     return advance, 2 * jnp.sqrt(k2) * jnp.sin(span * jnp.asarray(_POINTS)) / root
 
 

@@ -32,6 +32,11 @@ def unit_quaternions(value: "ArrayLike | Rotation", name: str) -> Quaternions:
     return quaternion / norm
 
 
+def lengths(vectors: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch"]:
+    """Euclidean norms along the last axis."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
+
+
 def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
     """World direction of the body's +z axis: the way the rod leaves its clamp."""
     x, y, z, w = np.moveaxis(quaternion, -1, 0)

@@ -2,11 +2,12 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jaxtyping import Float
 from scipy.special import ellipeinc, ellipj
 
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod
+from vibrissa.numerics.trigonometry import cosine, sine
 
 Scalar = Float[Array, ""]
 Vector = Float[Array, "3"]
@@ -33,19 +34,23 @@ def _cumulative_chebyshev(
 _NODES, _POINTS, _INTEGRATE = _cumulative_chebyshev(_NODE_COUNT, BEND_POINTS)
 
 
-def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float[Array, "points"], Float[Array, "points"]]:
+def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[list[Scalar], list[Scalar]]:
     """25 points from the contact back to the clamp, seen from the contact: how far along n̂, and how far from the line of the force [L].
 
     With c = π/2 − χ: ds = dc / (√f √(1 − k² cos² c)), the distance from the line of the force is κ/f = 2 k sin c / √f, and the rod advances along −n̂ by
     (1 − 2 k² cos² c) ds. Error below 1e-8 for k² ≤ ½.
+
+    Lists, not arrays: written out point by point the whole check becomes one loop over the lanes, measured four times as fast.
     """
     root = jnp.sqrt(jnp.maximum(force, _LEAST_FORCE))
     k2 = rod.modulus
     span = jnp.arctan2(root * plane.lever_arm / 2, plane.sin_a0)
-    cos2 = jnp.cos(span * jnp.asarray(_NODES)) ** 2
-    rate = span / (root * jnp.sqrt(1 - k2 * cos2))
-    advance = jnp.sum(jnp.asarray(_INTEGRATE) * ((1 - 2 * k2 * cos2) * rate), axis=1)
-    return advance, 2 * jnp.sqrt(k2) * jnp.sin(span * jnp.asarray(_POINTS)) / root
+    rates = []
+    for node in _NODES.tolist():
+        bent = k2 * cosine(span * node) ** 2
+        rates.append((1 - 2 * bent) * lax.rsqrt(1 - bent) * (span / root))
+    advance = [sum((weight * rate for weight, rate in zip(row, rates, strict=True)), start=jnp.zeros(())) for row in _INTEGRATE.tolist()]
+    return advance, [2 * jnp.sqrt(k2) * sine(span * point) / root for point in _POINTS.tolist()]
 
 
 def contact_tangent(normal: Vector, side: Vector, rod: ContactOnRod) -> Vector:

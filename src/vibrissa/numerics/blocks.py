@@ -45,9 +45,9 @@ def to_blocks(rows: Shaped[np.ndarray, "lanes ..."], lanes: int, blocks: int) ->
 
 
 def from_blocks(blocks: Shaped[np.ndarray, "blocks ... width"], count: int) -> Shaped[np.ndarray, "lanes ..."]:
-    """Undo `to_blocks`, without the filling."""
-    rows = blocks.transpose(0, blocks.ndim - 1, *range(1, blocks.ndim - 1))
-    return rows.reshape(-1, *rows.shape[2:])[:count]
+    """Undo `to_blocks`, without the filling. In memory the lanes stay innermost: each column of the result is contiguous."""
+    columns = np.moveaxis(blocks, 0, -2)
+    return np.moveaxis(columns.reshape(*columns.shape[:-2], -1)[..., :count], -1, 0)
 
 
 def in_blocks(kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "count ..."], width: int = WIDE) -> Float[np.ndarray, "count ..."]:
@@ -58,7 +58,7 @@ def in_blocks(kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "count ...
         part = from_blocks(np.asarray(kernel(*(to_blocks(part[first:last], width, blocks) for part in rows))), last - first)
         if first == 0 and last == count:
             return part
-        out = np.empty((count, *part.shape[1:])) if out is None else out
+        out = np.moveaxis(np.empty((*part.shape[1:], count)), -1, 0) if out is None else out
         out[first:last] = part
     if out is None:
         raise ValueError("rows = 0; allowed is at least one row")

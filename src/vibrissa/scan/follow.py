@@ -95,7 +95,8 @@ def _straight(scene: Scene, stretch: Float[Array, "14"], fraction: Float[Array, 
 
 @jax.jit
 def _energy(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> Float[Array, ""]:
-    return assess(scene, y[:4], clamp_between(stretch, y[4])).energy
+    assessment, _ = assess(scene, y[:4], clamp_between(stretch, y[4]))
+    return assessment.energy
 
 
 class Tracker:

@@ -62,10 +62,12 @@ def locate(
     return lax.map(lambda block: jax.vmap(one, in_axes=(1, 1, 0), out_axes=1)(*block), (stretches, ends, indicator))
 
 
-_POLISHING_STEPS = 4
+_POLISHING_STEPS = 5
 _POLISHED = 1e-12
+_SETTLED = 1e-15
 _FARTHEST = 0.05
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
+"""By how much a change of phase may lie outside its bracket."""
 
 
 @compiled
@@ -100,6 +102,7 @@ def polished(
         jacobian = np.where(regular[:, None, None], jacobian, np.eye(5))
         right = np.where(regular[:, None], values[:, :5], 0.0)
         residual = np.where(regular, np.abs(right).max(axis=1), np.inf)
+        if residual.max(initial=0.0) < _SETTLED:
+            break
         y = y - np.linalg.solve(jacobian, right[..., None])[..., 0]
-    inside = (y[:, 4] > -_ROUNDING) & (y[:, 4] < 1 + _ROUNDING)
-    return y, (residual < _POLISHED) & (np.abs(y - start)[:, :4].max(axis=1) < _FARTHEST) & inside
+    return y, (residual < _POLISHED) & (np.abs(y - start)[:, :4].max(axis=1) < _FARTHEST)

@@ -75,20 +75,29 @@ _newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 
 
 
 @compiled
-def march(scene: Scene, legs: Legs, count: Int[AnyArray, ""]) -> Steps:
-    """Walk all lanes through the first `count` positions."""
-    steps: Steps = lax.map(lambda block: _march_block(scene, block, count), legs)
-    return steps
+def march(scene: Scene, legs: Legs, count: Int[AnyArray, ""], blocks: Int[AnyArray, ""]) -> Steps:
+    """Walk the lanes of the first `blocks` blocks through the first `count` positions."""
+    legs = Legs(*(jnp.asarray(part) for part in legs))
+    size, capacity, _, width = legs.point.shape
+    empty = _nothing(capacity, width)
+    steps = Steps(*(jnp.broadcast_to(part, (size, *part.shape)) for part in empty))
+
+    def walk(index: Array, steps: Steps) -> Steps:
+        found = _march_block(scene, Legs(*(part[index] for part in legs)), count)
+        return Steps(*(whole.at[index].set(part) for whole, part in zip(steps, found, strict=True)))
+
+    walked: Steps = lax.fori_loop(0, blocks, walk, steps)
+    return walked
+
+
+def _nothing(capacity: int, width: int) -> Steps:
+    nothing = jnp.full((capacity, width), jnp.nan)
+    return Steps(jnp.full((capacity, 4, width), jnp.nan), jnp.full((capacity, width), int(Mode.WAITING)), nothing, nothing)
 
 
 def _march_block(scene: Scene, legs: Legs, count: Int[AnyArray, ""]) -> Steps:
     capacity, _, width = legs.point.shape
-    steps = Steps(
-        jnp.full((capacity, 4, width), jnp.nan),
-        jnp.full((capacity, width), int(Mode.WAITING)),
-        jnp.full((capacity, width), jnp.nan),
-        jnp.full((capacity, width), jnp.nan),
-    )
+    steps = _nothing(capacity, width)
     waiting, start = jnp.full(width, int(Mode.WAITING)), jnp.asarray(legs.x)
     carry = _Carry(start, start, start, jnp.zeros(width, dtype=int), waiting, jnp.asarray(legs.sign))
 

@@ -1,13 +1,14 @@
 """The clamp's path in model units: between two positions it moves straight and turns about a fixed axis."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from vibrissa.geometry.rotation import third_axis
+from vibrissa.geometry.rotation import lengths, third_axis
 from vibrissa.numerics.rotation import third_axis as traced_third_axis
 from vibrissa.scan.equations import Clamp
 from vibrissa.trail import Trail
@@ -24,7 +25,7 @@ class Path:
     orientation: Float[np.ndarray, "m n 4"]
     stride: int
 
-    @property
+    @cached_property
     def tangent(self) -> Float[np.ndarray, "m n 3"]:
         """Unit tangents of the rod at the clamp."""
         return third_axis(self.orientation)
@@ -37,8 +38,7 @@ def path_of(trail: Trail, length: float) -> Path:
     orientation = _continuous(trail.orientation.reshape(-1, n, 4))
     if n == 1:
         return Path(point, orientation, 1)
-    moved = np.linalg.norm(np.diff(point, axis=1), axis=-1)
-    turned = 2 * np.linalg.norm(np.diff(orientation, axis=1), axis=-1)
+    moved, turned = lengths(np.diff(point, axis=1)), 2 * lengths(np.diff(orientation, axis=1))
     stride = max(1, int(np.ceil((moved + turned).max() / LONGEST_STEP - 1e-9)))
     if stride == 1:
         return Path(point, orientation, 1)

@@ -7,6 +7,7 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
+from vibrissa.scan.assess import WIDTH as ASSESSED
 from vibrissa.scan.assess import assess_blocks
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import Event, Happening
@@ -62,12 +63,17 @@ def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
 def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:
     step = path.stride
     x, mode, determinant, status = (part[:, ::step] for part in (found.x, found.mode, found.determinant, found.status))
-    clamps = np.concatenate([path.point[:, ::step], path.tangent[:, ::step]], axis=-1)
+    point, tangent = path.point[:, ::step], path.tangent[:, ::step]
     contact = mode == Mode.CONTACT
     unsolved = mode == Mode.LOST
-    fields = np.full((*mode.shape, 22), np.nan)
+    columns = np.full((ASSESSED, mode.size), np.nan)
     if contact.any():
-        fields[contact] = in_blocks(lambda *parts: assess_blocks(scene, *parts), x[contact], clamps[contact])
+        rows = np.flatnonzero(contact)
+        clamps = np.concatenate([point[contact], tangent[contact]], axis=-1)
+        values = in_blocks(lambda *parts: assess_blocks(scene, *parts), x[contact], clamps)
+        for column, value in zip(columns, values.T, strict=True):
+            column[rows] = value
+    fields = np.moveaxis(columns.reshape(ASSESSED, *mode.shape), 0, -1)
     phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
     kind = np.where(contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE).astype(np.int8)
     status = _status(rod, status, contact, determinant, fields)
@@ -112,14 +118,16 @@ def _status(
 
 def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int) -> list[Event]:
     """The solver's happenings in the user's terms."""
+    if not happenings:
+        return []
     n = trail.count
     positions, parameters = trail.position.reshape(-1, n, 3), trail.parameter.reshape(-1, n)
-    events = []
-    for happening in happenings:
-        lane, share = happening.lane, (max(happening.index - 1, 0) + happening.fraction * (happening.index > 0)) / stride
-        before = min(int(share), max(n - 2, 0))
-        after, fraction = min(before + 1, n - 1), share - before
-        parameter = parameters[lane, before] * (1 - fraction) + parameters[lane, after] * fraction
-        clamp = positions[lane, before] * (1 - fraction) + positions[lane, after] * fraction
-        events.append(Event(happening.kind, lane, float(parameter), clamp, happening.point * rod.length))
-    return events
+    lane, index = (np.array(part) for part in zip(*((happening.lane, happening.index) for happening in happenings), strict=True))
+    share = (np.maximum(index - 1, 0) + np.array([happening.fraction for happening in happenings]) * (index > 0)) / stride
+    before = np.minimum(share.astype(int), max(n - 2, 0))
+    after, fraction = np.minimum(before + 1, n - 1), share - before
+    parameter = parameters[lane, before] * (1 - fraction) + parameters[lane, after] * fraction
+    clamp = positions[lane, before] * (1 - fraction)[:, None] + positions[lane, after] * fraction[:, None]
+    point = np.array([happening.point for happening in happenings]) * rod.length
+    kinds = (happening.kind for happening in happenings)
+    return [Event(*parts) for parts in zip(kinds, lane.tolist(), parameter.tolist(), clamp, point, strict=True)]

@@ -7,13 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import Status
+from vibrissa.geometry.rotation import lengths
 from vibrissa.numerics.blocks import WIDE, from_blocks, in_blocks, rounded_up, runs, to_blocks
 from vibrissa.scan.approach import clearances, first_contacts
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import EventKind, Happening
 from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
+from vibrissa.scan.locate import ROUNDING, Indicator, locate, polished
 from vibrissa.scan.locate import WIDTH as EVENT_LANES
-from vibrissa.scan.locate import Indicator, locate, polished
 from vibrissa.scan.march import Legs, Mode, march
 from vibrissa.scan.path import Path, extended_back, pose_between, shortened, stretch
 
@@ -179,7 +180,7 @@ class _Walk:
             x=lane_blocks(np.array([start.x for start in starts])),
             sign=lane_blocks(np.array([start.sign for start in starts])),
         )
-        steps = march(self._scene, legs, np.asarray(n))
+        steps = march(self._scene, legs, np.asarray(n), np.asarray(-(-len(starts) // width)))
         return tuple(from_blocks(np.asarray(part), len(starts))[:, :n] for part in steps)
 
     def _resolve(self, lane: int, index: int, mode: Mode, x: Float[np.ndarray, "4"], patience: int) -> None:
@@ -287,7 +288,7 @@ def _passed_through(
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Steps between two clear positions on which the straight rod passes through something thin: lane, index of the end, fraction and clearance within."""
     tangent = path.tangent
-    motion = np.linalg.norm(np.diff(path.point, axis=1), axis=-1) + np.linalg.norm(np.diff(tangent, axis=1), axis=-1)
+    motion = lengths(np.diff(path.point, axis=1)) + lengths(np.diff(tangent, axis=1))
     near = clear[:, :-1] & clear[:, 1:] & (np.maximum(distance[:, :-1], distance[:, 1:]) < motion)
     lane, step = np.nonzero(near)
     if not len(lane):
@@ -354,12 +355,7 @@ def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happeni
     indices = np.array([bracket.step for bracket in brackets])
     ends = np.array([bracket.ends for bracket in brackets])
     indicator = np.array([int(bracket.indicator) for bracket in brackets])
-    found = in_blocks(lambda *parts: locate(scene, *parts), stretch(path, lanes, indices), ends, indicator, width=EVENT_LANES)
-    changes = np.flatnonzero(indicator == Indicator.PHASE)
-    if changes.size:
-        y, sound = polished(scene, stretch(path, lanes[changes], indices[changes]), np.roll(found[changes], -1, axis=1))
-        found = found.copy()
-        found[changes[sound]] = np.roll(y[sound], 1, axis=1)
+    found = _roots(scene, stretch(path, lanes, indices), ends, indicator)
     release = {(b.lane, b.step): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
     return [
         Happening(b.kind, b.lane, b.step, float(row[0]), row[1:4])
@@ -367,3 +363,28 @@ def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happeni
         # A change of phase behind the loss of contact belongs to no rod.
         if b.kind == EventKind.DETACH or row[0] < release.get((b.lane, b.step), np.inf)
     ]
+
+
+def _roots(
+    scene: Scene, stretches: Float[np.ndarray, "k 14"], ends: Float[np.ndarray, "k 12"], indicator: Int[np.ndarray, "k"]
+) -> Float[np.ndarray, "k 5"]:
+    """Fraction and unknowns at the zero of the indicator between two ends: a change of phase by Newton's method, the rest by bracketing."""
+    low, high, before, after = ends[:, 0], ends[:, 6], ends[:, 5], ends[:, 11]
+    share = (before / (before - after))[:, None]
+    found = ends[:, :5] + share * (ends[:, 6:11] - ends[:, :5])
+    changes = indicator == Indicator.PHASE
+    done = np.zeros(len(found), dtype=bool)
+
+    def polish(rows: Int[np.ndarray, "rows"]) -> None:
+        if rows.size:
+            y, sound = polished(scene, stretches[rows], np.roll(found[rows], -1, axis=1))
+            sound &= (y[:, 4] > low[rows] - ROUNDING) & (y[:, 4] < high[rows] + ROUNDING)
+            found[rows[sound]] = np.roll(y[sound], 1, axis=1)
+            done[rows[sound]] = True
+
+    polish(np.flatnonzero(changes))
+    left = np.flatnonzero(~done)
+    if left.size:
+        found[left] = in_blocks(lambda *parts: locate(scene, *parts), stretches[left], ends[left], indicator[left], width=EVENT_LANES)
+        polish(left[changes[left]])
+    return found

@@ -17,10 +17,8 @@ BEND_POINTS = 25
 _LEAST_FORCE = 1e-12
 
 
-def _cumulative_chebyshev(
-    count: int, points: int
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "points"], Float[np.ndarray, "points n"]]:
-    """Chebyshev–Lobatto nodes on [0, 1], equally spaced points there, and the matrix that integrates values at the nodes from 0 to each point."""
+def _cumulative_chebyshev(count: int, points: int) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "points n"]]:
+    """Chebyshev–Lobatto nodes on [0, 1], and the matrix that integrates values at the nodes from 0 to each of equally spaced points."""
     nodes = (1 - np.cos(np.pi * np.arange(count) / (count - 1))) / 2
     targets = np.linspace(0, 1, points)
     basis = np.polynomial.chebyshev.chebvander(2 * nodes - 1, count - 1)
@@ -28,10 +26,10 @@ def _cumulative_chebyshev(
     for degree in range(count):
         antiderivative = np.polynomial.chebyshev.chebint(np.eye(count)[degree], lbnd=-1)
         integrals[:, degree] = np.polynomial.chebyshev.chebval(2 * targets - 1, antiderivative) / 2
-    return nodes, targets, integrals @ np.linalg.inv(basis)
+    return nodes, integrals @ np.linalg.inv(basis)
 
 
-_NODES, _POINTS, _INTEGRATE = _cumulative_chebyshev(_NODE_COUNT, BEND_POINTS)
+_NODES, _INTEGRATE = _cumulative_chebyshev(_NODE_COUNT, BEND_POINTS)
 
 
 def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[list[Scalar], list[Scalar]]:
@@ -50,7 +48,16 @@ def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[list[
         bent = k2 * cosine(span * node) ** 2
         rates.append((1 - 2 * bent) * lax.rsqrt(1 - bent) * (span / root))
     advance = [sum((weight * rate for weight, rate in zip(row, rates, strict=True)), start=jnp.zeros(())) for row in _INTEGRATE.tolist()]
-    return advance, [2 * jnp.sqrt(k2) * sine(span * point) / root for point in _POINTS.tolist()]
+    return advance, _multiples_of_sine(span / (BEND_POINTS - 1), 2 * jnp.sqrt(k2) / root)
+
+
+def _multiples_of_sine(angle: Scalar, factor: Scalar) -> list[Scalar]:
+    """Factor times the sine of 0, 1, 2, … times an angle: sin (j + 1) h = 2 cos h sin j h − sin (j − 1) h."""
+    twice_cosine = 2 * cosine(angle)
+    sines = [jnp.zeros_like(angle), factor * sine(angle)]
+    while len(sines) < BEND_POINTS:
+        sines.append(twice_cosine * sines[-1] - sines[-2])
+    return sines
 
 
 def contact_tangent(normal: Vector, side: Vector, rod: ContactOnRod) -> Vector:

@@ -5,8 +5,8 @@ import math
 from jax import Array
 from jaxtyping import Float
 
-# (π/2)^24 / 24! = 8e-20.
-_TERMS = 12
+# (π/2)^22 / 22! = 2e-17.
+_TERMS = 11
 
 
 def sine(angle: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -11,6 +11,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from vibrissa.numerics.bracket import bracketed_root
+from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.equations import Clamp, Scene, level
 from vibrissa.scan.path import clamp_between
 
@@ -57,7 +58,7 @@ def _lowest_sample(along: Callable[[Scalar], Scalar]) -> Scalar:
     return best
 
 
-@jax.jit
+@compiled
 def clearances(
     scene: Scene, point: Float[Array, "blocks 3 width"], tangent: Float[Array, "blocks 3 width"]
 ) -> Float[Array, "blocks 2 width"]:
@@ -70,7 +71,7 @@ def clearances(
     return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (point, tangent))
 
 
-@jax.jit
+@compiled
 def first_contacts(
     scene: Scene, stretches: Float[Array, "blocks 14 width"], distances: Float[Array, "blocks 2 width"]
 ) -> Float[Array, "blocks 6 width"]:

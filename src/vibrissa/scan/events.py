@@ -23,8 +23,8 @@ class EventKind(IntEnum):
     LATERAL_RECOVERY = 7
     """The branch becomes stable again."""
     STARTED_IN_CONTACT = 8
-    """The trail begins with the straight rod inside the object. It is entered as if its first step had come from outside; where that does not go smoothly, the
-    admissible equilibrium of least energy is taken."""
+    """The trail begins with the straight rod inside the object, or goes on so behind positions that were not solved. A beginning is entered as if its first
+    step had come from outside; where that does not go smoothly, the admissible equilibrium of least energy is taken."""
     HEAD_ON = 9
     """The rod meets the object along its own axis, and does not bend before it buckles in a direction that is not determined."""
 

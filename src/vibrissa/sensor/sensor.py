@@ -89,11 +89,10 @@ class Sensor:
                 raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")
         for name in (field.name for field in fields(self) if field.name.endswith(("seconds", "noise", "resolution"))):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} = {value!r}; allowed is a finite number of at least 0")
-        for name in ("force_noise", "torque_noise"):
-            if getattr(self, name) == 0:
-                raise ValueError(f"{name} = 0; allowed is a finite number greater than 0, or none where the noise is not known")
+            wrench_noise = name in ("force_noise", "torque_noise")
+            if value is not None and not (np.isfinite(value) and (value > 0 if wrench_noise else value >= 0)):
+                allowed = "greater than 0, or none where the noise is not known" if wrench_noise else "of at least 0"
+                raise ValueError(f"{name} = {value!r}; allowed is a finite number {allowed}")
         if (self.force_noise is None) != (self.torque_noise is None):
             raise ValueError("force_noise and torque_noise: one is given without the other; allowed are both or none")
 

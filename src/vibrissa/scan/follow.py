@@ -20,8 +20,8 @@ from vibrissa.scan.approach import clearance, first_contacts
 from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
+from vibrissa.scan.locate import ROUNDING, polished
 from vibrissa.scan.locate import WIDTH as EVENT_LANES
-from vibrissa.scan.locate import polished
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import clamp_between, shortened
 from vibrissa.scan.search import stable_equilibria
@@ -230,7 +230,8 @@ class Tracker:
 
     def _polished(self, at: Branch) -> Branch:
         y, sound = polished(self._scene, self._stretch[None], at.y[None])
-        return replace(at, y=y[0]) if sound[0] else at
+        inside = -ROUNDING < y[0, 4] < 1 + ROUNDING
+        return replace(at, y=y[0]) if sound[0] and inside else at
 
 
 class _LostOnTheWayError(Exception):

@@ -89,10 +89,10 @@ class Sensor:
                 raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")
         for name in (field.name for field in fields(self) if field.name.endswith(("seconds", "noise", "resolution"))):
             value = getattr(self, name)
-            wrench_noise = name in ("force_noise", "torque_noise")
-            if value is not None and not (np.isfinite(value) and (value > 0 if wrench_noise else value >= 0)):
-                allowed = "greater than 0, or none where the noise is not known" if wrench_noise else "of at least 0"
-                raise ValueError(f"{name} = {value!r}; allowed is a finite number {allowed}")
+            of_wrench = name in {"force_noise", "torque_noise"}
+            if value is not None and not (np.isfinite(value) and (value > 0 if of_wrench else value >= 0)):
+                kind = "greater than 0, or none where the noise is not known" if of_wrench else "of at least 0"
+                raise ValueError(f"{name} = {value!r}; allowed is a finite number {kind}")
         if (self.force_noise is None) != (self.torque_noise is None):
             raise ValueError("force_noise and torque_noise: one is given without the other; allowed are both or none")
 

@@ -122,7 +122,7 @@ TRAILS = {
 @pytest.mark.parametrize("kind", TRAILS)
 def test_every_motion_can_be_written_down(tmp_path: Path, kind: str) -> None:
     keys, expected = TRAILS[kind]
-    case = vb.load_case(written(tmp_path, f'{CASE[: CASE.index("[[trail]]")]}[[trail]]\nkind = "{kind.split()[0]}"\n{keys}\n'))
+    case = vb.load_case(written(tmp_path, f'{CASE[: CASE.index("[[trail]]")]}[[trail]]\nkind = "{kind.partition(" ")[0]}"\n{keys}\n'))
     np.testing.assert_array_equal(case.trail.position, expected.position)
     np.testing.assert_array_equal(case.trail.orientation, expected.orientation)
 

@@ -11,6 +11,16 @@ class ContactKind(IntEnum):
     TANGENTIAL = 2
 
 
+class Motion(IntEnum):
+    """How the contact moves on the way to a position: the rod's material point rests on the object or slides over it."""
+
+    NONE = 0
+    STICK = 1
+    SLIP = 2
+    ROLL = 3
+    """At rest like STICK, while the contact moves on along rod and object alike."""
+
+
 class Status(IntEnum):
     """Whether a row can be trusted; `text` says what is wrong and what to do. The worst finding wins."""
 

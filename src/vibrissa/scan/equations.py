@@ -26,10 +26,11 @@ Scalar = Float[Array, ""]
 
 
 class Scene(NamedTuple):
-    """The object and the rod's length, which turns its units into the model's."""
+    """The object, the rod's length, which turns its units into the model's, and the coefficient of friction between them."""
 
     surface: Surface
     length: Float[Array, ""] | float
+    friction: Float[Array, ""] | float = 0.0
 
 
 class Clamp(NamedTuple):

@@ -4,7 +4,7 @@ The branch is followed by its arc length, so that it can be seen to turn back (f
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -14,21 +14,15 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from vibrissa.contacts import Status
-from vibrissa.numerics.blocks import AnyArray, in_blocks
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.approach import clearance, first_contacts
 from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
+from vibrissa.scan.landing import CLEAR, ENERGY_MARGIN, MOST_CHANGES, Outcome, clearance_at, failed, first_contact_on, settled_on
 from vibrissa.scan.locate import ROUNDING, polished
-from vibrissa.scan.locate import WIDTH as EVENT_LANES
 from vibrissa.scan.march import Mode
-from vibrissa.scan.path import clamp_between, shortened
-from vibrissa.scan.search import stable_equilibria
-
-HEAD_ON_COSINE = -1 + 1e-9
-CLEAR = -1e-10
-"""Clearance [L] from which the straight rod counts as outside the object."""
+from vibrissa.scan.path import clamp_between
 
 _CONVERGED = 1e-12
 _ITERATIONS = 12
@@ -36,26 +30,12 @@ _FIRST_STEP = 0.01
 _LONGEST_STEP = 0.03
 _SHORTEST_STEP = 1e-10
 _MOST_STEPS = 600
-_MOST_CHANGES = 12
-_ENERGY_MARGIN = 1e-9
 _NO_FORCE = 1e-7
 _BIFURCATION_STEP = 2e-5
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
 
 Point5 = Float[np.ndarray, "5"]
-
-
-@dataclass
-class Outcome:
-    """How a stretch ended: mode, unknowns, determinant and phase at its end, what happened on it, and a status where it failed."""
-
-    mode: Mode
-    x: Float[np.ndarray, "4"]
-    determinant: float = np.nan
-    phase: float = np.nan
-    happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]] = field(default_factory=list)
-    status: Status = Status.OK
 
 
 @dataclass(frozen=True)
@@ -84,13 +64,6 @@ def _linearised(scene: Scene, stretch: Float[AnyArray, "14"], y: Float[AnyArray,
 
     jacobian, values = jax.jacfwd(conditions, has_aux=True)(y)
     return jnp.concatenate([values, jacobian.ravel()])
-
-
-@jax.jit
-def _straight(scene: Scene, stretch: Float[Array, "14"], fraction: Float[Array, ""]) -> Float[Array, "7"]:
-    distance, _ = clearance(scene, clamp_between(stretch, fraction))
-    clamp = clamp_between(stretch, fraction)
-    return jnp.concatenate([distance[None], clamp.point, clamp.tangent])
 
 
 @jax.jit
@@ -245,73 +218,42 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
     fraction = 0.0
     here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None
     if mode == Mode.LOST or (mode == Mode.CONTACT and here is None):
-        fraction, here = 1.0, _settled(scene, tracker, stretch, 1.0, np.inf, [])
+        found = settled_on(scene, stretch, 1.0, np.inf, [])
+        here = None if found is None else tracker.at(np.append(found.x, 1.0))
         if here is None:
-            return _failed(outcome, Status.NO_EQUILIBRIUM)
+            return failed(outcome, Status.NO_EQUILIBRIUM)
         outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, here.y[:3]))
         return _arrived(outcome, here)
-    for _ in range(_MOST_CHANGES):
+    for _ in range(MOST_CHANGES):
         if here is None:
             outcome.mode = Mode.FREE
-            here = _first_contact(scene, tracker, stretch, fraction, outcome)
-            if here is None:
+            met = first_contact_on(scene, stretch, fraction, outcome)
+            if met is None:
                 return outcome
+            here = tracker.at(np.array([*met.point, 0.0, met.fraction]))
+            if here is None:
+                return failed(outcome, Status.NOT_CONVERGED)
         end = tracker.track(here, outcome.happened)
         fraction = float(end.at.y[4])
         if end.reason == "arrived":
             return _arrived(outcome, end.at)
         if end.reason == "stuck":
-            return _failed(outcome, Status.NOT_CONVERGED)
+            return failed(outcome, Status.NOT_CONVERGED)
         if end.reason == "released":
             outcome.happened.append((EventKind.DETACH, fraction, end.at.y[:3]))
             here = None
             continue
         outcome.happened.append((EventKind.SNAP, fraction, end.at.y[:3]))
         here = None
-        if float(_straight(scene, stretch, jnp.asarray(fraction))[0]) < CLEAR:
+        if clearance_at(scene, stretch, fraction) < CLEAR:
             energy = float(_energy(scene, stretch, end.at.y))
-            here = _settled(scene, tracker, stretch, fraction, energy - _ENERGY_MARGIN, [end.at.y[:3]])
+            found = settled_on(scene, stretch, fraction, energy - ENERGY_MARGIN, [end.at.y[:3]])
+            here = None if found is None else tracker.at(np.append(found.x, fraction))
             if here is None:
-                return _failed(outcome, Status.NO_EQUILIBRIUM)
-    return _failed(outcome, Status.NOT_CONVERGED)
-
-
-def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, outcome: Outcome) -> Branch | None:
-    # Free from `fraction` on: the next first contact before the end, if any.
-    distances = np.array([float(_straight(scene, stretch, jnp.asarray(at))[0]) for at in (fraction, 1.0)])
-    if distances[1] >= CLEAR:
-        return None
-    rest = shortened(stretch, np.asarray(fraction), np.asarray(1.0))
-    share, *point, _, cosine = in_blocks(
-        lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES
-    )[0]
-    at = fraction + (1 - fraction) * share
-    if cosine < HEAD_ON_COSINE:
-        outcome.happened.append((EventKind.HEAD_ON, float(at), np.array(point)))
-        _failed(outcome, Status.HEAD_ON)
-        return None
-    outcome.happened.append((EventKind.FIRST_CONTACT, float(at), np.array(point)))
-    here = tracker.at(np.array([*point, 0.0, at]))
-    if here is None:
-        _failed(outcome, Status.NOT_CONVERGED)
-    return here
-
-
-def _settled(
-    scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
-) -> Branch | None:
-    pose = np.asarray(_straight(scene, stretch, jnp.asarray(fraction)))
-    for equilibrium in stable_equilibria(scene, pose[1:4], pose[4:], near):
-        if equilibrium.energy < energy:
-            return tracker.at(np.append(equilibrium.x, fraction))
-    return None
+                return failed(outcome, Status.NO_EQUILIBRIUM)
+    return failed(outcome, Status.NOT_CONVERGED)
 
 
 def _arrived(outcome: Outcome, at: Branch) -> Outcome:
-    outcome.mode, outcome.x, outcome.determinant, outcome.phase = Mode.CONTACT, at.y[:4], at.determinant, at.phase
-    return outcome
-
-
-def _failed(outcome: Outcome, status: Status) -> Outcome:
-    outcome.mode, outcome.status, outcome.x = Mode.LOST, status, np.full(4, np.nan)
+    outcome.mode, outcome.x, outcome.figure, outcome.phase = Mode.CONTACT, at.y[:4], at.determinant, at.phase
     return outcome

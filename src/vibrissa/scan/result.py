@@ -33,6 +33,10 @@ class Scan:
         (…) values of `ContactKind`.
     point, normal
         Contact point and outward unit normal of the object there (…, 3); NaN without contact.
+    force_direction
+        Unit vector (…, 3) of the contact force on the rod: the normal without friction, inside the friction cone with it.
+    motion
+        (…) values of `Motion`: without friction a contact always slips.
     arc_length
         s₁ (…) [m]: arc length of the contact from the clamp; NaN without contact.
     reactions
@@ -59,6 +63,8 @@ class Scan:
     kind: Int[np.ndarray, "*trail n"]
     point: Float[np.ndarray, "*trail n 3"]
     normal: Float[np.ndarray, "*trail n 3"]
+    force_direction: Float[np.ndarray, "*trail n 3"]
+    motion: Int[np.ndarray, "*trail n"]
     arc_length: Float[np.ndarray, "*trail n"]
     reactions: Reactions
     energy: Float[np.ndarray, "*trail n"]
@@ -142,7 +148,7 @@ class Scan:
             return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
         reach = (self.point[index] - clamp) / length
-        return sampled_line(clamp, axis, length, reach, self.normal[index], force, float(self.arc_length[index]) / length, count)
+        return sampled_line(clamp, axis, length, reach, self.force_direction[index], force, float(self.arc_length[index]) / length, count)
 
     def to_dataset(self) -> "xarray.Dataset":
         """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""

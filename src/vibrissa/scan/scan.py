@@ -1,9 +1,10 @@
 """The forward problem's entry point."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from vibrissa.contacts import ContactKind, Status
+from vibrissa.contacts import ContactKind, Motion, Status
+from vibrissa.geometry.checks import not_negative
 from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -11,6 +12,7 @@ from vibrissa.scan.assess import WIDTH as ASSESSED
 from vibrissa.scan.assess import assess_blocks
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import Event, Happening
+from vibrissa.scan.laws import FRICTIONLESS, RUBBING
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import Path, path_of
 from vibrissa.scan.result import Scan
@@ -22,8 +24,8 @@ from vibrissa.trail import Trail
 _RESIDUAL_TOLERANCE = 1e-9
 
 
-def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
-    """Quasi-static equilibria of a rod swept along an object: frictionless, one contact (paper, sections II and III).
+def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0) -> Scan:
+    """Quasi-static equilibria of a rod swept along an object, in one contact (paper, sections II and III).
 
     Parameters
     ----------
@@ -33,6 +35,8 @@ def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
         Object; smooth, in units of the rod.
     trail
         Clamp poses (n, …), or several trails (m, n, …), in units of the rod. The sweep runs in their order.
+    friction
+        Coulomb's coefficient for the rod on the object. The default is the paper's, 0.
 
     Returns
     -------
@@ -42,27 +46,32 @@ def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
     Raises
     ------
     ValueError
-        If the clamp is inside the object at every position.
+        If the clamp is inside the object at every position, or the coefficient is negative or not finite.
 
     Notes
     -----
     The branch that continues from first contact is followed, also where it has become laterally unstable, with a status there. Steps longer than 0.05 L are
     divided. Of several equilibria at a position this is the one that the sweep reaches.
+
+    With friction a state depends on all that went before: the contact sticks, slips or rolls, and the result converges with the trail's step. Behind a snap,
+    and where a trail begins in contact without a smooth way in, the contact starts without tangential force. Stability against leaving the bending plane is
+    not judged with friction.
     """
-    scene = Scene(surface, rod.length)
+    friction = not_negative(friction, "friction")
+    scene = Scene(surface, rod.length, friction)
     path = path_of(trail, rod.length)
-    found = sweep(scene, path)
+    found = sweep(scene, path, RUBBING if friction > 0 else FRICTIONLESS)
     if np.all(found.status == Status.CLAMP_INSIDE):
         raise ValueError(
             f"trail.position = {trail.position.reshape(-1, 3)[0].tolist()} …: the clamp is inside the object; allowed is outside"
         )
     events = _events(found.happenings, rod, trail, path.stride)
-    return _result(rod, surface, trail, scene, path, found, events)
+    return _result(rod, surface, trail, friction, scene, path, found, events)
 
 
-def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:
+def _result(rod: Rod, surface: Surface, trail: Trail, friction: float, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:
     step = path.stride
-    x, mode, determinant, status = (part[:, ::step] for part in (found.x, found.mode, found.determinant, found.status))
+    x, mode, figure, status = (part[:, ::step] for part in (found.x, found.mode, found.figure, found.status))
     point, tangent = path.point[:, ::step], path.tangent[:, ::step]
     contact = mode == Mode.CONTACT
     unsolved = mode == Mode.LOST
@@ -76,11 +85,11 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     fields = np.moveaxis(columns.reshape(ASSESSED, *mode.shape), 0, -1)
     phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
     kind = np.where(contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE).astype(np.int8)
-    status = _status(rod, status, contact, determinant, fields)
+    status = _status(rod, status, contact, figure > 0 if friction == 0 else np.zeros_like(contact), fields)
 
     length, force_scale, moment_scale = rod.length, rod.force_scale, rod.moment_scale
     absent = np.where(unsolved, np.nan, 0.0)
-    force = np.where(contact[..., None], -fields[..., 3:4] * fields[..., 4:7] * force_scale, absent[..., None])
+    force = np.where(contact[..., None], -fields[..., 3:4] * fields[..., 22:25] * force_scale, absent[..., None])
     moment = np.where(contact[..., None], fields[..., 8:11] * moment_scale, absent[..., None])
     shape = trail.shape
     reactions = Reactions(trail, force.reshape(*shape, 3), moment.reshape(*shape, 3))
@@ -89,6 +98,8 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
         kind=kind.reshape(shape),
         point=(fields[..., :3] * length).reshape(*shape, 3),
         normal=fields[..., 4:7].reshape(*shape, 3),
+        force_direction=fields[..., 22:25].reshape(*shape, 3),
+        motion=_motion(kind, figure, friction).reshape(shape),
         arc_length=(fields[..., 7] * length).reshape(shape),
         reactions=reactions,
         energy=np.where(contact, fields[..., 11] * moment_scale, absent).reshape(shape),
@@ -102,11 +113,17 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     )  # fmt: skip
 
 
+def _motion(kind: Int[np.ndarray, "m n"], figure: Float[np.ndarray, "m n"], friction: float) -> Int[np.ndarray, "m n"]:
+    at_rest = np.where(kind == ContactKind.TANGENTIAL, Motion.ROLL, Motion.STICK)
+    moves = np.where((figure > 0) | (friction == 0), Motion.SLIP, at_rest)
+    return np.where(kind == ContactKind.NONE, Motion.NONE, moves).astype(np.int8)
+
+
 def _status(
-    rod: Rod, status: np.ndarray, contact: np.ndarray, determinant: Float[np.ndarray, "m n"], fields: Float[np.ndarray, "m n 22"]
+    rod: Rod, status: np.ndarray, contact: np.ndarray, unstable: Bool[np.ndarray, "m n"], fields: Float[np.ndarray, "m n 25"]
 ) -> np.ndarray:
     """The worst finding of each row."""
-    findings = [(determinant > 0, Status.LATERALLY_UNSTABLE), (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
+    findings = [(unstable, Status.LATERALLY_UNSTABLE), (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
     if rod.yield_strain is not None and rod.radius is not None:
         findings.append((fields[..., 12] * rod.radius / rod.length > rod.yield_strain, Status.OVERSTRAINED))
     sound = (fields[..., 14] <= _RESIDUAL_TOLERANCE) & (fields[..., 3] >= 0) & (fields[..., 7] <= 1 + _RESIDUAL_TOLERANCE)

@@ -12,10 +12,10 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from vibrissa import surfaces
-    from vibrissa.contacts import ContactKind, Status
+    from vibrissa.contacts import ContactKind, Motion, Status
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
-    from vibrissa.reconstruct import Reconstruction, reconstruct
+    from vibrissa.reconstruct import FrictionEstimate, Reconstruction, estimate_friction, reconstruct
     from vibrissa.rod import Rod
     from vibrissa.scan import Event, EventKind, Scan, scan
     from vibrissa.sensor import Sensor
@@ -32,6 +32,9 @@ _HOMES = {
     "ContactKind": "contacts",
     "Event": "scan",
     "EventKind": "scan",
+    "FrictionEstimate": "reconstruct",
+    "estimate_friction": "reconstruct",
+    "Motion": "contacts",
     "Reactions": "reactions",
     "Reconstruction": "reconstruct",
     "reconstruct": "reconstruct",
@@ -48,6 +51,8 @@ __all__ = [
     "ContactKind",
     "Event",
     "EventKind",
+    "FrictionEstimate",
+    "Motion",
     "Reactions",
     "Reconstruction",
     "Rod",
@@ -57,6 +62,7 @@ __all__ = [
     "Status",
     "Trail",
     "__version__",
+    "estimate_friction",
     "load_case",
     "load_setup",
     "read_recording",

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vibrissa.io.config import ObjectTable, Quaternion, RodTable, Table, Vector, load_table
+from vibrissa.io.config import NotNegative, ObjectTable, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
@@ -22,6 +22,8 @@ class Case:
     rod: Rod
     surface: Surface
     trail: Trail
+    friction: float = 0.0
+    finite_radius: bool = False
 
 
 class LineTable(Table):
@@ -71,16 +73,24 @@ class PosesTable(Table):
 TrailTable = Annotated[LineTable | RasterTable | PosesTable, Field(discriminator="kind", description="line, raster or poses")]
 
 
+class ContactTable(Table):
+    """Between rod and object."""
+
+    friction: NotNegative = 0.0
+    finite_radius: Annotated[bool, Field(strict=True, description="true or false")] = False
+
+
 class CaseFile(Table):
     """The whole file."""
 
     rod: RodTable
     object: ObjectTable
+    contact: ContactTable = ContactTable()
     trail: Annotated[list[TrailTable], Field(min_length=1, description="at least one table [[trail]]")]
 
 
 def load_case(path: str | Path) -> Case:
-    """Read a case from TOML: tables [rod], [object] and one or more [[trail]] of equal length.
+    """Read a case from TOML: tables [rod], [object], one or more [[trail]] of equal length, and [contact] if there is friction or a finite radius.
 
     Raises
     ------
@@ -91,6 +101,7 @@ def load_case(path: str | Path) -> Case:
     table = load_table(file, CaseFile)
     try:
         trails = [trail.build() for trail in table.trail]
-        return Case(table.rod.build(), table.object.build(), trails[0] if len(trails) == 1 else Trail.stack(trails))
+        trail = trails[0] if len(trails) == 1 else Trail.stack(trails)
+        return Case(table.rod.build(), table.object.build(), trail, table.contact.friction, table.contact.finite_radius)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

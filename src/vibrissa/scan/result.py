@@ -8,17 +8,22 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.mechanics.elastic_line import sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.events import Event, EventKind
-from vibrissa.scan.slip import Slip, slip_along
+from vibrissa.scan.slip import Slip, led, slip_along
 from vibrissa.scan.validity import QuasiStatic, quasi_static
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
 
 if TYPE_CHECKING:
     import xarray
+
+
+def _mean_of_ends(values: Float[np.ndarray, "*trail n 3"]) -> Float[np.ndarray, "*trail steps 3"]:
+    return (values[..., 1:, :] + values[..., :-1, :]) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +60,8 @@ class Scan:
         (…) values of `Status`.
     events
         By trail and then in order.
+    friction
+        Coulomb's coefficient that was given.
     """
 
     rod: Rod
@@ -75,6 +82,7 @@ class Scan:
     depth: Float[np.ndarray, "*trail n"]
     status: Int[np.ndarray, "*trail n"]
     events: list[Event]
+    friction: float = 0.0
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
@@ -103,6 +111,20 @@ class Scan:
     def slip(self) -> Slip:
         """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
         return slip_along(self.point, self.arc_length, self.contact_tangent, self.plane_normal)
+
+    @cached_property
+    def clamp_work(self) -> Float[np.ndarray, "*trail n"]:
+        """Work (…) [J] of the clamp on the rod on the way from the position before: by the trapezoidal rule; NaN on the first and next to unsolved rows."""
+        moved = np.diff(self.trail.position, axis=-2)
+        before, after = self.trail.orientation[..., :-1, :], self.trail.orientation[..., 1:, :]
+        force, moment = (_mean_of_ends(part) for part in (self.reactions.force, self.reactions.moment))
+        return led(np.einsum("...i,...i->...", force, moved) + np.einsum("...i,...i->...", moment, rotation_vectors(before, after)))
+
+    @cached_property
+    def friction_work(self) -> Float[np.ndarray, "*trail n"]:
+        """Work (…) [J] that friction turns into heat on the way from the position before: by the trapezoidal rule; NaN where either has no contact."""
+        force = _mean_of_ends(-self.reactions.force)
+        return led(-np.einsum("...i,...i->...", force, self.slip.sliding[..., 1:, :]))
 
     def quasi_static(self, speed: float) -> QuasiStatic:
         """Whether a clamp speed [m/s] is slow enough for statics, given the rod's density.

@@ -110,6 +110,7 @@ def _result(rod: Rod, surface: Surface, trail: Trail, friction: float, scene: Sc
         depth=(depth * length).reshape(shape),
         status=status.astype(np.int8).reshape(shape),
         events=events,
+        friction=friction,
     )  # fmt: skip
 
 

@@ -2,21 +2,9 @@
 
 from pathlib import Path
 
+from vibrissa.files import InputError, readable
 
-class InputError(ValueError):
-    """A file, or an argument that names one, that cannot be used: the message names file, field, value and what is allowed."""
-
-    def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))
-
-
-def readable(path: Path) -> Path:
-    """Return the path; raise InputError unless it is a file that can be opened."""
-    try:
-        with path.open("rb"):
-            return path
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); allowed is a readable file") from error
+__all__ = ["InputError", "readable", "writable", "writable_folder"]
 
 
 def writable(path: Path) -> Path:

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.io.errors import InputError, readable, writable
+from vibrissa.files import check_increasing, read_table
+from vibrissa.io.errors import InputError, writable
 from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -15,7 +16,6 @@ COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "
 """Time [s]; pose of the sensor frame in the world [m], quaternion x, y, z, w; force [N] and torque [N m] as the setup says."""
 
 _QUATERNION_TOLERANCE = 1e-3
-_LARGEST = 1e12
 _LONGEST_SWEEP = 200.0
 _LOADED = 20.0
 _SHORTEST_ARM = 1e-2
@@ -39,10 +39,10 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
         If columns differ from those, a row is short, a number is missing, not finite, or cut off, time does not increase, a quaternion has no unit norm, the
         tare window does not fit, or the numbers cannot be in metres, newtons and newton metres.
     """
-    file = readable(Path(path))
-    table = _table(file)
+    file = Path(path)
+    table = np.column_stack(list(read_table(file, COLUMNS).values()))
     raw = RawRecording(table[:, 0], table[:, 1:4], _unit_quaternions(file, table[:, 4:8]), table[:, 8:11], table[:, 11:])
-    _check_time(file, raw.time)
+    check_increasing(file, raw.time)
     try:
         reactions = setup.sensor.reactions(raw)
     except ValueError as error:
@@ -66,76 +66,6 @@ def write_recording(path: str | Path, raw: RawRecording) -> Path:
     table = np.column_stack([raw.time, raw.position, raw.orientation, raw.force, raw.torque])
     np.savetxt(file, table, fmt=_FORMATS, delimiter=",", header=",".join(COLUMNS), comments="")
     return file
-
-
-def _table(file: Path) -> Float[np.ndarray, "rows columns"]:
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: not a text file ({error.reason} at byte {error.start}); allowed is CSV in UTF-8") from error
-    lines = text.splitlines()
-    if not lines:
-        raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(COLUMNS)}")
-    _check_header(file, lines[0])
-    if len(lines) < 2:
-        raise InputError(f"{file}: no rows; allowed is at least one sample")
-    _check_end(file, text, lines)
-    rows = [_row(file, number, line) for number, line in enumerate(lines[1:], start=2)]
-    table = np.array(rows)
-    if not np.all(np.isfinite(table)):
-        bad = np.argwhere(~np.isfinite(table))
-        row, column = bad[0]
-        raise InputError(
-            f"{file}, line {row + 2}: {COLUMNS[column]} = {table[row, column]} ({len(np.unique(bad[:, 0]))} of {len(table)} rows hold such); allowed are finite numbers"
-        )
-    large = np.argwhere(np.abs(table) > _LARGEST)
-    if large.size:
-        row, column = large[0]
-        raise InputError(f"{file}, line {row + 2}: {COLUMNS[column]} = {table[row, column]:g}; allowed are numbers up to {_LARGEST:g}")
-    return table
-
-
-def _check_header(file: Path, line: str) -> None:
-    names = [name.strip() for name in line.split(",")]
-    if names == list(COLUMNS):
-        return
-    missing, unknown = [name for name in COLUMNS if name not in names], [name for name in names if name not in COLUMNS]
-    findings = [f"{word} {', '.join(found)}" for word, found in (("missing", missing), ("unknown", unknown)) if found]
-    finding = ", ".join(findings) or "another order"
-    raise InputError(f"{file}, line 1: columns: {finding[:200]}; allowed are {','.join(COLUMNS)}")
-
-
-def _row(file: Path, number: int, line: str) -> list[float]:
-    cells = line.split(",")
-    if len(cells) != len(COLUMNS):
-        raise InputError(
-            f"{file}, line {number}: {len(cells)} of {len(COLUMNS)} columns, the line is truncated or damaged; allowed are {len(COLUMNS)} numbers a line"
-        )
-    values = []
-    for name, cell in zip(COLUMNS, cells, strict=True):
-        try:
-            values.append(float(cell.replace("_", "?")))
-        except ValueError:
-            raise InputError(f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number") from None
-    return values
-
-
-def _check_end(file: Path, text: str, lines: list[str]) -> None:
-    """A last line without its end may have lost digits: then its last number is shorter than the one above it."""
-    if text.endswith(("\n", "\r")) or len(lines) < 3:
-        return
-    last, above = (line.rsplit(",", 1)[-1].strip() for line in (lines[-1], lines[-2]))
-    if lines[-1].count(",") == len(COLUMNS) - 1 and len(last.lstrip("-")) < len(above.lstrip("-")):
-        raise InputError(f"{file}, line {len(lines)}: tz = {last!r}, the last line is truncated; allowed are complete lines")
-
-
-def _check_time(file: Path, time: Float[np.ndarray, "n"]) -> None:
-    falling = np.flatnonzero(np.diff(time) <= 0)
-    if falling.size:
-        row = falling[0]
-        raise InputError(
-            f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} ({len(falling)} such); allowed are increasing times"
-        )
 
 
 def _unit_quaternions(file: Path, quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:

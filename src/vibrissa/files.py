@@ -1,0 +1,128 @@
+"""What every reader of files needs: errors in one line, and tables of numbers."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+_LARGEST = 1e12
+
+
+class InputError(ValueError):
+    """A file, or an argument that names one, that cannot be used: the message names file, field, value and what is allowed."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.splitlines()))
+
+
+def readable(path: Path) -> Path:
+    """Return the path; raise InputError unless it is a file that can be opened."""
+    try:
+        with path.open("rb"):
+            return path
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read ({reason}); allowed is a readable file") from error
+
+
+def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = (), any_order: bool = False) -> dict[str, np.ndarray]:
+    """Numbers (rows,) by column from a CSV file whose first line names the columns.
+
+    Parameters
+    ----------
+    file
+        UTF-8 text, cells separated by commas.
+    columns
+        Names that must be there.
+    optional
+        Names that may be there besides.
+    any_order
+        Whether the columns may come in another order than that of `columns`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is short or cut off, or a cell is no finite number up to 1e12.
+    """
+    text = _text(readable(file))
+    lines = text.splitlines()
+    if not lines:
+        raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(columns)}")
+    names = _header(file, lines[0], columns, optional, any_order=any_order)
+    if len(lines) < 2:
+        raise InputError(f"{file}: no rows; allowed is at least one sample")
+    _check_end(file, text, lines, names)
+    table = np.array([_row(file, number, line, names) for number, line in enumerate(lines[1:], start=2)])
+    _check_numbers(file, table, names)
+    return dict(zip(names, table.T, strict=True))
+
+
+def check_increasing(file: Path, time: Float[np.ndarray, "rows"]) -> None:
+    """Raise InputError unless each time is after the one above it."""
+    falling = np.flatnonzero(np.diff(time) <= 0)
+    if falling.size:
+        row = falling[0]
+        raise InputError(
+            f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} ({len(falling)} such); allowed are increasing times"
+        )
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: not a text file ({error.reason} at byte {error.start}); allowed is CSV in UTF-8") from error
+
+
+def _header(file: Path, line: str, columns: Sequence[str], optional: Sequence[str], *, any_order: bool) -> list[str]:
+    names = [name.strip() for name in line.split(",")]
+    own = [name for name in names if name not in optional]
+    if len(set(names)) == len(names) and (sorted(own) == sorted(columns) if any_order else own == list(columns)):
+        return names
+    missing = [name for name in columns if name not in names]
+    unknown = [name for name in own if name not in columns]
+    twice = sorted({name for name in names if names.count(name) > 1} - set(unknown))
+    findings = [f"{word} {', '.join(found)}" for word, found in (("missing", missing), ("unknown", unknown), ("twice", twice)) if found]
+    finding = ", ".join(findings) or "another order"
+    more = f", and optionally {','.join(optional)}" if optional else ""
+    raise InputError(f"{file}, line 1: columns: {finding[:200]}; allowed are {','.join(columns)}{more}")
+
+
+def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float]:
+    cells = line.split(",")
+    if len(cells) != len(names):
+        raise InputError(
+            f"{file}, line {number}: {len(cells)} of {len(names)} columns, the line is truncated or damaged; allowed are {len(names)} numbers a line"
+        )
+    values = []
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            values.append(float(cell.replace("_", "?")))
+        except ValueError:
+            raise InputError(f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number") from None
+    return values
+
+
+def _check_end(file: Path, text: str, lines: list[str], names: Sequence[str]) -> None:
+    """A last line without its end may have lost digits: then its last number is shorter than the one above it."""
+    if text.endswith(("\n", "\r")) or len(lines) < 3:
+        return
+    last, above = (line.rsplit(",", 1)[-1].strip() for line in (lines[-1], lines[-2]))
+    if lines[-1].count(",") == len(names) - 1 and len(last.lstrip("-")) < len(above.lstrip("-")):
+        raise InputError(
+            f"{file}, line {len(lines)}: {names[-1]} = {last!r}, the last line is truncated: no line end, and fewer digits than above; allowed are complete lines"
+        )
+
+
+def _check_numbers(file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str]) -> None:
+    bad = np.argwhere(~np.isfinite(table))
+    if bad.size:
+        row, column = bad[0]
+        raise InputError(
+            f"{file}, line {row + 2}: {names[column]} = {table[row, column]} ({len(np.unique(bad[:, 0]))} of {len(table)} rows hold such); allowed are finite numbers"
+        )
+    large = np.argwhere(np.abs(table) > _LARGEST)
+    if large.size:
+        row, column = large[0]
+        raise InputError(f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g}; allowed are numbers up to {_LARGEST:g}")

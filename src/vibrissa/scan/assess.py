@@ -11,7 +11,7 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastic_line import bent_part, contact_tangent
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, bending_energy, largest_curvature
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Clamp, Scene, contact_state, level, phase_difference
+from vibrissa.scan.equations import Clamp, Scene, contact_state, level, levels, phase_difference
 from vibrissa.scan.friction import SIZE, UNKNOWNS, outside_cone, rubbing_state
 
 Scalar = Float[Array, ""]
@@ -84,18 +84,41 @@ def assess(scene: Scene, x: Float[Array, "size"], clamp: Clamp) -> tuple[Assessm
     return assessment, Line(x[:3], f, d, side, tangent, plane, rod)
 
 
-def _depth(scene: Scene, line: Line) -> Scalar:
-    """Deepest place of the rod, from 25 points between clamp and contact and 9 between contact and tip, and parabolas through their minima."""
+def _points(line: Line) -> tuple[list[Vector], list[Vector]]:
+    """25 points from the contact to the clamp, and 9 from the contact to the tip."""
     p = line.point
     bend = [
         p + advance * line.direction - distance * line.side
         for advance, distance in zip(*bent_part(line.plane, line.rod, line.force), strict=True)
     ]
     rest = jnp.maximum(1 - line.rod.arc_length, 0.0)
-    tail = [p + index / (_TAIL_POINTS - 1) * rest * line.tangent for index in range(_TAIL_POINTS)]
-    lowest = jnp.minimum(*(_lowest([level(scene, q) for q in part]) for part in (bend, tail)))
-    gradient = jax.grad(level, argnums=1)(scene, p)
+    return bend, [p + index / (_TAIL_POINTS - 1) * rest * line.tangent for index in range(_TAIL_POINTS)]
+
+
+def _depth(scene: Scene, line: Line) -> Scalar:
+    """Deepest place of the rod between its points, by parabolas through their minima."""
+    bend, tail = _points(line)
+    found = levels(scene, bend + tail)
+    lowest = jnp.minimum(_lowest(found[: len(bend)]), _lowest(found[len(bend) :]))
+    gradient = jax.grad(level, argnums=1)(scene, line.point)
     return -lowest / jnp.sqrt(jnp.sum(gradient * gradient))
+
+
+def _deepest(scene: Scene, line: Line) -> Vector:
+    """Where that is [L]."""
+    best, lowest = line.point, jnp.asarray(jnp.inf)
+    for part in _points(line):
+        points = jnp.stack(part)
+        found = jnp.stack(levels(scene, part))
+        middle = jnp.clip(jnp.argmin(found), 1, len(part) - 2)
+        before, here, after = (found[middle + offset] for offset in (-1, 0, 1))
+        bend = before - 2 * here + after
+        share = jnp.clip(jnp.where(bend > 0, (before - after) / (2 * jnp.where(bend > 0, bend, 1.0)), 0.0), -1.0, 1.0)
+        value = here + share * (after - before) / 2 + share**2 * bend / 2
+        p0, p1, p2 = (points[middle + offset] for offset in (-1, 0, 1))
+        place = p1 + share * (p2 - p0) / 2 + share**2 * (p0 - 2 * p1 + p2) / 2
+        best, lowest = jnp.where(value < lowest, place, best), jnp.minimum(value, lowest)
+    return best
 
 
 def _lowest(levels: list[Scalar]) -> Scalar:
@@ -123,3 +146,15 @@ def assess_blocks(
     # In a loop of its own, lest XLA evaluate the whole state again for each of the points.
     depths = lax.map(jax.vmap(lambda line: _depth(scene, line), in_axes=-1), lines)
     return jnp.asarray(fields).at[:, _DEPTH].set(depths)
+
+
+@compiled
+def deepest_blocks(
+    scene: Scene, x: Float[Array, "blocks size width"], clamps: Float[Array, "blocks 6 width"]
+) -> Float[Array, "blocks 3 width"]:
+    """Where the elastic lines of states enter the object most deeply [L]: the second contact that is missing."""
+
+    def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> Vector:
+        return _deepest(scene, assess(scene, x, Clamp(clamp[:3], clamp[3:]))[1])
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (x, clamps))

@@ -24,6 +24,9 @@ def scan_dataset(scan: "Scan") -> "xarray.Dataset":
         "contact_point": Variable(scan.point, axis, length, "contact point"),
         "normal": Variable(scan.normal, axis, "1", "outward unit normal of the object at the contact"),
         "force_direction": Variable(scan.force_direction, axis, "1", "unit vector of the contact force on the rod"),
+        "second_contact": Variable(
+            scan.second_contact, axis, length, "where the rod also touches the object, on rows that are penetrating"
+        ),
         "arc_length": Variable(scan.arc_length, (), length, "arc length from clamp to contact"),
         "support_force": Variable(scan.reactions.force, axis, force, "force of the clamp on the rod, world axes"),
         "support_moment": Variable(scan.reactions.moment, axis, moment, "moment of the clamp on the rod about the clamp point, world axes"),

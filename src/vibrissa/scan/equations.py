@@ -17,6 +17,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, base_plane, contact_on_rod
+from vibrissa.numerics.compiled import operation_count
 from vibrissa.numerics.linear import solve_4x4
 from vibrissa.surfaces import Surface
 
@@ -56,6 +57,18 @@ class ContactState(NamedTuple):
 def level(scene: Scene, point: Vector) -> Scalar:
     """Level function of the object in model units."""
     return scene.surface.level(point * scene.length) / scene.length
+
+
+# A level function of fewer operations is written out point by point, which runs as one loop over the lanes; of more, it would take long to compile.
+_LIGHT = 30
+
+
+def levels(scene: Scene, points: list[Vector]) -> list[Scalar]:
+    """Level function at several points."""
+    if operation_count(lambda point: level(scene, point), jnp.zeros(3)) <= _LIGHT:
+        return [level(scene, point) for point in points]
+    values = jax.vmap(lambda point: level(scene, point))(jnp.stack(points))
+    return [values[index] for index in range(len(points))]
 
 
 def contact_state(scene: Scene, x: Unknowns, clamp: Clamp) -> ContactState:

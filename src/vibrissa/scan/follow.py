@@ -32,6 +32,9 @@ _SHORTEST_STEP = 1e-10
 _MOST_STEPS = 600
 _NO_FORCE = 1e-7
 _BIFURCATION_STEP = 2e-5
+# Fractions of the stretch beyond the end of a branch, and how near an equilibrium there continues it.
+_LOOKS_AHEAD = (1e-6, 1e-5)
+_NEAR = 1e-3
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
 
@@ -148,34 +151,27 @@ class Tracker:
         """Follow the branch to the end of the stretch, its release, or its fold; phase changes and lateral instabilities are noted on the way."""
         here, step = start, _FIRST_STEP
         for _ in range(_MOST_STEPS):
+            if step < _SHORTEST_STEP:
+                beyond = self._beyond(here)
+                if beyond is None:
+                    return _End("folded", here)
+                here, step = beyond, _FIRST_STEP
             following = self.along(here, step)
+            if following is not None and following.tangent[4] <= 0:
+                return _End("folded", self.root(here, step, lambda point: point.tangent[4]))
+            if following is not None and following.y[4] >= 1:
+                following = self._arrival(here, following)
+                step = step if following is None else float(here.tangent @ ((following.y - here.y) * self._weights))
+            if following is not None and following.y[3] < 0:
+                release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
+                if abs(release.y[3]) <= _NO_FORCE:
+                    self._changes(here, release, step, happened)
+                    return _End("released", release)
+                # Not a force that falls to zero, but another branch on which it pulls.
+                following = None
             if following is None:
                 step /= 2
-                if step < _SHORTEST_STEP:
-                    # Where the phases meet the branch may turn back in a corner: there it ends as at a fold.
-                    return _End("folded" if abs(here.phase) < 1e-6 else "stuck", here)
                 continue
-            if following.tangent[4] <= 0:
-                return _End("folded", self.root(here, step, lambda point: point.tangent[4]))
-            if following.y[4] >= 1:
-                arrival = self.at_fraction(here.y + (following.y - here.y) * (1 - here.y[4]) / (following.y[4] - here.y[4]), 1.0)
-                last = None if arrival is None else self.at(arrival, here.tangent)
-                if last is None:
-                    step /= 2
-                    if step < _SHORTEST_STEP:
-                        return _End("stuck", here)
-                    continue
-                following, step = last, float(here.tangent @ ((last.y - here.y) * self._weights))
-            if following.y[3] < 0:
-                release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
-                if abs(release.y[3]) > _NO_FORCE:
-                    # Not a force that falls to zero, but another branch on which it pulls.
-                    step /= 2
-                    if step < _SHORTEST_STEP:
-                        return _End("stuck", here)
-                    continue
-                self._changes(here, release, step, happened)
-                return _End("released", release)
             if following.determinant * here.determinant < 0 and step > _BIFURCATION_STEP:
                 # A bifurcation keeps its place when the step is refined; a branch that only comes near another one is followed round.
                 step = max(step / 4, 0.5 * _BIFURCATION_STEP)
@@ -186,6 +182,19 @@ class Tracker:
                 return _End("arrived", here)
             step = min(1.5 * step, _LONGEST_STEP)
         return _End("stuck", here)
+
+    def _arrival(self, here: Branch, following: Branch) -> Branch | None:
+        """The branch point at the end of the stretch, between two others."""
+        y = self.at_fraction(here.y + (following.y - here.y) * (1 - here.y[4]) / (following.y[4] - here.y[4]), 1.0)
+        return None if y is None else self.at(y, here.tangent)
+
+    def _beyond(self, here: Branch) -> Branch | None:
+        """Past a corner of the branch, where the phases meet or the object's curvature jumps: the equilibrium near by and a little further on, if there is one."""
+        for ahead in _LOOKS_AHEAD:
+            y = self.at_fraction(here.y, min(here.y[4] + ahead, 1.0))
+            if y is not None and np.abs((y - here.y) * self._weights).max() < _NEAR and y[3] >= 0:
+                return self.at(y)
+        return None
 
     def _changes(
         self, here: Branch, following: Branch, step: float, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]

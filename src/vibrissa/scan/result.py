@@ -62,6 +62,10 @@ class Scan:
         By trail and then in order.
     friction
         Coulomb's coefficient that was given.
+    offset
+        The rod's radius where its skin touches, or 0 where its centre line does; `point` is on the object either way.
+    second_contact
+        (…, 3) where the rod also touches the object or passes through it, on rows whose status says so; NaN on the others.
     """
 
     rod: Rod
@@ -82,7 +86,9 @@ class Scan:
     depth: Float[np.ndarray, "*trail n"]
     status: Int[np.ndarray, "*trail n"]
     events: list[Event]
-    friction: float = 0.0
+    friction: float
+    offset: float
+    second_contact: Float[np.ndarray, "*trail n 3"]
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
@@ -110,7 +116,7 @@ class Scan:
     @cached_property
     def slip(self) -> Slip:
         """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
-        return slip_along(self.point, self.arc_length, self.contact_tangent, self.plane_normal)
+        return slip_along(self.point + self.offset * self.normal, self.arc_length, self.contact_tangent, self.plane_normal)
 
     @cached_property
     def clamp_work(self) -> Float[np.ndarray, "*trail n"]:
@@ -169,7 +175,7 @@ class Scan:
                 raise ValueError(f"index = {index}: this position was not solved: {Status(int(self.status[index])).text}")
             return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
-        reach = (self.point[index] - clamp) / length
+        reach = (self.point[index] + self.offset * self.normal[index] - clamp) / length
         return sampled_line(clamp, axis, length, reach, self.force_direction[index], force, float(self.arc_length[index]) / length, count)
 
     def to_dataset(self) -> "xarray.Dataset":

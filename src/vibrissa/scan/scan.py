@@ -9,7 +9,7 @@ from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.assess import WIDTH as ASSESSED
-from vibrissa.scan.assess import assess_blocks
+from vibrissa.scan.assess import assess_blocks, deepest_blocks
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import Event, Happening
 from vibrissa.scan.laws import FRICTIONLESS, RUBBING
@@ -18,13 +18,13 @@ from vibrissa.scan.path import Path, path_of
 from vibrissa.scan.result import Scan
 from vibrissa.scan.search import DEPTH_TOLERANCE
 from vibrissa.scan.sweep import Sweep, sweep
-from vibrissa.surfaces import Surface
+from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
 
 _RESIDUAL_TOLERANCE = 1e-9
 
 
-def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0) -> Scan:
+def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, finite_radius: bool = False) -> Scan:
     """Quasi-static equilibria of a rod swept along an object, in one contact (paper, sections II and III).
 
     Parameters
@@ -37,6 +37,9 @@ def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0) -> 
         Clamp poses (n, …), or several trails (m, n, …), in units of the rod. The sweep runs in their order.
     friction
         Coulomb's coefficient for the rod on the object. The default is the paper's, 0.
+    finite_radius
+        Whether the rod's skin touches, at its radius from the centre line, which rounds edges and corners. The default is the paper's: the centre line
+        touches, and the object must be smooth.
 
     Returns
     -------
@@ -46,7 +49,8 @@ def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0) -> 
     Raises
     ------
     ValueError
-        If the clamp is inside the object at every position, or the coefficient is negative or not finite.
+        If the clamp is inside the object at every position, the coefficient is negative or not finite, or a finite radius is wanted
+        of a rod that has none.
 
     Notes
     -----
@@ -58,19 +62,28 @@ def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0) -> 
     not judged with friction.
     """
     friction = not_negative(friction, "friction")
-    scene = Scene(surface, rod.length, friction)
+    touched = _touched(rod, surface) if finite_radius else surface
+    scene = Scene(touched, rod.length, friction)
     path = path_of(trail, rod.length)
     found = sweep(scene, path, RUBBING if friction > 0 else FRICTIONLESS)
     if np.all(found.status == Status.CLAMP_INSIDE):
         raise ValueError(
             f"trail.position = {trail.position.reshape(-1, 3)[0].tolist()} …: the clamp is inside the object; allowed is outside"
         )
-    events = _events(found.happenings, rod, trail, path.stride)
-    return _result(rod, surface, trail, friction, scene, path, found, events)
+    events = _events(found.happenings, rod, trail, path.stride, touched)
+    return _result(rod, surface, trail, scene, path, found, events)
 
 
-def _result(rod: Rod, surface: Surface, trail: Trail, friction: float, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:
-    step = path.stride
+def _touched(rod: Rod, surface: Surface) -> Offset:
+    """The object as the centre line of the rod meets it."""
+    if rod.radius is None:
+        raise ValueError("rod.radius = None; allowed with finite_radius is a number greater than 0")
+    return Offset(surface, rod.radius)
+
+
+def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:
+    step, friction = path.stride, float(scene.friction)
+    offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
     x, mode, figure, status = (part[:, ::step] for part in (found.x, found.mode, found.figure, found.status))
     point, tangent = path.point[:, ::step], path.tangent[:, ::step]
     contact = mode == Mode.CONTACT
@@ -96,7 +109,7 @@ def _result(rod: Rod, surface: Surface, trail: Trail, friction: float, scene: Sc
     return Scan(
         rod, surface, trail,
         kind=kind.reshape(shape),
-        point=(fields[..., :3] * length).reshape(*shape, 3),
+        point=(fields[..., :3] * length - offset * fields[..., 4:7]).reshape(*shape, 3),
         normal=fields[..., 4:7].reshape(*shape, 3),
         force_direction=fields[..., 22:25].reshape(*shape, 3),
         motion=_motion(kind, figure, friction).reshape(shape),
@@ -111,7 +124,25 @@ def _result(rod: Rod, surface: Surface, trail: Trail, friction: float, scene: Sc
         status=status.astype(np.int8).reshape(shape),
         events=events,
         friction=friction,
+        offset=offset,
+        second_contact=_second_contacts(scene, x, point, tangent, status == Status.PENETRATING).reshape(*shape, 3),
     )  # fmt: skip
+
+
+def _second_contacts(
+    scene: Scene,
+    x: Float[np.ndarray, "m n size"],
+    point: Float[np.ndarray, "m n 3"],
+    tangent: Float[np.ndarray, "m n 3"],
+    wrong: Bool[np.ndarray, "m n"],
+) -> Float[np.ndarray, "m n 3"]:
+    """Points of the object where rods lie deepest in it."""
+    places = np.full(point.shape, np.nan)
+    if wrong.any():
+        clamps = np.concatenate([point[wrong], tangent[wrong]], axis=-1)
+        deepest = in_blocks(lambda *parts: deepest_blocks(scene, *parts), x[wrong], clamps) * scene.length
+        places[wrong] = scene.surface.foot(deepest) if isinstance(scene.surface, Offset) else deepest
+    return places
 
 
 def _motion(kind: Int[np.ndarray, "m n"], figure: Float[np.ndarray, "m n"], friction: float) -> Int[np.ndarray, "m n"]:
@@ -134,7 +165,7 @@ def _status(
     return status
 
 
-def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int) -> list[Event]:
+def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int, touched: Surface) -> list[Event]:
     """The solver's happenings in the user's terms."""
     if not happenings:
         return []
@@ -147,5 +178,7 @@ def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int) ->
     parameter = parameters[lane, before] * (1 - fraction) + parameters[lane, after] * fraction
     clamp = positions[lane, before] * (1 - fraction)[:, None] + positions[lane, after] * fraction[:, None]
     point = np.array([happening.point for happening in happenings]) * rod.length
+    if isinstance(touched, Offset):
+        point = touched.foot(point)
     kinds = (happening.kind for happening in happenings)
     return [Event(*parts) for parts in zip(kinds, lane.tolist(), parameter.tolist(), clamp, point, strict=True)]

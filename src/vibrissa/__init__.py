@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vibrissa.reactions import Reactions
     from vibrissa.reconstruct import FrictionEstimate, Reconstruction, estimate_friction, reconstruct
     from vibrissa.rod import Rod
-    from vibrissa.scan import Event, EventKind, Scan, scan
+    from vibrissa.scan import Equilibrium, Event, EventKind, Scan, equilibria, scan
     from vibrissa.sensor import Sensor
     from vibrissa.trail import Trail
 
@@ -30,6 +30,8 @@ _HOMES = {
     "read_recording": "io",
     "write_contacts": "io",
     "ContactKind": "contacts",
+    "Equilibrium": "scan",
+    "equilibria": "scan",
     "Event": "scan",
     "EventKind": "scan",
     "FrictionEstimate": "reconstruct",
@@ -49,6 +51,7 @@ _HOMES = {
 __all__ = [
     "Case",
     "ContactKind",
+    "Equilibrium",
     "Event",
     "EventKind",
     "FrictionEstimate",
@@ -62,6 +65,7 @@ __all__ = [
     "Status",
     "Trail",
     "__version__",
+    "equilibria",
     "estimate_friction",
     "load_case",
     "load_setup",

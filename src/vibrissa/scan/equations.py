@@ -71,8 +71,8 @@ def levels(scene: Scene, points: list[Vector]) -> list[Scalar]:
     return [values[index] for index in range(len(points))]
 
 
-def contact_state(scene: Scene, x: Unknowns, clamp: Clamp) -> ContactState:
-    """Evaluate the contact conditions."""
+def contact_state(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0) -> ContactState:
+    """Evaluate the contact conditions, for a rod whose curvature changes its sign that often between clamp and contact."""
     p, f = x[:3], x[3]
     value, gradient = jax.value_and_grad(level, argnums=1)(scene, p)
     steepness = jnp.sqrt(jnp.sum(gradient * gradient))
@@ -80,7 +80,7 @@ def contact_state(scene: Scene, x: Unknowns, clamp: Clamp) -> ContactState:
     r = p - clamp.point
     r_n = jnp.dot(r, n)
     plane = base_plane(n, n * jnp.dot(r, clamp.tangent) - r * jnp.dot(n, clamp.tangent), clamp.tangent)
-    rod = contact_on_rod(plane, f)
+    rod = contact_on_rod(plane, f, inflections)
     gap = value / lax.stop_gradient(steepness)
     out_of_plane = jnp.dot(r, jnp.cross(clamp.tangent, n))
     phase = jnp.minimum(1 - rod.arc_length, 0.5 - rod.modulus)
@@ -108,11 +108,11 @@ class NewtonStep(NamedTuple):
 _LONGEST_STEP = 0.3
 
 
-def newton_step(scene: Scene, x: Unknowns, clamp: Clamp) -> NewtonStep:
+def newton_step(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0) -> NewtonStep:
     """Semi-smooth Newton step; the contact point moves by at most 0.3 L."""
 
     def conditions(x: Unknowns) -> tuple[Float[Array, "4"], tuple[Float[Array, "4"], Scalar]]:
-        state = contact_state(scene, x, clamp)
+        state = contact_state(scene, x, clamp, inflections)
         return state.residual, (state.residual, phase_difference(state.rod))
 
     jacobian, (residual, phase) = jax.jacfwd(conditions, has_aux=True)(x)

@@ -62,7 +62,7 @@ def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, fin
     not judged with friction.
     """
     friction = not_negative(friction, "friction")
-    touched = _touched(rod, surface) if finite_radius else surface
+    touched = touched_surface(rod, surface) if finite_radius else surface
     scene = Scene(touched, rod.length, friction)
     path = path_of(trail, rod.length)
     found = sweep(scene, path, RUBBING if friction > 0 else FRICTIONLESS)
@@ -74,7 +74,7 @@ def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, fin
     return _result(rod, surface, trail, scene, path, found, events)
 
 
-def _touched(rod: Rod, surface: Surface) -> Offset:
+def touched_surface(rod: Rod, surface: Surface) -> Offset:
     """The object as the centre line of the rod meets it."""
     if rod.radius is None:
         raise ValueError("rod.radius = None; allowed with finite_radius is a number greater than 0")

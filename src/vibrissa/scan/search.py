@@ -1,6 +1,8 @@
 """All equilibria that a search from many starting points finds at one clamp pose: for the rest after a snap, and for trails that begin in contact."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -41,11 +43,11 @@ def stable_equilibria(
     Newton's method starts, with four magnitudes of the force, from the points where rays from the clamp meet the object within the rod's length; from where the
     straight rod lies in it, and a little beside that; and from points `near` which a contact is expected.
     """
-    seeds = _seeds(scene, point, tangent, near)
+    seeds = seeds_around(scene, point, tangent, near, _FORCES)
     if not len(seeds):
         return []
     clamps = np.broadcast_to(np.concatenate([point, tangent]), (len(seeds), 6))
-    solved = in_blocks(lambda *parts: _solve_blocks(scene, *parts), seeds, clamps)
+    solved = solved_from(scene, seeds, clamps)
     assessed = in_blocks(lambda *parts: assess_blocks(scene, *parts), solved[:, :4], clamps)
     rows = np.concatenate([solved, assessed], axis=1)
     x, determinant = rows[:, :4], rows[:, 4]
@@ -58,9 +60,14 @@ def stable_equilibria(
     return found
 
 
-def _seeds(
-    scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"], near: list[Float[np.ndarray, "3"]]
+def seeds_around(
+    scene: Scene,
+    point: Float[np.ndarray, "3"],
+    tangent: Float[np.ndarray, "3"],
+    near: list[Float[np.ndarray, "3"]],
+    forces: tuple[float, ...],
 ) -> Float[np.ndarray, "seeds 4"]:
+    """Starting points (p, f) for Newton's method: where rays from the clamp enter the object, and around expected places, with several magnitudes of the force."""
     # A Fibonacci spiral over the directions within 105° of the tangent.
     order = np.arange(_DIRECTIONS) + 0.5
     cosine = 1 - 1.25 * order / _DIRECTIONS
@@ -81,7 +88,7 @@ def _seeds(
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
     points = np.concatenate([point + meets[:, None] * rays[ray], around.reshape(-1, 3)])
-    return np.concatenate([np.column_stack([points, np.full(len(points), force)]) for force in _FORCES])
+    return np.concatenate([np.column_stack([points, np.full(len(points), force)]) for force in forces])
 
 
 @jax.jit
@@ -89,20 +96,35 @@ def _levels(scene: Scene, points: Float[Array, "rays samples 3"]) -> Float[Array
     return jax.vmap(jax.vmap(lambda point: level(scene, point)))(points)
 
 
-@compiled
-def _solve_blocks(
-    scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]
-) -> Float[Array, "blocks 5 width"]:
-    newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
+def solved_from(
+    scene: Scene, seeds: Float[np.ndarray, "seeds 4"], clamps: Float[np.ndarray, "seeds 6"], inflections: int = 0
+) -> Float[np.ndarray, "seeds 5"]:
+    """Where Newton's method ends from each seed, and the Jacobian's determinant there."""
+    return in_blocks(lambda *parts: _solver(inflections)(scene, *parts), seeds, clamps)
 
-    def solve(block: tuple[Array, Array]) -> Array:
-        x, clamp = block
 
-        def iterate(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
-            step = newton(scene, state[0], Clamp(clamp[:3], clamp[3:]))
-            return step.x, step.determinant
+@lru_cache(maxsize=8)
+def _solver(inflections: int) -> Callable[[Scene, Array, Array], Array]:
+    newton = jax.vmap(
+        lambda scene, x, clamp: newton_step(scene, x, clamp, inflections),
+        in_axes=(None, 1, 1),
+        out_axes=NewtonStep(1, 0, 0, 0),  # type: ignore[arg-type]
+    )
 
-        x, determinant = lax.fori_loop(0, _ITERATIONS, iterate, (x, jnp.zeros(x.shape[1])))
-        return jnp.concatenate([x, determinant[None]])
+    @compiled
+    def solve_blocks(
+        scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]
+    ) -> Float[Array, "blocks 5 width"]:
+        def solve(block: tuple[Array, Array]) -> Array:
+            x, clamp = block
 
-    return lax.map(solve, (x, clamps))
+            def iterate(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+                step = newton(scene, state[0], Clamp(clamp[:3], clamp[3:]))
+                return step.x, step.determinant
+
+            x, determinant = lax.fori_loop(0, _ITERATIONS, iterate, (x, jnp.zeros(x.shape[1])))
+            return jnp.concatenate([x, determinant[None]])
+
+        return lax.map(solve, (x, clamps))
+
+    return solve_blocks

@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vibrissa.io.config import NotNegative, ObjectTable, Quaternion, RodTable, Table, Vector, load_table
+from vibrissa.io.config import NotNegative, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
+from vibrissa.io.objects import ObjectTable
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.equations import Clamp, Scene, contact_state
 from vibrissa.scan.scan import touched_surface
-from vibrissa.scan.search import DEPTH_TOLERANCE, seeds_around, solved_from
+from vibrissa.scan.search import DEPTH_TOLERANCE, eased, seeds_around, solved_from
 from vibrissa.scan.second_variation import NODES, least_second_variation
 from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
@@ -112,7 +113,7 @@ def equilibria(
     found: list[Equilibrium] = []
     for inflections, forces in enumerate(_FORCES):
         for x in _solutions(scene, base, axis, inflections, forces):
-            equilibrium = _described(rod, scene, surface, pose, x, inflections)
+            equilibrium = _described(rod, scene, pose, x, inflections)
             if equilibrium is not None:
                 found.append(equilibrium)
     return sorted(found, key=lambda equilibrium: equilibrium.energy)
@@ -124,7 +125,9 @@ def _solutions(
     seeds = seeds_around(scene, point, axis, [], forces)
     if not len(seeds):
         return []
-    clamps = np.broadcast_to(np.concatenate([point, axis]), (len(seeds), 6))
+    clamp = np.concatenate([point, axis])
+    seeds = eased(scene, seeds, np.broadcast_to(clamp, (len(seeds), 6)), inflections)
+    clamps = np.broadcast_to(clamp, (len(seeds), 6))
     ends = solved_from(scene, seeds, clamps, inflections)[:, :4]
     again = solved_from(scene, ends, clamps, inflections)[:, :4]
     # Where more steps change nothing, and the rod is pushed.
@@ -136,10 +139,10 @@ def _solutions(
     return distinct
 
 
-def _described(rod: Rod, scene: Scene, surface: Surface, pose: Trail, x: Float[np.ndarray, "4"], inflections: int) -> Equilibrium | None:
+def _described(rod: Rod, scene: Scene, pose: Trail, x: Float[np.ndarray, "4"], inflections: int) -> Equilibrium | None:
     """The solution in the user's terms, or None if it is not admissible."""
     axis, clamp = pose.axis[0], pose.position[0] / rod.length
-    state = contact_state(scene, x, Clamp(clamp, axis), inflections)
+    state = contact_state(scene, jnp.asarray(x), Clamp(jnp.asarray(clamp), jnp.asarray(axis)), inflections)
     n, r, force = np.asarray(state.normal), np.asarray(state.to_contact), float(x[3])
     k2, s1 = float(state.rod.modulus), float(state.rod.arc_length)
     if not (np.abs(np.asarray(state.residual)).max() < _CONVERGED and s1 <= 1 + _CONVERGED and k2 <= 0.5 + _CONVERGED):

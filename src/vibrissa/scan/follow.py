@@ -35,6 +35,7 @@ _BIFURCATION_STEP = 2e-5
 # Fractions of the stretch beyond the end of a branch, and how near an equilibrium there continues it.
 _LOOKS_AHEAD = (1e-6, 1e-5)
 _NEAR = 1e-3
+_AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
 
@@ -252,6 +253,12 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
             outcome.happened.append((EventKind.DETACH, fraction, end.at.y[:3]))
             here = None
             continue
+        if end.at.y[3] <= _NO_FORCE:
+            # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
+            here, fraction = _begun(scene, stretch, tracker, fraction, end.at.y[:3])
+            if here is None:
+                return failed(outcome, Status.NO_EQUILIBRIUM)
+            continue
         outcome.happened.append((EventKind.SNAP, fraction, end.at.y[:3]))
         here = None
         if clearance_at(scene, stretch, fraction) < CLEAR:
@@ -261,6 +268,18 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
             if here is None:
                 return failed(outcome, Status.NO_EQUILIBRIUM)
     return failed(outcome, Status.NOT_CONVERGED)
+
+
+def _begun(
+    scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, fraction: float, near: Float[np.ndarray, "3"]
+) -> tuple[Branch | None, float]:
+    """The equilibrium of least energy a little behind a first contact."""
+    for ahead in _AFTER_CONTACT:
+        at = min(1.0, fraction + ahead)
+        found = settled_on(scene, stretch, at, np.inf, [near])
+        if found is not None:
+            return tracker.at(np.append(found.x, at)), at
+    return None, fraction
 
 
 def _arrived(outcome: Outcome, at: Branch) -> Outcome:

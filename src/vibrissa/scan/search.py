@@ -14,6 +14,7 @@ from vibrissa.numerics.blocks import in_blocks
 from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.assess import assess_blocks
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
+from vibrissa.surfaces import Offset
 
 _DIRECTIONS = 96
 _RAY_SAMPLES = 48
@@ -21,6 +22,9 @@ _BESIDE = 0.04
 _FORCES = (0.05, 0.5, 1.5, 4.0)
 _ITERATIONS = 40
 _SAME = 1e-6
+# Radius [L] of the thickest rod by whose way an edge is found, and how far [L] from the clamp a contact may lie on the way.
+_THICKEST = 0.1
+_REACH = 1.2
 DEPTH_TOLERANCE = 1e-7
 """Depth [L] up to which the elastic line may enter the object: the error of its sampling."""
 
@@ -47,6 +51,8 @@ def stable_equilibria(
     if not len(seeds):
         return []
     clamps = np.broadcast_to(np.concatenate([point, tangent]), (len(seeds), 6))
+    seeds = eased(scene, seeds, clamps)
+    clamps = np.broadcast_to(clamps[0], (len(seeds), 6))
     solved = solved_from(scene, seeds, clamps)
     assessed = in_blocks(lambda *parts: assess_blocks(scene, *parts), solved[:, :4], clamps)
     rows = np.concatenate([solved, assessed], axis=1)
@@ -100,13 +106,33 @@ def solved_from(
     scene: Scene, seeds: Float[np.ndarray, "seeds 4"], clamps: Float[np.ndarray, "seeds 6"], inflections: int = 0
 ) -> Float[np.ndarray, "seeds 5"]:
     """Where Newton's method ends from each seed, and the Jacobian's determinant there."""
-    return in_blocks(lambda *parts: _solver(inflections)(scene, *parts), seeds, clamps)
+    solver = _solver(inflections)
+    return in_blocks(lambda *parts: solver(scene, *parts), seeds, clamps)
+
+
+def eased(
+    scene: Scene, seeds: Float[np.ndarray, "seeds 4"], clamps: Float[np.ndarray, "seeds 6"], inflections: int = 0
+) -> Float[np.ndarray, "starts 4"]:
+    """More starting points: the seeds, and for a rod of finite radius where they lead by way of thicker rods, which find round a sharp edge more easily."""
+    if not isinstance(scene.surface, Offset):
+        return seeds
+    radius, x = scene.surface.radius, seeds
+    doublings = max(0, int(np.log2(_THICKEST * scene.length / radius)))
+    for doubling in range(doublings, 0, -1):
+        thicker = scene._replace(surface=Offset(scene.surface.surface, radius * 2.0**doubling))
+        solved = solved_from(thicker, x, clamps, inflections)[:, :4]
+        sound = np.isfinite(solved).all(axis=1) & (solved[:, 3] > 0) & (np.abs(solved[:, :3] - clamps[:, :3]).max(axis=1) < _REACH)
+        x = np.where(sound[:, None], solved, x)
+    return np.concatenate([x, seeds])
 
 
 @lru_cache(maxsize=8)
 def _solver(inflections: int) -> Callable[[Scene, Array, Array], Array]:
+    def step(scene: Scene, x: Array, clamp: Clamp) -> NewtonStep:
+        return newton_step(scene, x, clamp, inflections)
+
     newton = jax.vmap(
-        lambda scene, x, clamp: newton_step(scene, x, clamp, inflections),
+        step,
         in_axes=(None, 1, 1),
         out_axes=NewtonStep(1, 0, 0, 0),  # type: ignore[arg-type]
     )

@@ -4,11 +4,12 @@ The closest point q to p is where p − q is along the normal: q + λ ∇g(q) = 
 not of the iterations. As ∇d = n(q), second derivatives of the distance take no more than second derivatives of the level function.
 """
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Float
 
 from vibrissa.numerics.linear import solve_4x4
@@ -30,74 +31,122 @@ class Solid(Protocol):
         """g(p)."""
 
 
-def distance(solid: Solid, point: Vector) -> Scalar:
-    """Signed distance; g/‖∇g‖ where Newton's method does not arrive: far away, or inside beyond the centres of curvature."""
-    value, gradient = jax.value_and_grad(solid.level)(point)
-    steepness = lax.stop_gradient(norm(gradient))
-    first_order = value / jnp.where(steepness > 0, steepness, 1.0)
-    found, miss = _distance(solid, point)
-    size = _ROUNDING * norm(lax.stop_gradient(point))
-    same_side = (found * value >= 0) | (jnp.abs(found) <= size)
-    return jnp.where((miss <= _RELATIVE * jnp.abs(first_order) + size) & same_side, found, first_order)
+class _Measured(NamedTuple):
+    distance: Scalar
+    normal: Vector
+    steepness: Scalar
+    where: Vector
 
 
 @jax.custom_jvp
-def _distance(solid: Solid, point: Vector) -> tuple[Scalar, Scalar]:
-    """Distance to the tangent plane at the foot, and by how much [length] the equations are missed there."""
-    foot = _foot(solid, point)
-    residual = _conditions(solid, point, foot)
-    gradient = jax.grad(solid.level)(foot[:3])
-    steepness = norm(gradient)
-    return jnp.dot(point - foot[:3], gradient) / steepness, norm(residual[:3]) + jnp.abs(residual[3]) / steepness
+def distance(solid: Solid, point: Vector) -> Scalar:
+    """Signed distance; g/‖∇g‖ where Newton's method does not arrive: far away, or inside beyond the centres of curvature."""
+    return _measured(solid, point).distance
 
 
-@_distance.defjvp
-def _distance_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector]) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-    """Derivatives ∇d = n(q) and, along the parameters of g, ∂g/‖∇g‖ at q."""
+def _distance_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector]) -> tuple[Scalar, Scalar]:
+    """Derivatives n(q) along the point and, along the parameters of g, ∂g/‖∇g‖ at q."""
     (solid, point), (solid_change, point_change) = primals, tangents
+    measured = _measured(solid, point)
+    change = jnp.zeros_like(measured.distance)
+    if not _constant(point_change):
+        change += jnp.dot(measured.normal, point_change)
+    if not _constant(solid_change):
+        _, level_change = jax.jvp(lambda changed: changed.level(measured.where), (solid,), (_materialised(solid_change),))
+        change += level_change / measured.steepness
+    return measured.distance, change
+
+
+distance.defjvp(_distance_jvp, symbolic_zeros=True)
+
+
+def _measured(solid: Solid, point: Vector) -> _Measured:
+    """Distance from the plane that touches the surface at the foot; where that is none, by one step from the point with its slope taken as constant."""
     foot = _foot(solid, point)
     q = foot[:3]
     value, gradient = jax.value_and_grad(solid.level)(q)
     steepness = norm(gradient)
-    miss = norm(point - q - foot[3] * gradient) + jnp.abs(value) / steepness
     normal = gradient / steepness
-    _, level_change = jax.jvp(lambda changed: changed.level(q), (solid,), (solid_change,))
-    change = jnp.dot(normal, point_change) + level_change / steepness
-    return (jnp.dot(point - q, normal), lax.stop_gradient(miss)), (change, jnp.zeros_like(miss))
+    found = jnp.dot(point - q, normal)
+    miss = norm(q + foot[3] * gradient - point) + jnp.abs(value) / steepness
+
+    here = lax.stop_gradient(point)
+    value_here, gradient_here = lax.stop_gradient(jax.value_and_grad(solid.level)(here))
+    steepness_here = _or_one(norm(gradient_here))
+    normal_here = gradient_here / steepness_here
+    first_order = value_here / steepness_here + jnp.dot(normal_here, point - here)
+
+    rounding = _ROUNDING * norm(here)
+    same_side = (found * value_here >= 0) | (jnp.abs(found) <= rounding)
+    arrived = (miss <= _RELATIVE * jnp.abs(first_order) + rounding) & same_side
+    near = _Measured(found, normal, steepness, q)
+    far = _Measured(first_order, normal_here, steepness_here, here)
+    return _Measured(*(jnp.where(arrived, one, other) for one, other in zip(near, far, strict=True)))
 
 
 @jax.custom_jvp
 def _foot(solid: Solid, point: Vector) -> Foot:
     """Newton's method from the first-order step; no step is longer than that one."""
     value, gradient = jax.value_and_grad(solid.level)(point)
-    square = jnp.sum(gradient * gradient)
-    multiplier = value / jnp.where(square > 0, square, 1.0)
+    multiplier = value / _or_one(jnp.sum(gradient * gradient))
     reach = jnp.abs(multiplier) * norm(gradient)
 
     def refine(_: Array | int, foot: Foot) -> Foot:
-        step, _determinant = solve_4x4(_jacobian(solid, point, foot), _conditions(solid, point, foot))
-        longest = norm(step[:3])
-        new = foot - step * jnp.minimum(1.0, reach / jnp.where(longest > 0, longest, 1.0))
+        residual, jacobian = _linearised(solid, point, foot)
+        step, _determinant = solve_4x4(jacobian, residual)
+        new = foot - step * jnp.minimum(1.0, reach / _or_one(norm(step[:3])))
         return jnp.where(jnp.all(jnp.isfinite(new)), new, foot)
 
     start = jnp.concatenate([point - multiplier * gradient, multiplier[None]])
     return lax.fori_loop(0, _ITERATIONS, refine, start)
 
 
-@_foot.defjvp
 def _foot_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector]) -> tuple[Foot, Foot]:
     """The linearised equations at the solution."""
-    solid, point = primals
+    (solid, point), (solid_change, point_change) = primals, tangents
     foot = _foot(solid, point)
-    _, moved = jax.jvp(lambda solid, point: _conditions(solid, point, foot), primals, tangents)
-    change, determinant = solve_4x4(_jacobian(solid, point, foot), -moved)
-    return foot, jnp.where(determinant != 0, change, 0.0)
+    _, jacobian = _linearised(solid, point, foot)
+    right = jnp.zeros_like(foot)
+    if not _constant(point_change):
+        right += jnp.concatenate([point_change, jnp.zeros(1)])
+    if not _constant(solid_change):
+        change = (_materialised(solid_change),)
+        right -= jax.jvp(lambda changed: _conditions(point, foot, *jax.value_and_grad(changed.level)(foot[:3])), (solid,), change)[1]
+    moved, determinant = solve_4x4(jacobian, right)
+    return foot, jnp.where(determinant != 0, moved, 0.0)
 
 
-def _conditions(solid: Solid, point: Vector, foot: Foot) -> Float[Array, "4"]:
-    value, gradient = jax.value_and_grad(solid.level)(foot[:3])
+_foot.defjvp(_foot_jvp, symbolic_zeros=True)
+
+
+def _conditions(point: Vector, foot: Foot, value: Scalar, gradient: Vector) -> Foot:
     return jnp.concatenate([foot[:3] + foot[3] * gradient - point, value[None]])
 
 
-def _jacobian(solid: Solid, point: Vector, foot: Foot) -> Float[Array, "4 4"]:
-    return jax.jacfwd(lambda foot: _conditions(solid, point, foot))(foot)
+def _linearised(solid: Solid, point: Vector, foot: Foot) -> tuple[Foot, Float[Array, "4 4"]]:
+    """The conditions and their Jacobian by (q, λ)."""
+
+    def slope(q: Vector) -> tuple[Vector, tuple[Scalar, Vector]]:
+        value, gradient = jax.value_and_grad(solid.level)(q)
+        return gradient, (value, gradient)
+
+    hessian, (value, gradient) = jax.jacfwd(slope, has_aux=True)(foot[:3])
+    upper = jnp.concatenate([jnp.eye(3) + foot[3] * hessian, gradient[:, None]], axis=1)
+    return _conditions(point, foot, value, gradient), jnp.concatenate([upper, jnp.append(gradient, 0.0)[None]])
+
+
+def _or_one(x: Scalar) -> Scalar:
+    return jnp.where(x > 0, x, 1.0)
+
+
+def _is_symbolic(part: object) -> bool:
+    return isinstance(part, SymbolicZero)
+
+
+def _constant(change: object) -> bool:
+    return all(map(_is_symbolic, jax.tree.leaves(change, is_leaf=_is_symbolic)))
+
+
+def _materialised(change: Solid) -> Solid:
+    """The same with zeros written out."""
+    return jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype) if _is_symbolic(part) else part, change, is_leaf=_is_symbolic)

@@ -2,12 +2,12 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array, positive
-from vibrissa.numerics.norms import magnitude, p_norm
+from vibrissa.numerics.norms import TINY, magnitude, power
 from vibrissa.surfaces.base import Surface
 
 _LARGEST_EXPONENT = 2.0
@@ -40,6 +40,14 @@ class Superquadric(Surface):
         """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the point: convex, and of slope 1 on that axis."""
         own = magnitude(point - self.center) / self.semi_axes
         along, across = 2 / self.exponents[0], 2 / self.exponents[1]
-        # With equal exponents one p-norm of all three: its second derivatives exist on the z axis, too.
-        nested = p_norm(jnp.stack([p_norm(own[:2], across), own[2]]), along)
-        return (jnp.where(along == across, p_norm(own, along), nested) - 1) * jnp.min(jnp.asarray(self.semi_axes))
+        # ρ is of first degree in the point: scaled by constants, which take no part in differentiation, no power over- or underflows.
+        widest = _scale(jnp.max(own[:2]))
+        largest = _scale(jnp.max(own))
+        section = power(jnp.sum(power(own[:2] / widest, across)), along / across) * jnp.power(widest / largest, along)
+        rho = largest * power(section + power(own[2] / largest, along), 1 / along)
+        return (rho - 1) * jnp.min(jnp.asarray(self.semi_axes))
+
+
+def _scale(size: Float[Array, ""]) -> Float[Array, ""]:
+    size = lax.stop_gradient(size)
+    return jnp.where(size > TINY, size, 1.0)

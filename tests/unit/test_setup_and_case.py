@@ -95,6 +95,59 @@ def test_model_units_and_rasters(tmp_path: Path) -> None:
     np.testing.assert_allclose(case.trail.position[3, 2], [0, 1.5, 0])
 
 
+TRAILS = {
+    "arc": (
+        "center = [0, 0, 0]\naxis = [0, 0, 2]\nstart = [0.02, 0, 0]\nangle = 1.5\ncount = 9\nturning = true\nrod_axis = [1, 0, 1]",
+        vb.Trail.arc(center=(0, 0, 0), axis=(0, 0, 1), start=(0.02, 0, 0), angle=1.5, count=9, turning=True, rod_axis=(1, 0, 1)),
+    ),
+    "whisk": (
+        "pivot = [0, 0, -0.01]\naxis = [0, 1, 0]\nposition = [0, 0, 0]\nstart_angle = -1\nstop_angle = 0.5\ncount = 9\norientation = [0, 0, 0.6, 0.8]",
+        vb.Trail.whisk(
+            pivot=(0, 0, -0.01), axis=(0, 1, 0), position=(0, 0, 0), start_angle=-1, stop_angle=0.5, count=9, orientation=(0, 0, 0.6, 0.8)
+        ),
+    ),
+    "spline": (
+        "points = [[0.04, 0, 0], [0, 0.01, 0], [-0.04, 0, 0]]\ncount = 9\norientations = [[0, 0, 0, 1], [0, 0.1, 0, 1], [0, 0, 0, 1]]",
+        vb.Trail.spline(
+            [(0.04, 0, 0), (0, 0.01, 0), (-0.04, 0, 0)], 9, orientations=np.array([(0, 0, 0, 1), (0, 0.1, 0, 1), (0, 0, 0, 1)])
+        ),
+    ),
+    "spline that keeps its orientation": (
+        "points = [[0.04, 0, 0], [0, 0.01, 0], [-0.04, 0, 0]]\ncount = 9\norientations = [[0, 0.6, 0, 0.8]]",
+        vb.Trail.spline([(0.04, 0, 0), (0, 0.01, 0), (-0.04, 0, 0)], 9, orientations=(0, 0.6, 0, 0.8)),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TRAILS)
+def test_every_motion_can_be_written_down(tmp_path: Path, kind: str) -> None:
+    keys, expected = TRAILS[kind]
+    case = vb.load_case(written(tmp_path, f'{CASE[: CASE.index("[[trail]]")]}[[trail]]\nkind = "{kind.partition(" ")[0]}"\n{keys}\n'))
+    np.testing.assert_array_equal(case.trail.position, expected.position)
+    np.testing.assert_array_equal(case.trail.orientation, expected.orientation)
+
+
+POSES = "x,y,z,qx,qy,qz,qw\n0.04,0,0,0,0,0,1\n0.03,0,0,0,0.1,0,1\n"
+FROM_FILE = CASE[: CASE.index("[[trail]]")] + '[[trail]]\nkind = "csv"\npath = "sub/poses.csv"\n'
+
+
+def test_poses_come_from_a_file_beside_the_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cases" / "sub").mkdir(parents=True)
+    (tmp_path / "cases" / "sub" / "poses.csv").write_text(POSES)
+    file = written(tmp_path / "cases", FROM_FILE)
+    monkeypatch.chdir(tmp_path)
+    for path in (file, file.relative_to(tmp_path)):
+        np.testing.assert_array_equal(vb.load_case(path).trail.position, [(0.04, 0, 0), (0.03, 0, 0)])
+
+
+def test_damage_to_the_file_of_poses_names_both_files(tmp_path: Path) -> None:
+    file = written(tmp_path, FROM_FILE)
+    assert "sub/poses.csv: cannot be read" in refusal(vb.load_case, file)
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "poses.csv").write_text(POSES.replace("0.03", "nan"))
+    assert "sub/poses.csv, line 3: x = nan" in refusal(vb.load_case, file)
+
+
 def test_the_recordings_own_setup_is_read(sphere_60mm: Path) -> None:
     setup = vb.load_setup(sphere_60mm / "setup.toml")
     assert setup.rod.bending_stiffness == pytest.approx(206e9 * np.pi * 0.25e-3**4 / 4, rel=1e-14)
@@ -162,7 +215,7 @@ CASE_DAMAGE = {
     "no axis": ("count = 9", "count = 9\naxis = [0, 0, 0]", ["axis = [0.0, 0.0, 0.0]", "non-zero length"]),
     "no turn": ("[[0.0, 0.6, 0.0, 0.8]]", "[[0.0, 0.0, 0.0, 0.0]]", ["orientation", "zero norm", "allowed"]),
     "two turns": ("[[0.0, 0.6, 0.0, 0.8]]", "[[0, 0, 0, 1], [0, 0, 0, 1]]", ["orientation has shape (2, 4)", "(9, 4)"]),
-    "kind of trail": ('"line"', '"circle"', ["trail[0].kind", "'circle'", "allowed is line, raster or poses"]),
+    "kind of trail": ('"line"', '"circle"', ["trail[0].kind", "'circle'", "allowed is line, raster, poses, arc, whisk, spline or csv"]),
     "missing start": ("start = [0.04, 0.005, 0.0]\n", "", ["trail[0].start: missing", "three finite numbers"]),
     "another kind's key": ("count = 9", "count = 9\ntrails = 3", ["trail[0].trails: unknown key", "count"]),
     "soft rod": ("6.3e-4", "-6.3e-4", ["rod.bending_stiffness = -0.00063", "a number greater than 0"]),

@@ -29,6 +29,13 @@ def finite(value: float, name: str) -> float:
     return number
 
 
+def whole_number(value: int, name: str) -> int:
+    """Return `value` as an int; raise ValueError unless it is a whole number of at least 1."""
+    if not np.isfinite(value) or int(value) != value or value < 1:
+        raise ValueError(f"{name} = {value!r}; allowed is a whole number of at least 1")
+    return int(value)
+
+
 def finite_array(value: ArrayLike, name: str, *, last: int | None = None, ndim: int | None = None) -> Float[np.ndarray, "..."]:
     """Return a float64 copy of `value`.
 

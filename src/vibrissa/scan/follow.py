@@ -249,37 +249,46 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
             return _arrived(outcome, end.at)
         if end.reason == "stuck":
             return failed(outcome, Status.NOT_CONVERGED)
-        if end.reason == "released":
-            outcome.happened.append((EventKind.DETACH, fraction, end.at.y[:3]))
-            here = None
-            continue
-        if end.at.y[3] <= _NO_FORCE:
-            # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
-            here, fraction = _begun(scene, stretch, tracker, fraction, end.at.y[:3])
-            if here is None:
-                return failed(outcome, Status.NO_EQUILIBRIUM)
-            continue
-        outcome.happened.append((EventKind.SNAP, fraction, end.at.y[:3]))
-        here = None
-        if clearance_at(scene, stretch, fraction) < CLEAR:
-            energy = float(_energy(scene, stretch, end.at.y))
-            found = settled_on(scene, stretch, fraction, energy - ENERGY_MARGIN, [end.at.y[:3]])
-            here = None if found is None else tracker.at(np.append(found.x, fraction))
-            if here is None:
-                return failed(outcome, Status.NO_EQUILIBRIUM)
+        try:
+            here, fraction = _behind(scene, stretch, tracker, end, outcome)
+        except _LostOnTheWayError:
+            return failed(outcome, Status.NO_EQUILIBRIUM)
     return failed(outcome, Status.NOT_CONVERGED)
+
+
+def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, end: _End, outcome: Outcome) -> tuple[Branch | None, float]:
+    """Where the lane goes on behind the end of a branch, and from which fraction: on another branch, or free (None)."""
+    last, fraction = end.at.y, float(end.at.y[4])
+    if end.reason == "released":
+        outcome.happened.append((EventKind.DETACH, fraction, last[:3]))
+        return None, fraction
+    if last[3] <= _NO_FORCE:
+        # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
+        return _begun(scene, stretch, tracker, fraction, last[:3])
+    outcome.happened.append((EventKind.SNAP, fraction, last[:3]))
+    if clearance_at(scene, stretch, fraction) >= CLEAR:
+        return None, fraction
+    found = settled_on(scene, stretch, fraction, float(_energy(scene, stretch, last)) - ENERGY_MARGIN, [last[:3]])
+    here = None if found is None else tracker.at(np.append(found.x, fraction))
+    if here is not None:
+        return here, fraction
+    if clearance_at(scene, stretch, 1.0) >= CLEAR:
+        # What is left of the contact ends before the next position.
+        return None, 1.0
+    raise _LostOnTheWayError
 
 
 def _begun(
     scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, fraction: float, near: Float[np.ndarray, "3"]
-) -> tuple[Branch | None, float]:
+) -> tuple[Branch, float]:
     """The equilibrium of least energy a little behind a first contact."""
     for ahead in _AFTER_CONTACT:
         at = min(1.0, fraction + ahead)
         found = settled_on(scene, stretch, at, np.inf, [near])
-        if found is not None:
-            return tracker.at(np.append(found.x, at)), at
-    return None, fraction
+        here = None if found is None else tracker.at(np.append(found.x, at))
+        if here is not None:
+            return here, at
+    raise _LostOnTheWayError
 
 
 def _arrived(outcome: Outcome, at: Branch) -> Outcome:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vibrissa.numerics.blocks import in_blocks
 from vibrissa.numerics.compiled import compiled
@@ -19,6 +19,9 @@ from vibrissa.surfaces import Offset
 _DIRECTIONS = 96
 _RAY_SAMPLES = 48
 _BESIDE = 0.04
+_INWARD = 1e-4
+_SIDES = 8
+_EVERY = 6
 _FORCES = (0.05, 0.5, 1.5, 4.0)
 _ITERATIONS = 40
 _SAME = 1e-6
@@ -87,14 +90,42 @@ def seeds_around(
     values = np.asarray(_levels(scene, point + distance[None, :, None] * rays[:, None, :]))
     enters = (values[:, 1:] < 0) & (values[:, :-1] >= 0)
     ray, sample = np.nonzero(enters)
-    before, after = values[ray, sample], values[ray, sample + 1]
-    meets = distance[sample] + before / (before - after) / _RAY_SAMPLES
+    meets = _crossing(values, ray, sample, distance)
     along = point + distance[:, None] * tangent
-    inside = along[np.asarray(_levels(scene, along[None]))[0] < 0]
+    own = np.asarray(_levels(scene, along[None]))
+    inside = along[own[0] < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
-    points = np.concatenate([point + meets[:, None] * rays[ray], around.reshape(-1, 3)])
+    # Where the straight rod enters the object, and where it lies in it: out of it sideways.
+    step = np.flatnonzero((own[0, 1:] < 0) & (own[0, :-1] >= 0))
+    entries = point + (_crossing(own, np.zeros_like(step), step, distance) + _INWARD)[:, None] * tangent
+    turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    sideways = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
+    beside = _way_out(scene, np.concatenate([entries, inside[::_EVERY]]), sideways)
+    points = np.concatenate([point + meets[:, None] * rays[ray], around.reshape(-1, 3), beside])
     return np.concatenate([np.column_stack([points, np.full(len(points), force)]) for force in forces])
+
+
+def _crossing(
+    values: Float[np.ndarray, "rays samples"],
+    ray: Int[np.ndarray, "k"],
+    sample: Int[np.ndarray, "k"],
+    distance: Float[np.ndarray, "samples"],
+) -> Float[np.ndarray, "k"]:
+    """Distances at which levels change their sign behind given samples, by interpolation."""
+    before, after = values[ray, sample], values[ray, sample + 1]
+    return np.asarray(distance[sample] + before / (before - after) * (distance[1] - distance[0]))
+
+
+def _way_out(scene: Scene, bases: Float[np.ndarray, "bases 3"], sideways: Float[np.ndarray, "sides 3"]) -> Float[np.ndarray, "k 3"]:
+    """Where rays from points inside the object leave it, within half a rod length."""
+    if not len(bases):
+        return np.zeros((0, 3))
+    distance = np.arange(_RAY_SAMPLES // 2 + 1) / _RAY_SAMPLES
+    starts, directions = np.repeat(bases, len(sideways), axis=0), np.tile(sideways, (len(bases), 1))
+    values = np.asarray(_levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None]))
+    ray, sample = np.nonzero((values[:, :-1] < 0) & (values[:, 1:] >= 0))
+    return np.asarray(starts[ray] + _crossing(values, ray, sample, distance)[:, None] * directions[ray])
 
 
 @jax.jit

@@ -259,7 +259,8 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
 def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, end: _End, outcome: Outcome) -> tuple[Branch | None, float]:
     """Where the lane goes on behind the end of a branch, and from which fraction: on another branch, or free (None)."""
     last, fraction = end.at.y, float(end.at.y[4])
-    if end.reason == "released":
+    leaving = last[3] <= _NO_FORCE and clearance_at(scene, stretch, min(1.0, fraction + _AFTER_CONTACT[0])) >= CLEAR
+    if end.reason == "released" or leaving:
         outcome.happened.append((EventKind.DETACH, fraction, last[:3]))
         return None, fraction
     if last[3] <= _NO_FORCE:

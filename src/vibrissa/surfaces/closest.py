@@ -4,7 +4,7 @@ The closest point q to p is where p − q is along the normal: q + λ ∇g(q) = 
 not of the iterations. As ∇d = n(q), second derivatives of the distance take no more than second derivatives of the level function.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,7 @@ _ITERATIONS = 10
 _RELATIVE, _ROUNDING = 1e-6, 1e-12
 
 
+@runtime_checkable
 class Solid(Protocol):
     """What has a level function."""
 
@@ -44,12 +45,12 @@ def distance(solid: Solid, point: Vector) -> Scalar:
     return _measured(solid, point).distance
 
 
-def _distance_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector]) -> tuple[Scalar, Scalar]:
+def _distance_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector | SymbolicZero]) -> tuple[Scalar, Scalar]:
     """Derivatives n(q) along the point and, along the parameters of g, ∂g/‖∇g‖ at q."""
     (solid, point), (solid_change, point_change) = primals, tangents
     measured = _measured(solid, point)
     change = jnp.zeros_like(measured.distance)
-    if not _constant(point_change):
+    if not isinstance(point_change, SymbolicZero):
         change += jnp.dot(measured.normal, point_change)
     if not _constant(solid_change):
         _, level_change = jax.jvp(lambda changed: changed.level(measured.where), (solid,), (_materialised(solid_change),))
@@ -101,13 +102,13 @@ def _foot(solid: Solid, point: Vector) -> Foot:
     return lax.fori_loop(0, _ITERATIONS, refine, start)
 
 
-def _foot_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector]) -> tuple[Foot, Foot]:
+def _foot_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector | SymbolicZero]) -> tuple[Foot, Foot]:
     """The linearised equations at the solution."""
     (solid, point), (solid_change, point_change) = primals, tangents
     foot = _foot(solid, point)
     _, jacobian = _linearised(solid, point, foot)
     right = jnp.zeros_like(foot)
-    if not _constant(point_change):
+    if not isinstance(point_change, SymbolicZero):
         right += jnp.concatenate([point_change, jnp.zeros(1)])
     if not _constant(solid_change):
         change = (_materialised(solid_change),)

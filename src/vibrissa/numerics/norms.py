@@ -20,9 +20,9 @@ def positive_part(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(x > 0, x, 0.0)
 
 
-def norm(vector: Float[Array, "n"]) -> Scalar:
-    """Euclidean length with zero derivatives at the origin."""
-    square = jnp.sum(vector * vector)
+def norm(*components: Scalar) -> Scalar:
+    """Euclidean length of a vector, given by its components, with zero derivatives at the origin."""
+    square = sum((component * component for component in components[1:]), components[0] * components[0])
     away = square > TINY**2
     return jnp.where(away, jnp.sqrt(jnp.where(away, square, 1.0)), 0.0)
 

@@ -45,12 +45,12 @@ def distance(solid: Solid, point: Vector) -> Scalar:
     return _measured(solid, point).distance
 
 
-def _distance_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector]) -> tuple[Scalar, Scalar]:
+def _distance_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector | SymbolicZero]) -> tuple[Scalar, Scalar]:
     """Derivatives n(q) along the point and, along the parameters of g, ∂g/‖∇g‖ at q."""
     (solid, point), (solid_change, point_change) = primals, tangents
     measured = _measured(solid, point)
     change = jnp.zeros_like(measured.distance)
-    if not _constant(point_change):
+    if not isinstance(point_change, SymbolicZero):
         change += jnp.dot(measured.normal, point_change)
     if not _constant(solid_change):
         _, level_change = jax.jvp(lambda changed: changed.level(measured.where), (solid,), (_materialised(solid_change),))
@@ -66,18 +66,18 @@ def _measured(solid: Solid, point: Vector) -> _Measured:
     foot = _foot(solid, point)
     q = foot[:3]
     value, gradient = jax.value_and_grad(solid.level)(q)
-    steepness = norm(gradient)
+    steepness = norm(*gradient)
     normal = gradient / steepness
     found = jnp.dot(point - q, normal)
-    miss = norm(q + foot[3] * gradient - point) + jnp.abs(value) / steepness
+    miss = norm(*(q + foot[3] * gradient - point)) + jnp.abs(value) / steepness
 
     here = lax.stop_gradient(point)
     value_here, gradient_here = lax.stop_gradient(jax.value_and_grad(solid.level)(here))
-    steepness_here = _or_one(norm(gradient_here))
+    steepness_here = _or_one(norm(*gradient_here))
     normal_here = gradient_here / steepness_here
     first_order = value_here / steepness_here + jnp.dot(normal_here, point - here)
 
-    rounding = _ROUNDING * norm(here)
+    rounding = _ROUNDING * norm(*here)
     same_side = (found * value_here >= 0) | (jnp.abs(found) <= rounding)
     arrived = (miss <= _RELATIVE * jnp.abs(first_order) + rounding) & same_side
     near = _Measured(found, normal, steepness, q)
@@ -90,25 +90,25 @@ def _foot(solid: Solid, point: Vector) -> Foot:
     """Newton's method from the first-order step; no step is longer than that one."""
     value, gradient = jax.value_and_grad(solid.level)(point)
     multiplier = value / _or_one(jnp.sum(gradient * gradient))
-    reach = jnp.abs(multiplier) * norm(gradient)
+    reach = jnp.abs(multiplier) * norm(*gradient)
 
     def refine(_: Array | int, foot: Foot) -> Foot:
         residual, jacobian = _linearised(solid, point, foot)
         step, _determinant = solve_4x4(jacobian, residual)
-        new = foot - step * jnp.minimum(1.0, reach / _or_one(norm(step[:3])))
+        new = foot - step * jnp.minimum(1.0, reach / _or_one(norm(*step[:3])))
         return jnp.where(jnp.all(jnp.isfinite(new)), new, foot)
 
     start = jnp.concatenate([point - multiplier * gradient, multiplier[None]])
     return lax.fori_loop(0, _ITERATIONS, refine, start)
 
 
-def _foot_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector]) -> tuple[Foot, Foot]:
+def _foot_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector | SymbolicZero]) -> tuple[Foot, Foot]:
     """The linearised equations at the solution."""
     (solid, point), (solid_change, point_change) = primals, tangents
     foot = _foot(solid, point)
     _, jacobian = _linearised(solid, point, foot)
     right = jnp.zeros_like(foot)
-    if not _constant(point_change):
+    if not isinstance(point_change, SymbolicZero):
         right += jnp.concatenate([point_change, jnp.zeros(1)])
     if not _constant(solid_change):
         change = (_materialised(solid_change),)

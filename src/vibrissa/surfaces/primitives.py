@@ -32,10 +32,11 @@ class Box(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        beyond = magnitude(point - self.center) - self.half_extents
+        x, y, z = (magnitude(point[i] - self.center[i]) - self.half_extents[i] for i in range(3))
         # The largest on its own where a face is nearest: in the length its second derivatives would cancel only but for rounding.
-        largest = _larger(_larger(beyond[0], beyond[1]), beyond[2])
-        return jnp.where(jnp.sum(beyond > 0) > 1, norm(positive_part(beyond)), largest)
+        face = _larger(_larger(x, y), z)
+        edge = ((x > 0) & (y > 0)) | ((y > 0) & (z > 0)) | ((z > 0) & (x > 0))
+        return jnp.where(edge, norm(positive_part(x), positive_part(y), positive_part(z)), face)
 
 
 class Cylinder(ExactSurface):
@@ -52,9 +53,9 @@ class Cylinder(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, across = _about(self.axis, point - self.center)
-        side, end = norm(across) - self.radius, magnitude(along) - self.length / 2
-        return jnp.where((side > 0) & (end > 0), norm(jnp.stack([positive_part(side), positive_part(end)])), _larger(side, end))
+        along, across = _about(self.axis, self.center, point)
+        side, end = norm(*across) - self.radius, magnitude(along) - self.length / 2
+        return jnp.where((side > 0) & (end > 0), norm(positive_part(side), positive_part(end)), _larger(side, end))
 
 
 class Capsule(ExactSurface):
@@ -71,9 +72,10 @@ class Capsule(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, across = _about(self.axis, point - self.center)
+        along, (x, y, z) = _about(self.axis, self.center, point)
         beyond = positive_part(magnitude(along) - self.length / 2)
-        return norm(across + beyond * jnp.asarray(self.axis)) - self.radius
+        # Across plus beyond along the axis: with both in one length, second derivatives are right on the axis in front of an end.
+        return norm(x + beyond * self.axis[0], y + beyond * self.axis[1], z + beyond * self.axis[2]) - self.radius
 
 
 class Cone(ExactSurface):
@@ -90,19 +92,18 @@ class Cone(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        offset = point - self.center
-        along, across = _about(self.axis, offset)
-        outwards = norm(across) - self.radius
+        along, (x, y, z) = _about(self.axis, self.center, point)
+        outwards = norm(x, y, z) - self.radius
         slant = jnp.sqrt(jnp.asarray(self.radius) ** 2 + jnp.asarray(self.height) ** 2)
         side = (self.height * outwards + self.radius * along) / slant
         # Along the side, from the rim (0) to the apex (slant).
         up = (self.height * along - self.radius * outwards) / slant
         face = _larger(side, -along)
         beyond_rim = jnp.where(side > 0, up < 0, (along < 0) & (outwards > 0))
-        rim = norm(jnp.where(beyond_rim, jnp.stack([outwards, along]), 1.0))
-        beyond_apex = (side > 0) & (up > slant)
-        apex = norm(offset - self.height * jnp.asarray(self.axis))
-        return jnp.where(beyond_apex, apex, jnp.where(beyond_rim, rim, face))
+        rim = norm(jnp.where(beyond_rim, outwards, 1.0), jnp.where(beyond_rim, along, 1.0))
+        above = along - self.height
+        apex = norm(x + above * self.axis[0], y + above * self.axis[1], z + above * self.axis[2])
+        return jnp.where((side > 0) & (up > slant), apex, jnp.where(beyond_rim, rim, face))
 
 
 class Torus(ExactSurface):
@@ -121,14 +122,17 @@ class Torus(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, across = _about(self.axis, point - self.center)
-        return norm(jnp.stack([norm(across) - self.major_radius, along])) - self.minor_radius
+        along, across = _about(self.axis, self.center, point)
+        return norm(norm(*across) - self.major_radius, along) - self.minor_radius
 
 
-def _about(axis: Float[np.ndarray | Array, "3"], offset: Point) -> tuple[Scalar, Point]:
-    """Part of an offset along a unit axis, and the vector across."""
-    along = axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2]
-    return along, offset - along * jnp.asarray(axis)
+def _about(
+    axis: Float[np.ndarray | Array, "3"], center: Float[np.ndarray | Array, "3"], point: Point
+) -> tuple[Scalar, tuple[Scalar, Scalar, Scalar]]:
+    """Part of a point's offset along a unit axis through `center`, and the components of the rest, which is across."""
+    x, y, z = (point[i] - center[i] for i in range(3))
+    along = axis[0] * x + axis[1] * y + axis[2] * z
+    return along, (x - along * axis[0], y - along * axis[1], z - along * axis[2])
 
 
 def _larger(first: Scalar, second: Scalar) -> Scalar:

@@ -12,6 +12,8 @@ from vibrissa.surfaces.base import Surface
 
 _LARGEST_EXPONENT = 2.0
 
+Scalar = Float[Array, ""]
+
 
 class Superquadric(Surface):
     """Superellipsoid (|x/a|^(2/ε₂) + |y/b|^(2/ε₂))^(ε₂/ε₁) + |z/c|^(2/ε₁) < 1 about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` turns it.
@@ -36,18 +38,18 @@ class Superquadric(Surface):
             if not 0 < exponent <= _LARGEST_EXPONENT:
                 raise ValueError(f"exponents[{index}] = {float(exponent)!r}; allowed is a number greater than 0 and at most 2")
 
-    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+    def level(self, point: Float[Array, "3"]) -> Scalar:
         """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the point: convex, and of slope 1 on that axis."""
-        own = magnitude(point - self.center) / self.semi_axes
+        u, v, w = (magnitude(point[i] - self.center[i]) / self.semi_axes[i] for i in range(3))
         along, across = 2 / self.exponents[0], 2 / self.exponents[1]
         # ρ is of first degree in the point: scaled by constants, which take no part in differentiation, no power over- or underflows.
-        widest = _scale(jnp.max(own[:2]))
-        largest = _scale(jnp.max(own))
-        section = power(jnp.sum(power(own[:2] / widest, across)), along / across) * jnp.power(widest / largest, along)
-        rho = largest * power(section + power(own[2] / largest, along), 1 / along)
-        return (rho - 1) * jnp.min(jnp.asarray(self.semi_axes))
+        wider = lax.stop_gradient(jnp.maximum(u, v))
+        largest = _or_else(jnp.maximum(wider, lax.stop_gradient(w)), 1.0)
+        widest = _or_else(wider, largest)
+        section = power(power(u / widest, across) + power(v / widest, across), along / across)
+        total = section * jnp.power(widest / largest, along) + power(w / largest, along)
+        return (largest * power(total, 1 / along) - 1) * jnp.min(jnp.asarray(self.semi_axes))
 
 
-def _scale(size: Float[Array, ""]) -> Float[Array, ""]:
-    size = lax.stop_gradient(size)
-    return jnp.where(size > TINY, size, 1.0)
+def _or_else(size: Scalar, other: Scalar | float) -> Scalar:
+    return jnp.where(size > TINY, size, other)

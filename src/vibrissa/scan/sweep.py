@@ -46,9 +46,14 @@ def sweep(scene: Scene, path: Path, law: ContactLaw) -> Sweep:
         walk.march()
     result = walk.result
     result.happenings += _smooth_happenings(scene, path, law, result, meetings, walk.by_hand)
-    result.happenings.sort(key=lambda happening: (happening.lane, happening.index, happening.fraction))
+    result.happenings.sort(key=_order)
     result.happenings = _once(result.happenings)
     return result
+
+
+def _order(happening: Happening) -> tuple[int, int, float, bool]:
+    """By place; a first contact comes before a change of phase at the same place, whichever way rounding has it."""
+    return happening.lane, happening.index, round(happening.fraction, 12), happening.kind != EventKind.FIRST_CONTACT
 
 
 def _once(happenings: list[Happening]) -> list[Happening]:

@@ -12,12 +12,12 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from vibrissa import surfaces
-    from vibrissa.contacts import ContactKind, Status
+    from vibrissa.contacts import ContactKind, Motion, Status
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
-    from vibrissa.reconstruct import Reconstruction, reconstruct
+    from vibrissa.reconstruct import FrictionEstimate, Reconstruction, estimate_friction, reconstruct
     from vibrissa.rod import Rod
-    from vibrissa.scan import Event, EventKind, Scan, scan
+    from vibrissa.scan import Equilibrium, Event, EventKind, Scan, equilibria, scan
     from vibrissa.sensor import Sensor
     from vibrissa.trail import Trail
 
@@ -30,8 +30,13 @@ _HOMES = {
     "read_recording": "io",
     "write_contacts": "io",
     "ContactKind": "contacts",
+    "Equilibrium": "scan",
+    "equilibria": "scan",
     "Event": "scan",
     "EventKind": "scan",
+    "FrictionEstimate": "reconstruct",
+    "estimate_friction": "reconstruct",
+    "Motion": "contacts",
     "Reactions": "reactions",
     "Reconstruction": "reconstruct",
     "reconstruct": "reconstruct",
@@ -46,8 +51,11 @@ _HOMES = {
 __all__ = [
     "Case",
     "ContactKind",
+    "Equilibrium",
     "Event",
     "EventKind",
+    "FrictionEstimate",
+    "Motion",
     "Reactions",
     "Reconstruction",
     "Rod",
@@ -57,6 +65,8 @@ __all__ = [
     "Status",
     "Trail",
     "__version__",
+    "equilibria",
+    "estimate_friction",
     "load_case",
     "load_setup",
     "read_recording",

@@ -11,6 +11,16 @@ class ContactKind(IntEnum):
     TANGENTIAL = 2
 
 
+class Motion(IntEnum):
+    """How the contact moves on the way to a position: the rod's material point rests on the object or slides over it."""
+
+    NONE = 0
+    STICK = 1
+    SLIP = 2
+    ROLL = 3
+    """At rest like STICK, while the contact moves on along rod and object alike."""
+
+
 class Status(IntEnum):
     """Whether a row can be trusted; `text` says what is wrong and what to do. The worst finding wins."""
 
@@ -38,7 +48,7 @@ _TEXTS = {
     Status.OK: "All checks passed.",
     Status.OVERSTRAINED: "The largest bending strain exceeds the rod's yield strain; take a thinner or longer rod, or move the clamp away from the object.",
     Status.LATERALLY_UNSTABLE: "The equilibrium is unstable, a real rod leaves its bending plane here; offset the trail a little to follow the stable branch.",
-    Status.PENETRATING: "The rod passes through the object away from its contact: a second contact is missing, so the reactions are not those of a real rod.",
+    Status.PENETRATING: "The rod also touches the object, at `second_contact`, or passes through it there: its reactions are not those of a single contact.",
     Status.HEAD_ON: "The contact force acts along the straight rod, which buckles in a direction that is not determined; offset or tilt the clamp.",
     Status.NOT_CONVERGED: "The equations could not be solved to their tolerance; refine the trail or check the level function's smoothness.",
     Status.NO_EQUILIBRIUM: "No admissible equilibrium with a single contact was found; the rod may be jammed, or touch in more than one place.",

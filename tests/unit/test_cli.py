@@ -40,7 +40,7 @@ def _refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 BAD_CASES = {
     "missing key": (("b = 1.0\n", ""), ["object.b", "missing"]),
     "unknown key": (("h = 0.4", "h = 0.4\nheight = 3"), ["object.height", "unknown"]),
-    "unknown kind": (('kind = "line"', 'kind = "zigzag"'), ["trail[0]", "line, raster or poses"]),
+    "unknown kind": (('kind = "line"', 'kind = "zigzag"'), ["trail[0]", "line, raster, poses, arc, whisk, spline or csv"]),
     "empty trail": (("count = 521", "count = 0"), ["trail[0].count", "0", "at least 1"]),
     "no number": (("h = 0.4", 'h = "high"'), ["object.h", "high", "finite number"]),
     "not finite": (("h = 0.4", "h = nan"), ["object.h", "nan"]),

@@ -17,11 +17,14 @@ def reconstruct(
         list[Path] | None, typer.Option("--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again.")
     ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")] = None,
+    friction: Annotated[float | None, typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals.")] = None,
+    find_friction: Annotated[bool, typer.Option("--estimate-friction", help="Estimate it from how the contacts move.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Find where the rod touched, from a recording of forces and torques alone."""
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
     from vibrissa.io.contacts import checked_output, write_contacts  # noqa: PLC0415
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.recording import read_recording  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
 
@@ -29,6 +32,8 @@ def reconstruct(
         checked_output(path)
     if figure is not None:
         checked_output(figure, (".png", ".pdf"))
+    if friction is not None and not 0 <= friction < float("inf"):
+        raise InputError(f"--friction = {friction}; allowed is a finite number of at least 0")
     loaded = load_setup(setup)
     reactions = read_recording(recording, loaded)
     with reporting() as report:
@@ -36,13 +41,15 @@ def reconstruct(
         from vibrissa.reconstruct import reconstruct as run  # noqa: PLC0415
 
         report("reconstructing")
-        found = run(loaded.rod, reactions)
+        found = run(loaded.rod, reactions, friction=friction)
         report("writing")
         for path in output or []:
             write_contacts(path, found)
         if figure is not None:
             _draw(found, figure)
     summary = _summary(found)
+    if find_friction:
+        summary |= _estimated(found)
     typer.echo(json.dumps(summary, indent=1) if as_json else _text(summary))
 
 
@@ -57,6 +64,9 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
         "kinds": {kind.name: int(np.sum(found.kind == kind)) for kind in ContactKind},
         "status": {status.name: int(np.sum(found.status == status)) for status in Status if np.any(found.status == status)},
     }
+    if found.friction is not None:
+        summary["friction"] = found.friction
+        summary["normal_half_angle"] = found.normal_half_angle
     if found.covariance is not None and contact.any():
         summary["unit"] = found.rod.unit_of("length")
         deviations = np.sqrt(np.linalg.eigvalsh(found.covariance[contact]))
@@ -64,6 +74,16 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
         residual = found.single_contact_residual[contact]
         summary["single_contact_residual_rms"] = float(np.sqrt(np.mean(residual**2)))
     return summary
+
+
+def _estimated(found: "Reconstruction") -> dict[str, object]:
+    from vibrissa.reconstruct import estimate_friction  # noqa: PLC0415
+
+    try:
+        estimate = estimate_friction(found)
+    except ValueError as error:
+        return {"friction_estimate": None, "friction_estimate_fails": str(error)}
+    return {"friction_estimate": estimate.friction, "friction_standard_error": estimate.standard_error, "friction_window": estimate.window}
 
 
 def _text(summary: dict[str, object]) -> str:
@@ -80,7 +100,20 @@ def _text(summary: dict[str, object]) -> str:
         shown = ", ".join(f"{factor * value:.3g}" for value in deviations)
         lines.append(f"standard deviations of the points along their axes, median: {shown} {unit}")
         lines.append(f"m0·f0 = 0 is violated by {summary['single_contact_residual_rms']:.2f} standard deviations (rms; 1 is noise alone)")
+    if "normal_half_angle" in summary:
+        lines.append(f"the object's normals lie within {summary['normal_half_angle']:.4g} rad of the contact forces")
+    if "friction_estimate" in summary:
+        lines.append(_friction_line(summary))
     return "\n".join(lines)
+
+
+def _friction_line(summary: dict[str, object]) -> str:
+    if summary["friction_estimate"] is None:
+        return f"friction cannot be estimated: {summary['friction_estimate_fails']}"
+    return (
+        f"friction from how the contacts move: {summary['friction_estimate']:.3f} ± {summary['friction_standard_error']:.3f} "
+        f"(motions over {summary['friction_window']} samples)"
+    )
 
 
 def _draw(found: "Reconstruction", path: Path) -> None:

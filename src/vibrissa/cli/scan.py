@@ -36,7 +36,7 @@ def scan(
 
         report("scanning")
         _check_start(case, loaded)
-        result = run(loaded.rod, loaded.surface, loaded.trail)
+        result = run(loaded.rod, loaded.surface, loaded.trail, friction=loaded.friction, finite_radius=loaded.finite_radius)
         if output is not None:
             report("writing")
             write_dataset(output, result.to_dataset())
@@ -74,11 +74,13 @@ def _check_start(case: Path, loaded: "Case") -> None:
 def _summary(result: "Scan", speed: float | None) -> dict[str, object]:
     import numpy as np  # noqa: PLC0415
 
-    from vibrissa.contacts import ContactKind, Status  # noqa: PLC0415
+    from vibrissa.contacts import ContactKind, Motion, Status  # noqa: PLC0415
 
     force = np.linalg.norm(result.reactions.force, axis=-1)
     summary: dict[str, object] = {
         "positions": result.kind.size,
+        "friction": result.friction,
+        "motions": {motion.name: int(np.sum(result.motion == motion)) for motion in Motion},
         "kinds": {kind.name: int(np.sum(result.kind == kind)) for kind in ContactKind},
         "status": {status.name: int(np.sum(result.status == status)) for status in Status if np.any(result.status == status)},
         "largest_force": float(np.nanmax(force)) if np.isfinite(force).any() else None,
@@ -108,6 +110,10 @@ def _text(result: "Scan", summary: dict[str, object]) -> str:
     force = result.rod.unit_of("force")
     unit = "EI/L²" if force == "1" else force
     lines = [f"{summary['positions']} positions: " + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())]
+    motions = summary["motions"]
+    if result.friction > 0 and isinstance(motions, dict):
+        moving = ", ".join(f"{count} {name.lower()}" for name, count in motions.items() if name != "NONE")
+        lines.append(f"friction {result.friction:g}: {moving}")
     if summary["largest_force"] is not None:
         lines.append(f"largest support force {summary['largest_force']:.6g} {unit}")
     lines += [f"{count} rows {name}: {Status[name].text}" for name, count in status.items() if name != "OK"]

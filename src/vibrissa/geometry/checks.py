@@ -13,6 +13,14 @@ def positive(value: float, name: str) -> float:
     return number
 
 
+def not_negative(value: float, name: str) -> float:
+    """Return `value` as a float; raise ValueError unless it is finite and at least zero."""
+    number = _number(value, name)
+    if not number >= 0 or not np.isfinite(number):
+        raise ValueError(f"{name} = {value!r}; allowed is a finite number of at least 0")
+    return number
+
+
 def finite(value: float, name: str) -> float:
     """Return `value` as a float; raise ValueError unless it is finite."""
     number = _number(value, name)

@@ -49,6 +49,12 @@ def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"
     return np.asarray(flat.reshape(*quaternion.shape[:-1], 3, 3))
 
 
+def rotation_vectors(first: Quaternions, last: Quaternions) -> Float[np.ndarray, "*batch 3"]:
+    """Rotation vectors (…, 3) [rad], world axes, that take the orientations `first` to `last`."""
+    turned = Rotation.from_quat(last.reshape(-1, 4)) * Rotation.from_quat(first.reshape(-1, 4)).inv()
+    return np.asarray(turned.as_rotvec().reshape(*first.shape[:-1], 3))
+
+
 def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
     """Quaternion of the shortest rotation that takes +z to the unit vector `axis`."""
     x, y, z = axis

@@ -6,8 +6,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from vibrissa.io.config import ObjectTable, RodTable, Table, load_table
+from vibrissa.io.config import NotNegative, RodTable, Table, load_table
 from vibrissa.io.errors import InputError
+from vibrissa.io.objects import ObjectTable
 from vibrissa.io.trails import TrailTable, built
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
@@ -21,6 +22,15 @@ class Case:
     rod: Rod
     surface: Surface
     trail: Trail
+    friction: float = 0.0
+    finite_radius: bool = False
+
+
+class ContactTable(Table):
+    """Between rod and object."""
+
+    friction: NotNegative = 0.0
+    finite_radius: Annotated[bool, Field(strict=True, description="true or false")] = False
 
 
 class CaseFile(Table):
@@ -28,11 +38,12 @@ class CaseFile(Table):
 
     rod: RodTable
     object: ObjectTable
+    contact: ContactTable = ContactTable()
     trail: Annotated[list[TrailTable], Field(min_length=1, description="at least one table [[trail]]")]
 
 
 def load_case(path: str | Path) -> Case:
-    """Read a case from TOML: tables [rod], [object] and one or more [[trail]] of equal length.
+    """Read a case from TOML: tables [rod], [object], one or more [[trail]] of equal length, and [contact] if there is friction or a finite radius.
 
     Raises
     ------
@@ -43,6 +54,7 @@ def load_case(path: str | Path) -> Case:
     table = load_table(file, CaseFile)
     try:
         trails = [built(trail, file.parent) for trail in table.trail]
-        return Case(table.rod.build(), table.object.build(), trails[0] if len(trails) == 1 else Trail.stack(trails))
+        trail = trails[0] if len(trails) == 1 else Trail.stack(trails)
+        return Case(table.rod.build(), table.object.build(), trail, table.contact.friction, table.contact.finite_radius)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

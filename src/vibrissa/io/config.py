@@ -9,7 +9,6 @@ from pydantic.fields import FieldInfo
 
 from vibrissa.io.errors import InputError, readable
 from vibrissa.rod import Rod
-from vibrissa.surfaces import Ellipsoid, EllipticCylinder, EllipticParaboloid, Plane, Sphere, Surface
 
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False, description="a number greater than 0")]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False, description="a number of at least 0")]
@@ -72,83 +71,6 @@ class UnitRod(Table):
 
 RodTable = Annotated[CylinderRod | UniformRod | UnitRod, Field(discriminator="kind", description="cylinder, uniform or unit")]
 
-
-class PlacedTable(Table):
-    """Rotation and translation, which any object may have."""
-
-    rotation: Quaternion = NO_TURN
-    translation: Vector = ORIGIN
-
-    def placed(self, surface: Surface) -> Surface:
-        """Return the surface where the table puts it."""
-        return surface if (self.rotation, self.translation) == (NO_TURN, ORIGIN) else surface.placed(self.rotation, self.translation)
-
-
-class ParaboloidTable(PlacedTable):
-    """Solid z > a x² + b y² + h."""
-
-    kind: Literal["elliptic_paraboloid"]
-    a: Finite
-    b: Finite
-    h: Finite
-
-    def build(self) -> Surface:
-        """Return the surface."""
-        return self.placed(EllipticParaboloid(self.a, self.b, self.h))
-
-
-class SphereTable(PlacedTable):
-    """A ball."""
-
-    kind: Literal["sphere"]
-    center: Vector
-    radius: Positive
-
-    def build(self) -> Surface:
-        """Return the surface."""
-        return self.placed(Sphere(self.center, self.radius))
-
-
-class EllipsoidTable(PlacedTable):
-    """An ellipsoid with its axes along x, y, z before it is turned."""
-
-    kind: Literal["ellipsoid"]
-    center: Vector
-    semi_axes: tuple[Positive, Positive, Positive]
-
-    def build(self) -> Surface:
-        """Return the surface."""
-        return self.placed(Ellipsoid(self.center, self.semi_axes))
-
-
-class EllipticCylinderTable(PlacedTable):
-    """A cylinder without ends along y before it is turned."""
-
-    kind: Literal["elliptic_cylinder"]
-    center: Vector
-    semi_axes: tuple[Positive, Positive]
-
-    def build(self) -> Surface:
-        """Return the surface."""
-        return self.placed(EllipticCylinder(self.center, self.semi_axes))
-
-
-class PlaneTable(PlacedTable):
-    """A half space."""
-
-    kind: Literal["plane"]
-    point: Vector
-    normal: Vector
-
-    def build(self) -> Surface:
-        """Return the surface."""
-        return self.placed(Plane(self.point, self.normal))
-
-
-ObjectTable = Annotated[
-    ParaboloidTable | SphereTable | EllipsoidTable | EllipticCylinderTable | PlaneTable,
-    Field(discriminator="kind", description="elliptic_paraboloid, sphere, ellipsoid, elliptic_cylinder or plane"),
-]
 
 Model = TypeVar("Model", bound=Table)
 

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from vibrissa.io.config import ORIGIN, NotNegative, ObjectTable, Positive, Quaternion, RodTable, Table, Vector, load_table
+from vibrissa.io.config import ORIGIN, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
+from vibrissa.io.objects import ObjectTable
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
 from vibrissa.surfaces import Surface

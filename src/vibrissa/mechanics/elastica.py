@@ -22,6 +22,8 @@ from vibrissa.numerics.carlson import carlson_rf_rd
 Scalar = Float[Array, ""]
 Vector = Float[Array, "3"]
 
+_MEANS = 6
+
 
 class BasePlane(NamedTuple):
     """What the bending plane shows at the base: all that the closed form needs besides the force's magnitude."""
@@ -61,11 +63,31 @@ def base_plane(direction: Vector, to_contact_side: Vector, tangent: Vector) -> B
     return BasePlane(sin_delta / (2 * cos_a0), lever_arm)
 
 
-def contact_on_rod(plane: BasePlane, force: Scalar) -> ContactOnRod:
-    """Arc length and advance of the first zero of the curvature under a contact force of magnitude `force` [EI/L²]."""
+def contact_on_rod(plane: BasePlane, force: Scalar, inflections: int = 0) -> ContactOnRod:
+    """Arc length and advance of a zero of the curvature under a contact force of magnitude `force` [EI/L²]: the first, or one behind some inflections.
+
+    From one zero to the next, s grows by 2K/√f and the advance by (4E − 2K)/√f.
+    """
     w = force * plane.lever_arm**2 / 4
     sigma, iota = unit_lever(plane.sin_a0, w)
-    return ContactOnRod(sigma * plane.lever_arm, iota * plane.lever_arm, plane.sin_a0**2 + w)
+    modulus = plane.sin_a0**2 + w
+    s1, advance = sigma * plane.lever_arm, iota * plane.lever_arm
+    if inflections:
+        first, second = complete_integrals(modulus)
+        count = inflections / jnp.sqrt(force)
+        s1, advance = s1 + 2 * count * first, advance + count * (4 * second - 2 * first)
+    return ContactOnRod(s1, advance, modulus)
+
+
+def complete_integrals(k2: Scalar) -> tuple[Scalar, Scalar]:
+    """K(k) and E(k), by the arithmetic-geometric mean (DLMF 19.8.5-6)."""
+    a, b, total, weight = jnp.ones_like(k2), jnp.sqrt(1 - k2), k2 / 2, 0.5
+    for _ in range(_MEANS):
+        a, b, difference = (a + b) / 2, jnp.sqrt(a * b), (a - b) / 2
+        weight *= 2
+        total = total + weight * difference**2
+    first = jnp.pi / (2 * a)
+    return first, first * (1 - total)
 
 
 def bending_energy(contact: ContactOnRod, force: Scalar) -> Scalar:

@@ -5,6 +5,8 @@ from functools import lru_cache, wraps
 from typing import ParamSpec, TypeVar
 
 import jax
+from jax import Array
+from jax.extend.core import Jaxpr, jaxprs_in_params
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
@@ -33,3 +35,12 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
         return build()(*arguments, **named)
 
     return call
+
+
+def operation_count(function: Callable[[Array], Array], argument: Array) -> int:
+    """How many operations a function traces to, those of its loops' bodies counted once."""
+    return _operations(jax.make_jaxpr(function)(argument).jaxpr)
+
+
+def _operations(jaxpr: Jaxpr) -> int:
+    return sum(1 + sum(_operations(inner) for inner in jaxprs_in_params(equation.params)) for equation in jaxpr.eqns)

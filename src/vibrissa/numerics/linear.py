@@ -45,3 +45,22 @@ def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Ar
     across = jnp.cross(second, third)
     values = (jnp.dot(right, across), jnp.dot(first, jnp.cross(right, third)), jnp.dot(first, jnp.cross(second, right)))
     return jnp.stack(values) / jnp.dot(first, across)
+
+
+def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
+    """Solution by Gaussian elimination with partial pivoting, rows kept as separate vectors; not finite where the matrix is singular."""
+    size = matrix.shape[0]
+    rows = [jnp.concatenate([matrix[i], right[i, None]]) for i in range(size)]
+    for column in range(size):
+        for other in range(column + 1, size):
+            above, below = rows[column], rows[other]
+            swap = jnp.abs(below[column]) > jnp.abs(above[column])
+            rows[column], rows[other] = jnp.where(swap, below, above), jnp.where(swap, above, below)
+        pivot = rows[column]
+        for other in range(column + 1, size):
+            rows[other] = rows[other] - rows[other][column] / pivot[column] * pivot
+    values = [jnp.zeros(())] * size
+    for row in reversed(range(size)):
+        known = sum((rows[row][column] * values[column] for column in range(row + 1, size)), start=jnp.zeros(()))
+        values[row] = (rows[row][size] - known) / rows[row][row]
+    return jnp.stack(values)

@@ -18,6 +18,8 @@ _MARKS = {
     EventKind.LATERAL_RECOVERY: ("<", "lateral recovery"),
     EventKind.STARTED_IN_CONTACT: ("P", "started in contact"),
     EventKind.HEAD_ON: ("*", "head-on contact"),
+    EventKind.STICK_TO_SLIP: (">", "stick to slip"),
+    EventKind.SLIP_TO_STICK: ("d", "slip to stick"),
 }
 
 

@@ -1,5 +1,6 @@
 """The inverse problem's entry point. It sees the rod and the reactions, nothing else."""
 
+import math
 from functools import lru_cache, partial
 
 import numpy as np
@@ -7,6 +8,7 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.geometry.checks import not_negative
 from vibrissa.numerics.blocks import in_blocks, single
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.kernels import NOISY_WIDTH, TIP_DEVIATIONS, WIDTH, invert_blocks, invert_noisy_blocks
@@ -19,6 +21,7 @@ _TIP = 1e-6
 _LEAST_FORCE = 1e-14
 # Without friction k² ≤ ½, with it k² ≤ (1 + sin atan μ)/2: this is μ = 0.75.
 _STEEPEST = 0.8
+_MODULUS_MARGIN = 1e-6
 # With known noise, in standard deviations.
 _SINGLE_CONTACT_DEVIATIONS = 6.0
 _STEEP_DEVIATIONS = 3.0
@@ -29,7 +32,7 @@ _NOT_SINGLE_CONTACT, _BEYOND_TIP, _NO_CURVATURE_ZERO = int(Status.NOT_SINGLE_CON
 _STEEP_TANGENT, _BAD_DATA = int(Status.STEEP_TANGENT), int(Status.BAD_DATA)
 
 
-def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) -> Reconstruction:
+def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None, false_alarm: float = 1e-3) -> Reconstruction:
     """Contact points, normals and arc lengths from support reactions (paper, section II; mechanics.md).
 
     Parameters
@@ -39,6 +42,9 @@ def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) ->
     reactions
         Support reactions and clamp poses (n, …) or (m, n, …). With a covariance, the most probable wrench of a single contact within the rod's length is taken
         for each sample, and its errors are carried to point and normal.
+    friction
+        Coulomb's coefficient, if known: it bounds the object's normal by a cone around the force (`Reconstruction.normal_half_angle`), and tells how steeply
+        the rod may meet the object. `estimate_friction` finds it from the contacts of a sweep.
     false_alarm
         Share of samples without contact that may be taken for one; used where the noise is known.
 
@@ -50,15 +56,17 @@ def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) ->
     Raises
     ------
     ValueError
-        If `false_alarm` is not between 0 and 1.
+        If `false_alarm` is not between 0 and 1, or the coefficient is negative or not finite.
 
     Notes
     -----
     The contact is the first zero of the curvature, in closed form. With friction, point and arc length stay exact, and only `normal` is the direction of the
-    force instead of the object's normal.
+    force instead of the object's normal, which lies within atan μ of it. `estimate_friction` finds normals and μ from the contacts of a sweep.
     """
     if not 0 < false_alarm < 1:
         raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
+    if friction is not None:
+        friction = not_negative(friction, "friction")
     trail, scales = reactions.trail, np.array([rod.force_scale, rod.moment_scale])
     orientation = trail.orientation.reshape(-1, 4)
     force, moment = reactions.force.reshape(-1, 3), reactions.moment.reshape(-1, 3)
@@ -66,14 +74,14 @@ def reconstruct(rod: Rod, reactions: Reactions, *, false_alarm: float = 1e-3) ->
         rows = (force, moment, orientation)
         kernel = partial(invert_blocks, scales)
         fields = single(kernel, *rows) if len(force) == 1 else in_blocks(kernel, *rows)
-        return _exact(rod, reactions, fields)
+        return _exact(rod, reactions, friction, fields)
     units = np.repeat(scales, 3)
     wrench = np.concatenate([force, moment], axis=1) / units
     covariance = reactions.covariance / np.outer(units, units)
     matrices = [np.broadcast_to(part, (*trail.shape, 6, 6)).reshape(-1, 6, 6) for part in (covariance, np.linalg.inv(covariance))]
     chi_square = np.einsum("ni,nij,nj->n", wrench, matrices[1], wrench)
     fields = in_blocks(invert_noisy_blocks, wrench, orientation, *matrices)
-    return _noisy(rod, reactions, fields, chi_square, _threshold(false_alarm))
+    return _noisy(rod, reactions, friction, fields, chi_square, _threshold(false_alarm))
 
 
 @lru_cache(maxsize=32)
@@ -81,36 +89,47 @@ def _threshold(false_alarm: float) -> float:
     return float(chi2.isf(false_alarm, df=6))
 
 
-def _exact(rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 11"]) -> Reconstruction:
+def _steepest(friction: float | None) -> float:
+    """Largest k² that friction explains: the rod's tangent makes at most 90° with the normal, which leans by atan μ from the force."""
+    return _STEEPEST if friction is None else max(_STEEPEST, (1 + friction / math.hypot(1, friction)) / 2 + _MODULUS_MARGIN)
+
+
+def _exact(rod: Rod, reactions: Reactions, friction: float | None, fields: Float[np.ndarray, "k 11"]) -> Reconstruction:
     arc_length, modulus, magnitude, single = fields[:, 6], fields[:, 7], fields[:, 9], fields[:, 10]
     status = np.zeros(len(fields), dtype=np.int8)
     status[np.abs(single) > _SINGLE_CONTACT] = _NOT_SINGLE_CONTACT
     status[arc_length > 1 + _TIP] = _BEYOND_TIP
-    status[modulus > _STEEPEST] = _STEEP_TANGENT
+    status[modulus > _steepest(friction)] = _STEEP_TANGENT
     status[modulus >= 1] = _NO_CURVATURE_ZERO
-    return _result(rod, reactions, fields, magnitude > _LEAST_FORCE, arc_length > 1 - _TIP, status, single)
+    return _result(rod, reactions, friction, fields, magnitude > _LEAST_FORCE, arc_length > 1 - _TIP, status, single)
 
 
 def _noisy(
-    rod: Rod, reactions: Reactions, fields: Float[np.ndarray, "k 32"], chi_square: Float[np.ndarray, "k"], threshold: float
+    rod: Rod,
+    reactions: Reactions,
+    friction: float | None,
+    fields: Float[np.ndarray, "k 32"],
+    chi_square: Float[np.ndarray, "k"],
+    threshold: float,
 ) -> Reconstruction:
     deviation, steep_deviation, single = (fields[:, NOISY_WIDTH - back] for back in (3, 2, 1))
     arc_length = fields[:, 6]
     status = np.zeros(len(fields), dtype=np.int8)
     status[np.abs(single) > _SINGLE_CONTACT_DEVIATIONS] = _NOT_SINGLE_CONTACT
     status[arc_length > 1 + _TIP + TIP_DEVIATIONS * deviation] = _BEYOND_TIP
-    status[fields[:, 7] - _STEEP_DEVIATIONS * steep_deviation > _STEEPEST] = _STEEP_TANGENT
+    status[fields[:, 7] - _STEEP_DEVIATIONS * steep_deviation > _steepest(friction)] = _STEEP_TANGENT
     status[fields[:, 7] >= 1] = _NO_CURVATURE_ZERO
     tip = arc_length > 1 - _TIP - _KIND_DEVIATIONS * deviation
     # No contact lies farther from the clamp than the rod is long: near first contact noise may say so.
     reach = np.linalg.norm(fields[:, :3], axis=1, keepdims=True)
     fields = np.concatenate([fields[:, :3] / np.maximum(reach, 1.0), fields[:, 3:]], axis=1)
-    return _result(rod, reactions, fields, chi_square > threshold, tip, status, single, fields[:, WIDTH:], chi_square)
+    return _result(rod, reactions, friction, fields, chi_square > threshold, tip, status, single, fields[:, WIDTH:], chi_square)
 
 
 def _result(
     rod: Rod,
     reactions: Reactions,
+    friction: float | None,
     fields: Float[np.ndarray, "k width"],
     contact: np.ndarray,
     tip: np.ndarray,
@@ -159,5 +178,6 @@ def _result(
         arc_length_deviation=deviation,
         chi_square=None if chi_square is None else chi_square.reshape(shape),
         single_contact_residual=single.reshape(shape),
+        friction=friction,
         status=status.reshape(shape),
     )

@@ -1,5 +1,6 @@
 """What a reconstruction returns."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -47,6 +48,8 @@ class Reconstruction:
         without contact.
     status
         (…) values of `Status`.
+    friction
+        Coulomb's coefficient that was given, or None.
     """
 
     rod: Rod
@@ -63,6 +66,22 @@ class Reconstruction:
     chi_square: Float[np.ndarray, "*trail n"] | None
     single_contact_residual: Float[np.ndarray, "*trail n"]
     status: Int[np.ndarray, "*trail n"]
+    friction: float | None = None
+
+    @property
+    def normal_half_angle(self) -> float:
+        """Half-angle atan μ [rad] of the cone around `normal` in which the object's normal lies; 0 without friction.
+
+        Raises
+        ------
+        ValueError
+            If the coefficient of friction is not known.
+        """
+        if self.friction is None:
+            raise ValueError(
+                "friction = None: a bound on the object's normal needs the coefficient of friction; give it to `reconstruct`, or estimate it"
+            )
+        return math.atan(self.friction)
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:

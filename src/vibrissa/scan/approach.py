@@ -3,8 +3,6 @@
 The tip may touch first, or the flank, where the rod meets the object tangentially.
 """
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -12,7 +10,7 @@ from jaxtyping import Float
 
 from vibrissa.numerics.bracket import bracketed_root
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Clamp, Scene, level
+from vibrissa.scan.equations import Clamp, Scene, level, levels
 from vibrissa.scan.path import clamp_between
 
 Scalar = Float[Array, ""]
@@ -30,7 +28,8 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
     def along(s: Scalar) -> Scalar:
         return level(scene, clamp.point + s * clamp.tangent)
 
-    s = _lowest_sample(along)
+    samples = [jnp.asarray(index / _SAMPLES) for index in range(_SAMPLES + 1)]
+    s = _lowest_sample(samples, levels(scene, [clamp.point + sample * clamp.tangent for sample in samples]))
     low, high = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
     slope = jax.grad(along)
 
@@ -48,11 +47,9 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
     return value / jnp.sqrt(jnp.sum(gradient * gradient)), s
 
 
-def _lowest_sample(along: Callable[[Scalar], Scalar]) -> Scalar:
-    best, lowest = jnp.zeros(()), along(jnp.zeros(()))
-    for index in range(1, _SAMPLES + 1):
-        s = jnp.asarray(index / _SAMPLES)
-        value = along(s)
+def _lowest_sample(samples: list[Scalar], values: list[Scalar]) -> Scalar:
+    best, lowest = samples[0], values[0]
+    for s, value in zip(samples[1:], values[1:], strict=True):
         lower = value < lowest
         best, lowest = jnp.where(lower, s, best), jnp.where(lower, value, lowest)
     return best

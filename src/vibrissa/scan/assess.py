@@ -11,7 +11,8 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastic_line import bent_part, contact_tangent
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, bending_energy, largest_curvature
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Clamp, Scene, contact_state, level, phase_difference
+from vibrissa.scan.equations import Clamp, Scene, contact_state, level, levels, phase_difference
+from vibrissa.scan.friction import SIZE, UNKNOWNS, outside_cone, rubbing_state
 
 Scalar = Float[Array, ""]
 Vector = Float[Array, "3"]
@@ -34,9 +35,11 @@ class Assessment(NamedTuple):
     """Largest depth to which the elastic line enters the object [L], to first order; negative or rounding where it does not."""
     contact_tangent: Vector
     plane_normal: Vector
+    direction: Vector
+    """Unit vector of the contact force on the rod: the normal without friction."""
 
 
-WIDTH = 22
+WIDTH = 25
 """Numbers in one assessment, in the order above."""
 
 _DEPTH = 15
@@ -48,7 +51,7 @@ class Line(NamedTuple):
 
     point: Vector
     force: Scalar
-    normal: Vector
+    direction: Vector
     side: Vector
     """Unit vector from the clamp to the line of the force."""
     tangent: Vector
@@ -56,35 +59,66 @@ class Line(NamedTuple):
     rod: ContactOnRod
 
 
-def assess(scene: Scene, x: Float[Array, "4"], clamp: Clamp) -> tuple[Assessment, Line]:
-    """Reactions, energy and residual of the state x = (p, f) at a clamp pose, without the depth."""
-    state = contact_state(scene, x, clamp)
-    f, n, r, rod = x[3], state.normal, state.to_contact, state.rod
+def assess(scene: Scene, x: Float[Array, "size"], clamp: Clamp) -> tuple[Assessment, Line]:
+    """Reactions, energy and residual of a state at a clamp pose, without the depth: x = (p, f), or the eleven numbers of `friction`."""
+    if x.shape[0] == SIZE:
+        rubbing = rubbing_state(scene, x[:UNKNOWNS], clamp)
+        n, d, r, plane, rod = rubbing.normal, rubbing.direction, rubbing.to_contact, rubbing.plane, rubbing.rod
+        # The law itself needs the step before; the force's place in the cone does not.
+        residual, phase = jnp.max(jnp.abs(rubbing.conditions)) + outside_cone(scene, x[4:UNKNOWNS], n), rubbing.phase
+    else:
+        state = contact_state(scene, x, clamp)
+        n, d, r, plane, rod = state.normal, state.normal, state.to_contact, state.plane, state.rod
+        residual, phase = jnp.max(jnp.abs(state.residual)), phase_difference(rod)
+    f = x[3]
     # r × F + m0 = 0: one contact carries no couple.
-    moment = -f * jnp.cross(r, n)
-    side = (r - jnp.dot(r, n) * n) / state.plane.lever_arm
-    tangent = contact_tangent(n, side, rod)
-    across = jnp.cross(clamp.tangent, n)
+    moment = -f * jnp.cross(r, d)
+    side = (r - jnp.dot(r, d) * d) / plane.lever_arm
+    tangent = contact_tangent(d, side, rod)
+    across = jnp.cross(clamp.tangent, d)
     plane_normal = across / jnp.sqrt(jnp.sum(across * across))
     assessment = Assessment(
-        x[:3], f, n, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(state.plane, rod, f),
-        phase_difference(rod), jnp.max(jnp.abs(state.residual)), jnp.zeros_like(f), tangent, plane_normal,
+        x[:3], f, n, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(plane, rod, f), phase, residual, jnp.zeros_like(f),
+        tangent, plane_normal, d,
     )  # fmt: skip
-    return assessment, Line(x[:3], f, n, side, tangent, state.plane, rod)
+    return assessment, Line(x[:3], f, d, side, tangent, plane, rod)
 
 
-def _depth(scene: Scene, line: Line) -> Scalar:
-    """Deepest place of the rod, from 25 points between clamp and contact and 9 between contact and tip, and parabolas through their minima."""
+def _points(line: Line) -> tuple[list[Vector], list[Vector]]:
+    """25 points from the contact to the clamp, and 9 from the contact to the tip."""
     p = line.point
     bend = [
-        p + advance * line.normal - distance * line.side
+        p + advance * line.direction - distance * line.side
         for advance, distance in zip(*bent_part(line.plane, line.rod, line.force), strict=True)
     ]
     rest = jnp.maximum(1 - line.rod.arc_length, 0.0)
-    tail = [p + index / (_TAIL_POINTS - 1) * rest * line.tangent for index in range(_TAIL_POINTS)]
-    lowest = jnp.minimum(*(_lowest([level(scene, q) for q in part]) for part in (bend, tail)))
-    gradient = jax.grad(level, argnums=1)(scene, p)
+    return bend, [p + index / (_TAIL_POINTS - 1) * rest * line.tangent for index in range(_TAIL_POINTS)]
+
+
+def _depth(scene: Scene, line: Line) -> Scalar:
+    """Deepest place of the rod between its points, by parabolas through their minima."""
+    bend, tail = _points(line)
+    found = levels(scene, bend + tail)
+    lowest = jnp.minimum(_lowest(found[: len(bend)]), _lowest(found[len(bend) :]))
+    gradient = jax.grad(level, argnums=1)(scene, line.point)
     return -lowest / jnp.sqrt(jnp.sum(gradient * gradient))
+
+
+def _deepest(scene: Scene, line: Line) -> Vector:
+    """Where that is [L]."""
+    best, lowest = line.point, jnp.asarray(jnp.inf)
+    for part in _points(line):
+        points = jnp.stack(part)
+        found = jnp.stack(levels(scene, part))
+        middle = jnp.clip(jnp.argmin(found), 1, len(part) - 2)
+        before, here, after = (found[middle + offset] for offset in (-1, 0, 1))
+        bend = before - 2 * here + after
+        share = jnp.clip(jnp.where(bend > 0, (before - after) / (2 * jnp.where(bend > 0, bend, 1.0)), 0.0), -1.0, 1.0)
+        value = here + share * (after - before) / 2 + share**2 * bend / 2
+        p0, p1, p2 = (points[middle + offset] for offset in (-1, 0, 1))
+        place = p1 + share * (p2 - p0) / 2 + share**2 * (p0 - 2 * p1 + p2) / 2
+        best, lowest = jnp.where(value < lowest, place, best), jnp.minimum(value, lowest)
+    return best
 
 
 def _lowest(levels: list[Scalar]) -> Scalar:
@@ -100,11 +134,11 @@ def _lowest(levels: list[Scalar]) -> Scalar:
 
 @compiled
 def assess_blocks(
-    scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]
-) -> Float[Array, "blocks 22 width"]:
+    scene: Scene, x: Float[Array, "blocks size width"], clamps: Float[Array, "blocks 6 width"]
+) -> Float[Array, "blocks 25 width"]:
     """Assessments of blocks of states; clamps hold point and tangent."""
 
-    def one(x: Float[Array, "4"], clamp: Float[Array, "6"]) -> tuple[Float[Array, "22"], Line]:
+    def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> tuple[Float[Array, "25"], Line]:
         assessment, line = assess(scene, x, Clamp(clamp[:3], clamp[3:]))
         return jnp.concatenate([jnp.atleast_1d(part) for part in assessment]), line
 
@@ -112,3 +146,15 @@ def assess_blocks(
     # In a loop of its own, lest XLA evaluate the whole state again for each of the points.
     depths = lax.map(jax.vmap(lambda line: _depth(scene, line), in_axes=-1), lines)
     return jnp.asarray(fields).at[:, _DEPTH].set(depths)
+
+
+@compiled
+def deepest_blocks(
+    scene: Scene, x: Float[Array, "blocks size width"], clamps: Float[Array, "blocks 6 width"]
+) -> Float[Array, "blocks 3 width"]:
+    """Where the elastic lines of states enter the object most deeply [L]: the second contact that is missing."""
+
+    def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> Vector:
+        return _deepest(scene, assess(scene, x, Clamp(clamp[:3], clamp[3:]))[1])
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (x, clamps))

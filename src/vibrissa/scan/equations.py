@@ -17,6 +17,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, base_plane, contact_on_rod
+from vibrissa.numerics.compiled import operation_count
 from vibrissa.numerics.linear import solve_4x4
 from vibrissa.surfaces import Surface
 
@@ -26,10 +27,11 @@ Scalar = Float[Array, ""]
 
 
 class Scene(NamedTuple):
-    """The object and the rod's length, which turns its units into the model's."""
+    """The object, the rod's length, which turns its units into the model's, and the coefficient of friction between them."""
 
     surface: Surface
     length: Float[Array, ""] | float
+    friction: Float[Array, ""] | float = 0.0
 
 
 class Clamp(NamedTuple):
@@ -57,8 +59,20 @@ def level(scene: Scene, point: Vector) -> Scalar:
     return scene.surface.level(point * scene.length) / scene.length
 
 
-def contact_state(scene: Scene, x: Unknowns, clamp: Clamp) -> ContactState:
-    """Evaluate the contact conditions."""
+# A level function of fewer operations is written out point by point, which runs as one loop over the lanes; of more, it would take long to compile.
+_LIGHT = 30
+
+
+def levels(scene: Scene, points: list[Vector]) -> list[Scalar]:
+    """Level function at several points."""
+    if operation_count(lambda point: level(scene, point), jnp.zeros(3)) <= _LIGHT:
+        return [level(scene, point) for point in points]
+    values = jax.vmap(lambda point: level(scene, point))(jnp.stack(points))
+    return [values[index] for index in range(len(points))]
+
+
+def contact_state(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0) -> ContactState:
+    """Evaluate the contact conditions, for a rod whose curvature changes its sign that often between clamp and contact."""
     p, f = x[:3], x[3]
     value, gradient = jax.value_and_grad(level, argnums=1)(scene, p)
     steepness = jnp.sqrt(jnp.sum(gradient * gradient))
@@ -66,7 +80,7 @@ def contact_state(scene: Scene, x: Unknowns, clamp: Clamp) -> ContactState:
     r = p - clamp.point
     r_n = jnp.dot(r, n)
     plane = base_plane(n, n * jnp.dot(r, clamp.tangent) - r * jnp.dot(n, clamp.tangent), clamp.tangent)
-    rod = contact_on_rod(plane, f)
+    rod = contact_on_rod(plane, f, inflections)
     gap = value / lax.stop_gradient(steepness)
     out_of_plane = jnp.dot(r, jnp.cross(clamp.tangent, n))
     phase = jnp.minimum(1 - rod.arc_length, 0.5 - rod.modulus)
@@ -94,11 +108,11 @@ class NewtonStep(NamedTuple):
 _LONGEST_STEP = 0.3
 
 
-def newton_step(scene: Scene, x: Unknowns, clamp: Clamp) -> NewtonStep:
+def newton_step(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0) -> NewtonStep:
     """Semi-smooth Newton step; the contact point moves by at most 0.3 L."""
 
     def conditions(x: Unknowns) -> tuple[Float[Array, "4"], tuple[Float[Array, "4"], Scalar]]:
-        state = contact_state(scene, x, clamp)
+        state = contact_state(scene, x, clamp, inflections)
         return state.residual, (state.residual, phase_difference(state.rod))
 
     jacobian, (residual, phase) = jax.jacfwd(conditions, has_aux=True)(x)

@@ -25,6 +25,10 @@ class EventKind(IntEnum):
     STARTED_IN_CONTACT = 8
     """The trail begins with the straight rod inside the object, or goes on so behind positions that were not solved. A beginning is entered as if its first
     step had come from outside; where that does not go smoothly, the admissible equilibrium of least energy is taken."""
+    STICK_TO_SLIP = 10
+    """With friction: the contact force reaches the cone."""
+    SLIP_TO_STICK = 11
+    """With friction: sliding ends; the contact stays, or rolls."""
     HEAD_ON = 9
     """The rod meets the object along its own axis, and does not bend before it buckles in a direction that is not determined."""
 

@@ -4,7 +4,7 @@ The branch is followed by its arc length, so that it can be seen to turn back (f
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -14,21 +14,15 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from vibrissa.contacts import Status
-from vibrissa.numerics.blocks import AnyArray, in_blocks
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.approach import clearance, first_contacts
 from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
+from vibrissa.scan.landing import CLEAR, ENERGY_MARGIN, MOST_CHANGES, Outcome, clearance_at, failed, first_contact_on, settled_on
 from vibrissa.scan.locate import ROUNDING, polished
-from vibrissa.scan.locate import WIDTH as EVENT_LANES
 from vibrissa.scan.march import Mode
-from vibrissa.scan.path import clamp_between, shortened
-from vibrissa.scan.search import stable_equilibria
-
-HEAD_ON_COSINE = -1 + 1e-9
-CLEAR = -1e-10
-"""Clearance [L] from which the straight rod counts as outside the object."""
+from vibrissa.scan.path import clamp_between
 
 _CONVERGED = 1e-12
 _ITERATIONS = 12
@@ -36,26 +30,16 @@ _FIRST_STEP = 0.01
 _LONGEST_STEP = 0.03
 _SHORTEST_STEP = 1e-10
 _MOST_STEPS = 600
-_MOST_CHANGES = 12
-_ENERGY_MARGIN = 1e-9
 _NO_FORCE = 1e-7
 _BIFURCATION_STEP = 2e-5
+# Fractions of the stretch beyond the end of a branch, and how near an equilibrium there continues it.
+_LOOKS_AHEAD = (1e-6, 1e-5)
+_NEAR = 1e-3
+_AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
 
 Point5 = Float[np.ndarray, "5"]
-
-
-@dataclass
-class Outcome:
-    """How a stretch ended: mode, unknowns, determinant and phase at its end, what happened on it, and a status where it failed."""
-
-    mode: Mode
-    x: Float[np.ndarray, "4"]
-    determinant: float = np.nan
-    phase: float = np.nan
-    happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]] = field(default_factory=list)
-    status: Status = Status.OK
 
 
 @dataclass(frozen=True)
@@ -84,13 +68,6 @@ def _linearised(scene: Scene, stretch: Float[AnyArray, "14"], y: Float[AnyArray,
 
     jacobian, values = jax.jacfwd(conditions, has_aux=True)(y)
     return jnp.concatenate([values, jacobian.ravel()])
-
-
-@jax.jit
-def _straight(scene: Scene, stretch: Float[Array, "14"], fraction: Float[Array, ""]) -> Float[Array, "7"]:
-    distance, _ = clearance(scene, clamp_between(stretch, fraction))
-    clamp = clamp_between(stretch, fraction)
-    return jnp.concatenate([distance[None], clamp.point, clamp.tangent])
 
 
 @jax.jit
@@ -175,34 +152,27 @@ class Tracker:
         """Follow the branch to the end of the stretch, its release, or its fold; phase changes and lateral instabilities are noted on the way."""
         here, step = start, _FIRST_STEP
         for _ in range(_MOST_STEPS):
+            if step < _SHORTEST_STEP:
+                beyond = self._beyond(here)
+                if beyond is None:
+                    return _End("folded", here)
+                here, step = beyond, _FIRST_STEP
             following = self.along(here, step)
+            if following is not None and following.tangent[4] <= 0:
+                return _End("folded", self.root(here, step, lambda point: point.tangent[4]))
+            if following is not None and following.y[4] >= 1:
+                following = self._arrival(here, following)
+                step = step if following is None else float(here.tangent @ ((following.y - here.y) * self._weights))
+            if following is not None and following.y[3] < 0:
+                release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
+                if abs(release.y[3]) <= _NO_FORCE:
+                    self._changes(here, release, step, happened)
+                    return _End("released", release)
+                # Not a force that falls to zero, but another branch on which it pulls.
+                following = None
             if following is None:
                 step /= 2
-                if step < _SHORTEST_STEP:
-                    # Where the phases meet the branch may turn back in a corner: there it ends as at a fold.
-                    return _End("folded" if abs(here.phase) < 1e-6 else "stuck", here)
                 continue
-            if following.tangent[4] <= 0:
-                return _End("folded", self.root(here, step, lambda point: point.tangent[4]))
-            if following.y[4] >= 1:
-                arrival = self.at_fraction(here.y + (following.y - here.y) * (1 - here.y[4]) / (following.y[4] - here.y[4]), 1.0)
-                last = None if arrival is None else self.at(arrival, here.tangent)
-                if last is None:
-                    step /= 2
-                    if step < _SHORTEST_STEP:
-                        return _End("stuck", here)
-                    continue
-                following, step = last, float(here.tangent @ ((last.y - here.y) * self._weights))
-            if following.y[3] < 0:
-                release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
-                if abs(release.y[3]) > _NO_FORCE:
-                    # Not a force that falls to zero, but another branch on which it pulls.
-                    step /= 2
-                    if step < _SHORTEST_STEP:
-                        return _End("stuck", here)
-                    continue
-                self._changes(here, release, step, happened)
-                return _End("released", release)
             if following.determinant * here.determinant < 0 and step > _BIFURCATION_STEP:
                 # A bifurcation keeps its place when the step is refined; a branch that only comes near another one is followed round.
                 step = max(step / 4, 0.5 * _BIFURCATION_STEP)
@@ -213,6 +183,19 @@ class Tracker:
                 return _End("arrived", here)
             step = min(1.5 * step, _LONGEST_STEP)
         return _End("stuck", here)
+
+    def _arrival(self, here: Branch, following: Branch) -> Branch | None:
+        """The branch point at the end of the stretch, between two others."""
+        y = self.at_fraction(here.y + (following.y - here.y) * (1 - here.y[4]) / (following.y[4] - here.y[4]), 1.0)
+        return None if y is None else self.at(y, here.tangent)
+
+    def _beyond(self, here: Branch) -> Branch | None:
+        """Past a corner of the branch, where the phases meet or the object's curvature jumps: the equilibrium near by and a little further on, if there is one."""
+        for ahead in _LOOKS_AHEAD:
+            y = self.at_fraction(here.y, min(here.y[4] + ahead, 1.0))
+            if y is not None and np.abs((y - here.y) * self._weights).max() < _NEAR and y[3] >= 0:
+                return self.at(y)
+        return None
 
     def _changes(
         self, here: Branch, following: Branch, step: float, happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]]
@@ -245,73 +228,70 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
     fraction = 0.0
     here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None
     if mode == Mode.LOST or (mode == Mode.CONTACT and here is None):
-        fraction, here = 1.0, _settled(scene, tracker, stretch, 1.0, np.inf, [])
+        found = settled_on(scene, stretch, 1.0, np.inf, [])
+        here = None if found is None else tracker.at(np.append(found.x, 1.0))
         if here is None:
-            return _failed(outcome, Status.NO_EQUILIBRIUM)
+            return failed(outcome, Status.NO_EQUILIBRIUM)
         outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, here.y[:3]))
         return _arrived(outcome, here)
-    for _ in range(_MOST_CHANGES):
+    for _ in range(MOST_CHANGES):
         if here is None:
             outcome.mode = Mode.FREE
-            here = _first_contact(scene, tracker, stretch, fraction, outcome)
-            if here is None:
+            met = first_contact_on(scene, stretch, fraction, outcome)
+            if met is None:
                 return outcome
+            here = tracker.at(np.array([*met.point, 0.0, met.fraction]))
+            if here is None:
+                return failed(outcome, Status.NOT_CONVERGED)
         end = tracker.track(here, outcome.happened)
         fraction = float(end.at.y[4])
         if end.reason == "arrived":
             return _arrived(outcome, end.at)
         if end.reason == "stuck":
-            return _failed(outcome, Status.NOT_CONVERGED)
-        if end.reason == "released":
-            outcome.happened.append((EventKind.DETACH, fraction, end.at.y[:3]))
-            here = None
-            continue
-        outcome.happened.append((EventKind.SNAP, fraction, end.at.y[:3]))
-        here = None
-        if float(_straight(scene, stretch, jnp.asarray(fraction))[0]) < CLEAR:
-            energy = float(_energy(scene, stretch, end.at.y))
-            here = _settled(scene, tracker, stretch, fraction, energy - _ENERGY_MARGIN, [end.at.y[:3]])
-            if here is None:
-                return _failed(outcome, Status.NO_EQUILIBRIUM)
-    return _failed(outcome, Status.NOT_CONVERGED)
+            return failed(outcome, Status.NOT_CONVERGED)
+        try:
+            here, fraction = _behind(scene, stretch, tracker, end, outcome)
+        except _LostOnTheWayError:
+            return failed(outcome, Status.NO_EQUILIBRIUM)
+    return failed(outcome, Status.NOT_CONVERGED)
 
 
-def _first_contact(scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, outcome: Outcome) -> Branch | None:
-    # Free from `fraction` on: the next first contact before the end, if any.
-    distances = np.array([float(_straight(scene, stretch, jnp.asarray(at))[0]) for at in (fraction, 1.0)])
-    if distances[1] >= CLEAR:
-        return None
-    rest = shortened(stretch, np.asarray(fraction), np.asarray(1.0))
-    share, *point, _, cosine = in_blocks(
-        lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES
-    )[0]
-    at = fraction + (1 - fraction) * share
-    if cosine < HEAD_ON_COSINE:
-        outcome.happened.append((EventKind.HEAD_ON, float(at), np.array(point)))
-        _failed(outcome, Status.HEAD_ON)
-        return None
-    outcome.happened.append((EventKind.FIRST_CONTACT, float(at), np.array(point)))
-    here = tracker.at(np.array([*point, 0.0, at]))
-    if here is None:
-        _failed(outcome, Status.NOT_CONVERGED)
-    return here
+def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, end: _End, outcome: Outcome) -> tuple[Branch | None, float]:
+    """Where the lane goes on behind the end of a branch, and from which fraction: on another branch, or free (None)."""
+    last, fraction = end.at.y, float(end.at.y[4])
+    leaving = last[3] <= _NO_FORCE and clearance_at(scene, stretch, min(1.0, fraction + _AFTER_CONTACT[0])) >= CLEAR
+    if end.reason == "released" or leaving:
+        outcome.happened.append((EventKind.DETACH, fraction, last[:3]))
+        return None, fraction
+    if last[3] <= _NO_FORCE:
+        # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
+        return _begun(scene, stretch, tracker, fraction, last[:3])
+    outcome.happened.append((EventKind.SNAP, fraction, last[:3]))
+    if clearance_at(scene, stretch, fraction) >= CLEAR:
+        return None, fraction
+    found = settled_on(scene, stretch, fraction, float(_energy(scene, stretch, last)) - ENERGY_MARGIN, [last[:3]])
+    here = None if found is None else tracker.at(np.append(found.x, fraction))
+    if here is not None:
+        return here, fraction
+    if clearance_at(scene, stretch, 1.0) >= CLEAR:
+        # What is left of the contact ends before the next position.
+        return None, 1.0
+    raise _LostOnTheWayError
 
 
-def _settled(
-    scene: Scene, tracker: Tracker, stretch: Float[np.ndarray, "14"], fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
-) -> Branch | None:
-    pose = np.asarray(_straight(scene, stretch, jnp.asarray(fraction)))
-    for equilibrium in stable_equilibria(scene, pose[1:4], pose[4:], near):
-        if equilibrium.energy < energy:
-            return tracker.at(np.append(equilibrium.x, fraction))
-    return None
+def _begun(
+    scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, fraction: float, near: Float[np.ndarray, "3"]
+) -> tuple[Branch, float]:
+    """The equilibrium of least energy a little behind a first contact."""
+    for ahead in _AFTER_CONTACT:
+        at = min(1.0, fraction + ahead)
+        found = settled_on(scene, stretch, at, np.inf, [near])
+        here = None if found is None else tracker.at(np.append(found.x, at))
+        if here is not None:
+            return here, at
+    raise _LostOnTheWayError
 
 
 def _arrived(outcome: Outcome, at: Branch) -> Outcome:
-    outcome.mode, outcome.x, outcome.determinant, outcome.phase = Mode.CONTACT, at.y[:4], at.determinant, at.phase
-    return outcome
-
-
-def _failed(outcome: Outcome, status: Status) -> Outcome:
-    outcome.mode, outcome.status, outcome.x = Mode.LOST, status, np.full(4, np.nan)
+    outcome.mode, outcome.x, outcome.figure, outcome.phase = Mode.CONTACT, at.y[:4], at.determinant, at.phase
     return outcome

@@ -22,6 +22,7 @@ class Indicator(IntEnum):
 
     FORCE = 0
     PHASE = 1
+    CONE = 2
 
 
 WIDTH = 16
@@ -106,3 +107,28 @@ def polished(
             break
         y = y - np.linalg.solve(jacobian, right[..., None])[..., 0]
     return y, (residual < _POLISHED) & (np.abs(y - start)[:, :4].max(axis=1) < _FARTHEST)
+
+
+def roots(
+    scene: Scene, stretches: Float[np.ndarray, "k 14"], ends: Float[np.ndarray, "k 12"], indicator: Int[np.ndarray, "k"]
+) -> Float[np.ndarray, "k 5"]:
+    """Fraction and unknowns at the zero of the indicator between two ends: a change of phase by Newton's method, the rest by bracketing."""
+    low, high, before, after = ends[:, 0], ends[:, 6], ends[:, 5], ends[:, 11]
+    share = (before / (before - after))[:, None]
+    found = ends[:, :5] + share * (ends[:, 6:11] - ends[:, :5])
+    changes = indicator == Indicator.PHASE
+    done = np.zeros(len(found), dtype=bool)
+
+    def polish(rows: Int[np.ndarray, "rows"]) -> None:
+        if rows.size:
+            y, sound = polished(scene, stretches[rows], np.roll(found[rows], -1, axis=1))
+            sound &= (y[:, 4] > low[rows] - ROUNDING) & (y[:, 4] < high[rows] + ROUNDING)
+            found[rows[sound]] = np.roll(y[sound], 1, axis=1)
+            done[rows[sound]] = True
+
+    polish(np.flatnonzero(changes))
+    left = np.flatnonzero(~done)
+    if left.size:
+        found[left] = in_blocks(lambda *parts: locate(scene, *parts), stretches[left], ends[left], indicator[left], width=WIDTH)
+        polish(left[changes[left]])
+    return found

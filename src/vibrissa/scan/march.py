@@ -4,8 +4,9 @@ The march does what goes smoothly. Where a lane does not converge, jumps, change
 without having met it, it stops that lane as lost; `follow` resolves the stretch, and the march resumes behind it.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -35,11 +36,12 @@ class Legs(NamedTuple):
     """The straight rod is outside the object."""
     met: Bool[AnyArray, "blocks n width"]
     """First contact of the straight rod lies on the stretch that ends here."""
-    meeting_point: Float[AnyArray, "blocks n 3 width"]
+    meeting: Float[AnyArray, "blocks n size width"]
+    """State at that first contact."""
     start: Int[AnyArray, "blocks width"]
     """Index at which the lane enters, with `mode` and `x` given there."""
     mode: Int[AnyArray, "blocks width"]
-    x: Float[AnyArray, "blocks 4 width"]
+    x: Float[AnyArray, "blocks size width"]
     sign: Float[AnyArray, "blocks width"]
     """Sign of the Jacobian's determinant: negative on a stable branch."""
 
@@ -47,9 +49,10 @@ class Legs(NamedTuple):
 class Steps(NamedTuple):
     """What the march found, in blocks."""
 
-    x: Float[Array, "blocks n 4 width"]
+    x: Float[Array, "blocks n size width"]
     mode: Int[Array, "blocks n width"]
-    determinant: Float[Array, "blocks n width"]
+    figure: Float[Array, "blocks n width"]
+    """Determinant of the Jacobian; with friction, how far outside the cone the force would lie without sliding."""
     phase: Float[Array, "blocks n width"]
 
 
@@ -66,67 +69,94 @@ TOLERANCE = 1e-9
 """Largest residual from which one more quadratic step is taken, and no other."""
 
 _MOST_ITERATIONS = 12
-_JUMP = 8.0
-_JUMP_FLOOR = 0.02
+JUMP = 8.0
+JUMP_FLOOR = 0.02
 _MISS = 0.7
 _MISS_FLOOR = 0.005
 
-_newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
+
+class Solved(NamedTuple):
+    """What Newton's method ends with; lanes last."""
+
+    x: Float[Array, "size width"]
+    residual: Float[Array, "width"]
+    figure: Float[Array, "width"]
+    phase: Float[Array, "width"]
 
 
-@compiled
-def march(scene: Scene, legs: Legs, count: Int[AnyArray, ""], blocks: Int[AnyArray, ""]) -> Steps:
-    """Walk the lanes of the first `blocks` blocks through the first `count` positions."""
-    legs = Legs(*(jnp.asarray(part) for part in legs))
-    size, capacity, _, width = legs.point.shape
-    empty = _nothing(capacity, width)
-    steps = Steps(*(jnp.broadcast_to(part, (size, *part.shape)) for part in empty))
+class Solver(NamedTuple):
+    """Newton's method for one position of all lanes."""
 
-    def walk(index: Array, steps: Steps) -> Steps:
-        found = _march_block(scene, Legs(*(part[index] for part in legs)), count)
-        return Steps(*(whole.at[index].set(part) for whole, part in zip(steps, found, strict=True)))
-
-    walked: Steps = lax.fori_loop(0, blocks, walk, steps)
-    return walked
+    solve: Callable[[Scene, Array, Clamp, Array, Array], Solved]
+    """Of scene, guess (size, width), clamps, the lanes that matter, and the states before (size, width)."""
+    branch: bool
+    """Whether the figure keeps its sign and the path of the contact is smooth."""
 
 
-def _nothing(capacity: int, width: int) -> Steps:
+March: TypeAlias = Callable[[Scene, Legs, AnyArray, AnyArray], Steps]
+
+
+def marching(solver: Solver) -> March:
+    """A march with a given solver."""
+
+    @compiled
+    def march(scene: Scene, legs: Legs, count: Int[AnyArray, ""], blocks: Int[AnyArray, ""]) -> Steps:
+        """Walk the lanes of the first `blocks` blocks through the first `count` positions."""
+        legs = Legs(*(jnp.asarray(part) for part in legs))
+        lanes = legs.point.shape[0]
+        steps = Steps(*(jnp.broadcast_to(part, (lanes, *part.shape)) for part in _nothing(legs)))
+
+        def walk(index: Array, steps: Steps) -> Steps:
+            found = _march_block(solver, scene, Legs(*(part[index] for part in legs)), count)
+            return Steps(*(whole.at[index].set(part) for whole, part in zip(steps, found, strict=True)))
+
+        walked: Steps = lax.fori_loop(0, blocks, walk, steps)
+        return walked
+
+    return march
+
+
+def _nothing(legs: Legs) -> Steps:
+    capacity, size, width = legs.meeting.shape[-3:]
     nothing = jnp.full((capacity, width), jnp.nan)
-    return Steps(jnp.full((capacity, 4, width), jnp.nan), jnp.full((capacity, width), int(Mode.WAITING)), nothing, nothing)
+    return Steps(jnp.full((capacity, size, width), jnp.nan), jnp.full((capacity, width), int(Mode.WAITING)), nothing, nothing)
 
 
-def _march_block(scene: Scene, legs: Legs, count: Int[AnyArray, ""]) -> Steps:
-    capacity, _, width = legs.point.shape
-    steps = _nothing(capacity, width)
+def _march_block(solver: Solver, scene: Scene, legs: Legs, count: Int[AnyArray, ""]) -> Steps:
+    steps = _nothing(legs)
+    width = legs.point.shape[-1]
     waiting, start = jnp.full(width, int(Mode.WAITING)), jnp.asarray(legs.x)
     carry = _Carry(start, start, start, jnp.zeros(width, dtype=int), waiting, jnp.asarray(legs.sign))
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
         carry, steps = state
-        carry, row = _advance(scene, legs, index, carry)
+        carry, row = _advance(solver, scene, legs, index, carry)
         return carry, Steps(*(whole.at[index].set(part) for whole, part in zip(steps, row, strict=True)))
 
     walked: tuple[_Carry, Steps] = lax.fori_loop(jnp.min(legs.start), count, advance, (carry, steps))
     return walked[1]
 
 
-def _advance(scene: Scene, legs: Legs, index: Array, carry: _Carry) -> tuple[_Carry, Steps]:
+def _advance(solver: Solver, scene: Scene, legs: Legs, index: Array, carry: _Carry) -> tuple[_Carry, Steps]:
     clamp = Clamp(legs.point[index], legs.tangent[index])
     free, touching = carry.mode == Mode.FREE, carry.mode == Mode.CONTACT
     entering = free & legs.met[index]
     active = touching | entering
-    met = jnp.concatenate([legs.meeting_point[index], jnp.zeros((1, active.shape[0]))])
+    met = legs.meeting[index]
     guess = _extrapolated(carry)
-    x, residual, determinant, phase = _solve(scene, jnp.where(entering, met, guess), clamp, active)
+    x, residual, figure, phase = solver.solve(scene, jnp.where(entering, met, guess), clamp, active, jnp.where(entering, met, carry.x))
 
     solved = residual <= TOLERANCE
     moved = jnp.sqrt(jnp.sum((x - carry.x)[:3] ** 2, axis=0))
     clamp_moved = _clamp_motion(legs, index)
     missed = jnp.sqrt(jnp.sum((x - guess)[:3] ** 2, axis=0))
-    leaps = touching & ((moved > _JUMP_FLOOR + _JUMP * clamp_moved) | ((carry.age >= 1) & (missed > _MISS_FLOOR + _MISS * moved)))
+    misses = solver.branch & (carry.age >= 1) & (missed > _MISS_FLOOR + _MISS * moved)
+    leaps = touching & ((moved > JUMP_FLOOR + JUMP * clamp_moved) | misses)
     # A contact that pulls is one that has been lost; the solution beyond tells by how much.
     released = touching & solved & ~leaps & (x[3] < 0)
-    held = active & solved & ~leaps & (x[3] >= 0) & (determinant * carry.sign > 0)
+    held = active & solved & ~leaps & (x[3] >= 0)
+    if solver.branch:
+        held &= figure * carry.sign > 0
     clear = legs.clear[index]
     mode = jnp.where(held, Mode.CONTACT, Mode.LOST)
     mode = jnp.where((free & ~entering & clear) | (released & clear), Mode.FREE, mode)
@@ -139,10 +169,10 @@ def _advance(scene: Scene, legs: Legs, index: Array, carry: _Carry) -> tuple[_Ca
     fresh = entering | given
     age = jnp.where(fresh, 0, carry.age + 1)
     following = _Carry(x, jnp.where(fresh, x, carry.x), jnp.where(fresh, x, carry.before), age, mode, carry.sign)
-    return following, Steps(x, mode, determinant, phase)
+    return following, Steps(x, mode, figure, phase)
 
 
-def _extrapolated(carry: _Carry) -> Float[Array, "4 width"]:
+def _extrapolated(carry: _Carry) -> Float[Array, "size width"]:
     linear = 2 * carry.x - carry.before
     quadratic = 3 * (carry.x - carry.before) + carry.second_before
     return jnp.where(carry.age >= 2, quadratic, jnp.where(carry.age >= 1, linear, carry.x))
@@ -154,17 +184,26 @@ def _clamp_motion(legs: Legs, index: Array) -> Float[Array, "width"]:
     return jnp.sqrt(moved + jnp.sum((legs.tangent[index] - legs.tangent[before]) ** 2, axis=0))
 
 
-def _solve(scene: Scene, guess: Array, clamp: Clamp, active: Array) -> tuple[Array, Array, Array, Array]:
-    def unfinished(state: tuple[Array, Array, Array, Array, Array]) -> Array:
-        _, residual, _, _, iteration = state
-        return jnp.any(active & (residual > TOLERANCE)) & (iteration < _MOST_ITERATIONS)
+def iterated(step: Callable[[Array], Solved], guess: Array, active: Array, most: int) -> Solved:
+    """Newton's method until every active lane has converged."""
 
-    def iterate(state: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
-        step = _newton(scene, state[0], clamp)
-        return step.x, step.residual, step.determinant, step.phase, state[4] + 1
+    def unfinished(state: tuple[Solved, Array]) -> Array:
+        solved, iteration = state
+        return jnp.any(active & (solved.residual > TOLERANCE)) & (iteration < most)
+
+    def iterate(state: tuple[Solved, Array]) -> tuple[Solved, Array]:
+        return step(state[0].x), state[1] + 1
 
     width = active.shape[0]
     nothing = jnp.full(width, jnp.nan)
-    start = (guess, jnp.full(width, jnp.inf), nothing, nothing, jnp.zeros((), dtype=int))
-    x, residual, determinant, phase, _ = lax.while_loop(unfinished, iterate, start)
-    return x, residual, determinant, phase
+    start = Solved(guess, jnp.full(width, jnp.inf), nothing, nothing)
+    solved: tuple[Solved, Array] = lax.while_loop(unfinished, iterate, (start, jnp.zeros((), dtype=int)))
+    return solved[0]
+
+
+def _frictionless(scene: Scene, guess: Array, clamp: Clamp, active: Array, _before: Array) -> Solved:
+    newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
+    return iterated(lambda x: Solved(*newton(scene, x, clamp)), guess, active, _MOST_ITERATIONS)
+
+
+march = marching(Solver(_frictionless, branch=True))

@@ -8,17 +8,22 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.mechanics.elastic_line import sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.events import Event, EventKind
-from vibrissa.scan.slip import Slip, slip_along
+from vibrissa.scan.slip import Slip, led, slip_along
 from vibrissa.scan.validity import QuasiStatic, quasi_static
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
 
 if TYPE_CHECKING:
     import xarray
+
+
+def _mean_of_ends(values: Float[np.ndarray, "*trail n 3"]) -> Float[np.ndarray, "*trail steps 3"]:
+    return (values[..., 1:, :] + values[..., :-1, :]) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +38,10 @@ class Scan:
         (…) values of `ContactKind`.
     point, normal
         Contact point and outward unit normal of the object there (…, 3); NaN without contact.
+    force_direction
+        Unit vector (…, 3) of the contact force on the rod: the normal without friction, inside the friction cone with it.
+    motion
+        (…) values of `Motion`: without friction a contact always slips.
     arc_length
         s₁ (…) [m]: arc length of the contact from the clamp; NaN without contact.
     reactions
@@ -51,6 +60,12 @@ class Scan:
         (…) values of `Status`.
     events
         By trail and then in order.
+    friction
+        Coulomb's coefficient that was given.
+    offset
+        The rod's radius where its skin touches, or 0 where its centre line does; `point` is on the object either way.
+    second_contact
+        (…, 3) where the rod also touches the object or passes through it, on rows whose status says so; NaN on the others.
     """
 
     rod: Rod
@@ -59,6 +74,8 @@ class Scan:
     kind: Int[np.ndarray, "*trail n"]
     point: Float[np.ndarray, "*trail n 3"]
     normal: Float[np.ndarray, "*trail n 3"]
+    force_direction: Float[np.ndarray, "*trail n 3"]
+    motion: Int[np.ndarray, "*trail n"]
     arc_length: Float[np.ndarray, "*trail n"]
     reactions: Reactions
     energy: Float[np.ndarray, "*trail n"]
@@ -69,6 +86,9 @@ class Scan:
     depth: Float[np.ndarray, "*trail n"]
     status: Int[np.ndarray, "*trail n"]
     events: list[Event]
+    friction: float
+    offset: float
+    second_contact: Float[np.ndarray, "*trail n 3"]
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
@@ -96,7 +116,21 @@ class Scan:
     @cached_property
     def slip(self) -> Slip:
         """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
-        return slip_along(self.point, self.arc_length, self.contact_tangent, self.plane_normal)
+        return slip_along(self.point + self.offset * self.normal, self.arc_length, self.contact_tangent, self.plane_normal)
+
+    @cached_property
+    def clamp_work(self) -> Float[np.ndarray, "*trail n"]:
+        """Work (…) [J] of the clamp on the rod on the way from the position before: by the trapezoidal rule; NaN on the first and next to unsolved rows."""
+        moved = np.diff(self.trail.position, axis=-2)
+        before, after = self.trail.orientation[..., :-1, :], self.trail.orientation[..., 1:, :]
+        force, moment = (_mean_of_ends(part) for part in (self.reactions.force, self.reactions.moment))
+        return led(np.einsum("...i,...i->...", force, moved) + np.einsum("...i,...i->...", moment, rotation_vectors(before, after)))
+
+    @cached_property
+    def friction_work(self) -> Float[np.ndarray, "*trail n"]:
+        """Work (…) [J] that friction turns into heat on the way from the position before: by the trapezoidal rule; NaN where either has no contact."""
+        force = _mean_of_ends(-self.reactions.force)
+        return led(-np.einsum("...i,...i->...", force, self.slip.sliding[..., 1:, :]))
 
     def quasi_static(self, speed: float) -> QuasiStatic:
         """Whether a clamp speed [m/s] is slow enough for statics, given the rod's density.
@@ -141,8 +175,8 @@ class Scan:
                 raise ValueError(f"index = {index}: this position was not solved: {Status(int(self.status[index])).text}")
             return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
-        reach = (self.point[index] - clamp) / length
-        return sampled_line(clamp, axis, length, reach, self.normal[index], force, float(self.arc_length[index]) / length, count)
+        reach = (self.point[index] + self.offset * self.normal[index] - clamp) / length
+        return sampled_line(clamp, axis, length, reach, self.force_direction[index], force, float(self.arc_length[index]) / length, count)
 
     def to_dataset(self) -> "xarray.Dataset":
         """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""

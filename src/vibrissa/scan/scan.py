@@ -1,29 +1,31 @@
 """The forward problem's entry point."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from vibrissa.contacts import ContactKind, Status
+from vibrissa.contacts import ContactKind, Motion, Status
+from vibrissa.geometry.checks import not_negative
 from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.assess import WIDTH as ASSESSED
-from vibrissa.scan.assess import assess_blocks
+from vibrissa.scan.assess import assess_blocks, deepest_blocks
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import Event, Happening
+from vibrissa.scan.laws import FRICTIONLESS, RUBBING
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import Path, path_of
 from vibrissa.scan.result import Scan
 from vibrissa.scan.search import DEPTH_TOLERANCE
 from vibrissa.scan.sweep import Sweep, sweep
-from vibrissa.surfaces import Surface
+from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
 
 _RESIDUAL_TOLERANCE = 1e-9
 
 
-def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
-    """Quasi-static equilibria of a rod swept along an object: frictionless, one contact (paper, sections II and III).
+def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, finite_radius: bool = False) -> Scan:
+    """Quasi-static equilibria of a rod swept along an object, in one contact (paper, sections II and III).
 
     Parameters
     ----------
@@ -33,6 +35,11 @@ def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
         Object; smooth, in units of the rod.
     trail
         Clamp poses (n, …), or several trails (m, n, …), in units of the rod. The sweep runs in their order.
+    friction
+        Coulomb's coefficient for the rod on the object. The default is the paper's, 0.
+    finite_radius
+        Whether the rod's skin touches, at its radius from the centre line, which rounds edges and corners. The default is the paper's: the centre line
+        touches, and the object must be smooth.
 
     Returns
     -------
@@ -42,27 +49,42 @@ def scan(rod: Rod, surface: Surface, trail: Trail) -> Scan:
     Raises
     ------
     ValueError
-        If the clamp is inside the object at every position.
+        If the clamp is inside the object at every position, the coefficient is negative or not finite, or a finite radius is wanted
+        of a rod that has none.
 
     Notes
     -----
     The branch that continues from first contact is followed, also where it has become laterally unstable, with a status there. Steps longer than 0.05 L are
     divided. Of several equilibria at a position this is the one that the sweep reaches.
+
+    With friction a state depends on all that went before: the contact sticks, slips or rolls, and the result converges with the trail's step. Behind a snap,
+    and where a trail begins in contact without a smooth way in, the contact starts without tangential force. Stability against leaving the bending plane is
+    not judged with friction.
     """
-    scene = Scene(surface, rod.length)
+    friction = not_negative(friction, "friction")
+    touched = touched_surface(rod, surface) if finite_radius else surface
+    scene = Scene(touched, rod.length, friction)
     path = path_of(trail, rod.length)
-    found = sweep(scene, path)
+    found = sweep(scene, path, RUBBING if friction > 0 else FRICTIONLESS)
     if np.all(found.status == Status.CLAMP_INSIDE):
         raise ValueError(
             f"trail.position = {trail.position.reshape(-1, 3)[0].tolist()} …: the clamp is inside the object; allowed is outside"
         )
-    events = _events(found.happenings, rod, trail, path.stride)
+    events = _events(found.happenings, rod, trail, path.stride, touched)
     return _result(rod, surface, trail, scene, path, found, events)
 
 
+def touched_surface(rod: Rod, surface: Surface) -> Offset:
+    """The object as the centre line of the rod meets it."""
+    if rod.radius is None:
+        raise ValueError("rod.radius = None; allowed with finite_radius is a number greater than 0")
+    return Offset(surface, rod.radius)
+
+
 def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, found: Sweep, events: list[Event]) -> Scan:
-    step = path.stride
-    x, mode, determinant, status = (part[:, ::step] for part in (found.x, found.mode, found.determinant, found.status))
+    step, friction = path.stride, float(scene.friction)
+    offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
+    x, mode, figure, status = (part[:, ::step] for part in (found.x, found.mode, found.figure, found.status))
     point, tangent = path.point[:, ::step], path.tangent[:, ::step]
     contact = mode == Mode.CONTACT
     unsolved = mode == Mode.LOST
@@ -76,19 +98,21 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     fields = np.moveaxis(columns.reshape(ASSESSED, *mode.shape), 0, -1)
     phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
     kind = np.where(contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE).astype(np.int8)
-    status = _status(rod, status, contact, determinant, fields)
+    status = _status(rod, status, contact, figure > 0 if friction == 0 else np.zeros_like(contact), fields)
 
     length, force_scale, moment_scale = rod.length, rod.force_scale, rod.moment_scale
     absent = np.where(unsolved, np.nan, 0.0)
-    force = np.where(contact[..., None], -fields[..., 3:4] * fields[..., 4:7] * force_scale, absent[..., None])
+    force = np.where(contact[..., None], -fields[..., 3:4] * fields[..., 22:25] * force_scale, absent[..., None])
     moment = np.where(contact[..., None], fields[..., 8:11] * moment_scale, absent[..., None])
     shape = trail.shape
     reactions = Reactions(trail, force.reshape(*shape, 3), moment.reshape(*shape, 3))
     return Scan(
         rod, surface, trail,
         kind=kind.reshape(shape),
-        point=(fields[..., :3] * length).reshape(*shape, 3),
+        point=(fields[..., :3] * length - offset * fields[..., 4:7]).reshape(*shape, 3),
         normal=fields[..., 4:7].reshape(*shape, 3),
+        force_direction=fields[..., 22:25].reshape(*shape, 3),
+        motion=_motion(kind, figure, friction).reshape(shape),
         arc_length=(fields[..., 7] * length).reshape(shape),
         reactions=reactions,
         energy=np.where(contact, fields[..., 11] * moment_scale, absent).reshape(shape),
@@ -99,14 +123,39 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
         depth=(depth * length).reshape(shape),
         status=status.astype(np.int8).reshape(shape),
         events=events,
+        friction=friction,
+        offset=offset,
+        second_contact=_second_contacts(scene, x, point, tangent, status == Status.PENETRATING).reshape(*shape, 3),
     )  # fmt: skip
 
 
+def _second_contacts(
+    scene: Scene,
+    x: Float[np.ndarray, "m n size"],
+    point: Float[np.ndarray, "m n 3"],
+    tangent: Float[np.ndarray, "m n 3"],
+    wrong: Bool[np.ndarray, "m n"],
+) -> Float[np.ndarray, "m n 3"]:
+    """Points of the object where rods lie deepest in it."""
+    places = np.full(point.shape, np.nan)
+    if wrong.any():
+        clamps = np.concatenate([point[wrong], tangent[wrong]], axis=-1)
+        deepest = in_blocks(lambda *parts: deepest_blocks(scene, *parts), x[wrong], clamps) * scene.length
+        places[wrong] = scene.surface.foot(deepest) if isinstance(scene.surface, Offset) else deepest
+    return places
+
+
+def _motion(kind: Int[np.ndarray, "m n"], figure: Float[np.ndarray, "m n"], friction: float) -> Int[np.ndarray, "m n"]:
+    at_rest = np.where(kind == ContactKind.TANGENTIAL, Motion.ROLL, Motion.STICK)
+    moves = np.where((figure > 0) | (friction == 0), Motion.SLIP, at_rest)
+    return np.where(kind == ContactKind.NONE, Motion.NONE, moves).astype(np.int8)
+
+
 def _status(
-    rod: Rod, status: np.ndarray, contact: np.ndarray, determinant: Float[np.ndarray, "m n"], fields: Float[np.ndarray, "m n 22"]
+    rod: Rod, status: np.ndarray, contact: np.ndarray, unstable: Bool[np.ndarray, "m n"], fields: Float[np.ndarray, "m n 25"]
 ) -> np.ndarray:
     """The worst finding of each row."""
-    findings = [(determinant > 0, Status.LATERALLY_UNSTABLE), (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
+    findings = [(unstable, Status.LATERALLY_UNSTABLE), (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
     if rod.yield_strain is not None and rod.radius is not None:
         findings.append((fields[..., 12] * rod.radius / rod.length > rod.yield_strain, Status.OVERSTRAINED))
     sound = (fields[..., 14] <= _RESIDUAL_TOLERANCE) & (fields[..., 3] >= 0) & (fields[..., 7] <= 1 + _RESIDUAL_TOLERANCE)
@@ -116,7 +165,7 @@ def _status(
     return status
 
 
-def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int) -> list[Event]:
+def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int, touched: Surface) -> list[Event]:
     """The solver's happenings in the user's terms."""
     if not happenings:
         return []
@@ -129,5 +178,7 @@ def _events(happenings: list[Happening], rod: Rod, trail: Trail, stride: int) ->
     parameter = parameters[lane, before] * (1 - fraction) + parameters[lane, after] * fraction
     clamp = positions[lane, before] * (1 - fraction)[:, None] + positions[lane, after] * fraction[:, None]
     point = np.array([happening.point for happening in happenings]) * rod.length
+    if isinstance(touched, Offset):
+        point = touched.foot(point)
     kinds = (happening.kind for happening in happenings)
     return [Event(*parts) for parts in zip(kinds, lane.tolist(), parameter.tolist(), clamp, point, strict=True)]

@@ -44,10 +44,11 @@ def slip_along(
     in_plane = moved - lateral[..., None] * across
     longitudinal = np.copysign(np.sqrt(_dot(in_plane, in_plane)), _dot(in_plane, along))
     sliding = moved - along * axial[..., None]
-    return Slip(_led(axial), _led(longitudinal), _led(lateral), np.concatenate([np.full_like(point[..., :1, :], np.nan), sliding], axis=-2))
+    return Slip(led(axial), led(longitudinal), led(lateral), np.concatenate([np.full_like(point[..., :1, :], np.nan), sliding], axis=-2))
 
 
-def _led(steps: Float[np.ndarray, "*trail steps"]) -> Float[np.ndarray, "*trail n"]:
+def led(steps: Float[np.ndarray, "*trail steps"]) -> Float[np.ndarray, "*trail n"]:
+    """Figures of steps as figures of positions: NaN on the first."""
     return np.concatenate([np.full((*steps.shape[:-1], 1), np.nan), steps], axis=-1)
 
 

@@ -7,60 +7,53 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import Status
-from vibrissa.geometry.rotation import lengths
-from vibrissa.numerics.blocks import WIDE, from_blocks, in_blocks, rounded_up, runs, to_blocks
-from vibrissa.scan.approach import clearances, first_contacts
+from vibrissa.numerics.blocks import WIDE, from_blocks, rounded_up, runs, to_blocks
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import EventKind, Happening
-from vibrissa.scan.follow import CLEAR, HEAD_ON_COSINE, Outcome, follow
-from vibrissa.scan.locate import ROUNDING, Indicator, locate, polished
-from vibrissa.scan.locate import WIDTH as EVENT_LANES
-from vibrissa.scan.march import Legs, Mode, march
-from vibrissa.scan.path import Path, extended_back, pose_between, shortened, stretch
+from vibrissa.scan.landing import CLEAR, Outcome
+from vibrissa.scan.laws import ContactLaw
+from vibrissa.scan.locate import Indicator
+from vibrissa.scan.march import Legs, Mode
+from vibrissa.scan.meetings import Meetings, along_trails, first_meetings
+from vibrissa.scan.path import Path, extended_back, stretch
 
 _STABLE = -1.0
 _WAY_BACK = 40
-# Poses looked at between two positions near the object, lest something thin be passed through.
-_LOOKS = 16
-
-
-class Meetings(NamedTuple):
-    """First contacts of the straight rod, one a row."""
-
-    lane: Int[np.ndarray, "k"]
-    step: Int[np.ndarray, "k"]
-    fraction: Float[np.ndarray, "k"]
-    point: Float[np.ndarray, "k 3"]
-    phase: Float[np.ndarray, "k"]
 
 
 @dataclass
 class Sweep:
     """What the solver knows of all positions (m, n), model units."""
 
-    x: Float[np.ndarray, "m n 4"]
+    x: Float[np.ndarray, "m n size"]
     mode: Int[np.ndarray, "m n"]
-    determinant: Float[np.ndarray, "m n"]
+    figure: Float[np.ndarray, "m n"]
+    """As in `Steps`."""
     phase: Float[np.ndarray, "m n"]
     status: Int[np.ndarray, "m n"]
     happenings: list[Happening] = field(default_factory=list)
 
 
-def sweep(scene: Scene, path: Path) -> Sweep:
+def sweep(scene: Scene, path: Path, law: ContactLaw) -> Sweep:
     """Equilibria at all positions of the path, and the events between them."""
-    distance, at_clamp = _clearances(scene, path)
+    distance, at_clamp = along_trails(scene, path)
     inside = at_clamp < 0
     clear = (distance >= CLEAR) & ~inside
-    meetings = _meetings(scene, path, clear, distance)
-    walk = _Walk(scene, path, clear, inside, meetings)
+    meetings = first_meetings(scene, path, clear, distance)
+    walk = _Walk(scene, path, law, clear, inside, meetings)
     walk.begin()
     while walk.pending:
         walk.march()
     result = walk.result
-    result.happenings += _smooth_happenings(scene, path, result, meetings, walk.by_hand)
-    result.happenings.sort(key=lambda happening: (happening.lane, happening.index, happening.fraction))
+    result.happenings += _smooth_happenings(scene, path, law, result, meetings, walk.by_hand)
+    result.happenings.sort(key=_order)
     result.happenings = _once(result.happenings)
     return result
+
+
+def _order(happening: Happening) -> tuple[int, int, float, bool]:
+    """By place; a first contact comes before a change of phase at the same place, whichever way rounding has it."""
+    return happening.lane, happening.index, round(happening.fraction, 12), happening.kind != EventKind.FIRST_CONTACT
 
 
 def _once(happenings: list[Happening]) -> list[Happening]:
@@ -82,7 +75,7 @@ class _Start(NamedTuple):
     lane: int
     step: int
     mode: Mode
-    x: Float[np.ndarray, "4"]
+    x: Float[np.ndarray, "size"]
     sign: float
     patience: int
     """Positions to pass over after the next failure of a search, doubled each time."""
@@ -92,55 +85,67 @@ class _Walk:
     """The lanes still on their way, and what has been found so far."""
 
     def __init__(
-        self, scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], inside: Bool[np.ndarray, "m n"], meetings: Meetings
+        self,
+        scene: Scene,
+        path: Path,
+        law: ContactLaw,
+        clear: Bool[np.ndarray, "m n"],
+        inside: Bool[np.ndarray, "m n"],
+        meetings: Meetings,
     ) -> None:
         m, n = clear.shape
-        self._scene, self._path, self._clear, self._inside = scene, path, clear, inside
+        self._scene, self._path, self._law, self._clear, self._inside = scene, path, law, clear, inside
         self._met = np.zeros((m, n), dtype=bool)
         self._met[meetings.lane, meetings.step] = True
-        self._meeting_point = np.zeros((m, n, 3))
-        self._meeting_point[meetings.lane, meetings.step] = meetings.point
+        self._meeting = np.zeros((m, n, law.size))
+        self._meeting[meetings.lane, meetings.step] = law.states_at(meetings)
         self.by_hand = np.zeros((m, n), dtype=bool)
         self.pending: list[_Start] = []
         nothing = np.full((m, n), np.nan)
         self.result = Sweep(
-            np.full((m, n, 4), np.nan), np.full((m, n), int(Mode.FREE)), nothing, nothing.copy(), np.zeros((m, n), dtype=np.int64)
+            np.full((m, n, law.size), np.nan), np.full((m, n), int(Mode.FREE)), nothing, nothing.copy(), np.zeros((m, n), dtype=np.int64)
         )
 
     def begin(self) -> None:
         """Start every lane at its first position: free, or in contact already."""
-        entered = _entered(self._scene, self._path, np.flatnonzero(~self._clear[:, 0] & ~self._inside[:, 0]))
+        entered = _entered(self._scene, self._path, self._law, np.flatnonzero(~self._clear[:, 0] & ~self._inside[:, 0]))
         for lane in range(len(self._clear)):
             if self._clear[lane, 0]:
-                self.pending.append(_Start(lane, 0, Mode.FREE, np.zeros(4), _STABLE, 1))
+                self.pending.append(self._free(lane, 0))
             elif lane in entered:
                 self._settle(lane, 0, entered[lane], 1)
             else:
-                self._resolve(lane, 0, Mode.LOST, np.full(4, np.nan), 1)
+                self._resolve(lane, 0, Mode.LOST, self._unknown(), 1)
+
+    def _free(self, lane: int, index: int) -> _Start:
+        return _Start(lane, index, Mode.FREE, np.zeros(self._law.size), _STABLE, 1)
+
+    def _unknown(self) -> Float[np.ndarray, "size"]:
+        return np.full(self._law.size, np.nan)
 
     def start_at(self, first: Int[np.ndarray, "m"]) -> None:
         """Start every lane free at a given position."""
-        self.pending = [_Start(lane, int(index), Mode.FREE, np.zeros(4), _STABLE, 1) for lane, index in enumerate(first)]
+        self.pending = [self._free(lane, int(index)) for lane, index in enumerate(first)]
 
     def march(self, *, resolve: bool = True) -> None:
         """March all pending lanes to their ends, or to where they are lost; resolve those, or leave them."""
         starts, self.pending = self.pending, []
         lanes = np.array([start.lane for start in starts])
         first = np.array([start.step for start in starts])
-        x, mode, determinant, phase = self._marched(starts, lanes)
+        x, mode, figure, phase = self._marched(starts, lanes)
         n = mode.shape[1]
         own = np.arange(n) >= first[:, None]
         lost = own & (mode == Mode.LOST)
         ends = np.where(lost.any(axis=1), lost.argmax(axis=1), n)
         kept = own & (np.arange(n) < ends[:, None])
-        # The first row of a resumed lane was found by hand, with its determinant and phase.
+        # The first row of a resumed lane was found by hand, with its figure and phase.
         kept &= (np.arange(n) > first[:, None]) | (mode == Mode.FREE)
         rows = np.nonzero(kept)
         at = (lanes[rows[0]], rows[1])
         for target, source in (
             (self.result.x, x),
             (self.result.mode, mode),
-            (self.result.determinant, determinant),
+            (self.result.figure, figure),
             (self.result.phase, phase),
         ):
             target[at] = source[rows]
@@ -174,36 +179,36 @@ class _Walk:
             tangent=position_blocks(self._path.tangent[lanes]),
             clear=position_blocks(self._clear[lanes]),
             met=position_blocks(self._met[lanes]),
-            meeting_point=position_blocks(self._meeting_point[lanes]),
+            meeting=position_blocks(self._meeting[lanes]),
             start=lane_blocks(np.array([start.step for start in starts])),
             mode=lane_blocks(np.array([int(start.mode) for start in starts])),
             x=lane_blocks(np.array([start.x for start in starts])),
             sign=lane_blocks(np.array([start.sign for start in starts])),
         )
-        steps = march(self._scene, legs, np.asarray(n), np.asarray(-(-len(starts) // width)))
+        steps = self._law.march(self._scene, legs, np.asarray(n), np.asarray(-(-len(starts) // width)))
         return tuple(from_blocks(np.asarray(part), len(starts))[:, :n] for part in steps)
 
-    def _resolve(self, lane: int, index: int, mode: Mode, x: Float[np.ndarray, "4"], patience: int) -> None:
+    def _resolve(self, lane: int, index: int, mode: Mode, x: Float[np.ndarray, "size"], patience: int) -> None:
         """Settle the stretch that ends at `index` and let the lane go on behind it."""
         if self._inside[lane, index]:
-            outcome = Outcome(Mode.LOST, np.full(4, np.nan), status=Status.CLAMP_INSIDE)
+            outcome = Outcome(Mode.LOST, self._unknown(), status=Status.CLAMP_INSIDE)
         elif mode in (Mode.LOST, Mode.WAITING) and self._clear[lane, index]:
-            outcome = Outcome(Mode.FREE, np.zeros(4))
+            outcome = Outcome(Mode.FREE, np.zeros(self._law.size))
         else:
-            outcome = follow(self._scene, stretch(self._path, lane, index), mode, x)
+            outcome = self._law.follow(self._scene, stretch(self._path, lane, index), mode, x)
         self._settle(lane, index, outcome, patience)
 
     def _settle(self, lane: int, index: int, outcome: Outcome, patience: int) -> None:
         result = self.result
         self.by_hand[lane, index] = True
         result.x[lane, index], result.mode[lane, index] = outcome.x, int(outcome.mode)
-        result.determinant[lane, index], result.phase[lane, index] = outcome.determinant, outcome.phase
+        result.figure[lane, index], result.phase[lane, index] = outcome.figure, outcome.phase
         result.status[lane, index] = int(outcome.status)
         result.happenings += [Happening(kind, lane, index, fraction, np.asarray(point)) for kind, fraction, point in outcome.happened]
         if outcome.mode == Mode.LOST:
             self._pass_over(lane, index, outcome.status, patience)
         else:
-            sign = float(np.sign(outcome.determinant)) if outcome.mode == Mode.CONTACT else _STABLE
+            sign = float(np.sign(outcome.figure)) if outcome.mode == Mode.CONTACT else _STABLE
             self._go_on(_Start(lane, index, outcome.mode, outcome.x, sign, patience))
 
     def _go_on(self, start: _Start) -> None:
@@ -228,15 +233,15 @@ class _Walk:
             self._resolve_later(lane, stop, patience * 2)
 
     def _resolve_later(self, lane: int, index: int, patience: int) -> None:
-        self._resolve(lane, index, Mode.LOST, np.full(4, np.nan), patience)
+        self._resolve(lane, index, Mode.LOST, self._unknown(), patience)
 
 
-def _entered(scene: Scene, path: Path, lanes: Int[np.ndarray, "k"]) -> dict[int, Outcome]:
+def _entered(scene: Scene, path: Path, law: ContactLaw, lanes: Int[np.ndarray, "k"]) -> dict[int, Outcome]:
     """Lanes that begin in contact, as if their first step had come from outside the object; those for which that goes smoothly."""
     if not len(lanes) or path.point.shape[1] < 2:
         return {}
     way = extended_back(path, lanes, _WAY_BACK)
-    distance, at_clamp = _clearances(scene, way)
+    distance, at_clamp = along_trails(scene, way)
     clear = (distance >= CLEAR) & (at_clamp >= 0)
     last_clear = clear.shape[1] - 1 - np.argmax(clear[:, ::-1], axis=1)
     found = np.flatnonzero(clear.any(axis=1))
@@ -246,59 +251,15 @@ def _entered(scene: Scene, path: Path, lanes: Int[np.ndarray, "k"]) -> dict[int,
     from_ = int(last_clear[found].min())
     way = Path(way.point[found, from_:], way.orientation[found, from_:], 1)
     clear, inside = clear[found, from_:], at_clamp[found, from_:] < 0
-    walk = _Walk(scene, way, clear, inside, _meetings(scene, way, clear, distance[found, from_:]))
+    walk = _Walk(scene, way, law, clear, inside, first_meetings(scene, way, clear, distance[found, from_:]))
     walk.start_at(last_clear[found] - from_)
     walk.march(resolve=False)
-    x, mode, determinant, phase = (part[:, -1] for part in (walk.result.x, walk.result.mode, walk.result.determinant, walk.result.phase))
+    x, mode, figure, phase = (part[:, -1] for part in (walk.result.x, walk.result.mode, walk.result.figure, walk.result.phase))
     return {
-        int(lanes[row]): Outcome(Mode.CONTACT, x[k], determinant[k], phase[k], [(EventKind.STARTED_IN_CONTACT, 1.0, x[k, :3])])
+        int(lanes[row]): Outcome(Mode.CONTACT, x[k], figure[k], phase[k], [(EventKind.STARTED_IN_CONTACT, 1.0, x[k, :3])])
         for k, row in enumerate(found)
-        if mode[k] == Mode.CONTACT and determinant[k] < 0
+        if mode[k] == Mode.CONTACT and (figure[k] < 0 or not law.branch)
     }
-
-
-def _clearances(scene: Scene, path: Path) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
-    shape = path.point.shape[:2]
-    poses = (path.point.reshape(-1, 3), path.tangent.reshape(-1, 3))
-    values = in_blocks(lambda *parts: clearances(scene, *parts), *poses)
-    return values[:, 0].reshape(shape), values[:, 1].reshape(shape)
-
-
-def _meetings(scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]) -> Meetings:
-    lane, step = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
-    index, whole = step + 1, np.ones(len(lane))
-    blocked = distance[lane, index]
-    passed = _passed_through(scene, path, clear, distance)
-    lane, index, whole, blocked = (np.concatenate(parts) for parts in zip((lane, index, whole, blocked), passed, strict=True))
-    if not len(lane):
-        return Meetings(lane, index, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
-    distances = np.column_stack([distance[lane, index - 1], blocked])
-    stretches = shortened(stretch(path, lane, index), np.zeros(len(lane)), whole)
-    found = in_blocks(lambda *parts: first_contacts(scene, *parts), stretches, distances, width=EVENT_LANES)
-    found = np.column_stack([found[:, 0] * whole, found[:, 1:]])
-    cosine = found[:, 5]
-    bends = cosine > HEAD_ON_COSINE
-    # At f = 0: k² = sin² a₀ = (1 + n·t0)/2.
-    phase = (1 - found[:, 4]) + cosine / 2
-    return Meetings(*(part[bends] for part in (lane, index, found[:, 0], found[:, 1:4], phase)))
-
-
-def _passed_through(
-    scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]
-) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Steps between two clear positions on which the straight rod passes through something thin: lane, index of the end, fraction and clearance within."""
-    tangent = path.tangent
-    motion = lengths(np.diff(path.point, axis=1)) + lengths(np.diff(tangent, axis=1))
-    near = clear[:, :-1] & clear[:, 1:] & (np.maximum(distance[:, :-1], distance[:, 1:]) < motion)
-    lane, step = np.nonzero(near)
-    if not len(lane):
-        return lane, step, np.zeros(0), np.zeros(0)
-    fractions = np.arange(1, _LOOKS) / _LOOKS
-    poses = pose_between(stretch(path, lane, step + 1)[:, None], fractions[:, None])
-    within = in_blocks(lambda *parts: clearances(scene, *parts), *(part.reshape(-1, 3) for part in poses))[:, 0].reshape(len(lane), -1)
-    hit = np.flatnonzero((within < CLEAR).any(axis=1))
-    first = np.argmax(within[hit] < CLEAR, axis=1)
-    return lane[hit], step[hit] + 1, fractions[first], within[hit, first]
 
 
 class _Bracket(NamedTuple):
@@ -306,20 +267,23 @@ class _Bracket(NamedTuple):
     indicator: Indicator
     lane: int
     step: int
-    ends: Float[np.ndarray, "12"]
+    ends: Float[np.ndarray, "ends"]
 
 
-def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetings, by_hand: Bool[np.ndarray, "m n"]) -> list[Happening]:
+def _smooth_happenings(
+    scene: Scene, path: Path, law: ContactLaw, result: Sweep, meetings: Meetings, by_hand: Bool[np.ndarray, "m n"]
+) -> list[Happening]:
     """Events on stretches that the march passed without help."""
     contact = result.mode == Mode.CONTACT
     entered = contact[meetings.lane, meetings.step] & ~by_hand[meetings.lane, meetings.step]
     entered &= ~contact[meetings.lane, meetings.step - 1]
     happenings, brackets = [], []
-    for lane, index, fraction, point, phase in zip(*(part[entered] for part in meetings), strict=True):
-        happenings.append(Happening(EventKind.FIRST_CONTACT, int(lane), int(index), float(fraction), point))
+    met = Meetings(*(part[entered] for part in meetings))
+    for lane, index, fraction, state, phase in zip(met.lane, met.step, met.fraction, law.states_at(met), met.phase, strict=True):
+        happenings.append(Happening(EventKind.FIRST_CONTACT, int(lane), int(index), float(fraction), state[:3]))
         after = result.phase[lane, index]
         if (phase > 0) != (after > 0):
-            ends = np.concatenate([[fraction], point, [0.0, phase, 1.0], result.x[lane, index], [after]])
+            ends = np.concatenate([[fraction], state, [phase, 1.0], result.x[lane, index], [after]])
             brackets.append(_Bracket(_change(after), Indicator.PHASE, int(lane), int(index), ends))
     before, after = contact[:, :-1], contact[:, 1:]
     marched = ~by_hand[:, 1:]
@@ -329,10 +293,16 @@ def _smooth_happenings(scene: Scene, path: Path, result: Sweep, meetings: Meetin
     for lane, index in _ends_of_steps(changed):
         ends = _ends(result, lane, index, result.phase[lane, index - 1], result.phase[lane, index])
         brackets.append(_Bracket(_change(result.phase[lane, index]), Indicator.PHASE, lane, index, ends))
+    if not law.branch:
+        slid, slides = result.figure[:, :-1] > 0, result.figure[:, 1:] > 0
+        for lane, index in _ends_of_steps(marched & before & after & (slid != slides)):
+            ends = _ends(result, lane, index, result.figure[lane, index - 1], result.figure[lane, index])
+            kind = EventKind.STICK_TO_SLIP if result.figure[lane, index] > 0 else EventKind.SLIP_TO_STICK
+            brackets.append(_Bracket(kind, Indicator.CONE, lane, index, ends))
     for lane, index in _ends_of_steps(released):
         ends = _ends(result, lane, index, result.x[lane, index - 1, 3], result.x[lane, index, 3])
         brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, lane, index, ends))
-    return happenings + _located(scene, path, brackets)
+    return happenings + _located(scene, path, law, brackets)
 
 
 def _ends_of_steps(chosen: Bool[np.ndarray, "m steps"]) -> list[tuple[int, int]]:
@@ -344,18 +314,18 @@ def _change(phase: float) -> EventKind:
     return EventKind.TIP_TO_TANGENTIAL if phase > 0 else EventKind.TANGENTIAL_TO_TIP
 
 
-def _ends(result: Sweep, lane: int, index: int, before: float, after: float) -> Float[np.ndarray, "12"]:
+def _ends(result: Sweep, lane: int, index: int, before: float, after: float) -> Float[np.ndarray, "ends"]:
     return np.concatenate([[0.0], result.x[lane, index - 1], [before, 1.0], result.x[lane, index], [after]])
 
 
-def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happening]:
+def _located(scene: Scene, path: Path, law: ContactLaw, brackets: list[_Bracket]) -> list[Happening]:
     if not brackets:
         return []
     lanes = np.array([bracket.lane for bracket in brackets])
     indices = np.array([bracket.step for bracket in brackets])
     ends = np.array([bracket.ends for bracket in brackets])
     indicator = np.array([int(bracket.indicator) for bracket in brackets])
-    found = _roots(scene, stretch(path, lanes, indices), ends, indicator)
+    found = law.roots(scene, stretch(path, lanes, indices), ends, indicator)
     release = {(b.lane, b.step): row[0] for b, row in zip(brackets, found, strict=True) if b.kind == EventKind.DETACH}
     return [
         Happening(b.kind, b.lane, b.step, float(row[0]), row[1:4])
@@ -363,28 +333,3 @@ def _located(scene: Scene, path: Path, brackets: list[_Bracket]) -> list[Happeni
         # A change of phase behind the loss of contact belongs to no rod.
         if b.kind == EventKind.DETACH or row[0] < release.get((b.lane, b.step), np.inf)
     ]
-
-
-def _roots(
-    scene: Scene, stretches: Float[np.ndarray, "k 14"], ends: Float[np.ndarray, "k 12"], indicator: Int[np.ndarray, "k"]
-) -> Float[np.ndarray, "k 5"]:
-    """Fraction and unknowns at the zero of the indicator between two ends: a change of phase by Newton's method, the rest by bracketing."""
-    low, high, before, after = ends[:, 0], ends[:, 6], ends[:, 5], ends[:, 11]
-    share = (before / (before - after))[:, None]
-    found = ends[:, :5] + share * (ends[:, 6:11] - ends[:, :5])
-    changes = indicator == Indicator.PHASE
-    done = np.zeros(len(found), dtype=bool)
-
-    def polish(rows: Int[np.ndarray, "rows"]) -> None:
-        if rows.size:
-            y, sound = polished(scene, stretches[rows], np.roll(found[rows], -1, axis=1))
-            sound &= (y[:, 4] > low[rows] - ROUNDING) & (y[:, 4] < high[rows] + ROUNDING)
-            found[rows[sound]] = np.roll(y[sound], 1, axis=1)
-            done[rows[sound]] = True
-
-    polish(np.flatnonzero(changes))
-    left = np.flatnonzero(~done)
-    if left.size:
-        found[left] = in_blocks(lambda *parts: locate(scene, *parts), stretches[left], ends[left], indicator[left], width=EVENT_LANES)
-        polish(left[changes[left]])
-    return found

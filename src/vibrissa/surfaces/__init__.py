@@ -1,7 +1,14 @@
 """Objects as level functions g(p), positive outside. The normal follows by differentiation."""
 
-from vibrissa.surfaces.base import Placed, Surface
+from vibrissa.surfaces.base import ExactSurface, Placed, Surface
 from vibrissa.surfaces.functions import HeightField, Implicit
+from vibrissa.surfaces.offset import Offset
+from vibrissa.surfaces.primitives import Box, Capsule, Cone, Cylinder, Torus
 from vibrissa.surfaces.quadrics import Ellipsoid, EllipticCylinder, EllipticParaboloid, Plane, Sphere
+from vibrissa.surfaces.superquadric import Superquadric
+from vibrissa.surfaces.union import Union
 
-__all__ = ["Ellipsoid", "EllipticCylinder", "EllipticParaboloid", "HeightField", "Implicit", "Placed", "Plane", "Sphere", "Surface"]
+__all__ = [
+    "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "EllipticCylinder", "EllipticParaboloid", "ExactSurface", "HeightField", "Implicit",
+    "Offset", "Placed", "Plane", "Sphere", "Superquadric", "Surface", "Torus", "Union",
+]  # fmt: skip

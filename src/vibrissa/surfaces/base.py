@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import rotation_matrices, unit_quaternions
+from vibrissa.surfaces import closest
 
 
 class Surface(eqx.Module):
@@ -26,6 +27,13 @@ class Surface(eqx.Module):
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """g(p): zero on the surface, positive outside, negative in the solid."""
 
+    def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Signed Euclidean distance from the surface, with right first and second derivatives: outside and near the surface.
+
+        By Newton's method for the closest point, which is sure to within about a third of the radius of curvature. Where it does not arrive, g/‖∇g‖.
+        """
+        return closest.distance(self, point)
+
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Outward unit normals ∇g/‖∇g‖ at points (…, 3)."""
         array = finite_array(points, "points", last=3)
@@ -36,6 +44,17 @@ class Surface(eqx.Module):
         """G at points (…, 3)."""
         array = finite_array(points, "points", last=3)
         return np.asarray(_levels(self, jnp.asarray(array.reshape(-1, 3)))).reshape(array.shape[:-1])
+
+    def distances(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
+        """Signed distances from the surface at points (…, 3)."""
+        array = finite_array(points, "points", last=3)
+        return np.asarray(_distances(self, jnp.asarray(array.reshape(-1, 3)))[0]).reshape(array.shape[:-1])
+
+    def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
+        """Points p − d ∇d of the surface that are closest to points (…, 3): outside and near the surface."""
+        array = finite_array(points, "points", last=3)
+        distance, gradient = (np.asarray(part) for part in _distances(self, jnp.asarray(array.reshape(-1, 3))))
+        return array - (distance[:, None] * gradient).reshape(array.shape)
 
     def placed(self, rotation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0), translation: ArrayLike = (0.0, 0.0, 0.0)) -> "Placed":
         """Return the object turned about the origin (quaternion x, y, z, w, or a SciPy `Rotation`), then moved.
@@ -51,6 +70,14 @@ class Surface(eqx.Module):
         return Placed(self, rotation_matrices(quaternion), finite_array(translation, "translation", last=3, ndim=1))
 
 
+class ExactSurface(Surface):
+    """A surface whose level is the signed distance itself."""
+
+    def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """G, which is the signed Euclidean distance."""
+        return self.level(point)
+
+
 class Placed(Surface):
     """A surface turned by a rotation matrix, then moved by a translation."""
 
@@ -60,9 +87,15 @@ class Placed(Surface):
 
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """G of the object at the point seen from the object's own axes."""
+        return self.surface.level(self._own(point))
+
+    def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Signed distance from the object at the point seen from the object's own axes."""
+        return self.surface.distance(self._own(point))
+
+    def _own(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         offset = point - self.translation
-        own = self.rotation[0] * offset[0] + self.rotation[1] * offset[1] + self.rotation[2] * offset[2]
-        return self.surface.level(own)
+        return self.rotation[0] * offset[0] + self.rotation[1] * offset[1] + self.rotation[2] * offset[2]
 
 
 @jax.jit
@@ -73,3 +106,8 @@ def _levels(surface: Surface, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
 @jax.jit
 def _gradients(surface: Surface, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     return jax.vmap(jax.grad(surface.level))(points)
+
+
+@jax.jit
+def _distances(surface: Surface, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+    return jax.vmap(jax.value_and_grad(surface.distance))(points)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite, finite_array, positive, unit_vector
-from vibrissa.surfaces.base import Surface
+from vibrissa.surfaces.base import ExactSurface, Surface
 
 Point = Float[Array, "3"]
 Scalar = Float[Array, ""]
@@ -37,7 +37,7 @@ class EllipticParaboloid(Surface):
         return self.a * point[0] ** 2 + self.b * point[1] ** 2 + self.h - point[2]
 
 
-class Sphere(Surface):
+class Sphere(ExactSurface):
     """A ball, given by its centre (3,) and radius."""
 
     center: Float[np.ndarray | Array, "3"]
@@ -84,7 +84,7 @@ class EllipticCylinder(Surface):
         return (jnp.sqrt(x * x + z * z) - 1) * jnp.min(jnp.asarray(self.semi_axes))
 
 
-class Plane(Surface):
+class Plane(ExactSurface):
     """Half space behind the plane through `point` (3,) with the outward `normal` (3,), of any length but zero."""
 
     point: Float[np.ndarray | Array, "3"]

@@ -1,0 +1,95 @@
+"""How a lane begins anew within a stretch: free, at the next first contact of the straight rod, or at an equilibrium after a snap."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from vibrissa.contacts import Status
+from vibrissa.numerics.blocks import in_blocks
+from vibrissa.scan.approach import clearance, first_contacts
+from vibrissa.scan.equations import Scene
+from vibrissa.scan.events import EventKind
+from vibrissa.scan.locate import WIDTH as EVENT_LANES
+from vibrissa.scan.march import Mode
+from vibrissa.scan.path import clamp_between, pose_between, shortened
+from vibrissa.scan.search import Equilibrium, stable_equilibria
+
+HEAD_ON_COSINE = -1 + 1e-9
+CLEAR = -1e-10
+"""Clearance [L] from which the straight rod counts as outside the object."""
+MOST_CHANGES = 12
+"""Losses and renewals of contact on one stretch."""
+ENERGY_MARGIN = 1e-9
+"""[EI/L] by which a snap loses energy at least."""
+
+
+@dataclass
+class Outcome:
+    """How a stretch ended: mode, state, figure (as in `Steps`) and phase at its end, what happened on it, and a status where it failed."""
+
+    mode: Mode
+    x: Float[np.ndarray, "size"]
+    figure: float = np.nan
+    phase: float = np.nan
+    happened: list[tuple[EventKind, float, Float[np.ndarray, "3"]]] = field(default_factory=list)
+    status: Status = Status.OK
+
+
+@jax.jit
+def _straight(scene: Scene, stretch: Float[Array, "14"], fraction: Float[Array, ""]) -> Float[Array, "7"]:
+    distance, _ = clearance(scene, clamp_between(stretch, fraction))
+    clamp = clamp_between(stretch, fraction)
+    return jnp.concatenate([distance[None], clamp.point, clamp.tangent])
+
+
+def clearance_at(scene: Scene, stretch: Float[np.ndarray, "14"], fraction: float) -> float:
+    """Clearance of the straight rod [L]."""
+    return float(_straight(scene, jnp.asarray(stretch), jnp.asarray(fraction))[0])
+
+
+class FirstContact(NamedTuple):
+    """Where the straight rod meets the object: fraction of the stretch, point, arc length [L] and the rod's tangent."""
+
+    fraction: float
+    point: Float[np.ndarray, "3"]
+    arc_length: float
+    tangent: Float[np.ndarray, "3"]
+
+
+def first_contact_on(scene: Scene, stretch: Float[np.ndarray, "14"], fraction: float, outcome: Outcome) -> FirstContact | None:
+    """Next first contact of the free rod between `fraction` and the end, if there is one and it bends the rod; noted in the outcome."""
+    distances = np.array([clearance_at(scene, stretch, at) for at in (fraction, 1.0)])
+    if distances[1] >= CLEAR:
+        return None
+    rest = shortened(stretch, np.asarray(fraction), np.asarray(1.0))
+    share, *point, s, cosine = in_blocks(
+        lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES
+    )[0]
+    at = float(fraction + (1 - fraction) * share)
+    if cosine < HEAD_ON_COSINE:
+        outcome.happened.append((EventKind.HEAD_ON, at, np.array(point)))
+        failed(outcome, Status.HEAD_ON)
+        return None
+    outcome.happened.append((EventKind.FIRST_CONTACT, at, np.array(point)))
+    _, tangent = pose_between(stretch, np.array([at]))
+    return FirstContact(at, np.array(point), float(s), tangent)
+
+
+def settled_on(
+    scene: Scene, stretch: Float[np.ndarray, "14"], fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
+) -> Equilibrium | None:
+    """The stable equilibrium without friction of least energy, if that is below `energy`."""
+    pose = np.asarray(_straight(scene, jnp.asarray(stretch), jnp.asarray(fraction)))
+    found = stable_equilibria(scene, pose[1:4], pose[4:], near)
+    return found[0] if found and found[0].energy < energy else None
+
+
+def failed(outcome: Outcome, status: Status) -> Outcome:
+    """Note that the lane is lost, and why."""
+    outcome.mode, outcome.status, outcome.x = Mode.LOST, status, np.full_like(outcome.x, np.nan)
+    return outcome

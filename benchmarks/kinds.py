@@ -53,6 +53,8 @@ def objects() -> dict[str, Callable[[], vb.surfaces.Surface]]:
         "Box": lambda: s.Box(center=(0, 0, 0), half_extents=(0.5, 0.4, 0.4)).placed(_TURN, _CENTER),
         "Cylinder": lambda: s.Cylinder(center=_CENTER, axis=(0.3, 1, 0.2), radius=0.5, length=1.0),
         "Capsule": lambda: s.Capsule(center=_CENTER, axis=(0.3, 1, 0.2), radius=0.5, length=1.0),
+        "Cone": lambda: s.Cone(center=(0.1, 0, 1.6), axis=(0.1, 0.1, -1), radius=0.6, height=1.2),
+        "Superquadric": lambda: s.Superquadric(center=_CENTER, semi_axes=axes, exponents=(0.6, 0.6)),
         "Torus": lambda: s.Torus(center=_CENTER, axis=(0.2, 0.3, 1), major_radius=0.5, minor_radius=0.2),
         "Union": lambda: s.Union([s.Sphere(center=(-0.3, 0, 1.15), radius=0.5), s.Sphere(center=(0.3, 0.1, 1.15), radius=0.5)]),
         "Mesh": lambda: s.Mesh(*_ball_mesh()),
@@ -85,7 +87,8 @@ def _in_contact(surface: vb.surfaces.Surface) -> vb.Trail:
     ends = POSITIONS - 1 - scan.in_contact[:, ::-1].argmax(axis=1)
     for event in reversed(scan.events):
         if event.kind in HARD or event.kind == vb.EventKind.DETACH:
-            ends[event.trail] = int(event.parameter * (POSITIONS - 1))
+            # Close to a fold steps are halved: kept off it.
+            ends[event.trail] = int(event.parameter * (POSITIONS - 1)) - 4 * (event.kind in HARD)
     begins = np.maximum(scan.in_contact.argmax(axis=1) - 1, 0)
     # A trail that touches only in passing is replaced by another.
     rows = np.resize(np.flatnonzero(ends - begins > POSITIONS // 20), TRAILS)

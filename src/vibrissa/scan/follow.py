@@ -38,6 +38,7 @@ _NEAR = 1e-3
 _AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
+_LARGE_FORCE = 5.0
 
 Point5 = Float[np.ndarray, "5"]
 
@@ -79,10 +80,10 @@ def _energy(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> 
 class Tracker:
     """Pseudo-arclength continuation on one stretch."""
 
-    def __init__(self, scene: Scene, stretch: Float[np.ndarray, "14"]) -> None:
+    def __init__(self, scene: Scene, stretch: Float[np.ndarray, "14"], force: float = 0.0) -> None:
         self._scene, self._stretch = scene, stretch
         motion = float(np.linalg.norm(stretch[7:10] - stretch[:3]) + 2 * np.linalg.norm(stretch[10:] - stretch[3:7]))
-        self._weights = np.array([1.0, 1.0, 1.0, _FORCE_WEIGHT, max(motion, 1e-6)])
+        self._weights = np.array([1.0, 1.0, 1.0, _FORCE_WEIGHT / max(1.0, force / _LARGE_FORCE), max(motion, 1e-6)])
         self._inverse_weights = 1 / self._weights
 
     def _linear(self, y: Point5) -> tuple[Float[np.ndarray, "4"], float, Float[np.ndarray, "4 5"]]:
@@ -223,7 +224,7 @@ class _LostOnTheWayError(Exception):
 
 def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[np.ndarray, "4"]) -> Outcome:
     """Resolve a stretch from mode FREE or CONTACT (with x) at its start; with mode LOST only its end is known."""
-    tracker = Tracker(scene, stretch)
+    tracker = Tracker(scene, stretch, float(x[3]) if mode == Mode.CONTACT else 0.0)
     outcome = Outcome(mode, x)
     fraction = 0.0
     here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None

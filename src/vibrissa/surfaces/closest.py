@@ -4,7 +4,7 @@ The closest point q to p is where p − q is along the normal: q + λ ∇g(q) = 
 not of the iterations. As ∇d = n(q), second derivatives of the distance take no more than second derivatives of the level function.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,7 @@ _ITERATIONS = 10
 _RELATIVE, _ROUNDING = 1e-6, 1e-12
 
 
+@runtime_checkable
 class Solid(Protocol):
     """What has a level function."""
 

@@ -1,11 +1,10 @@
-"""All equilibria at a pose: what is known of the paper's case, a chain that goes downhill, and the rod's equation in space for lines with inflections."""
+"""All equilibria at a pose: what is known of the paper's case, and the rod's equation in space for lines with inflections."""
 
 import numpy as np
 import pytest
 import shooting
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from test_stability import SEGMENTS, downhill, levels, nodes_of, tangents_of
 
 import vibrissa as vb
 from vibrissa.scan.equilibria import Equilibrium
@@ -70,39 +69,6 @@ def test_each_is_an_equilibrium_of_a_rod_in_space(found: dict[float, list[Equili
         assert np.count_nonzero(np.diff(np.sign(along))) == one.inflections
         outside = np.min([LEVEL.value(p) for p in one.elastic_line])
         assert outside > -1e-6
-
-
-def let_go(one: Equilibrium, clamp: np.ndarray, push: np.ndarray, count: int = SEGMENTS) -> tuple[np.ndarray, float]:
-    """Where the chain of `test_stability` rests, let go from an equilibrium with its tangents pushed: place of contact and distance of its tip from the start."""
-    axis = np.array([0.0, 0.0, 1.0])
-    s = np.linspace(0, 1, count + 1)
-    line = np.stack([np.interp(s, np.linspace(0, 1, 401), one.elastic_line[:, k]) for k in range(3)], axis=1)
-    t = np.diff(line, axis=0) * count + np.linspace(0, 1, count)[:, None] * push
-    t = np.vstack([axis, t / np.linalg.norm(t, axis=1, keepdims=True)])
-    w, multipliers = (np.diff(t, axis=0) * np.sqrt(count)).ravel(), np.zeros(count)
-    for _ in range(8):
-        w = downhill(w, clamp, axis, multipliers)
-        nodes = nodes_of(tangents_of(w, axis)[0], clamp)
-        value, gradient = levels(nodes)
-        multipliers = np.maximum(0, multipliers - 1e3 * value)
-    touches = multipliers.sum() > 0
-    return (multipliers @ nodes / multipliers.sum() if touches else np.full(3, np.nan)), float(np.linalg.norm(nodes[-1] - line[-1]))
-
-
-@pytest.mark.parametrize("x0", LEAST)
-def test_stable_ones_are_where_a_chain_comes_back_to(found: dict[float, list[Equilibrium]], x0: float) -> None:
-    """And unstable ones where it does not, pushed one way or another."""
-    clamp = np.array([x0, 0.2, 0.0])
-    stable = [one for one in found[x0] if one.stable]
-    assert len(stable) == (2 if x0 == 0 else 1)
-    for one in found[x0][:4]:
-        left = []
-        for push in 0.05 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]):
-            point, moved = let_go(one, clamp, push)
-            if one.stable:
-                np.testing.assert_allclose(point, one.point, rtol=0, atol=4e-3)
-            left.append(moved > 0.1)
-        assert any(left) != one.stable
 
 
 def test_the_second_variation_changes_its_sign_at_the_pitchfork() -> None:

@@ -95,6 +95,13 @@ def test_model_units_and_rasters(tmp_path: Path) -> None:
     np.testing.assert_allclose(case.trail.position[3, 2], [0, 1.5, 0])
 
 
+def test_friction_and_a_finite_radius_are_taken_from_the_case(tmp_path: Path) -> None:
+    with_it = CASE.replace("[[trail]]", "[contact]\nfriction = 0.25\nfinite_radius = true\n\n[[trail]]", 1)
+    case, without = (vb.load_case(written(tmp_path, text)) for text in (with_it, CASE))
+    assert (case.friction, case.finite_radius) == (0.25, True)
+    assert (without.friction, without.finite_radius) == (0.0, False)
+
+
 TRAILS = {
     "arc": (
         "center = [0, 0, 0]\naxis = [0, 0, 2]\nstart = [0.02, 0, 0]\nangle = 1.5\ncount = 9\nturning = true\nrod_axis = [1, 0, 1]",
@@ -221,6 +228,11 @@ CASE_DAMAGE = {
     "soft rod": ("6.3e-4", "-6.3e-4", ["rod.bending_stiffness = -0.00063", "a number greater than 0"]),
     "thin ellipsoid": ("[0.03, 0.02, 0.03]", "[0.03, 0.0, 0.03]", ["object.semi_axes[1] = 0.0", "greater than 0"]),
     "object's turn": ("[0.0, 0.0, 0.6, 0.8]", "[0.0, 0.0, 0.0, 0.0]", ["rotation", "zero norm", "allowed"]),
+    "negative friction": ("[[trail]]", "[contact]\nfriction = -0.1\n\n[[trail]]", ["contact.friction = -0.1", "a number of at least 0"]),
+    "endless friction": ("[[trail]]", "[contact]\nfriction = inf\n\n[[trail]]", ["contact.friction = inf", "a number of at least 0"]),
+    "friction in words": ("[[trail]]", '[contact]\nfriction = "some"\n\n[[trail]]', ["contact.friction = 'some'", "a number of at least 0"]),
+    "radius for yes": ("[[trail]]", "[contact]\nfinite_radius = 0.1\n\n[[trail]]", ["contact.finite_radius = 0.1", "true or false"]),
+    "contact's unknown key": ("[[trail]]", "[contact]\nmu = 0.1\n\n[[trail]]", ["contact.mu: unknown key", "friction, finite_radius"]),
     "trail is no list": ('[[trail]]\nkind = "line"', '[trail]\nkind = "line"', []),
     "more than memory": ("count = 9", "count = 1000000000000000", ["count"]),
 }

@@ -30,7 +30,7 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
     def along(s: Scalar) -> Scalar:
         return level(scene, clamp.point + s * clamp.tangent)
 
-    s = _lowest_sample(along)
+    s = _lowest_in_loop(along) if scene.surface.heavy else _lowest_sample(along)
     low, high = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
     slope = jax.grad(along)
 
@@ -56,6 +56,12 @@ def _lowest_sample(along: Callable[[Scalar], Scalar]) -> Scalar:
         lower = value < lowest
         best, lowest = jnp.where(lower, s, best), jnp.where(lower, value, lowest)
     return best
+
+
+def _lowest_in_loop(along: Callable[[Scalar], Scalar]) -> Scalar:
+    """The same for a heavy level, which the loop holds once."""
+    samples = jnp.arange(_SAMPLES + 1) / _SAMPLES
+    return samples[jnp.argmin(lax.map(along, samples))]
 
 
 @compiled

@@ -82,9 +82,17 @@ def _depth(scene: Scene, line: Line) -> Scalar:
     ]
     rest = jnp.maximum(1 - line.rod.arc_length, 0.0)
     tail = [p + index / (_TAIL_POINTS - 1) * rest * line.tangent for index in range(_TAIL_POINTS)]
-    lowest = jnp.minimum(*(_lowest([level(scene, q) for q in part]) for part in (bend, tail)))
+    levels = _levels(scene, bend + tail)
+    lowest = jnp.minimum(_lowest(levels[: len(bend)]), _lowest(levels[len(bend) :]))
     gradient = jax.grad(level, argnums=1)(scene, p)
     return -lowest / jnp.sqrt(jnp.sum(gradient * gradient))
+
+
+def _levels(scene: Scene, points: list[Vector]) -> list[Scalar]:
+    """Written out point by point, so that XLA fuses the whole check; a heavy level goes into a loop, which holds it once."""
+    if not scene.surface.heavy:
+        return [level(scene, q) for q in points]
+    return list(lax.map(lambda q: level(scene, q), jnp.stack(points)))
 
 
 def _lowest(levels: list[Scalar]) -> Scalar:

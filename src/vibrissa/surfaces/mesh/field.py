@@ -5,6 +5,7 @@ sharp, near a crease or where triangles are finer than the grid, brings in the t
 differentiable over the cells. Value, gradient and Hessian are one evaluation each, so that Newton's method pays for what it asks.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Int
 
-from vibrissa.surfaces.mesh.patches import nearest, patch_level, unpacked
+from vibrissa.surfaces.mesh.patches import frozen, nearest, patch_level, unpacked
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
@@ -94,7 +95,7 @@ def _jet(field: Field, point: Vector, order: int) -> Jet:
     held = [jnp.clip(point[a], low[a], high[a]) for a in range(3)]
     cell, share = _cell(field, [(held[a] - field.origin[a]) / field.spacing for a in range(3)])
     smooth = _spline(field, cell, share, order)
-    inner = _with_triangles(field, cell, share, jnp.stack(held), smooth, order)
+    inner = _with_triangles(field, cell, jnp.stack(held), smooth, order)
     return _extended(inner, [point[a] - held[a] for a in range(3)], order)
 
 
@@ -145,22 +146,25 @@ def _dot4(weights: list[Scalar], values: list[Scalar] | Float[Array, "4"]) -> Sc
     return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2] + weights[3] * values[3]
 
 
-def _with_triangles(field: Field, cell: list[Array], share: list[Scalar], point: Vector, smooth: Jet, order: int) -> Jet:
+def _with_triangles(field: Field, cell: list[Array], point: Vector, smooth: Jet, order: int) -> Jet:
     """Blend in the triangles where a corner of the cell is sharp.
 
-    A loop of no or one turn: lanes that run together skip the work unless one of them needs it, which a condition would not let them do.
+    A loop of no or one turn: lanes that run together skip the work unless one of them needs it, which a condition would not let them do. The point is turned
+    about on the way, lest XLA find that the work is the same in every turn and move it out of the loop.
     """
     row = field.sharp[field.cells[_node(field, cell)]]
     size = 1 + 3 * (order > 0) + 6 * (order > 1)
 
-    def unfinished(state: tuple[Array, Array]) -> Array:
+    def unfinished(state: tuple[Array, Vector, Array]) -> Array:
         return state[0]
 
-    def evaluate(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        return jnp.zeros_like(state[0]), _blended(field, row, share, point, _flat(smooth), order)
+    def evaluate(state: tuple[Array, Vector, Array]) -> tuple[Array, Vector, Array]:
+        needed, point, flat = state
+        low = [field.origin[a] + field.spacing * cell[a] for a in range(3)]
+        share = [(point[a] - low[a]) / field.spacing for a in range(3)]
+        return jnp.zeros_like(needed), -point, _blended(field, row, share, point, flat, order)
 
-    needed = row[2] > 0
-    _, flat = lax.while_loop(unfinished, evaluate, (needed, _flat(smooth)))
+    _, _, flat = lax.while_loop(unfinished, evaluate, (row[2] > 0, point, _flat(smooth)))
     return Jet(flat[0], [flat[i] for i in range(1, min(size, 4))], [flat[i] for i in range(4, size)])
 
 
@@ -176,7 +180,8 @@ def _blended(field: Field, row: Int[Array, "3"], share: list[Scalar], point: Vec
         return _sharpness(row[0], [share[a] + offset[a] / field.spacing for a in range(3)])
 
     w = _derivatives(weight, jnp.zeros(3), order)
-    gap = _derivatives(lambda q: patch_level(q, patch), point, order) - smooth
+    near = frozen(point, patch)
+    gap = _derivatives(lambda q: patch_level(q, patch, near), point, order) - smooth
     parts = [smooth[0] + w[0] * gap[0]]
     if order > 0:
         parts += [smooth[1 + a] + w[0] * gap[1 + a] + w[1 + a] * gap[0] for a in range(3)]
@@ -188,13 +193,14 @@ def _blended(field: Field, row: Int[Array, "3"], share: list[Scalar], point: Vec
     return jnp.where(row[2] > 0, jnp.stack(parts), smooth)
 
 
-def _derivatives(function: "jax.tree_util.Partial | object", point: Vector, order: int) -> Float[Array, "n"]:
+def _derivatives(function: Callable[[Vector], Scalar], point: Vector, order: int) -> Float[Array, "n"]:
     if order == 0:
-        return function(point)[None]  # type: ignore[operator]
-    value, gradient = jax.value_and_grad(function)(point)  # type: ignore[arg-type]
+        return function(point)[None]
+    value, gradient = jax.value_and_grad(function)(point)
     if order == 1:
         return jnp.concatenate([value[None], gradient])
-    hessian = jax.hessian(function)(point)  # type: ignore[arg-type]
+    # One direction after the other: a third of the code.
+    hessian = lax.map(lambda direction: jax.jvp(jax.grad(function), (point,), (direction,))[1], jnp.eye(3))
     return jnp.concatenate([value[None], gradient, jnp.stack([hessian[a, b] for a, b in _PAIRS])])
 
 

@@ -1,8 +1,8 @@
 """The surface over one triangle: curved between smooth corners, rounded off outside a crease.
 
-With barycentric coordinates b_i, corners v_i and corner normals n_i, and with m = Σ b_i n_i / ‖Σ b_i n_i‖, a point p is
+With barycentric coordinates b_i, corners v_i and corner normals n_i, and with N = Σ b_i n_i and m = N/‖N‖, a point p is
 
-    Σ b_i (n_i + m)·(p − v_i) / (1 + n_i·m)
+    Σ b_i (n_i + m)·(p − v_i) / (1 + ‖N‖)
 
 away from it. For the normals of a sphere this is the distance from the sphere, exactly, wherever Σ b_i v_i lies on the line from p to the centre; in general
 it errs by third derivatives of the surface. Where the nearest point lies on a crease, the planes of its two sides give the distance from their corner.
@@ -10,6 +10,7 @@ it errs by third derivatives of the surface. Where the nearest point lies on a c
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
@@ -100,10 +101,62 @@ def nearest(point: Vector, corners: Triangle) -> Nearest:
     return Nearest(best, weights, feature)
 
 
-def patch_level(point: Vector, patch: Patch) -> Scalar:
-    """Signed distance from the surface over a triangle, which is to be the nearest to the point."""
+class Frozen(NamedTuple):
+    """A point's nearest feature, held fast: what is left depends on the point smoothly."""
+
+    point: Vector
+    weights: Vector
+    """Barycentric coordinates of the nearest point."""
+    slopes: Triangle
+    """Their gradients, one a row."""
+    code: Scalar
+    """As in `Patch.edges` and `Patch.corners`: 0 smooth, ±1 a crease, 2 where creases meet."""
+    corner: Vector
+    """Where creases meet: the corner, with the sign of the level by its `pseudo` normal."""
+    sign: Scalar
+    beyond: Triangle
+    """Corner normals on the other side of the crease."""
+
+
+def frozen(point: Vector, patch: Patch) -> Frozen:
+    """Hold fast what is nearest to a point over the triangle."""
     _, weights, feature = nearest(point, patch.vertices)
-    return _level_at(point, patch, weights, feature)
+    edge, corner = jnp.clip(feature - EDGE, 0, 2), jnp.clip(feature - CORNER, 0, 2)
+    at_corner, at_edge = feature >= CORNER, (feature >= EDGE) & (feature < CORNER)
+    code = jnp.where(at_corner, patch.corners[corner], jnp.where(at_edge, patch.edges[edge], 0.0))
+    index = jnp.arange(3)
+    first, second = (index == (edge + 1) % 3)[:, None], (index == (edge + 2) % 3)[:, None]
+    beyond = jnp.where(first, patch.beyond[edge, 0], jnp.where(second, patch.beyond[edge, 1], patch.normals))
+    apex = patch.vertices[corner]
+    sign = jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0)
+    along = patch.vertices[(edge + 2) % 3] - patch.vertices[(edge + 1) % 3]
+    along = along / dot(along, along)
+    on_edge = jnp.where(second, along, jnp.where(first, -along, 0.0))
+    slopes = jnp.where(at_corner, 0.0, jnp.where(at_edge, on_edge, _slopes(patch.vertices)))
+    return Frozen(point, weights, slopes, code, apex, sign, jnp.where(at_corner, patch.around, beyond))
+
+
+def _slopes(vertices: Triangle) -> Triangle:
+    """Gradients of the barycentric coordinates in the triangle's plane."""
+    ab, ac = vertices[1] - vertices[0], vertices[2] - vertices[0]
+    normal = jnp.cross(ab, ac)
+    b, c = jnp.cross(ac, normal) / dot(normal, normal), jnp.cross(normal, ab) / dot(normal, normal)
+    return jnp.stack([-b - c, b, c])
+
+
+def patch_level(point: Vector, patch: Patch, nearby: Frozen) -> Scalar:
+    """Signed distance from the surface over the triangle, given what is nearest to about this point."""
+    moved = point - nearby.point
+    weights = nearby.weights + jnp.stack([dot(slope, moved) for slope in nearby.slopes])
+    sides = jnp.stack([patch.normals, nearby.beyond])
+    level, normal = jax.vmap(_sheet, in_axes=(None, None, 0, None))(point, patch.vertices, sides, weights)
+    here = level[0]
+    ridge = nearby.code * _outside_both(nearby.code * here, nearby.code * level[1], dot(normal[0], normal[1]))
+    apex = point - nearby.corner
+    # Squared length, kept from zero so that the derivative stays finite.
+    squared = dot(apex, apex)
+    tip = nearby.sign * jnp.sqrt(jnp.where(squared > _TINY, squared, _TINY))
+    return jnp.where(nearby.code == 0, here, jnp.where(nearby.code == 2, tip, ridge))
 
 
 def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
@@ -111,48 +164,26 @@ def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
 
     They may lie outside the triangle: the neighbour there sees the point better.
     """
-    _, weights, feature = nearest(point, patch.vertices)
-    seen = _line_of_sight(point, patch, weights)
+    near = frozen(point, patch)
+    seen = _line_of_sight(point, patch, near.weights)
     # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
-    sides = jnp.where(patch.edges != 0, seen < 0, False)
-    on_crease = _is_crease(patch, feature)
-    weights = jnp.where(on_crease | jnp.any(sides), weights, seen)
-    return _level_at(point, patch, weights, feature), weights
-
-
-def _is_crease(patch: Patch, feature: Int[Array, ""]) -> Array:
-    edge, corner = feature - EDGE, feature - CORNER
-    at_edge = (feature >= EDGE) & (feature < CORNER) & (patch.edges[jnp.clip(edge, 0, 2)] != 0)
-    return at_edge | ((feature >= CORNER) & (patch.corners[jnp.clip(corner, 0, 2)] != 0))
-
-
-def _level_at(point: Vector, patch: Patch, weights: Vector, feature: Int[Array, ""]) -> Scalar:
-    here, normal = _sheet(point, patch.vertices, patch.normals, weights)
-    edge, corner = jnp.clip(feature - EDGE, 0, 2), jnp.clip(feature - CORNER, 0, 2)
-    at_corner = feature >= CORNER
-    code = jnp.where(at_corner, patch.corners[corner], jnp.where(feature >= EDGE, patch.edges[edge], 0.0))
-    first, second = (edge + 1) % 3, (edge + 2) % 3
-    index = jnp.arange(3)[:, None]
-    beyond = jnp.where(index == first, patch.beyond[edge, 0], jnp.where(index == second, patch.beyond[edge, 1], patch.normals))
-    there, other = _sheet(point, patch.vertices, jnp.where(at_corner, patch.around, beyond), weights)
-    ridge = code * _outside_both(code * here, code * there, dot(normal, other))
-    apex = point - patch.vertices[corner]
-    # Squared length, kept from zero so that the derivative stays finite.
-    squared = dot(apex, apex)
-    length = jnp.sqrt(jnp.where(squared > _TINY, squared, _TINY))
-    tip = jnp.where(dot(apex, patch.pseudo[corner]) >= 0, length, -length)
-    return jnp.where(code == 0, here, jnp.where(code == 2, tip, ridge))
+    stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
+    weights = jnp.where(stopped, near.weights, seen)
+    return patch_level(point, patch, near._replace(weights=weights)), weights
 
 
 def _sheet(point: Vector, vertices: Triangle, normals: Triangle, weights: Vector) -> tuple[Scalar, Vector]:
     """Level over a triangle at given barycentric coordinates, and the normal there."""
-    m = weights[0] * normals[0] + weights[1] * normals[1] + weights[2] * normals[2]
-    m = m / jnp.sqrt(jnp.maximum(dot(m, m), _TINY))
-    total = jnp.zeros_like(point[0])
-    for i in range(3):
-        n = normals[i]
-        total += weights[i] * dot(n + m, point - vertices[i]) / (1 + dot(n, m))
-    return total, m
+    total = _mixed(weights, normals)
+    length = jnp.sqrt(dot(total, total))
+    m = total / length
+    lever = [dot(normals[i], vertices[i]) for i in range(3)]
+    value = dot(total, point) - dot(weights, jnp.stack(lever)) + dot(m, point - _mixed(weights, vertices))
+    return value / (1 + length), m
+
+
+def _mixed(weights: Vector, rows: Triangle) -> Vector:
+    return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
 
 
 def _outside_both(first: Scalar, second: Scalar, cosine: Scalar) -> Scalar:
@@ -168,8 +199,8 @@ def _outside_both(first: Scalar, second: Scalar, cosine: Scalar) -> Scalar:
 def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> Vector:
     """Barycentric coordinates b at which p − Σ b_i v_i is parallel to Σ b_i n_i, by Newton's method."""
     v, n = patch.vertices, patch.normals
-    m = weights[0] * n[0] + weights[1] * n[1] + weights[2] * n[2]
-    height = dot(point - weights[0] * v[0] - weights[1] * v[1] - weights[2] * v[2], m) / jnp.maximum(dot(m, m), _TINY)
+    m = _mixed(weights, n)
+    height = dot(point - _mixed(weights, v), m) / jnp.maximum(dot(m, m), _TINY)
     b1, b2 = weights[1], weights[2]
     for _ in range(_REFINEMENTS):
         q = [v[i] + height * n[i] for i in range(3)]

@@ -23,6 +23,11 @@ class Surface(eqx.Module):
     about unit length (a distance, at least near the surface) keeps tolerances meaningful. Lengths are in the units of the rod.
     """
 
+    @property
+    def heavy(self) -> bool:
+        """Whether evaluating the level takes so much code that compiled loops should hold it once rather than once for each point."""
+        return False
+
     @abstractmethod
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """g(p): zero on the surface, positive outside, negative in the solid."""
@@ -84,6 +89,11 @@ class Placed(Surface):
     surface: Surface
     rotation: Float[np.ndarray | Array, "3 3"]
     translation: Float[np.ndarray | Array, "3"]
+
+    @property
+    def heavy(self) -> bool:
+        """As of the surface itself."""
+        return self.surface.heavy
 
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """G of the object at the point seen from the object's own axes."""

@@ -230,7 +230,11 @@ CASE_DAMAGE = {
     "object's turn": ("[0.0, 0.0, 0.6, 0.8]", "[0.0, 0.0, 0.0, 0.0]", ["rotation", "zero norm", "allowed"]),
     "negative friction": ("[[trail]]", "[contact]\nfriction = -0.1\n\n[[trail]]", ["contact.friction = -0.1", "a number of at least 0"]),
     "endless friction": ("[[trail]]", "[contact]\nfriction = inf\n\n[[trail]]", ["contact.friction = inf", "a number of at least 0"]),
-    "friction in words": ("[[trail]]", '[contact]\nfriction = "some"\n\n[[trail]]', ["contact.friction = 'some'", "a number of at least 0"]),
+    "friction in words": (
+        "[[trail]]",
+        '[contact]\nfriction = "some"\n\n[[trail]]',
+        ["contact.friction = 'some'", "a number of at least 0"],
+    ),
     "radius for yes": ("[[trail]]", "[contact]\nfinite_radius = 0.1\n\n[[trail]]", ["contact.finite_radius = 0.1", "true or false"]),
     "contact's unknown key": ("[[trail]]", "[contact]\nmu = 0.1\n\n[[trail]]", ["contact.mu: unknown key", "friction, finite_radius"]),
     "trail is no list": ('[[trail]]\nkind = "line"', '[trail]\nkind = "line"', []),

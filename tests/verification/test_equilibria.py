@@ -105,7 +105,16 @@ def test_the_second_variation_converges() -> None:
             u = np.cross([0, 1.0, 0], t) @ n
             tension = force @ t
             v, dv, first, dfirst, _rise, second, dsecond, _rise2 = y[6:]
-            changes = [dv, (tension - m @ m - value) * v, dfirst, (tension - value) * first, u * first, dsecond, (tension - value) * second + u, u * second]
+            changes = [
+                dv,
+                (tension - m @ m - value) * v,
+                dfirst,
+                (tension - value) * first,
+                u * first,
+                dsecond,
+                (tension - value) * second + u,
+                u * second,
+            ]
             return np.concatenate([np.cross(m, t), np.cross(force, t), changes])
 
         y = solve_ivp(slope, (0, 1), np.concatenate([axis, moment, [0, 1, 0, 1, 0, 0, 0, 0]]), rtol=1e-11, atol=1e-12).y[:, -1]

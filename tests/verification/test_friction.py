@@ -16,7 +16,16 @@ LEVEL = shooting.paraboloid(0.5, 1.0, 0.4)
 FRICTION = 0.3
 
 # Way-points of the clamp and steps between them: in, back by little, on beside the way, back, out. Where the trail turns the contact sticks, or rolls.
-PLACES = [(1.2, 0.2, 0.0), (0.5, 0.2, 0.0), (0.502, 0.2, 0.0), (0.62, 0.2, 0.0), (-0.2, 0.25, 0.0), (-0.19, 0.25, 0.0), (0.1, 0.2, 0.0), (-0.6, 0.2, 0.0)]
+PLACES = [
+    (1.2, 0.2, 0.0),
+    (0.5, 0.2, 0.0),
+    (0.502, 0.2, 0.0),
+    (0.62, 0.2, 0.0),
+    (-0.2, 0.25, 0.0),
+    (-0.19, 0.25, 0.0),
+    (0.1, 0.2, 0.0),
+    (-0.6, 0.2, 0.0),
+]
 STEPS = [35, 4, 10, 41, 8, 16, 35]
 
 
@@ -159,7 +168,8 @@ def test_the_elastic_line_is_that_of_a_rod_in_space_under_the_reported_force(tur
 def shot_with_friction(clamps: np.ndarray, first: np.ndarray, softness: float) -> list[np.ndarray]:
     """States m(0), f, p (7,) of the rod's tip along clamps (n, 3), from its place `first` at first contact, by shooting in space.
 
-    The law is −μ w/√(w² + ε²): without a cone, a corner or a projection. In tip contact w is the way of the tip."""
+    The law is −μ w/√(w² + ε²): without a cone, a corner or a projection. In tip contact w is the way of the tip.
+    """
     t0 = np.array([0.0, 0.0, 1.0])
     found, point = [], first
     start = next(state for state in shooting.follow(LEVEL, clamps[:1], t0[None]) if state is not None)

@@ -19,7 +19,18 @@ from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
-from vibrissa.scan.landing import CLEAR, ENERGY_MARGIN, MOST_CHANGES, Outcome, clearance_at, failed, first_contact_on, settled_on
+from vibrissa.scan.landing import (
+    AFTER_CONTACT,
+    CLEAR,
+    ENERGY_MARGIN,
+    MOST_CHANGES,
+    NO_FORCE,
+    Outcome,
+    clearance_at,
+    failed,
+    first_contact_on,
+    settled_on,
+)
 from vibrissa.scan.locate import ROUNDING, polished
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import clamp_between
@@ -30,12 +41,10 @@ _FIRST_STEP = 0.01
 _LONGEST_STEP = 0.03
 _SHORTEST_STEP = 1e-10
 _MOST_STEPS = 600
-_NO_FORCE = 1e-7
 _BIFURCATION_STEP = 2e-5
 # Fractions of the stretch beyond the end of a branch, and how near an equilibrium there continues it.
 _LOOKS_AHEAD = (1e-6, 1e-5)
 _NEAR = 1e-3
-_AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
 _LARGE_FORCE = 5.0
@@ -166,7 +175,7 @@ class Tracker:
                 step = step if following is None else float(here.tangent @ ((following.y - here.y) * self._weights))
             if following is not None and following.y[3] < 0:
                 release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
-                if abs(release.y[3]) <= _NO_FORCE:
+                if abs(release.y[3]) <= NO_FORCE:
                     self._changes(here, release, step, happened)
                     return _End("released", release)
                 # Not a force that falls to zero, but another branch on which it pulls.
@@ -260,11 +269,11 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
 def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, end: _End, outcome: Outcome) -> tuple[Branch | None, float]:
     """Where the lane goes on behind the end of a branch, and from which fraction: on another branch, or free (None)."""
     last, fraction = end.at.y, float(end.at.y[4])
-    leaving = last[3] <= _NO_FORCE and clearance_at(scene, stretch, min(1.0, fraction + _AFTER_CONTACT[0])) >= CLEAR
+    leaving = last[3] <= NO_FORCE and clearance_at(scene, stretch, min(1.0, fraction + AFTER_CONTACT[0])) >= CLEAR
     if end.reason == "released" or leaving:
         outcome.happened.append((EventKind.DETACH, fraction, last[:3]))
         return None, fraction
-    if last[3] <= _NO_FORCE:
+    if last[3] <= NO_FORCE:
         # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
         return _begun(scene, stretch, tracker, fraction, last[:3])
     outcome.happened.append((EventKind.SNAP, fraction, last[:3]))
@@ -284,7 +293,7 @@ def _begun(
     scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, fraction: float, near: Float[np.ndarray, "3"]
 ) -> tuple[Branch, float]:
     """The equilibrium of least energy a little behind a first contact."""
-    for ahead in _AFTER_CONTACT:
+    for ahead in AFTER_CONTACT:
         at = min(1.0, fraction + ahead)
         found = settled_on(scene, stretch, at, np.inf, [near])
         here = None if found is None else tracker.at(np.append(found.x, at))

@@ -35,7 +35,8 @@ class Surface(eqx.Module):
     def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Signed Euclidean distance from the surface, with right first and second derivatives: outside and near the surface.
 
-        By Newton's method for the closest point, which is sure to within about a third of the radius of curvature. Where it does not arrive, g/‖∇g‖.
+        By Newton's method for the closest point: sure within a third of the radius of curvature, from outside a convex solid of moderate shape also far away.
+        Where it does not arrive, g/‖∇g‖.
         """
         return closest.distance(self, point)
 

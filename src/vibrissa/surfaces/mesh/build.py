@@ -84,7 +84,7 @@ def _blurred(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the cells within reach: whether the spline errs at their middles, the distance of those from the mesh, and their numbers."""
     shape = grid.size
-    close = np.abs(tracked.level.reshape(shape)) <= reach + grid.spacing
+    close = np.abs(tracked.level.reshape(shape)) <= reach + 2 * grid.spacing
     inner = np.zeros(shape, dtype=bool)
     inner[1:-2, 1:-2, 1:-2] = True
     inner[:-1, :-1, :-1] &= np.logical_or.reduce([_shifted(close, corner) for corner in _CORNERS])
@@ -99,7 +99,8 @@ def _blurred(
         closer = found < best[rows]
         best[rows[closer]], triangle[rows[closer]] = found[closer], candidate[rows[closer]]
     distance = np.sqrt(best)
-    kept = distance <= reach
+    # Every cell that holds a point within reach.
+    kept = distance <= reach + np.sqrt(3) / 2 * grid.spacing
     cells, middles, triangle, distance = cells[kept], middles[kept], triangle[kept], distance[kept]
     error = np.abs(chunked(lambda p: _splines(plain, p), middles) - surveyor.levels(middles, triangle))
     return error > _allowed(grid, sheet)[triangle], distance, cells

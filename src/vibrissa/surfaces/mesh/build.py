@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy.ndimage import correlate1d
 
 from vibrissa.surfaces.mesh.creases import Sheets, patch_rows
-from vibrissa.surfaces.mesh.field import Field, spline_level
+from vibrissa.surfaces.mesh.field import Field, Triangles, spline_level
 from vibrissa.surfaces.mesh.nodes import Grid, Surveyor, Tracked, chunked, sharp_neighbourhoods, track
 
 _MARGIN = 5
@@ -66,14 +66,13 @@ def _padded(rows: np.ndarray, least: int, factor: int = 4) -> Array:
 
 
 def _field(grid: Grid, coefficients: Float[np.ndarray, "nodes"]) -> Field:
-    # One triangle, never looked at, keeps the shapes of fields with and without sharp cells alike.
-    blank = np.zeros((1, 60))
-    cells = np.zeros(len(coefficients), dtype=np.int32)
     return Field(
-        jnp.asarray(grid.origin), jnp.asarray(grid.spacing), jnp.asarray(np.array(grid.size, dtype=np.int64)),
-        _padded(coefficients, 1 << 18), _padded(cells, 1 << 18), _padded(np.zeros((1, 3), dtype=np.int32), 1 << 12),
-        _padded(np.zeros(1, dtype=np.int32), 1 << 14), _padded(blank, 1 << 10),
-    )  # fmt: skip
+        jnp.asarray(grid.origin),
+        jnp.asarray(grid.spacing),
+        jnp.asarray(np.array(grid.size, dtype=np.int64)),
+        _padded(coefficients, 1 << 18),
+        None,
+    )
 
 
 _splines = jax.jit(jax.vmap(spline_level, in_axes=(None, 0)))
@@ -84,7 +83,7 @@ def _blurred(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the cells within reach: whether the spline errs at their middles, the distance of those from the mesh, and their numbers."""
     shape = grid.size
-    close = np.abs(tracked.level.reshape(shape)) <= reach + grid.spacing
+    close = np.abs(tracked.level.reshape(shape)) <= reach + 2 * grid.spacing
     inner = np.zeros(shape, dtype=bool)
     inner[1:-2, 1:-2, 1:-2] = True
     inner[:-1, :-1, :-1] &= np.logical_or.reduce([_shifted(close, corner) for corner in _CORNERS])
@@ -99,7 +98,8 @@ def _blurred(
         closer = found < best[rows]
         best[rows[closer]], triangle[rows[closer]] = found[closer], candidate[rows[closer]]
     distance = np.sqrt(best)
-    kept = distance <= reach
+    # Every cell that holds a point within reach.
+    kept = distance <= reach + np.sqrt(3) / 2 * grid.spacing
     cells, middles, triangle, distance = cells[kept], middles[kept], triangle[kept], distance[kept]
     error = np.abs(chunked(lambda p: _splines(plain, p), middles) - surveyor.levels(middles, triangle))
     return error > _allowed(grid, sheet)[triangle], distance, cells
@@ -137,9 +137,10 @@ def _with_triangles(
     rows = np.concatenate([np.zeros((1, 3), dtype=np.int64), np.column_stack([mask, first, count])]).astype(np.int32)
     numbers = np.zeros(int(np.prod(shape)), dtype=np.int32)
     numbers[cells] = np.arange(1, len(cells) + 1)
-    return plain._replace(
-        cells=_padded(numbers, 1 << 18),
-        sharp=_padded(rows, 1 << 12),
-        nearby=_padded(local.astype(np.int32), 1 << 14),
-        patches=_padded(patch_rows(sheet, chosen), 1 << 10),
+    triangles = Triangles(
+        _padded(numbers, 1 << 18),
+        _padded(rows, 1 << 12),
+        _padded(local.astype(np.int32), 1 << 14),
+        _padded(patch_rows(sheet, chosen), 1 << 10),
     )
+    return plain._replace(triangles=triangles)

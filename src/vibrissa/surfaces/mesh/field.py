@@ -6,7 +6,7 @@ differentiable over the cells. Value, gradient and Hessian are one evaluation ea
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,20 @@ from jaxtyping import Float, Int
 from vibrissa.surfaces.mesh.patches import frozen, nearest, patch_level, unpacked
 
 Vector = Float[Array, "3"]
+Held = TypeVar("Held")
 Scalar = Float[Array, ""]
 AnyArray = Array | np.ndarray
+
+
+class Triangles(NamedTuple):
+    """Which triangles may be nearest, cell by cell."""
+
+    cells: Int[AnyArray, "nodes"]
+    """Row of `sharp` for each cell; 0 where the spline is all."""
+    sharp: Int[AnyArray, "rows 3"]
+    """Which corners are sharp (a bit each), first entry of `nearby`, and number of entries."""
+    nearby: Int[AnyArray, "entries"]
+    patches: Float[AnyArray, "patches 60"]
 
 
 class Field(NamedTuple):
@@ -29,12 +41,8 @@ class Field(NamedTuple):
     size: Int[AnyArray, "3"]
     """Nodes along each axis; the node (i, j, k) lies at `origin` + `spacing` (i, j, k)."""
     coefficients: Float[AnyArray, "nodes"]
-    cells: Int[AnyArray, "nodes"]
-    """Row of `sharp` for each cell; 0 where the spline is all."""
-    sharp: Int[AnyArray, "rows 3"]
-    """Which corners are sharp (a bit each), first entry of `nearby`, and number of entries."""
-    nearby: Int[AnyArray, "entries"]
-    patches: Float[AnyArray, "patches 60"]
+    triangles: Triangles | None
+    """None where the spline is all: the code for the triangles is then left out."""
 
 
 class Jet(NamedTuple):
@@ -93,7 +101,7 @@ def _jet(field: Field, point: Vector, order: int) -> Jet:
     held = [jnp.clip(point[a], low[a], high[a]) for a in range(3)]
     cell, share = _cell(field, [(held[a] - field.origin[a]) / field.spacing for a in range(3)])
     smooth = _spline(field, cell, share, order)
-    inner = _with_triangles(field, cell, jnp.stack(held), smooth, order)
+    inner = smooth if field.triangles is None else _with_triangles(field, field.triangles, cell, jnp.stack(held), smooth, order)
     return _extended(inner, [point[a] - held[a] for a in range(3)], order)
 
 
@@ -144,13 +152,13 @@ def _dot4(weights: list[Scalar], values: list[Scalar] | Float[Array, "4"]) -> Sc
     return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2] + weights[3] * values[3]
 
 
-def _with_triangles(field: Field, cell: list[Array], point: Vector, smooth: Jet, order: int) -> Jet:
+def _with_triangles(field: Field, triangles: Triangles, cell: list[Array], point: Vector, smooth: Jet, order: int) -> Jet:
     """Blend in the triangles where a corner of the cell is sharp.
 
     A loop of no or one turn: lanes that run together skip the work unless one of them needs it, which a condition would not let them do. The point is turned
     about on the way, lest XLA find that the work is the same in every turn and move it out of the loop.
     """
-    row = field.sharp[field.cells[_node(field, cell)]]
+    row = triangles.sharp[triangles.cells[_node(field, cell)]]
     size = 1 + 3 * (order > 0) + 6 * (order > 1)
 
     def unfinished(state: tuple[Array, Vector, Array]) -> Array:
@@ -160,7 +168,7 @@ def _with_triangles(field: Field, cell: list[Array], point: Vector, smooth: Jet,
         needed, point, flat = state
         low = [field.origin[a] + field.spacing * cell[a] for a in range(3)]
         share = [(point[a] - low[a]) / field.spacing for a in range(3)]
-        return jnp.zeros_like(needed), -point, _blended(field, row, share, point, flat, order)
+        return jnp.zeros_like(needed), -point, _blended(triangles, row, share, field.spacing, point, flat, order)
 
     _, _, flat = lax.while_loop(unfinished, evaluate, (row[2] > 0, point, _flat(smooth)))
     return Jet(flat[0], [flat[i] for i in range(1, min(size, 4))], [flat[i] for i in range(4, size)])
@@ -171,17 +179,25 @@ def _flat(jet: Jet) -> Float[Array, "n"]:
 
 
 def _blended(
-    field: Field, row: Int[Array, "3"], share: list[Scalar], point: Vector, smooth: Float[Array, "n"], order: int
+    triangles: Triangles,
+    row: Int[Array, "3"],
+    share: list[Scalar],
+    spacing: Scalar | np.ndarray,
+    point: Vector,
+    smooth: Float[Array, "n"],
+    order: int,
 ) -> Float[Array, "n"]:
     """(1 − w) spline + w triangle, and derivatives."""
-    patch = unpacked(field.patches[_nearest_patch(field, row, point)])
+    # Barriers, lest XLA work out the whole again for each of its parts.
+    patch = unpacked(_apart(triangles.patches[_nearest_patch(triangles, row, point)]))
 
     def weight(offset: Vector) -> Scalar:
-        return _sharpness(row[0], [share[a] + offset[a] / field.spacing for a in range(3)])
+        return _sharpness(row[0], [share[a] + offset[a] / spacing for a in range(3)])
 
     w = _derivatives(weight, jnp.zeros(3), order)
-    near = frozen(point, patch)
-    gap = _derivatives(lambda q: patch_level(q, patch, near), point, order) - smooth
+    near = _apart(frozen(point, patch))
+    exact = _apart(_derivatives(lambda q: patch_level(q, patch, near), point, order))
+    w, gap = _apart(w), exact - smooth
     parts = [smooth[0] + w[0] * gap[0]]
     if order > 0:
         parts += [smooth[1 + a] + w[0] * gap[1 + a] + w[1 + a] * gap[0] for a in range(3)]
@@ -204,7 +220,7 @@ def _derivatives(function: Callable[[Vector], Scalar], point: Vector, order: int
     return jnp.concatenate([value[None], gradient, jnp.stack([hessian[a, b] for a, b in _PAIRS])])
 
 
-def _nearest_patch(field: Field, row: Int[Array, "3"], point: Vector) -> Array:
+def _nearest_patch(triangles: Triangles, row: Int[Array, "3"], point: Vector) -> Array:
     first, count = row[1], row[2]
 
     def unfinished(state: tuple[Array, Array, Array]) -> Array:
@@ -212,12 +228,12 @@ def _nearest_patch(field: Field, row: Int[Array, "3"], point: Vector) -> Array:
 
     def look(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         index, best, chosen = state
-        candidate = field.nearby[first + index]
-        squared = nearest(point, jnp.asarray(field.patches[candidate, :9]).reshape(3, 3)).squared
+        candidate = triangles.nearby[first + index]
+        squared = nearest(point, jnp.asarray(triangles.patches[candidate, :9]).reshape(3, 3)).squared
         closer = squared < best
         return index + 1, jnp.where(closer, squared, best), jnp.where(closer, candidate, chosen)
 
-    start = (jnp.zeros_like(first), jnp.asarray(jnp.inf), jnp.zeros_like(field.nearby[0]))
+    start = (jnp.zeros_like(first), jnp.asarray(jnp.inf), jnp.zeros_like(triangles.nearby[0]))
     return lax.while_loop(unfinished, look, start)[2]
 
 
@@ -250,3 +266,9 @@ def _extended(inner: Jet, outside: list[Scalar], order: int) -> Jet:
             for k, (a, b) in enumerate(_PAIRS)
         ]
     return Jet(inner.value + jnp.where(beyond, distance, 0.0), gradient, hessian)
+
+
+def _apart(values: Held) -> Held:
+    """Keep XLA from evaluating the values again for each of their uses."""
+    held: Held = lax.optimization_barrier(values)  # type: ignore[no-untyped-call]
+    return held

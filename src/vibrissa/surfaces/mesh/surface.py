@@ -2,7 +2,6 @@
 
 import logging
 from pathlib import Path
-from typing import Self
 
 import equinox as eqx
 import numpy as np
@@ -82,7 +81,7 @@ class Mesh(Surface):
         self.field = build(sheets(clean_vertices, clean_faces, angle), distance)
 
     @classmethod
-    def load(cls, path: str | Path, scale: float | None = None, *, crease_angle: float = 0.7, reach: float | None = None) -> Self:
+    def load(cls, path: str | Path, scale: float | None = None, *, crease_angle: float = 0.7, reach: float | None = None) -> "Mesh":
         """Read STL, OBJ, PLY, glTF or GLB.
 
         Parameters

@@ -63,10 +63,33 @@ def test_shipped_recording_gives_the_sphere() -> None:
 @pytest.mark.parametrize("path", sorted((EXAMPLES / "cases").glob("*.toml")), ids=lambda path: path.stem)
 def test_cases(path: Path) -> None:
     case = vb.load_case(path)
-    scan = vb.scan(case.rod, case.surface, case.trail)
+    scan = vb.scan(case.rod, case.surface, case.trail, friction=case.friction, finite_radius=case.finite_radius)
     contact = scan.in_contact
     assert contact.any()
     assert scan.solved.all()
     assert np.max(scan.residual[contact]) < 1e-12
     assert np.max(scan.depth[contact]) < 1e-7 * case.rod.length
     assert np.max(np.abs(case.surface.levels(scan.point[contact]))) < 1e-12
+
+
+def test_the_case_with_friction_is_that_of_the_recording() -> None:
+    """Force off the normal by atan μ wherever the wire slides."""
+    case = vb.load_case(EXAMPLES / "cases/sphere_friction.toml")
+    assert (case.friction, case.finite_radius) == (0.25, False)
+    scan = vb.scan(case.rod, case.surface, case.trail, friction=case.friction)
+    rows = scan.motion == vb.Motion.SLIP
+    outward = (scan.point[rows] - SPHERE) / 0.03
+    force = -scan.reactions.force[rows]
+    cosine = np.sum(outward * force, axis=1) / np.linalg.norm(force, axis=1)
+    assert np.count_nonzero(rows) > 200
+    np.testing.assert_allclose(np.degrees(np.arccos(cosine)), np.degrees(np.arctan(0.25)), atol=1e-6)
+
+
+def test_the_case_of_the_box_touches_its_edges() -> None:
+    case = vb.load_case(EXAMPLES / "cases/box_wire.toml")
+    assert case.finite_radius
+    scan = vb.scan(case.rod, case.surface, case.trail, finite_radius=True)
+    rows = scan.in_contact
+    # On an edge the normal is that of neither face.
+    assert np.count_nonzero(np.sum(np.abs(scan.normal[rows]) > 1e-3, axis=1) == 2) > 20
+    assert scan.offset == 0.25e-3

@@ -107,3 +107,33 @@ def test_recording_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     path = tmp_path / "trail.csv"
     path.write_bytes(TRAIL.read_bytes()[:-30])
     assert "truncated" in _refused(monkeypatch, capsys, "reconstruct", path, "--setup", SETUP)
+
+
+def test_friction_of_the_case_reaches_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    case = EXAMPLES / "cases/sphere_friction.toml"
+    assert _run(monkeypatch, "scan", case, "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["friction"] == 0.25
+    assert summary["motions"]["SLIP"] > 200
+    assert sum(summary["motions"].values()) == summary["positions"] == 321
+
+
+def test_a_finite_radius_needs_a_radius(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "case.toml"
+    path.write_text(CASE + "\n[contact]\nfinite_radius = true\n", encoding="utf-8")
+    assert "radius" in _refused(monkeypatch, capsys, "scan", path)
+
+
+def test_friction_of_a_recording_without_any(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The shipped recording was made without friction: so says the estimate. The known coefficient bounds the normals by its angle."""
+    assert _run(monkeypatch, "reconstruct", TRAIL, "--setup", SETUP, "--friction", "0.25", "--estimate-friction", "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["normal_half_angle"] == pytest.approx(np.arctan(0.25), rel=1e-12)
+    assert abs(summary["friction_estimate"]) < max(0.02, 3 * summary["friction_standard_error"])
+    assert _run(monkeypatch, "reconstruct", TRAIL, "--setup", SETUP, "--estimate-friction") == 0
+    assert f"{summary['friction_estimate']:.3f} ± {summary['friction_standard_error']:.3f}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("value", ["-0.1", "nan", "inf"])
+def test_no_such_friction(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], value: str) -> None:
+    assert "--friction" in _refused(monkeypatch, capsys, "reconstruct", TRAIL, "--setup", SETUP, "--friction", value)

@@ -65,6 +65,18 @@ def test_a_case_builds_rod_object_and_trails(tmp_path: Path) -> None:
         ('kind = "ellipsoid"\ncenter = [0, 0, 1]\nsemi_axes = [0.1, 0.2, 0.3]', (0.0, 0.0, 1.2)),
         ('kind = "elliptic_cylinder"\ncenter = [0, 0, 1]\nsemi_axes = [0.1, 0.2]', (0.0, 9.0, 1.1)),
         ('kind = "plane"\npoint = [0, 0, 1]\nnormal = [0, 0, -1]', (0.0, 0.0, 2.0)),
+        ('kind = "box"\ncenter = [0, 0, 1]\nhalf_extents = [0.1, 0.2, 0.3]', (0.09, -0.19, 1.29)),
+        ('kind = "cylinder"\ncenter = [0, 0, 1]\naxis = [0, 2, 0]\nradius = 0.1\nlength = 0.4', (0.09, 0.19, 1.0)),
+        ('kind = "capsule"\ncenter = [0, 0, 1]\naxis = [0, 2, 0]\nradius = 0.1\nlength = 0.4', (0.0, 0.29, 1.0)),
+        ('kind = "cone"\ncenter = [0, 0, 1]\naxis = [0, 0, 3]\nradius = 0.2\nheight = 0.5', (0.0, 0.0, 1.49)),
+        ('kind = "torus"\ncenter = [0, 0, 1]\naxis = [0, 0, 1]\nmajor_radius = 0.5\nminor_radius = 0.1', (0.59, 0.0, 1.0)),
+        ('kind = "superquadric"\ncenter = [0, 0, 1]\nsemi_axes = [0.1, 0.2, 0.3]\nexponents = [0.1, 0.1]', (0.09, 0.18, 1.27)),
+        ('kind = "offset"\nradius = 0.1\nsurface = { kind = "sphere", center = [0, 0, 1], radius = 0.5 }', (0.0, 0.0, 0.41)),
+        (
+            'kind = "union"\ntranslation = [0, 0, 1]\nparts = [{ kind = "sphere", center = [1, 0, 0], radius = 0.1 }, '
+            '{ kind = "box", center = [0, 0, 0], half_extents = [0.3, 0.1, 0.1], rotation = [0, 0, 1, 1] }]',
+            (0.0, 0.29, 1.0),
+        ),
     ],
 )
 def test_every_kind_of_object_can_be_written_down(tmp_path: Path, table: str, inside: tuple[float, ...]) -> None:
@@ -93,6 +105,13 @@ def test_model_units_and_rasters(tmp_path: Path) -> None:
     case = vb.load_case(written(tmp_path, text))
     assert case.rod == vb.Rod.unit()
     np.testing.assert_allclose(case.trail.position[3, 2], [0, 1.5, 0])
+
+
+def test_friction_and_a_finite_radius_are_taken_from_the_case(tmp_path: Path) -> None:
+    with_it = CASE.replace("[[trail]]", "[contact]\nfriction = 0.25\nfinite_radius = true\n\n[[trail]]", 1)
+    case, without = (vb.load_case(written(tmp_path, text)) for text in (with_it, CASE))
+    assert (case.friction, case.finite_radius) == (0.25, True)
+    assert (without.friction, without.finite_radius) == (0.0, False)
 
 
 TRAILS = {
@@ -154,6 +173,8 @@ def test_the_recordings_own_setup_is_read(sphere_60mm: Path) -> None:
     assert setup.sensor.wrench == "on_sensor"
 
 
+OBJECT = SETUP[SETUP.index("[object]\n") + len("[object]\n") :]
+BALL = 'kind = "sphere"\nradius = 0.03\ncenter'
 SETUP_DAMAGE = {
     "missing key": ("length = 0.05\n", "", ["rod.length: missing", "a number greater than 0"]),
     "unknown key": ("length = 0.05", "length = 0.05\nlenght = 1", ["rod.lenght: unknown key", "allowed are", "length"]),
@@ -184,6 +205,38 @@ SETUP_DAMAGE = {
     "no sensor": (SETUP[SETUP.index("[sensor]") : SETUP.index("[object]")], "", ["sensor: missing"]),
     "ball of no size": ("radius = 0.03", "radius = 0", ["object.radius = 0", "a number greater than 0"]),
     "kind of object": ('"sphere"', '"cube"', ["object", "'cube'", "allowed is elliptic_paraboloid, sphere"]),
+    "half extents": (BALL, 'kind = "box"\nhalf_extents = [1, 0, 1]\ncenter', ["object.half_extents[1] = 0", "a number greater than 0"]),
+    "exponents": (
+        BALL,
+        'kind = "superquadric"\nsemi_axes = [1, 1, 1]\nexponents = [1, 2.5]\ncenter',
+        ["object.exponents[1] = 2.5", "greater than 0 and at most 2"],
+    ),
+    "ring": (
+        BALL,
+        'kind = "torus"\naxis = [0, 0, 1]\nmajor_radius = 1\nminor_radius = 1.5\ncenter',
+        ["minor_radius = 1.5", "less than major_radius"],
+    ),
+    "no parts": (OBJECT, 'kind = "union"\nparts = []\n', ["object.parts = []", "a list of at least one object"]),
+    "kind of part": (
+        OBJECT,
+        'kind = "union"\nparts = [{ kind = "ball" }]\n',
+        ["object.parts[0].kind = 'ball'", "allowed is elliptic_paraboloid, sphere"],
+    ),
+    "part's key": (
+        OBJECT,
+        'kind = "union"\nparts = [{ kind = "plane", point = [0, 0, 1], normal = [0, 0, 1], radius = 1 }]\n',
+        ["object.parts[0].radius: unknown key", "normal"],
+    ),
+    "part of a part": (
+        OBJECT,
+        'kind = "union"\nparts = [{ kind = "union", parts = [{ kind = "sphere", center = [0, 0, 1], radius = -1 }] }]\n',
+        ["object.parts[0].parts[0].radius = -1", "a number greater than 0"],
+    ),
+    "part to grow": (
+        OBJECT,
+        'kind = "offset"\nradius = 0.1\nsurface = { kind = "sphere", center = [0, 0, 1] }\n',
+        ["object.surface.radius: missing", "a number greater than 0"],
+    ),
     "object's unknown key": ("radius = 0.03", "radius = 0.03\ncolour = 1", ["object.colour: unknown key", "center"]),
     "not TOML": ("length = 0.05", "length 0.05", ["not valid TOML", "line 3"]),
     "twice": ("length = 0.05", "length = 0.05\nlength = 0.06", ["not valid TOML", "line 4"]),
@@ -221,6 +274,15 @@ CASE_DAMAGE = {
     "soft rod": ("6.3e-4", "-6.3e-4", ["rod.bending_stiffness = -0.00063", "a number greater than 0"]),
     "thin ellipsoid": ("[0.03, 0.02, 0.03]", "[0.03, 0.0, 0.03]", ["object.semi_axes[1] = 0.0", "greater than 0"]),
     "object's turn": ("[0.0, 0.0, 0.6, 0.8]", "[0.0, 0.0, 0.0, 0.0]", ["rotation", "zero norm", "allowed"]),
+    "negative friction": ("[[trail]]", "[contact]\nfriction = -0.1\n\n[[trail]]", ["contact.friction = -0.1", "a number of at least 0"]),
+    "endless friction": ("[[trail]]", "[contact]\nfriction = inf\n\n[[trail]]", ["contact.friction = inf", "a number of at least 0"]),
+    "friction in words": (
+        "[[trail]]",
+        '[contact]\nfriction = "some"\n\n[[trail]]',
+        ["contact.friction = 'some'", "a number of at least 0"],
+    ),
+    "radius for yes": ("[[trail]]", "[contact]\nfinite_radius = 0.1\n\n[[trail]]", ["contact.finite_radius = 0.1", "true or false"]),
+    "contact's unknown key": ("[[trail]]", "[contact]\nmu = 0.1\n\n[[trail]]", ["contact.mu: unknown key", "friction, finite_radius"]),
     "trail is no list": ('[[trail]]\nkind = "line"', '[trail]\nkind = "line"', []),
     "more than memory": ("count = 9", "count = 1000000000000000", ["count"]),
 }

@@ -42,6 +42,8 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
         return jnp.where((second > 0) & (target > low) & (target < high), target, (low + high) / 2), low, high
 
     refined, _, _ = lax.fori_loop(0, _REFINEMENTS, refine, (s, low, high))
+    if scene.surface.heavy:
+        return _nearer_in_loop(scene, clamp, jnp.stack([refined, s]))
     s = jnp.where(along(refined) <= along(s), refined, s)
     value, gradient = jax.value_and_grad(level, argnums=1)(scene, clamp.point + s * clamp.tangent)
     return value / jnp.sqrt(jnp.sum(gradient * gradient)), s
@@ -53,6 +55,13 @@ def _lowest_sample(samples: list[Scalar], values: list[Scalar]) -> Scalar:
         lower = value < lowest
         best, lowest = jnp.where(lower, s, best), jnp.where(lower, value, lowest)
     return best
+
+
+def _nearer_in_loop(scene: Scene, clamp: Clamp, lengths: Float[Array, "2"]) -> tuple[Scalar, Scalar]:
+    values, gradients = lax.map(lambda s: jax.value_and_grad(level, argnums=1)(scene, clamp.point + s * clamp.tangent), lengths)
+    distances = values / jnp.sqrt(jnp.sum(gradients * gradients, axis=-1))
+    first = values[0] <= values[1]
+    return jnp.where(first, distances[0], distances[1]), jnp.where(first, lengths[0], lengths[1])
 
 
 @compiled

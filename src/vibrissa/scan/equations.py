@@ -59,15 +59,22 @@ def level(scene: Scene, point: Vector) -> Scalar:
     return scene.surface.level(point * scene.length) / scene.length
 
 
-# A level function of fewer operations is written out point by point, which runs as one loop over the lanes; of more, it would take long to compile.
+# A level function of few operations is written out point by point, which runs as one loop over the lanes; of more, it would take long to compile.
 _LIGHT = 30
 
 
 def levels(scene: Scene, points: list[Vector]) -> list[Scalar]:
     """Level function at several points."""
-    if operation_count(lambda point: level(scene, point), jnp.zeros(3)) <= _LIGHT:
-        return [level(scene, point) for point in points]
-    values = jax.vmap(lambda point: level(scene, point))(jnp.stack(points))
+
+    def one(point: Vector) -> Scalar:
+        return level(scene, point)
+
+    if scene.surface.heavy:
+        values = lax.map(one, jnp.stack(points))
+    elif operation_count(one, jnp.zeros(3)) > _LIGHT:
+        values = jax.vmap(one)(jnp.stack(points))
+    else:
+        return [one(point) for point in points]
     return [values[index] for index in range(len(points))]
 
 

@@ -48,7 +48,7 @@ class Equilibrium:
     stable
         Whether the second variation of the energy is positive under the constraint of contact.
     second_variation
-        Its least eigenvalue per ∫ |δt|² ds [N]: how far from, or how deep in, instability.
+        Its least eigenvalue per ∫ ‖δt‖² ds [N]: how far from, or how deep in, instability.
     inflections
         How often the curvature changes its sign between clamp and contact.
     elastic_line

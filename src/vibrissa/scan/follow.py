@@ -19,7 +19,18 @@ from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.assess import assess
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
-from vibrissa.scan.landing import CLEAR, ENERGY_MARGIN, MOST_CHANGES, Outcome, clearance_at, failed, first_contact_on, settled_on
+from vibrissa.scan.landing import (
+    AFTER_CONTACT,
+    CLEAR,
+    ENERGY_MARGIN,
+    MOST_CHANGES,
+    NO_FORCE,
+    Outcome,
+    clearance_at,
+    failed,
+    first_contact_on,
+    settled_on,
+)
 from vibrissa.scan.locate import ROUNDING, polished
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import clamp_between
@@ -30,14 +41,13 @@ _FIRST_STEP = 0.01
 _LONGEST_STEP = 0.03
 _SHORTEST_STEP = 1e-10
 _MOST_STEPS = 600
-_NO_FORCE = 1e-7
 _BIFURCATION_STEP = 2e-5
 # Fractions of the stretch beyond the end of a branch, and how near an equilibrium there continues it.
 _LOOKS_AHEAD = (1e-6, 1e-5)
 _NEAR = 1e-3
-_AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
+_LARGE_FORCE = 5.0
 
 Point5 = Float[np.ndarray, "5"]
 
@@ -79,10 +89,10 @@ def _energy(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> 
 class Tracker:
     """Pseudo-arclength continuation on one stretch."""
 
-    def __init__(self, scene: Scene, stretch: Float[np.ndarray, "14"]) -> None:
+    def __init__(self, scene: Scene, stretch: Float[np.ndarray, "14"], force: float = 0.0) -> None:
         self._scene, self._stretch = scene, stretch
         motion = float(np.linalg.norm(stretch[7:10] - stretch[:3]) + 2 * np.linalg.norm(stretch[10:] - stretch[3:7]))
-        self._weights = np.array([1.0, 1.0, 1.0, _FORCE_WEIGHT, max(motion, 1e-6)])
+        self._weights = np.array([1.0, 1.0, 1.0, _FORCE_WEIGHT / max(1.0, force / _LARGE_FORCE), max(motion, 1e-6)])
         self._inverse_weights = 1 / self._weights
 
     def _linear(self, y: Point5) -> tuple[Float[np.ndarray, "4"], float, Float[np.ndarray, "4 5"]]:
@@ -165,7 +175,7 @@ class Tracker:
                 step = step if following is None else float(here.tangent @ ((following.y - here.y) * self._weights))
             if following is not None and following.y[3] < 0:
                 release = self.root(here, step, lambda point: point.y[3]) if here.y[3] > 0 else here
-                if abs(release.y[3]) <= _NO_FORCE:
+                if abs(release.y[3]) <= NO_FORCE:
                     self._changes(here, release, step, happened)
                     return _End("released", release)
                 # Not a force that falls to zero, but another branch on which it pulls.
@@ -223,7 +233,7 @@ class _LostOnTheWayError(Exception):
 
 def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[np.ndarray, "4"]) -> Outcome:
     """Resolve a stretch from mode FREE or CONTACT (with x) at its start; with mode LOST only its end is known."""
-    tracker = Tracker(scene, stretch)
+    tracker = Tracker(scene, stretch, float(x[3]) if mode == Mode.CONTACT else 0.0)
     outcome = Outcome(mode, x)
     fraction = 0.0
     here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None
@@ -259,11 +269,11 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
 def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, end: _End, outcome: Outcome) -> tuple[Branch | None, float]:
     """Where the lane goes on behind the end of a branch, and from which fraction: on another branch, or free (None)."""
     last, fraction = end.at.y, float(end.at.y[4])
-    leaving = last[3] <= _NO_FORCE and clearance_at(scene, stretch, min(1.0, fraction + _AFTER_CONTACT[0])) >= CLEAR
+    leaving = last[3] <= NO_FORCE and clearance_at(scene, stretch, min(1.0, fraction + AFTER_CONTACT[0])) >= CLEAR
     if end.reason == "released" or leaving:
         outcome.happened.append((EventKind.DETACH, fraction, last[:3]))
         return None, fraction
-    if last[3] <= _NO_FORCE:
+    if last[3] <= NO_FORCE:
         # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
         return _begun(scene, stretch, tracker, fraction, last[:3])
     outcome.happened.append((EventKind.SNAP, fraction, last[:3]))
@@ -283,7 +293,7 @@ def _begun(
     scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, fraction: float, near: Float[np.ndarray, "3"]
 ) -> tuple[Branch, float]:
     """The equilibrium of least energy a little behind a first contact."""
-    for ahead in _AFTER_CONTACT:
+    for ahead in AFTER_CONTACT:
         at = min(1.0, fraction + ahead)
         found = settled_on(scene, stretch, at, np.inf, [near])
         here = None if found is None else tracker.at(np.append(found.x, at))

@@ -22,6 +22,10 @@ from vibrissa.scan.search import Equilibrium, stable_equilibria
 HEAD_ON_COSINE = -1 + 1e-9
 CLEAR = -1e-10
 """Clearance [L] from which the straight rod counts as outside the object."""
+NO_FORCE = 1e-7
+"""[EI/L²] up to which a contact counts as one that has just begun, or is about to end."""
+AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
+"""Fractions of a stretch behind a first contact at which its equilibrium is looked for."""
 MOST_CHANGES = 12
 """Losses and renewals of contact on one stretch."""
 ENERGY_MARGIN = 1e-9

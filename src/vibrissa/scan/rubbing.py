@@ -16,7 +16,18 @@ from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.equations import Clamp, Scene
 from vibrissa.scan.events import EventKind
 from vibrissa.scan.friction import UNKNOWNS, Rub, rub, rubbing_state
-from vibrissa.scan.landing import CLEAR, ENERGY_MARGIN, MOST_CHANGES, Outcome, clearance_at, failed, first_contact_on, settled_on
+from vibrissa.scan.landing import (
+    AFTER_CONTACT,
+    CLEAR,
+    ENERGY_MARGIN,
+    MOST_CHANGES,
+    NO_FORCE,
+    Outcome,
+    clearance_at,
+    failed,
+    first_contact_on,
+    settled_on,
+)
 from vibrissa.scan.locate import WIDTH as EVENT_LANES
 from vibrissa.scan.locate import Indicator
 from vibrissa.scan.march import JUMP, JUMP_FLOOR, TOLERANCE, Mode, Solved, Solver, iterated, marching
@@ -98,6 +109,12 @@ def follow_rubbing(scene: Scene, stretch: Stretch, mode: Mode, x: State) -> Outc
             outcome.happened.append((EventKind.DETACH, fraction, here.x[:3]))
             here = None
             continue
+        if here.x[3] <= NO_FORCE:
+            # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
+            here, fraction = _begun(scene, stretch, fraction, here.x[:3])
+            if here is None:
+                return failed(outcome, Status.NO_EQUILIBRIUM)
+            continue
         outcome.happened.append((EventKind.SNAP, fraction, here.x[:3]))
         energy, last = float(_figures(scene, stretch, fraction, here.x[:UNKNOWNS])[0]), here.x[:3]
         here = None
@@ -121,6 +138,16 @@ def _at_rest(scene: Scene, stretch: Stretch, fraction: float, energy: float, nea
     y = np.append(found.x, np.zeros(3))
     figures = np.asarray(_figures(scene, stretch, fraction, y))
     return _Step(np.concatenate([y, figures[1:5]]), -float(scene.friction), float(figures[5]))
+
+
+def _begun(scene: Scene, stretch: Stretch, fraction: float, near: Float[np.ndarray, "3"]) -> tuple[_Step | None, float]:
+    """The equilibrium of least energy a little behind a first contact, at rest."""
+    for ahead in AFTER_CONTACT:
+        at = min(1.0, fraction + ahead)
+        rest = _at_rest(scene, stretch, at, np.inf, [near])
+        if rest is not None:
+            return rest, at
+    return None, fraction
 
 
 def _rub_along(scene: Scene, stretch: Stretch, fraction: float, start: _Step, outcome: Outcome) -> tuple[str, float, _Step]:
@@ -181,7 +208,12 @@ def roots_rubbing(
     scene: Scene, stretches: Float[np.ndarray, "k 14"], ends: Float[np.ndarray, "k 26"], indicator: Int[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k 12"]:
     """Fraction and state where the indicator is zero, each a step from the state at the first end."""
-    return in_blocks(lambda *parts: _locate(scene, *parts), stretches, ends, indicator, width=EVENT_LANES)
+    found = in_blocks(lambda *parts: _locate(scene, *parts), stretches, ends, indicator, width=EVENT_LANES)
+    # Where a step on the way does not converge, as next to a contact that jumps, what lies between the ends in proportion.
+    before, after = ends[:, 12], ends[:, 25]
+    share = (before / np.where(before == after, 1.0, before - after))[:, None]
+    between = ends[:, :12] + share * (ends[:, 13:25] - ends[:, :12])
+    return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, between)
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 from vibrissa.surfaces.base import ExactSurface, Placed, Surface
 from vibrissa.surfaces.functions import HeightField, Implicit
+from vibrissa.surfaces.mesh import Mesh
 from vibrissa.surfaces.offset import Offset
 from vibrissa.surfaces.primitives import Box, Capsule, Cone, Cylinder, Torus
 from vibrissa.surfaces.quadrics import Ellipsoid, EllipticCylinder, EllipticParaboloid, Plane, Sphere
@@ -10,5 +11,6 @@ from vibrissa.surfaces.union import Union
 
 __all__ = [
     "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "EllipticCylinder", "EllipticParaboloid", "ExactSurface", "HeightField", "Implicit",
+    "Mesh",
     "Offset", "Placed", "Plane", "Sphere", "Superquadric", "Surface", "Torus", "Union",
 ]  # fmt: skip

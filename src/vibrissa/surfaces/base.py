@@ -23,6 +23,11 @@ class Surface(eqx.Module):
     about unit length (a distance, at least near the surface) keeps tolerances meaningful. Lengths are in the units of the rod.
     """
 
+    @property
+    def heavy(self) -> bool:
+        """Whether evaluating the level takes so much code that compiled loops should hold it once rather than once for each point."""
+        return False
+
     @abstractmethod
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """g(p): zero on the surface, positive outside, negative in the solid."""
@@ -30,7 +35,8 @@ class Surface(eqx.Module):
     def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Signed Euclidean distance from the surface, with right first and second derivatives: outside and near the surface.
 
-        By Newton's method for the closest point, which is sure to within about a third of the radius of curvature. Where it does not arrive, g/‖∇g‖.
+        By Newton's method for the closest point: sure within a third of the radius of curvature, from outside a convex solid of moderate shape also far away.
+        Where it does not arrive, g/‖∇g‖.
         """
         return closest.distance(self, point)
 
@@ -84,6 +90,11 @@ class Placed(Surface):
     surface: Surface
     rotation: Float[np.ndarray | Array, "3 3"]
     translation: Float[np.ndarray | Array, "3"]
+
+    @property
+    def heavy(self) -> bool:
+        """As of the surface itself."""
+        return self.surface.heavy
 
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """G of the object at the point seen from the object's own axes."""

@@ -20,8 +20,13 @@ Scalar = Float[Array, ""]
 Foot = Float[Array, "4"]
 """(q, λ)."""
 
-_ITERATIONS = 10
-_RELATIVE, _ROUNDING = 1e-6, 1e-12
+_REACH = 2.0
+"""Longest step in shares of the first-order distance."""
+_MOST_ITERATIONS = 30
+# A step, in shares of the longest and of the point's own size, after which another would change nothing.
+_SETTLED, _SETTLED_SIZE = 1e-9, 1e-15
+# By how much the equations may be missed, in the same terms.
+_MISSED, _MISSED_SIZE = 1e-6, 1e-12
 
 
 @runtime_checkable
@@ -77,9 +82,9 @@ def _measured(solid: Solid, point: Vector) -> _Measured:
     normal_here = gradient_here / steepness_here
     first_order = value_here / steepness_here + jnp.dot(normal_here, point - here)
 
-    rounding = _ROUNDING * norm(*here)
+    rounding = _MISSED_SIZE * norm(*here)
     same_side = (found * value_here >= 0) | (jnp.abs(found) <= rounding)
-    arrived = (miss <= _RELATIVE * jnp.abs(first_order) + rounding) & same_side
+    arrived = (miss <= _MISSED * jnp.abs(first_order) + rounding) & same_side
     near = _Measured(found, normal, steepness, q)
     far = _Measured(first_order, normal_here, steepness_here, here)
     return _Measured(*(jnp.where(arrived, one, other) for one, other in zip(near, far, strict=True)))
@@ -87,19 +92,26 @@ def _measured(solid: Solid, point: Vector) -> _Measured:
 
 @jax.custom_jvp
 def _foot(solid: Solid, point: Vector) -> Foot:
-    """Newton's method from the first-order step; no step is longer than that one."""
+    """Newton's method from the first-order step, its steps limited in length."""
     value, gradient = jax.value_and_grad(solid.level)(point)
     multiplier = value / _or_one(jnp.sum(gradient * gradient))
-    reach = jnp.abs(multiplier) * norm(*gradient)
+    reach = _REACH * jnp.abs(multiplier) * norm(*gradient)
 
-    def refine(_: Array | int, foot: Foot) -> Foot:
+    settled = _SETTLED * reach + _SETTLED_SIZE * norm(*point)
+
+    def unsettled(state: tuple[Array, Foot, Scalar]) -> Array:
+        return (state[0] < _MOST_ITERATIONS) & (state[2] > settled)
+
+    def refine(state: tuple[Array, Foot, Scalar]) -> tuple[Array, Foot, Scalar]:
+        iteration, foot, _ = state
         residual, jacobian = _linearised(solid, point, foot)
         step, _determinant = solve_4x4(jacobian, residual)
-        new = foot - step * jnp.minimum(1.0, reach / _or_one(norm(*step[:3])))
-        return jnp.where(jnp.all(jnp.isfinite(new)), new, foot)
+        step *= jnp.minimum(1.0, reach / _or_one(norm(*step[:3])))
+        finite = jnp.all(jnp.isfinite(step))
+        return iteration + 1, jnp.where(finite, foot - step, foot), jnp.where(finite, norm(*step[:3]), 0.0)
 
     start = jnp.concatenate([point - multiplier * gradient, multiplier[None]])
-    return lax.fori_loop(0, _ITERATIONS, refine, start)
+    return lax.while_loop(unsettled, refine, (jnp.zeros((), dtype=int), start, jnp.full((), jnp.inf)))[1]
 
 
 def _foot_jvp(primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector | SymbolicZero]) -> tuple[Foot, Foot]:

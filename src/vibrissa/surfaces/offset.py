@@ -23,6 +23,11 @@ class Offset(ExactSurface):
             raise ValueError(f"surface = {surface!r}; allowed is a surface")
         self.surface, self.radius = surface, positive(radius, "radius")
 
+    @property
+    def heavy(self) -> bool:
+        """As of the object."""
+        return self.surface.heavy
+
     def level(self, point: Point) -> Scalar:
         """Signed distance from the object, less the radius."""
         return self.surface.distance(point) - self.radius

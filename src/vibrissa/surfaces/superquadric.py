@@ -16,7 +16,9 @@ Scalar = Float[Array, ""]
 
 
 class Superquadric(Surface):
-    """Superellipsoid (|x/a|^(2/ε₂) + |y/b|^(2/ε₂))^(ε₂/ε₁) + |z/c|^(2/ε₁) < 1 about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` turns it.
+    r"""Superellipsoid about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` turns it.
+
+    The solid is :math:`(|x/a|^{2/ε_2} + |y/b|^{2/ε_2})^{ε_2/ε_1} + |z/c|^{2/ε_1} < 1`.
 
     The exponents (ε₁, ε₂), each above 0 and at most 2, shape the profile along z and the section across: towards 0 they give flat faces, 1 is round, 2 gives straight
     bevels. The solid is convex. Above 1 the curvature grows without limit towards the symmetry planes, so that a rod in contact there wants an `Offset`.

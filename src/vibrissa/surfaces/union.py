@@ -30,6 +30,11 @@ class Union(Surface):
                 raise ValueError(f"parts[{index}] = {part!r}; allowed is a surface")
         self.parts = tuple(parts)
 
+    @property
+    def heavy(self) -> bool:
+        """As of any part."""
+        return any(part.heavy for part in self.parts)
+
     def level(self, point: Point) -> Scalar:
         """The least of the parts' levels."""
         return reduce(_smaller, [part.level(point) for part in self.parts])

@@ -1,0 +1,6 @@
+"""Triangle meshes as smooth level functions: read, mended, divided at creases, sampled on a grid."""
+
+from vibrissa.surfaces.mesh.repair import Repairs
+from vibrissa.surfaces.mesh.surface import Mesh
+
+__all__ = ["Mesh", "Repairs"]

@@ -7,6 +7,7 @@ package does not have are left out.
 
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from time import perf_counter
 from typing import NamedTuple
 
@@ -59,7 +60,9 @@ def objects() -> dict[str, Callable[[], vb.surfaces.Surface]]:
         "Union": lambda: s.Union([s.Sphere(center=(-0.3, 0, 1.15), radius=0.5), s.Sphere(center=(0.3, 0.1, 1.15), radius=0.5)]),
         "Mesh": lambda: s.Mesh(*_ball_mesh()),
     }
-    return {name: build for name, build in every.items() if hasattr(s, name.split(",", maxsplit=1)[0])}
+    # Meshes need an extra.
+    missing = [] if find_spec("igl") else ["Mesh"]
+    return {name: build for name, build in every.items() if hasattr(s, name.split(",", maxsplit=1)[0]) and name not in missing}
 
 
 def figures(surface: vb.surfaces.Surface) -> Figures:

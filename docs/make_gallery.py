@@ -1,4 +1,4 @@
-"""Draw the gallery: `uv run --group gallery python docs/make_gallery.py [NAME ...]` writes one picture for each kind of object into docs/images/gallery.
+"""Draw the gallery: `uv run --group gallery --extra mesh python docs/make_gallery.py [NAME ...]` writes one picture for each kind of object into docs/images/gallery.
 
 An object is the zero of its level function within a box, as a mesh by marching cubes; parts of the rods behind it are found by the same function, and drawn faintly.
 """
@@ -14,6 +14,7 @@ mpl.use("Agg")
 
 import jax.numpy as jnp
 import numpy as np
+import trimesh
 from contourpy import contour_generator
 from jax import Array
 from matplotlib import pyplot as plt
@@ -68,6 +69,14 @@ def _two_drops(point: Array) -> Array:
     """Two balls that melt into one: a smooth least of their distances."""
     distances = [jnp.sqrt(jnp.sum((point - jnp.array(center)) ** 2)) - 0.32 for center in ((-0.28, -0.05, 1.05), (0.33, 0.1, 1.2))]
     return -0.12 * jnp.logaddexp(*(-distance / 0.12 for distance in distances))
+
+
+def _pebble() -> vb.surfaces.Surface:
+    """A ball of 1280 triangles, with dents."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    x, y, z = ball.vertices.T
+    stretch = 1 + 0.10 * np.sin(3 * x + 1) * np.cos(2.5 * y) + 0.08 * np.sin(3 * z)
+    return vb.surfaces.Mesh((0.62, 0.48, 0.5) * ball.vertices * stretch[:, None] + (0, 0, 1.15), ball.faces)
 
 
 def exhibits() -> dict[str, Exhibit]:
@@ -130,6 +139,7 @@ def exhibits() -> dict[str, Exhibit]:
         "torus": Exhibit(
             lambda: s.Torus(center=(0, 0, 1.0), axis=(0.2, 0.3, 1), major_radius=0.5, minor_radius=0.2), around, _raster(-0.35, 0.1, 0.45)
         ),
+        "mesh": Exhibit(_pebble, around, _raster(-0.2, 0.1, 0.3)),
         "union": Exhibit(
             lambda: s.Union([s.Sphere(center=(-0.3, 0, 1.15), radius=0.45), s.Sphere(center=(0.35, 0.1, 1.1), radius=0.35)]),
             around,

@@ -12,17 +12,19 @@ from vibrissa.surfaces.mesh.field import Field, Triangles, spline_level
 from vibrissa.surfaces.mesh.nodes import Grid, Surveyor, Tracked, chunked, sharp_neighbourhoods, track
 
 _MARGIN = 5
+_MANY_NODES = 1 << 20
 _MOST_NODES = 1 << 22
+_FINE = 0.6
 _FEWEST = 48
 _BAND = 2.5
 _STENCIL = 5.0
-_BLUR = 0.02
+_BLUR = 0.05
 _ROUNDING = 1e-9
 _CORNERS = tuple(np.ndindex(2, 2, 2))
 
 
 def build(sheet: Sheets, reach: float) -> Field:
-    """Sample the mesh on a grid; keep its triangles where the spline errs by more than a fiftieth of their chordal error within `reach` of the surface."""
+    """Sample the mesh on a grid; keep its triangles where the spline errs by more than a twentieth of their chordal error within `reach` of the surface."""
     grid = _grid(sheet, reach)
     reach = max(reach, _BAND * grid.spacing)
     surveyor = Surveyor(sheet)
@@ -40,18 +42,22 @@ def build(sheet: Sheets, reach: float) -> Field:
 
 
 def _grid(sheet: Sheets, reach: float) -> Grid:
-    """About one node an edge, but at least 48 along the diagonal and no more than four million in all."""
+    """About one node an edge, finer where that takes no more than a million, coarser where it would take more than four; at least 48 along the diagonal."""
     low, high = sheet.vertices.min(axis=0), sheet.vertices.max(axis=0)
     corners = sheet.vertices[sheet.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     edge = np.sqrt(area.sum() / len(area) * 4 / np.sqrt(3))
-    spacing = min(edge, np.linalg.norm(high - low) / _FEWEST)
-    while np.prod((high - low + 2 * reach) / spacing + 2 * _MARGIN + 1) > _MOST_NODES:
+
+    def nodes(spacing: float) -> float:
+        return float(np.prod((high - low + 2 * reach) / spacing + 2 * _MARGIN + 1))
+
+    spacing = float(min(_FINE * edge, np.linalg.norm(high - low) / _FEWEST))
+    while nodes(spacing) > _MOST_NODES or (nodes(spacing) > _MANY_NODES and spacing < edge):
         spacing *= 1.02
     margin = reach + _MARGIN * spacing
     size = np.ceil((high - low + 2 * margin) / spacing).astype(int) + 1
     # Not aligned with the mesh, so that planes of symmetry do not fall on nodes.
-    return Grid(low - margin - 0.31 * spacing * np.array([0.1, 0.2, 0.3]), float(spacing), tuple(size.tolist()))
+    return Grid(low - margin - 0.31 * spacing * np.array([0.1, 0.2, 0.3]), spacing, tuple(size.tolist()))
 
 
 def _capacity(count: int, least: int, factor: int) -> int:

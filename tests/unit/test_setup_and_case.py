@@ -108,10 +108,13 @@ def test_model_units_and_rasters(tmp_path: Path) -> None:
 
 
 def test_friction_and_a_finite_radius_are_taken_from_the_case(tmp_path: Path) -> None:
-    with_it = CASE.replace("[[trail]]", "[contact]\nfriction = 0.25\nfinite_radius = true\n\n[[trail]]", 1)
-    case, without = (vb.load_case(written(tmp_path, text)) for text in (with_it, CASE))
+    contact = "[contact]\nfriction = 0.25\nfinite_radius = true\n\n[[trail]]"
+    thick = CASE.replace("bending_stiffness = 6.3e-4", "bending_stiffness = 6.3e-4\nradius = 0.25e-3")
+    case, without = (vb.load_case(written(tmp_path, text)) for text in (thick.replace("[[trail]]", contact, 1), CASE))
     assert (case.friction, case.finite_radius) == (0.25, True)
     assert (without.friction, without.finite_radius) == (0.0, False)
+    message = refusal(vb.load_case, written(tmp_path, CASE.replace("[[trail]]", contact, 1)))
+    assert message == "contact.finite_radius = true: rod.radius is missing; allowed is a number greater than 0"
 
 
 TRAILS = {

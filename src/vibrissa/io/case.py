@@ -57,7 +57,7 @@ def load_case(path: str | Path) -> Case:
         trail = trails[0] if len(trails) == 1 else Trail.stack(trails)
         rod = table.rod.build()
         if table.contact.finite_radius and rod.radius is None:
-            raise InputError(f"{file}: contact.finite_radius = true: rod.radius is missing; allowed is a number greater than 0")
+            raise ValueError("contact.finite_radius = true: rod.radius is missing; allowed is a number greater than 0")
         return Case(rod, table.object.build(), trail, table.contact.friction, table.contact.finite_radius)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

@@ -13,7 +13,10 @@ from jaxtyping import Float, Shaped
 AnyArray = Array | np.ndarray
 
 WIDE = 64
-_BLOCKS = (1, 16, 1024)
+SIZES = (1, 16, 1024)
+"""Numbers of blocks for which kernels are compiled."""
+ONE_BY_ONE = (1,)
+"""The same for kernels that take long to compile and longer to run than a call costs."""
 
 
 def rounded_up(count: int) -> int:
@@ -21,14 +24,14 @@ def rounded_up(count: int) -> int:
     return max(256, 1 << (count - 1).bit_length())
 
 
-def runs(count: int, width: int) -> Iterator[tuple[int, int, int]]:
+def runs(count: int, width: int, sizes: tuple[int, ...] = SIZES) -> Iterator[tuple[int, int, int]]:
     """Divide rows into calls of a kernel: first row, last row + 1, and number of blocks."""
     first = 0
     while first < count:
         left = -(-(count - first) // width)
         # The smallest that holds the rest; the next smaller one again and again where that would mostly be filling.
-        blocks = next((size for size in _BLOCKS if size >= left), _BLOCKS[-1])
-        smaller = [size for size in _BLOCKS if size < blocks]
+        blocks = next((size for size in sizes if size >= left), sizes[-1])
+        smaller = [size for size in sizes if size < blocks]
         if smaller and left < blocks / 4:
             blocks = smaller[-1]
         last = min(count, first + blocks * width)
@@ -50,11 +53,13 @@ def from_blocks(blocks: Shaped[np.ndarray, "blocks ... width"], count: int) -> S
     return np.moveaxis(columns.reshape(*columns.shape[:-2], -1)[..., :count], -1, 0)
 
 
-def in_blocks(kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "count ..."], width: int = WIDE) -> Float[np.ndarray, "count ..."]:
+def in_blocks(
+    kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "count ..."], width: int = WIDE, sizes: tuple[int, ...] = SIZES
+) -> Float[np.ndarray, "count ..."]:
     """Apply a compiled kernel of blocks (blocks, …, width) to rows (count, …)."""
     count = len(rows[0])
     out: np.ndarray | None = None
-    for first, last, blocks in runs(count, width):
+    for first, last, blocks in runs(count, width, sizes):
         part = from_blocks(np.asarray(kernel(*(to_blocks(part[first:last], width, blocks) for part in rows))), last - first)
         if first == 0 and last == count:
             return part

@@ -3,6 +3,8 @@
 The tip may touch first, or the flank, where the rod meets the object tangentially.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -19,8 +21,19 @@ _SAMPLES = 16
 _REFINEMENTS = 16
 
 
-def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
-    """Smallest first-order distance [L] of the straight rod from the object, negative where it enters, and the arc length [L] where.
+class Clearance(NamedTuple):
+    """How near the straight rod comes to the object."""
+
+    distance: Scalar
+    """Smallest first-order distance [L], negative where it enters."""
+    arc_length: Scalar
+    """Where that is [L]."""
+    at_clamp: Scalar
+    """Level at the clamp."""
+
+
+def clearance(scene: Scene, clamp: Clamp) -> Clearance:
+    """Clearance of the straight rod.
 
     The level function is sampled at 17 points; the lowest is refined by Newton's method on its derivative along the rod.
     """
@@ -29,7 +42,8 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
         return level(scene, clamp.point + s * clamp.tangent)
 
     samples = [jnp.asarray(index / _SAMPLES) for index in range(_SAMPLES + 1)]
-    s = _lowest_sample(samples, levels(scene, [clamp.point + sample * clamp.tangent for sample in samples]))
+    sampled = levels(scene, [clamp.point + sample * clamp.tangent for sample in samples])
+    s = _lowest_sample(samples, sampled)
     low, high = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
     slope = jax.grad(along)
 
@@ -43,10 +57,10 @@ def clearance(scene: Scene, clamp: Clamp) -> tuple[Scalar, Scalar]:
 
     refined, _, _ = lax.fori_loop(0, _REFINEMENTS, refine, (s, low, high))
     if scene.surface.heavy:
-        return _nearer_in_loop(scene, clamp, jnp.stack([refined, s]))
+        return Clearance(*_nearer_in_loop(scene, clamp, jnp.stack([refined, s])), sampled[0])
     s = jnp.where(along(refined) <= along(s), refined, s)
     value, gradient = jax.value_and_grad(level, argnums=1)(scene, clamp.point + s * clamp.tangent)
-    return value / jnp.sqrt(jnp.sum(gradient * gradient)), s
+    return Clearance(value / jnp.sqrt(jnp.sum(gradient * gradient)), s, sampled[0])
 
 
 def _lowest_sample(samples: list[Scalar], values: list[Scalar]) -> Scalar:
@@ -71,8 +85,8 @@ def clearances(
     """Clearance of the straight rod and level at the clamp, for blocks of poses."""
 
     def one(point: Float[Array, "3"], tangent: Float[Array, "3"]) -> Float[Array, "2"]:
-        distance, _ = clearance(scene, Clamp(point, tangent))
-        return jnp.stack([distance, level(scene, point)])
+        found = clearance(scene, Clamp(point, tangent))
+        return jnp.stack([found.distance, found.at_clamp])
 
     return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (point, tangent))
 
@@ -88,7 +102,8 @@ def first_contacts(
 
     def one(ends: Float[Array, "14"], distances: Float[Array, "2"]) -> Float[Array, "6"]:
         def distance(fraction: Scalar, _: Scalar) -> tuple[Scalar, Scalar]:
-            return clearance(scene, clamp_between(ends, fraction))
+            found = clearance(scene, clamp_between(ends, fraction))
+            return found.distance, found.arc_length
 
         zero, full = jnp.zeros(()), jnp.ones(())
         fraction, s = bracketed_root(distance, (zero, full), (distances[0], distances[1]), (zero, zero))

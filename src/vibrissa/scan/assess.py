@@ -11,7 +11,7 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastic_line import bent_part, contact_tangent
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, bending_energy, largest_curvature
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Clamp, Scene, contact_state, level, levels, phase_difference
+from vibrissa.scan.equations import Clamp, Scene, contact_state, levels, phase_difference
 from vibrissa.scan.friction import SIZE, UNKNOWNS, outside_cone, rubbing_state
 
 Scalar = Float[Array, ""]
@@ -42,6 +42,9 @@ class Assessment(NamedTuple):
 WIDTH = 25
 """Numbers in one assessment, in the order above."""
 
+ENERGY = 11
+"""Its column of the energy."""
+
 _DEPTH = 15
 _TAIL_POINTS = 9
 
@@ -57,18 +60,22 @@ class Line(NamedTuple):
     tangent: Vector
     plane: BasePlane
     rod: ContactOnRod
+    steepness: Scalar
+    """‖∇g‖ at the contact."""
 
 
 def assess(scene: Scene, x: Float[Array, "size"], clamp: Clamp) -> tuple[Assessment, Line]:
     """Reactions, energy and residual of a state at a clamp pose, without the depth: x = (p, f), or the eleven numbers of `friction`."""
     if x.shape[0] == SIZE:
         rubbing = rubbing_state(scene, x[:UNKNOWNS], clamp)
-        n, d, r, plane, rod = rubbing.normal, rubbing.direction, rubbing.to_contact, rubbing.plane, rubbing.rod
+        n, d, r, plane, rod, steepness = (
+            rubbing.normal, rubbing.direction, rubbing.to_contact, rubbing.plane, rubbing.rod, rubbing.steepness,
+        )  # fmt: skip
         # The law itself needs the step before; the force's place in the cone does not.
         residual, phase = jnp.max(jnp.abs(rubbing.conditions)) + outside_cone(scene, x[4:UNKNOWNS], n), rubbing.phase
     else:
         state = contact_state(scene, x, clamp)
-        n, d, r, plane, rod = state.normal, state.normal, state.to_contact, state.plane, state.rod
+        n, d, r, plane, rod, steepness = state.normal, state.normal, state.to_contact, state.plane, state.rod, state.steepness
         residual, phase = jnp.max(jnp.abs(state.residual)), phase_difference(rod)
     f = x[3]
     # r × F + m0 = 0: one contact carries no couple.
@@ -81,7 +88,7 @@ def assess(scene: Scene, x: Float[Array, "size"], clamp: Clamp) -> tuple[Assessm
         x[:3], f, n, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(plane, rod, f), phase, residual, jnp.zeros_like(f),
         tangent, plane_normal, d,
     )  # fmt: skip
-    return assessment, Line(x[:3], f, d, side, tangent, plane, rod)
+    return assessment, Line(x[:3], f, d, side, tangent, plane, rod, steepness)
 
 
 def _points(line: Line) -> tuple[list[Vector], list[Vector]]:
@@ -100,8 +107,7 @@ def _depth(scene: Scene, line: Line) -> Scalar:
     bend, tail = _points(line)
     found = levels(scene, bend + tail)
     lowest = jnp.minimum(_lowest(found[: len(bend)]), _lowest(found[len(bend) :]))
-    gradient = jax.grad(level, argnums=1)(scene, line.point)
-    return -lowest / jnp.sqrt(jnp.sum(gradient * gradient))
+    return -lowest / line.steepness
 
 
 def _deepest(scene: Scene, line: Line) -> Vector:

@@ -9,14 +9,17 @@ L, forces in EI/L². The line of the force fixes the lever arm, and with it the 
     min(1 − s₁, ½ − k²) = 0               tip contact, or the rod tangent to the object: no phase logic.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, base_plane, contact_on_rod
+from vibrissa.numerics.blocks import ONE_BY_ONE, SIZES, WIDE, in_blocks
 from vibrissa.numerics.compiled import operation_count
 from vibrissa.numerics.linear import solve_4x4
 from vibrissa.surfaces import Surface
@@ -33,6 +36,17 @@ class Scene(NamedTuple):
     length: Float[Array, ""] | float
     friction: Float[Array, ""] | float = 0.0
 
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of blocks for which kernels are compiled."""
+        return ONE_BY_ONE if self.surface.heavy else SIZES
+
+    def in_blocks(
+        self, kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "count ..."], width: int = WIDE
+    ) -> Float[np.ndarray, "count ..."]:
+        """Apply a compiled kernel of the scene and of blocks (blocks, …, width) to rows (count, …)."""
+        return in_blocks(lambda *parts: kernel(self, *parts), *rows, width=width, sizes=self.sizes)
+
 
 class Clamp(NamedTuple):
     """Clamp point [L] and unit tangent of the rod there."""
@@ -48,6 +62,8 @@ class ContactState(NamedTuple):
     gap: Scalar
     """First-order distance of the contact point from the object [L]."""
     normal: Vector
+    steepness: Scalar
+    """‖∇g‖ at the contact."""
     to_contact: Vector
     """r = p − P0 [L]."""
     plane: BasePlane
@@ -92,7 +108,7 @@ def contact_state(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0)
     out_of_plane = jnp.dot(r, jnp.cross(clamp.tangent, n))
     phase = jnp.minimum(1 - rod.arc_length, 0.5 - rod.modulus)
     residual = jnp.stack([gap, out_of_plane, r_n + rod.advance, phase])
-    return ContactState(residual, gap, n, r, plane, rod)
+    return ContactState(residual, gap, n, steepness, r, plane, rod)
 
 
 def phase_difference(rod: ContactOnRod) -> Scalar:

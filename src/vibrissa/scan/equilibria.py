@@ -126,17 +126,7 @@ def _solutions(
     if not len(seeds):
         return []
     clamp = np.concatenate([point, axis])
-    seeds = eased(scene, seeds, np.broadcast_to(clamp, (len(seeds), 6)), inflections)
-    clamps = np.broadcast_to(clamp, (len(seeds), 6))
-    ends = solved_from(scene, seeds, clamps, inflections)[:, :4]
-    again = solved_from(scene, ends, clamps, inflections)[:, :4]
-    # Where more steps change nothing, and the rod is pushed.
-    rows = ends[np.isfinite(ends).all(axis=1) & (np.abs(again - ends).max(axis=1) < _CONVERGED) & (ends[:, 3] > 0)]
-    distinct: list[Float[np.ndarray, 4]] = []
-    for row in rows:
-        if all(np.abs(row - other).max() > _SAME for other in distinct):
-            distinct.append(row)
-    return distinct
+    return list(solved_from(scene, eased(scene, seeds, clamp, inflections), clamp, inflections).distinct(clamp).x)
 
 
 def _described(rod: Rod, scene: Scene, pose: Trail, x: Float[np.ndarray, "4"], inflections: int) -> Equilibrium | None:

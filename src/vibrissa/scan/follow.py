@@ -5,18 +5,20 @@ The branch is followed by its arc length, so that it can be seen to turn back (f
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jaxtyping import Float
+from jax import Array, lax
+from jaxtyping import Float, Int
 from scipy.optimize import brentq
 
 from vibrissa.contacts import Status
 from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.assess import assess
+from vibrissa.numerics.linear import solve_pivoted
+from vibrissa.scan.assess import ENERGY, assess_blocks
 from vibrissa.scan.equations import Scene, contact_state, phase_difference
 from vibrissa.scan.events import EventKind
 from vibrissa.scan.landing import (
@@ -33,9 +35,12 @@ from vibrissa.scan.landing import (
 )
 from vibrissa.scan.locate import ROUNDING, polished
 from vibrissa.scan.march import Mode
-from vibrissa.scan.path import clamp_between
+from vibrissa.scan.path import clamp_between, pose_between
 
 _CONVERGED = 1e-12
+_NO_STEP = 1e-15
+_SOUND = 1e-9
+_ONWARD = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
 _ITERATIONS = 12
 _FIRST_STEP = 0.01
 _LONGEST_STEP = 0.03
@@ -70,20 +75,51 @@ class _End:
     at: Branch
 
 
+class _Corrected(NamedTuple):
+    """Newton's method on a plane across the branch, in numbers that NumPy unpacks: y, largest miss, phase difference and Jacobian (4, 5) there."""
+
+    y: Array
+    step: Array
+    miss: Array
+    iteration: Array
+    phase: Array
+    jacobian: Array
+
+
 @compiled
-def _linearised(scene: Scene, stretch: Float[AnyArray, "14"], y: Float[AnyArray, "5"]) -> Float[Array, "25"]:
-    def conditions(y: Float[Array, "5"]) -> tuple[Float[Array, "4"], Float[Array, "5"]]:
-        state = contact_state(scene, y[:4], clamp_between(jnp.asarray(stretch), y[4]))
-        return state.residual, jnp.append(state.residual, phase_difference(state.rod))
+def _corrected(
+    scene: Scene,
+    stretch: Float[AnyArray, "14"],
+    guess: Float[AnyArray, "5"],
+    normal: Float[AnyArray, "5"],
+    weights: Float[AnyArray, "5"],
+    most: int | Int[Array, ""],
+) -> Float[Array, "27"]:
+    """At most that many steps from the guess on the plane through it with the given normal, in weighted coordinates; none evaluates the guess."""
+    stretch, guess, normal, weights = (jnp.asarray(part) for part in (stretch, guess, normal, weights))
 
-    jacobian, values = jax.jacfwd(conditions, has_aux=True)(y)
-    return jnp.concatenate([values, jacobian.ravel()])
+    def conditions(y: Float[Array, "5"]) -> tuple[Float[Array, "4"], tuple[Float[Array, "4"], Float[Array, ""]]]:
+        state = contact_state(scene, y[:4], clamp_between(stretch, y[4]))
+        return state.residual, (state.residual, phase_difference(state.rod))
 
+    def unfinished(at: _Corrected) -> Array:
+        moves = (at.miss >= _CONVERGED) & (jnp.max(jnp.abs(at.step * weights)) >= _NO_STEP)
+        return (at.iteration == 0) | ((at.iteration <= most) & moves & jnp.isfinite(at.miss))
 
-@jax.jit
-def _energy(scene: Scene, stretch: Float[Array, "14"], y: Float[Array, "5"]) -> Float[Array, ""]:
-    assessment, _ = assess(scene, y[:4], clamp_between(stretch, y[4]))
-    return assessment.energy
+    def refine(at: _Corrected) -> _Corrected:
+        y = at.y - at.step
+        jacobian, (residual, phase) = jax.jacfwd(conditions, has_aux=True)(y)
+        right = jnp.append(residual, jnp.dot(normal, (y - guess) * weights))
+        step = solve_pivoted(jnp.concatenate([jacobian / weights, normal[None]]), right) / weights
+        return _Corrected(y, step, jnp.max(jnp.abs(right)), at.iteration + 1, phase, jacobian)
+
+    zero = jnp.zeros(())
+    start = _Corrected(guess, jnp.zeros(5), zero, jnp.zeros((), dtype=int), zero, jnp.zeros((4, 5)))
+    end = lax.while_loop(unfinished, refine, start)
+    last = jnp.where(most > 0, end.step, 0.0)
+    sound = (end.miss < _CONVERGED) | ((end.miss < _SOUND) & (jnp.max(jnp.abs(end.step * weights)) < _NO_STEP))
+    # The last step is taken too: where the conditions leave the point free it leads astray.
+    return jnp.concatenate([end.y - last, jnp.where(sound, end.miss, jnp.inf)[None], end.phase[None], end.jacobian.ravel()])
 
 
 class Tracker:
@@ -95,50 +131,37 @@ class Tracker:
         self._weights = np.array([1.0, 1.0, 1.0, _FORCE_WEIGHT / max(1.0, force / _LARGE_FORCE), max(motion, 1e-6)])
         self._inverse_weights = 1 / self._weights
 
-    def _linear(self, y: Point5) -> tuple[Float[np.ndarray, "4"], float, Float[np.ndarray, "4 5"]]:
-        values = np.asarray(_linearised(self._scene, self._stretch, y))
-        return values[:4], float(values[4]), values[5:].reshape(4, 5)
-
     def at(self, y: Point5, ahead: Point5 | None = None) -> Branch | None:
         """Branch point at y, its tangent towards `ahead` (default: forward on the stretch)."""
-        _, phase, jacobian = self._linear(y)
+        return self._branch(self._solved(y, _ONWARD, 0), ahead)
+
+    def _solved(self, guess: Point5, normal: Point5, most: int = _ITERATIONS) -> Float[np.ndarray, "27"]:
+        return np.asarray(_corrected(self._scene, self._stretch, guess, normal, self._weights, most))
+
+    def _branch(self, solved: Float[np.ndarray, "27"], ahead: Point5 | None) -> Branch | None:
+        y, phase, jacobian = solved[:5], float(solved[6]), solved[7:].reshape(4, 5)
         if not np.all(np.isfinite(jacobian)):
             return None
         tangent = np.linalg.svd(jacobian * self._inverse_weights)[2][-1]
         onward = tangent[4] if ahead is None else tangent @ ahead
         return Branch(y, tangent if onward > 0 else -tangent, float(np.linalg.det(jacobian[:, :4])), phase)
 
-    def corrected(self, guess: Point5, normal: Point5) -> Point5 | None:
+    def _on_plane(self, guess: Point5, normal: Point5) -> Float[np.ndarray, "27"] | None:
         """Newton's method on the plane through the guess whose normal is given (weighted coordinates); None without convergence."""
-        y = guess
-        for _ in range(_ITERATIONS):
-            residual, _, jacobian = self._linear(y)
-            offset = normal @ ((y - guess) * self._weights)
-            bordered = np.vstack([jacobian * self._inverse_weights, normal])
-            right = np.append(residual, offset)
-            if not np.all(np.isfinite(bordered)) or not np.all(np.isfinite(right)):
-                return None
-            try:
-                step = np.linalg.solve(bordered, right) * self._inverse_weights
-            except np.linalg.LinAlgError:
-                return None
-            y = y - step
-            if np.abs(right).max() < _CONVERGED or np.abs(step * self._weights).max() < 1e-15:
-                return y if np.abs(right).max() < 1e-9 else None
-        return None
+        solved = self._solved(guess, normal)
+        return solved if np.isfinite(solved[:6]).all() else None
 
-    def at_fraction(self, guess: Point5, fraction: float) -> Point5 | None:
+    def at_fraction(self, guess: Point5, fraction: float, ahead: Point5 | None = None) -> Branch | None:
         """Equilibrium at a given fraction of the stretch."""
-        start = guess.copy()
-        start[4] = fraction
-        return self.corrected(start, np.array([0.0, 0.0, 0.0, 0.0, 1.0]))
+        solved = self._on_plane(np.append(guess[:4], fraction), _ONWARD)
+        return None if solved is None else self._branch(solved, ahead)
 
     def along(self, start: Branch, step: float) -> Branch | None:
         """Branch point one step of arc length on."""
-        y = self.corrected(start.y + step * start.tangent * self._inverse_weights, start.tangent)
-        if y is None or np.abs((y - start.y) * self._weights).max() > 3 * step:
+        solved = self._on_plane(start.y + step * start.tangent * self._inverse_weights, start.tangent)
+        if solved is None or np.abs((solved[:5] - start.y) * self._weights).max() > 3 * step:
             return None
-        return self.at(y, start.tangent)
+        return self._branch(solved, start.tangent)
 
     def root(self, start: Branch, step: float, figure: Callable[[Branch], float]) -> Branch:
         """Branch point between `start` and one step on at which a figure of opposite signs there is zero."""
@@ -196,15 +219,15 @@ class Tracker:
 
     def _arrival(self, here: Branch, following: Branch) -> Branch | None:
         """The branch point at the end of the stretch, between two others."""
-        y = self.at_fraction(here.y + (following.y - here.y) * (1 - here.y[4]) / (following.y[4] - here.y[4]), 1.0)
-        return None if y is None else self.at(y, here.tangent)
+        between = here.y + (following.y - here.y) * (1 - here.y[4]) / (following.y[4] - here.y[4])
+        return self.at_fraction(between, 1.0, here.tangent)
 
     def _beyond(self, here: Branch) -> Branch | None:
         """Past a corner of the branch, where the phases meet or the object's curvature jumps: the equilibrium near by and a little further on, if there is one."""
         for ahead in _LOOKS_AHEAD:
-            y = self.at_fraction(here.y, min(here.y[4] + ahead, 1.0))
-            if y is not None and np.abs((y - here.y) * self._weights).max() < _NEAR and y[3] >= 0:
-                return self.at(y)
+            there = self.at_fraction(here.y, min(here.y[4] + ahead, 1.0))
+            if there is not None and np.abs((there.y - here.y) * self._weights).max() < _NEAR and there.y[3] >= 0:
+                return there
         return None
 
     def _changes(
@@ -279,7 +302,7 @@ def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, en
     outcome.happened.append((EventKind.SNAP, fraction, last[:3]))
     if clearance_at(scene, stretch, fraction) >= CLEAR:
         return None, fraction
-    found = settled_on(scene, stretch, fraction, float(_energy(scene, stretch, last)) - ENERGY_MARGIN, [last[:3]])
+    found = settled_on(scene, stretch, fraction, _energy(scene, stretch, last) - ENERGY_MARGIN, [last[:3]])
     here = None if found is None else tracker.at(np.append(found.x, fraction))
     if here is not None:
         return here, fraction
@@ -287,6 +310,11 @@ def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, en
         # What is left of the contact ends before the next position.
         return None, 1.0
     raise _LostOnTheWayError
+
+
+def _energy(scene: Scene, stretch: Float[np.ndarray, "14"], y: Point5) -> float:
+    pose = np.concatenate(pose_between(stretch, y[4:]))
+    return float(scene.in_blocks(assess_blocks, y[None, :4], pose[None])[0, ENERGY])
 
 
 def _begun(

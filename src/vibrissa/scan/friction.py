@@ -40,6 +40,8 @@ class RubbingState(NamedTuple):
 
     conditions: Float[Array, "4"]
     normal: Vector
+    steepness: Scalar
+    """‖∇g‖ at the contact."""
     direction: Vector
     """d, unit vector of the contact force on the rod."""
     to_contact: Vector
@@ -87,7 +89,7 @@ def rubbing_state(scene: Scene, y: Float[Array, "7"], clamp: Clamp) -> RubbingSt
             jnp.minimum(1 - rod.arc_length, away),
         ]
     )
-    return RubbingState(conditions, n, d, r, side, tangent, plane, rod, (1 - rod.arc_length) - away)
+    return RubbingState(conditions, n, steepness, d, r, side, tangent, plane, rod, (1 - rod.arc_length) - away)
 
 
 def rub(scene: Scene, y: Float[Array, "7"], clamp: Clamp, before: Float[Array, "11"]) -> Rub:

@@ -3,20 +3,16 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Float
 
 from vibrissa.contacts import Status
-from vibrissa.numerics.blocks import in_blocks
-from vibrissa.scan.approach import clearance, first_contacts
+from vibrissa.scan.approach import clearances, first_contacts
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import EventKind
 from vibrissa.scan.locate import WIDTH as EVENT_LANES
 from vibrissa.scan.march import Mode
-from vibrissa.scan.path import clamp_between, pose_between, shortened
+from vibrissa.scan.path import pose_between, shortened
 from vibrissa.scan.search import Equilibrium, stable_equilibria
 
 HEAD_ON_COSINE = -1 + 1e-9
@@ -44,16 +40,10 @@ class Outcome:
     status: Status = Status.OK
 
 
-@jax.jit
-def _straight(scene: Scene, stretch: Float[Array, "14"], fraction: Float[Array, ""]) -> Float[Array, "7"]:
-    distance, _ = clearance(scene, clamp_between(stretch, fraction))
-    clamp = clamp_between(stretch, fraction)
-    return jnp.concatenate([distance[None], clamp.point, clamp.tangent])
-
-
 def clearance_at(scene: Scene, stretch: Float[np.ndarray, "14"], fraction: float) -> float:
     """Clearance of the straight rod [L]."""
-    return float(_straight(scene, jnp.asarray(stretch), jnp.asarray(fraction))[0])
+    point, tangent = pose_between(stretch, np.array([fraction]))
+    return float(scene.in_blocks(clearances, point[None], tangent[None])[0, 0])
 
 
 class FirstContact(NamedTuple):
@@ -71,9 +61,7 @@ def first_contact_on(scene: Scene, stretch: Float[np.ndarray, "14"], fraction: f
     if distances[1] >= CLEAR:
         return None
     rest = shortened(stretch, np.asarray(fraction), np.asarray(1.0))
-    share, *point, s, cosine = in_blocks(
-        lambda *parts: first_contacts(scene, *parts), rest[None, :], distances[None, :], width=EVENT_LANES
-    )[0]
+    share, *point, s, cosine = scene.in_blocks(first_contacts, rest[None, :], distances[None, :], width=EVENT_LANES)[0]
     at = float(fraction + (1 - fraction) * share)
     if cosine < HEAD_ON_COSINE:
         outcome.happened.append((EventKind.HEAD_ON, at, np.array(point)))
@@ -88,8 +76,8 @@ def settled_on(
     scene: Scene, stretch: Float[np.ndarray, "14"], fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
 ) -> Equilibrium | None:
     """The stable equilibrium without friction of least energy, if that is below `energy`."""
-    pose = np.asarray(_straight(scene, jnp.asarray(stretch), jnp.asarray(fraction)))
-    found = stable_equilibria(scene, pose[1:4], pose[4:], near)
+    point, tangent = pose_between(stretch, np.array([fraction]))
+    found = stable_equilibria(scene, point, tangent, near)
     return found[0] if found and found[0].energy < energy else None
 
 

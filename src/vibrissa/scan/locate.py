@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.numerics.blocks import AnyArray, in_blocks
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.bracket import bracketed_root
 from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.equations import Scene, contact_state, newton_step
@@ -97,7 +97,7 @@ def polished(
     """Changes of phase by Newton's method on (x, fraction) with s₁ = 1 and k² = ½ both imposed, and where that converged near its start."""
     start, residual = y, np.full(len(y), np.inf)
     for _ in range(_POLISHING_STEPS):
-        values = in_blocks(lambda *parts: _change_conditions(scene, *parts), stretches, y, width=WIDTH)
+        values = scene.in_blocks(_change_conditions, stretches, y, width=WIDTH)
         jacobian = values[:, 5:].reshape(-1, 5, 5)
         regular = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0)
         jacobian = np.where(regular[:, None, None], jacobian, np.eye(5))
@@ -129,6 +129,6 @@ def roots(
     polish(np.flatnonzero(changes))
     left = np.flatnonzero(~done)
     if left.size:
-        found[left] = in_blocks(lambda *parts: locate(scene, *parts), stretches[left], ends[left], indicator[left], width=WIDTH)
+        found[left] = scene.in_blocks(locate, stretches[left], ends[left], indicator[left], width=WIDTH)
         polish(left[changes[left]])
     return found

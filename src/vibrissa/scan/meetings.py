@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.geometry.rotation import lengths
-from vibrissa.numerics.blocks import in_blocks
 from vibrissa.scan.approach import clearances, first_contacts
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.landing import CLEAR, HEAD_ON_COSINE
@@ -35,7 +34,7 @@ def along_trails(scene: Scene, path: Path) -> tuple[Float[np.ndarray, "m n"], Fl
     """Clearance of the straight rod, and level at the clamp, at all positions."""
     shape = path.point.shape[:2]
     poses = (path.point.reshape(-1, 3), path.tangent.reshape(-1, 3))
-    values = in_blocks(lambda *parts: clearances(scene, *parts), *poses)
+    values = scene.in_blocks(clearances, *poses)
     return values[:, 0].reshape(shape), values[:, 1].reshape(shape)
 
 
@@ -51,7 +50,7 @@ def first_meetings(scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], dis
         return Meetings(lane, index, none, np.zeros((0, 3)), none, none, np.zeros((0, 3)))
     distances = np.column_stack([distance[lane, index - 1], blocked])
     stretches = shortened(stretch(path, lane, index), np.zeros(len(lane)), whole)
-    found = in_blocks(lambda *parts: first_contacts(scene, *parts), stretches, distances, width=EVENT_LANES)
+    found = scene.in_blocks(first_contacts, stretches, distances, width=EVENT_LANES)
     found = np.column_stack([found[:, 0] * whole, found[:, 1:]])
     cosine = found[:, 5]
     bends = cosine > HEAD_ON_COSINE
@@ -73,7 +72,7 @@ def _passed_through(
         return lane, step, np.zeros(0), np.zeros(0)
     fractions = np.arange(1, _LOOKS) / _LOOKS
     poses = pose_between(stretch(path, lane, step + 1)[:, None], fractions[:, None])
-    within = in_blocks(lambda *parts: clearances(scene, *parts), *(part.reshape(-1, 3) for part in poses))[:, 0].reshape(len(lane), -1)
+    within = scene.in_blocks(clearances, *(part.reshape(-1, 3) for part in poses))[:, 0].reshape(len(lane), -1)
     hit = np.flatnonzero((within < CLEAR).any(axis=1))
     first = np.argmax(within[hit] < CLEAR, axis=1)
     return lane[hit], step[hit] + 1, fractions[first], within[hit, first]

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from vibrissa.contacts import Status
 from vibrissa.mechanics.elastica import bending_energy
-from vibrissa.numerics.blocks import AnyArray, in_blocks
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.bracket import bracketed_root
 from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.equations import Clamp, Scene
@@ -208,7 +208,7 @@ def roots_rubbing(
     scene: Scene, stretches: Float[np.ndarray, "k 14"], ends: Float[np.ndarray, "k 26"], indicator: Int[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k 12"]:
     """Fraction and state where the indicator is zero, each a step from the state at the first end."""
-    found = in_blocks(lambda *parts: _locate(scene, *parts), stretches, ends, indicator, width=EVENT_LANES)
+    found = scene.in_blocks(_locate, stretches, ends, indicator, width=EVENT_LANES)
     # Where a step on the way does not converge, as next to a contact that jumps, what lies between the ends in proportion.
     before, after = ends[:, 12], ends[:, 25]
     share = (before / np.where(before == after, 1.0, before - after))[:, None]

@@ -5,7 +5,6 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Motion, Status
 from vibrissa.geometry.checks import not_negative
-from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.assess import WIDTH as ASSESSED
@@ -92,7 +91,7 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     if contact.any():
         rows = np.flatnonzero(contact)
         clamps = np.concatenate([point[contact], tangent[contact]], axis=-1)
-        values = in_blocks(lambda *parts: assess_blocks(scene, *parts), x[contact], clamps)
+        values = scene.in_blocks(assess_blocks, x[contact], clamps)
         for column, value in zip(columns, values.T, strict=True):
             column[rows] = value
     fields = np.moveaxis(columns.reshape(ASSESSED, *mode.shape), 0, -1)
@@ -140,7 +139,7 @@ def _second_contacts(
     places = np.full(point.shape, np.nan)
     if wrong.any():
         clamps = np.concatenate([point[wrong], tangent[wrong]], axis=-1)
-        deepest = in_blocks(lambda *parts: deepest_blocks(scene, *parts), x[wrong], clamps) * scene.length
+        deepest = scene.in_blocks(deepest_blocks, x[wrong], clamps) * scene.length
         places[wrong] = scene.surface.foot(deepest) if isinstance(scene.surface, Offset) else deepest
     return places
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Int
 
-from vibrissa.numerics.blocks import in_blocks
+from vibrissa.numerics.blocks import WIDE, AnyArray, from_blocks, runs, to_blocks
 from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.assess import assess_blocks
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
@@ -23,11 +24,16 @@ _INWARD = 1e-4
 _SIDES = 8
 _EVERY = 6
 _FORCES = (0.05, 0.5, 1.5, 4.0)
-_ITERATIONS = 40
+# Steps of Newton's method at a time, and how often.
+_STEPS, _ROUNDS = 8, 5
+# Residual before a step of quadratic convergence that changes nothing more.
+_SETTLED = 1e-9
 _SAME = 1e-6
 # Radius [L] of the thickest rod by whose way an edge is found, and how far [L] from the clamp a contact may lie on the way.
 _THICKEST = 0.1
 _REACH = 1.2
+_ASTRAY = 3.0
+_MANY = 1024
 DEPTH_TOLERANCE = 1e-7
 """Depth [L] up to which the elastic line may enter the object: the error of its sampling."""
 
@@ -53,20 +59,19 @@ def stable_equilibria(
     seeds = seeds_around(scene, point, tangent, near, _FORCES)
     if not len(seeds):
         return []
-    clamps = np.broadcast_to(np.concatenate([point, tangent]), (len(seeds), 6))
-    seeds = eased(scene, seeds, clamps)
-    clamps = np.broadcast_to(clamps[0], (len(seeds), 6))
-    solved = solved_from(scene, seeds, clamps)
-    assessed = in_blocks(lambda *parts: assess_blocks(scene, *parts), solved[:, :4], clamps)
-    rows = np.concatenate([solved, assessed], axis=1)
-    x, determinant = rows[:, :4], rows[:, 4]
-    arc_length, energy, phase, residual, depth = (rows[:, 5 + column] for column in (7, 11, 13, 14, 15))
-    good = (residual < DEPTH_TOLERANCE) & (depth < DEPTH_TOLERANCE) & (x[:, 3] > 0) & (determinant < 0) & (arc_length < 1 + DEPTH_TOLERANCE)
-    found: list[Equilibrium] = []
-    for row in np.flatnonzero(good)[np.argsort(energy[good])]:
-        if all(np.abs(x[row] - other.x).max() > _SAME for other in found):
-            found.append(Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row])))
-    return found
+    clamp = np.concatenate([point, tangent])
+    solved = solved_from(scene, eased(scene, seeds, clamp), clamp).distinct(clamp)
+    stable = solved.determinant < 0
+    x, determinant = solved.x[stable], solved.determinant[stable]
+    if not len(x):
+        return []
+    assessed = scene.in_blocks(assess_blocks, x, np.broadcast_to(clamp, (len(x), 6)))
+    arc_length, energy, phase, residual, depth = (assessed[:, column] for column in (7, 11, 13, 14, 15))
+    good = (residual < DEPTH_TOLERANCE) & (depth < DEPTH_TOLERANCE) & (arc_length < 1 + DEPTH_TOLERANCE)
+    return [
+        Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row]))
+        for row in np.flatnonzero(good)[np.argsort(energy[good])]
+    ]
 
 
 def seeds_around(
@@ -87,12 +92,12 @@ def seeds_around(
     sine = np.sqrt(1 - cosine**2)
     rays = cosine[:, None] * tangent + (sine * np.cos(azimuth))[:, None] * first + (sine * np.sin(azimuth))[:, None] * second
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
-    values = np.asarray(_levels(scene, point + distance[None, :, None] * rays[:, None, :]))
+    values = _levels(scene, point + distance[None, :, None] * rays[:, None, :])
     enters = (values[:, 1:] < 0) & (values[:, :-1] >= 0)
     ray, sample = np.nonzero(enters)
     meets = _crossing(values, ray, sample, distance)
     along = point + distance[:, None] * tangent
-    own = np.asarray(_levels(scene, along[None]))
+    own = _levels(scene, along[None])
     inside = along[own[0] < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
@@ -123,26 +128,58 @@ def _way_out(scene: Scene, bases: Float[np.ndarray, "bases 3"], sideways: Float[
         return np.zeros((0, 3))
     distance = np.arange(_RAY_SAMPLES // 2 + 1) / _RAY_SAMPLES
     starts, directions = np.repeat(bases, len(sideways), axis=0), np.tile(sideways, (len(bases), 1))
-    values = np.asarray(_levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None]))
+    values = _levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None])
     ray, sample = np.nonzero((values[:, :-1] < 0) & (values[:, 1:] >= 0))
     return np.asarray(starts[ray] + _crossing(values, ray, sample, distance)[:, None] * directions[ray])
 
 
-@jax.jit
-def _levels(scene: Scene, points: Float[Array, "rays samples 3"]) -> Float[Array, "rays samples"]:
-    return jax.vmap(jax.vmap(lambda point: level(scene, point)))(points)
+def _levels(scene: Scene, points: Float[np.ndarray, "rays samples 3"]) -> Float[np.ndarray, "rays samples"]:
+    return scene.in_blocks(_level_blocks, points.reshape(-1, 3), width=_MANY)[:, 0].reshape(points.shape[:2])
 
 
-def solved_from(
-    scene: Scene, seeds: Float[np.ndarray, "seeds 4"], clamps: Float[np.ndarray, "seeds 6"], inflections: int = 0
-) -> Float[np.ndarray, "seeds 5"]:
-    """Where Newton's method ends from each seed, and the Jacobian's determinant there."""
+@compiled
+def _level_blocks(scene: Scene, points: Float[AnyArray, "blocks 3 width"]) -> Float[Array, "blocks 1 width"]:
+    return lax.map(lambda block: jax.vmap(lambda point: level(scene, point), in_axes=1)(block)[None], jnp.asarray(points))
+
+
+class Solved(NamedTuple):
+    """Where Newton's method ended: states (n, 4), the Jacobian's determinants there, and the residuals before the last step."""
+
+    x: Float[np.ndarray, "n 4"]
+    determinant: Float[np.ndarray, "n"]
+    residual: Float[np.ndarray, "n"]
+
+    def distinct(self, clamp: Float[np.ndarray, "6"]) -> "Solved":
+        """Converged contacts that push and lie near the clamp, each once."""
+        sound = (self.residual < _SETTLED) & (self.x[:, 3] > 0) & (np.abs(self.x[:, :3] - clamp[:3]).max(axis=1) < _REACH)
+        rows = np.flatnonzero(sound)
+        kept: list[int] = []
+        while rows.size:
+            kept.append(int(rows[0]))
+            rows = rows[np.abs(self.x[rows] - self.x[rows[0]]).max(axis=1) > _SAME]
+        return Solved(self.x[kept], self.determinant[kept], self.residual[kept])
+
+
+def solved_from(scene: Scene, seeds: Float[np.ndarray, "seeds 4"], clamp: Float[np.ndarray, "6"], inflections: int = 0) -> Solved:
+    """Newton's method from each seed, a few steps at a time: those that have converged or gone astray are not carried on."""
     solver = _solver(inflections)
-    return in_blocks(lambda *parts: solver(scene, *parts), seeds, clamps)
+    x, determinant, residual = seeds.copy(), np.full(len(seeds), np.nan), np.full(len(seeds), np.inf)
+    left = np.arange(len(seeds))
+    for _ in range(_ROUNDS):
+        if not left.size:
+            break
+        for first, last, blocks in runs(len(left), WIDE, scene.sizes):
+            rows = left[first:last]
+            used = -(-len(rows) // WIDE)
+            found = from_blocks(np.asarray(solver(scene, to_blocks(x[rows], WIDE, blocks), clamp, used)), len(rows))
+            x[rows], determinant[rows], residual[rows] = found[:, :4], found[:, 4], found[:, 5]
+        astray = ~np.isfinite(x[left]).all(axis=1) | (np.abs(x[left, :3] - clamp[:3]).max(axis=1) > _ASTRAY)
+        left = left[~astray & ~(residual[left] < _SETTLED)]
+    return Solved(x, determinant, residual)
 
 
 def eased(
-    scene: Scene, seeds: Float[np.ndarray, "seeds 4"], clamps: Float[np.ndarray, "seeds 6"], inflections: int = 0
+    scene: Scene, seeds: Float[np.ndarray, "seeds 4"], clamp: Float[np.ndarray, "6"], inflections: int = 0
 ) -> Float[np.ndarray, "starts 4"]:
     """More starting points: the seeds, and for a rod of finite radius where they lead by way of thicker rods, which find round a sharp edge more easily."""
     if not isinstance(scene.surface, Offset):
@@ -151,37 +188,37 @@ def eased(
     doublings = max(0, int(np.log2(_THICKEST * scene.length / radius)))
     for doubling in range(doublings, 0, -1):
         thicker = scene._replace(surface=Offset(scene.surface.surface, radius * 2.0**doubling))
-        solved = solved_from(thicker, x, clamps, inflections)[:, :4]
-        sound = np.isfinite(solved).all(axis=1) & (solved[:, 3] > 0) & (np.abs(solved[:, :3] - clamps[:, :3]).max(axis=1) < _REACH)
-        x = np.where(sound[:, None], solved, x)
-    return np.concatenate([x, seeds])
+        # From all seeds at the thickest, then along from what they found.
+        x = solved_from(thicker, x, clamp, inflections).distinct(clamp).x
+        if not len(x):
+            break
+    return np.concatenate([x, seeds]) if doublings else seeds
 
 
 @lru_cache(maxsize=8)
-def _solver(inflections: int) -> Callable[[Scene, Array, Array], Array]:
+def _solver(inflections: int) -> Callable[[Scene, AnyArray, AnyArray, int], Array]:
     def step(scene: Scene, x: Array, clamp: Clamp) -> NewtonStep:
         return newton_step(scene, x, clamp, inflections)
 
-    newton = jax.vmap(
-        step,
-        in_axes=(None, 1, 1),
-        out_axes=NewtonStep(1, 0, 0, 0),  # type: ignore[arg-type]
-    )
+    newton = jax.vmap(step, in_axes=(None, 1, None), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
 
     @compiled
     def solve_blocks(
-        scene: Scene, x: Float[Array, "blocks 4 width"], clamps: Float[Array, "blocks 6 width"]
-    ) -> Float[Array, "blocks 5 width"]:
-        def solve(block: tuple[Array, Array]) -> Array:
-            x, clamp = block
+        scene: Scene, x: Float[AnyArray, "blocks 4 width"], clamp: Float[AnyArray, "6"], used: int | Int[Array, ""]
+    ) -> Float[Array, "blocks 6 width"]:
+        """A few steps for each of the first `used` blocks: states, determinants, residuals before the last step."""
+        x, at = jnp.asarray(x), Clamp(jnp.asarray(clamp[:3]), jnp.asarray(clamp[3:]))
+        width = x.shape[2]
 
-            def iterate(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
-                step = newton(scene, state[0], Clamp(clamp[:3], clamp[3:]))
-                return step.x, step.determinant
+        def iterate(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+            step = newton(scene, state[0], at)
+            return step.x, jnp.stack([step.determinant, step.residual])
 
-            x, determinant = lax.fori_loop(0, _ITERATIONS, iterate, (x, jnp.zeros(x.shape[1])))
-            return jnp.concatenate([x, determinant[None]])
+        def solve(index: Array, found: Array) -> Array:
+            ended = lax.fori_loop(0, _STEPS, iterate, (x[index], jnp.zeros((2, width))))
+            return found.at[index].set(jnp.concatenate(ended))
 
-        return lax.map(solve, (x, clamps))
+        solved: Array = lax.fori_loop(0, used, solve, jnp.zeros((x.shape[0], 6, width)))
+        return solved
 
     return solve_blocks

@@ -158,7 +158,8 @@ class _Walk:
     def _marched(self, starts: list[_Start], lanes: Int[np.ndarray, "k"]) -> tuple[np.ndarray, ...]:
         width = 1 if len(starts) == 1 else WIDE
         parts = [
-            self._marched_run(starts[first:last], lanes[first:last], width, blocks) for first, last, blocks in runs(len(starts), width)
+            self._marched_run(starts[first:last], lanes[first:last], width, blocks)
+            for first, last, blocks in runs(len(starts), width, self._scene.sizes)
         ]
         return tuple(np.concatenate(columns) if len(parts) > 1 else columns[0] for columns in zip(*parts, strict=True))
 

@@ -34,6 +34,8 @@ _THICKEST = 0.1
 _REACH = 1.2
 _ASTRAY = 3.0
 _MANY = 1024
+_SHORTEST = 0.05
+_FINER = 33
 DEPTH_TOLERANCE = 1e-7
 """Depth [L] up to which the elastic line may enter the object: the error of its sampling."""
 
@@ -103,12 +105,19 @@ def seeds_around(
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
     # Where the straight rod enters the object, and where it lies in it: out of it sideways.
     step = np.flatnonzero((own[0, 1:] < 0) & (own[0, :-1] >= 0))
-    entries = point + (_crossing(own, np.zeros_like(step), step, distance) + _INWARD)[:, None] * tangent
+    entries = point + (_entered(scene, point, tangent, distance[step], distance[step + 1]) + _INWARD)[:, None] * tangent
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     sideways = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
     beside = _way_out(scene, np.concatenate([entries, inside[::_EVERY]]), sideways)
     points = np.concatenate([point + meets[:, None] * rays[ray], around.reshape(-1, 3), beside])
-    return np.concatenate([np.column_stack([points, np.full(len(points), force)]) for force in forces])
+    seeds = [np.column_stack([points, np.full(len(points), force)]) for force in forces]
+    if len(beside):
+        # Just behind a first contact: the force that bends a cantilever sideways to there.
+        to_there = beside - point
+        reach = np.maximum(to_there @ tangent, _SHORTEST)
+        aside = np.linalg.norm(to_there - (to_there @ tangent)[:, None] * tangent, axis=1)
+        seeds.append(np.column_stack([beside, np.minimum(3 * aside / reach**3, forces[-1])]))
+    return np.concatenate(seeds)
 
 
 def _crossing(
@@ -120,6 +129,19 @@ def _crossing(
     """Distances at which levels change their sign behind given samples, by interpolation."""
     before, after = values[ray, sample], values[ray, sample + 1]
     return np.asarray(distance[sample] + before / (before - after) * (distance[1] - distance[0]))
+
+
+def _entered(
+    scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"], low: Float[np.ndarray, "k"], high: Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """Arc lengths at which the straight rod enters the object, between one outside and one inside: exactly enough for the edge of a thin rod's offset."""
+    share = np.linspace(0, 1, _FINER)
+    for _ in range(2 if len(low) else 0):
+        samples = low[:, None] + (high - low)[:, None] * share
+        first = np.argmax(_levels(scene, point + samples[..., None] * tangent) < 0, axis=1)
+        rows = np.arange(len(low))
+        low, high = samples[rows, np.maximum(first, 1) - 1], samples[rows, np.maximum(first, 1)]
+    return high
 
 
 def _way_out(scene: Scene, bases: Float[np.ndarray, "bases 3"], sideways: Float[np.ndarray, "sides 3"]) -> Float[np.ndarray, "k 3"]:

@@ -50,6 +50,8 @@ _BIFURCATION_STEP = 2e-5
 # Fractions of the stretch beyond the end of a branch, and how near an equilibrium there continues it.
 _LOOKS_AHEAD = (1e-6, 1e-5)
 _NEAR = 1e-3
+# Fraction of the stretch by which a contact that ends has lasted.
+_PROGRESS = 1e-9
 # Weights that make force and fraction of the stretch commensurable with the contact point's path.
 _FORCE_WEIGHT = 0.1
 _LARGE_FORCE = 5.0
@@ -276,6 +278,7 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
             here = tracker.at(np.array([*met.point, 0.0, met.fraction]))
             if here is None:
                 return failed(outcome, Status.NOT_CONVERGED)
+        since = float(here.y[4])
         end = tracker.track(here, outcome.happened)
         fraction = float(end.at.y[4])
         if end.reason == "arrived":
@@ -283,17 +286,19 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
         if end.reason == "stuck":
             return failed(outcome, Status.NOT_CONVERGED)
         try:
-            here, fraction = _behind(scene, stretch, tracker, end, outcome)
+            here, fraction = _behind(scene, stretch, tracker, end, since, outcome)
         except _LostOnTheWayError:
             return failed(outcome, Status.NO_EQUILIBRIUM)
     return failed(outcome, Status.NOT_CONVERGED)
 
 
-def _behind(scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, end: _End, outcome: Outcome) -> tuple[Branch | None, float]:
-    """Where the lane goes on behind the end of a branch, and from which fraction: on another branch, or free (None)."""
+def _behind(
+    scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, end: _End, since: float, outcome: Outcome
+) -> tuple[Branch | None, float]:
+    """Where the lane goes on behind the end of a branch begun at `since`, and from which fraction: on another branch, or free (None)."""
     last, fraction = end.at.y, float(end.at.y[4])
     leaving = last[3] <= NO_FORCE and clearance_at(scene, stretch, min(1.0, fraction + AFTER_CONTACT[0])) >= CLEAR
-    if end.reason == "released" or leaving:
+    if leaving or (end.reason == "released" and fraction - since > _PROGRESS):
         outcome.happened.append((EventKind.DETACH, fraction, last[:3]))
         return None, fraction
     if last[3] <= NO_FORCE:

@@ -35,6 +35,8 @@ _REACH = 1.2
 _ASTRAY = 3.0
 _MANY = 1024
 _SHORTEST = 0.05
+# Shares of a finite radius behind the place where the rod enters: the way out from there ends on all sides of a rounded edge.
+_ROUND_AN_EDGE = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)
 _FINER = 33
 DEPTH_TOLERANCE = 1e-7
 """Depth [L] up to which the elastic line may enter the object: the error of its sampling."""
@@ -105,7 +107,11 @@ def seeds_around(
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
     # Where the straight rod enters the object, and where it lies in it: out of it sideways.
     step = np.flatnonzero((own[0, 1:] < 0) & (own[0, :-1] >= 0))
-    entries = point + (_entered(scene, point, tangent, distance[step], distance[step + 1]) + _INWARD)[:, None] * tangent
+    depths = np.array(
+        [_INWARD, *(np.array(_ROUND_AN_EDGE) * scene.surface.radius / scene.length if isinstance(scene.surface, Offset) else [])]
+    )
+    entered = _entered(scene, point, tangent, distance[step], distance[step + 1])
+    entries = point + (entered[:, None] + depths).reshape(-1, 1) * tangent
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     sideways = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
     beside = _way_out(scene, np.concatenate([entries, inside[::_EVERY]]), sideways)

@@ -1,6 +1,7 @@
 """Draw the gallery: `uv run --group gallery --extra mesh python docs/make_gallery.py [NAME ...]` writes one picture for each kind of object into docs/images/gallery.
 
-An object is the zero of its level function within a box, as a mesh by marching cubes; parts of the rods behind it are found by the same function, and drawn faintly.
+An object is drawn by its own faces where it has edges, else as the zero of its level function within a box, by marching cubes; parts of the rods behind it are
+found by the same function, and drawn faintly.
 """
 
 import sys
@@ -31,13 +32,17 @@ from vibrissa.plot.lines import dress
 from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor
 
 IMAGES = Path(__file__).parent / "images" / "gallery"
+CASES = Path(__file__).parents[1] / "examples" / "cases"
 UNIT = vb.Rod.unit()
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 
 _CELLS = 90
 _PAINT = np.array([0.84, 0.87, 0.90])
 _SAMPLES = 90
-_STRAIGHT = "black"
+_STRAIGHT, _FREE = "black", "0.6"
+_FORCE, _NORMAL = "#d97706", "#2a7f3f"
+_ARROW = 0.2
+_SECTIONS = 180
 
 
 class Exhibit(NamedTuple):
@@ -50,6 +55,7 @@ class Exhibit(NamedTuple):
     view: tuple[float, float] = (10.0, -55.0)
     rod: vb.Rod = UNIT
     finite_radius: bool = False
+    friction: float = 0.0
 
 
 def _raster(*sides: float, x: float = 0.95, count: int = 191, axis: tuple[float, float, float] = (0, 0, 1)) -> vb.Trail:
@@ -71,20 +77,19 @@ def _two_drops(point: Array) -> Array:
     return -0.12 * jnp.logaddexp(*(-distance / 0.12 for distance in distances))
 
 
-def _pebble() -> vb.surfaces.Surface:
-    """A ball of 1280 triangles, with dents."""
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    x, y, z = ball.vertices.T
-    stretch = 1 + 0.10 * np.sin(3 * x + 1) * np.cos(2.5 * y) + 0.08 * np.sin(3 * z)
-    return vb.surfaces.Mesh((0.62, 0.48, 0.5) * ball.vertices * stretch[:, None] + (0, 0, 1.15), ball.faces)
+def _mug() -> Exhibit:
+    """The case of the mug, which is a mesh."""
+    case = vb.load_case(CASES / "mug.toml")
+    return Exhibit(lambda: case.surface, ((-0.023, -0.001, 0.034), (0.039, 0.045, 0.08)), case.trail, 6, (20, -125), case.rod)
 
 
-def exhibits() -> dict[str, Exhibit]:
-    """All pictures of kinds of object that this version has, by file name."""
+def exhibits(names: list[str]) -> dict[str, Exhibit]:
+    """Pictures with these names, or all."""
     s = vb.surfaces
     center, turn = (0.0, 0.0, 1.15), (0.1, -0.2, 0.15, 1.0)
     skew = (0.3, 1, 0.2)
-    around = ((-0.8, -0.8, 0.4), (0.8, 0.8, 1.9))
+    around, near = ((-0.8, -0.8, 0.4), (0.8, 0.8, 1.9)), ((-0.04, -0.04, 0.02), (0.04, 0.04, 0.1))
+    wires = vb.Trail.raster(start=(0.045, -0.011, 0), stop=(-0.045, -0.011, 0), count=241, step=(0, 0.013, 0), trails=3)
     every = {
         "elliptic_paraboloid": Exhibit(
             lambda: s.EllipticParaboloid(a=0.5, b=1.0, h=0.4),
@@ -108,11 +113,9 @@ def exhibits() -> dict[str, Exhibit]:
             view=(10, -40),
         ),
         "plane": Exhibit(
-            lambda: s.Plane(point=(-0.028, 0, 0), normal=(1, 0.3, 0.1)),
-            ((-0.05, -0.03, 0), (-0.01, 0.03, 0.07)),
-            _whisks(),
-            10,
-            (22, -35),
+            lambda: s.Plane(point=(-0.01, 0, 0.05), normal=(1, 0.2, -1)),
+            ((-0.045, -0.025, 0.02), (0.02, 0.025, 0.07)),
+            vb.Trail.raster(start=(0.04, -0.015, 0), stop=(-0.035, -0.015, 0), count=241, step=(0, 0.015, 0), trails=3),
             rod=WIRE,
         ),
         "height_field": Exhibit(
@@ -122,16 +125,22 @@ def exhibits() -> dict[str, Exhibit]:
         ),
         "implicit": Exhibit(lambda: s.Implicit(_two_drops), around, _raster(-0.2, 0.1, 0.3)),
         "box": Exhibit(
-            lambda: s.Box(center=(0, 0, 0), half_extents=(0.45, 0.35, 0.3)).placed((0.25, -0.1, 0.3, 1.0), (0, 0, 1.2)),
-            around,
-            _raster(-0.2, 0.1, 0.3),
+            lambda: s.Box(center=(0, 0, 0), half_extents=(0.022, 0.018, 0.015)).placed((0.25, -0.1, 0.3, 1.0), (0, 0, 0.057)),
+            near,
+            wires,
+            rod=WIRE,
+            finite_radius=True,
         ),
-        "cylinder": Exhibit(lambda: s.Cylinder(center=center, axis=skew, radius=0.4, length=1.0), around, _raster(-0.2, 0.15, 0.35)),
+        "cylinder": Exhibit(
+            lambda: s.Cylinder(center=(0, 0, 0.058), axis=skew, radius=0.02, length=0.05), near, wires, rod=WIRE, finite_radius=True
+        ),
         "capsule": Exhibit(lambda: s.Capsule(center=center, axis=skew, radius=0.35, length=0.6), around, _raster(-0.2, 0.15, 0.35)),
         "cone": Exhibit(
-            lambda: s.Cone(center=(0.1, 0, 1.7), axis=(0.1, 0.1, -1), radius=0.6, height=1.1),
-            ((-0.7, -0.8, 0.4), (0.9, 0.8, 1.9)),
-            _raster(-0.2, 0.15, 0.3),
+            lambda: s.Cone(center=(0.005, 0, 0.08), axis=(0.1, 0.1, -1), radius=0.03, height=0.055),
+            near,
+            wires,
+            rod=WIRE,
+            finite_radius=True,
         ),
         "superquadric": Exhibit(
             lambda: s.Superquadric(center=center, semi_axes=(0.6, 0.5, 0.5), exponents=(0.5, 0.5)), around, _raster(-0.3, 0.1, 0.35)
@@ -139,21 +148,38 @@ def exhibits() -> dict[str, Exhibit]:
         "torus": Exhibit(
             lambda: s.Torus(center=(0, 0, 1.0), axis=(0.2, 0.3, 1), major_radius=0.5, minor_radius=0.2), around, _raster(-0.35, 0.1, 0.45)
         ),
-        "mesh": Exhibit(_pebble, around, _raster(-0.2, 0.1, 0.3)),
         "union": Exhibit(
             lambda: s.Union([s.Sphere(center=(-0.3, 0, 1.15), radius=0.45), s.Sphere(center=(0.35, 0.1, 1.1), radius=0.35)]),
             around,
             _raster(-0.2, 0.2, 0.35),
         ),
+        "whisking": Exhibit(
+            lambda: s.Plane(point=(-0.028, 0, 0), normal=(1, 0.3, 0.1)),
+            ((-0.05, -0.03, 0), (-0.01, 0.03, 0.07)),
+            _whisks(),
+            10,
+            (22, -35),
+            rod=WIRE,
+        ),
+        "friction": Exhibit(
+            lambda: s.Sphere(center=(0, 0, 0.0575), radius=0.03),
+            ((-0.032, -0.032, 0.025), (0.032, 0.032, 0.09)),
+            vb.Trail.raster(start=(0.04, -0.012, 0), stop=(-0.04, -0.012, 0), count=241, step=(0, 0.02, 0), trails=2),
+            rod=WIRE,
+            every=16,
+            friction=0.25,
+        ),
     }
-    return {name: exhibit for name, exhibit in every.items() if hasattr(s, "".join(word.title() for word in name.split("_")))}
+    chosen = {name: exhibit for name, exhibit in every.items() if not names or name in names}
+    # Only where it is wanted: the mesh takes its time to be read.
+    return chosen | ({"mesh": _mug()} if not names or "mesh" in names else {})
 
 
 def picture(exhibit: Exhibit) -> tuple[Axes3D, vb.Scan]:
     """The object, elastic lines red in tip contact, blue in tangential contact and black where straight, and all contact points."""
     surface, factor = exhibit.surface(), length_factor(exhibit.rod)
-    scan = vb.scan(exhibit.rod, surface, exhibit.trail, finite_radius=exhibit.finite_radius)
-    figure = plt.figure(figsize=(1.35 * COLUMN, 1.25 * COLUMN))
+    scan = vb.scan(exhibit.rod, surface, exhibit.trail, friction=exhibit.friction, finite_radius=exhibit.finite_radius)
+    figure = plt.figure(figsize=(1.7 * COLUMN, 1.25 * COLUMN))
     axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)
     axes.set_proj_type("ortho")
     elevation, azimuth = np.radians(exhibit.view)
@@ -161,14 +187,18 @@ def picture(exhibit: Exhibit) -> tuple[Axes3D, vb.Scan]:
     corners = _draw_object(axes, surface, exhibit, towards)
     lines = _draw_rods(axes, scan, surface, exhibit, towards)
     everything = np.vstack([corners, lines, factor * scan.trail.position.reshape(-1, 3)])
+    handles = [Line2D([], [], color=colour, label=KIND_NAMES[kind]) for kind, colour in KIND_COLOURS.items() if np.any(scan.kind == kind)]
+    handles.append(Line2D([], [], color=_STRAIGHT, linewidth=0.6, label="straight part"))
+    handles.append(Line2D([], [], color=_FREE, linewidth=0.6, label="without contact"))
+    handles.append(Line2D([], [], color="0.2", marker=".", linestyle="none", markersize=4, label="contact point"))
+    if exhibit.friction > 0:
+        _draw_forces(axes, scan, surface, exhibit, towards)
+        handles += [Line2D([], [], color=colour, label=label) for colour, label in ((_FORCE, "force on the rod"), (_NORMAL, "normal"))]
     low, high = everything.min(axis=0), everything.max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     dress(axes, scan)
     axes.view_init(*exhibit.view)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=3))
-    handles = [Line2D([], [], color=colour, label=KIND_NAMES[kind]) for kind, colour in KIND_COLOURS.items()]
-    handles.append(Line2D([], [], color=_STRAIGHT, linewidth=0.6, label="straight part"))
-    handles.append(Line2D([], [], color="0.2", marker=".", linestyle="none", markersize=4, label="contact point"))
     axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, _top(axes) + 0.02), ncols=2, handlelength=1.4, columnspacing=1.4)
     return axes, scan
 
@@ -185,7 +215,13 @@ def _top(axes: Axes3D) -> float:
 
 
 def _draw_object(axes: Axes3D, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray) -> np.ndarray:
-    """The part of the solid within the box, shaded: triangles of its surface, and what the box's faces cut; returns all corners."""
+    """The object, shaded; returns all corners. Without faces of its own: the part within the box, and what the box's faces cut."""
+    own = _faces(surface)
+    if own is not None:
+        facing = own.face_normals @ towards > 0
+        triangles = length_factor(exhibit.rod) * own.triangles[facing]
+        _paint(axes, list(triangles), surface.normal(own.triangles_center[facing]), towards, order=1)
+        return triangles.reshape(-1, 3)
     low, high = np.array(exhibit.box)
     counts = np.maximum(np.ceil(_CELLS * (high - low) / (high - low).max()).astype(int), 2) + 1
     ticks = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
@@ -207,6 +243,31 @@ def _draw_object(axes: Axes3D, surface: vb.surfaces.Surface, exhibit: Exhibit, t
         _paint(axes, pieces, np.tile(np.eye(3)[axis], (len(pieces), 1)), towards, order=1.5)
         drawn += pieces
     return np.vstack(drawn)
+
+
+def _faces(surface: vb.surfaces.Surface) -> trimesh.Trimesh | None:
+    """Triangles of an object that a grid would blur: of a mesh, or with edges."""
+    s, create = vb.surfaces, trimesh.creation
+    match surface:
+        case s.Placed():
+            inner, motion = _faces(surface.surface), np.eye(4)
+            motion[:3, :3], motion[:3, 3] = surface.rotation, surface.translation
+            return None if inner is None else inner.apply_transform(motion)
+        case s.Mesh():
+            return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+        case s.Box():
+            return create.box(2 * np.asarray(surface.half_extents)).apply_translation(surface.center)
+        case s.Cylinder():
+            return _upon(surface, create.cylinder(float(surface.radius), float(surface.length), sections=_SECTIONS))
+        case s.Cone():
+            return _upon(surface, create.cone(float(surface.radius), float(surface.height), sections=_SECTIONS))
+        case _:
+            return None
+
+
+def _upon(solid: vb.surfaces.Cylinder | vb.surfaces.Cone, upright: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A mesh about +z, turned to the solid's axis and moved to its centre."""
+    return upright.apply_transform(trimesh.geometry.align_vectors((0, 0, 1), solid.axis)).apply_translation(solid.center)
 
 
 def _paint(axes: Axes3D, polygons: list[np.ndarray], normals: np.ndarray, towards: np.ndarray, order: float) -> None:
@@ -232,7 +293,7 @@ def _draw_rods(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibi
             kind = vb.ContactKind(int(scan.kind[lane, index]))
             bent = np.linspace(0, rod.length, _SAMPLES)[:-1] < np.nan_to_num(scan.arc_length[lane, index])
             pieces.append(np.stack([line[:-1], line[1:]], axis=1))
-            colours.append(np.where(bent, KIND_COLOURS.get(kind, _STRAIGHT), _STRAIGHT))
+            colours.append(np.where(bent, KIND_COLOURS.get(kind, _FREE), _STRAIGHT if scan.in_contact[lane, index] else _FREE))
             widths.append(np.where(bent, 0.8, 0.5))
     segments, colour, width = np.concatenate(pieces), np.concatenate(colours), np.concatenate(widths)
     seen = _seen(segments.mean(axis=1), surface, exhibit, towards)
@@ -265,6 +326,18 @@ def _draw_rods(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibi
     return factor * segments.reshape(-1, 3)
 
 
+def _draw_forces(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray) -> None:
+    """Directions of the contact force and of the normal, at the rods that are drawn."""
+    rows = np.zeros(scan.kind.shape, dtype=bool)
+    rows[:, :: exhibit.every] = True
+    rows &= scan.in_contact
+    rows[rows] = _seen(scan.point[rows], surface, exhibit, towards)
+    for directions, colour in ((scan.normal, _NORMAL), (scan.force_direction, _FORCE)):
+        ends = scan.point[rows] + _ARROW * exhibit.rod.length * directions[rows]
+        arrows = length_factor(exhibit.rod) * np.stack([scan.point[rows], ends], axis=1)
+        axes.add_collection3d(Line3DCollection(arrows, colors=colour, linewidths=0.9, zorder=5, clip_on=False))
+
+
 def _seen(points: np.ndarray, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray) -> np.ndarray:
     """Whether nothing of the object, as far as it is drawn, lies between the points (n, 3) and the eye."""
     low, high = np.array(exhibit.box)
@@ -284,7 +357,8 @@ def _trimmed(path: Path) -> Path:
     margin = 12
     canvas = Image.new("RGB", (right - left + 2 * margin, bottom - top + 2 * margin), "white")
     canvas.paste(opaque.crop((left, top, right, bottom)), (margin, margin))
-    canvas.quantize(256).save(path, optimize=True)
+    # Without k-means the few pixels of a thin line would lose their colour.
+    canvas.quantize(256, kmeans=4).save(path, optimize=True)
     return path
 
 
@@ -292,9 +366,7 @@ def main(names: list[str]) -> list[Path]:
     """Draw the pictures with these names, or all; return their paths."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     paths = []
-    for name, exhibit in exhibits().items():
-        if names and name not in names:
-            continue
+    for name, exhibit in exhibits(names).items():
         with journal():
             mpl.rcParams["savefig.dpi"] = 180
             axes, scan = picture(exhibit)

@@ -23,7 +23,7 @@ def _load(name: str) -> ModuleType:
 
 
 def test_every_example_is_tested() -> None:
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == {"first_steps", "make_recording", "own_surface"}
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {"first_steps", "make_mug", "make_recording", "own_surface"}
 
 
 def test_first_steps() -> None:
@@ -34,6 +34,25 @@ def test_own_surface() -> None:
     counts = _load("own_surface").main()
     assert counts["wavy"] > 400
     assert counts["blob"] > 300
+
+
+def test_mug_is_the_one_that_the_script_makes(tmp_path: Path) -> None:
+    script = _load("make_mug")
+    made = script.main(tmp_path / "mug.ply")
+    assert made.is_watertight
+    # One handle.
+    assert made.euler_number == 0
+    assert np.max(np.abs(script.mug().levels(made.vertices))) < 1e-12
+    # Wall, bottom and handle by Pappus; what the roundings take and the fillets add is little.
+    wall, depth = script.RADIUS - script.WALL, script.HEIGHT - script.BOTTOM
+    handle = np.pi**2 * script.HANDLE * script.THICKNESS**2
+    assert made.volume == pytest.approx(np.pi * (script.RADIUS**2 * script.HEIGHT - wall**2 * depth) + handle, rel=0.02)
+    assert np.degrees(made.face_angles.min()) > 20
+    assert (tmp_path / "mug.ply").stat().st_size == script.FILE.stat().st_size < 1e6
+    shipped = vb.surfaces.Mesh.load(script.FILE, 1e-3)
+    assert not shipped.repairs
+    np.testing.assert_array_equal(shipped.faces, made.faces)
+    np.testing.assert_allclose(1e3 * shipped.vertices, made.vertices, atol=1e-5)
 
 
 def test_recording_is_the_one_that_the_script_makes(tmp_path: Path) -> None:
@@ -83,6 +102,26 @@ def test_the_case_with_friction_is_that_of_the_recording() -> None:
     cosine = np.sum(outward * force, axis=1) / np.linalg.norm(force, axis=1)
     assert np.count_nonzero(rows) > 200
     np.testing.assert_allclose(np.degrees(np.arccos(cosine)), np.degrees(np.arctan(0.25)), atol=1e-6)
+
+
+def test_the_case_of_the_mug_touches_where_it_is_hollow() -> None:
+    """Wall, then the inside of the handle, which is a saddle, and the rim out of the cavity: against the solid that the mesh samples."""
+    case = vb.load_case(EXAMPLES / "cases/mug.toml")
+    scan = vb.scan(case.rod, case.surface, case.trail)
+    np.testing.assert_array_equal(scan.status, vb.Status.OK)
+    solid = _load("make_mug").mug()
+    # The case's placement, undone: (x, y, z) of the mug is (-x, -z, -y) of the world.
+    mug = (-1e3 * (scan.point - [0, 0.044, 0.057]))[..., [0, 2, 1]]
+    wall, handle, rim = (mug[lane][scan.in_contact[lane]] for lane in range(3))
+    assert np.max(np.abs(solid.distances(np.concatenate([wall, handle, rim])))) < 0.03
+    np.testing.assert_allclose(wall[:, 2], 22, atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(handle[0] - [22, 0, 22]), 13 - 3.5, atol=0.01)
+    assert solid.normal(handle[0])[0] < -0.99
+    # The rim's inner half, until the rod snaps round it, and holds on to the outside with its tip.
+    assert rim[0, 2] > 44 - 2.5
+    assert -(22 - 2.5) < rim[0, 0] < -(22 - 5)
+    assert rim[-1, 0] == pytest.approx(-22, abs=0.01)
+    assert rim[-1, 2] < 44 - 5
 
 
 def test_the_case_of_the_box_touches_its_edges() -> None:

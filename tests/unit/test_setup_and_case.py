@@ -1,5 +1,6 @@
 """Setups and cases: what a good file builds, and the one line that says what is wrong with a bad one."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -80,9 +81,117 @@ def test_a_case_builds_rod_object_and_trails(tmp_path: Path) -> None:
     ],
 )
 def test_every_kind_of_object_can_be_written_down(tmp_path: Path, table: str, inside: tuple[float, ...]) -> None:
-    start, stop = CASE.index("[object]"), CASE.index("[[trail]]")
-    case = vb.load_case(written(tmp_path, f"{CASE[:start]}[object]\n{table}\n\n{CASE[stop:]}"))
+    case = vb.load_case(written(tmp_path, with_object(table)))
     assert float(case.surface.levels(np.array(inside))) < 0 < float(case.surface.levels([0.0, 0.0, 0.0]))
+
+
+# An octahedron of 20 mm from corner to corner, in millimetres.
+OCTAHEDRON = """\
+v 10 0 0
+v -10 0 0
+v 0 10 0
+v 0 -10 0
+v 0 0 10
+v 0 0 -10
+f 1 3 5
+f 3 2 5
+f 2 4 5
+f 4 1 5
+f 3 1 6
+f 2 3 6
+f 4 2 6
+f 1 4 6
+"""
+MESH = 'kind = "mesh"\nfile = "parts/octahedron.obj"\nscale = 1e-3\ntranslation = [0.0, 0.0, 0.05]\n'
+
+
+def with_object(table: str) -> str:
+    start, stop = CASE.index("[object]"), CASE.index("[[trail]]")
+    return f"{CASE[:start]}[object]\n{table}\n\n{CASE[stop:]}"
+
+
+def octahedron(folder: Path, text: str = OCTAHEDRON) -> Path:
+    (folder / "parts").mkdir(parents=True, exist_ok=True)
+    (folder / "parts" / "octahedron.obj").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        MESH,
+        MESH.replace("translation", "rotation = [0.0, 0.0, 1.0, 1.0]\ncrease_angle = 0.5\nreach = 1e-3\ntranslation"),
+        'kind = "union"\ntranslation = [0.0, 0.0, 0.05]\nparts = [{ kind = "mesh", file = "parts/octahedron.obj", scale = 1e-3 }, '
+        '{ kind = "sphere", center = [0.03, 0, 0], radius = 0.005 }]\n',
+    ],
+    ids=["alone", "turned", "in a union"],
+)
+def test_a_mesh_comes_from_a_file_beside_the_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: str) -> None:
+    file = written(octahedron(tmp_path / "cases"), with_object(table))
+    monkeypatch.chdir(tmp_path)
+    for path in (file, file.relative_to(tmp_path)):
+        surface = vb.load_case(path).surface
+        # The middle of a face is 10 mm / √3 from the centre; on the flat of it, half the way to an edge, the level is the distance.
+        face = np.array([1.0, 1.0, 1.0]) / 3 * 0.01
+        np.testing.assert_allclose(surface.levels(face + [0, 0, 0.05]), 0, atol=1e-12)
+        np.testing.assert_allclose(surface.levels(1.1 * face + [0, 0, 0.05]), 0.1 * 0.01 / np.sqrt(3), atol=1e-12)
+
+
+def test_a_setup_may_name_a_mesh(tmp_path: Path) -> None:
+    setup = vb.load_setup(written(octahedron(tmp_path), SETUP.replace(OBJECT, MESH)))
+    assert setup.surface is not None
+    assert float(setup.surface.levels([0.0, 0.0, 0.05])) < 0 < float(setup.surface.levels([0.0, 0.0, 0.0]))
+
+
+def test_a_file_with_its_own_unit_needs_no_scale(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.icosahedron().export(tmp_path / "ball.glb")
+    case = vb.load_case(written(tmp_path, with_object('kind = "mesh"\nfile = "ball.glb"\ntranslation = [0.0, 0.0, 3.0]')))
+    assert float(case.surface.levels([0.0, 0.0, 3.0])) < 0 < float(case.surface.levels([0.0, 0.0, 0.0]))
+
+
+MESH_DAMAGE = {
+    "no file": ('file = "parts/octahedron.obj"\n', "", ["object.file: missing", "the path of a mesh"]),
+    "number for a file": ('"parts/octahedron.obj"', "3", ["object.file = 3", "the path of a mesh"]),
+    "missing file": ("parts/octahedron.obj", "none.obj", ["file = 'none.obj'", "cannot be read", "allowed is a file"]),
+    "suffix": ("octahedron.obj", "octahedron.step", ["file = 'parts/octahedron.step'", "suffix '.step'", "allowed are .stl, .obj"]),
+    "no scale": ("scale = 1e-3\n", "", ["file = 'parts/octahedron.obj'", "scale is missing", "OBJ has no unit", "1e-3 for millimetres"]),
+    "scale of zero": ("scale = 1e-3", "scale = 0", ["object.scale = 0", "a number greater than 0"]),
+    "angle in degrees": ("scale = 1e-3", "scale = 1e-3\ncrease_angle = 40", ["object.crease_angle = 40", "greater than 0 and at most π"]),
+    "negative reach": ("scale = 1e-3", "scale = 1e-3\nreach = -1e-3", ["object.reach = -0.001", "a number of at least 0"]),
+    "reach beyond all": ("scale = 1e-3", "scale = 1e-3\nreach = 1.0", ["reach = 1.0", "diagonal, 0.034641"]),
+    "unknown key": ("scale = 1e-3", "unit = 1e-3", ["object.unit: unknown key", "file, scale, crease_angle, reach"]),
+}
+
+
+@pytest.mark.parametrize("what", MESH_DAMAGE)
+def test_damage_to_the_table_of_a_mesh_is_named(tmp_path: Path, what: str) -> None:
+    good, bad, words = MESH_DAMAGE[what]
+    assert good in MESH
+    message = refusal(vb.load_case, written(octahedron(tmp_path), with_object(MESH.replace(good, bad, 1))))
+    assert [word for word in words if word not in message] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (OCTAHEDRON + "v 0 0 30\nf 1 3 7\n", ["1 edge", "more than two triangles", "allowed"]),
+        (OCTAHEDRON[: OCTAHEDRON.index("f 1")], ["allowed"]),
+        ("", ["allowed"]),
+        (OCTAHEDRON.replace("v 10 0 0", "v nan 0 0"), ["not finite", "allowed"]),
+    ],
+    ids=["a third triangle", "no triangles", "empty", "no number"],
+)
+def test_damage_to_a_mesh_names_both_files(tmp_path: Path, text: str, words: list[str]) -> None:
+    message = refusal(vb.load_case, written(octahedron(tmp_path, text), with_object(MESH)))
+    assert [word for word in ["file = 'parts/octahedron.obj'", *words] if word not in message] == []
+
+
+@pytest.mark.parametrize("missing", ["trimesh", "igl"])
+def test_a_missing_library_for_meshes_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    message = refusal(vb.load_case, written(octahedron(tmp_path), with_object(MESH)))
+    assert message == f"file = 'parts/octahedron.obj': {missing} is not installed; meshes need it: python3 -m pip install 'vibrissa[mesh]'"
 
 
 def test_model_units_and_rasters(tmp_path: Path) -> None:

@@ -6,10 +6,11 @@ from typing import Annotated
 
 from pydantic import Field
 
+from vibrissa.io import objects, trails
 from vibrissa.io.config import NotNegative, RodTable, Table, load_table
 from vibrissa.io.errors import InputError
 from vibrissa.io.objects import ObjectTable
-from vibrissa.io.trails import TrailTable, built
+from vibrissa.io.trails import TrailTable
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
@@ -53,11 +54,11 @@ def load_case(path: str | Path) -> Case:
     file = Path(path)
     table = load_table(file, CaseFile)
     try:
-        trails = [built(trail, file.parent) for trail in table.trail]
-        trail = trails[0] if len(trails) == 1 else Trail.stack(trails)
+        sweeps = [trails.built(trail, file.parent) for trail in table.trail]
+        trail = sweeps[0] if len(sweeps) == 1 else Trail.stack(sweeps)
         rod = table.rod.build()
         if table.contact.finite_radius and rod.radius is None:
             raise ValueError("contact.finite_radius = true: rod.radius is missing; allowed is a number greater than 0")
-        return Case(rod, table.object.build(), trail, table.contact.friction, table.contact.finite_radius)
+        return Case(rod, objects.built(table.object, file.parent), trail, table.contact.friction, table.contact.finite_radius)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

@@ -1,10 +1,12 @@
 """Objects as TOML tables, one class a kind: the arguments of the surface, and where it is placed."""
 
+from math import pi
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
-from vibrissa.io.config import NO_TURN, ORIGIN, Finite, Positive, Quaternion, Table, Vector
+from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Positive, Quaternion, Table, Vector
 from vibrissa.surfaces import (
     Box,
     Capsule,
@@ -13,6 +15,7 @@ from vibrissa.surfaces import (
     Ellipsoid,
     EllipticCylinder,
     EllipticParaboloid,
+    Mesh,
     Offset,
     Plane,
     Sphere,
@@ -23,6 +26,9 @@ from vibrissa.surfaces import (
 )
 
 Exponent = Annotated[float, Field(strict=True, gt=0, le=2, allow_inf_nan=False, description="a number greater than 0 and at most 2")]
+CreaseAngle = Annotated[
+    float, Field(strict=True, gt=0, le=pi, allow_inf_nan=False, description="an angle greater than 0 and at most π [rad]")
+]
 
 
 class PlacedTable(Table):
@@ -178,15 +184,37 @@ class SuperquadricTable(PlacedTable):
         return self.placed(Superquadric(self.center, self.semi_axes, self.exponents))
 
 
+class MeshTable(PlacedTable):
+    """A closed mesh from a file."""
+
+    kind: Literal["mesh"]
+    file: Annotated[
+        str,
+        StringConstraints(strict=True, min_length=1),
+        Field(description="the path of a mesh, seen from the folder of the file that names it"),
+    ]
+    scale: Positive | None = None
+    crease_angle: CreaseAngle | None = None
+    reach: NotNegative | None = None
+
+    def build(self, folder: Path) -> Surface:
+        """Return the surface; a path that is not absolute starts at `folder`. Raise ValueError also where a library for meshes is missing."""
+        angle = {} if self.crease_angle is None else {"crease_angle": self.crease_angle}
+        try:
+            return self.placed(Mesh.load(folder / self.file, self.scale, reach=self.reach, **angle))
+        except (ValueError, ImportError) as error:
+            raise ValueError(f"file = {self.file!r}: {error}") from error
+
+
 class UnionTable(PlacedTable):
     """Several objects as one; each part is the table of an object, placed in its own right."""
 
     kind: Literal["union"]
     parts: Annotated[list["ObjectTable"], Field(min_length=1, description="a list of at least one object, each a table with its own kind")]
 
-    def build(self) -> Surface:
-        """Return the surface."""
-        return self.placed(Union([part.build() for part in self.parts]))
+    def build(self, folder: Path) -> Surface:
+        """Return the surface; files of its parts are seen from `folder`."""
+        return self.placed(Union([built(part, folder) for part in self.parts]))
 
 
 class OffsetTable(PlacedTable):
@@ -196,14 +224,12 @@ class OffsetTable(PlacedTable):
     surface: "ObjectTable"
     radius: Positive
 
-    def build(self) -> Surface:
-        """Return the surface."""
-        return self.placed(Offset(self.surface.build(), self.radius))
+    def build(self, folder: Path) -> Surface:
+        """Return the surface; files are seen from `folder`."""
+        return self.placed(Offset(built(self.surface, folder), self.radius))
 
 
-_KINDS = (
-    "elliptic_paraboloid, sphere, ellipsoid, elliptic_cylinder, plane, box, cylinder, capsule, cone, torus, superquadric, union or offset"
-)
+_KINDS = "elliptic_paraboloid, sphere, ellipsoid, elliptic_cylinder, plane, box, cylinder, capsule, cone, torus, superquadric, mesh, union or offset"
 ObjectTable = Annotated[
     ParaboloidTable
     | SphereTable
@@ -216,9 +242,15 @@ ObjectTable = Annotated[
     | ConeTable
     | TorusTable
     | SuperquadricTable
+    | MeshTable
     | UnionTable
     | OffsetTable,
     Field(discriminator="kind", description=_KINDS),
 ]
 UnionTable.model_rebuild()
 OffsetTable.model_rebuild()
+
+
+def built(table: ObjectTable, folder: Path) -> Surface:
+    """Surface of a table in a file of this folder; raise ValueError as the surface's own constructor does."""
+    return table.build(folder) if isinstance(table, MeshTable | UnionTable | OffsetTable) else table.build()

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from vibrissa.io.config import ORIGIN, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
-from vibrissa.io.objects import ObjectTable
+from vibrissa.io.objects import ObjectTable, built
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
 from vibrissa.surfaces import Surface
@@ -88,6 +88,7 @@ def load_setup(path: str | Path) -> Setup:
     file = Path(path)
     table = load_table(file, SetupFile)
     try:
-        return Setup(table.rod.build(), table.sensor.build(), None if table.object is None else table.object.build())
+        surface = None if table.object is None else built(table.object, file.parent)
+        return Setup(table.rod.build(), table.sensor.build(), surface)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

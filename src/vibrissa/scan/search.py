@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from vibrissa.numerics.blocks import in_blocks
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.assess import assess_blocks
+from vibrissa.scan.assess import DEPTH_TOLERANCE, assess_blocks, looked_at_closely
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
 from vibrissa.surfaces import Offset
 
@@ -28,8 +28,6 @@ _SAME = 1e-6
 # Radius [L] of the thickest rod by whose way an edge is found, and how far [L] from the clamp a contact may lie on the way.
 _THICKEST = 0.1
 _REACH = 1.2
-DEPTH_TOLERANCE = 1e-7
-"""Depth [L] up to which the elastic line may enter the object: the error of its sampling."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +55,13 @@ def stable_equilibria(
     seeds = eased(scene, seeds, clamps)
     clamps = np.broadcast_to(clamps[0], (len(seeds), 6))
     solved = solved_from(scene, seeds, clamps)
-    assessed = in_blocks(lambda *parts: assess_blocks(scene, *parts), solved[:, :4], clamps)
-    rows = np.concatenate([solved, assessed], axis=1)
-    x, determinant = rows[:, :4], rows[:, 4]
-    arc_length, energy, phase, residual, depth = (rows[:, 5 + column] for column in (7, 11, 13, 14, 15))
-    good = (residual < DEPTH_TOLERANCE) & (depth < DEPTH_TOLERANCE) & (x[:, 3] > 0) & (determinant < 0) & (arc_length < 1 + DEPTH_TOLERANCE)
+    fields = in_blocks(lambda *parts: assess_blocks(scene, *parts), solved[:, :4], clamps)
+    sound = (fields[:, 14] < DEPTH_TOLERANCE) & (solved[:, 3] > 0) & (solved[:, 4] < 0) & (fields[:, 7] < 1 + DEPTH_TOLERANCE)
+    solved, fields = solved[sound], looked_at_closely(scene, solved[sound, :4], clamps[sound], fields[sound])[0]
+    rows = np.concatenate([solved, fields], axis=1)[fields[:, 15] < DEPTH_TOLERANCE]
+    x, determinant, energy, phase = rows[:, :4], rows[:, 4], rows[:, 5 + 11], rows[:, 5 + 13]
     found: list[Equilibrium] = []
-    for row in np.flatnonzero(good)[np.argsort(energy[good])]:
+    for row in np.argsort(energy):
         if all(np.abs(x[row] - other.x).max() > _SAME for other in found):
             found.append(Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row])))
     return found

@@ -37,7 +37,8 @@ def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, fin
         Coulomb's coefficient for the rod on the object. The default is the paper's, 0.
     finite_radius
         Whether the rod's skin touches, at its radius from the centre line, which rounds edges and corners. The default is the paper's: the centre line
-        touches, and the object must be smooth.
+        touches, and the object must be smooth. With friction the force still acts on the centre line, and its path stands for the skin's: the force's
+        couple about the centre line and the turning of the section are left out, both of first order in the radius.
 
     Returns
     -------

@@ -119,8 +119,7 @@ def _least(levels: list[Scalar], near: Scalar) -> Scalar:
     rises = (second - _LEAST_GROWTH * first > -_ROUNDING) & (_MOST_GROWTH * first - second > -_ROUNDING)
     lowest = jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near))
     for before, here, after in zip(levels, levels[1:], levels[2:], strict=False):
-        value = jnp.where((here < before) & (here < after), here - near, here)
-        lowest = jnp.where(value < lowest, value, lowest)
+        lowest = jnp.minimum(lowest, here - jnp.where(here < jnp.minimum(before, after), near, 0.0))
     return jnp.minimum(lowest, levels[-1] - jnp.where(levels[-1] < levels[-2], near, 0.0))
 
 

@@ -43,8 +43,8 @@ def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None
         Support reactions and clamp poses (n, …) or (m, n, …). With a covariance, the most probable wrench of a single contact within the rod's length is taken
         for each sample, and its errors are carried to point and normal.
     friction
-        Coulomb's coefficient, if known: it bounds the object's normal by a cone around the force (`Reconstruction.normal_half_angle`), and tells how steeply
-        the rod may meet the object. `estimate_friction` finds it from the contacts of a sweep.
+        Coulomb's coefficient, if known: it bounds the object's normal by a cone around the force (`Reconstruction.normal_half_angle`). Whether a rod meets
+        the object too steeply is judged for a coefficient of 0.75, or for this one where it is larger. `estimate_friction` finds it from the contacts of a sweep.
     false_alarm
         Share of samples without contact that may be taken for one; used where the noise is known.
 
@@ -90,7 +90,10 @@ def _threshold(false_alarm: float) -> float:
 
 
 def _steepest(friction: float | None) -> float:
-    """Largest k² that friction explains: the rod's tangent makes at most 90° with the normal, which leans by atan μ from the force."""
+    """Largest k² that friction explains: the rod's tangent makes at most 90° with −n, the normal's, which leans by atan μ from the force.
+
+    For small μ no less than without it: tangential contacts lie on the limit, and their noise on both sides of it.
+    """
     return _STEEPEST if friction is None else max(_STEEPEST, (1 + friction / math.hypot(1, friction)) / 2 + _MODULUS_MARGIN)
 
 

@@ -1,17 +1,17 @@
 """What an equilibrium means: reactions, energy, and the checks of the state that is returned."""
 
-from functools import reduce
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.mechanics.elastic_line import bent_part, contact_tangent
+from vibrissa.mechanics.elastic_line import BEND_POINTS, bent_part, bent_part_finely, contact_tangent
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, bending_energy, largest_curvature
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Clamp, Scene, contact_state, levels, phase_difference
+from vibrissa.scan.equations import Clamp, Scene, contact_state, level, levels, phase_difference
 from vibrissa.scan.friction import SIZE, UNKNOWNS, outside_cone, rubbing_state
 
 Scalar = Float[Array, ""]
@@ -32,12 +32,15 @@ class Assessment(NamedTuple):
     phase: Scalar
     residual: Scalar
     depth: Scalar
-    """Largest depth to which the elastic line enters the object [L], to first order; negative or rounding where it does not."""
+    """At most how deep the elastic line enters the object [L]; rounding where it does not, else `closer_blocks` tells."""
     contact_tangent: Vector
     plane_normal: Vector
     direction: Vector
     """Unit vector of the contact force on the rod: the normal without friction."""
 
+
+DEPTH_TOLERANCE = 1e-7
+"""Depth [L] up to which the elastic line may enter the object: the error of its points."""
 
 WIDTH = 25
 """Numbers in one assessment, in the order above."""
@@ -46,7 +49,10 @@ ENERGY = 11
 """Its column of the energy."""
 
 _DEPTH = 15
-_TAIL_POINTS = 9
+_TAIL_POINTS, _FINE_TAIL_POINTS = 9, 193
+# What lies on a quadratic or a straight line from the contact doubles or quadruples from the first point to the second.
+_LEAST_GROWTH, _MOST_GROWTH = 1.6, 5.0
+_ROUNDING = 1e-9
 
 
 class Line(NamedTuple):
@@ -103,39 +109,39 @@ def _points(line: Line) -> tuple[list[Vector], list[Vector]]:
 
 
 def _depth(scene: Scene, line: Line) -> Scalar:
-    """Deepest place of the rod between its points, by parabolas through their minima."""
+    """At most how deep the rod lies in the object, as far as few of its points tell."""
     bend, tail = _points(line)
     found = levels(scene, bend + tail)
-    lowest = jnp.minimum(_lowest(found[: len(bend)]), _lowest(found[len(bend) :]))
-    return -lowest / line.steepness
+    steepness, s1 = line.steepness, line.rod.arc_length
+    # Between points the object may come nearer by half of their distance, which along the bend varies by up to √2.
+    near = steepness * s1 / ((BEND_POINTS - 1) * np.sqrt(2)), steepness * jnp.maximum(1 - s1, 0.0) / (2 * (_TAIL_POINTS - 1))
+    return -jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1])) / steepness
 
 
-def _deepest(scene: Scene, line: Line) -> Vector:
-    """Where that is [L]."""
-    best, lowest = line.point, jnp.asarray(jnp.inf)
-    for part in _points(line):
-        points = jnp.stack(part)
-        found = jnp.stack(levels(scene, part))
-        middle = jnp.clip(jnp.argmin(found), 1, len(part) - 2)
-        before, here, after = (found[middle + offset] for offset in (-1, 0, 1))
-        bend = before - 2 * here + after
-        share = jnp.clip(jnp.where(bend > 0, (before - after) / (2 * jnp.where(bend > 0, bend, 1.0)), 0.0), -1.0, 1.0)
-        value = here + share * (after - before) / 2 + share**2 * bend / 2
-        p0, p1, p2 = (points[middle + offset] for offset in (-1, 0, 1))
-        place = p1 + share * (p2 - p0) / 2 + share**2 * (p0 - 2 * p1 + p2) / 2
-        best, lowest = jnp.where(value < lowest, place, best), jnp.minimum(value, lowest)
-    return best
-
-
-def _lowest(levels: list[Scalar]) -> Scalar:
-    """Least value at equally spaced points, and at the vertices of the parabolas through three of them that lie nearest to the middle one."""
-    lowest = reduce(jnp.minimum, levels)
+def _least(levels: list[Scalar], near: Scalar) -> Scalar:
+    """Least level of points, lessened by `near` where a point is lower than its neighbours, or where the first do not rise as behind a contact."""
+    first, second = levels[1:3]
+    # From a tip as s, from a tangential contact as s².
+    rises = (second - _LEAST_GROWTH * first > -_ROUNDING) & (_MOST_GROWTH * first - second > -_ROUNDING)
+    lowest = jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near))
     for before, here, after in zip(levels, levels[1:], levels[2:], strict=False):
-        bend = before - 2 * here + after
-        vertex = here - (after - before) ** 2 / jnp.where(bend > 0, 8 * bend, 1.0)
-        inside = (bend > 0) & (jnp.abs(after - before) < bend)
-        lowest = jnp.minimum(lowest, jnp.where(inside, vertex, here))
-    return lowest
+        lowest = jnp.minimum(lowest, here - jnp.where(here < jnp.minimum(before, after), near, 0.0))
+    return jnp.minimum(lowest, levels[-1] - jnp.where(levels[-1] < levels[-2], near, 0.0))
+
+
+def _closer(scene: Scene, line: Line) -> Float[Array, "4"]:
+    """Deepest of many points of the rod, and its depth [L]: from below, by up to h²/(8R) for points h apart and an object that is round with radius R there."""
+    advance, distance = bent_part_finely(line.plane, line.rod, line.force)
+    bend = line.point + advance[:, None] * line.direction - distance[:, None] * line.side
+    rest = jnp.linspace(0.0, 1.0, _FINE_TAIL_POINTS) * jnp.maximum(1 - line.rod.arc_length, 0.0)
+    points = jnp.concatenate([bend, line.point + rest[:, None] * line.tangent])
+
+    def at(point: Vector) -> Scalar:
+        return level(scene, point)
+
+    found = lax.map(at, points) if scene.surface.heavy else jax.vmap(at)(points)
+    lowest = jnp.argmin(found)
+    return jnp.append(points[lowest], -found[lowest] / line.steepness)
 
 
 @compiled
@@ -155,12 +161,26 @@ def assess_blocks(
 
 
 @compiled
-def deepest_blocks(
+def closer_blocks(
     scene: Scene, x: Float[Array, "blocks size width"], clamps: Float[Array, "blocks 6 width"]
-) -> Float[Array, "blocks 3 width"]:
-    """Where the elastic lines of states enter the object most deeply [L]: the second contact that is missing."""
+) -> Float[Array, "blocks 4 width"]:
+    """Deepest points of the elastic lines of states, and how deep they lie in the object [L]: the second contact that is missing, if there is one."""
 
-    def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> Vector:
-        return _deepest(scene, assess(scene, x, Clamp(clamp[:3], clamp[3:]))[1])
+    def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> Float[Array, "4"]:
+        return _closer(scene, assess(scene, x, Clamp(clamp[:3], clamp[3:]))[1])
 
     return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (x, clamps))
+
+
+def assessed(
+    scene: Scene, x: Float[np.ndarray, "k size"], clamps: Float[np.ndarray, "k 6"]
+) -> tuple[Float[np.ndarray, "k 25"], Float[np.ndarray, "k 3"]]:
+    """Assessments of states, their depths looked at closely; and the deepest points [L] of those that are deep or nearly so, NaN of the others."""
+    fields = scene.in_blocks(assess_blocks, x, clamps)
+    deepest = np.full((len(x), 3), np.nan)
+    left_open = fields[:, _DEPTH] > DEPTH_TOLERANCE
+    if left_open.any():
+        found = scene.in_blocks(closer_blocks, x[left_open], clamps[left_open])
+        fields = fields.copy(order="K")
+        deepest[left_open], fields[left_open, _DEPTH] = found[:, :3], found[:, 3]
+    return fields, deepest

@@ -15,9 +15,10 @@ from vibrissa.geometry.rotation import third_axis, unit_quaternions
 from vibrissa.mechanics.elastic_line import elastic_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
+from vibrissa.scan.assess import DEPTH_TOLERANCE
 from vibrissa.scan.equations import Clamp, Scene, contact_state
 from vibrissa.scan.scan import touched_surface
-from vibrissa.scan.search import DEPTH_TOLERANCE, eased, seeds_around, solved_from
+from vibrissa.scan.search import eased, seeds_around, solved_from
 from vibrissa.scan.second_variation import NODES, least_second_variation
 from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail

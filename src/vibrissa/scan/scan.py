@@ -7,15 +7,14 @@ from vibrissa.contacts import ContactKind, Motion, Status
 from vibrissa.geometry.checks import not_negative
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
+from vibrissa.scan.assess import DEPTH_TOLERANCE, assessed
 from vibrissa.scan.assess import WIDTH as ASSESSED
-from vibrissa.scan.assess import assess_blocks, deepest_blocks
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import Event, Happening
 from vibrissa.scan.laws import FRICTIONLESS, RUBBING
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import Path, path_of
 from vibrissa.scan.result import Scan
-from vibrissa.scan.search import DEPTH_TOLERANCE
 from vibrissa.scan.sweep import Sweep, sweep
 from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
@@ -38,7 +37,8 @@ def scan(rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, fin
         Coulomb's coefficient for the rod on the object. The default is the paper's, 0.
     finite_radius
         Whether the rod's skin touches, at its radius from the centre line, which rounds edges and corners. The default is the paper's: the centre line
-        touches, and the object must be smooth.
+        touches, and the object must be smooth. With friction the force still acts on the centre line, and its path stands for the skin's: the force's
+        couple about the centre line and the turning of the section are left out, both of first order in the radius.
 
     Returns
     -------
@@ -87,11 +87,11 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     point, tangent = path.point[:, ::step], path.tangent[:, ::step]
     contact = mode == Mode.CONTACT
     unsolved = mode == Mode.LOST
-    columns = np.full((ASSESSED, mode.size), np.nan)
+    columns, places = np.full((ASSESSED, mode.size), np.nan), np.full((*mode.shape, 3), np.nan)
     if contact.any():
         rows = np.flatnonzero(contact)
         clamps = np.concatenate([point[contact], tangent[contact]], axis=-1)
-        values = scene.in_blocks(assess_blocks, x[contact], clamps)
+        values, places[contact] = assessed(scene, x[contact], clamps)
         for column, value in zip(columns, values.T, strict=True):
             column[rows] = value
     fields = np.moveaxis(columns.reshape(ASSESSED, *mode.shape), 0, -1)
@@ -124,23 +124,16 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
         events=events,
         friction=friction,
         offset=offset,
-        second_contact=_second_contacts(scene, x, point, tangent, status == Status.PENETRATING).reshape(*shape, 3),
+        second_contact=_second_contacts(scene, places, status == Status.PENETRATING).reshape(*shape, 3),
     )  # fmt: skip
 
 
-def _second_contacts(
-    scene: Scene,
-    x: Float[np.ndarray, "m n size"],
-    point: Float[np.ndarray, "m n 3"],
-    tangent: Float[np.ndarray, "m n 3"],
-    wrong: Bool[np.ndarray, "m n"],
-) -> Float[np.ndarray, "m n 3"]:
+def _second_contacts(scene: Scene, deepest: Float[np.ndarray, "m n 3"], wrong: Bool[np.ndarray, "m n"]) -> Float[np.ndarray, "m n 3"]:
     """Points of the object where rods lie deepest in it."""
-    places = np.full(point.shape, np.nan)
+    places = np.full(deepest.shape, np.nan)
     if wrong.any():
-        clamps = np.concatenate([point[wrong], tangent[wrong]], axis=-1)
-        deepest = scene.in_blocks(deepest_blocks, x[wrong], clamps) * scene.length
-        places[wrong] = scene.surface.foot(deepest) if isinstance(scene.surface, Offset) else deepest
+        found = deepest[wrong] * scene.length
+        places[wrong] = scene.surface.foot(found) if isinstance(scene.surface, Offset) else found
     return places
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from vibrissa.numerics.blocks import WIDE, AnyArray, from_blocks, runs, to_blocks
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.assess import assess_blocks
+from vibrissa.scan.assess import DEPTH_TOLERANCE, ENERGY, assessed
 from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
 from vibrissa.surfaces import Offset
 
@@ -38,8 +38,6 @@ _SHORTEST = 0.05
 # Shares of a finite radius behind the place where the rod enters: the way out from there ends on all sides of a rounded edge.
 _ROUND_AN_EDGE = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)
 _FINER = 33
-DEPTH_TOLERANCE = 1e-7
-"""Depth [L] up to which the elastic line may enter the object: the error of its sampling."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +67,8 @@ def stable_equilibria(
     x, determinant = solved.x[stable], solved.determinant[stable]
     if not len(x):
         return []
-    assessed = scene.in_blocks(assess_blocks, x, np.broadcast_to(clamp, (len(x), 6)))
-    arc_length, energy, phase, residual, depth = (assessed[:, column] for column in (7, 11, 13, 14, 15))
+    fields, _ = assessed(scene, x, np.broadcast_to(clamp, (len(x), 6)))
+    arc_length, energy, phase, residual, depth = (fields[:, column] for column in (7, ENERGY, 13, 14, 15))
     good = (residual < DEPTH_TOLERANCE) & (depth < DEPTH_TOLERANCE) & (arc_length < 1 + DEPTH_TOLERANCE)
     return [
         Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row]))

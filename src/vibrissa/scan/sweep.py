@@ -52,8 +52,8 @@ def sweep(scene: Scene, path: Path, law: ContactLaw) -> Sweep:
 
 
 def _order(happening: Happening) -> tuple[int, int, float, bool]:
-    """By place; a first contact comes before a change of phase at the same place, whichever way rounding has it."""
-    return happening.lane, happening.index, round(happening.fraction, 12), happening.kind != EventKind.FIRST_CONTACT
+    """By place; the beginning and the end of a contact, in their own order, come before a change of phase at the same place, whichever way rounding has it."""
+    return happening.lane, happening.index, round(happening.fraction, 12), happening.kind not in (EventKind.FIRST_CONTACT, EventKind.DETACH)
 
 
 def _once(happenings: list[Happening]) -> list[Happening]:

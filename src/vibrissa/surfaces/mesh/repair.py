@@ -18,8 +18,9 @@ _SAME = 1e-9
 _FLAT = 1e-9
 _MOST_PASSES = 8
 
-Vertices = Float[np.ndarray, "v 3"]
-Faces = Int[np.ndarray, "f 3"]
+# Repairs change how many there are.
+Vertices = Float[np.ndarray, "_ 3"]
+Faces = Int[np.ndarray, "_ 3"]
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,7 @@ def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
     return rims
 
 
-def _wound_alike(f: Faces) -> tuple[Faces, Bool[np.ndarray, "f"]]:
+def _wound_alike(f: Faces) -> tuple[Faces, Bool[np.ndarray, "_"]]:
     """Turn triangles so that neighbours agree; which were turned."""
     wound, _ = library("igl").bfs_orient(f)
     wound = np.asarray(wound, dtype=np.int64)
@@ -272,7 +273,7 @@ def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
     return vertices, np.concatenate([f, np.array(new_faces, dtype=np.int64)]), filled
 
 
-def _outwards(v: Vertices, f: Faces, turned: Bool[np.ndarray, "f"]) -> tuple[Faces, int]:
+def _outwards(v: Vertices, f: Faces, turned: Bool[np.ndarray, "_"]) -> tuple[Faces, int]:
     """Turn whole parts whose inside is outside; number of triangles turned in all. A part inside another one is a cavity."""
     edges = _edges(f)
     count, part = connected_components(coo_array((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(v), len(v))))

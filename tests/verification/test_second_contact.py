@@ -1,0 +1,177 @@
+"""Objects that a rod can touch in two places: what is returned as one contact is one, and where it is not, the row says so and where.
+
+The judge is a fine elastic line and the exact distance from the object, written out here in NumPy. Model units.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import shooting
+
+import vibrissa as vb
+from vibrissa.surfaces import Box, Sphere, Surface, Torus, Union
+
+Distance = Callable[[np.ndarray], np.ndarray]
+COUNT, POINTS = 121, 2000
+# Depth [L] that may go unseen: of points L/270 apart on a part of radius 0.05, 3.5e-5.
+UNSEEN = 4e-5
+NEAR = 0.02
+
+
+def sphere(center: tuple[float, ...], radius: float) -> Distance:
+    return lambda p: np.linalg.norm(p - np.array(center), axis=-1) - radius
+
+
+def box(center: tuple[float, ...], half_extents: tuple[float, ...]) -> Distance:
+    def distance(p: np.ndarray) -> np.ndarray:
+        beyond = np.abs(p - np.array(center)) - np.array(half_extents)
+        return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)
+
+    return distance
+
+
+def torus(center: tuple[float, ...], axis: tuple[float, ...], major: float, minor: float) -> Distance:
+    e = np.array(axis) / np.linalg.norm(axis)
+
+    def distance(p: np.ndarray) -> np.ndarray:
+        along = (p - np.array(center)) @ e
+        across = np.linalg.norm(p - np.array(center) - along[..., None] * e, axis=-1)
+        return np.hypot(across - major, along) - minor
+
+    return distance
+
+
+class Place(NamedTuple):
+    """An object, the distances from its parts, and a trail along −x at y = `side`."""
+
+    surface: Surface
+    parts: list[Distance]
+    side: float
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """From the whole object."""
+        return np.min([part(points) for part in self.parts], axis=0)
+
+
+# Out of the rod's reach: all objects are of one kind, which is compiled once.
+FAR = (9.0, 9.0, 9.0)
+BALL, NO_BLOCK, NO_RING = (FAR, 0.1), (FAR, (0.1, 0.1, 0.1)), (FAR, (0, 0, 1), 0.2, 0.1)
+
+
+def place(
+    side: float,
+    one: tuple[tuple[float, ...], float] = BALL,
+    other: tuple[tuple[float, ...], float] = BALL,
+    block: tuple[tuple[float, ...], tuple[float, ...]] = NO_BLOCK,
+    ring: tuple[tuple[float, ...], tuple[float, ...], float, float] = NO_RING,
+) -> Place:
+    surface = Union([Sphere(*one), Sphere(*other), Box(*block), Torus(*ring)])
+    return Place(surface, [sphere(*one), sphere(*other), box(*block), torus(*ring)], side)
+
+
+PLACES = {
+    # The rod bends round the upper one, and before it lets go the lower one is in its way.
+    "low behind high": place(0.02, ((0, 0.1, 0.95), 0.2), ((-0.2, -0.12, 0.6), 0.15)),
+    # Its tip lets go of the first, and there is room before the second.
+    "apart": place(0.0, ((0.3, 0.1, 0.8), 0.15), ((-0.15, -0.1, 0.55), 0.15)),
+    # Bent by the lower one, it meets the upper one farther out.
+    "high behind low": place(0.03, ((0.35, 0.0, 0.5), 0.12), ((0.0, 0.05, 0.9), 0.25)),
+    # It slides into the crease between them, from where no single contact leads on.
+    "into the crease": place(0.06, ((0.1, 0, 0.9), 0.15), ((-0.25, 0, 0.85), 0.25)),
+    # Sharp edges, of which a bent rod knows nothing until it enters them.
+    "block behind ball": place(0.05, ((0.1, 0.1, 0.9), 0.2), block=((-0.15, 0, 0.45), (0.1, 0.3, 0.1))),
+    # Through the hole of a ring.
+    "ring": place(0.05, ring=((0, -0.07, 0.64), (0.8, 0.2, -0.3), 0.2, 0.07)),
+}
+ALL = pytest.mark.parametrize("name", PLACES)
+
+
+@cache
+def swept(name: str) -> vb.Scan:
+    surface, _, side = PLACES[name]
+    return vb.scan(vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, side, 0), stop=(-1.2, side, 0), count=COUNT))
+
+
+def deepest(name: str, i: int) -> tuple[np.ndarray, float]:
+    """Deepest point of the elastic line at a position, and its depth."""
+    line = swept(name).elastic_line(int(i), POINTS)
+    distance = PLACES[name].distances(line)
+    k = int(np.argmin(distance))
+    return line[k], -float(distance[k])
+
+
+@ALL
+def test_a_good_row_has_one_contact(name: str) -> None:
+    scan = swept(name)
+    for i in np.flatnonzero(scan.status == vb.Status.OK):
+        assert deepest(name, i)[1] < UNSEEN
+        assert np.all(np.isnan(scan.second_contact[i]))
+
+
+@ALL
+def test_a_rod_that_enters_the_object_says_where(name: str) -> None:
+    scan = swept(name)
+    wrong = np.flatnonzero(scan.solved & (scan.status != vb.Status.OK))
+    for i in wrong:
+        where, depth = deepest(name, i)
+        assert scan.status[i] == vb.Status.PENETRATING
+        assert depth > 0
+        assert scan.depth[i] == pytest.approx(depth, abs=5e-4)
+        np.testing.assert_allclose(scan.second_contact[i], where, rtol=0, atol=NEAR)
+        assert PLACES[name].distances(scan.second_contact[i]) < 0
+        assert np.linalg.norm(scan.second_contact[i] - scan.point[i]) > NEAR
+    assert bool(len(wrong)) == (name != "apart"), scan.status
+
+
+@ALL
+def test_each_row_is_a_rod_in_space_that_touches_where_it_says(name: str) -> None:
+    """Also one that enters the object elsewhere: it is an equilibrium, of the one contact."""
+    scan = swept(name)
+    touching = np.flatnonzero(scan.in_contact)
+    np.testing.assert_allclose(PLACES[name].distances(scan.point[touching]), 0, atol=1e-9)
+    for i in touching[:: len(touching) // 6]:
+        force, moment = -scan.reactions.force[i], -scan.reactions.moment[i]
+        end = shooting.rod_along(scan.trail.position[i], (0, 0, 1), moment, force, [scan.arc_length[i]])[-1]
+        np.testing.assert_allclose(end[:3], scan.point[i], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(end[6:9], 0, atol=1e-9)
+        ahead = PLACES[name].distances(scan.point[i] + 1e-4 * force / np.linalg.norm(force))
+        assert ahead == pytest.approx(1e-4, abs=1e-7)
+
+
+def touched(name: str) -> list[int]:
+    """Which part each row in contact is on, row after row, each once."""
+    scan = swept(name)
+    parts = np.argmin(np.abs([part(scan.point[scan.in_contact]) for part in PLACES[name].parts]), axis=0)
+    return [int(part) for k, part in enumerate(parts) if k == 0 or part != parts[k - 1]]
+
+
+@pytest.mark.parametrize(
+    ("name", "leaves", "arrives"),
+    [
+        ("low behind high", vb.EventKind.DETACH, vb.EventKind.FIRST_CONTACT),
+        ("apart", vb.EventKind.DETACH, vb.EventKind.FIRST_CONTACT),
+        ("high behind low", vb.EventKind.DETACH, vb.EventKind.FIRST_CONTACT),
+        ("into the crease", vb.EventKind.SNAP, vb.EventKind.STARTED_IN_CONTACT),
+    ],
+)
+def test_the_contact_goes_on_to_the_other_part_and_an_event_says_so(name: str, leaves: vb.EventKind, arrives: vb.EventKind) -> None:
+    scan = swept(name)
+    one, other = PLACES[name].parts[:2]
+    assert touched(name) == [0, 1]
+    kinds = [event.kind for event in scan.events]
+    between = kinds.index(leaves)
+    assert kinds[between + 1] == arrives
+    left, met = scan.events[between : between + 2]
+    assert one(left.point) == pytest.approx(0, abs=1e-9)
+    assert other(left.point) > -1e-9
+    assert abs(other(met.point)) < NEAR
+    assert left.parameter <= met.parameter
+    # The rows before the one and behind the other are on the part that they are said to be on.
+    x = scan.trail.position[:, 0]
+    before, behind = scan.in_contact & (x > left.clamp[0]), scan.in_contact & (x < met.clamp[0])
+    np.testing.assert_allclose(one(scan.point[before]), 0, atol=1e-9)
+    np.testing.assert_allclose(other(scan.point[behind]), 0, atol=1e-9)
+    assert before.any() and behind.any()

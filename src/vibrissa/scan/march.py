@@ -90,7 +90,7 @@ class Solver(NamedTuple):
     solve: Callable[[Scene, Array, Clamp, Array, Array], Solved]
     """Of scene, guess (size, width), clamps, the lanes that matter, and the states before (size, width)."""
     branch: bool
-    """Whether the figure keeps its sign and the path of the contact is smooth."""
+    """Whether the figure keeps its sign."""
 
 
 March: TypeAlias = Callable[[Scene, Legs, AnyArray, AnyArray], Steps]
@@ -150,7 +150,7 @@ def _advance(solver: Solver, scene: Scene, legs: Legs, index: Array, carry: _Car
     moved = jnp.sqrt(jnp.sum((x - carry.x)[:3] ** 2, axis=0))
     clamp_moved = _clamp_motion(legs, index)
     missed = jnp.sqrt(jnp.sum((x - guess)[:3] ** 2, axis=0))
-    misses = solver.branch & (carry.age >= 1) & (missed > _MISS_FLOOR + _MISS * moved)
+    misses = (carry.age >= 1) & (missed > _MISS_FLOOR + _MISS * moved)
     leaps = touching & ((moved > JUMP_FLOOR + JUMP * clamp_moved) | misses)
     # A contact that pulls is one that has been lost; the solution beyond tells by how much.
     released = touching & solved & ~leaps & (x[3] < 0)

@@ -19,7 +19,7 @@ NEAR = 1.5
 
 _CHUNK = 1 << 18
 _LONGEST = 6.0
-_STEPS = 6
+_MOST_STEPS = 40
 _NEIGHBOURS = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 
 
@@ -148,16 +148,19 @@ def _walked(
     points: Float[Array, "n 3"], triangles: Int[Array, "n"], rows: Float[Array, "k 60"], neighbours: Int[Array, "k 3"]
 ) -> Float[Array, "n"]:
     def one(point: Float[Array, "3"], triangle: Int[Array, ""]) -> Float[Array, ""]:
-        def step(_: int | Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            here, level, moving = state
-            found, weights = refined_level(point, unpacked(rows[here]))
-            level = jnp.where(moving, found, level)
+        def unfinished(state: tuple[Array, Array, Array, Array]) -> Array:
+            return state[2] & (state[3] < _MOST_STEPS)
+
+        def step(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+            here, _, _, steps = state
+            level, weights = refined_level(point, unpacked(rows[here]))
             lowest = jnp.argmin(weights)
             following = neighbours[here, lowest]
-            moving = moving & (weights[lowest] < -1e-9) & (following >= 0)
-            return jnp.where(moving, following, here), level, moving
+            moving = (weights[lowest] < -1e-9) & (following >= 0)
+            return jnp.where(moving, following, here), level, moving, steps + 1
 
-        return lax.fori_loop(0, _STEPS, step, (triangle, jnp.zeros(()), jnp.asarray(True)))[1]  # noqa: FBT003
+        start = (triangle, jnp.zeros(()), jnp.asarray(True), jnp.zeros((), dtype=int))  # noqa: FBT003
+        return lax.while_loop(unfinished, step, start)[1]
 
     return jax.vmap(one)(points, triangles)
 

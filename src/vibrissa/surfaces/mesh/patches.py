@@ -165,11 +165,16 @@ def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
     They may lie outside the triangle: the neighbour there sees the point better.
     """
     near = frozen(point, patch)
-    seen = _line_of_sight(point, patch, near.weights)
+    seen, trusted = _line_of_sight(point, patch, near.weights)
+    # Far away, the direction over the triangle's plane is all that is asked for.
+    slopes, offset = _slopes(patch.vertices), point - patch.vertices[0]
+    flat = jnp.stack([dot(slope, offset) for slope in slopes]) + jnp.array([1.0, 0.0, 0.0])
+    seen = jnp.where(trusted, seen, flat)
     # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
     stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
     weights = jnp.where(stopped, near.weights, seen)
-    return patch_level(point, patch, near._replace(weights=weights)), weights
+    level = patch_level(point, patch, near._replace(weights=jnp.where(trusted, weights, near.weights)))
+    return level, weights
 
 
 def _sheet(point: Vector, vertices: Triangle, normals: Triangle, weights: Vector) -> tuple[Scalar, Vector]:
@@ -196,8 +201,8 @@ def _outside_both(first: Scalar, second: Scalar, cosine: Scalar) -> Scalar:
     return jnp.where((first <= 0) & (second <= 0), jnp.maximum(first, second), outside)
 
 
-def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> Vector:
-    """Barycentric coordinates b at which p − Σ b_i v_i is parallel to Σ b_i n_i, by Newton's method."""
+def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector, Array]:
+    """Barycentric coordinates b at which p − Σ b_i v_i is parallel to Σ b_i n_i, by Newton's method, and whether it arrived near the triangle."""
     v, n = patch.vertices, patch.normals
     m = _mixed(weights, n)
     height = dot(point - _mixed(weights, v), m) / jnp.maximum(dot(m, m), _TINY)
@@ -215,4 +220,4 @@ def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> Vector:
         height = height + dot(across, rest) / safe
     seen = jnp.stack([1 - b1 - b2, b1, b2])
     trusted = jnp.all(jnp.isfinite(seen)) & jnp.all(jnp.abs(seen - weights) < _LEAVES)
-    return jnp.where(trusted, seen, weights)
+    return seen, trusted

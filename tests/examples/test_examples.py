@@ -1,6 +1,7 @@
 """Every example runs, and its numbers are right."""
 
 import importlib.util
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -79,10 +80,16 @@ def test_shipped_recording_gives_the_sphere() -> None:
     assert np.median(tilt) < 2.0
 
 
-@pytest.mark.parametrize("path", sorted((EXAMPLES / "cases").glob("*.toml")), ids=lambda path: path.stem)
-def test_cases(path: Path) -> None:
-    case = vb.load_case(path)
-    scan = vb.scan(case.rod, case.surface, case.trail, friction=case.friction, finite_radius=case.finite_radius)
+@cache
+def swept(name: str) -> tuple[vb.Case, vb.Scan]:
+    """A case and its scan; kept, since a mesh takes its time."""
+    case = vb.load_case(EXAMPLES / f"cases/{name}.toml")
+    return case, vb.scan(case.rod, case.surface, case.trail, friction=case.friction, finite_radius=case.finite_radius)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (EXAMPLES / "cases").glob("*.toml")))
+def test_cases(name: str) -> None:
+    case, scan = swept(name)
     contact = scan.in_contact
     assert contact.any()
     assert scan.solved.all()
@@ -93,9 +100,8 @@ def test_cases(path: Path) -> None:
 
 def test_the_case_with_friction_is_that_of_the_recording() -> None:
     """Force off the normal by atan μ wherever the wire slides."""
-    case = vb.load_case(EXAMPLES / "cases/sphere_friction.toml")
+    case, scan = swept("sphere_friction")
     assert (case.friction, case.finite_radius) == (0.25, False)
-    scan = vb.scan(case.rod, case.surface, case.trail, friction=case.friction)
     rows = scan.motion == vb.Motion.SLIP
     outward = (scan.point[rows] - SPHERE) / 0.03
     force = -scan.reactions.force[rows]
@@ -106,8 +112,7 @@ def test_the_case_with_friction_is_that_of_the_recording() -> None:
 
 def test_the_case_of_the_mug_touches_where_it_is_hollow() -> None:
     """Wall, then the inside of the handle, which is a saddle, and the rim out of the cavity: against the solid that the mesh samples."""
-    case = vb.load_case(EXAMPLES / "cases/mug.toml")
-    scan = vb.scan(case.rod, case.surface, case.trail)
+    _, scan = swept("mug")
     np.testing.assert_array_equal(scan.status, vb.Status.OK)
     solid = _load("make_mug").mug()
     # The case's placement, undone: (x, y, z) of the mug is (-x, -z, -y) of the world.
@@ -125,9 +130,8 @@ def test_the_case_of_the_mug_touches_where_it_is_hollow() -> None:
 
 
 def test_the_case_of_the_box_touches_its_edges() -> None:
-    case = vb.load_case(EXAMPLES / "cases/box_wire.toml")
+    case, scan = swept("box_wire")
     assert case.finite_radius
-    scan = vb.scan(case.rod, case.surface, case.trail, finite_radius=True)
     rows = scan.in_contact
     # On an edge the normal is that of neither face.
     assert np.count_nonzero(np.sum(np.abs(scan.normal[rows]) > 1e-3, axis=1) == 2) > 20

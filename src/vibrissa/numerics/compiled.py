@@ -1,12 +1,12 @@
 """Compilation of the heavy kernels."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, wraps
 from typing import ParamSpec, TypeVar
 
 import jax
 from jax import Array
-from jax.extend.core import Jaxpr, jaxprs_in_params
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
@@ -43,4 +43,15 @@ def operation_count(function: Callable[[Array], Array], argument: Array) -> int:
 
 
 def _operations(jaxpr: Jaxpr) -> int:
-    return sum(1 + sum(_operations(inner) for inner in jaxprs_in_params(equation.params)) for equation in jaxpr.eqns)
+    return sum(1 + sum(map(_operations, _inner(equation.params.values()))) for equation in jaxpr.eqns)
+
+
+def _inner(parameters: Iterable[object]) -> Iterator[Jaxpr]:
+    """Programs within an operation: bodies of loops, branches, functions called."""
+    for parameter in parameters:
+        if isinstance(parameter, Jaxpr):
+            yield parameter
+        elif isinstance(parameter, ClosedJaxpr):
+            yield parameter.jaxpr
+        elif isinstance(parameter, (tuple, list)):
+            yield from _inner(parameter)

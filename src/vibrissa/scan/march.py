@@ -147,10 +147,14 @@ def _advance(solver: Solver, scene: Scene, legs: Legs, index: Array, carry: _Car
     x, residual, figure, phase = solver.solve(scene, jnp.where(entering, met, guess), clamp, active, jnp.where(entering, met, carry.x))
 
     solved = residual <= TOLERANCE
-    moved = jnp.sqrt(jnp.sum((x - carry.x)[:3] ** 2, axis=0))
+    moved, missed = _distance(x, carry.x), _distance(x, guess)
     clamp_moved = _clamp_motion(legs, index)
-    missed = jnp.sqrt(jnp.sum((x - guess)[:3] ** 2, axis=0))
-    misses = (carry.age >= 1) & (missed > _MISS_FLOOR + _MISS * moved)
+    tolerated = _MISS_FLOOR + _MISS * moved
+    if not solver.branch:
+        # With friction the contact turns off its way at a corner of the trail, without a jump, and the guesses behind it still carry that on.
+        strides = _distance(carry.x, carry.before), _distance(carry.before, carry.second_before)
+        tolerated = _MISS_FLOOR + _MISS * jnp.maximum(moved, jnp.maximum(*strides)) + JUMP * _clamp_miss(legs, index, carry.age)
+    misses = (carry.age >= 1) & (missed > tolerated)
     leaps = touching & ((moved > JUMP_FLOOR + JUMP * clamp_moved) | misses)
     # A contact that pulls is one that has been lost; the solution beyond tells by how much.
     released = touching & solved & ~leaps & (x[3] < 0)
@@ -172,10 +176,26 @@ def _advance(solver: Solver, scene: Scene, legs: Legs, index: Array, carry: _Car
     return following, Steps(x, mode, figure, phase)
 
 
+def _distance(x: Array, y: Array) -> Float[Array, "width"]:
+    """Between two contact points."""
+    return jnp.sqrt(jnp.sum((x - y)[:3] ** 2, axis=0))
+
+
 def _extrapolated(carry: _Carry) -> Float[Array, "size width"]:
-    linear = 2 * carry.x - carry.before
-    quadratic = 3 * (carry.x - carry.before) + carry.second_before
-    return jnp.where(carry.age >= 2, quadratic, jnp.where(carry.age >= 1, linear, carry.x))
+    return _next(carry.x, carry.before, carry.second_before, carry.age)
+
+
+def _next(last: Array, before: Array, second_before: Array, age: Array) -> Float[Array, "size width"]:
+    linear = 2 * last - before
+    quadratic = 3 * (last - before) + second_before
+    return jnp.where(age >= 2, quadratic, jnp.where(age >= 1, linear, last))
+
+
+def _clamp_miss(legs: Legs, index: Array, age: Array) -> Float[Array, "width"]:
+    """How far the clamp is from where its motion would have taken it, by the rule of `_extrapolated`."""
+    last, before, second_before = (jnp.maximum(index - back, 0) for back in (1, 2, 3))
+    misses = (at[index] - _next(at[last], at[before], at[second_before], age) for at in (legs.point, legs.tangent))
+    return jnp.sqrt(sum(jnp.sum(miss**2, axis=0) for miss in misses))
 
 
 def _clamp_motion(legs: Legs, index: Array) -> Float[Array, "width"]:

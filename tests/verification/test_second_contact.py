@@ -175,3 +175,29 @@ def test_the_contact_goes_on_to_the_other_part_and_an_event_says_so(name: str, l
     np.testing.assert_allclose(one(scan.point[before]), 0, atol=1e-9)
     np.testing.assert_allclose(other(scan.point[behind]), 0, atol=1e-9)
     assert before.any() and behind.any()
+
+
+def small_part(rng: np.random.Generator) -> tuple[Place, vb.Scan]:
+    """A ball or a block of 0.005 to 0.06 L beside the rod's way over a larger ball, at most 0.08 L from where the contact is at one position."""
+    large = ((0.1, 0.1, 0.9), 0.3)
+    alone = vb.scan(vb.Rod.unit(), place(0.05, large).surface, vb.Trail.line(start=(1.2, 0.05, 0), stop=(-1.2, 0.05, 0), count=COUNT))
+    row = rng.choice(np.flatnonzero(alone.in_contact & (alone.status == vb.Status.OK)))
+    line = alone.elastic_line(int(row), POINTS)
+    touching = int(np.argmin(np.linalg.norm(line - alone.point[row], axis=1)))
+    beside = line[min(touching + int(rng.integers(-160, 160)), POINTS - 1)]
+    size, away = rng.uniform(0.005, 0.06), rng.normal(size=3)
+    center = tuple(beside + away / np.linalg.norm(away) * (size + rng.uniform(-0.006, 0.002)))
+    there = place(0.05, large, block=(center, (size,) * 3)) if rng.random() < 0.5 else place(0.05, large, (center, size))
+    return there, vb.scan(vb.Rod.unit(), there.surface, alone.trail)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_small_parts_beside_a_contact_are_noticed(seed: int) -> None:
+    """Far smaller than the points of the first look are apart: the distances from the parts say that a part may lie between."""
+    there, scan = small_part(np.random.default_rng(seed))
+    for i in np.flatnonzero(scan.in_contact):
+        depth = -there.distances(scan.elastic_line(int(i), 2 * POINTS)).min()
+        if scan.status[i] == vb.Status.OK:
+            assert depth < 1e-6
+        if scan.status[i] == vb.Status.PENETRATING:
+            assert depth > 0

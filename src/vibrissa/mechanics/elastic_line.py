@@ -14,6 +14,7 @@ Vector = Float[Array, "3"]
 
 _NODE_COUNT = 14
 BEND_POINTS, FINE_POINTS = 25, 385
+_NEAR_STEP, _NEAR_POINTS = 2, 17
 _LEAST_FORCE = 1e-12
 
 
@@ -31,6 +32,7 @@ def _cumulative_chebyshev(count: int, points: int) -> tuple[Float[np.ndarray, "n
 
 _NODES, _INTEGRATE = _cumulative_chebyshev(_NODE_COUNT, BEND_POINTS)
 _, _INTEGRATE_FINELY = _cumulative_chebyshev(_NODE_COUNT, FINE_POINTS)
+_INTEGRATE_NEAR = _INTEGRATE_FINELY[: _NEAR_STEP * _NEAR_POINTS : _NEAR_STEP]
 
 
 def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[list[Scalar], list[Scalar]]:
@@ -41,9 +43,20 @@ def bent_part(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[list[
 
     Lists, not arrays: written out point by point the whole check becomes one loop over the lanes, measured four times as fast.
     """
+    return _points(plane, rod, force, _INTEGRATE, 1 / (BEND_POINTS - 1))
+
+
+def bent_part_near(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[list[Scalar], list[Scalar]]:
+    """The same of 17 points in the two steps next to the contact."""
+    return _points(plane, rod, force, _INTEGRATE_NEAR, _NEAR_STEP / (FINE_POINTS - 1))
+
+
+def _points(
+    plane: BasePlane, rod: ContactOnRod, force: Scalar, integrate: Float[np.ndarray, "points n"], step: float
+) -> tuple[list[Scalar], list[Scalar]]:
     root, span, rates = _rates(plane, rod, force)
-    advance = [sum((weight * rate for weight, rate in zip(row, rates, strict=True)), start=jnp.zeros(())) for row in _INTEGRATE.tolist()]
-    return advance, _multiples_of_sine(span / (BEND_POINTS - 1), 2 * jnp.sqrt(rod.modulus) / root)
+    advance = [sum((weight * rate for weight, rate in zip(row, rates, strict=True)), start=jnp.zeros(())) for row in integrate.tolist()]
+    return advance, _multiples_of_sine(span * step, 2 * jnp.sqrt(rod.modulus) / root, len(integrate))
 
 
 def bent_part_finely(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Float[Array, "385"], Float[Array, "385"]]:
@@ -65,11 +78,11 @@ def _rates(plane: BasePlane, rod: ContactOnRod, force: Scalar) -> tuple[Scalar, 
     return root, span, rates
 
 
-def _multiples_of_sine(angle: Scalar, factor: Scalar) -> list[Scalar]:
+def _multiples_of_sine(angle: Scalar, factor: Scalar, count: int) -> list[Scalar]:
     """Factor times the sine of 0, 1, 2, … times an angle: sin (j + 1) h = 2 cos h sin j h − sin (j − 1) h."""
     twice_cosine = 2 * cosine(angle)
     sines = [jnp.zeros_like(angle), factor * sine(angle)]
-    while len(sines) < BEND_POINTS:
+    while len(sines) < count:
         sines.append(twice_cosine * sines[-1] - sines[-2])
     return sines
 

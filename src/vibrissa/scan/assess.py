@@ -1,5 +1,7 @@
 """What an equilibrium means: reactions, energy, and the checks of the state that is returned."""
 
+from functools import reduce
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -8,10 +10,10 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.mechanics.elastic_line import BEND_POINTS, bent_part, bent_part_finely, contact_tangent
+from vibrissa.mechanics.elastic_line import BEND_POINTS, FINE_POINTS, bent_part, bent_part_finely, bent_part_near, contact_tangent
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, bending_energy, largest_curvature
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Clamp, Scene, contact_state, level, levels, phase_difference
+from vibrissa.scan.equations import Clamp, Scene, contact_state, level, levels, levels_elsewhere, phase_difference
 from vibrissa.scan.friction import SIZE, UNKNOWNS, outside_cone, rubbing_state
 
 Scalar = Float[Array, ""]
@@ -50,6 +52,9 @@ ENERGY = 11
 
 _DEPTH = 15
 _TAIL_POINTS, _FINE_TAIL_POINTS = 9, 193
+# Points for one next to the contact; lowest points looked at once more, and with how many points between their neighbours.
+_CLOSE = 8
+_LOWEST, _BETWEEN = 4, 33
 # What lies on a quadratic or a straight line from the contact doubles or quadruples from the first point to the second.
 _LEAST_GROWTH, _MOST_GROWTH = 1.6, 5.0
 _ROUNDING = 1e-9
@@ -115,7 +120,13 @@ def _depth(scene: Scene, line: Line) -> Scalar:
     steepness, s1 = line.steepness, line.rod.arc_length
     # Between points the object may come nearer by half of their distance, which along the bend varies by up to √2.
     near = steepness * s1 / ((BEND_POINTS - 1) * np.sqrt(2)), steepness * jnp.maximum(1 - s1, 0.0) / (2 * (_TAIL_POINTS - 1))
-    return -jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1])) / steepness
+    least = jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1]))
+    if scene.surface.creased:
+        least = jnp.minimum(least, _least_close_by(scene, line))
+    if scene.surface.in_parts:
+        others = levels_elsewhere(scene, bend + tail, line.point)
+        least = jnp.minimum(least, jnp.minimum(_least_between(others[: len(bend)], near[0]), _least_between(others[len(bend) :], near[1])))
+    return -least / steepness
 
 
 def _least(levels: list[Scalar], near: Scalar) -> Scalar:
@@ -129,19 +140,51 @@ def _least(levels: list[Scalar], near: Scalar) -> Scalar:
     return jnp.minimum(lowest, levels[-1] - jnp.where(levels[-1] < levels[-2], near, 0.0))
 
 
+def _least_between(levels: list[Scalar], near: Scalar) -> Scalar:
+    """Least level that a distance can have between points."""
+    return reduce(jnp.minimum, [(before + after) / 2 - near for before, after in pairwise(levels)])
+
+
+def _least_close_by(scene: Scene, line: Line) -> Scalar:
+    """The same of points close to the contact, where a crease may hide between the few."""
+    advance, distance = bent_part_near(line.plane, line.rod, line.force)
+    p, rest = line.point, jnp.maximum(1 - line.rod.arc_length, 0.0)
+    bend = [p + a * line.direction - d * line.side for a, d in zip(advance, distance, strict=True)]
+    tail = [p + index / (_TAIL_POINTS - 1) / _CLOSE * rest * line.tangent for index in range(_CLOSE + 1)]
+    found = levels(scene, bend + tail)
+    near = line.steepness * line.rod.arc_length / (FINE_POINTS - 1) * np.sqrt(2), line.steepness * rest / (2 * _CLOSE * (_TAIL_POINTS - 1))
+    return jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1]))
+
+
 def _closer(scene: Scene, line: Line) -> Float[Array, "4"]:
-    """Deepest of many points of the rod, and its depth [L]: from below, by up to h²/(8R) for points h apart and an object that is round with radius R there."""
+    """Deepest of many points of the rod, and its depth [L].
+
+    From below, by up to h²/(8R) for points h ≈ L/6000 apart at the deepest place and an object that is round with radius R there, and by h/2 where it is sharp.
+    """
     advance, distance = bent_part_finely(line.plane, line.rod, line.force)
     bend = line.point + advance[:, None] * line.direction - distance[:, None] * line.side
     rest = jnp.linspace(0.0, 1.0, _FINE_TAIL_POINTS) * jnp.maximum(1 - line.rod.arc_length, 0.0)
-    points = jnp.concatenate([bend, line.point + rest[:, None] * line.tangent])
+    tail = line.point + rest[:, None] * line.tangent
+    # From tip to clamp, with the contact once.
+    points = jnp.concatenate([tail[:0:-1], bend])
 
-    def at(point: Vector) -> Scalar:
-        return level(scene, point)
+    def levels_at(points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+        def one(point: Vector) -> Scalar:
+            return level(scene, point)
 
-    found = lax.map(at, points) if scene.surface.heavy else jax.vmap(at)(points)
-    lowest = jnp.argmin(found)
-    return jnp.append(points[lowest], -found[lowest] / line.steepness)
+        return jnp.asarray(lax.map(one, points) if scene.surface.heavy else jax.vmap(one)(points))
+
+    coarse = levels_at(points)
+    padded = jnp.pad(coarse, 1, constant_values=jnp.inf)
+    lower = (coarse < padded[:-2]) & (coarse <= padded[2:])
+    places = jnp.clip(lax.top_k(jnp.where(lower, -coarse, -jnp.inf), _LOWEST)[1], 1, len(points) - 2)
+    before, here, after = points[places - 1], points[places], points[places + 1]
+    t = jnp.linspace(-1.0, 1.0, _BETWEEN)[:, None, None]
+    between = (here + t / 2 * (after - before) + t**2 / 2 * (after - 2 * here + before)).reshape(-1, 3)
+    fine = levels_at(between)
+    all_points, all_levels = jnp.concatenate([points, between]), jnp.concatenate([coarse, fine])
+    lowest = jnp.argmin(all_levels)
+    return jnp.append(all_points[lowest], -all_levels[lowest] / line.steepness)
 
 
 @compiled

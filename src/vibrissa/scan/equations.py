@@ -75,16 +75,25 @@ def level(scene: Scene, point: Vector) -> Scalar:
     return scene.surface.level(point * scene.length) / scene.length
 
 
+def _level_elsewhere(scene: Scene, point: Vector, contact: Vector) -> Scalar:
+    return scene.surface.level_elsewhere(point * scene.length, contact * scene.length) / scene.length
+
+
 # A level function of few operations is written out point by point, which runs as one loop over the lanes; of more, it would take long to compile.
 _LIGHT = 30
 
 
 def levels(scene: Scene, points: list[Vector]) -> list[Scalar]:
     """Level function at several points."""
+    return _at_each(scene, lambda point: level(scene, point), points)
 
-    def one(point: Vector) -> Scalar:
-        return level(scene, point)
 
+def levels_elsewhere(scene: Scene, points: list[Vector], contact: Vector) -> list[Scalar]:
+    """Level function of the parts that the contact is not on, at several points."""
+    return _at_each(scene, lambda point: _level_elsewhere(scene, point, contact), points)
+
+
+def _at_each(scene: Scene, one: Callable[[Vector], Scalar], points: list[Vector]) -> list[Scalar]:
     if scene.surface.heavy:
         values = lax.map(one, jnp.stack(points))
     elif operation_count(one, jnp.zeros(3)) > _LIGHT:

@@ -1,6 +1,7 @@
 """The seam between objects and the rest: a level function, differentiable by JAX."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -23,10 +24,27 @@ class Surface(eqx.Module):
     about unit length (a distance, at least near the surface) keeps tolerances meaningful. Lengths are in the units of the rod.
     """
 
+    may_crease: ClassVar[bool] = True
+    """Whether this kind of solid may have concave edges or narrow gaps; False where it is convex, or round on the scale of its own sizes."""
+
+    @property
+    def creased(self) -> bool:
+        """Whether a rod may touch the solid a second time close to a contact, so that it is looked at closely there."""
+        return self.may_crease
+
+    @property
+    def in_parts(self) -> bool:
+        """Whether `level_elsewhere` tells of other parts."""
+        return False
+
     @property
     def heavy(self) -> bool:
         """Whether evaluating the level takes so much code that compiled loops should hold it once rather than once for each point."""
         return False
+
+    def level_elsewhere(self, point: Float[Array, "3"], contact: Float[Array, "3"]) -> Float[Array, ""]:
+        """Level at a point (3,) of all parts but the one that `contact` (3,) lies on; infinite where there is one part only."""
+        return jnp.full_like(point[0] + contact[0], jnp.inf)
 
     @abstractmethod
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
@@ -96,6 +114,16 @@ class Placed(Surface):
         """As of the surface itself."""
         return self.surface.heavy
 
+    @property
+    def creased(self) -> bool:
+        """As of the surface itself."""
+        return self.surface.creased
+
+    @property
+    def in_parts(self) -> bool:
+        """As of the surface itself."""
+        return self.surface.in_parts
+
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """G of the object at the point seen from the object's own axes."""
         return self.surface.level(self._own(point))
@@ -103,6 +131,10 @@ class Placed(Surface):
     def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Signed distance from the object at the point seen from the object's own axes."""
         return self.surface.distance(self._own(point))
+
+    def level_elsewhere(self, point: Float[Array, "3"], contact: Float[Array, "3"]) -> Float[Array, ""]:
+        """As of the surface itself."""
+        return self.surface.level_elsewhere(self._own(point), self._own(contact))
 
     def _own(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         offset = point - self.translation

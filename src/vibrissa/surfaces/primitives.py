@@ -21,6 +21,7 @@ Scalar = Float[Array, ""]
 class Box(ExactSurface):
     """Rectangular block with its edges along x, y, z; `placed` turns it. Centre (3,) and half of its extents (3,)."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     half_extents: Float[np.ndarray | Array, "3"]
 
@@ -42,6 +43,7 @@ class Box(ExactSurface):
 class Cylinder(ExactSurface):
     """Circular cylinder with flat ends: midpoint (3,) of its axis, direction (3,) of the axis, radius, and length from end to end."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     axis: Float[np.ndarray | Array, "3"]
     radius: float
@@ -61,6 +63,7 @@ class Cylinder(ExactSurface):
 class Capsule(ExactSurface):
     """Cylinder with hemispherical ends: midpoint (3,) and direction (3,) of its axis, radius, and length of the straight part, to which each end adds a radius."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     axis: Float[np.ndarray | Array, "3"]
     radius: float
@@ -81,6 +84,7 @@ class Capsule(ExactSurface):
 class Cone(ExactSurface):
     """Circular cone: centre (3,) of its base, direction (3,) of its axis from there to the apex, radius of the base, and height."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     axis: Float[np.ndarray | Array, "3"]
     radius: float
@@ -109,6 +113,7 @@ class Cone(ExactSurface):
 class Torus(ExactSurface):
     """Ring: centre (3,), direction (3,) of the axis about which it is round, radius of the circle inside the tube, and radius of the tube, which is less."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     axis: Float[np.ndarray | Array, "3"]
     major_radius: float

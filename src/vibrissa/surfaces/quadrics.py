@@ -28,6 +28,7 @@ def _semi_axes(value: ArrayLike, count: int) -> Float[np.ndarray, "n"]:
 class EllipticParaboloid(Surface):
     """The solid z > a x² + b y² + h (paper, section II, with a = 0.5, b = 1, h = 0.4)."""
 
+    may_crease = False
     a: float = eqx.field(converter=lambda value: finite(value, "a"))
     b: float = eqx.field(converter=lambda value: finite(value, "b"))
     h: float = eqx.field(converter=lambda value: finite(value, "h"))
@@ -40,6 +41,7 @@ class EllipticParaboloid(Surface):
 class Sphere(ExactSurface):
     """A ball, given by its centre (3,) and radius."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     radius: float
 
@@ -55,6 +57,7 @@ class Sphere(ExactSurface):
 class Ellipsoid(Surface):
     """Ellipsoid with its axes along x, y, z; `placed` turns it. Centre (3,) and semi-axes (3,)."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     semi_axes: Float[np.ndarray | Array, "3"]
 
@@ -70,6 +73,7 @@ class Ellipsoid(Surface):
 class EllipticCylinder(Surface):
     """Cylinder without ends along the y axis through `center` (3,), with semi-axes (2,) along x and z; `placed` turns it."""
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     semi_axes: Float[np.ndarray | Array, "2"]
 
@@ -87,6 +91,7 @@ class EllipticCylinder(Surface):
 class Plane(ExactSurface):
     """Half space behind the plane through `point` (3,) with the outward `normal` (3,), of any length but zero."""
 
+    may_crease = False
     point: Float[np.ndarray | Array, "3"]
     outward: Float[np.ndarray | Array, "3"]
 

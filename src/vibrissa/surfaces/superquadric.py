@@ -26,6 +26,7 @@ class Superquadric(Surface):
     Source: A. H. Barr, Superquadrics and angle-preserving transformations, IEEE Computer Graphics and Applications 1 (1981).
     """
 
+    may_crease = False
     center: Float[np.ndarray | Array, "3"]
     semi_axes: Float[np.ndarray | Array, "3"]
     exponents: Float[np.ndarray | Array, "2"]

@@ -263,8 +263,7 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
     fraction = 0.0
     here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None
     if mode == Mode.LOST or (mode == Mode.CONTACT and here is None):
-        found = settled_on(scene, stretch, 1.0, np.inf, [])
-        here = None if found is None else tracker.at(np.append(found.x, 1.0))
+        here = _settled(scene, stretch, tracker, 1.0, np.inf, [])
         if here is None:
             return failed(outcome, Status.NO_EQUILIBRIUM)
         outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, here.y[:3]))
@@ -288,7 +287,8 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
         try:
             here, fraction = _behind(scene, stretch, tracker, end, since, outcome)
         except _LostOnTheWayError:
-            return failed(outcome, Status.NO_EQUILIBRIUM)
+            here = _settled(scene, stretch, tracker, 1.0, np.inf, [])
+            return failed(outcome, Status.NO_EQUILIBRIUM) if here is None else _arrived(outcome, here)
     return failed(outcome, Status.NOT_CONVERGED)
 
 
@@ -307,14 +307,20 @@ def _behind(
     outcome.happened.append((EventKind.SNAP, fraction, last[:3]))
     if clearance_at(scene, stretch, fraction) >= CLEAR:
         return None, fraction
-    found = settled_on(scene, stretch, fraction, _energy(scene, stretch, last) - ENERGY_MARGIN, [last[:3]])
-    here = None if found is None else tracker.at(np.append(found.x, fraction))
+    here = _settled(scene, stretch, tracker, fraction, _energy(scene, stretch, last) - ENERGY_MARGIN, [last[:3]])
     if here is not None:
         return here, fraction
     if clearance_at(scene, stretch, 1.0) >= CLEAR:
         # What is left of the contact ends before the next position.
         return None, 1.0
     raise _LostOnTheWayError
+
+
+def _settled(
+    scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
+) -> Branch | None:
+    found = settled_on(scene, stretch, fraction, energy, near)
+    return None if found is None else tracker.at(np.append(found.x, fraction))
 
 
 def _energy(scene: Scene, stretch: Float[np.ndarray, "14"], y: Point5) -> float:
@@ -328,8 +334,7 @@ def _begun(
     """The equilibrium of least energy a little behind a first contact."""
     for ahead in AFTER_CONTACT:
         at = min(1.0, fraction + ahead)
-        found = settled_on(scene, stretch, at, np.inf, [near])
-        here = None if found is None else tracker.at(np.append(found.x, at))
+        here = _settled(scene, stretch, tracker, at, np.inf, [near])
         if here is not None:
             return here, at
     raise _LostOnTheWayError

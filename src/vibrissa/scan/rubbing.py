@@ -85,11 +85,10 @@ def follow_rubbing(scene: Scene, stretch: Stretch, mode: Mode, x: State) -> Outc
     """Resolve a stretch from mode FREE or CONTACT (with x) at its start; with mode LOST only its end is known, and the contact is taken to be at rest there."""
     outcome = Outcome(mode, x)
     if mode == Mode.LOST:
-        rest = _at_rest(scene, stretch, 1.0, np.inf, [])
-        if rest is None:
-            return failed(outcome, Status.NO_EQUILIBRIUM)
-        outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, rest.x[:3]))
-        return _arrived(outcome, rest)
+        _at_rest_at_the_end(scene, stretch, outcome)
+        if outcome.mode == Mode.CONTACT:
+            outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, outcome.x[:3]))
+        return outcome
     fraction = 0.0
     here = _Step(x, 0.0, 0.0) if mode == Mode.CONTACT else None
     if here is not None:
@@ -113,7 +112,7 @@ def follow_rubbing(scene: Scene, stretch: Stretch, mode: Mode, x: State) -> Outc
             # The straight rod met the object along a line or at an edge: the contact begins elsewhere than where it was first seen.
             here, fraction = _begun(scene, stretch, fraction, here.x[:3])
             if here is None:
-                return failed(outcome, Status.NO_EQUILIBRIUM)
+                return _at_rest_at_the_end(scene, stretch, outcome)
             continue
         outcome.happened.append((EventKind.SNAP, fraction, here.x[:3]))
         energy, last = float(_figures(scene, stretch, fraction, here.x[:UNKNOWNS])[0]), here.x[:3]
@@ -121,8 +120,13 @@ def follow_rubbing(scene: Scene, stretch: Stretch, mode: Mode, x: State) -> Outc
         if clearance_at(scene, stretch, fraction) < CLEAR:
             here = _at_rest(scene, stretch, fraction, energy - ENERGY_MARGIN, [last])
             if here is None:
-                return failed(outcome, Status.NO_EQUILIBRIUM)
+                return _at_rest_at_the_end(scene, stretch, outcome)
     return failed(outcome, Status.NOT_CONVERGED)
+
+
+def _at_rest_at_the_end(scene: Scene, stretch: Stretch, outcome: Outcome) -> Outcome:
+    rest = _at_rest(scene, stretch, 1.0, np.inf, [])
+    return failed(outcome, Status.NO_EQUILIBRIUM) if rest is None else _arrived(outcome, rest)
 
 
 def _slides(scene: Scene, x: State) -> float:

@@ -35,6 +35,8 @@ _REACH = 1.2
 _ASTRAY = 3.0
 _MANY = 1024
 _SHORTEST = 0.05
+# How deep [L] a rod that touches twice may lie in the object at its second contact when it is solved for the first alone.
+_CAUGHT = 0.15
 # Shares of a finite radius behind the place where the rod enters: the way out from there ends on all sides of a rounded edge.
 _ROUND_AN_EDGE = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)
 _FINER = 33
@@ -53,7 +55,7 @@ class Equilibrium:
 def stable_equilibria(
     scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"], near: list[Float[np.ndarray, "3"]]
 ) -> list[Equilibrium]:
-    """Admissible stable equilibria found at a clamp pose, lowest energy first.
+    """Admissible stable equilibria found at a clamp pose, lowest energy first; where there are none, the one that enters the object least.
 
     Newton's method starts, with four magnitudes of the force, from the points where rays from the clamp meet the object within the rod's length; from where the
     straight rod lies in it, and a little beside that; and from points `near` which a contact is expected.
@@ -70,6 +72,10 @@ def stable_equilibria(
     fields, _ = assessed(scene, x, np.broadcast_to(clamp, (len(x), 6)))
     arc_length, energy, phase, residual, depth = (fields[:, column] for column in (7, ENERGY, 13, 14, 15))
     good = (residual < DEPTH_TOLERANCE) & (depth < DEPTH_TOLERANCE) & (arc_length < 1 + DEPTH_TOLERANCE)
+    if not good.any():
+        # A rod that is caught touches twice: the equilibrium of one contact that comes nearest to that, which its assessment says.
+        caught = (residual < DEPTH_TOLERANCE) & (depth < _CAUGHT) & (arc_length < 1 + DEPTH_TOLERANCE)
+        good = caught & (depth == depth[caught].min(initial=np.inf))
     return [
         Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row]))
         for row in np.flatnonzero(good)[np.argsort(energy[good])]

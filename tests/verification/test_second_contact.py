@@ -137,8 +137,8 @@ def test_each_row_is_a_rod_in_space_that_touches_where_it_says(name: str) -> Non
         end = shooting.rod_along(scan.trail.position[i], (0, 0, 1), moment, force, [scan.arc_length[i]])[-1]
         np.testing.assert_allclose(end[:3], scan.point[i], rtol=0, atol=1e-9)
         np.testing.assert_allclose(end[6:9], 0, atol=1e-9)
-        ahead = PLACES[name].distances(scan.point[i] + 1e-4 * force / np.linalg.norm(force))
-        assert ahead == pytest.approx(1e-4, abs=1e-7)
+        touched_part = PLACES[name].parts[int(np.argmin([abs(part(scan.point[i])) for part in PLACES[name].parts]))]
+        assert touched_part(scan.point[i] + 1e-4 * force / np.linalg.norm(force)) == pytest.approx(1e-4, abs=1e-7)
 
 
 def touched(name: str) -> list[int]:
@@ -201,3 +201,37 @@ def test_small_parts_beside_a_contact_are_noticed(seed: int) -> None:
             assert depth < 1e-6
         if scan.status[i] == vb.Status.PENETRATING:
             assert depth > 0
+
+
+def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
+    """In the crease of two balls, from where no single contact leads on: a rod in space, by the integral of its own equations, with its end on both balls."""
+    one, other = (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
+    surface = Union([Sphere(*one), Sphere(*other)])
+    scan = vb.scan(vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=121))
+    caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
+    assert caught.size > 20
+    for i in caught[::5]:
+        np.testing.assert_allclose(scan.second_contact[i], scan.point[i], rtol=0, atol=1e-9)
+        normals = [scan.point[i] - center for center, _ in (one, other)]
+        np.testing.assert_allclose([np.linalg.norm(n) for n in normals], [one[1], other[1]], rtol=0, atol=1e-9)
+        force, moment = -scan.reactions.force[i], -scan.reactions.moment[i]
+        shares = np.linalg.lstsq(np.stack(normals, axis=1), force, rcond=None)[0]
+        np.testing.assert_allclose(np.stack(normals, axis=1) @ shares, force, rtol=0, atol=1e-9)
+        assert np.all(shares > 0)
+        end = shooting.rod_along(scan.trail.position[i], (0, 0, 1), moment, force, [1.0])[-1]
+        np.testing.assert_allclose(end[:3], scan.point[i], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(end[6:9], 0, atol=1e-8)
+
+
+def test_a_rod_of_finite_radius_is_caught_with_its_skin_on_both_parts() -> None:
+    rod, one, other = vb.Rod(1.0, 1.0, radius=0.01), (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
+    trail = vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=121)
+    scan = vb.scan(rod, Union([Sphere(*one), Sphere(*other)]), trail, finite_radius=True)
+    caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
+    assert caught.size > 20
+    for i in caught[::5]:
+        distances = np.abs([[np.linalg.norm(place - center) - radius for center, radius in (one, other)] for place in (scan.point[i], scan.second_contact[i])])
+        assert sorted(np.argmin(distances, axis=1)) == [0, 1]
+        np.testing.assert_allclose(distances.min(axis=1), 0, atol=1e-9)
+        end = scan.elastic_line(int(i), 5)[-1]
+        np.testing.assert_allclose([np.linalg.norm(end - center) - radius for center, radius in (one, other)], 0.01, rtol=0, atol=1e-8)

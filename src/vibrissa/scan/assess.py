@@ -123,7 +123,7 @@ def _depth(scene: Scene, line: Line) -> Scalar:
     least = jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1]))
     if scene.surface.creased:
         least = jnp.minimum(least, _least_close_by(scene, line))
-    if scene.surface.in_parts:
+    if scene.surface.parts_count > 1:
         others = levels_elsewhere(scene, bend + tail, line.point)
         least = jnp.minimum(least, jnp.minimum(_least_between(others[: len(bend)], near[0]), _least_between(others[len(bend) :], near[1])))
     return -least / steepness

@@ -75,8 +75,9 @@ def level(scene: Scene, point: Vector) -> Scalar:
     return scene.surface.level(point * scene.length) / scene.length
 
 
-def _level_elsewhere(scene: Scene, point: Vector, contact: Vector) -> Scalar:
-    return scene.surface.level_elsewhere(point * scene.length, contact * scene.length) / scene.length
+def part_levels(scene: Scene, point: Vector) -> Float[Array, "parts"]:
+    """Level functions of the object's parts in model units."""
+    return scene.surface.part_levels(point * scene.length) / scene.length
 
 
 # A level function of few operations is written out point by point, which runs as one loop over the lanes; of more, it would take long to compile.
@@ -90,7 +91,13 @@ def levels(scene: Scene, points: list[Vector]) -> list[Scalar]:
 
 def levels_elsewhere(scene: Scene, points: list[Vector], contact: Vector) -> list[Scalar]:
     """Level function of the parts that the contact is not on, at several points."""
-    return _at_each(scene, lambda point: _level_elsewhere(scene, point, contact), points)
+    touched = jnp.argmin(part_levels(scene, contact))
+
+    def elsewhere(point: Vector) -> Scalar:
+        levels = part_levels(scene, point)
+        return jnp.min(jnp.where(jnp.arange(levels.shape[0]) == touched, jnp.inf, levels))
+
+    return _at_each(scene, elsewhere, points)
 
 
 def _at_each(scene: Scene, one: Callable[[Vector], Scalar], points: list[Vector]) -> list[Scalar]:
@@ -105,19 +112,34 @@ def _at_each(scene: Scene, one: Callable[[Vector], Scalar], points: list[Vector]
 
 def contact_state(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0) -> ContactState:
     """Evaluate the contact conditions, for a rod whose curvature changes its sign that often between clamp and contact."""
-    p, f = x[:3], x[3]
-    value, gradient = jax.value_and_grad(level, argnums=1)(scene, p)
+    value, gradient = jax.value_and_grad(level, argnums=1)(scene, x[:3])
     steepness = jnp.sqrt(jnp.sum(gradient * gradient))
     n = gradient / steepness
-    r = p - clamp.point
-    r_n = jnp.dot(r, n)
-    plane = base_plane(n, n * jnp.dot(r, clamp.tangent) - r * jnp.dot(n, clamp.tangent), clamp.tangent)
-    rod = contact_on_rod(plane, f, inflections)
+    bent = bent_by(n, x, clamp, inflections)
     gap = value / lax.stop_gradient(steepness)
-    out_of_plane = jnp.dot(r, jnp.cross(clamp.tangent, n))
-    phase = jnp.minimum(1 - rod.arc_length, 0.5 - rod.modulus)
-    residual = jnp.stack([gap, out_of_plane, r_n + rod.advance, phase])
-    return ContactState(residual, gap, n, steepness, r, plane, rod)
+    phase = jnp.minimum(1 - bent.rod.arc_length, 0.5 - bent.rod.modulus)
+    residual = jnp.stack([gap, bent.out_of_plane, bent.misses, phase])
+    return ContactState(residual, gap, n, steepness, bent.to_contact, bent.plane, bent.rod)
+
+
+class Bent(NamedTuple):
+    """A rod under a force of given direction at a point."""
+
+    to_contact: Vector
+    plane: BasePlane
+    rod: ContactOnRod
+    out_of_plane: Scalar
+    misses: Scalar
+    """How far along the force the rod is from the point [L]."""
+
+
+def bent_by(direction: Vector, x: Unknowns, clamp: Clamp, inflections: int = 0) -> Bent:
+    """The inverse map for a force x[3] of a direction at a point x[:3]; the point is on the rod where the last two are zero."""
+    r = x[:3] - clamp.point
+    side = direction * jnp.dot(r, clamp.tangent) - r * jnp.dot(direction, clamp.tangent)
+    plane = base_plane(direction, side, clamp.tangent)
+    rod = contact_on_rod(plane, x[3], inflections)
+    return Bent(r, plane, rod, jnp.dot(r, jnp.cross(clamp.tangent, direction)), jnp.dot(r, direction) + rod.advance)
 
 
 def phase_difference(rod: ContactOnRod) -> Scalar:

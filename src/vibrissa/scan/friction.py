@@ -18,9 +18,9 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastic_line import contact_tangent
-from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, base_plane, contact_on_rod
+from vibrissa.mechanics.elastica import BasePlane, ContactOnRod
 from vibrissa.numerics.linear import solve_pivoted
-from vibrissa.scan.equations import Clamp, Scene, level
+from vibrissa.scan.equations import Clamp, Scene, bent_by, level
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
@@ -68,24 +68,21 @@ class Rub(NamedTuple):
 
 def rubbing_state(scene: Scene, y: Float[Array, "7"], clamp: Clamp) -> RubbingState:
     """Evaluate the rod and the conditions that need no history."""
-    p, f, tau = y[:3], y[3], y[4:7]
-    value, gradient = jax.value_and_grad(level, argnums=1)(scene, p)
+    tau = y[4:7]
+    value, gradient = jax.value_and_grad(level, argnums=1)(scene, y[:3])
     steepness = jnp.sqrt(jnp.sum(gradient * gradient))
     n = gradient / steepness
     leaning = n + tau
     d = leaning / jnp.sqrt(jnp.sum(leaning * leaning))
-    r = p - clamp.point
-    plane = base_plane(d, d * jnp.dot(r, clamp.tangent) - r * jnp.dot(d, clamp.tangent), clamp.tangent)
-    rod = contact_on_rod(plane, f)
-    along = jnp.dot(r, d)
-    side = (r - along * d) / plane.lever_arm
+    r, plane, rod, out_of_plane, misses = bent_by(d, y[:4], clamp)
+    side = (r - jnp.dot(r, d) * d) / plane.lever_arm
     tangent = contact_tangent(d, side, rod)
     away = -jnp.dot(tangent, n) / 2
     conditions = jnp.stack(
         [
             value / lax.stop_gradient(steepness),
-            jnp.dot(r, jnp.cross(clamp.tangent, d)),
-            along + rod.advance,
+            out_of_plane,
+            misses,
             jnp.minimum(1 - rod.arc_length, away),
         ]
     )

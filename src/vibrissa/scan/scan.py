@@ -9,6 +9,7 @@ from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.scan.assess import DEPTH_TOLERANCE, assessed
 from vibrissa.scan.assess import WIDTH as ASSESSED
+from vibrissa.scan.crease import caught
 from vibrissa.scan.equations import Scene
 from vibrissa.scan.events import Event, Happening
 from vibrissa.scan.laws import FRICTIONLESS, RUBBING
@@ -86,7 +87,6 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     x, mode, figure, status = (part[:, ::step] for part in (found.x, found.mode, found.figure, found.status))
     point, tangent = path.point[:, ::step], path.tangent[:, ::step]
     contact = mode == Mode.CONTACT
-    unsolved = mode == Mode.LOST
     columns, places = np.full((ASSESSED, mode.size), np.nan), np.full((*mode.shape, 3), np.nan)
     if contact.any():
         rows = np.flatnonzero(contact)
@@ -95,6 +95,9 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
         for column, value in zip(columns, values.T, strict=True):
             column[rows] = value
     fields = np.moveaxis(columns.reshape(ASSESSED, *mode.shape), 0, -1)
+    stuck, other_sides = _caught(scene, point, tangent, status, fields)
+    status, contact = np.where(stuck, Status.PENETRATING, status), contact | stuck
+    unsolved = (mode == Mode.LOST) & ~stuck
     phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
     kind = np.where(contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE).astype(np.int8)
     status = _status(rod, status, contact, figure > 0 if friction == 0 else np.zeros_like(contact), fields)
@@ -124,16 +127,39 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
         events=events,
         friction=friction,
         offset=offset,
-        second_contact=_second_contacts(scene, places, status == Status.PENETRATING).reshape(*shape, 3),
+        second_contact=_second_contacts(scene, places, other_sides, status == Status.PENETRATING).reshape(*shape, 3),
     )  # fmt: skip
 
 
-def _second_contacts(scene: Scene, deepest: Float[np.ndarray, "m n 3"], wrong: Bool[np.ndarray, "m n"]) -> Float[np.ndarray, "m n 3"]:
-    """Points of the object where rods lie deepest in it."""
-    places = np.full(deepest.shape, np.nan)
-    if wrong.any():
-        found = deepest[wrong] * scene.length
-        places[wrong] = scene.surface.foot(found) if isinstance(scene.surface, Offset) else found
+def _caught(
+    scene: Scene,
+    point: Float[np.ndarray, "m n 3"],
+    tangent: Float[np.ndarray, "m n 3"],
+    status: np.ndarray,
+    fields: Float[np.ndarray, "m n 25"],
+) -> tuple[Bool[np.ndarray, "m n"], Float[np.ndarray, "m n 3"]]:
+    """Fill in the rows of rods that are caught by their tips between two parts: which they are, and where they touch the second part."""
+    jammed, places = status == Status.NO_EQUILIBRIUM, np.full(point.shape, np.nan)
+    if not jammed.any() or scene.surface.parts_count == 1:
+        return np.zeros_like(jammed), places
+    rows = caught(scene, np.concatenate([point[jammed], tangent[jammed]], axis=-1))
+    stuck = jammed.copy()
+    stuck[jammed] = rows.found
+    offset = scene.surface.radius / scene.length if isinstance(scene.surface, Offset) else 0.0
+    fields[stuck] = rows.fields[rows.found]
+    places[stuck] = (rows.fields[:, :3] - offset * rows.second_normal)[rows.found]
+    return stuck, places
+
+
+def _second_contacts(
+    scene: Scene, deepest: Float[np.ndarray, "m n 3"], other_sides: Float[np.ndarray, "m n 3"], wrong: Bool[np.ndarray, "m n"]
+) -> Float[np.ndarray, "m n 3"]:
+    """Points of the object where rods lie deepest in it, or are caught."""
+    places = other_sides * scene.length
+    entered = wrong & np.isfinite(deepest).all(axis=-1)
+    if entered.any():
+        found = deepest[entered] * scene.length
+        places[entered] = scene.surface.foot(found) if isinstance(scene.surface, Offset) else found
     return places
 
 

@@ -23,7 +23,7 @@ _BESIDE = 0.04
 _INWARD = 1e-4
 _SIDES = 8
 _EVERY = 6
-_FORCES = (0.05, 0.5, 1.5, 4.0)
+FORCES = (0.05, 0.5, 1.5, 4.0)
 # Steps of Newton's method at a time, and how often.
 _STEPS, _ROUNDS = 8, 5
 # Residual before a step of quadratic convergence that changes nothing more.
@@ -60,7 +60,7 @@ def stable_equilibria(
     Newton's method starts, with four magnitudes of the force, from the points where rays from the clamp meet the object within the rod's length; from where the
     straight rod lies in it, and a little beside that; and from points `near` which a contact is expected.
     """
-    seeds = seeds_around(scene, point, tangent, near, _FORCES)
+    seeds = seeds_around(scene, point, tangent, near, FORCES)
     if not len(seeds):
         return []
     clamp = np.concatenate([point, tangent])

@@ -33,18 +33,9 @@ class Surface(eqx.Module):
         return self.may_crease
 
     @property
-    def in_parts(self) -> bool:
-        """Whether `level_elsewhere` tells of other parts."""
-        return False
-
-    @property
     def heavy(self) -> bool:
         """Whether evaluating the level takes so much code that compiled loops should hold it once rather than once for each point."""
         return False
-
-    def level_elsewhere(self, point: Float[Array, "3"], contact: Float[Array, "3"]) -> Float[Array, ""]:
-        """Level at a point (3,) of all parts but the one that `contact` (3,) lies on; infinite where there is one part only."""
-        return jnp.full_like(point[0] + contact[0], jnp.inf)
 
     @abstractmethod
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
@@ -57,6 +48,19 @@ class Surface(eqx.Module):
         Where it does not arrive, g/‖∇g‖.
         """
         return closest.distance(self, point)
+
+    def part_levels(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+        """Levels of the solids that a union is of, whose least is the level; of any other surface the level alone."""
+        return self.level(point)[None]
+
+    def part_distances(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+        """The same of the distances."""
+        return self.distance(point)[None]
+
+    @property
+    def parts_count(self) -> int:
+        """How many there are."""
+        return int(jax.eval_shape(self.part_levels, jnp.zeros(3)).shape[0])
 
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Outward unit normals ∇g/‖∇g‖ at points (…, 3)."""
@@ -119,11 +123,6 @@ class Placed(Surface):
         """As of the surface itself."""
         return self.surface.creased
 
-    @property
-    def in_parts(self) -> bool:
-        """As of the surface itself."""
-        return self.surface.in_parts
-
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """G of the object at the point seen from the object's own axes."""
         return self.surface.level(self._own(point))
@@ -132,9 +131,13 @@ class Placed(Surface):
         """Signed distance from the object at the point seen from the object's own axes."""
         return self.surface.distance(self._own(point))
 
-    def level_elsewhere(self, point: Float[Array, "3"], contact: Float[Array, "3"]) -> Float[Array, ""]:
+    def part_levels(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
         """As of the surface itself."""
-        return self.surface.level_elsewhere(self._own(point), self._own(contact))
+        return self.surface.part_levels(self._own(point))
+
+    def part_distances(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+        """As of the surface itself."""
+        return self.surface.part_distances(self._own(point))
 
     def _own(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         offset = point - self.translation

@@ -33,18 +33,13 @@ class Offset(ExactSurface):
         """As of the object."""
         return self.surface.creased
 
-    @property
-    def in_parts(self) -> bool:
-        """As of the object."""
-        return self.surface.in_parts
-
     def level(self, point: Point) -> Scalar:
         """Signed distance from the object, less the radius."""
         return self.surface.distance(point) - self.radius
 
-    def level_elsewhere(self, point: Point, contact: Point) -> Scalar:
-        """As of the object, less the radius."""
-        return self.surface.level_elsewhere(point, contact) - self.radius
+    def part_levels(self, point: Point) -> Float[Array, "parts"]:
+        """Distances from the object's parts, less the radius."""
+        return self.surface.part_distances(point) - self.radius
 
     def foot(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Points of the object itself, not of the grown one, that are closest to points (…, 3) of the centre line: where the rod's skin touches."""

@@ -37,26 +37,20 @@ class Union(Surface):
 
     @property
     def creased(self) -> bool:
-        """As of any part; where parts meet, `level_elsewhere` tells."""
+        """As of any part; where parts meet, `part_levels` tell."""
         return any(part.creased for part in self.parts)
-
-    @property
-    def in_parts(self) -> bool:
-        """Where there are several, or the only one has several."""
-        return len(self.parts) > 1 or self.parts[0].in_parts
 
     def level(self, point: Point) -> Scalar:
         """The least of the parts' levels."""
         return reduce(_smaller, [part.level(point) for part in self.parts])
 
-    def level_elsewhere(self, point: Point, contact: Point) -> Scalar:
-        """The least of the levels of the parts that the contact is not on, and of what is elsewhere on its own."""
-        at_contact = jnp.stack([part.level(contact) for part in self.parts])
-        touched = jnp.argmin(at_contact)
-        elsewhere = [
-            jnp.where(touched == index, part.level_elsewhere(point, contact), part.level(point)) for index, part in enumerate(self.parts)
-        ]
-        return reduce(_smaller, elsewhere)
+    def part_levels(self, point: Point) -> Float[Array, "parts"]:
+        """Levels of all parts, and of their parts."""
+        return jnp.concatenate([part.part_levels(point) for part in self.parts])
+
+    def part_distances(self, point: Point) -> Float[Array, "parts"]:
+        """Distances from all parts, and from their parts."""
+        return jnp.concatenate([part.part_distances(point) for part in self.parts])
 
     def distance(self, point: Point) -> Scalar:
         """The least of the distances from the parts."""

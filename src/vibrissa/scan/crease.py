@@ -1,0 +1,132 @@
+"""A rod whose tip is caught where two parts of an object meet: both push it there, at one point.
+
+Unknown are the point p, the magnitude f, and the share w of the second part in the force's direction, d ∝ (1 − w) n_a + w n_b. The conditions are that p lies on both
+parts, and that the rod, bent by f d at its tip (mechanics.md, "Uniform straight rod"), reaches it. One force at one point leaves no couple, so the reactions
+are those of a single contact, though the touch is none.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.mechanics.elastic_line import contact_tangent
+from vibrissa.mechanics.elastica import bending_energy, largest_curvature
+from vibrissa.numerics.blocks import AnyArray
+from vibrissa.numerics.compiled import compiled
+from vibrissa.scan.assess import ENERGY, WIDTH, Assessment
+from vibrissa.scan.equations import Clamp, Scene, bent_by, part_levels, phase_difference
+from vibrissa.scan.search import FORCES, seeds_around
+
+_STEPS = 40
+_LONGEST_STEP = 0.2
+_SETTLED = 1e-9
+# How far [L] from a second part a starting point may lie.
+_BESIDE = 0.2
+_INSIDE = 1e-7
+
+
+class Caught(NamedTuple):
+    """Rows of rods caught at their tips: assessments (k, 25), and the outward unit normals of the second part (k, 3); NaN where none was found."""
+
+    fields: Float[np.ndarray, "k 25"]
+    second_normal: Float[np.ndarray, "k 3"]
+
+    @property
+    def found(self) -> Bool[np.ndarray, "k"]:
+        """Which rows (k,)."""
+        return np.isfinite(self.fields[:, ENERGY])
+
+
+def caught(scene: Scene, clamps: Float[np.ndarray, "k 6"]) -> Caught:
+    """The equilibria of least energy of rods that are caught by their tips between two parts, at clamp points and tangents."""
+    fields, second = np.full((len(clamps), WIDTH), np.nan), np.full((len(clamps), 3), np.nan)
+    for row, clamp in enumerate(clamps):
+        seeds = seeds_around(scene, clamp[:3], clamp[3:], [], FORCES)
+        if not len(seeds):
+            continue
+        levels = scene.in_blocks(_part_levels, seeds[:, :3])
+        pairs = np.argsort(levels, axis=1)[:, :2]
+        near = np.take_along_axis(levels, pairs[:, 1:], axis=1)[:, 0] < _BESIDE
+        if not near.any():
+            continue
+        starts = np.column_stack([seeds, np.full(len(seeds), 0.5)])[near]
+        found = scene.in_blocks(_solve, starts, pairs[near], np.broadcast_to(clamp, (len(starts), 6)))
+        x, residual, elsewhere = found[:, :5], found[:, 5], found[:, 6]
+        sound = (residual < _SETTLED) & (x[:, 3] > 0) & (x[:, 4] > 0) & (x[:, 4] < 1) & (elsewhere > -_INSIDE)
+        if sound.any():
+            energy = np.where(sound, found[:, 10 + ENERGY], np.inf)
+            best = int(np.argmin(energy))
+            fields[row], second[row] = found[best, 10:], found[best, 7:10]
+    return Caught(fields, second)
+
+
+@compiled
+def _part_levels(scene: Scene, points: Float[AnyArray, "blocks 3 width"]) -> Float[Array, "blocks parts width"]:
+    return lax.map(jax.vmap(lambda point: part_levels(scene, point), in_axes=1, out_axes=1), jnp.asarray(points))
+
+
+@compiled
+def _solve(
+    scene: Scene,
+    starts: Float[AnyArray, "blocks 5 width"],
+    pairs: Int[AnyArray, "blocks 2 width"],
+    clamps: Float[AnyArray, "blocks 6 width"],
+) -> Float[Array, "blocks 35 width"]:
+    """Newton's method: unknowns (5), residual, least level of the other parts, the second part's normal (3), and the assessment (25)."""
+
+    def one(x: Float[Array, "5"], pair: Int[Array, "2"], clamp: Float[Array, "6"]) -> Float[Array, "35"]:
+        at = Clamp(clamp[:3], clamp[3:])
+
+        def conditions(x: Float[Array, "5"]) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
+            levels, normals = _pair(scene, x[:3], pair)
+            bent = bent_by(_direction(x[4], normals), x[:4], at)
+            residual = jnp.concatenate([levels, jnp.stack([bent.out_of_plane, bent.misses, 1 - bent.rod.arc_length])])
+            return residual, residual
+
+        def iterate(_: Array | int, x: Float[Array, "5"]) -> Float[Array, "5"]:
+            jacobian, residual = jax.jacfwd(conditions, has_aux=True)(x)
+            step = jnp.linalg.solve(jacobian, residual)
+            longest = jnp.max(jnp.abs(step[jnp.array([0, 1, 2, 4])]))
+            return x - jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(longest, _LONGEST_STEP)) * step
+
+        x = lax.fori_loop(0, _STEPS, iterate, x)
+        residual = jnp.max(jnp.abs(conditions(x)[0]))
+        _, normals = _pair(scene, x[:3], pair)
+        all_levels = part_levels(scene, x[:3])
+        indices = jnp.arange(all_levels.shape[0])
+        elsewhere = jnp.min(jnp.where((indices == pair[0]) | (indices == pair[1]), jnp.inf, all_levels))
+        assessment = _assessment(x, _direction(x[4], normals), normals[0], at, residual)
+        return jnp.concatenate([x, jnp.stack([residual, elsewhere]), normals[1], assessment])
+
+    return lax.map(
+        lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (jnp.asarray(starts), jnp.asarray(pairs), jnp.asarray(clamps))
+    )
+
+
+def _pair(scene: Scene, point: Float[Array, "3"], pair: Int[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "2 3"]]:
+    """Levels and unit normals of two parts."""
+    gradients = jax.jacfwd(lambda point: part_levels(scene, point))(point)[pair]
+    return part_levels(scene, point)[pair], gradients / jnp.sqrt(jnp.sum(gradients**2, axis=1, keepdims=True))
+
+
+def _direction(share: Float[Array, ""], normals: Float[Array, "2 3"]) -> Float[Array, "3"]:
+    blend = (1 - share) * normals[0] + share * normals[1]
+    return blend / jnp.sqrt(jnp.sum(blend**2))
+
+
+def _assessment(
+    x: Float[Array, "5"], d: Float[Array, "3"], normal: Float[Array, "3"], clamp: Clamp, residual: Float[Array, ""]
+) -> Float[Array, "25"]:
+    bent = bent_by(d, x[:4], clamp)
+    f, r, rod = x[3], bent.to_contact, bent.rod
+    tangent = contact_tangent(d, (r - jnp.dot(r, d) * d) / bent.plane.lever_arm, rod)
+    across = jnp.cross(clamp.tangent, d)
+    assessment = Assessment(
+        x[:3], f, normal, rod.arc_length, -f * jnp.cross(r, d), bending_energy(rod, f), largest_curvature(bent.plane, rod, f),
+        jnp.minimum(phase_difference(rod), 0.0), residual, jnp.zeros_like(f), tangent, across / jnp.sqrt(jnp.sum(across**2)), d,
+    )  # fmt: skip
+    return jnp.concatenate([jnp.atleast_1d(part) for part in assessment])

@@ -64,7 +64,7 @@ def dress(axes: Axes3D, scan: Scan) -> None:
     axes.set_zlabel(length_label("z", scan.rod), labelpad=-2)
     axes.set_aspect("equal")
     extents = [high - low for low, high in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
-    axes.set_box_aspect(extents, zoom=1.15)
+    axes.set_box_aspect(extents, zoom=1.0)
     axes.view_init(elev=24, azim=-52)
     axes.tick_params(pad=-1)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):

@@ -55,7 +55,7 @@ class Scan:
     residual
         Largest residual (…) of the contact conditions of the returned state, dimensionless.
     depth
-        How deep (…) [m] the elastic line enters the object at the deepest of 578 points, looked at where 34 leave it open; rounding where it does not.
+        How deep (…) [m] the elastic line enters the object at the deepest of some 700 points, looked at where fewer leave it open; rounding where it does not.
     status
         (…) values of `Status`.
     events

@@ -230,7 +230,12 @@ def test_a_rod_of_finite_radius_is_caught_with_its_skin_on_both_parts() -> None:
     caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
     assert caught.size > 20
     for i in caught[::5]:
-        distances = np.abs([[np.linalg.norm(place - center) - radius for center, radius in (one, other)] for place in (scan.point[i], scan.second_contact[i])])
+        distances = np.abs(
+            [
+                [np.linalg.norm(place - center) - radius for center, radius in (one, other)]
+                for place in (scan.point[i], scan.second_contact[i])
+            ]
+        )
         assert sorted(np.argmin(distances, axis=1)) == [0, 1]
         np.testing.assert_allclose(distances.min(axis=1), 0, atol=1e-9)
         end = scan.elastic_line(int(i), 5)[-1]

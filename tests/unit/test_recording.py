@@ -57,7 +57,7 @@ def test_noise_comes_with_it(tmp_path: Path, setup: vb.Setup) -> None:
     found = vb.read_recording(written(tmp_path, RECORDING), setup)
     assert found.covariance is not None
     tare = 1 + 1 / 9
-    np.testing.assert_allclose(np.diag(found.covariance)[:3], tare * 4e-6 + 1.5625e-3**2 / 12, rtol=1e-12)
+    np.testing.assert_allclose(np.diag(found.covariance)[:3], tare * (4e-6 + 1.5625e-3**2 / 12), rtol=1e-12)
     np.testing.assert_allclose(found.position_covariance, 1e-10 * np.eye(3))
 
 

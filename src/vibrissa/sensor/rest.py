@@ -1,0 +1,211 @@
+"""Where a recording is at rest: stretches in which the wrench does not change beyond its noise."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.sensor.maps import to_reactions
+from vibrissa.sensor.raw import RawRecording
+from vibrissa.sensor.tare import without_given
+
+if TYPE_CHECKING:
+    from vibrissa.sensor.sensor import Sensor
+
+Interval = tuple[float, float]
+
+_BLOCK_SECONDS = 0.04
+_BLOCK_SAMPLES = 5
+_FEWEST_BLOCKS = 4
+_DEVIATIONS = 6.0
+_GUARD = 0.1
+# Of the largest deviation from the first level: two rests that differ by more are not both free of contact.
+_ANOTHER_LEVEL = 0.2
+_LOADED = 10.0
+_FEWEST_LOADED = 20
+# Median of |m0·f0| in standard deviations: 0.67 where there is a single contact and the tare is right.
+_SINGLE_CONTACT = 3.0
+_MOVED = 0.02
+_MEDIAN_TO_DEVIATION = 0.6745
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Quiet stretches of a recording.
+
+    Attributes
+    ----------
+    intervals
+        (start, stop) [s] on the recording's clock, in order, without the ends that may hold the beginning of a contact.
+    leading, trailing
+        The one at the start of the recording and the one at its end, or None.
+    """
+
+    intervals: tuple[Interval, ...]
+    leading: Interval | None
+    trailing: Interval | None
+
+
+def noise_by_differences(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
+    """Standard deviation (k,) of white noise on a smooth signal, by the median of second differences; NaN with fewer than three rows."""
+    second = np.abs(np.diff(values, n=2, axis=0))
+    if not len(second):
+        return np.full(values.shape[1], np.nan)
+    return np.asarray(np.median(second, axis=0) / (_MEDIAN_TO_DEVIATION * np.sqrt(6)))
+
+
+def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
+    """Quiet stretches of a recording: block means that stay, in all channels, within six standard errors of the mean of the stretch so far.
+
+    A stretch has at least four blocks, each of 0.04 s or five samples, whichever is longer. A weight of the mount and a drift that are given are taken off before.
+    """
+    rows = np.flatnonzero(np.isfinite(raw.wrench).all(axis=1) & np.isfinite(raw.time))
+    size = _block_size(raw)
+    count = len(rows) // size
+    if count < _FEWEST_BLOCKS:
+        return Rest((), None, None)
+    blocks = rows[: count * size].reshape(count, size)
+    readings = without_given(sensor, raw)
+    means = readings[blocks].mean(axis=1)
+    runs = _runs(means, _tolerance(sensor, raw, readings[rows], size))
+    found: dict[tuple[int, int], Interval] = {}
+    for first, last in runs:
+        guard = max(1, round(_GUARD * (last - first)))
+        begin, end = first + (guard if first > 0 else 0), last - (guard if last < count else 0)
+        if end - begin >= _FEWEST_BLOCKS:
+            stop = raw.time[blocks[end - 1, -1]] + 0.5 / raw.rate
+            found[first, last] = (float(raw.time[blocks[begin, 0]]), float(stop))
+    leading = next((interval for (first, _), interval in found.items() if first == 0), None)
+    trailing = next((interval for (_, last), interval in found.items() if last == count), None)
+    return Rest(tuple(found.values()), leading, trailing)
+
+
+def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, ...], str]:
+    """Intervals free of contact in which the tare is taken, and how they were found.
+
+    Raises
+    ------
+    ValueError
+        If none is given and none can be found, because the recording starts in contact or under a changing load.
+    """
+    first = float(raw.time[0])
+    estimated = sensor.mount is not None and sensor.mount.estimated
+    if sensor.rest_intervals:
+        return tuple((first + start, first + stop) for start, stop in sensor.rest_intervals), "given as rest_intervals"
+    if sensor.tare_seconds is not None and not estimated:
+        given = (first, first + sensor.tare_seconds)
+        if not sensor.estimate_drift:
+            return (given,), "given as tare_seconds"
+        trailing = find_rest(sensor, raw).trailing
+        if trailing is None or trailing[0] <= given[1]:
+            raise ValueError(
+                "estimate_drift = True: no rest is found at the end of the recording; allowed are rest_intervals that name one"
+            )
+        return (given, trailing), "given as tare_seconds, and found at the end"
+    rest = find_rest(sensor, raw)
+    if estimated:
+        return rest.intervals, "found automatically, in all orientations"
+    leading = _checked_leading(sensor, raw, rest)
+    if not sensor.estimate_drift:
+        return (leading,), "found automatically"
+    if rest.trailing is None or rest.trailing == leading:
+        raise ValueError("estimate_drift = True: no rest is found at the end of the recording; allowed are rest_intervals that name one")
+    return (leading, rest.trailing), "found automatically, at the start and at the end"
+
+
+def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interval:
+    first = float(raw.time[0])
+    advice = "allowed are tare_seconds or rest_intervals that are free of contact, or tare_seconds = 0 for no tare"
+    others = ", ".join(f"{start - first:.3g} s to {stop - first:.3g} s" for start, stop in rest.intervals[:4])
+    elsewhere = f" (the wrench does not change from {others})" if others else ""
+    if rest.leading is None:
+        raise ValueError(f"tare_seconds is not given, and the recording starts in contact or under a changing load{elsewhere}; {advice}")
+    if rest.trailing is None or rest.trailing == rest.leading:
+        return rest.leading
+    readings = without_given(sensor, raw)
+    levels = [_level(raw, readings, interval) for interval in (rest.leading, rest.trailing)]
+    largest = np.nanmax(np.abs(readings - levels[0]), axis=0)
+    step = max(float(np.linalg.norm((levels[1] - levels[0])[part])) / (float(np.linalg.norm(largest[part])) + 1e-300) for part in _PARTS)
+    if step < _ANOTHER_LEVEL:
+        return rest.leading
+    ends = [single_contact_misfit(sensor, raw, readings - level) for level in levels]
+    if ends[0] < _SINGLE_CONTACT <= ends[1] or (ends[1] >= _SINGLE_CONTACT and ends[0] < ends[1]):
+        return rest.leading
+    if ends[0] < _SINGLE_CONTACT and _travelled(raw, rest.leading) > _MOVED:
+        return rest.leading
+    raise ValueError(
+        f"tare_seconds is not given, and the rest at the start, to {rest.leading[1] - first:.3g} s, seems to be in contact: the one at the end, from "
+        f"{rest.trailing[0] - first:.3g} s, is another by {step:.0%} of the largest load; {advice}"
+    )
+
+
+_PARTS = (slice(0, 3), slice(3, 6))
+
+
+def single_contact_misfit(sensor: "Sensor", raw: RawRecording, loads: Float[np.ndarray, "n 6"]) -> float:
+    """Median of |m0·f0| in its standard deviations over the loaded samples (mechanics.md, "Statics alone"); 0.67 for one contact, NaN without a load."""
+    deviation = reading_deviation(sensor, loads[np.isfinite(loads).all(axis=1)])
+    loaded = np.linalg.norm(loads[:, :3], axis=1) > _LOADED * deviation[0]
+    loaded &= np.isfinite(raw.orientation).all(axis=1)
+    if np.count_nonzero(loaded) < _FEWEST_LOADED:
+        return float("nan")
+    maps = to_reactions(sensor, rotation_matrices(raw.orientation[loaded]))
+    at_clamp = np.einsum("nij,nj->ni", maps, loads[loaded])
+    gradient = np.concatenate([at_clamp[:, 3:], at_clamp[:, :3]], axis=1)
+    spread = np.sqrt(np.sum((np.einsum("nij,ni->nj", maps, gradient) * deviation) ** 2, axis=1))
+    product = np.abs(np.einsum("ni,ni->n", at_clamp[:, :3], at_clamp[:, 3:]))
+    return float(np.median(product / np.maximum(spread, 1e-300)))
+
+
+def reading_deviation(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
+    """Standard deviation (6,) of a reading: as stated, or as its second differences show, and never less than a millionth of its span."""
+    if sensor.force_noise is not None:
+        return np.sqrt(sensor.reading_variance)
+    own = noise_by_differences(values)
+    return np.maximum(np.nan_to_num(own), 1e-6 * np.ptp(values, axis=0)) + 1e-300 if len(values) else np.ones(6)
+
+
+def _block_size(raw: RawRecording) -> int:
+    rate = raw.rate
+    return max(_BLOCK_SAMPLES, round(_BLOCK_SECONDS * rate)) if np.isfinite(rate) and rate < 1e9 else _BLOCK_SAMPLES
+
+
+def _tolerance(sensor: "Sensor", raw: RawRecording, values: Float[np.ndarray, "n 6"], size: int) -> Float[np.ndarray, "6"]:
+    variance = (
+        reading_deviation(sensor, values) ** 2 / size
+        + (np.array([*3 * [sensor.force_resolution], *3 * [sensor.torque_resolution]]) / 4) ** 2
+    )
+    span = raw.time[np.isfinite(raw.time)]
+    for process, scale in sensor.coloured(span):
+        length = size / raw.rate
+        early, late = (float(span[0]), float(span[0]) + length), (float(span[0]) + 10 * length, float(span[0]) + 11 * length)
+        apart = process.between_means(early, early) + process.between_means(late, late) - 2 * process.between_means(early, late)
+        variance = variance + scale**2 * max(apart, 0.0)
+    return _DEVIATIONS * np.sqrt(variance)
+
+
+def _runs(means: Float[np.ndarray, "b 6"], tolerance: Float[np.ndarray, "6"]) -> list[tuple[int, int]]:
+    """Stretches [first, last) of blocks that stay near their mean so far."""
+    runs, first, total = [], 0, means[0].copy()
+    for block in range(1, len(means) + 1):
+        if block < len(means) and np.all(np.abs(means[block] - total / (block - first)) <= tolerance * np.sqrt(1 + 1 / (block - first))):
+            total += means[block]
+            continue
+        if block - first >= _FEWEST_BLOCKS:
+            runs.append((first, block))
+        if block < len(means):
+            first, total = block, means[block].copy()
+    return runs
+
+
+def _level(raw: RawRecording, readings: Float[np.ndarray, "n 6"], interval: Interval) -> Float[np.ndarray, "6"]:
+    return np.asarray(np.nanmean(readings[(raw.time >= interval[0]) & (raw.time < interval[1])], axis=0))
+
+
+def _travelled(raw: RawRecording, interval: Interval) -> float:
+    """Share of the whole way of the sensor that lies within an interval."""
+    inside = raw.position[(raw.time >= interval[0]) & (raw.time < interval[1])]
+    whole = float(np.linalg.norm(np.ptp(raw.position, axis=0)))
+    return float(np.linalg.norm(inside[-1] - inside[0])) / whole if whole > 0 else 0.0

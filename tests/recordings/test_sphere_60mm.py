@@ -208,14 +208,12 @@ def with_cell(lines: list[str], row: int, column: str, value: str) -> list[str]:
 
 
 DAMAGE = {
-    "NaN": (lambda lines: with_cell(lines, 700, "fz", "nan"), "line 701: fz = nan"),
     "last line truncated": (lambda lines: [*lines[:-1], lines[-1][:50]], "truncated"),
     "last number truncated": (lambda lines: [*lines[:-1], lines[-1][:-3]], "the last line is truncated"),
     "columns swapped": (lambda lines: [lines[0].replace("fx,fy", "fy,fx"), *lines[1:]], "another order"),
     "column missing": (lambda lines: [line.rsplit(",", 1)[0] for line in lines], "missing tz"),
     "column renamed": (lambda lines: [lines[0].replace("time", "t"), *lines[1:]], "missing time, unknown t"),
     "time backwards": (lambda lines: [*lines[:900], lines[901], lines[900], *lines[902:]], "increasing times"),
-    "line twice": (lambda lines: [*lines[:900], lines[899], *lines[900:]], "increasing times"),
     "zero quaternion": (
         lambda lines: with_cell(with_cell(lines, 50, "qz", "0"), 50, "qw", "0.0"),
         "line 51: qx,qy,qz,qw = [0.0, 0.0, 0.0, 0.0] has the norm 0",

@@ -5,6 +5,7 @@ from vibrissa.plot.coverage import coverage_figure
 from vibrissa.plot.events import reactions_along
 from vibrissa.plot.lines import elastic_lines
 from vibrissa.plot.reactions import reactions_over_plane
+from vibrissa.plot.recording import recording_figure
 from vibrissa.plot.sequences import contact_sequences
 from vibrissa.plot.style import journal, save, save_as
 
@@ -16,6 +17,7 @@ __all__ = [
     "journal",
     "reactions_along",
     "reactions_over_plane",
+    "recording_figure",
     "save",
     "save_as",
 ]

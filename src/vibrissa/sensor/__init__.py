@@ -1,9 +1,27 @@
-"""Between reactions and recordings: mount, tare, sign of the wrench, noise."""
+"""Between reactions and recordings: mount, tare, sign of the wrench, noise, faults."""
 
+from vibrissa.sensor.faults import Fault, FaultKind
+from vibrissa.sensor.inspection import Inspection, inspect_raw
 from vibrissa.sensor.lowpass import LowPass
 from vibrissa.sensor.mount import Mount
-from vibrissa.sensor.raw import RawRecording
+from vibrissa.sensor.presets import PRESETS, preset
+from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.rest import Rest
 from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.tare import Tare
 
-__all__ = ["LowPass", "Mount", "RawRecording", "Sensor", "Tare"]
+__all__ = [
+    "CHANNELS",
+    "PRESETS",
+    "Fault",
+    "FaultKind",
+    "Inspection",
+    "LowPass",
+    "Mount",
+    "RawRecording",
+    "Rest",
+    "Sensor",
+    "Tare",
+    "inspect_raw",
+    "preset",
+]

@@ -13,6 +13,8 @@ from vibrissa.sensor.raw import RawRecording
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
+_ROUNDING = 1e-9
+
 
 def logged(
     sensor: "Sensor",
@@ -53,7 +55,7 @@ def filtered_readings(sensor: "Sensor", reactions: Reactions, orientation: Float
 def _read(values: Float[np.ndarray, "n 3"], resolution: float, largest: tuple[float, float, float] | None) -> Float[np.ndarray, "n 3"]:
     """Limited to the range and rounded, as by a converter: the last step within the range is the largest reading."""
     if largest is not None:
-        limit = np.floor(np.asarray(largest) / resolution) * resolution if resolution else np.asarray(largest)
+        limit = np.floor(np.asarray(largest) / resolution + _ROUNDING) * resolution if resolution else np.asarray(largest)
         values = np.clip(values, -limit, limit)
     return np.asarray(np.round(values / resolution) * resolution if resolution else values)
 

@@ -1,6 +1,6 @@
 """A six-axis force/torque sensor that carries the rod's clamp."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -183,6 +183,10 @@ class Sensor:
         if np.any(walk) and len(time):
             processes.append((RandomWalk(float(time[0])), walk))
         return processes
+
+    def without_estimates(self) -> "Sensor":
+        """Return the same sensor with an offset alone to be found from rest."""
+        return replace(self, estimate_drift=False, mount=None)
 
     def tare(self, raw: RawRecording) -> Tare:
         """What the sensor shows without contact: from rest that is given or found (`vibrissa.sensor.rest`), or nothing where `tare_seconds` is 0.

@@ -25,6 +25,8 @@ _FAULT_COLOURS = {
 _SYMBOLS = ("f_x", "f_y", "f_z", r"\tau_x", r"\tau_y", r"\tau_z")
 _LONGEST_SEGMENT = 4096
 _FEWEST = 32
+# Half a decade to either side at least: noise that follows its density looks flat.
+_LEAST_SPAN = 10**0.5
 
 
 def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
@@ -97,7 +99,8 @@ def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None
     """Welch's estimate over the longest rest, against the density of the stated noise and rounding, with its pink part."""
     factor, unit = (1e3, r"mN/$\sqrt{\mathrm{Hz}}$") if first == 0 else (1e6, r"µN m/$\sqrt{\mathrm{Hz}}$")
     axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel(f"{'force' if first == 0 else 'torque'} at rest [{unit}]")
+    axes.set_ylabel(f"{'force' if first == 0 else 'torque'} [{unit}]")
+    axes.set_title("noise at rest")
     intervals = found.tare.intervals if found.tare is not None and found.tare.intervals else found.rest.intervals
     chosen = max(intervals, key=lambda part: part[1] - part[0], default=None)
     rows = np.zeros(len(found.usable), dtype=bool)
@@ -110,13 +113,17 @@ def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None
     segment = min(_LONGEST_SEGMENT, max(_FEWEST, count // 4))
     for channel in range(first, first + 3):
         frequency, density = welch(found.cleaned.wrench[rows, channel], fs=found.rate, nperseg=segment, detrend="linear")
-        axes.loglog(frequency[1:], factor * np.sqrt(density[1:]), color=_AXIS_COLOURS[channel - first], linewidth=0.8)
+        inner = slice(1, -1)
+        axes.loglog(frequency[inner], factor * np.sqrt(density[inner]), color=_AXIS_COLOURS[channel - first], linewidth=0.8)
     if sensor.force_noise is not None:
         white = sensor.reading_variance[first] * 2 / found.rate
         own = (sensor.force_noise if first == 0 else sensor.torque_noise or 0.0) ** 2 * 2 / found.rate
         stated = white + own * sensor.noise_corner / frequency[1:]
         axes.loglog(frequency[1:], factor * np.sqrt(stated), color="black", linestyle="--", linewidth=0.9, label="stated")
         axes.legend(loc="lower left")
+    low, high = axes.get_ylim()
+    middle = np.sqrt(low * high)
+    axes.set_ylim(min(low, middle / _LEAST_SPAN), max(high, middle * _LEAST_SPAN))
 
 
 def _legend(found: Inspection) -> list[Patch]:

@@ -2,6 +2,7 @@
 
 from vibrissa.plot.contacts import contacts_figure
 from vibrissa.plot.coverage import coverage_figure
+from vibrissa.plot.design import expected_error_map
 from vibrissa.plot.events import reactions_along
 from vibrissa.plot.lines import elastic_lines
 from vibrissa.plot.reactions import reactions_over_plane
@@ -14,6 +15,7 @@ __all__ = [
     "contacts_figure",
     "coverage_figure",
     "elastic_lines",
+    "expected_error_map",
     "journal",
     "reactions_along",
     "reactions_over_plane",

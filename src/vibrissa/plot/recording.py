@@ -35,7 +35,7 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     Parameters
     ----------
     found
-        Of `vibrissa.sensor.inspect_raw`; faulty rows are left out of the lines.
+        Of `vibrissa.sensor.inspect_raw`; lines of rows that are not usable are faint.
     sensor
         For the stated noise.
     """

@@ -33,6 +33,8 @@ class Inspection:
 
     Attributes
     ----------
+    raw
+        As logged.
     cleaned
         The recording with increasing stamps, a pose in every row, unit quaternions, and NaN for the wrench of rows that are not usable.
     faults
@@ -53,6 +55,7 @@ class Inspection:
         Median of |m0·f0| in its standard deviations over the loaded rows: 0.67 for a single contact and noise alone. NaN without a load.
     """
 
+    raw: RawRecording
     cleaned: RawRecording
     faults: tuple[Fault, ...]
     usable: Bool[np.ndarray, "n"]
@@ -102,10 +105,12 @@ def inspect_raw(raw: RawRecording, sensor: "Sensor", rod: Rod) -> Inspection:
     if not usable.any():
         text = f"none of {len(usable)} rows is usable; allowed is at least one"
         faults.append(_over_all(FaultKind.DROP_OUT, CHANNELS, cleaned, text, unusable=True))
-    return _at_rest(cleaned, sensor, rod, usable, faults)
+    return _at_rest(raw, cleaned, sensor, rod, usable, faults)
 
 
-def _at_rest(raw: RawRecording, sensor: "Sensor", rod: Rod, usable: Bool[np.ndarray, "n"], faults: list[Fault]) -> Inspection:
+def _at_rest(
+    logged: RawRecording, raw: RawRecording, sensor: "Sensor", rod: Rod, usable: Bool[np.ndarray, "n"], faults: list[Fault]
+) -> Inspection:
     unknown = np.full(6, np.nan)
     rest, tare, misfit = find_rest(sensor, raw), None, float("nan")
     noise, drift, deviation = unknown, unknown, unknown
@@ -130,7 +135,7 @@ def _at_rest(raw: RawRecording, sensor: "Sensor", rod: Rod, usable: Bool[np.ndar
             text += "check tare, cross-talk and mount"
             faults.append(_over_all(FaultKind.TARE, CHANNELS, raw, text))
     ordered = tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop)))
-    return Inspection(raw, ordered, usable, raw.rate, rest, tare, noise, drift, deviation, misfit)
+    return Inspection(logged, raw, ordered, usable, raw.rate, rest, tare, noise, drift, deviation, misfit)
 
 
 def rest_noise(raw: RawRecording, interval: Interval) -> Float[np.ndarray, "6"]:

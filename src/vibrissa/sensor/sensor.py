@@ -238,7 +238,7 @@ class Sensor:
             wrench[:, :3],
             wrench[:, 3:],
             time=raw.time,
-            covariance=_carried(maps, tare.covariance(self, raw.time, raw.orientation)) if known else None,
+            covariance=carried(maps, tare.covariance(self, raw.time, raw.orientation)) if known else None,
             position_covariance=np.eye(3) * self.position_noise**2 if known else None,
         )
 
@@ -288,7 +288,7 @@ class Sensor:
             )
 
 
-def _carried(maps: Float[np.ndarray, "n 6 6"], covariance: Float[np.ndarray, "... 6 6"]) -> Float[np.ndarray, "... 6 6"]:
+def carried(maps: Float[np.ndarray, "n 6 6"], covariance: Float[np.ndarray, "... 6 6"]) -> Float[np.ndarray, "... 6 6"]:
     """Covariance of readings taken to that of reactions, one for all rows where they agree."""
     carried = maps @ covariance @ np.swapaxes(maps, 1, 2)
     carried = (carried + np.swapaxes(carried, 1, 2)) / 2

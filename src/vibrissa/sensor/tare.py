@@ -65,14 +65,14 @@ class Tare:
         return shown
 
     def covariance(
-        self, sensor: "Sensor", time: Float[np.ndarray, "n"], orientation: Float[np.ndarray, "n 4"]
+        self, sensor: "Sensor", time: Float[np.ndarray, "n"], orientation: Float[np.ndarray, "n 4"], *, since: float | None = None
     ) -> Float[np.ndarray, "... 6 6"]:
         """Of readings after the tare is taken off, (6, 6) where it is the same for all rows, else (n, 6, 6): their own noise and the tare's error.
 
-        White noise and rounding, and pink noise and random walk as far as they have moved since the tare was taken.
+        White noise and rounding, and pink noise and random walk as far as they have moved since the tare was taken. They begin at the first time, or at `since`.
         """
         white = np.diag(sensor.reading_variance)
-        coloured = sensor.coloured(time)
+        coloured = sensor.coloured(time if since is None else np.concatenate([[since], time]))
         if not self.intervals:
             if not coloured:
                 return white

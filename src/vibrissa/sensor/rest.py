@@ -25,8 +25,6 @@ _GUARD = 0.1
 _ANOTHER_LEVEL = 0.2
 _LOADED = 10.0
 _FEWEST_LOADED = 20
-# Median of |m0·f0| in standard deviations: 0.67 where there is a single contact and the tare is right.
-_SINGLE_CONTACT = 3.0
 _MOVED = 0.02
 _MEDIAN_TO_DEVIATION = 0.6745
 
@@ -69,7 +67,13 @@ def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
     blocks = rows[: count * size].reshape(count, size)
     readings = without_given(sensor, raw)
     means = readings[blocks].mean(axis=1)
-    runs = _runs(means, _tolerance(sensor, raw, readings[rows], size))
+    tolerance = _tolerance(sensor, raw, readings[rows], size)
+    runs = _runs(means, tolerance)
+    # The last stretch is followed from the end, so that it reaches it also where the offset drifts.
+    ending = [(count - last, count - first) for first, last in _runs(means[::-1], tolerance) if first == 0]
+    runs = [run for run in runs if not ending or run[1] <= ending[0][0] or run[0] == 0] + [
+        run for run in ending if run not in runs or run[0] > 0
+    ]
     found: dict[tuple[int, int], Interval] = {}
     for first, last in runs:
         guard = max(1, round(_GUARD * (last - first)))
@@ -130,10 +134,13 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     step = max(float(np.linalg.norm((levels[1] - levels[0])[part])) / (float(np.linalg.norm(largest[part])) + 1e-300) for part in _PARTS)
     if step < _ANOTHER_LEVEL:
         return rest.leading
-    ends = [single_contact_misfit(sensor, raw, readings - level) for level in levels]
-    if ends[0] < _SINGLE_CONTACT <= ends[1] or (ends[1] >= _SINGLE_CONTACT and ends[0] < ends[1]):
-        return rest.leading
-    if ends[0] < _SINGLE_CONTACT and _travelled(raw, rest.leading) > _MOVED:
+    between = np.ones(len(raw.time), dtype=bool)
+    for start, stop in rest.intervals:
+        between &= (raw.time < start) | (raw.time >= stop)
+    choice = _better_level(
+        *(single_contact_residuals(sensor, raw, np.where(between[:, None], readings - level, np.nan)) for level in levels)
+    )
+    if choice == 0 or (choice is None and _travelled(raw, rest.leading) > _MOVED):
         return rest.leading
     raise ValueError(
         f"tare_seconds is not given, and the rest at the start, to {rest.leading[1] - first:.3g} s, seems to be in contact: the one at the end, from "
@@ -144,19 +151,36 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
 _PARTS = (slice(0, 3), slice(3, 6))
 
 
+def _better_level(first: Float[np.ndarray, "m"], second: Float[np.ndarray, "k"]) -> int | None:
+    """Which of two tares leaves forces and moments that fit a single contact better, by six standard errors of a median; None for neither."""
+    fewest = min(len(first), len(second))
+    if fewest < _FEWEST_LOADED:
+        return None
+    medians = [float(np.median(part)) for part in (first, second)]
+    # Of n normal numbers the median of the sizes has the standard error 0.79/√n, in units in which it is 0.67.
+    apart = _DEVIATIONS * 0.79 / np.sqrt(fewest) * min(medians) / _MEDIAN_TO_DEVIATION
+    if abs(medians[1] - medians[0]) <= apart:
+        return None
+    return int(medians[1] < medians[0])
+
+
 def single_contact_misfit(sensor: "Sensor", raw: RawRecording, loads: Float[np.ndarray, "n 6"]) -> float:
-    """Median of |m0·f0| in its standard deviations over the loaded samples (mechanics.md, "Statics alone"); 0.67 for one contact, NaN without a load."""
+    """Median of |m0·f0| in its standard deviations over the loaded samples; 0.67 for one contact, NaN without a load."""
+    residuals = single_contact_residuals(sensor, raw, loads)
+    return float(np.median(residuals)) if len(residuals) >= _FEWEST_LOADED else float("nan")
+
+
+def single_contact_residuals(sensor: "Sensor", raw: RawRecording, loads: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "m"]:
+    """|m0·f0| in its standard deviations (m,) on the loaded samples (mechanics.md, "Statics alone")."""
     deviation = reading_deviation(sensor, loads[np.isfinite(loads).all(axis=1)])
     loaded = np.linalg.norm(loads[:, :3], axis=1) > _LOADED * deviation[0]
     loaded &= np.isfinite(raw.orientation).all(axis=1)
-    if np.count_nonzero(loaded) < _FEWEST_LOADED:
-        return float("nan")
-    maps = to_reactions(sensor, rotation_matrices(raw.orientation[loaded]))
+    maps = to_reactions(sensor, rotation_matrices(raw.orientation[loaded])) if loaded.any() else np.zeros((0, 6, 6))
     at_clamp = np.einsum("nij,nj->ni", maps, loads[loaded])
     gradient = np.concatenate([at_clamp[:, 3:], at_clamp[:, :3]], axis=1)
     spread = np.sqrt(np.sum((np.einsum("nij,ni->nj", maps, gradient) * deviation) ** 2, axis=1))
     product = np.abs(np.einsum("ni,ni->n", at_clamp[:, :3], at_clamp[:, 3:]))
-    return float(np.median(product / np.maximum(spread, 1e-300)))
+    return product / np.maximum(spread, 1e-300)
 
 
 def reading_deviation(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:

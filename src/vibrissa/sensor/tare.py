@@ -204,7 +204,7 @@ def _least_squares(
     root = np.sqrt(counts[:, None] / variance)
     matrix, right = (root[..., None] * designs).reshape(-1, designs.shape[2]), (root * means).reshape(-1)
     scale = np.linalg.norm(matrix, axis=0)
-    condition = np.linalg.cond(matrix / np.where(scale > 0, scale, 1))
+    condition = np.linalg.cond(matrix / np.where(scale > 0, scale, 1)) if len(matrix) >= len(scale) else np.inf
     if not np.all(scale > 0) or condition > _LARGEST_CONDITION:
         what = "mount.estimated = True" if sensor.mount is not None and sensor.mount.estimated else "estimate_drift = True"
         raise ValueError(

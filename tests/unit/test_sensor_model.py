@@ -199,7 +199,7 @@ def test_drift_is_found_from_rest_at_both_ends() -> None:
 def test_a_recording_that_starts_in_contact_is_refused() -> None:
     of = sensor()
     raw = logged(of, pushed())
-    words = r"starts in contact or under a changing load \(the wrench does not change from .* s to .* s\); allowed are tare_seconds or rest_intervals"
+    words = r"starts in contact or under a changing load \(the wrench does not change from .* s to .* s after its start\); allowed are tare_seconds or rest_intervals"
     with pytest.raises(ValueError, match=words):
         of.tare(only(raw, np.arange(REST + 100, len(raw.time))))
     # The clamp stands still in contact, at a wrench that does not change, before the sweep goes on and ends free.

@@ -7,12 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
+from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.poses import filled_poses, pose_jumps
 from vibrissa.sensor.raw import CHANNELS, RawRecording
 from vibrissa.sensor.readings import drop_outs, standing_channels
-from vibrissa.sensor.rest import Interval, Rest, find_rest, single_contact_misfit
+from vibrissa.sensor.rest import Interval, Rest, find_rest
 from vibrissa.sensor.stamps import increasing_stamps, stamp_faults
 from vibrissa.sensor.tare import Tare, planned_tare, without_given
 from vibrissa.sensor.units import pose_unit_faults, wrench_unit_faults
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
 
 _FALSE_ALARM = 1e-6
 _NOISE_RATIO = 1.25
+_NEARLY = 0.5
 _DRIFT_DEVIATIONS = 5.5
-_MISFIT = 3.0
+# A median of 0.67 is noise alone, and known to a few hundredths from some hundred rows.
+_MISFIT = 1.0
+_LASTING_MISFIT = 3.0
+_LOADED = 10.0
 _FEWEST_AT_REST = 20
 
 
@@ -69,8 +74,8 @@ class Inspection:
 
     @property
     def unusable(self) -> tuple[Fault, ...]:
-        """Faults that make the whole recording unusable."""
-        return tuple(fault for fault in self.faults if fault.unusable)
+        """Faults that make the whole recording unusable; mistaken units first, as others may follow from them."""
+        return tuple(sorted((fault for fault in self.faults if fault.unusable), key=lambda fault: fault.kind is not FaultKind.UNITS))
 
 
 def inspect_raw(raw: RawRecording, sensor: "Sensor", rod: Rod) -> Inspection:
@@ -122,20 +127,37 @@ def _at_rest(
     interval = tare.intervals[0] if tare is not None and tare.intervals else rest.leading
     if interval is not None:
         noise = rest_noise(raw, interval)
-        faults += _noise_faults(sensor, raw, interval, noise)
+        mis_scaled = _noise_unit_faults(sensor, raw, interval, noise)
+        faults += mis_scaled or _noise_faults(sensor, raw, interval, noise)
     if rest.leading is not None and rest.trailing is not None and rest.trailing != rest.leading:
         drift, deviation = _drift(sensor, raw, rest.leading, rest.trailing, noise)
         faults += _drift_faults(sensor, raw, rest, drift, deviation)
     if tare is not None and not any(fault.unusable for fault in faults):
-        loads = raw.wrench - tare.readings(sensor, raw.time, raw.orientation)
-        faults += wrench_unit_faults(raw, sensor.reactions(raw, tare), rod)
-        misfit = single_contact_misfit(sensor, raw, loads) if sensor.force_noise is not None else misfit
-        if misfit > _MISFIT:
+        reactions = sensor.reactions(raw, tare)
+        faults += wrench_unit_faults(raw, reactions, rod)
+        misfit = _misfit(reactions)
+        # Errors that last, of pink noise and random walk, do not average out.
+        if misfit > (_LASTING_MISFIT if sensor.coloured(raw.time) else _MISFIT):
             text = f"force and moment at the clamp belong to no single contact by {misfit:.3g} standard deviations in the median (0.67 is noise alone): "
             text += "check tare, cross-talk and mount"
             faults.append(_over_all(FaultKind.TARE, CHANNELS, raw, text))
     ordered = tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop)))
     return Inspection(logged, raw, ordered, usable, raw.rate, rest, tare, noise, drift, deviation, misfit)
+
+
+def _misfit(reactions: Reactions) -> float:
+    """Median of |m0·f0| in its standard deviations over rows of more than ten of them; NaN with fewer than 20, or where the noise is not known."""
+    if reactions.covariance is None:
+        return float("nan")
+    covariance = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))
+    force = np.linalg.norm(reactions.force, axis=1)
+    loaded = force > _LOADED * np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
+    if np.count_nonzero(loaded) < _FEWEST_AT_REST:
+        return float("nan")
+    gradient = np.concatenate([reactions.moment, reactions.force], axis=1)[loaded]
+    spread = np.sqrt(np.einsum("ni,nij,nj->n", gradient, covariance[loaded], gradient))
+    product = np.abs(np.einsum("ni,ni->n", reactions.force[loaded], reactions.moment[loaded]))
+    return float(np.median(product / spread))
 
 
 def rest_noise(raw: RawRecording, interval: Interval) -> Float[np.ndarray, "6"]:
@@ -151,6 +173,21 @@ def rest_noise(raw: RawRecording, interval: Interval) -> Float[np.ndarray, "6"]:
 def _within(raw: RawRecording, interval: Interval) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 6"]]:
     rows = (raw.time >= interval[0]) & (raw.time < interval[1]) & np.isfinite(raw.wrench).all(axis=1)
     return raw.time[rows], raw.wrench[rows]
+
+
+def _noise_unit_faults(sensor: "Sensor", raw: RawRecording, interval: Interval, noise: Float[np.ndarray, "6"]) -> list[Fault]:
+    """Noise about a thousand times as large or as small as stated, on all three axes: other units."""
+    if sensor.force_noise is None:
+        return []
+    faults = []
+    ratios = noise / np.sqrt(sensor.reading_variance)
+    for channels, part, small, large in ((CHANNELS[:3], ratios[:3], "mN", "kN"), (CHANNELS[3:], ratios[3:], "N mm", "kN m")):
+        factor = float(np.exp(np.mean(np.log(part)))) if np.all(part > 0) else 1.0
+        if np.all((part > factor / 2) & (part < 2 * factor)) and abs(abs(np.log10(factor)) - 3) < _NEARLY:
+            unit = small if factor > 1 else large
+            text = f"{','.join(channels)} at rest are {factor:.3g} times as noisy as stated, so they are mis-scaled (in {unit}?); allowed are N and N m"
+            faults.append(Fault(FaultKind.UNITS, channels, *interval, len(_within(raw, interval)[0]), text, unusable=True))
+    return faults
 
 
 def _noise_faults(sensor: "Sensor", raw: RawRecording, interval: Interval, noise: Float[np.ndarray, "6"]) -> list[Fault]:

@@ -26,6 +26,7 @@ _ANOTHER_LEVEL = 0.2
 _LOADED = 10.0
 _FEWEST_LOADED = 20
 _MOVED = 0.02
+_NOISIER, _QUIETER = 1.5, 0.1
 _MEDIAN_TO_DEVIATION = 0.6745
 
 
@@ -123,7 +124,7 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     first = float(raw.time[0])
     advice = "allowed are tare_seconds or rest_intervals that are free of contact, or tare_seconds = 0 for no tare"
     others = ", ".join(f"{start - first:.3g} s to {stop - first:.3g} s" for start, stop in rest.intervals[:4])
-    elsewhere = f" (the wrench does not change from {others})" if others else ""
+    elsewhere = f" (the wrench does not change from {others} after its start)" if others else ""
     if rest.leading is None:
         raise ValueError(f"tare_seconds is not given, and the recording starts in contact or under a changing load{elsewhere}; {advice}")
     if rest.trailing is None or rest.trailing == rest.leading:
@@ -164,12 +165,6 @@ def _better_level(first: Float[np.ndarray, "m"], second: Float[np.ndarray, "k"])
     return int(medians[1] < medians[0])
 
 
-def single_contact_misfit(sensor: "Sensor", raw: RawRecording, loads: Float[np.ndarray, "n 6"]) -> float:
-    """Median of |m0·f0| in its standard deviations over the loaded samples; 0.67 for one contact, NaN without a load."""
-    residuals = single_contact_residuals(sensor, raw, loads)
-    return float(np.median(residuals)) if len(residuals) >= _FEWEST_LOADED else float("nan")
-
-
 def single_contact_residuals(sensor: "Sensor", raw: RawRecording, loads: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "m"]:
     """|m0·f0| in its standard deviations (m,) on the loaded samples (mechanics.md, "Statics alone")."""
     deviation = reading_deviation(sensor, loads[np.isfinite(loads).all(axis=1)])
@@ -184,11 +179,26 @@ def single_contact_residuals(sensor: "Sensor", raw: RawRecording, loads: Float[n
 
 
 def reading_deviation(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
-    """Standard deviation (6,) of a reading: as stated, or as its second differences show, and never less than a millionth of its span."""
-    if sensor.force_noise is not None:
-        return np.sqrt(sensor.reading_variance)
-    own = noise_by_differences(values)
-    return np.maximum(np.nan_to_num(own), 1e-6 * np.ptp(values, axis=0)) + 1e-300 if len(values) else np.ones(6)
+    """Standard deviation (6,) of a reading: as stated, or as second differences show where it is not, or where they show half as much again or a tenth."""
+    if not len(values):
+        return np.ones(6)
+    own = np.nan_to_num(noise_by_differences(values))
+    if sensor.force_noise is None:
+        return np.maximum(own, 1e-6 * np.ptp(values, axis=0)) + 1e-300
+    stated = np.sqrt(sensor.reading_variance)
+    least = np.maximum(own, 1e-6 * np.ptp(values, axis=0)) + 1e-300
+    steps = shown_steps(sensor, values)
+    # Steps coarser than the noise hide it; elsewhere a tenth of what is stated is another unit, or a simulation.
+    quieter = (least < _QUIETER * stated) & (steps < stated)
+    return np.where((own > _NOISIER * stated) | quieter, least, stated)
+
+
+def shown_steps(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
+    """Stated steps (6,) of the numbers; 0 where the numbers show finer ones."""
+    stated = np.repeat([sensor.force_resolution, sensor.torque_resolution], 3)
+    different = np.abs(np.diff(values, axis=0))
+    smallest = np.min(np.where(different > 1e-9 * np.maximum(stated, 1e-300), different, np.inf), axis=0, initial=np.inf)
+    return np.where(smallest < stated / 2, 0.0, stated)
 
 
 def _block_size(raw: RawRecording) -> int:
@@ -197,10 +207,7 @@ def _block_size(raw: RawRecording) -> int:
 
 
 def _tolerance(sensor: "Sensor", raw: RawRecording, values: Float[np.ndarray, "n 6"], size: int) -> Float[np.ndarray, "6"]:
-    variance = (
-        reading_deviation(sensor, values) ** 2 / size
-        + (np.array([*3 * [sensor.force_resolution], *3 * [sensor.torque_resolution]]) / 4) ** 2
-    )
+    variance = reading_deviation(sensor, values) ** 2 / size + (shown_steps(sensor, values) / 4) ** 2
     span = raw.time[np.isfinite(raw.time)]
     for process, scale in sensor.coloured(span):
         length = size / raw.rate

@@ -21,7 +21,8 @@ def stamp_faults(time: Float[np.ndarray, "n"]) -> list[Fault]:
     if not len(rising):
         return [Fault(FaultKind.BACKWARD, ("time",), first, last, len(steps), "no stamp is after the one before", unusable=True)]
     usual = float(np.median(rising))
-    faults = [_gap(stamps, int(row), usual) for row in np.flatnonzero(steps > _GAP * usual)]
+    ordered = np.unique(stamps)
+    faults = [_gap(ordered, int(row), usual) for row in np.flatnonzero(np.diff(ordered) > _GAP * usual)]
     late = _late(stamps)
     equal = late & np.isin(stamps, stamps[~late])
     for start, stop in runs(equal):

@@ -53,20 +53,18 @@ def wrench_unit_faults(raw: RawRecording, reactions: Reactions, rod: Rod) -> lis
     arm = float(np.median(moment[loaded] / force[loaded])) / rod.length
     typical = float(np.median(force[loaded])) / rod.force_scale
     if not _SHORTEST_ARM < arm < _LONGEST_ARM:
-        text = f"torque over force is {arm:.3g} rod lengths in the median, so tx,ty,tz or fx,fy,fz are mis-scaled{_guess(arm, typical)}; allowed are N and N m"
-        return [Fault(FaultKind.UNITS, _mis_scaled(arm, typical), *span, count, text, unusable=True)]
+        channels, guess = _mis_scaled(arm, typical)
+        text = f"torque over force is {arm:.3g} rod lengths in the median, so tx,ty,tz or fx,fy,fz are mis-scaled{guess}; allowed are N and N m"
+        return [Fault(FaultKind.UNITS, channels, *span, count, text, unusable=True)]
     if typical > _LARGEST_FORCE or typical < 1 / _LARGEST_FORCE:
         text = f"force is {typical:.3g} EI/L² in the median of the loaded samples, so wrench or rod are mis-scaled; allowed are N, m, Pa"
         return [Fault(FaultKind.UNITS, ("fx", "fy", "fz", "tx", "ty", "tz"), *span, count, text, unusable=True)]
     return []
 
 
-def _mis_scaled(arm: float, typical: float) -> tuple[str, ...]:
-    forces = typical > _LARGEST_FORCE or typical < 1 / _LARGEST_FORCE
-    return ("fx", "fy", "fz") if forces else ("tx", "ty", "tz") if arm > 1 else ("fx", "fy", "fz", "tx", "ty", "tz")
-
-
-def _guess(arm: float, typical: float) -> str:
-    if arm >= _LONGEST_ARM and 1 / _LARGEST_FORCE < typical < _LARGEST_FORCE:
-        return " (torques in N mm?)"
-    return " (forces in mN?)" if typical > _LARGEST_FORCE else ""
+def _mis_scaled(arm: float, typical: float) -> tuple[tuple[str, ...], str]:
+    """Which of forces and torques do not fit the rod, and the unit that explains it."""
+    forces, torques = ("fx", "fy", "fz"), ("tx", "ty", "tz")
+    if arm <= _SHORTEST_ARM:
+        return (forces, " (forces in mN?)") if typical > 1 else (torques, "")
+    return (torques, " (torques in N mm?)") if typical > 1 / _LARGEST_FORCE else (forces, " (forces in kN?)")

@@ -1,5 +1,6 @@
 """Recordings of a steel wire under a ball, made by an independent dynamics engine, against the engine's own contacts."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 import vibrissa as vb
-from vibrissa.io import InputError
+from vibrissa.io import InputError, inspect_recording, read_raw
 
 FRICTIONLESS, FRICTION = "frictionless/trail_y+0.10", "friction_0.25/trail_y+0.10"
 WITH_TRUTH = [FRICTIONLESS, "frictionless/trail_y-0.20", FRICTION]
@@ -256,3 +257,57 @@ def test_ends_of_lines_do_not_matter(sphere_60mm: Path, tmp_path: Path) -> None:
         forces.append(vb.read_recording(file, setup).force)
     np.testing.assert_array_equal(forces[0], forces[1])
     np.testing.assert_array_equal(forces[0], forces[2])
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_recording_as_it_is_has_no_faults(sphere_60mm: Path, name: str) -> None:
+    told = inspect_recording(sphere_60mm / f"{name}.csv", vb.load_setup(sphere_60mm / "setup.toml"))
+    assert told.faults == ()
+    assert told.usable.all()
+    assert told.rate == pytest.approx(250)
+    # Standard deviations over 225 samples are known to a twentieth.
+    np.testing.assert_allclose(told.noise, [2.05e-3] * 3 + [4.006e-5] * 3, rtol=0.2)
+    assert 0.6 < told.single_contact_misfit < 0.75
+
+
+@pytest.mark.parametrize("name", WITH_TRUTH)
+def test_the_rest_that_is_found_ends_before_the_contact(sweeps: dict[str, Sweep], sphere_60mm: Path, name: str) -> None:
+    """And is longer than the 0.9 s that the setup gives, whose tare it confirms."""
+    setup = vb.load_setup(sphere_60mm / "setup.toml")
+    raw = read_raw(sphere_60mm / f"{name}.csv")
+    tare = replace(setup.sensor, tare_seconds=None).tare(raw)
+    ((start, stop),) = tare.intervals
+    touching = raw.time[sweeps[name].touching]
+    assert start == raw.time[0]
+    assert 0.9 * (touching[0] - start) - 0.1 < stop - start < touching[0] - start
+    given = setup.sensor.tare(raw)
+    spread = np.sqrt(setup.sensor.reading_variance * (1 / given.counts[0] + 1 / tare.counts[0]))
+    assert np.all(np.abs(tare.offset - given.offset) < 4 * spread)
+    (_, last) = replace(setup.sensor, tare_seconds=None, estimate_drift=True).tare(raw).intervals
+    assert last[0] > touching[-1]
+
+
+def test_a_recording_that_starts_in_contact_has_no_rest(sphere_60mm: Path, tmp_path: Path) -> None:
+    text = (sphere_60mm / "setup.toml").read_text()
+    (tmp_path / "setup.toml").write_text(text.replace("tare_seconds = 0.9", "#"))
+    lines = lines_of(sphere_60mm)
+    (tmp_path / "late.csv").write_text("\n".join([lines[0], *lines[900:]]) + "\n")
+    with pytest.raises(InputError, match="starts in contact or under a changing load"):
+        vb.read_recording(tmp_path / "late.csv", vb.load_setup(tmp_path / "setup.toml"))
+
+
+def test_rows_with_faults_are_marked_and_the_others_are_as_good_as_before(sphere_60mm: Path, tmp_path: Path) -> None:
+    setup, lines = vb.load_setup(sphere_60mm / "setup.toml"), lines_of(sphere_60mm)
+    rows = np.array([line.split(",") for line in lines[1:]])
+    rows[1000:1005, 8:] = "nan"
+    rows[1200:1300, 10] = rows[1200, 10]
+    file = tmp_path / "faulty.csv"
+    file.write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n")
+    told = [(str(fault.kind), fault.channels, fault.count) for fault in inspect_recording(file, setup).faults]
+    assert told == [("drop-out", ("fx", "fy", "fz", "tx", "ty", "tz"), 5), ("stuck channel", ("fz",), 100)]
+    found = vb.reconstruct(setup.rod, vb.read_recording(file, setup))
+    good = vb.reconstruct(setup.rod, vb.read_recording(sphere_60mm / f"{FRICTIONLESS}.csv", setup))
+    bad = np.flatnonzero(found.status == vb.Status.BAD_DATA)
+    assert bad.tolist() == [*range(1000, 1005), *range(1200, 1300)]
+    kept = np.delete(np.arange(len(rows)), bad)
+    np.testing.assert_array_equal(found.point[kept], good.point[kept])

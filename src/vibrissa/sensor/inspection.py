@@ -57,7 +57,7 @@ class Inspection:
     drift, drift_deviation
         Rate of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s], a given drift taken off, and its standard deviation; NaN without both.
     single_contact_misfit
-        Median of |m0·f0| in its standard deviations over the loaded rows: 0.67 for a single contact and noise alone. NaN without a load.
+        Median size of m0·f0 in its standard deviations over the loaded rows: 0.67 for a single contact and noise alone. NaN without a load.
     """
 
     raw: RawRecording

@@ -166,7 +166,7 @@ def _better_level(first: Float[np.ndarray, "m"], second: Float[np.ndarray, "k"])
 
 
 def single_contact_residuals(sensor: "Sensor", raw: RawRecording, loads: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "m"]:
-    """|m0·f0| in its standard deviations (m,) on the loaded samples (mechanics.md, "Statics alone")."""
+    """Sizes of m0·f0 in its standard deviations (m,) on the loaded samples (mechanics.md, "Statics alone")."""
     deviation = reading_deviation(sensor, loads[np.isfinite(loads).all(axis=1)])
     loaded = np.linalg.norm(loads[:, :3], axis=1) > _LOADED * deviation[0]
     loaded &= np.isfinite(raw.orientation).all(axis=1)

@@ -21,6 +21,7 @@ from vibrissa.sensor.units import pose_unit_faults, wrench_unit_faults
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
+_LARGEST, _LATEST = 1e12, 1e20
 _FALSE_ALARM = 1e-6
 _NOISE_RATIO = 1.25
 _NEARLY = 0.5
@@ -95,16 +96,17 @@ def inspect_raw(raw: RawRecording, sensor: "Sensor", rod: Rod) -> Inspection:
     ValueError
         If no row has a stamp, or none a pose.
     """
-    if not np.isfinite(raw.time).any():
+    if not np.any(np.abs(raw.time) < _LATEST):
         raise ValueError(f"none of {len(raw.time)} rows has a stamp; allowed are stamps in seconds")
-    faults = stamp_faults(raw.time) + pose_unit_faults(raw, rod)
-    time, moved = increasing_stamps(raw.time)
-    position, orientation, poseless = filled_poses(raw)
-    timed = RawRecording(time, raw.position, raw.orientation, raw.force, raw.torque)
-    lost, bad = drop_outs(timed, ~np.isfinite(raw.time))
+    given = _bounded(raw)
+    faults = stamp_faults(given.time) + pose_unit_faults(given, rod)
+    time, moved = increasing_stamps(given.time)
+    position, orientation, poseless = filled_poses(given)
+    timed = RawRecording(time, given.position, given.orientation, given.force, given.torque)
+    lost, bad = drop_outs(timed, ~np.isfinite(given.time))
     stuck, standing = standing_channels(sensor, timed, bad)
     usable = ~(bad.any(axis=1) | standing.any(axis=1) | moved | poseless)
-    wrench = np.where(usable[:, None], raw.wrench, np.nan)
+    wrench = np.where(usable[:, None], given.wrench, np.nan)
     cleaned = RawRecording(time, position, orientation, wrench[:, :3], wrench[:, 3:])
     faults += lost + stuck + pose_jumps(cleaned, rod)
     if not usable.any():
@@ -143,6 +145,12 @@ def _at_rest(
             faults.append(_over_all(FaultKind.TARE, CHANNELS, raw, text))
     ordered = tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop)))
     return Inspection(logged, raw, ordered, usable, raw.rate, rest, tare, noise, drift, deviation, misfit)
+
+
+def _bounded(raw: RawRecording) -> RawRecording:
+    """Numbers that are none, or too large to be any sensor's, made NaN."""
+    parts = (np.where(np.abs(part) < _LARGEST, part, np.nan) for part in (raw.position, raw.orientation, raw.force, raw.torque))
+    return RawRecording(np.where(np.abs(raw.time) < _LATEST, raw.time, np.nan), *parts)
 
 
 def _misfit(reactions: Reactions) -> float:

@@ -17,6 +17,7 @@ _PER_DECADE = 3
 # lies above would fold back.
 _MARGIN = 10.0
 _ROWS = 1024
+_SHORT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -79,10 +80,11 @@ class Pink:
         lengths = [max(stop - start, 1e-12) for start, stop in (first, second)]
         if first == second:
             x = self.rates * lengths[0]
-            return float(self.variance * np.sum(2 * (x + np.expm1(-x)) / x**2))
+            shares = np.where(x < _SHORT, 1 - x / 3, 2 * (x + np.expm1(-x)) / np.maximum(x, _SHORT) ** 2)
+            return float(self.variance * np.sum(shares))
         early, late = sorted((first, second))
-        shares = [-np.expm1(-self.rates * length) / (self.rates * length) for length in lengths]
-        return float(self.variance * np.sum(np.exp(-self.rates * (late[0] - early[1])) * shares[0] * shares[1]))
+        apart = [-np.expm1(-self.rates * length) / (self.rates * length) for length in lengths]
+        return float(self.variance * np.sum(np.exp(-self.rates * (late[0] - early[1])) * apart[0] * apart[1]))
 
 
 @dataclass(frozen=True)

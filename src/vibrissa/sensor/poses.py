@@ -23,7 +23,7 @@ def pose_jumps(raw: RawRecording, rod: Rod) -> list[Fault]:
     if len(raw.time) < 2 * _NEIGHBOURS:
         return []
     usual = 1 / raw.rate
-    share = np.minimum(1.0, usual / np.maximum(np.diff(raw.time), 1e-300))
+    share = usual / np.maximum(np.diff(raw.time), usual)
     turns = rotation_vectors(raw.orientation[:-1], raw.orientation[1:])
     found = []
     for name, steps, least, unit in (

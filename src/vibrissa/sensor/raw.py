@@ -8,6 +8,8 @@ from jaxtyping import Float
 CHANNELS = ("fx", "fy", "fz", "tx", "ty", "tz")
 """The six numbers of a wrench, in their order in arrays (…, 6)."""
 
+_LEAST_STEP = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class RawRecording:
@@ -39,4 +41,4 @@ class RawRecording:
         """Samples a second [Hz], by the median step of the time; NaN with fewer than two rows."""
         steps = np.diff(self.time)
         steps = steps[np.isfinite(steps) & (steps > 0)]
-        return float(1 / np.median(steps)) if len(steps) else float("nan")
+        return float(1 / max(float(np.median(steps)), _LEAST_STEP)) if len(steps) else float("nan")

@@ -142,6 +142,8 @@ def fitted_tare(sensor: "Sensor", raw: RawRecording, intervals: tuple[tuple[floa
     for (start, stop), count in zip(intervals, counts, strict=True):
         if count < 2:
             raise ValueError(f"rest from {start - first:g} s to {stop - first:g} s holds {count} good samples; allowed are at least 2")
+    if not intervals:
+        raise ValueError("no rest is found in the recording; allowed are rest_intervals that are free of contact")
     if sensor.estimate_drift and len(intervals) < 2:
         raise ValueError(f"estimate_drift = True with {len(intervals)} rest interval; allowed are at least 2, at the start and at the end")
     epoch = float(raw.time[groups[0]].mean())

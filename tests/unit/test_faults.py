@@ -49,6 +49,15 @@ def test_a_good_recording_has_no_faults(kind: str) -> None:
         assert found(logged(of, pushed(turning=0.3 * seed), seed=seed), **SENSORS[kind]) == []
 
 
+@pytest.mark.parametrize("options", [{}, {"tare_seconds": 0.5}, {"tare_seconds": 0.0}])
+def test_a_noiseless_simulation_has_no_faults_though_its_rest_repeats_itself(options: dict[str, object]) -> None:
+    quiet = {"force_noise": None, "torque_noise": None, "force_resolution": 0.0, "torque_resolution": 0.0, "position_noise": 0.0}
+    raw = logged(sensor(**quiet), pushed(turning=0.5))
+    assert found(raw, **quiet, **options) == []
+    free = sensor(**quiet).measure(pushed(), np.random.default_rng(0))
+    assert inspected(free, **quiet, **options).usable.all()
+
+
 def test_what_rest_tells_of_the_sensor() -> None:
     told = inspected(GOOD)
     assert told.rate == pytest.approx(RATE)

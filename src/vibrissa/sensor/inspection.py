@@ -236,6 +236,8 @@ def _drift(
     span = float(last.mean() - first.mean())
     rate = (after.mean(axis=0) - before.mean(axis=0)) / span
     if sensor.force_noise is None:
+        # A noiseless simulation is known to some digits only.
+        noise = np.maximum(noise, 1e-6 * np.nanmax(np.abs(raw.wrench), axis=0)) + 1e-300
         return rate, noise * np.sqrt(1 / len(first) + 1 / len(last)) / span
     tare = planned_tare(sensor.without_estimates(), (early,), (len(first),))
     there = tare.covariance(sensor.without_estimates(), raw.time, raw.orientation)

@@ -120,9 +120,15 @@ def _repeating(
 
 
 def believed_noise(sensor: "Sensor", wrench: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
-    """White noise (6,) by second differences; of a channel that shows next to none, what the others of its kind show, or what is stated if they agree with it."""
+    """White noise (6,) by second differences; of a channel that shows next to none, what the others of its kind show, or what is stated if they agree with it.
+
+    0 for a noiseless simulation, whose third differences are small against its second ones; those of white noise are larger by √(20/6).
+    """
     good = wrench[np.isfinite(wrench).all(axis=1)]
-    own = np.nan_to_num(noise_by_differences(good)) if len(good) > 2 else np.zeros(6)
+    own = np.nan_to_num(noise_by_differences(good)) if len(good) > _NEIGHBOURS else np.zeros(6)
+    if len(good) > _NEIGHBOURS:
+        second, third = (np.median(np.abs(np.diff(good, n=order, axis=0)), axis=0) for order in (2, 3))
+        own = np.where(third > second, own, 0.0)
     believed = own.copy()
     for part, stated in ((slice(0, 3), sensor.force_noise), (slice(3, 6), sensor.torque_noise)):
         usual = float(np.median(own[part]))

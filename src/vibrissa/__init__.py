@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from vibrissa import surfaces
     from vibrissa.contacts import ContactKind, Motion, Status
+    from vibrissa.design import ExpectedError, expected_error
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
     from vibrissa.reconstruct import FrictionEstimate, Reconstruction, estimate_friction, reconstruct
@@ -32,6 +33,8 @@ _HOMES = {
     "ContactKind": "contacts",
     "Equilibrium": "scan",
     "equilibria": "scan",
+    "ExpectedError": "design",
+    "expected_error": "design",
     "Event": "scan",
     "EventKind": "scan",
     "FrictionEstimate": "reconstruct",
@@ -54,6 +57,7 @@ __all__ = [
     "Equilibrium",
     "Event",
     "EventKind",
+    "ExpectedError",
     "FrictionEstimate",
     "Motion",
     "Reactions",
@@ -67,6 +71,7 @@ __all__ = [
     "__version__",
     "equilibria",
     "estimate_friction",
+    "expected_error",
     "load_case",
     "load_setup",
     "read_recording",

@@ -26,7 +26,9 @@ def readable(path: Path) -> Path:
         raise InputError(f"{path}: cannot be read ({reason}); allowed is a readable file") from error
 
 
-def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = (), any_order: bool = False) -> dict[str, np.ndarray]:
+def read_table(
+    file: Path, columns: Sequence[str], *, optional: Sequence[str] = (), any_order: bool = False, missing: bool = False
+) -> dict[str, np.ndarray]:
     """Numbers (rows,) by column from a CSV file whose first line names the columns.
 
     Parameters
@@ -39,6 +41,8 @@ def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = 
         Names that may be there besides.
     any_order
         Whether the columns may come in another order than that of `columns`.
+    missing
+        Whether cells that are no finite number, such as `nan`, stand for missing ones: they are NaN then.
 
     Raises
     ------
@@ -54,7 +58,9 @@ def read_table(file: Path, columns: Sequence[str], *, optional: Sequence[str] = 
         raise InputError(f"{file}: no rows; allowed is at least one sample")
     _check_end(file, text, lines, names)
     table = np.array([_row(file, number, line, names) for number, line in enumerate(lines[1:], start=2)])
-    _check_numbers(file, table, names)
+    if missing:
+        table = np.where(np.isfinite(table), table, np.nan)
+    _check_numbers(file, table, names, missing=missing)
     return dict(zip(names, table.T, strict=True))
 
 
@@ -115,9 +121,9 @@ def _check_end(file: Path, text: str, lines: list[str], names: Sequence[str]) ->
         )
 
 
-def _check_numbers(file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str]) -> None:
+def _check_numbers(file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str], *, missing: bool) -> None:
     bad = np.argwhere(~np.isfinite(table))
-    if bad.size:
+    if bad.size and not missing:
         row, column = bad[0]
         raise InputError(
             f"{file}, line {row + 2}: {names[column]} = {table[row, column]} ({len(np.unique(bad[:, 0]))} of {len(table)} rows hold such); allowed are finite numbers"

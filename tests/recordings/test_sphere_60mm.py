@@ -1,5 +1,6 @@
 """Recordings of a steel wire under a ball, made by an independent dynamics engine, against the engine's own contacts."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 import vibrissa as vb
-from vibrissa.io import InputError
+from vibrissa.io import InputError, inspect_recording, read_raw
 
 FRICTIONLESS, FRICTION = "frictionless/trail_y+0.10", "friction_0.25/trail_y+0.10"
 WITH_TRUTH = [FRICTIONLESS, "frictionless/trail_y-0.20", FRICTION]
@@ -208,14 +209,12 @@ def with_cell(lines: list[str], row: int, column: str, value: str) -> list[str]:
 
 
 DAMAGE = {
-    "NaN": (lambda lines: with_cell(lines, 700, "fz", "nan"), "line 701: fz = nan"),
     "last line truncated": (lambda lines: [*lines[:-1], lines[-1][:50]], "truncated"),
     "last number truncated": (lambda lines: [*lines[:-1], lines[-1][:-3]], "the last line is truncated"),
     "columns swapped": (lambda lines: [lines[0].replace("fx,fy", "fy,fx"), *lines[1:]], "another order"),
     "column missing": (lambda lines: [line.rsplit(",", 1)[0] for line in lines], "missing tz"),
     "column renamed": (lambda lines: [lines[0].replace("time", "t"), *lines[1:]], "missing time, unknown t"),
     "time backwards": (lambda lines: [*lines[:900], lines[901], lines[900], *lines[902:]], "increasing times"),
-    "line twice": (lambda lines: [*lines[:900], lines[899], *lines[900:]], "increasing times"),
     "zero quaternion": (
         lambda lines: with_cell(with_cell(lines, 50, "qz", "0"), 50, "qw", "0.0"),
         "line 51: qx,qy,qz,qw = [0.0, 0.0, 0.0, 0.0] has the norm 0",
@@ -258,3 +257,57 @@ def test_ends_of_lines_do_not_matter(sphere_60mm: Path, tmp_path: Path) -> None:
         forces.append(vb.read_recording(file, setup).force)
     np.testing.assert_array_equal(forces[0], forces[1])
     np.testing.assert_array_equal(forces[0], forces[2])
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_recording_as_it_is_has_no_faults(sphere_60mm: Path, name: str) -> None:
+    told = inspect_recording(sphere_60mm / f"{name}.csv", vb.load_setup(sphere_60mm / "setup.toml"))
+    assert told.faults == ()
+    assert told.usable.all()
+    assert told.rate == pytest.approx(250)
+    # Standard deviations over 225 samples are known to a twentieth.
+    np.testing.assert_allclose(told.noise, [2.05e-3] * 3 + [4.006e-5] * 3, rtol=0.2)
+    assert 0.6 < told.single_contact_misfit < 0.75
+
+
+@pytest.mark.parametrize("name", WITH_TRUTH)
+def test_the_rest_that_is_found_ends_before_the_contact(sweeps: dict[str, Sweep], sphere_60mm: Path, name: str) -> None:
+    """And is longer than the 0.9 s that the setup gives, whose tare it confirms."""
+    setup = vb.load_setup(sphere_60mm / "setup.toml")
+    raw = read_raw(sphere_60mm / f"{name}.csv")
+    tare = replace(setup.sensor, tare_seconds=None).tare(raw)
+    ((start, stop),) = tare.intervals
+    touching = raw.time[sweeps[name].touching]
+    assert start == raw.time[0]
+    assert 0.9 * (touching[0] - start) - 0.1 < stop - start < touching[0] - start
+    given = setup.sensor.tare(raw)
+    spread = np.sqrt(setup.sensor.reading_variance * (1 / given.counts[0] + 1 / tare.counts[0]))
+    assert np.all(np.abs(tare.offset - given.offset) < 4 * spread)
+    (_, last) = replace(setup.sensor, tare_seconds=None, estimate_drift=True).tare(raw).intervals
+    assert last[0] > touching[-1]
+
+
+def test_a_recording_that_starts_in_contact_has_no_rest(sphere_60mm: Path, tmp_path: Path) -> None:
+    text = (sphere_60mm / "setup.toml").read_text()
+    (tmp_path / "setup.toml").write_text(text.replace("tare_seconds = 0.9", "#"))
+    lines = lines_of(sphere_60mm)
+    (tmp_path / "late.csv").write_text("\n".join([lines[0], *lines[900:]]) + "\n")
+    with pytest.raises(InputError, match="starts in contact or under a changing load"):
+        vb.read_recording(tmp_path / "late.csv", vb.load_setup(tmp_path / "setup.toml"))
+
+
+def test_rows_with_faults_are_marked_and_the_others_are_as_good_as_before(sphere_60mm: Path, tmp_path: Path) -> None:
+    setup, lines = vb.load_setup(sphere_60mm / "setup.toml"), lines_of(sphere_60mm)
+    rows = np.array([line.split(",") for line in lines[1:]])
+    rows[1000:1005, 8:] = "nan"
+    rows[850:950, 8] = rows[850, 8]
+    file = tmp_path / "faulty.csv"
+    file.write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n")
+    told = [(str(fault.kind), fault.channels, fault.count) for fault in inspect_recording(file, setup).faults]
+    assert told == [("stuck channel", ("fx",), 100), ("drop-out", ("fx", "fy", "fz", "tx", "ty", "tz"), 5)]
+    found = vb.reconstruct(setup.rod, vb.read_recording(file, setup))
+    good = vb.reconstruct(setup.rod, vb.read_recording(sphere_60mm / f"{FRICTIONLESS}.csv", setup))
+    bad = np.flatnonzero(found.status == vb.Status.BAD_DATA)
+    assert bad.tolist() == [*range(850, 950), *range(1000, 1005)]
+    kept = np.delete(np.arange(len(rows)), bad)
+    np.testing.assert_array_equal(found.point[kept], good.point[kept])

@@ -137,3 +137,44 @@ def test_friction_of_a_recording_without_any(monkeypatch: pytest.MonkeyPatch, ca
 @pytest.mark.parametrize("value", ["-0.1", "nan", "inf"])
 def test_no_such_friction(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], value: str) -> None:
     assert "--friction" in _refused(monkeypatch, capsys, "reconstruct", TRAIL, "--setup", SETUP, "--friction", value)
+
+
+def _faulty(folder: Path) -> Path:
+    lines = TRAIL.read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    for row in rows[20:24]:
+        row[8:] = ["nan"] * 6
+    del rows[300:303]
+    path = folder / "faulty.csv"
+    path.write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_inspect_lists_every_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("inspect", _faulty(tmp_path), "--setup", SETUP)
+    assert _run(monkeypatch, *arguments, "--json", "--figure", tmp_path / "inspected.png") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["counts"] == {"drop-out": 1, "gap": 1}
+    assert [(fault["kind"], fault["count"]) for fault in told["faults"]] == [("drop-out", 4), ("gap", 3)]
+    assert told["usable_rows"] == told["rows"] - 4
+    assert told["channels"]["fx"]["noise"] == pytest.approx(told["channels"]["fx"]["stated_noise"], rel=0.3)
+    assert told["tare"]["intervals"][0][0] == told["start"]
+    assert (tmp_path / "inspected.png").stat().st_size > 10_000
+    assert _run(monkeypatch, *arguments) == 0
+    out = capsys.readouterr().out
+    for words in ("4 rows without a number", "3 samples missing", "tare given as tare_seconds", "noise at rest"):
+        assert words in out
+
+
+def test_inspect_fails_for_a_recording_that_cannot_be_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = TRAIL.read_text(encoding="utf-8").splitlines()
+    lines[50], lines[51] = lines[51], lines[50]
+    (tmp_path / "back.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert _run(monkeypatch, "inspect", tmp_path / "back.csv", "--setup", SETUP, "--json") == 1
+    told = json.loads(capsys.readouterr().out)
+    assert not told["usable"]
+    assert [fault["kind"] for fault in told["faults"] if fault["unusable"]] == ["backward stamp"]
+    assert "cannot be read" in _refused(monkeypatch, capsys, "inspect", tmp_path / "none.csv", "--setup", SETUP)
+    assert "suffix" in _refused(monkeypatch, capsys, "inspect", TRAIL, "--setup", SETUP, "--figure", tmp_path / "figure.gif")

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 from vibrissa.io import InputError
+from vibrissa.sensor import LowPass, Mount
 
 
 def written(folder: Path, text: str | bytes) -> Path:
@@ -422,3 +423,77 @@ def test_a_missing_file_or_a_folder_cannot_be_read(tmp_path: Path) -> None:
     for load in (vb.load_setup, vb.load_case):
         assert "cannot be read (No such file or directory)" in refusal(load, tmp_path / "none.toml")
         assert "cannot be read (Is a directory)" in refusal(load, tmp_path)
+
+
+FULL = """\
+preset = "ati_nano17_si_12_0_12"
+rest_intervals = [[0.1, 0.9], [5.0, 6.0]]
+noise_corner = 2.0
+force_random_walk = 1e-4
+torque_random_walk = 2e-6
+orientation_noise = 1e-4
+force_drift = [1e-3, 0.0, 0.0]
+torque_drift = [0.0, 1e-6, 0.0]
+estimate_drift = true
+torque_range = [0.1, 0.2, 0.3]
+cross_talk = [[1, 0, 0, 0, 0, 0], [0, 1, 0.01, 0, 0, 0], [0, 0, 1, 0, 0, 0], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1.1]]
+low_pass = { cutoff = 73.0, order = 2, delay = 0.002 }
+mount = { mass = 0.02, center = [0.0, 0.001, 0.01], gravity = [0.0, 0.0, -9.81], estimated = true }
+"""
+
+
+def with_sensor_keys(folder: Path, keys: str, *, without: str = "tare_seconds = 0.85\n") -> Path:
+    assert without in SETUP
+    return written(folder, SETUP.replace(without, keys, 1))
+
+
+def test_every_figure_of_the_sensor_can_be_written_down(tmp_path: Path) -> None:
+    sensor = vb.load_setup(with_sensor_keys(tmp_path, FULL)).sensor
+    assert sensor.rest_intervals == ((0.1, 0.9), (5.0, 6.0))
+    assert (sensor.noise_corner, sensor.force_random_walk, sensor.torque_random_walk, sensor.orientation_noise) == (2.0, 1e-4, 2e-6, 1e-4)
+    assert (sensor.force_drift, sensor.torque_drift, sensor.estimate_drift) == ((1e-3, 0, 0), (0, 1e-6, 0), True)
+    assert sensor.cross_talk is not None
+    assert (sensor.cross_talk[1, 2], sensor.cross_talk[5, 5]) == (0.01, 1.1)
+    assert sensor.low_pass == LowPass(73.0, 2, 0.002)
+    assert sensor.mount == Mount(0.02, (0.0, 0.001, 0.01), (0.0, 0.0, -9.81), estimated=True)
+
+
+def test_own_figures_go_before_those_of_a_preset(tmp_path: Path) -> None:
+    sensor = vb.load_setup(with_sensor_keys(tmp_path, FULL)).sensor
+    assert sensor.force_range == (12.0, 12.0, 17.0)
+    assert sensor.torque_range == (0.1, 0.2, 0.3)
+    assert sensor.force_noise == 2e-3
+    plain = SETUP[SETUP.index("force_noise") : SETUP.index("position_noise")]
+    bare = vb.load_setup(with_sensor_keys(tmp_path, 'preset = "ati_nano17_si_12_0_12"\n', without=plain)).sensor
+    assert (bare.force_noise, bare.torque_resolution) == (1 / 320, pytest.approx(1e-3 / 64))
+
+
+def test_without_tare_seconds_the_rest_is_found(tmp_path: Path) -> None:
+    assert vb.load_setup(with_sensor_keys(tmp_path, "")).sensor.tare_seconds is None
+    assert vb.load_setup(written(tmp_path, SETUP.replace("= 0.85", "= 0"))).sensor.tare_seconds == 0
+
+
+SENSOR_DAMAGE = {
+    "preset": ('preset = "nano"\n', ["sensor.preset = 'nano'", "ati_nano17_si_12_0_12", "robotiq_ft_300_s"]),
+    "cross-talk": ("cross_talk = [[1, 0]]\n", ["sensor.cross_talk", "six"]),
+    "cross-talk's entry": (
+        FULL[FULL.index("cross_talk") : FULL.index("low_pass")].replace("1.1", "nan"),
+        ["sensor.cross_talk[5][5] = nan", "finite"],
+    ),
+    "no inverse": (FULL[FULL.index("cross_talk") : FULL.index("low_pass")].replace("1.1", "0.0"), ["cross_talk has the condition inf"]),
+    "range": ("force_range = [1, 0, 1]\n", ["sensor.force_range[1] = 0", "greater than 0"]),
+    "order": ("low_pass = { cutoff = 1, order = 3 }\n", ["sensor.low_pass.order = 3", "1 or 2"]),
+    "filter's key": ("low_pass = { cut = 1 }\n", ["sensor.low_pass.cut: unknown key", "cutoff, order, delay"]),
+    "mass": ("mount = { mass = -1 }\n", ["sensor.mount.mass = -1", "at least 0"]),
+    "pairs": ("rest_intervals = [[0.1]]\n", ["sensor.rest_intervals"]),
+    "pairs out of order": ("rest_intervals = [[2.0, 1.0]]\n", ["rest_intervals", "allowed are pairs (start, stop)"]),
+    "estimate": ('estimate_drift = "yes"\n', ["sensor.estimate_drift = 'yes'", "true or false"]),
+    "corner": ("noise_corner = -1\n", ["sensor.noise_corner = -1", "at least 0"]),
+}
+
+
+@pytest.mark.parametrize("what", SENSOR_DAMAGE)
+def test_damage_to_the_sensors_keys_is_named(tmp_path: Path, what: str) -> None:
+    keys, words = SENSOR_DAMAGE[what]
+    message = refusal(vb.load_setup, with_sensor_keys(tmp_path, keys))
+    assert [word for word in words if word not in message] == []

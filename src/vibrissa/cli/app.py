@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from vibrissa.cli.demo import demo
+from vibrissa.cli.inspect import inspect
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
 
@@ -21,6 +22,7 @@ app = typer.Typer(
 app.command()(demo)
 app.command()(scan)
 app.command()(reconstruct)
+app.command()(inspect)
 
 
 @app.callback(invoke_without_command=True)

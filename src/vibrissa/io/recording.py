@@ -3,28 +3,23 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
-from vibrissa.files import check_increasing, read_table
+from vibrissa.files import read_table
 from vibrissa.io.errors import InputError, writable
 from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
-from vibrissa.rod import Rod
-from vibrissa.sensor import RawRecording
+from vibrissa.sensor import Inspection, RawRecording, inspect_raw
 
 COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "tx", "ty", "tz")
 """Time [s]; pose of the sensor frame in the world [m], quaternion x, y, z, w; force [N] and torque [N m] as the setup says."""
 
 _QUATERNION_TOLERANCE = 1e-3
-_LONGEST_SWEEP = 200.0
-_LOADED = 20.0
-_SHORTEST_ARM = 1e-2
-_LONGEST_ARM = 5.0
-_LARGEST_FORCE = 500.0
 
 
 def read_recording(path: str | Path, setup: Setup) -> Reactions:
     """Read a recording and return support reactions on the rod about the clamp, world axes, tare removed, with covariance where the noise is known.
+
+    Rows that are not usable (numbers missing, a stuck or saturated channel, a stamp that is there already) hold NaN; `inspect_recording` says what they are.
 
     Parameters
     ----------
@@ -36,19 +31,64 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
     Raises
     ------
     InputError
-        If columns differ from those, a row is short, a number is missing, not finite, or cut off, time does not increase, a quaternion has no unit norm, the
-        tare window does not fit, or the numbers cannot be in metres, newtons and newton metres.
+        If columns differ from those, a row is short or cut off, time runs backwards, a quaternion has no unit norm, the tare window does not fit or no rest is
+        found, or the numbers cannot be in metres, newtons and newton metres.
     """
     file = Path(path)
-    table = np.column_stack(list(read_table(file, COLUMNS).values()))
-    raw = RawRecording(table[:, 0], table[:, 1:4], _unit_quaternions(file, table[:, 4:8]), table[:, 8:11], table[:, 11:])
-    check_increasing(file, raw.time)
+    raw = read_raw(file)
+    _check_rows(file, raw)
+    inspection = _inspected(file, raw, setup)
+    if inspection.unusable:
+        raise InputError(f"{file}: {inspection.unusable[0].text}")
+    return setup.sensor.reactions(inspection.cleaned, inspection.tare)
+
+
+def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
+    """Read a recording and return its faults, with what its rest tells of the sensor.
+
+    Raises
+    ------
+    InputError
+        If columns differ, a row is short or cut off, or no row has a stamp or a pose.
+    """
+    file = Path(path)
+    return _inspected(file, read_raw(file), setup)
+
+
+def read_raw(path: str | Path) -> RawRecording:
+    """Read a recording's numbers as they are; a cell that holds `nan` is missing.
+
+    Raises
+    ------
+    InputError
+        If columns differ, or a row is short or cut off.
+    """
+    table = np.column_stack(list(read_table(Path(path), COLUMNS, missing=True).values()))
+    return RawRecording(table[:, 0], table[:, 1:4], table[:, 4:8], table[:, 8:11], table[:, 11:])
+
+
+def _inspected(file: Path, raw: RawRecording, setup: Setup) -> Inspection:
     try:
-        reactions = setup.sensor.reactions(raw)
+        return inspect_raw(raw, setup.sensor, setup.rod)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
-    _check_scale(file, raw, reactions, setup.rod)
-    return reactions
+
+
+def _check_rows(file: Path, raw: RawRecording) -> None:
+    """What makes a file unusable and has a line: a stamp before the one above it, which leaves open which of them is right, and a quaternion of another norm."""
+    falling = np.flatnonzero(np.diff(raw.time) < 0)
+    if falling.size:
+        row = falling[0]
+        raise InputError(
+            f"{file}, line {row + 3}: time = {raw.time[row + 1]} after {raw.time[row]} ({len(falling)} such); allowed are increasing times"
+        )
+    norm = np.linalg.norm(raw.orientation, axis=1)
+    wrong = np.flatnonzero(np.abs(norm - 1) > _QUATERNION_TOLERANCE)
+    if wrong.size:
+        row = wrong[0]
+        raise InputError(
+            f"{file}, line {row + 2}: qx,qy,qz,qw = {raw.orientation[row].tolist()} has the norm {norm[row]:.3g} ({len(wrong)} such); allowed is 1"
+        )
 
 
 _FORMATS = ("%.4f", *["%.6f"] * 3, *["%.9f"] * 4, *["%.5f"] * 3, *["%.7f"] * 3)
@@ -66,35 +106,3 @@ def write_recording(path: str | Path, raw: RawRecording) -> Path:
     table = np.column_stack([raw.time, raw.position, raw.orientation, raw.force, raw.torque])
     np.savetxt(file, table, fmt=_FORMATS, delimiter=",", header=",".join(COLUMNS), comments="")
     return file
-
-
-def _unit_quaternions(file: Path, quaternion: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 4"]:
-    norm = np.linalg.norm(quaternion, axis=1)
-    wrong = np.flatnonzero(np.abs(norm - 1) > _QUATERNION_TOLERANCE)
-    if wrong.size:
-        row = wrong[0]
-        raise InputError(
-            f"{file}, line {row + 2}: qx,qy,qz,qw = {quaternion[row].tolist()} has the norm {norm[row]:.3g} ({len(wrong)} such); allowed is 1"
-        )
-    return quaternion / norm[:, None]
-
-
-def _check_scale(file: Path, raw: RawRecording, reactions: Reactions, rod: Rod) -> None:
-    """Tell millimetres, millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever arm is of its length."""
-    extent = float(np.ptp(raw.position, axis=0).max())
-    if extent > _LONGEST_SWEEP * rod.length:
-        raise InputError(f"{file}: px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres")
-    force, moment = (np.linalg.norm(part, axis=1) for part in (reactions.force, reactions.moment))
-    loaded = force > max(_LOADED * np.median(force[: max(2, len(force) // 50)]), 1e-12)
-    if np.count_nonzero(loaded) < 10:
-        return
-    arm = float(np.median(moment[loaded] / force[loaded])) / rod.length
-    if not _SHORTEST_ARM < arm < _LONGEST_ARM:
-        raise InputError(
-            f"{file}: torque over force is {arm:.3g} rod lengths in the median, so tx,ty,tz or fx,fy,fz are mis-scaled; allowed are N and N m"
-        )
-    typical = float(np.median(force[loaded])) / rod.force_scale
-    if typical > _LARGEST_FORCE or typical < 1 / _LARGEST_FORCE:
-        raise InputError(
-            f"{file}: force is {typical:.3g} EI/L² in the median of the loaded samples, so wrench or rod are mis-scaled; allowed are N, m, Pa"
-        )

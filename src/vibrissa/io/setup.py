@@ -1,5 +1,6 @@
 """One experiment: rod, sensor and, where it is known, the object (`setup.toml`)."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -7,11 +8,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from vibrissa.io.config import ORIGIN, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
+from vibrissa.io.config import ORIGIN, Finite, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
 from vibrissa.io.objects import ObjectTable, built
 from vibrissa.rod import Rod
-from vibrissa.sensor import Sensor
+from vibrissa.sensor import LowPass, Mount, Sensor
+from vibrissa.sensor.mount import STANDARD_GRAVITY
+from vibrissa.sensor.presets import PRESETS, preset_figures
 from vibrissa.surfaces import Surface
 
 
@@ -34,8 +37,40 @@ class Setup:
     surface: Surface | None = None
 
 
+Interval = Annotated[tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")]
+Row = Annotated[
+    tuple[Finite, Finite, Finite, Finite, Finite, Finite], Field(description="six rows of six finite numbers, fx, fy, fz, tx, ty, tz each")
+]
+Ranges = Annotated[tuple[Positive, Positive, Positive], Field(description="three numbers greater than 0")]
+
+
+class MountTable(Table):
+    """Fields of `vibrissa.sensor.Mount`; SI units."""
+
+    mass: NotNegative = 0.0
+    center: Vector = ORIGIN
+    gravity: Vector = STANDARD_GRAVITY
+    estimated: Annotated[bool, Field(strict=True, description="true or false")] = False
+
+    def build(self) -> Mount:
+        """Return the mount."""
+        return Mount(self.mass, self.center, self.gravity, self.estimated)
+
+
+class LowPassTable(Table):
+    """Fields of `vibrissa.sensor.LowPass`; SI units."""
+
+    cutoff: Positive | None = None
+    order: Annotated[Literal[1, 2], Field(description="1 or 2")] = 1
+    delay: NotNegative = 0.0
+
+    def build(self) -> LowPass:
+        """Return the filter."""
+        return LowPass(math.inf if self.cutoff is None else self.cutoff, self.order, self.delay)
+
+
 class SensorTable(Table):
-    """Fields of `vibrissa.sensor.Sensor`; SI units."""
+    """Fields of `vibrissa.sensor.Sensor`; SI units. What is left out comes from the preset, if one is named."""
 
     clamp_position: Vector
     clamp_orientation: Quaternion
@@ -43,30 +78,43 @@ class SensorTable(Table):
         Literal["on_sensor", "on_rod"],
         Field(description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' (the support reaction)"),
     ]
+    preset: Annotated[str, Field(pattern=f"^({'|'.join(PRESETS)})?$", description=", ".join(PRESETS))] = ""
     wrench_frame: Annotated[Literal["sensor", "world"], Field(description="'sensor' or 'world'")] = "sensor"
     wrench_point: Vector = ORIGIN
-    tare_seconds: NotNegative = 0.0
+    tare_seconds: NotNegative | None = None
+    rest_intervals: Annotated[tuple[Interval, ...], Field(description="a list of pairs (start, stop) of seconds")] = ()
     force_noise: Positive | None = None
     torque_noise: Positive | None = None
+    noise_corner: NotNegative = 0.0
+    force_random_walk: NotNegative = 0.0
+    torque_random_walk: NotNegative = 0.0
     force_resolution: NotNegative = 0.0
     torque_resolution: NotNegative = 0.0
+    force_range: Ranges | None = None
+    torque_range: Ranges | None = None
     position_noise: NotNegative = 0.0
+    orientation_noise: NotNegative = 0.0
+    force_drift: Vector = ORIGIN
+    torque_drift: Vector = ORIGIN
+    estimate_drift: Annotated[bool, Field(strict=True, description="true or false")] = False
+    cross_talk: Annotated[tuple[Row, Row, Row, Row, Row, Row], Field(description="six rows of six finite numbers")] | None = None
+    low_pass: LowPassTable | None = None
+    mount: MountTable | None = None
 
     def build(self) -> Sensor:
         """Return the sensor."""
+        own = {name: getattr(self, name) for name in self.model_fields_set - _PARTS}
         return Sensor(
             np.array(self.clamp_position),
             np.array(self.clamp_orientation),
-            self.wrench,
-            self.wrench_frame,
-            self.wrench_point,
-            self.tare_seconds,
-            self.force_noise,
-            self.torque_noise,
-            self.force_resolution,
-            self.torque_resolution,
-            self.position_noise,
+            cross_talk=None if self.cross_talk is None else np.array(self.cross_talk),
+            low_pass=None if self.low_pass is None else self.low_pass.build(),
+            mount=None if self.mount is None else self.mount.build(),
+            **({"tare_seconds": None} | preset_figures(self.preset) | own),
         )
+
+
+_PARTS = {"clamp_position", "clamp_orientation", "preset", "cross_talk", "low_pass", "mount"}
 
 
 class SetupFile(Table):

@@ -1,5 +1,27 @@
-"""Between reactions and recordings: mount, tare, sign of the wrench, noise."""
+"""Between reactions and recordings: mount, tare, sign of the wrench, noise, faults."""
 
-from vibrissa.sensor.sensor import RawRecording, Sensor
+from vibrissa.sensor.faults import Fault, FaultKind
+from vibrissa.sensor.inspection import Inspection, inspect_raw
+from vibrissa.sensor.lowpass import LowPass
+from vibrissa.sensor.mount import Mount
+from vibrissa.sensor.presets import PRESETS, preset
+from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.rest import Rest
+from vibrissa.sensor.sensor import Sensor
+from vibrissa.sensor.tare import Tare
 
-__all__ = ["RawRecording", "Sensor"]
+__all__ = [
+    "CHANNELS",
+    "PRESETS",
+    "Fault",
+    "FaultKind",
+    "Inspection",
+    "LowPass",
+    "Mount",
+    "RawRecording",
+    "Rest",
+    "Sensor",
+    "Tare",
+    "inspect_raw",
+    "preset",
+]

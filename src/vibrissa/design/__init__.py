@@ -1,0 +1,5 @@
+"""Before anything is built: how well a sensor will tell the contacts of a scene."""
+
+from vibrissa.design.expected import ExpectedError, expected_error
+
+__all__ = ["ExpectedError", "expected_error"]

@@ -1,0 +1,212 @@
+"""Expected contact error of a sensor over a scene: forward, through the sensor, and back."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import chi2
+
+from vibrissa.geometry.checks import not_negative, positive, whole_number
+from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
+from vibrissa.reactions import Reactions
+from vibrissa.reconstruct import Reconstruction, reconstruct
+from vibrissa.rod import Rod
+from vibrissa.scan import Scan, scan
+from vibrissa.sensor import Sensor
+from vibrissa.sensor.maps import to_reactions
+from vibrissa.sensor.model import filtered_readings
+from vibrissa.sensor.noise import quantisation_of_mean
+from vibrissa.sensor.sensor import carried
+from vibrissa.sensor.tare import no_tare, planned_tare
+from vibrissa.surfaces import Surface
+from vibrissa.trail import Trail
+
+_WITHIN_95 = float(np.sqrt(chi2.isf(0.05, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedError:
+    """What a sensor will make of the contacts of a scan, one row a position (…), in units of the rod.
+
+    Attributes
+    ----------
+    scan
+        The scene: contacts and reactions without a sensor.
+    found
+        The reconstruction of the exact reactions, with the covariances that the sensor's errors give.
+    covariance
+        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose; NaN where no contact is detected.
+    lag
+        Systematic error of the contact point (…, 3) by the sensor's filter and delay at the given speed; 0 without them.
+    saturated
+        Where a reading would leave the sensor's range (…), tare and the mount's weight included as given.
+    """
+
+    scan: Scan
+    found: Reconstruction
+    covariance: Float[np.ndarray, "*trail n 3 3"]
+    lag: Float[np.ndarray, "*trail n 3"]
+    saturated: Bool[np.ndarray, "*trail n"]
+
+    @property
+    def detected(self) -> Bool[np.ndarray, "*trail n"]:
+        """Where the load exceeds the noise so far that a contact is told from none (…)."""
+        return self.found.in_contact & self.scan.in_contact
+
+    @property
+    def standard_deviations(self) -> Float[np.ndarray, "*trail n 3"]:
+        """Along the axes of the covariance (…, 3), in rising order; NaN where no contact is detected."""
+        known = np.isfinite(self.covariance).all(axis=(-2, -1))
+        values = np.linalg.eigvalsh(np.where(known[..., None, None], self.covariance, np.eye(3)))
+        return np.where(known[..., None], np.sqrt(np.maximum(values, 0)), np.nan)
+
+    @property
+    def semi_axes(self) -> Float[np.ndarray, "*trail n 3"]:
+        """Semi-axes of the 95 % ellipsoids (…, 3), in rising order."""
+        return _WITHIN_95 * self.standard_deviations
+
+    @property
+    def root_mean_square(self) -> Float[np.ndarray, "*trail n"]:
+        """Expected distance of the point found from the true one (…), root mean square, with the lag."""
+        return np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1) + np.sum(self.lag**2, axis=-1))
+
+
+def expected_error(
+    rod: Rod,
+    surface: Surface,
+    trail: Trail,
+    sensor: Sensor,
+    *,
+    rate: float = 1000.0,
+    rest: float = 1.0,
+    speed: float | None = None,
+    samples: int = 1,
+    friction: float = 0.0,
+    finite_radius: bool = False,
+    false_alarm: float = 1e-3,
+) -> ExpectedError:
+    """Will this sensor do for this rod? The expected contact error at every position of a scene.
+
+    The scan's exact reactions are reconstructed with the covariance that `Sensor.reactions` would state for them: errors are carried to first order, which
+    next to first contact overstates them: a contact lies within the rod's reach.
+
+    Parameters
+    ----------
+    rod, surface, trail, friction, finite_radius
+        As for `vibrissa.scan`, in SI units, as the sensor's.
+    sensor
+        With known noise.
+    rate
+        Samples a second [Hz].
+    rest
+        Length of the rest in which the tare is taken [s]; 0 for none.
+    speed
+        Of the clamp [m/s]: sets how far drift, pink noise and random walk have gone at each position, and what filter and delay shift. By default one position follows
+        the other at the given rate, and nothing is shifted.
+    samples
+        Readings averaged at each position.
+    false_alarm
+        As for `vibrissa.reconstruct`.
+
+    Returns
+    -------
+    ExpectedError
+        Covariances, standard deviations and 95 % semi-axes by position.
+
+    Raises
+    ------
+    ValueError
+        If the sensor's noise is not known, or a figure is out of range.
+    """
+    if sensor.force_noise is None:
+        raise ValueError("sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset")
+    rate, rest, samples = positive(rate, "rate"), not_negative(rest, "rest"), whole_number(samples, "samples")
+    swept = scan(rod, surface, trail, friction=friction, finite_radius=finite_radius)
+    averaged, rate = _averaged(sensor, samples), rate / samples
+    lanes = [_lane(averaged, part, rate, rest, speed) for part in _lanes(swept)]
+    shape = swept.trail.shape
+    covariance = np.stack([lane[0] for lane in lanes]).reshape(*shape, 6, 6)
+    position_covariance = sensor.position_noise**2 / samples * np.eye(3)
+    exact = swept.reactions
+    told = Reactions(exact.trail, exact.force, exact.moment, covariance=covariance, position_covariance=position_covariance)
+    found = reconstruct(rod, told, friction=friction or None, false_alarm=false_alarm)
+    assert found.covariance is not None
+    turned = _turning(sensor, swept, found) * (sensor.orientation_noise**2 / samples)
+    lag = np.zeros((*shape, 3))
+    if sensor.low_pass is not None and speed is not None:
+        late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
+        shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
+        lag = np.nan_to_num(reconstruct(rod, shifted, friction=friction or None, false_alarm=false_alarm).point - found.point)
+    saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
+    return ExpectedError(swept, found, found.covariance + turned, lag, saturated)
+
+
+def _averaged(sensor: Sensor, samples: int) -> Sensor:
+    """The sensor whose single readings have the errors of means over so many."""
+    assert sensor.force_noise is not None
+    assert sensor.torque_noise is not None
+    if samples == 1:
+        return sensor
+    pairs = ((sensor.force_noise, sensor.force_resolution), (sensor.torque_noise, sensor.torque_resolution))
+    steps = [float(np.sqrt(12 * quantisation_of_mean(noise, step, samples))) for noise, step in pairs]
+    root = samples**0.5
+    return replace(
+        sensor,
+        force_noise=sensor.force_noise / root,
+        torque_noise=sensor.torque_noise / root,
+        force_resolution=steps[0],
+        torque_resolution=steps[1],
+    )
+
+
+def _lanes(swept: Scan) -> list[Reactions]:
+    """The reactions of each trail."""
+    trail, count = swept.trail, swept.trail.count
+    parts = zip(
+        trail.position.reshape(-1, count, 3),
+        trail.orientation.reshape(-1, count, 4),
+        swept.reactions.force.reshape(-1, count, 3),
+        swept.reactions.moment.reshape(-1, count, 3),
+        strict=True,
+    )
+    return [Reactions(Trail(position, orientation), force, moment) for position, orientation, force, moment in parts]
+
+
+def _lane(
+    sensor: Sensor, reactions: Reactions, rate: float, rest: float, speed: float | None
+) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6"], Bool[np.ndarray, "n"]]:
+    """Of one trail: the reactions' covariance, the reactions that come late, and where the range ends."""
+    orientation = multiplied(reactions.trail.orientation, inverse(sensor.clamp_orientation))
+    axes = rotation_matrices(orientation)
+    time = _stamps(reactions.trail, rate, rest, speed)
+    maps = to_reactions(sensor, axes)
+    count = int(rest * rate)
+    tare = no_tare(sensor, time)
+    if count >= 2:
+        ends = ((0.0, rest), (float(time[-1]), float(time[-1]) + rest))[: 2 if sensor.estimate_drift else 1]
+        tare = planned_tare(sensor, ends, (count,) * len(ends))
+    # Pink noise knows the whole recording, the rest included.
+    covariance = carried(maps, tare.covariance(sensor, time, orientation, since=0.0))
+    timed = Reactions(reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time)
+    late = filtered_readings(sensor, timed, orientation)
+    shown = filtered_readings(replace(sensor, low_pass=None), timed, orientation)
+    limits = [np.full(3, np.inf) if part is None else np.asarray(part) for part in (sensor.force_range, sensor.torque_range)]
+    saturated = np.any(np.abs(shown) > np.concatenate(limits), axis=1) & np.isfinite(reactions.force).all(axis=1)
+    exact = np.concatenate([reactions.force, reactions.moment], axis=1)
+    return np.broadcast_to(covariance, (len(time), 6, 6)), exact + np.einsum("nij,nj->ni", maps, late - shown), saturated
+
+
+def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Float[np.ndarray, "n"]:
+    steps = np.full(trail.count - 1, 1 / rate)
+    if speed is not None:
+        way = np.linalg.norm(np.diff(trail.position, axis=0), axis=1)
+        steps = np.maximum(way / positive(speed, "speed"), steps)
+    return rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
+
+
+def _turning(sensor: Sensor, swept: Scan, found: Reconstruction) -> Float[np.ndarray, "*trail n 3 3"]:
+    """Covariance of the contact point for a unit error of the robot's orientation, which turns all about the sensor's origin: |d|² − d dᵀ."""
+    orientation = multiplied(swept.trail.orientation, inverse(sensor.clamp_orientation))
+    origin = swept.trail.position - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position)
+    arm = found.point - origin
+    return np.sum(arm**2, axis=-1)[..., None, None] * np.eye(3) - arm[..., :, None] * arm[..., None, :]

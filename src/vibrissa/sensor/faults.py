@@ -1,0 +1,56 @@
+"""What is wrong with a recording: findings, each with its channels, interval and count."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class FaultKind(StrEnum):
+    """What can be wrong with a recording.
+
+    `SATURATION`: readings at the range, or flat-topped. `DROP_OUT`: rows without numbers, or of zeros amid others. `STUCK`: a channel that repeats its value for
+    longer than noise and resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp equal to one before, or earlier.
+    `UNITS`: numbers that cannot be in metres, newtons, newton metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated. `DRIFT`: the
+    offset moves by more than stated. `POSE_JUMP`: the robot's pose jumps. `REST`: no rest for the tare. `TARE`: forces and moments that belong to no single contact.
+    """
+
+    SATURATION = "saturation"
+    DROP_OUT = "drop-out"
+    STUCK = "stuck channel"
+    GAP = "gap"
+    DUPLICATE = "duplicate stamp"
+    BACKWARD = "backward stamp"
+    UNITS = "units"
+    NOISE = "noise"
+    DRIFT = "drift"
+    POSE_JUMP = "pose jump"
+    REST = "no rest"
+    TARE = "no single contact"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One finding over one interval.
+
+    Attributes
+    ----------
+    kind
+        What it is.
+    channels
+        Names of `vibrissa.sensor.CHANNELS`, or of the pose ("position", "orientation", "time").
+    start, stop
+        First and last stamp concerned [s], on the recording's clock.
+    count
+        Rows concerned; of a gap, samples missing.
+    text
+        One sentence with the figures.
+    unusable
+        Whether the recording cannot be used at all.
+    """
+
+    kind: FaultKind
+    channels: tuple[str, ...]
+    start: float
+    stop: float
+    count: int
+    text: str
+    unusable: bool = False

@@ -1,0 +1,66 @@
+"""Faults of the robot's poses: jumps; and poses that are missing, filled."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vibrissa.geometry.rotation import rotation_vectors
+from vibrissa.rod import Rod
+from vibrissa.sensor.faults import Fault, FaultKind
+from vibrissa.sensor.raw import RawRecording
+
+_DEVIATIONS = 12.0
+_FASTER = 3.0
+_LEAST = 1e-3
+_NEIGHBOURS = 5
+_MEDIAN_TO_DEVIATION = 0.6745
+
+
+def pose_jumps(raw: RawRecording, rod: Rod) -> list[Fault]:
+    """Steps of the pose that stand out from those around them.
+
+    By twelve of the steps' standard deviations, by three times the step that 95 % of them stay below, and by a thousandth of the rod's length, or a milliradian.
+    """
+    if len(raw.time) < 2 * _NEIGHBOURS:
+        return []
+    usual = 1 / raw.rate
+    share = usual / np.maximum(np.diff(raw.time), usual)
+    turns = rotation_vectors(raw.orientation[:-1], raw.orientation[1:])
+    found = []
+    for name, steps, least, unit in (
+        ("position", np.diff(raw.position, axis=0), _LEAST * rod.length, "m"),
+        ("orientation", turns, _LEAST, "rad"),
+    ):
+        for row in np.flatnonzero(_standing_out(share[:, None] * steps, least)):
+            size = float(np.linalg.norm(steps[row]))
+            text = f"the {name} jumps by {size:.3g} {unit} within {raw.time[row + 1] - raw.time[row]:.3g} s"
+            found.append(Fault(FaultKind.POSE_JUMP, (name,), float(raw.time[row]), float(raw.time[row + 1]), 1, text))
+    return found
+
+
+def _standing_out(steps: Float[np.ndarray, "m 3"], least: float) -> Bool[np.ndarray, "m"]:
+    padded = np.pad(steps, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
+    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1, axis=0), axis=-1)
+    off = np.linalg.norm(steps - around, axis=1)
+    deviation = float(np.median(off)) / _MEDIAN_TO_DEVIATION
+    usual = float(np.quantile(np.linalg.norm(steps, axis=1), 0.95))
+    return off > max(_DEVIATIONS * deviation, _FASTER * usual, least)
+
+
+def filled_poses(raw: RawRecording) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"], Bool[np.ndarray, "n"]]:
+    """Positions and unit quaternions with the missing ones taken from the nearest row that has one, and which they are.
+
+    Raises
+    ------
+    ValueError
+        If no row has a pose.
+    """
+    norm = np.linalg.norm(raw.orientation, axis=1)
+    missing = ~(np.isfinite(raw.position).all(axis=1) & np.isfinite(norm) & (norm > 0))
+    good = np.flatnonzero(~missing)
+    if not len(good):
+        raise ValueError("no row has a pose; allowed are finite positions and unit quaternions")
+    rows = np.arange(len(norm))
+    after = np.clip(np.searchsorted(good, rows), 0, len(good) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(good[after] - rows) <= np.abs(good[before] - rows), good[after], good[before])
+    return raw.position[nearest], raw.orientation[nearest] / norm[nearest, None], missing

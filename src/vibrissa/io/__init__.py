@@ -3,7 +3,22 @@
 from vibrissa.io.case import Case, load_case
 from vibrissa.io.contacts import write_contacts, write_dataset
 from vibrissa.io.errors import InputError
-from vibrissa.io.recording import read_recording, write_recording
+from vibrissa.io.recordings.align import Recording
+from vibrissa.io.recordings.read import RecordingWarning, read_raw, read_recording
+from vibrissa.io.recordings.write import write_recording
 from vibrissa.io.setup import Setup, load_setup
 
-__all__ = ["Case", "InputError", "Setup", "load_case", "load_setup", "read_recording", "write_contacts", "write_dataset", "write_recording"]
+__all__ = [
+    "Case",
+    "InputError",
+    "Recording",
+    "RecordingWarning",
+    "Setup",
+    "load_case",
+    "load_setup",
+    "read_raw",
+    "read_recording",
+    "write_contacts",
+    "write_dataset",
+    "write_recording",
+]

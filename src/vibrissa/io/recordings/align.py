@@ -42,7 +42,7 @@ class Recording:
         return replace(self.raw, position=position, orientation=orientation)
 
 
-def aligned(file: Path, streams: Streams, table: RecordingTable) -> Recording:
+def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) -> Recording:
     """Poses at the stamps of the wrenches; wrenches before the first and after the last pose are left out.
 
     Parameters
@@ -53,13 +53,15 @@ def aligned(file: Path, streams: Streams, table: RecordingTable) -> Recording:
         As read; bad rows of the poses are passed over, those of the wrenches stay.
     table
         Offset of the clocks, and the longest gap.
+    length
+        Of the rod [m]: reactions change over a small part of it, which an estimate of the offset uses.
 
     Raises
     ------
     InputError
         If no wrench has a pose, or the offset is to be estimated and the data do not determine it.
     """
-    offset = _offset(file, streams, table)
+    offset = _offset(file, streams, table, length)
     if streams.together and offset.seconds == 0:
         return Recording(_raw(streams.wrench, streams.pose.values), np.zeros(len(streams.wrench.time), bool), offset, streams.notes)
     pose, wrench = _shifted(usable(streams.pose), offset.seconds), streams.wrench
@@ -73,11 +75,11 @@ def aligned(file: Path, streams: Streams, table: RecordingTable) -> Recording:
     return Recording(_raw(wrench, poses), missing, offset, notes)
 
 
-def _offset(file: Path, streams: Streams, table: RecordingTable) -> ClockOffset:
+def _offset(file: Path, streams: Streams, table: RecordingTable, length: float) -> ClockOffset:
     if table.time_offset != "estimate":
         return ClockOffset(table.time_offset, None)
     try:
-        return estimated_offset(streams.wrench, usable(streams.pose), table.largest_offset)
+        return estimated_offset(streams.wrench, usable(streams.pose), table.largest_offset, length)
     except ValueError as error:
         raise InputError(f"{file}: time_offset = 'estimate': {error}") from error
 

@@ -10,18 +10,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import BSpline
 from scipy.optimize import minimize_scalar
+from scipy.signal import savgol_filter
 
 from vibrissa.io.recordings.streams import Stream
 
 _LEVER = 0.1
 _MOST_ROWS = 20_000
 _FEWEST_ROWS = 30
-_PIECES = 12
-_SHORTEST_WINDOW = 1.0
+_MOST_PIECES = 60
+_PITCH = 0.02
+_SHORTEST_WINDOW = 2.0
 _STEPS = 201
 _EVIDENCE = 12.0
+_MOST_MINIMA = 12
+_FINEST = 1e-5
 _STANDING = 8.0
+_OVERLAP = 2
+_MOMENT = 0.05
+_FEWEST_STEPS = 4
+_SLOW = 0.1
+_UNDETERMINED = "the data do not determine it: the clamp does not stop, start or turn under load; allowed is a number of seconds, or a recording in which it does"
 
 
 @dataclass(frozen=True)
@@ -40,7 +50,7 @@ class ClockOffset:
     standard_error: float | None
 
 
-def estimated_offset(wrench: Stream, pose: Stream, largest: float) -> ClockOffset:
+def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float) -> ClockOffset:
     """Offset that makes the reactions most nearly a function of the pose, with its standard error.
 
     The standard error is that of the profile likelihood, with as many independent samples as the residuals' correlation leaves. Friction, which turns with
@@ -58,52 +68,65 @@ def estimated_offset(wrench: Stream, pose: Stream, largest: float) -> ClockOffse
     ValueError
         If the streams hardly overlap, or the data do not determine the offset: no change of speed under load, several offsets as good, or the best one at the bound.
     """
-    windows = _windows(wrench, pose, largest)
+    windows = _windows(wrench, pose, largest, scale)
+    if not windows:
+        raise ValueError(_UNDETERMINED)
     offsets = np.linspace(-largest, largest, _STEPS)
     spreads = np.array([_spreads(windows, offset) for offset in offsets])
     weights = _weights(windows, float(offsets[np.argmin(spreads.sum(axis=(1, 2)))]))
     misfit = np.einsum("twc,wc->t", spreads, weights)
-    best = int(np.argmin(misfit))
-    step = offsets[1] - offsets[0]
+    step = float(offsets[1] - offsets[0])
 
     def cost(offset: float) -> float:
         return float(np.sum(weights * _spreads(windows, offset)))
 
-    found = minimize_scalar(cost, bounds=(offsets[best] - step, offsets[best] + step), method="bounded", options={"xatol": 1e-3 * step})
-    seconds, error = float(found.x), _standard_error(cost, float(found.x), step)
-    _check(seconds, error, offsets, misfit - min(float(found.fun), misfit[best]), largest)
+    lowest = _lowest(cost, offsets, misfit, step)
+    seconds = lowest[0][1]
+    error = _standard_error(cost, seconds, largest)
+    if not np.isfinite(error) or error > largest / 10 or np.median(misfit) - lowest[0][0] < _EVIDENCE:
+        raise ValueError(_UNDETERMINED)
+    rival = next(
+        (other for value, other in lowest[1:] if value - lowest[0][0] < _EVIDENCE and abs(other - seconds) > 6 * error + step / 10), None
+    )
+    if rival is not None:
+        raise ValueError(
+            f"the data do not determine it: {seconds:.4f} s and {rival:.4f} s explain them equally well; allowed is a number of seconds, or a smaller largest_offset"
+        )
+    if abs(seconds) > largest - 3 * error - step:
+        raise ValueError(
+            f"the data do not determine it within largest_offset = {largest:g} s, whose bound fits best; allowed is a larger one, or a number of seconds"
+        )
     return ClockOffset(seconds, error)
 
 
-def _check(seconds: float, error: float, offsets: Float[np.ndarray, "t"], excess: Float[np.ndarray, "t"], largest: float) -> None:
-    said = "the data do not determine it"
-    if not np.isfinite(error) or error > largest / 10 or float(np.max(excess)) < _EVIDENCE:
-        raise ValueError(
-            f"{said}: the clamp does not stop, start or turn under load; allowed is a number of seconds, or a recording in which it does"
-        )
-    others = np.abs(offsets - seconds) > max(10 * error, 4 * (offsets[1] - offsets[0]))
-    rival = offsets[others][np.argmin(excess[others])]
-    if float(np.min(excess[others])) < _EVIDENCE:
-        raise ValueError(
-            f"{said}: {seconds:.4f} s and {rival:.4f} s explain them equally well; allowed is a number of seconds, or a smaller largest_offset"
-        )
-    if abs(seconds) > largest - 3 * error - (offsets[1] - offsets[0]):
-        raise ValueError(
-            f"{said} within largest_offset = {largest:g} s, whose bound fits best; allowed is a larger one, or a number of seconds"
-        )
+def _lowest(
+    cost: Callable[[float], float], offsets: Float[np.ndarray, "t"], misfit: Float[np.ndarray, "t"], step: float
+) -> list[tuple[float, float]]:
+    """The deepest minima, lowest first: misfit and offset of each."""
+    higher = np.concatenate([[np.inf], misfit, [np.inf]])
+    minima = np.flatnonzero((misfit <= higher[:-2]) & (misfit <= higher[2:]))
+    found = []
+    for index in minima[np.argsort(misfit[minima])][:_MOST_MINIMA]:
+        at = offsets[index]
+        best = minimize_scalar(cost, bounds=(at - step, at + step), method="bounded", options={"xatol": 1e-3 * step})
+        found.append((float(best.fun), float(best.x)))
+    return sorted(found)
 
 
-def _standard_error(cost: Callable[[float], float], at: float, step: float) -> float:
-    """From the curvature of the misfit, by a step that raises it by about 2."""
-    reach, middle = step, cost(at)
-    for _ in range(40):
-        rise = (cost(at - reach) + cost(at + reach)) / 2 - middle
-        if 0.5 < rise < 4:
-            return reach / np.sqrt(2 * rise)
-        reach *= np.sqrt(np.clip(2 / max(rise, 1e-3), 0.04, 4))
-        if reach > 100 * step:
-            break
-    return float("inf")
+def _standard_error(cost: Callable[[float], float], at: float, largest: float) -> float:
+    """Half the distance at which the misfit has risen by 2, two standard deviations of a normal error, on the side where that is further."""
+    middle, reaches = cost(at), []
+    for side in (-1, 1):
+        inside, outside = 0.0, _FINEST * largest
+        while cost(at + side * outside) - middle < 2:
+            inside, outside = outside, 2 * outside
+            if outside > largest:
+                return float("inf")
+        for _ in range(6):
+            half = (inside + outside) / 2
+            inside, outside = (half, outside) if cost(at + side * half) - middle < 2 else (inside, half)
+        reaches.append(outside)
+    return max(reaches) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +138,11 @@ class _Window:
     way_time: Float[np.ndarray, "m"]
     way: Float[np.ndarray, "m"]
     floor: Float[np.ndarray, "6"]
+    pitch: float
     still: float
 
 
-def _windows(wrench: Stream, pose: Stream, largest: float) -> list[_Window]:
+def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list[_Window]:
     sound = np.isfinite(wrench.time) & np.all(np.isfinite(wrench.values), axis=1)
     if len(pose.time):
         sound &= (wrench.time > pose.time[0] + largest) & (wrench.time < pose.time[-1] - largest)
@@ -128,15 +152,19 @@ def _windows(wrench: Stream, pose: Stream, largest: float) -> list[_Window]:
             f"only {len(rows.time)} wrenches have poses {largest:g} s before and after; allowed is a smaller largest_offset, or a longer recording"
         )
     time, values = _thinned(rows.time, rows.values)
-    number = np.floor((time - time[0]) / max(_SHORTEST_WINDOW, 2 * largest)).astype(int)
-    features, floor = _features(pose), 0.1 * _noise(values)
+    length = max(_SHORTEST_WINDOW, 4 * largest)
+    starts = np.arange(time[0], time[-1], length / _OVERLAP)
+    features, floor = _smoothed(_features(pose)), 0.1 * _noise(values)
+    fast = float(np.quantile(np.linalg.norm(_speeds(pose.time, features), axis=1), 0.9))
     still = _STANDING * float(np.linalg.norm(_noise(features)))
-    parts = [part for part in (number == index for index in np.unique(number)) if np.count_nonzero(part) >= _FEWEST_ROWS]
     found = []
-    for part in parts:
-        near = (pose.time >= time[part][0] - largest - 1) & (pose.time <= time[part][-1] + largest + 1)
-        if np.count_nonzero(near) > 1:
-            found.append(_Window(time[part], values[part], pose.time[near], _way(features[near]), floor, still))
+    for start in starts:
+        part = (time >= start) & (time < start + length)
+        if np.count_nonzero(part) < _FEWEST_ROWS:
+            continue
+        near = (pose.time >= time[part][0] - largest) & (pose.time <= time[part][-1] + largest)
+        if np.count_nonzero(near) > _FEWEST_ROWS and _comes_back(pose.time[near], _way(features[near]), fast):
+            found.append(_Window(time[part], values[part], pose.time[near], _way(features[near]), floor, _PITCH * scale, still))
     return found
 
 
@@ -167,6 +195,25 @@ def _way(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m"]:
     return np.asarray(spread @ np.linalg.svd(spread, full_matrices=False)[2][0])
 
 
+def _smoothed(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m 6"]:
+    """Parabolas through nine neighbours each: an encoder's noise else moves the least residual from stamp to stamp."""
+    return np.asarray(savgol_filter(features, 9, 2, axis=0)) if len(features) >= 9 else features
+
+
+def _speeds(time: Float[np.ndarray, "m"], features: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "l k"]:
+    """Mean velocities over a twentieth of a second, or four steps."""
+    lag = min(max(_FEWEST_STEPS, round(_MOMENT / float(np.median(np.diff(time))))), len(time) - 1)
+    return (features[lag:] - features[:-lag]) / (time[lag:] - time[:-lag])[:, None]
+
+
+def _comes_back(time: Float[np.ndarray, "m"], way: Float[np.ndarray, "m"], fast: float) -> bool:
+    """Whether the clamp moves, and is at one place more than once: it stands for a while, or goes back by some of its way."""
+    speed = _speeds(time, way[:, None])[:, 0] / fast
+    forth, back = np.sum(speed[speed > _SLOW]), -np.sum(speed[speed < -_SLOW])
+    standing = np.count_nonzero(np.abs(speed) < _SLOW) / len(speed)
+    return bool(0.02 < standing < 0.98 or min(forth, back) > 0.1 * max(forth, back))
+
+
 def _spreads(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
     """Half the logarithm of the residual variance, by window and channel."""
     found = []
@@ -178,21 +225,22 @@ def _spreads(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
 
 def _residual(window: _Window, offset: float) -> tuple[Float[np.ndarray, "n 6"], int]:
     """What a function of the pose leaves of the reactions, and the number of its parameters."""
-    basis = _pieces(np.interp(window.time - offset, window.way_time, window.way), window.still)
+    basis = _pieces(np.interp(window.time - offset, window.way_time, window.way), window.pitch, window.still)
     solution, _, rank, _ = np.linalg.lstsq(basis, window.values, rcond=1e-9)
     return window.values - basis @ solution, int(rank)
 
 
-def _pieces(along: Float[np.ndarray, "n"], still: float) -> Float[np.ndarray, "n k"]:
-    """Hat functions over the range of the motion, whose sums are straight in pieces; a constant where the clamp stands.
+def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> Float[np.ndarray, "n k"]:
+    """Cubic B-splines over the range of the motion, of equal pitch; a constant where the clamp stands.
 
     Their places go with the range, so that a uniform motion has the same fit wherever it is.
     """
-    first, extent = along.min(), np.ptp(along)
+    extent = float(np.ptp(along))
     if extent <= still:
         return np.ones((len(along), 1))
-    knots = np.arange(_PIECES + 1)
-    return np.clip(1 - np.abs((along - first)[:, None] / extent * _PIECES - knots), 0, None)
+    count = max(1, min(_MOST_PIECES, int(np.ceil(extent / pitch))))
+    knots = np.arange(-3, count + 4) * (extent / count)
+    return np.asarray(BSpline.design_matrix(np.clip(along - along.min(), 0, extent * (1 - 1e-12)), knots, 3).toarray())
 
 
 def _weights(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
@@ -202,5 +250,5 @@ def _weights(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
         residual, rank = _residual(window, offset)
         square = np.sum(residual**2, axis=0)
         alike = np.clip(np.divide(np.sum(residual[1:] * residual[:-1], axis=0), square, out=np.zeros(6), where=square > 0), 0, 0.98)
-        weights.append((len(residual) - rank) * (1 - alike) / (1 + alike))
+        weights.append((len(residual) - rank) * (1 - alike) / (1 + alike) / _OVERLAP)
     return np.array(weights)

@@ -46,7 +46,7 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
     file, table = Path(path), setup.recording or RecordingTable()
     streams = _streams(file, setup.recording)
     judge.check(file, streams)
-    recording = aligned(file, streams, table)
+    recording = aligned(file, streams, table, setup.rod.length)
     for note in recording.notes:
         warnings.warn(f"{file}: {note}", RecordingWarning, stacklevel=2)
     try:
@@ -69,7 +69,7 @@ def read_raw(path: str | Path, setup: Setup) -> Recording:
         If the file cannot be read as what it is, names or topics are missing, or no wrench has a pose.
     """
     file = Path(path)
-    return aligned(file, _streams(file, setup.recording), setup.recording or RecordingTable())
+    return aligned(file, _streams(file, setup.recording), setup.recording or RecordingTable(), setup.rod.length)
 
 
 def _streams(file: Path, table: RecordingTable | None) -> Streams:

@@ -3,6 +3,7 @@
 import sqlite3
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
@@ -33,10 +34,16 @@ def streams(path: Path, table: RecordingTable) -> Streams:
     bag = Bag()
     for file, packed in _files(path, bag):
         _read(file, bag, packed=packed)
-    decoded = library("rosbags.typesys")
-    store = decoded.get_typestore(decoded.Stores.ROS2_HUMBLE)
-    wrench, frame = _wrenches(path, bag, table, _decoder(path, store))
-    return Streams(wrench, _poses(path, bag, table, _decoder(path, store), frame), notes=tuple(bag.notes))
+    decoded = _decoder(path, _types())
+    wrench, frame = _wrenches(path, bag, table, decoded)
+    return Streams(wrench, _poses(path, bag, table, decoded, frame), notes=tuple(bag.notes))
+
+
+@cache
+def _types() -> Any:
+    """Types of messages; the four that are read have been the same in all of ROS 2. Code to unpack them is generated once."""
+    known = library("rosbags.typesys")
+    return known.get_typestore(known.Stores.ROS2_HUMBLE)
 
 
 def is_bag(folder: Path) -> bool:

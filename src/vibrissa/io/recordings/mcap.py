@@ -17,8 +17,11 @@ from vibrissa.io.recordings.messages import KINDS, Bag, Message
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 2, 3, 4, 5, 6, 15
+_READ = frozenset({_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK})
 _PREFIX, _LENGTH, _SIZE, _TWO = Struct("<BQ"), Struct("<I"), Struct("<Q"), Struct("<HH")
 _MESSAGE_HEAD, _CHUNK_HEAD = Struct("<HIQQ"), Struct("<QQQI")
+
+Content = mmap.mmap | bytes
 
 
 class _DamageError(Exception):
@@ -46,13 +49,13 @@ def read(file: Path, bag: Bag) -> None:
     with file.open("rb") as opened:
         if opened.read(len(MAGIC)) != MAGIC:
             raise InputError(f"{file}: does not begin as MCAP does; allowed is MCAP, version 0")
-        with mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content, memoryview(content) as view:
-            _read(file, view, _Walk(bag, Budget(file)))
+        with mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            _read(file, content, _Walk(bag, Budget(file)))
 
 
-def _read(file: Path, view: memoryview, walk: _Walk) -> None:
+def _read(file: Path, content: Content, walk: _Walk) -> None:
     before, at = len(walk.bag.messages), len(MAGIC)
-    for kind, body, whole, end in _records(view, at):
+    for kind, body, whole, end in _records(content, at):
         if kind in {_DATA_END, _FOOTER} and whole:
             return
         try:
@@ -65,23 +68,24 @@ def _read(file: Path, view: memoryview, walk: _Walk) -> None:
         at = end if whole else at
     count = len(walk.bag.messages) - before
     walk.bag.notes.append(
-        f"{file.name}: cut off; whole are {at} of {len(view)} bytes and what could be unpacked of the record after them, {count} messages of wrenches and poses in all"
+        f"{file.name}: cut off; whole are {at} of {len(content)} bytes and what could be unpacked of the record after them, {count} messages of wrenches and poses in all"
     )
 
 
-def _records(view: memoryview, start: int) -> Iterator[tuple[int, memoryview, bool, int]]:
-    """Kind, body, whether the body is whole, and where the record ends; the last one may not be whole."""
+def _records(content: Content, start: int) -> Iterator[tuple[int, bytes, bool, int]]:
+    """Kind, body where it is of use, whether the record is whole, and where it ends; the last one may not be whole."""
     at = start
-    while at + _PREFIX.size <= len(view):
-        kind, length = _PREFIX.unpack_from(view, at)
+    while at + _PREFIX.size <= len(content):
+        kind, length = _PREFIX.unpack_from(content, at)
         end = at + _PREFIX.size + length
-        yield kind, view[at + _PREFIX.size : min(end, len(view))], end <= len(view), end
-        if end > len(view):
+        body = content[at + _PREFIX.size : min(end, len(content))] if kind in _READ else b""
+        yield kind, body, end <= len(content), end
+        if end > len(content):
             return
         at = end
 
 
-def _record(kind: int, body: memoryview, walk: _Walk) -> None:
+def _record(kind: int, body: bytes, walk: _Walk) -> None:
     try:
         if kind == _SCHEMA:
             number = int.from_bytes(_exactly(body, 0, 2), "little")
@@ -97,12 +101,12 @@ def _record(kind: int, body: memoryview, walk: _Walk) -> None:
             number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(body)
             topic, is_read = walk.channels.get(number, ("", False))
             if is_read:
-                walk.bag.messages.append(Message(topic, log_time, bytes(body[_MESSAGE_HEAD.size :])))
+                walk.bag.messages.append(Message(topic, log_time, body[_MESSAGE_HEAD.size :]))
     except (error, UnicodeDecodeError) as reason:
         raise _DamageError(str(reason)) from reason
 
 
-def _chunk(body: memoryview, walk: _Walk, *, whole: bool) -> None:
+def _chunk(body: bytes, walk: _Walk, *, whole: bool) -> None:
     """Records inside a chunk; of one that is cut off, those that are whole."""
     try:
         _, _, size, checksum = _CHUNK_HEAD.unpack_from(body)
@@ -112,7 +116,7 @@ def _chunk(body: memoryview, walk: _Walk, *, whole: bool) -> None:
         raise _DamageError(str(reason)) from reason
     packed = body[at + _SIZE.size : at + _SIZE.size + packed_size]
     walk.budget.take(size, "a chunk")
-    records = memoryview(_unpacked(compression, packed, size))
+    records = _unpacked(compression, packed, size)
     if whole and len(records) != size:
         raise _DamageError(f"{len(records)} bytes where {size} are claimed")
     if whole and checksum and crc32(records) != checksum:
@@ -122,27 +126,27 @@ def _chunk(body: memoryview, walk: _Walk, *, whole: bool) -> None:
             _record(kind, inner, walk)
 
 
-def _unpacked(compression: str, packed: memoryview, size: int) -> bytes:
+def _unpacked(compression: str, packed: bytes, size: int) -> bytes:
     """At most `size` bytes; fewer where the end is missing."""
     if compression == "":
-        return bytes(packed[:size])
+        return packed[:size]
     if compression not in {"lz4", "zstd"}:
         raise _DamageError(f"compression {compression[:20]!r} is not known")
     codec = zstandard().ZstdDecompressor() if compression == "zstd" else library("lz4.frame").LZ4FrameDecompressor()
     try:
-        return bytes(codec.decompress(bytes(packed), size))
+        return bytes(codec.decompress(packed, size))
     # Either codec has an error of its own for broken data.
     except Exception as reason:
         raise _DamageError(f"{compression}: {reason}") from reason
 
 
-def _text(body: memoryview, at: int) -> tuple[str, int]:
+def _text(body: bytes, at: int) -> tuple[str, int]:
     (length,) = _LENGTH.unpack_from(body, at)
     start = at + _LENGTH.size
     return str(_exactly(body, start, length), "utf-8"), start + length
 
 
-def _exactly(body: memoryview, start: int, length: int) -> memoryview:
+def _exactly(body: bytes, start: int, length: int) -> bytes:
     part = body[start : start + length]
     if len(part) < length:
         raise _DamageError("a text is longer than its record")

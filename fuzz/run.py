@@ -41,7 +41,9 @@ def main() -> None:
     corpus.mkdir()
     for number, seed in enumerate(target.seeds):
         (corpus / f"seed{number}").write_bytes(seed)
-    atheris.Setup([sys.argv[0], *sys.argv[2:], str(corpus)], one)
+    options = sys.argv[2:]
+    of_files = any(not option.startswith("-") for option in options)
+    atheris.Setup([sys.argv[0], *options, *([] if of_files else [str(corpus)])], one)
     atheris.Fuzz()
 
 

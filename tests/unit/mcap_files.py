@@ -4,7 +4,7 @@ import zlib
 from struct import pack
 
 import numpy as np
-from bench_files import recording_table
+from bench_files import recording_table, recording_text
 from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -92,7 +92,7 @@ def definitions(topics: list[tuple[str, str]]) -> bytes:
 
 def mcap_bytes(rows: int = 40, packing: str = "none", *, frames: bool = False, chunks: int = 1) -> bytes:
     """The recording of `bench_files` as a bag; poses as `/pose`, or with `frames` as world, arm and, static, sensor."""
-    table = recording_table(rows)
+    table = np.genfromtxt(recording_text(recording_table(rows)).splitlines()[1:], delimiter=",")
     topics = [("/wrench", WRENCH), ("/tf", FRAMES), ("/tf_static", FRAMES)] if frames else [("/wrench", WRENCH), ("/pose", POSE)]
     entries = [message(3, 0, frame_message(0, "arm", "sensor", (0, 0, 0.1), (0, 0, 0, 1)))] if frames else []
     for row in table:

@@ -12,6 +12,7 @@ from vibrissa.io.recordings.resample import interpolated
 from vibrissa.io.recordings.streams import Stream
 
 Pair = tuple[str, str]
+_SMALLEST = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ def chained(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str
         raise InputError(
             f"{path}: no frame between {chain[0][0]!r} and {sensor_frame!r} is on /tf, all are static; allowed is a moving sensor"
         )
+    for pair in chain:
+        _check_rotations(path, pair, edges.moving[pair].values if pair in edges.moving else edges.fixed[pair][None])
     first, last = max(link.time[0] for link in moving), min(link.time[-1] for link in moving)
     stamps = np.unique(np.concatenate([link.time for link in moving]))
     time = stamps[(stamps >= first) & (stamps <= last)]
@@ -54,14 +57,15 @@ def chained(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str
     for pair in chain:
         link = interpolated(edges.moving[pair], time, np.inf) if pair in edges.moving else np.tile(edges.fixed[pair], (len(time), 1))
         position = position + turn.apply(link[:, :3]) if len(time) else position
-        turn = turn * _rotations(path, pair, link[:, 3:])
+        turn = turn * Rotation.from_quat(link[:, 3:])
     return Stream(time, np.hstack([position, np.asarray(turn.as_quat()).reshape(-1, 4)]))
 
 
-def _rotations(path: Path, pair: Pair, quaternion: Float[np.ndarray, "n 4"]) -> Rotation:
-    if not np.all(np.linalg.norm(quaternion, axis=1) > 0):
-        raise InputError(f"{path}: frame {pair[1]!r} in {pair[0]!r} has a quaternion of zero norm or NaN; allowed is 1")
-    return Rotation.from_quat(quaternion)
+def _check_rotations(path: Path, pair: Pair, link: Float[np.ndarray, "n 7"]) -> None:
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(link[:, 3:], axis=1)
+    if not np.all((norm > _SMALLEST) & (norm < 1 / _SMALLEST) & np.isfinite(link).all(axis=1)):
+        raise InputError(f"{path}: frame {pair[1]!r} in {pair[0]!r} is not finite, or its quaternion has no norm; allowed is the norm 1")
 
 
 def _chain(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str) -> list[Pair]:

@@ -33,6 +33,8 @@ def columns(file: Path, table: RecordingTable, wanted: Sequence[str], stamps: Se
     InputError
         If the file cannot be read, is no text, has no line of names, a name twice, or no rows, a line is cut off, or a cell is no number. An empty cell is NaN.
     """
+    if table.decimal == table.delimiter:
+        raise InputError(f"{file}: decimal = ',' with delimiter = ','; allowed is another delimiter")
     text = text_of(readable(file))
     lines = text.splitlines()
     skip = table.skip_lines

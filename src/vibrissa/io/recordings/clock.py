@@ -11,15 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline
+from scipy.linalg import solve
 from scipy.optimize import minimize_scalar
 from scipy.signal import savgol_filter
+from scipy.sparse import csr_array
 
 from vibrissa.io.recordings.streams import Stream
 
 _LEVER = 0.1
-_MOST_ROWS = 20_000
+_MOST_ROWS = 1000
+_MOST_WINDOWS = 40
+_MOST_STRETCHES = 2000
 _FEWEST_ROWS = 30
 _MOST_PIECES = 60
+_RIDGE = 1e-9
 _PITCH = 0.02
 _SHORTEST_WINDOW = 2.0
 _STEPS = 201
@@ -143,34 +148,35 @@ class _Window:
 
 
 def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list[_Window]:
+    """Stretches in which the clamp comes back, each with poses beyond its ends by the largest offset."""
     sound = np.isfinite(wrench.time) & np.all(np.isfinite(wrench.values), axis=1)
     if len(pose.time):
         sound &= (wrench.time > pose.time[0] + largest) & (wrench.time < pose.time[-1] - largest)
-    rows = wrench.rows(sound & (len(pose.time) > 0))
+    rows = wrench.rows(sound & (len(pose.time) > _FEWEST_STEPS))
     if len(rows.time) < 2 * _FEWEST_ROWS:
         raise ValueError(
             f"only {len(rows.time)} wrenches have poses {largest:g} s before and after; allowed is a smaller largest_offset, or a longer recording"
         )
-    time, values = _thinned(rows.time, rows.values)
-    length = max(_SHORTEST_WINDOW, 4 * largest)
-    starts = np.arange(time[0], time[-1], length / _OVERLAP)
-    features, floor = _smoothed(_features(pose)), 0.1 * _noise(values)
+    features, floor = _smoothed(_features(pose)), 0.1 * _noise(rows.values)
     fast = float(np.quantile(np.linalg.norm(_speeds(pose.time, features), axis=1), 0.9))
     still = _STANDING * float(np.linalg.norm(_noise(features)))
+    length = max(_SHORTEST_WINDOW, 4 * largest)
     found = []
-    for start in starts:
-        part = (time >= start) & (time < start + length)
-        if np.count_nonzero(part) < _FEWEST_ROWS:
+    for start in np.arange(rows.time[0], rows.time[-1], max(length / _OVERLAP, (rows.time[-1] - rows.time[0]) / _MOST_STRETCHES)):
+        part = slice(*np.searchsorted(rows.time, (start, start + length)))
+        near = slice(*np.searchsorted(pose.time, (start - largest, start + length + largest)))
+        if part.stop - part.start < _FEWEST_ROWS or near.stop - near.start < _FEWEST_ROWS:
             continue
-        near = (pose.time >= time[part][0] - largest) & (pose.time <= time[part][-1] + largest)
-        if np.count_nonzero(near) > _FEWEST_ROWS and _comes_back(pose.time[near], _way(features[near]), fast):
-            found.append(_Window(time[part], values[part], pose.time[near], _way(features[near]), floor, _PITCH * scale, still))
-    return found
+        way = _way(features[near])
+        if _comes_back(pose.time[near], way, fast):
+            time, values = _thinned(rows.time[part], rows.values[part])
+            found.append(_Window(time, values, pose.time[near], way, floor, _PITCH * scale, still))
+    return [found[index] for index in np.unique(np.linspace(0, len(found) - 1, _MOST_WINDOWS).round().astype(int))] if found else []
 
 
 def _thinned(time: Float[np.ndarray, "n"], values: Float[np.ndarray, "n 6"]) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 6"]]:
     """Means of as many rows each as keep the count below a bound."""
-    each = -(-len(time) // _MOST_ROWS) if len(time) else 1
+    each = -(-len(time) // _MOST_ROWS)
     whole = len(time) // each * each
     return time[:whole].reshape(-1, each).mean(axis=1), values[:whole].reshape(-1, each, 6).mean(axis=1)
 
@@ -226,21 +232,23 @@ def _spreads(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
 def _residual(window: _Window, offset: float) -> tuple[Float[np.ndarray, "n 6"], int]:
     """What a function of the pose leaves of the reactions, and the number of its parameters."""
     basis = _pieces(np.interp(window.time - offset, window.way_time, window.way), window.pitch, window.still)
-    solution, _, rank, _ = np.linalg.lstsq(basis, window.values, rcond=1e-9)
-    return window.values - basis @ solution, int(rank)
+    gram = (basis.T @ basis).toarray()
+    used = gram.diagonal() > 0
+    gram[np.diag_indices_from(gram)] += _RIDGE * gram.max()
+    return window.values - basis @ solve(gram, basis.T @ window.values, assume_a="pos"), int(np.count_nonzero(used))
 
 
-def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> Float[np.ndarray, "n k"]:
-    """Cubic B-splines over the range of the motion, of equal pitch; a constant where the clamp stands.
+def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> csr_array:
+    """Cubic B-splines (n, k) over the range of the motion, of equal pitch; a constant where the clamp stands.
 
     Their places go with the range, so that a uniform motion has the same fit wherever it is.
     """
     extent = float(np.ptp(along))
     if extent <= still:
-        return np.ones((len(along), 1))
+        return csr_array(np.ones((len(along), 1)))
     count = max(1, min(_MOST_PIECES, int(np.ceil(extent / pitch))))
     knots = np.arange(-3, count + 4) * (extent / count)
-    return np.asarray(BSpline.design_matrix(np.clip(along - along.min(), 0, extent * (1 - 1e-12)), knots, 3).toarray())
+    return BSpline.design_matrix(np.clip(along - along.min(), 0, extent * (1 - 1e-12)), knots, 3)
 
 
 def _weights(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:

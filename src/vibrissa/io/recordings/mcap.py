@@ -64,6 +64,8 @@ def _read(file: Path, content: Content, walk: _Walk) -> None:
             elif whole:
                 _record(kind, body, walk)
         except _DamageError as damage:
+            if not whole:
+                break
             walk.bag.notes.append(f"{file.name}: the record at byte {at} is damaged ({damage}) and left out")
         at = end if whole else at
     count = len(walk.bag.messages) - before

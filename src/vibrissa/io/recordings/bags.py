@@ -197,7 +197,7 @@ def _poses(path: Path, bag: Bag, table: RecordingTable, decoded: Decoder, frame:
         pose = chained(path, _edges(bag, table, decoded), table.fixed_frame, table.sensor_frame or frame)
         if not len(pose.time):
             raise InputError(
-                f"{path}: the frames between {table.fixed_frame!r} and {table.sensor_frame or frame!r} have no stamps in common"
+                f"{path}: the frames between {table.fixed_frame!r} and {table.sensor_frame or frame!r} have no time in common; allowed are links that overlap"
             )
         return pose
     topic = _topic(path, bag, table.pose_topic, "pose_topic", messages.POSE, messages.TRANSFORM)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+_LONGEST = 1600
 LARGEST = 1e12
 """Numbers beyond this are damage."""
 
@@ -16,7 +17,8 @@ class InputError(ValueError):
     """A file, or an argument that names one, that cannot be used: the message names file, field, value and what is allowed."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))
+        line = " ".join(message.splitlines())
+        super().__init__(line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} … {line[-_LONGEST // 2 :]}")
 
 
 def readable(path: Path) -> Path:

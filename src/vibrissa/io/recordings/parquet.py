@@ -39,7 +39,9 @@ def columns(file: Path, wanted: Sequence[str]) -> Columns:
             _check_claims(file, opened.metadata, chosen)
             table = opened.read(columns=chosen, use_threads=False)
             units = {field.name: _unit(field.metadata) for field in opened.schema_arrow}
-    except (arrow.ArrowException, OSError) as error:
+    except InputError:
+        raise
+    except (arrow.ArrowException, OSError, ValueError, KeyError, IndexError, OverflowError, MemoryError) as error:
         raise InputError(f"{file}: damaged Parquet ({str(error)[:200]}); allowed is a whole Parquet file") from error
     return Columns(file, names, lambda name: _numbers(file, name, table.column(name).combine_chunks()), units.get)
 

@@ -1,19 +1,24 @@
 """What every reader of files needs: errors in one line, and tables of numbers."""
 
+from array import array
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-_LARGEST = 1e12
+_LONGEST = 1600
+LARGEST = 1e12
+"""Numbers beyond this are damage."""
 
 
 class InputError(ValueError):
     """A file, or an argument that names one, that cannot be used: the message names file, field, value and what is allowed."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(" ".join(message.splitlines()))
+        line = " ".join(message.splitlines())
+        super().__init__(line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} … {line[-_LONGEST // 2 :]}")
 
 
 def readable(path: Path) -> Path:
@@ -27,7 +32,7 @@ def readable(path: Path) -> Path:
 
 
 def read_table(
-    file: Path, columns: Sequence[str], *, optional: Sequence[str] = (), any_order: bool = False, missing: bool = False
+    file: Path, columns: Sequence[str], *, optional: Sequence[str] = (), any_order: bool = False, finite: bool = True
 ) -> dict[str, np.ndarray]:
     """Numbers (rows,) by column from a CSV file whose first line names the columns.
 
@@ -41,26 +46,29 @@ def read_table(
         Names that may be there besides.
     any_order
         Whether the columns may come in another order than that of `columns`.
-    missing
-        Whether cells that are no finite number, such as `nan`, stand for missing ones: they are NaN then.
+    finite
+        Whether numbers have to be finite and at most 1e12.
 
     Raises
     ------
     InputError
-        If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is short or cut off, or a cell is no finite number up to 1e12.
+        If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is short or cut off, or a cell is no number, or none that is
+        allowed.
     """
-    text = _text(readable(file))
+    text = text_of(readable(file))
     lines = text.splitlines()
     if not lines:
         raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(columns)}")
     names = _header(file, lines[0], columns, optional, any_order=any_order)
     if len(lines) < 2:
         raise InputError(f"{file}: no rows; allowed is at least one sample")
-    _check_end(file, text, lines, names)
-    table = np.array([_row(file, number, line, names) for number, line in enumerate(lines[1:], start=2)])
-    if missing:
-        table = np.where(np.isfinite(table), table, np.nan)
-    _check_numbers(file, table, names, missing=missing)
+    check_last_line(file, text, lines, names)
+    numbers = array("d")
+    for number, line in enumerate(lines[1:], start=2):
+        numbers.extend(_row(file, number, line, names))
+    table = np.array(numbers).reshape(-1, len(names))
+    if finite:
+        _check_numbers(file, table, names)
     return dict(zip(names, table.T, strict=True))
 
 
@@ -74,7 +82,8 @@ def check_increasing(file: Path, time: Float[np.ndarray, "rows"]) -> None:
         )
 
 
-def _text(file: Path) -> str:
+def text_of(file: Path) -> str:
+    """Content of a text in UTF-8; raise InputError if it is none."""
     try:
         return file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -88,7 +97,7 @@ def _header(file: Path, line: str, columns: Sequence[str], optional: Sequence[st
         return names
     missing = [name for name in columns if name not in names]
     unknown = [name for name in own if name not in columns]
-    twice = sorted({name for name in names if names.count(name) > 1} - set(unknown))
+    twice = sorted({name for name, count in Counter(names).items() if count > 1} - set(unknown))
     findings = [f"{word} {', '.join(found)}" for word, found in (("missing", missing), ("unknown", unknown), ("twice", twice)) if found]
     finding = ", ".join(findings) or "another order"
     more = f", and optionally {','.join(optional)}" if optional else ""
@@ -110,25 +119,32 @@ def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float
     return values
 
 
-def _check_end(file: Path, text: str, lines: list[str], names: Sequence[str]) -> None:
-    """A last line without its end may have lost digits: then its last number is shorter than the one above it."""
+def check_last_line(file: Path, text: str, lines: Sequence[str], names: Sequence[str], *, delimiter: str = ",", first: int = 1) -> None:
+    """A last line without its end may have lost digits: then its last number is shorter than the one above it.
+
+    Raises
+    ------
+    InputError
+        If it is; `first` is the number of the first of the lines in the text.
+    """
     if text.endswith(("\n", "\r")) or len(lines) < 3:
         return
-    last, above = (line.rsplit(",", 1)[-1].strip() for line in (lines[-1], lines[-2]))
-    if lines[-1].count(",") == len(names) - 1 and len(last.lstrip("-")) < len(above.lstrip("-")):
+    last, above = (line.rsplit(delimiter, 1)[-1].strip() for line in (lines[-1], lines[-2]))
+    if lines[-1].count(delimiter) == len(names) - 1 and len(last.lstrip("-")) < len(above.lstrip("-")):
         raise InputError(
-            f"{file}, line {len(lines)}: {names[-1]} = {last!r}, the last line is truncated: no line end, and fewer digits than above; allowed are complete lines"
+            f"{file}, line {first + len(lines) - 1}: {names[-1]} = {last!r}, the last line is truncated: no line end, and fewer digits than above; "
+            "allowed are complete lines"
         )
 
 
-def _check_numbers(file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str], *, missing: bool) -> None:
+def _check_numbers(file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str]) -> None:
     bad = np.argwhere(~np.isfinite(table))
-    if bad.size and not missing:
+    if bad.size:
         row, column = bad[0]
         raise InputError(
             f"{file}, line {row + 2}: {names[column]} = {table[row, column]} ({len(np.unique(bad[:, 0]))} of {len(table)} rows hold such); allowed are finite numbers"
         )
-    large = np.argwhere(np.abs(table) > _LARGEST)
+    large = np.argwhere(np.abs(table) > LARGEST)
     if large.size:
         row, column = large[0]
-        raise InputError(f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g}; allowed are numbers up to {_LARGEST:g}")
+        raise InputError(f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g}; allowed are numbers up to {LARGEST:g}")

@@ -24,7 +24,7 @@ def inspect(
     """Tare, drift, noise and faults of a recording: each with its interval and count."""
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
     from vibrissa.io.contacts import checked_output  # noqa: PLC0415
-    from vibrissa.io.recording import inspect_recording  # noqa: PLC0415
+    from vibrissa.io.recordings.read import inspect_recording  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
 
     if figure is not None:

@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 
 
 def reconstruct(
-    recording: Annotated[Path, typer.Argument(help="CSV log of the sensor.", show_default=False)],
+    recording: Annotated[
+        Path, typer.Argument(help="Log of the sensor: CSV, Parquet, HDF5, NetCDF, .mat, rosbag2 or MCAP.", show_default=False)
+    ],
     setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)],
     output: Annotated[
         list[Path] | None, typer.Option("--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again.")
@@ -25,7 +27,7 @@ def reconstruct(
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
     from vibrissa.io.contacts import checked_output, write_contacts  # noqa: PLC0415
     from vibrissa.io.errors import InputError  # noqa: PLC0415
-    from vibrissa.io.recording import read_recording  # noqa: PLC0415
+    from vibrissa.io.recordings.read import read_recording  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
 
     for path in output or []:

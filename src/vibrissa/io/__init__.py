@@ -3,12 +3,16 @@
 from vibrissa.io.case import Case, load_case
 from vibrissa.io.contacts import write_contacts, write_dataset
 from vibrissa.io.errors import InputError
-from vibrissa.io.recording import inspect_recording, read_raw, read_recording, write_recording
+from vibrissa.io.recordings.align import Recording
+from vibrissa.io.recordings.read import RecordingWarning, inspect_recording, read_raw, read_recording
+from vibrissa.io.recordings.write import write_recording
 from vibrissa.io.setup import Setup, load_setup
 
 __all__ = [
     "Case",
     "InputError",
+    "Recording",
+    "RecordingWarning",
     "Setup",
     "inspect_recording",
     "load_case",

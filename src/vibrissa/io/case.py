@@ -49,11 +49,12 @@ def load_case(path: str | Path) -> Case:
     Raises
     ------
     InputError
-        If the file cannot be read, a key is missing, unknown or out of range, or the trails differ in length.
+        If the file cannot be read, a key is missing, unknown or out of range, or the trails differ in length or hold more than 10,000,000 positions.
     """
     file = Path(path)
     table = load_table(file, CaseFile)
     try:
+        trails.check_count(table.trail)
         sweeps = [trails.built(trail, file.parent) for trail in table.trail]
         trail = sweeps[0] if len(sweeps) == 1 else Trail.stack(sweeps)
         rod = table.rod.build()

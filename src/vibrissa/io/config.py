@@ -2,6 +2,7 @@
 
 import tomllib
 from pathlib import Path
+from re import split
 from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -19,6 +20,8 @@ Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], Field(description=
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
 _LONGEST_VALUE = 80
+_LARGEST_FILE = 16 * 2**20
+_MOST_POINTS = 200
 
 
 class Table(BaseModel):
@@ -84,14 +87,29 @@ def load_table(path: Path, model: type[Model]) -> Model:
         If the file cannot be read, is not TOML, or a key is missing, unknown or out of range: one line with the first finding.
     """
     readable(path)
+    size = path.stat().st_size
+    if size > _LARGEST_FILE:
+        raise InputError(f"{path}: {size} bytes; allowed is TOML of at most {_LARGEST_FILE} bytes")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        _check_keys(path, text)
+        content = tomllib.loads(text)
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid TOML ({error}); allowed is a TOML file in UTF-8") from error
     try:
         return model.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path}: {_one_line(error, model)}") from error
+
+
+def _check_keys(path: Path, text: str) -> None:
+    """The parser's time and memory go with the square of a dotted key's length."""
+    stretches = (part for line in text.splitlines() if not line.lstrip().startswith("#") for part in split(r"[,=\[\]{}]", line))
+    most = max((part.count(".") for part in stretches), default=0)
+    if most > _MOST_POINTS:
+        raise InputError(f"{path}: {most} points in a row of names; allowed are at most {_MOST_POINTS}")
 
 
 def _one_line(error: ValidationError, model: type[Table]) -> str:
@@ -109,8 +127,16 @@ def _one_line(error: ValidationError, model: type[Table]) -> str:
         case "union_tag_invalid":
             return f"{where}.kind = {first['ctx']['tag']!r}: allowed is {allowed}{more}"
         case _:
-            value = repr(first.get("input"))
+            value = _shown(first.get("input"))
             return f"{where} = {value if len(value) < _LONGEST_VALUE else value[:_LONGEST_VALUE] + '…'}: allowed is {allowed}{more}"
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)
+    except (ValueError, RecursionError):
+        # Python writes no number of more than 4300 digits, and nothing that is nested too deeply.
+        return "a value too long to be written"
 
 
 def _place(location: tuple[int | str, ...], model: type[Table]) -> tuple[str, str]:

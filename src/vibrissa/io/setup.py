@@ -11,6 +11,7 @@ from pydantic import Field
 from vibrissa.io.config import ORIGIN, Finite, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
 from vibrissa.io.objects import ObjectTable, built
+from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.rod import Rod
 from vibrissa.sensor import LowPass, Mount, Sensor
 from vibrissa.sensor.mount import STANDARD_GRAVITY
@@ -30,11 +31,14 @@ class Setup:
         Mount, sign, frame and noise of the wrench.
     surface
         The object that was scanned, or None.
+    recording
+        How its recordings are laid out, or None for CSV as `write_recording` writes it, and for the names of that header elsewhere.
     """
 
     rod: Rod
     sensor: Sensor
     surface: Surface | None = None
+    recording: RecordingTable | None = None
 
 
 Interval = Annotated[tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")]
@@ -123,10 +127,11 @@ class SetupFile(Table):
     rod: RodTable
     sensor: SensorTable
     object: ObjectTable | None = None
+    recording: RecordingTable | None = None
 
 
 def load_setup(path: str | Path) -> Setup:
-    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object].
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object] and [recording].
 
     Raises
     ------
@@ -137,6 +142,6 @@ def load_setup(path: str | Path) -> Setup:
     table = load_table(file, SetupFile)
     try:
         surface = None if table.object is None else built(table.object, file.parent)
-        return Setup(table.rod.build(), table.sensor.build(), surface)
+        return Setup(table.rod.build(), table.sensor.build(), surface, table.recording)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

@@ -8,6 +8,7 @@ from pydantic import Field, StringConstraints
 from vibrissa.io.config import NO_TURN, Finite, Quaternion, Table, Vector
 from vibrissa.trail import Trail
 
+MOST_POSITIONS = 10_000_000
 Count = Annotated[int, Field(strict=True, ge=1, le=10_000_000, description="a whole number of at least 1, and at most 10,000,000")]
 Quaternions = Annotated[
     tuple[Quaternion, ...], Field(min_length=1, description="a list of one quaternion x, y, z, w, or one for each position")
@@ -142,6 +143,17 @@ TrailTable = Annotated[
     LineTable | RasterTable | PosesTable | ArcTable | WhiskTable | SplineTable | CsvTable,
     Field(discriminator="kind", description="line, raster, poses, arc, whisk, spline or csv"),
 ]
+
+
+def check_count(tables: list[TrailTable]) -> None:
+    """Raise ValueError if trails hold more positions than memory should be asked for."""
+    count = sum(
+        table.count * (table.trails if isinstance(table, RasterTable) else 1)
+        for table in tables
+        if not isinstance(table, PosesTable | CsvTable)
+    )
+    if count > MOST_POSITIONS:
+        raise ValueError(f"trail: {count} positions in all; allowed are at most {MOST_POSITIONS}")
 
 
 def built(table: TrailTable, folder: Path) -> Trail:

@@ -1,0 +1,123 @@
+"""One row a wrench: poses brought onto its clock and to its stamps."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from vibrissa.files import InputError
+from vibrissa.io.recordings.clock import ClockOffset, estimated_offset
+from vibrissa.io.recordings.resample import interpolated, usable, within
+from vibrissa.io.recordings.streams import Stream, Streams
+from vibrissa.io.recordings.table import RecordingTable
+from vibrissa.sensor import RawRecording
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording in rows, not judged.
+
+    Attributes
+    ----------
+    raw
+        Its rows, at the stamps of the wrenches.
+    missing
+        (n,): rows that lie in a gap of the poses longer than the setup allows. Poses there are interpolated all the same, so that the motion stays whole.
+    offset
+        Clock offset of the poses, with its standard error where it was estimated.
+    notes
+        What was left out, recovered or estimated, a sentence each.
+    """
+
+    raw: RawRecording
+    missing: Bool[np.ndarray, "n"]
+    offset: ClockOffset
+    notes: tuple[str, ...] = ()
+
+    @property
+    def marked(self) -> RawRecording:
+        """The rows, with poses of NaN where they are missing."""
+        position, orientation = (np.where(self.missing[:, None], np.nan, part) for part in (self.raw.position, self.raw.orientation))
+        return replace(self.raw, position=position, orientation=orientation)
+
+
+def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) -> Recording:
+    """Poses at the stamps of the wrenches; wrenches before the first and after the last pose are left out.
+
+    Parameters
+    ----------
+    file
+        For messages.
+    streams
+        As read; bad rows of the poses are passed over, those of the wrenches stay.
+    table
+        Offset of the clocks, and the longest gap.
+    length
+        Of the rod [m]: reactions change over a small part of it, which an estimate of the offset uses.
+
+    Raises
+    ------
+    InputError
+        If no wrench has a pose, or the offset is to be estimated and the data do not determine it.
+    """
+    offset = _offset(file, streams, table, length)
+    if streams.together and offset.seconds == 0:
+        return Recording(_raw(streams.wrench, streams.pose.values), np.zeros(len(streams.wrench.time), bool), offset, streams.notes)
+    pose, wrench = _shifted(usable(streams.pose), offset.seconds), streams.wrench
+    inside = (within(pose, wrench.time) | np.isnan(wrench.time)) if len(pose.time) else np.zeros(len(wrench.time), bool)
+    if not inside.any():
+        raise InputError(f"{file}: {_ranges(wrench, pose)}; allowed are stamps that overlap, by time_offset in [recording]")
+    wrench = wrench.rows(inside)
+    poses = interpolated(pose, wrench.time, np.inf)
+    missing = np.isnan(interpolated(pose, wrench.time, table.longest_gap)).any(axis=1)
+    notes = (*streams.notes, *_estimate_note(offset), *_edge_note(inside), *_gap_note(wrench, missing, table))
+    return Recording(_raw(wrench, poses), missing, offset, notes)
+
+
+def _offset(file: Path, streams: Streams, table: RecordingTable, length: float) -> ClockOffset:
+    if table.time_offset != "estimate":
+        return ClockOffset(table.time_offset, None)
+    try:
+        return estimated_offset(streams.wrench, usable(streams.pose), table.largest_offset, length)
+    except ValueError as error:
+        raise InputError(f"{file}: time_offset = 'estimate': {error}") from error
+
+
+def _shifted(pose: Stream, seconds: float) -> Stream:
+    return replace(pose, time=pose.time + seconds)
+
+
+def _raw(wrench: Stream, pose: Float[np.ndarray, "n 7"]) -> RawRecording:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        orientation = pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    return RawRecording(wrench.time, pose[:, :3], orientation, wrench.values[:, :3], wrench.values[:, 3:])
+
+
+def _ranges(wrench: Stream, pose: Stream) -> str:
+    if not len(pose.time):
+        return "no usable pose"
+    time = wrench.time[np.isfinite(wrench.time)]
+    first, last = (time.min(), time.max()) if len(time) else (np.nan, np.nan)
+    return f"wrenches from {first:.9g} to {last:.9g} s, poses from {pose.time[0]:.9g} to {pose.time[-1]:.9g} s"
+
+
+def _estimate_note(offset: ClockOffset) -> tuple[str, ...]:
+    if offset.standard_error is None:
+        return ()
+    return (f"time offset of the poses estimated: {offset.seconds:.4f} ± {offset.standard_error:.4f} s",)
+
+
+def _edge_note(inside: Bool[np.ndarray, "n"]) -> tuple[str, ...]:
+    outside = np.count_nonzero(~inside)
+    return (f"{outside} of {len(inside)} wrenches lie before the first or after the last pose and are left out",) if outside else ()
+
+
+def _gap_note(wrench: Stream, missing: Bool[np.ndarray, "n"], table: RecordingTable) -> tuple[str, ...]:
+    if not missing.any():
+        return ()
+    first = int(np.argmax(missing))
+    return (
+        f"{np.count_nonzero(missing)} of {len(missing)} rows, first at {wrench.time[first]:.9g} s, lie in gaps of the poses longer than "
+        f"longest_gap = {table.longest_gap:g} s and have no reactions",
+    )

@@ -1,0 +1,132 @@
+"""Recordings of any format to support reactions: read, align, judge, and take off tare and mount."""
+
+import warnings
+from pathlib import Path
+
+from vibrissa.files import read_table
+from vibrissa.io.errors import InputError
+from vibrissa.io.recordings import arrays, bags, hdf5, judge, matlab, parquet, text
+from vibrissa.io.recordings.align import Recording, aligned
+from vibrissa.io.recordings.arrays import Columns
+from vibrissa.io.recordings.kinds import Kind, kind_of
+from vibrissa.io.recordings.streams import Streams
+from vibrissa.io.recordings.table import RecordingTable
+from vibrissa.io.recordings.write import COLUMNS
+from vibrissa.io.setup import Setup
+from vibrissa.reactions import Reactions
+from vibrissa.sensor import Inspection, inspect_raw
+
+
+class RecordingWarning(UserWarning):
+    """Something of a recording was left out, recovered or estimated."""
+
+
+def read_recording(path: str | Path, setup: Setup) -> Reactions:
+    """Read a recording and return support reactions on the rod about the clamp, world axes, tare removed, with covariance where the noise is known.
+
+    What was left out, recovered or estimated is a `RecordingWarning`. Rows that are not usable (numbers missing, a stuck or saturated channel, a stamp that is there
+    already, a gap of the poses) hold NaN; `inspect_recording` says what they are.
+
+    Parameters
+    ----------
+    path
+        CSV, Parquet, HDF5, NetCDF, MATLAB .mat, or a rosbag2 folder or one of its MCAP or SQLite files, told apart by content, then by suffix. Without the table
+        [recording] in the setup a CSV has exactly the header `time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz`, SI units, and other formats hold those names, or arrays
+        `position`, `orientation`, `force` and `torque`.
+    setup
+        Mount, sign, frame and noise; layout of the recording.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is damaged, names or topics are missing, a row is short or cut off, time runs backwards, a quaternion has no unit norm, the tare
+        window does not fit or no rest is found, clocks do not overlap, or the numbers cannot be in metres, newtons and newton metres.
+    """
+    file, table = Path(path), setup.recording or RecordingTable()
+    streams = _streams(file, setup.recording)
+    judge.check(file, streams)
+    recording = aligned(file, streams, table, setup.rod.length)
+    for note in recording.notes:
+        warnings.warn(f"{file}: {note}", RecordingWarning, stacklevel=2)
+    inspection = _inspected(file, recording, setup)
+    if inspection.unusable:
+        raise InputError(f"{file}: {inspection.unusable[0].text}")
+    return setup.sensor.reactions(inspection.cleaned, inspection.tare)
+
+
+def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
+    """Read a recording of any format and return its faults, with what its rest tells of the sensor.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read as what it is, names or topics are missing, or no row has a stamp or a pose.
+    """
+    return _inspected(Path(path), read_raw(path, setup), setup)
+
+
+def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
+    try:
+        return inspect_raw(recording.marked, setup.sensor, setup.rod)
+    except ValueError as error:
+        raise InputError(f"{file}: {error}") from error
+
+
+def read_raw(path: str | Path, setup: Setup) -> Recording:
+    """Read a recording without judging it: rows may hold NaN, and stamps stand or fall.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read as what it is, names or topics are missing, or no wrench has a pose.
+    """
+    file = Path(path)
+    return aligned(file, _streams(file, setup.recording), setup.recording or RecordingTable(), setup.rod.length)
+
+
+def _streams(file: Path, table: RecordingTable | None) -> Streams:
+    """Both streams, whatever the format."""
+    kind, layout = kind_of(file), table or RecordingTable()
+    try:
+        if kind is Kind.BAG:
+            return bags.streams(file, layout)
+        if kind is Kind.TEXT and table is None:
+            return arrays.streams(_strict(file), layout)
+        if layout.pose_file is None:
+            return arrays.streams(_columns(file, kind, layout), layout)
+        pose_file = file.parent / layout.pose_file.replace("{name}", file.stem)
+        return arrays.streams(_columns(file, kind, layout), layout, _columns(pose_file, kind_of(pose_file), layout))
+    except ImportError as error:
+        raise InputError(f"{file}: {error}") from error
+
+
+def _strict(file: Path) -> Columns:
+    """The CSV that `write_recording` writes, and no other."""
+    table = read_table(file, COLUMNS, finite=False)
+    return Columns(file, COLUMNS, table.__getitem__, first_line=2)
+
+
+def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
+    wanted = _wanted(table)
+    match kind:
+        case Kind.TEXT:
+            units = ((table.time, table.time_unit), (table.pose_time, table.pose_time_unit or table.time_unit))
+            stamps = [name for name, unit in units if name is not None and unit == "stamp"]
+            return text.columns(file, table, wanted, stamps)
+        case Kind.PARQUET:
+            return parquet.columns(file, wanted)
+        case Kind.HDF5 | Kind.MATLAB_HDF5:
+            return hdf5.columns(file, wanted, matlab=kind is Kind.MATLAB_HDF5)
+        case Kind.CLASSIC:
+            return hdf5.classic_columns(file, wanted)
+        case Kind.MATLAB:
+            return matlab.columns(file)
+        case Kind.BAG:
+            raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
+
+
+def _wanted(table: RecordingTable) -> list[str]:
+    """Names that may be asked for; `name[k]` also without its index."""
+    names = [table.time, *table.force, *table.torque, *table.position, *table.orientation]
+    names += [name for name in (table.pose_time, "force", "torque", "position", "orientation") if name is not None]
+    return [*names, *(name[: name.rindex("[")] for name in names if name.endswith("]") and "[" in name)]

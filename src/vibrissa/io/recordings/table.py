@@ -1,0 +1,97 @@
+"""The table [recording] of a setup: where a recording's numbers are, in which units, on which clock."""
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
+
+from vibrissa.io.config import Positive, Table
+from vibrissa.io.recordings import units
+
+Name = Annotated[str, StringConstraints(strict=True, min_length=1), Field(description="the name of a column, array or topic")]
+
+
+def _listed(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+def _offset(value: object) -> float | Literal["estimate"]:
+    if value == "estimate":
+        return "estimate"
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf"):
+        return float(value)
+    raise ValueError
+
+
+def _one_or(count: str) -> str:
+    return f"one name, of an array with a column for each, or a list of {count} names"
+
+
+Names3 = Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(min_length=1, max_length=3, description=_one_or("three"))]
+Names4 = Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(min_length=1, max_length=4, description=_one_or("three or four"))]
+TimeUnit = Annotated[
+    Literal["s", "ms", "us", "ns", "stamp"],
+    Field(description="one of s, ms, us, ns, or stamp for dates of ISO 8601 such as 2026-11-21T20:00:00.125Z"),
+]
+
+
+def _unit(names: dict[str, float]) -> object:
+    return Field(description=f"one of {', '.join(names)}")
+
+
+class RecordingTable(Table):
+    """How recordings are laid out; every key may be left out.
+
+    Attributes
+    ----------
+    time, force, torque, position, orientation
+        Names of columns or arrays. `"log/ft[2]"` is the third column of the array `ft` in the group or struct `log`.
+    time_unit, force_unit, torque_unit, position_unit, angle_unit
+        Their units; SI, or what the file's own attributes say, where left out.
+    orientation_form
+        What the orientation's numbers are.
+    pose_time, pose_time_unit, pose_file
+        Stamps of the poses where they have their own, and the file they are in, seen from the recording's folder; `{name}` in it stands for the recording's name
+        without its suffix.
+    delimiter, decimal, skip_lines
+        Of text.
+    wrench_topic, pose_topic, fixed_frame, sensor_frame, stamps
+        Of bags: topics, or the frames of /tf; stamps of the messages' headers, or of the log.
+    time_offset
+        Added to the stamps of the poses, to bring them onto the clock of the wrench: a pose stamped t belongs to the wrench stamped t + time_offset [s];
+        "estimate" to find it from the data.
+    largest_offset
+        Bound of an estimated offset [s].
+    longest_gap
+        Longest time between two poses over which they are interpolated [s].
+    """
+
+    time: Name = "time"
+    time_unit: TimeUnit | None = None
+    force: Names3 = ("fx", "fy", "fz")
+    force_unit: Annotated[Literal["N", "mN", "uN", "kN", "gf", "lbf"], _unit(units.FORCE)] | None = None
+    torque: Names3 = ("tx", "ty", "tz")
+    torque_unit: Annotated[Literal["N m", "N cm", "N mm", "mN m", "mN mm", "uN m", "lbf in"], _unit(units.TORQUE)] | None = None
+    position: Names3 = ("px", "py", "pz")
+    position_unit: Annotated[Literal["m", "cm", "mm", "um", "in"], _unit(units.LENGTH)] | None = None
+    orientation: Names4 = ("qx", "qy", "qz", "qw")
+    orientation_form: Annotated[
+        Literal["xyzw", "wxyz", "rotation_vector", "roll_pitch_yaw"],
+        Field(description="xyzw or wxyz (quaternions), rotation_vector, or roll_pitch_yaw (about the fixed axes x, then y, then z)"),
+    ] = "xyzw"
+    angle_unit: Annotated[Literal["rad", "deg"], _unit(units.ANGLE)] | None = None
+    pose_time: Name | None = None
+    pose_time_unit: TimeUnit | None = None
+    pose_file: Name | None = None
+    delimiter: Annotated[Literal[",", ";", "\t", " ", "|"], Field(description="a comma, semicolon, tabulator, space or bar")] = ","
+    decimal: Annotated[Literal[".", ","], Field(description="a point or a comma")] = "."
+    skip_lines: Annotated[int, Field(strict=True, ge=0, le=10_000, description="a whole number from 0 to 10,000")] = 0
+    wrench_topic: Name | None = None
+    pose_topic: Name | None = None
+    fixed_frame: Name | None = None
+    sensor_frame: Name | None = None
+    stamps: Annotated[Literal["header", "log"], Field(description="header or log")] = "header"
+    time_offset: Annotated[
+        float | Literal["estimate"], PlainValidator(_offset), Field(description="a finite number of seconds, or 'estimate'")
+    ] = 0.0
+    largest_offset: Positive = 1.0
+    longest_gap: Positive = 0.2

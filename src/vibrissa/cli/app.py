@@ -7,8 +7,10 @@ from pathlib import Path
 import typer
 
 from vibrissa.cli.demo import demo
+from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
+from vibrissa.cli.simulate_sensor import simulate_sensor
 
 app = typer.Typer(
     name="vibrissa",
@@ -21,6 +23,8 @@ app = typer.Typer(
 app.command()(demo)
 app.command()(scan)
 app.command()(reconstruct)
+app.command()(live)
+app.command("simulate-sensor")(simulate_sensor)
 
 
 @app.callback(invoke_without_command=True)

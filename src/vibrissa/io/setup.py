@@ -9,6 +9,7 @@ from pydantic import Field
 
 from vibrissa.io.config import ORIGIN, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
+from vibrissa.io.live_setup import PoseTable, RdtTable
 from vibrissa.io.objects import ObjectTable, built
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
@@ -27,11 +28,15 @@ class Setup:
         Mount, sign, frame and noise of the wrench.
     surface
         The object that was scanned, or None.
+    rdt, pose
+        Of a live sensor, or None: how it counts and sends, and where its pose comes from.
     """
 
     rod: Rod
     sensor: Sensor
     surface: Surface | None = None
+    rdt: RdtTable | None = None
+    pose: PoseTable | None = None
 
 
 class SensorTable(Table):
@@ -75,10 +80,12 @@ class SetupFile(Table):
     rod: RodTable
     sensor: SensorTable
     object: ObjectTable | None = None
+    rdt: RdtTable | None = None
+    pose: PoseTable | None = None
 
 
 def load_setup(path: str | Path) -> Setup:
-    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object].
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [rdt] and [pose].
 
     Raises
     ------
@@ -89,6 +96,6 @@ def load_setup(path: str | Path) -> Setup:
     table = load_table(file, SetupFile)
     try:
         surface = None if table.object is None else built(table.object, file.parent)
-        return Setup(table.rod.build(), table.sensor.build(), surface)
+        return Setup(table.rod.build(), table.sensor.build(), surface, table.rdt, table.pose)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

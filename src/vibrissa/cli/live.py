@@ -1,6 +1,9 @@
 """`vibrissa live`: a sensor's stream to contacts, as it comes."""
 
+import gc
 import json
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,12 +66,20 @@ def _run(
     from vibrissa.cli.live_parts import interrupts, one_line, poses_of  # noqa: PLC0415
     from vibrissa.live import Processor, stream  # noqa: PLC0415
 
+    # Batches are small: one thread on this machine answers soonest, in the order of the calls.
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "false")
     _say("loading")
     origin = _source(address, loaded)
     poses = poses_of(loaded, folder, needed=address.kind == "netft")
     processor = Processor(loaded.rod, loaded.sensor, poses, friction=friction)
     with interrupts() as stop, one_line():
         sinks = [_sink(kind, path, loaded) for kind, path in targets]
+        processor.warm_up()
+        # No pause for what was made up to here, and short turns: the thread that reads must not wait for the one that works.
+        gc.collect()
+        gc.freeze()
+        sys.setswitchinterval(1e-3)
         return stream(
             origin, processor, sinks, poses=poses, duration=duration, batch_seconds=batch, silence=silence, stop=stop, notice=_say
         )

@@ -34,7 +34,7 @@ def interrupts() -> Iterator[threading.Event]:
 @contextmanager
 def one_line() -> Iterator[None]:
     """Failed work is one line on stderr and exit status 1."""
-    from vibrissa.live.stream import SilentSourceError  # noqa: PLC0415
+    from vibrissa.live.loop import SilentSourceError  # noqa: PLC0415
 
     try:
         yield

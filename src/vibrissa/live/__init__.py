@@ -2,6 +2,7 @@
 
 from vibrissa.live.address import Address, parse_address
 from vibrissa.live.lines import LineSource
+from vibrissa.live.loop import Report, stream
 from vibrissa.live.netft import NetFtSource
 from vibrissa.live.poses import ConstantPose, Poses, StreamedPoses, TimedPoses
 from vibrissa.live.process import Processor, Stage
@@ -9,7 +10,6 @@ from vibrissa.live.replay import ReplaySource
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
 from vibrissa.live.simulator import Flaws, SensorSimulator
 from vibrissa.live.sinks import Callback, Sink
-from vibrissa.live.stream import Report, stream
 
 __all__ = [
     "Address",

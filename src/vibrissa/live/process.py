@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,6 +21,7 @@ _LEAST_TARE = 2
 _RESTLESS = 3.0
 
 
+@runtime_checkable
 class Stage(Protocol):
     """What stands between the inverse and the sinks, such as a filter in time. `vibrissa.live.Processor` calls it with each batch, in order."""
 

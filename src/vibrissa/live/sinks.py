@@ -1,7 +1,7 @@
 """Where contacts go."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,6 +10,7 @@ from vibrissa.reconstruct import Reconstruction
 from vibrissa.sensor import RawRecording
 
 
+@runtime_checkable
 class Sink(Protocol):
     """Takes what a stream gives, in order. What it raises ends the stream."""
 

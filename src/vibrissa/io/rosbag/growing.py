@@ -16,7 +16,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 from zlib import crc32
 
 import numpy as np
@@ -72,8 +72,22 @@ class Messages:
     data: bytes
 
 
-class Disk:
-    """A file that is written at places."""
+@runtime_checkable
+class Disk(Protocol):
+    """What is written at places."""
+
+    def write(self, data: bytes, place: int) -> None:
+        """Write all of it."""
+
+    def truncate(self, size: int) -> None:
+        """Cut off what lies beyond."""
+
+    def close(self) -> None:
+        """Let go; may be called twice."""
+
+
+class FileDisk:
+    """A file that is written at places, at once: nothing is kept in this process."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)

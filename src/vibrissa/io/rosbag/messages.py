@@ -68,6 +68,8 @@ class MessageWriter:
         }
         self._fields = self._point_fields()
         self._sequence = [0, 0, 0]
+        # rosbags builds its code for a type when it first meets it.
+        self._cloud_bytes(np.zeros(1, dtype=POINT), 0, is_dense=True)
 
     def channels(self) -> list[Channel]:
         """The three topics."""
@@ -144,8 +146,16 @@ class MessageWriter:
             return Messages(CONTACTS, np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), b"")
         points = _points(stamp, found, rows)
         first = int(stamp[rows[0]])
+        data = self._cloud_bytes(points, first, is_dense=found.covariance is not None)
+        head = np.zeros(1, dtype=_MESSAGE_HEAD)
+        head["opcode"], head["length"], head["channel"] = _MESSAGE, _BESIDE_DATA + len(data), CONTACTS + 1
+        head["sequence"] = self._numbered(CONTACTS, 1)
+        head["log_time"], head["publish_time"] = log_time, first
+        return Messages(CONTACTS, np.array([log_time]), np.zeros(1, dtype=np.int64), head.tobytes() + data)
+
+    def _cloud_bytes(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
         message = self._type(TYPES[CONTACTS])(
-            header=self._header(self._world, first),
+            header=self._header(self._world, stamp),
             height=1,
             width=len(points),
             fields=self._fields,
@@ -153,14 +163,9 @@ class MessageWriter:
             point_step=POINT.itemsize,
             row_step=POINT.itemsize * len(points),
             data=points.view(np.uint8).reshape(-1),
-            is_dense=found.covariance is not None,
+            is_dense=is_dense,
         )
-        data = bytes(self._store.serialize_cdr(message, TYPES[CONTACTS]))
-        head = np.zeros(1, dtype=_MESSAGE_HEAD)
-        head["opcode"], head["length"], head["channel"] = _MESSAGE, _BESIDE_DATA + len(data), CONTACTS + 1
-        head["sequence"] = self._numbered(CONTACTS, 1)
-        head["log_time"], head["publish_time"] = log_time, first
-        return Messages(CONTACTS, np.array([log_time]), np.zeros(1, dtype=np.int64), head.tobytes() + data)
+        return bytes(self._store.serialize_cdr(message, TYPES[CONTACTS]))
 
     def _point_fields(self) -> list[Any]:
         kinds = {"<f4": _FLOAT32, "<f8": _FLOAT64, "|u1": _UINT8}

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrissa.io.rosbag.growing import Disk, GrowingFile, Messages
+from vibrissa.io.rosbag.growing import FileDisk, GrowingFile, Messages
 from vibrissa.io.rosbag.messages import QOS, MessageWriter
 from vibrissa.reconstruct import Reconstruction
 from vibrissa.sensor import RawRecording
@@ -36,7 +36,7 @@ class McapSink:
     def __init__(self, path: Path, *, sensor_frame: str = "sensor", world_frame: str = "world") -> None:
         self._writer = MessageWriter(sensor_frame, world_frame)
         part = path.with_name(f".{path.name}.part")
-        self._disk = Disk(part)
+        self._disk = FileDisk(part)
         self.file = GrowingFile(self._disk, self._writer.channels(), QOS)
         part.replace(path)
         self._held: list[Messages] = []

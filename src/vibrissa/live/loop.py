@@ -51,7 +51,7 @@ class Report:
     cpu_share
         Of one core, over that time.
     latency_median, latency_999
-        From the arrival of a sample to its contact [s], and its 99.9th percentile; rows that waited for the tare left out. None where there were none.
+        From the arrival of a sample to its contact [s], and its 99.9th percentile; rows that waited for the tare, or behind such, left out. None where there were none.
     moved_during_tare
         Whether the wrench varied by more than three times its noise while it was taken for zero.
     """
@@ -205,6 +205,7 @@ class _Loop:
         self._batch = batch_seconds
         self._latency = Latency()
         self._flushed = 0
+        self._steady = 0
         self._first: int | None = None
         self._cpu = 0.0
         self._tared = processor.tare is not None
@@ -255,8 +256,8 @@ class _Loop:
     def _work(self) -> None:
         for result in self._processor.ready(time.time_ns()):
             now = time.monotonic_ns()
-            if not result.held:
-                self._latency.add(now - result.arrival)
+            self._steady = now if result.held else self._steady
+            self._latency.add(now - result.arrival[result.arrival > self._steady])
             self.report.rows += len(result.stamp)
             kinds = np.bincount(result.found.kind, minlength=len(ContactKind))
             for kind in ContactKind:

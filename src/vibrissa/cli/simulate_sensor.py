@@ -41,6 +41,7 @@ def simulate_sensor(
     import numpy as np  # noqa: PLC0415
 
     from vibrissa.cli.live_parts import interrupts, one_line, rdt_of  # noqa: PLC0415
+    from vibrissa.geometry.checks import positive  # noqa: PLC0415
     from vibrissa.io.case import load_case  # noqa: PLC0415
     from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
@@ -56,8 +57,10 @@ def simulate_sensor(
             raise ValueError(f"duration = {duration}; allowed is a finite number greater than 0")
         if not 0 <= port <= 65535:
             raise ValueError(f"port = {port}; allowed is a port from 1 to 65535, or 0 for any")
+        positive(every, "rate")
+        positive(pose_rate, "pose_rate")
         flaws = Flaws(drop, duplicate, reorder, malformed, error)
-        offsets = _offsets(tare)
+        offsets, listener = _offsets(tare), None if pose is None else host_and_port(pose)
         typer.echo("scanning", err=True)
         scene = swept(
             loaded.rod,
@@ -80,7 +83,7 @@ def simulate_sensor(
             buffer=buffer,
             flaws=flaws,
             seed=seed,
-            poses=None if pose is None else host_and_port(pose),
+            poses=listener,
             pose_rate=pose_rate,
         )
     except InputError:

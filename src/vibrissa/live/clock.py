@@ -7,6 +7,8 @@ from jaxtyping import Int
 
 _DRIFT = 500e-6
 _RESYNC = 100_000_000
+_RATE_WINDOW = 500_000_000
+_RATE_TOLERANCE = 0.2
 
 
 def epoch_offset() -> int:
@@ -18,6 +20,44 @@ def epoch_offset() -> int:
             best = after - before, now - (before + after) // 2
     assert best is not None
     return best[1]
+
+
+class RateWatch:
+    """Notices a sender whose rate is another than was thought.
+
+    In each window of half a second the least delay is taken, which a sender or a receiver that stalls for a moment does not change. Where it runs off by more than a
+    fifth of the time, alike over two windows, the rate is wrong.
+    """
+
+    def __init__(self) -> None:
+        self._begun: int | None = None
+        self._least = 0
+        self._seen: list[int] = []
+
+    def factor(self, own: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> float | None:
+        """By how much the sender's period is longer than `own` (n,) [ns] supposes, if another; arrivals (n,) [ns]."""
+        delay = int(np.min(arrival - own))
+        if self._begun is None:
+            self._begun, self._least = int(arrival[0]), delay
+        if int(arrival[-1]) - self._begun < _RATE_WINDOW:
+            self._least = min(self._least, delay)
+            return None
+        # A window may have been longer than it should; what counts is how long each was.
+        self._seen = [*self._seen[-2:], self._least]
+        self._begun, self._least = self._begun + _RATE_WINDOW, delay
+        if int(arrival[-1]) - self._begun >= _RATE_WINDOW:
+            self._begun, self._seen = int(arrival[-1]), []
+            return None
+        return self._judged()
+
+    def _judged(self) -> float | None:
+        if len(self._seen) < 3:
+            return None
+        first, second = (np.diff(self._seen) / _RATE_WINDOW).tolist()
+        if abs(first) < _RATE_TOLERANCE or abs(second - first) > _RATE_TOLERANCE * abs(first) or first >= 1 or second >= 1:
+            return None
+        self._begun, self._seen = None, []
+        return 1 / (1 - (first + second) / 2)
 
 
 class SampleClock:

@@ -22,6 +22,7 @@ _LONGEST_LINE = 4096
 _LARGEST = 1e12
 _QUATERNION_TOLERANCE = 1e-3
 _CLOCK_JUMP = 1.0
+_AFTER_RESTART = 1e-3
 _READ = 65536
 
 
@@ -135,8 +136,9 @@ class SerialLine(Line):
 
     def receive(self, timeout: float) -> bytes:
         """Bytes that have come."""
-        self._port.timeout = timeout
         try:
+            if self._port.timeout != timeout:
+                self._port.timeout = timeout
             first = self._port.read(1)
             return bytes(first + self._port.read(self._port.in_waiting) if first else b"")
         except OSError as error:
@@ -173,6 +175,7 @@ class LineSource(Source):
         self._first = True
         self._number = 0
         self._last_time: float | None = None
+        self._shift = 0.0
         self._clock = SampleClock()
         self._epoch = 0
 
@@ -232,16 +235,18 @@ class LineSource(Source):
             self._first = False
             return None
         self._first = False
-        return row if self._follows(row["time"]) else None
+        return row | {"time": row["time"] + self._shift} if self._follows(row["time"]) else None
 
     def _follows(self, moment: float) -> bool:
-        if self._last_time is not None and moment <= self._last_time:
-            if self._last_time - moment < _CLOCK_JUMP:
-                self.counts.duplicates += moment == self._last_time
-                self.counts.late += moment < self._last_time
-                return False
+        """Whether this is later than the last line, or of a clock that began anew: then it is moved behind the last."""
+        back = 0.0 if self._last_time is None else self._last_time - moment
+        if self._last_time is not None and 0 <= back < _CLOCK_JUMP:
+            self.counts.duplicates += back == 0
+            self.counts.late += back > 0
+            return False
+        if back > 0:
             self.counts.restarts += 1
-            self._clock.restart()
+            self._shift += back + _AFTER_RESTART
         self._last_time = moment
         return True
 

@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from vibrissa.geometry.checks import positive
 from vibrissa.live import rdt
-from vibrissa.live.clock import SampleClock, epoch_offset
+from vibrissa.live.clock import RateWatch, SampleClock, epoch_offset
 from vibrissa.live.samples import Counts, Samples, Source
 from vibrissa.live.sequence import Sequencer
 
@@ -23,8 +23,7 @@ _LONGEST = 2048
 _MOST_DATAGRAMS = 1024
 _GATHER = 1e-3
 _ASK_AGAIN = 1.0
-_RATE_WINDOW = 500_000_000
-_RATE_TOLERANCE = 0.02
+_SETTLE = 50_000_000
 
 
 class NetFtSource(Source):
@@ -76,7 +75,9 @@ class NetFtSource(Source):
             raise ValueError(f"error_bits = {error_bits}; allowed is a whole number of 32 bits")
         self._error_bits = error_bits
         self._period = 1e9 / positive(rate, "rate")
-        self._anchor: tuple[int, int, int] | None = None
+        self._anchor = (0, 0)
+        self._watch = RateWatch()
+        self._early: list[tuple[np.ndarray, ...]] | None = []
         self._clock = SampleClock()
         self.counts = Counts()
         self._sequencer = Sequencer(self.counts)
@@ -119,8 +120,20 @@ class NetFtSource(Source):
             came.append(np.full(len(records), when, dtype=np.int64))
         records = np.concatenate(parsed) if parsed else np.empty(0, dtype=rdt.RECORD)
         moments = np.concatenate(came) if came else np.empty(0, dtype=np.int64)
-        ordered, number, moments = self._sequencer.accept(records, moments, time.monotonic_ns())
+        ordered, number, moments = self._settled(*self._sequencer.accept(records, moments, time.monotonic_ns()))
         return self._samples(ordered, number, moments) if len(ordered) else None
+
+    def _settled(self, *rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Hold the first records for a moment, so that the clock is set by the least late of many."""
+        if self._early is None:
+            return rows[0], rows[1], rows[2]
+        self._early.append(rows)
+        held = tuple(np.concatenate(part) for part in zip(*self._early, strict=True))
+        arrival = held[2]
+        if not len(arrival) or time.monotonic_ns() - int(arrival[0]) < _SETTLE:
+            return rows[0][:0], rows[1][:0], rows[2][:0]
+        self._early = None
+        return held[0], held[1], held[2]
 
     def _samples(self, records: np.ndarray, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> Samples:
         status = records["status"].astype(np.int64)
@@ -134,21 +147,19 @@ class NetFtSource(Source):
         return Samples(stamp, number, np.ascontiguousarray(wrench[:, :3]), np.ascontiguousarray(wrench[:, 3:]), valid, arrival)
 
     def _own_time(self, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """The sensor's clock [ns], from its numbers and its rate: as set, or as seen where the two differ by more than jitter explains."""
-        first, last = int(number[0]), int(number[-1])
-        if self._anchor is None:
-            self._anchor = first, int(arrival[0]), 0
-        start, began, own = self._anchor
-        passed = int(arrival[-1]) - began
-        if passed > _RATE_WINDOW:
-            seen = passed / max(last - start, 1)
-            if abs(seen / self._period - 1) > _RATE_TOLERANCE:
-                self.counts.rate_changes += 1
-                self._period = seen
-                self._clock.restart()
-            own += round((first - start) * self._period)
-            start = first
-            self._anchor = start, int(arrival[0]), own
+        """The sensor's clock [ns], from its numbers and its rate: as set, or as seen where the two differ."""
+        own = self._since_anchor(number)
+        factor = self._watch.factor(own, arrival)
+        if factor is None:
+            return own
+        self.counts.rate_changes += 1
+        self._anchor = int(number[0]), int(own[0])
+        self._period *= factor
+        self._clock.restart()
+        return self._since_anchor(number)
+
+    def _since_anchor(self, number: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+        start, own = self._anchor
         return own + np.round((number - start) * self._period).astype(np.int64)
 
     def _receive(self, timeout: float) -> tuple[list[bytes], list[int]]:

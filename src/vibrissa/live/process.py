@@ -14,9 +14,9 @@ from vibrissa.reconstruct import Reconstruction, reconstruct
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
 
-MOST_ROWS = 1024
-"""Of one call of the inverse: larger blocks would have to be compiled."""
-_WARM_SIZES = (1, 64, MOST_ROWS)
+MOST_ROWS = 64
+"""Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
+_WARM_SIZES = (1, MOST_ROWS)
 _LEAST_TARE = 2
 _RESTLESS = 3.0
 

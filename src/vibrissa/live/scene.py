@@ -21,7 +21,7 @@ _MOST_POSITIONS = 4001
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Reactions at the clamp over time: at rest before the first trail, along it, then on to the next one free of contact.
+    """Reactions at the clamp over time: at rest before the first trail, along it, then on to the next one.
 
     Attributes
     ----------
@@ -45,11 +45,10 @@ class Scene:
         return float(self.time[-1])
 
     def reactions(self, time: Float[np.ndarray, "n"]) -> Reactions:
-        """Reactions (n, …) at these times [s], increasing; after the end, the last clamp pose free of contact."""
+        """Reactions (n, …) at these times [s], increasing; after the end, the clamp stands."""
         position, orientation = between(self.time, self.position, self.orientation, time)
         force, moment = (
-            np.stack([np.interp(time, self.time, part[:, axis], right=0.0) for axis in range(3)], axis=1)
-            for part in (self.force, self.moment)
+            np.stack([np.interp(time, self.time, part[:, axis]) for axis in range(3)], axis=1) for part in (self.force, self.moment)
         )
         return Reactions(Trail(position, orientation), force, moment, time=time)
 
@@ -76,7 +75,7 @@ def swept(
     sweep
         Seconds for each trail.
     pause
-        Seconds from one trail's end to the next one's start, where the rod is taken to be free.
+        Seconds from one trail's end to the next one's start: straight, and with reactions that go over evenly, none if the ends are free of contact.
 
     Raises
     ------
@@ -88,7 +87,7 @@ def swept(
     result = scan(rod, surface, fine, friction=friction, finite_radius=finite_radius)
     force, moment = (np.nan_to_num(part).reshape(-1, 3) for part in (result.reactions.force, result.reactions.moment))
     if rest:
-        force, moment = (np.concatenate([np.zeros((1, 3)), part]) for part in (force, moment))
+        force, moment = (np.concatenate([part[:1], part]) for part in (force, moment))
     return Scene(time, position, orientation, force, moment)
 
 

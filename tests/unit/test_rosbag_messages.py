@@ -35,7 +35,7 @@ def found() -> vb.Reconstruction:
 @pytest.mark.parametrize("frame", ["", "s", "sensor", "a_sensor_with_a_longer_name"])
 def test_wrenches_and_poses_are_what_rosbags_writes(frame: str) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
-    types, writer = store.types, MessageWriter(sensor_frame=frame, world_frame=frame)
+    types, writer = store.types, MessageWriter(wrench_frame=frame, world_frame=frame)
     values, poses = numbers(6), numbers(7)
     blocks = (
         writer.wrenches(STAMP, np.arange(5), values[:, :3], values[:, 3:], STAMP),

@@ -139,7 +139,7 @@ def _sink(kind: str, path: Path | None, loaded: "Setup") -> "Sink":
         return PlySink(path, "metre" if loaded.rod.units == "SI" else "rod length")
     from vibrissa.io.rosbag import McapSink  # noqa: PLC0415
 
-    return McapSink(path)
+    return McapSink(path, wrench_frame=loaded.sensor.wrench_frame)
 
 
 def _text(report: "Report") -> str:

@@ -49,7 +49,7 @@ class MessageWriter:
 
     Parameters
     ----------
-    sensor_frame, world_frame
+    wrench_frame, world_frame
         Names of the frames of the wrench, and of poses and contacts.
 
     Raises
@@ -58,12 +58,12 @@ class MessageWriter:
         If `rosbags` is missing.
     """
 
-    def __init__(self, sensor_frame: str = "sensor", world_frame: str = "world") -> None:
+    def __init__(self, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
         typesys = library("rosbags.typesys")
         self._store: Any = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         self._world = world_frame
         self._patterns = {
-            WRENCH: self._pattern(WRENCH, self._wrench(sensor_frame), 6),
+            WRENCH: self._pattern(WRENCH, self._wrench(wrench_frame), 6),
             POSE: self._pattern(POSE, self._pose(world_frame), 7),
         }
         self._fields = self._point_fields()

@@ -22,8 +22,8 @@ class McapSink:
     ----------
     path
         Of the file, which is there, whole and empty, once this is built.
-    sensor_frame, world_frame
-        Names of the frames.
+    wrench_frame, world_frame
+        Names of the frames: of the raw wrench, and of poses and contacts.
 
     Raises
     ------
@@ -33,8 +33,8 @@ class McapSink:
         If the file cannot be written.
     """
 
-    def __init__(self, path: Path, *, sensor_frame: str = "sensor", world_frame: str = "world") -> None:
-        self._writer = MessageWriter(sensor_frame, world_frame)
+    def __init__(self, path: Path, *, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
+        self._writer = MessageWriter(wrench_frame, world_frame)
         part = path.with_name(f".{path.name}.part")
         self._disk = FileDisk(part)
         self.file = GrowingFile(self._disk, self._writer.channels(), QOS)

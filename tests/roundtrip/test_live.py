@@ -272,6 +272,15 @@ def test_a_rate_that_the_setup_does_not_know(setup: vb.Setup, raw: RawRecording)
     assert np.median(np.diff(stamp)) == pytest.approx(1e6, rel=0.1)
 
 
+def test_a_sensor_that_falls_silent_ends_the_stream(setup: vb.Setup, raw: RawRecording) -> None:
+    """What had come is worked on, and the report says why there is no more."""
+    with simulated(iter([at_rate(raw, 500)])) as simulator:
+        processor = Processor(setup.rod, replace(setup.sensor, tare_seconds=0.1), ConstantPose())
+        report = stream(source_of(simulator), processor, [], silence=0.5)
+    assert report.silent
+    assert report.counts.samples == report.rows == 500
+
+
 def test_nobody_answers(setup: vb.Setup) -> None:
     from vibrissa.live.loop import SilentSourceError
 

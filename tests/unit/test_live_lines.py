@@ -129,6 +129,15 @@ def test_time_that_stands_goes_back_or_begins_anew() -> None:
     assert (source.counts.duplicates, source.counts.late, source.counts.restarts, len(found)) == (1, 1, 1, 39 + 10)
 
 
+def test_poses_do_not_begin_in_the_middle() -> None:
+    bare = ",".join([LINES[3].split(",")[0], *LINES[3].split(",")[8:]])
+    source = LineSource(Pieces(("\n".join([*LINES[1:3], bare, *LINES[4:]]) + "\n").encode()))
+    found = everything(source)
+    assert found is not None
+    assert found.position is not None
+    assert (len(found), source.counts.malformed) == (39, 1)
+
+
 def test_the_rest_of_a_line_that_began_before_is_no_error() -> None:
     source = LineSource(Pieces(("0.3,17\n" + "\n".join(LINES[1:]) + "\n").encode()))
     check(everything(source))

@@ -50,6 +50,8 @@ def live(
         typer.echo(json.dumps(report.as_dict(), indent=1), err=any(path is None for _, path in targets))
     else:
         typer.echo(_text(report), err=True)
+    if report.silent:
+        raise typer.Exit(1)
 
 
 def _run(

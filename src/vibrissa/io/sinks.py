@@ -72,7 +72,6 @@ def _rows(stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction)
     rows: list[dict[str, object]] = []
     for place, values in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
         moment, kind, status, position, orientation, force, torque, point, normal, arc_length = values
-        contact = kind != ContactKind.NONE
         rows.append(
             {
                 "stamp": moment,
@@ -82,17 +81,18 @@ def _rows(stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction)
                 "orientation": _known(orientation),
                 "force": _known(force),
                 "torque": _known(torque),
-                "point": point if contact else None,
-                "normal": normal if contact else None,
-                "arc_length": arc_length if contact else None,
-                "standard_deviations": deviations[place] if contact and deviations is not None else None,
+                "point": _known(point),
+                "normal": _known(normal),
+                "arc_length": arc_length if math.isfinite(arc_length) else None,
+                "standard_deviations": None if deviations is None else _known(deviations[place]),
             }
         )
     return rows
 
 
 def _known(values: list[float]) -> list[float] | None:
-    return None if math.isnan(values[0]) else values
+    """The numbers, or None where one is none: JSON has no word for it."""
+    return values if all(map(math.isfinite, values)) else None
 
 
 class PlySink:

@@ -173,6 +173,7 @@ class LineSource(Source):
         self._skipping = False
         self._columns: tuple[str, ...] | None = None
         self._first = True
+        self._posed: bool | None = None
         self._number = 0
         self._last_time: float | None = None
         self._shift = 0.0
@@ -196,7 +197,6 @@ class LineSource(Source):
         if not rows:
             return None
         posed = "qw" in rows[0]
-        rows = [row for row in rows if ("qw" in row) == posed]
         table = {name: np.array([row[name] for row in rows]) for name in (POSED if posed else BARE)}
         count = len(rows)
         self.counts.samples += count
@@ -229,12 +229,14 @@ class LineSource(Source):
                 self._columns, self._first = names, False
                 return None
             row = parse_line(line, self._columns)
+            if self._posed not in (None, "qw" in row):
+                raise ValueError("poses that begin or end in the middle; allowed are the columns of the first line")
         except ValueError:
             # The first line may be the rest of one that began before we listened.
             self.counts.malformed += not self._first
             self._first = False
             return None
-        self._first = False
+        self._first, self._posed = False, "qw" in row
         return row | {"time": row["time"] + self._shift} if self._follows(row["time"]) else None
 
     def _follows(self, moment: float) -> bool:

@@ -54,6 +54,8 @@ class Report:
         From the arrival of a sample to its contact [s], and its 99.9th percentile; rows that waited for the tare, or behind such, left out. None where there were none.
     moved_during_tare
         Whether the wrench varied by more than three times its noise while it was taken for zero.
+    silent
+        Whether the stream ended since the source fell silent.
     """
 
     counts: Counts
@@ -68,6 +70,7 @@ class Report:
     latency_median: float | None = None
     latency_999: float | None = None
     moved_during_tare: bool = False
+    silent: bool = False
 
     def as_dict(self) -> dict[str, object]:
         """All figures, for JSON."""
@@ -155,7 +158,7 @@ def stream(
     duration
         Seconds after the first sample at which to end; None for no end.
     silence
-        Seconds without any sample after which a source is taken for dead; 0 for never.
+        Seconds without any sample after which a source is taken for dead, and the stream ends; 0 for never.
     batch_seconds
         Samples of so many seconds are worked on together: less costs more of the processor, more costs latency.
     stop
@@ -173,7 +176,7 @@ def stream(
     ValueError
         If a number is not allowed, or too few samples came within the tare.
     SilentSourceError
-        If nothing came for `silence` seconds.
+        If not even a first sample came within `silence` seconds.
     OSError
         If the source cannot be reached, or a sink cannot write.
     """
@@ -228,7 +231,11 @@ class _Loop:
             if duration is not None and self._first is not None and time.monotonic_ns() - self._first > duration * 1e9:
                 break
             if silence and time.monotonic_ns() - last > silence * 1e9:
-                raise SilentSourceError(f"nothing came for {silence:g} s")
+                if self._first is None:
+                    raise SilentSourceError(f"nothing came for {silence:g} s")
+                self.report.silent = True
+                self._notice(f"nothing came for {silence:g} s")
+                break
             self._pause(begun)
         self._finish()
 

@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import sys
 import time
 from contextlib import suppress
 
@@ -15,8 +16,9 @@ from vibrissa.live.samples import Counts, Samples, Source
 from vibrissa.live.sequence import Sequencer
 
 _RECEIVE_BUFFER = 16 * 2**20
-_FORCE_BUFFER = 33  # SO_RCVBUFFORCE
-_STAMP_OPTION = 35  # SO_TIMESTAMPNS
+# Linux names them SO_RCVBUFFORCE and SO_TIMESTAMPNS; Python does not.
+_FORCE_BUFFER = 33
+_STAMP_OPTION = 35
 _KERNEL_STAMP = struct.Struct("@qq")
 _ANCILLARY = 64
 _LONGEST = 2048
@@ -92,9 +94,10 @@ class NetFtSource(Source):
         self._epoch = epoch_offset()
         self._socket = socket.socket(family, kind, protocol)
         _widen(self._socket)
-        with suppress(OSError):
-            self._socket.setsockopt(socket.SOL_SOCKET, _STAMP_OPTION, 1)
-            self._stamped = True
+        if sys.platform == "linux":
+            with suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, _STAMP_OPTION, 1)
+                self._stamped = True
         self._socket.connect(address)
         if self._bias:
             self._request(rdt.Command.BIAS)
@@ -215,6 +218,6 @@ class NetFtSource(Source):
 
 def _widen(connection: socket.socket) -> None:
     """Let the kernel hold many datagrams while Python is busy: beyond the usual limit where this process may."""
-    for option in (socket.SO_RCVBUF, _FORCE_BUFFER):
+    for option in (socket.SO_RCVBUF, *((_FORCE_BUFFER,) if sys.platform == "linux" else ())):
         with suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER)

@@ -10,7 +10,8 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 
-from vibrissa.io.rosbag import growing
+from vibrissa.io import InputError
+from vibrissa.io.rosbag import growing, mend
 from vibrissa.io.rosbag.growing import PAGE, Channel, FileDisk, GrowingFile, Messages
 
 CHANNELS = [Channel("/a", "std_msgs/msg/String", "string data\n"), Channel("/b", "std_msgs/msg/String", "string data\n")]
@@ -161,3 +162,51 @@ def test_no_messages_is_a_whole_file(tmp_path: Path) -> None:
     assert by_mcap(file.read_bytes()) == by_rosbags(file.read_bytes(), tmp_path) == []
     nothing.close()
     assert by_mcap(file.read_bytes()) == by_rosbags(file.read_bytes(), tmp_path) == []
+
+
+def chunks_of(folder: Path, number: int) -> tuple[Path, list[tuple[int, list[Message]]]]:
+    """A file that is still open, and for each chunk where it ends and what the file holds by then."""
+    file, said, ends = folder / "open.mcap", [], []
+    rng, growing_file = np.random.default_rng(1), GrowingFile(FileDisk(folder / "open.mcap"), CHANNELS, QOS)
+    for chunk in range(number):
+        block, words = messages(rng, chunk % 2, 10 * chunk, 10)
+        growing_file.append([block])
+        said = said + words
+        ends.append((growing_file._room, said))
+    return file, ends
+
+
+def test_of_a_file_cut_anywhere_every_whole_chunk_is_saved(tmp_path: Path) -> None:
+    file, ends = chunks_of(tmp_path, 6)
+    content, rng = file.read_bytes(), np.random.default_rng(2)
+    for number, cut in enumerate([8, 100, *rng.integers(900, ends[-1][0] + 50, 40).tolist(), len(content) - 1, len(content)]):
+        damaged, target = tmp_path / "cut.mcap", tmp_path / f"{number}.mcap"
+        damaged.write_bytes(content[:cut])
+        least = max((len(said) for end, said in ends if end <= cut), default=0)
+        count = mend(damaged, target)
+        saved = by_mcap(target.read_bytes())
+        assert count == len(saved)
+        assert saved == ends[-1][1][: len(saved)]
+        assert least <= len(saved) <= least + 10
+    assert len(saved) == 60
+
+
+def test_damaged_bytes_are_never_taken_for_messages(tmp_path: Path) -> None:
+    """A byte changed anywhere: what is saved are messages that were written, up to there."""
+    file, ends = chunks_of(tmp_path, 4)
+    content, rng = file.read_bytes(), np.random.default_rng(3)
+    said = ends[-1][1]
+    for number in range(60):
+        damaged, target = tmp_path / "damaged.mcap", tmp_path / f"{number}.mcap"
+        place = int(rng.integers(1000, ends[-1][0]))
+        damaged.write_bytes(content[:place] + bytes([content[place] ^ int(rng.integers(1, 256))]) + content[place + 1 :])
+        mend(damaged, target)
+        assert all(message in said for message in by_mcap(target.read_bytes()))
+
+
+def test_what_cannot_be_mended(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"no MCAP at all")
+    with pytest.raises(InputError, match="allowed is an MCAP file"):
+        mend(tmp_path / "x.mcap", tmp_path / "y.mcap")
+    with pytest.raises(InputError, match="allowed is a new file"):
+        mend(tmp_path / "x.mcap", tmp_path / "x.mcap")

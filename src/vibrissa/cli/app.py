@@ -8,8 +8,10 @@ import typer
 
 from vibrissa.cli.demo import demo
 from vibrissa.cli.inspect import inspect
+from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
+from vibrissa.cli.simulate_sensor import simulate_sensor
 
 app = typer.Typer(
     name="vibrissa",
@@ -23,6 +25,8 @@ app.command()(demo)
 app.command()(scan)
 app.command()(reconstruct)
 app.command()(inspect)
+app.command()(live)
+app.command("simulate-sensor")(simulate_sensor)
 
 
 @app.callback(invoke_without_command=True)

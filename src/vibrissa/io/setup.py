@@ -10,6 +10,7 @@ from pydantic import Field
 
 from vibrissa.io.config import ORIGIN, Finite, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
+from vibrissa.io.live_setup import PoseTable, RdtTable
 from vibrissa.io.objects import ObjectTable, built
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.rod import Rod
@@ -33,12 +34,16 @@ class Setup:
         The object that was scanned, or None.
     recording
         How its recordings are laid out, or None for CSV as `write_recording` writes it, and for the names of that header elsewhere.
+    rdt, pose
+        Of a live sensor, or None: how it counts and sends, and where its pose comes from.
     """
 
     rod: Rod
     sensor: Sensor
     surface: Surface | None = None
     recording: RecordingTable | None = None
+    rdt: RdtTable | None = None
+    pose: PoseTable | None = None
 
 
 Interval = Annotated[tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")]
@@ -128,10 +133,12 @@ class SetupFile(Table):
     sensor: SensorTable
     object: ObjectTable | None = None
     recording: RecordingTable | None = None
+    rdt: RdtTable | None = None
+    pose: PoseTable | None = None
 
 
 def load_setup(path: str | Path) -> Setup:
-    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object] and [recording].
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt] and [pose].
 
     Raises
     ------
@@ -142,6 +149,6 @@ def load_setup(path: str | Path) -> Setup:
     table = load_table(file, SetupFile)
     try:
         surface = None if table.object is None else built(table.object, file.parent)
-        return Setup(table.rod.build(), table.sensor.build(), surface, table.recording)
+        return Setup(table.rod.build(), table.sensor.build(), surface, table.recording, table.rdt, table.pose)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

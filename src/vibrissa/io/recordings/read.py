@@ -14,7 +14,7 @@ from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
-from vibrissa.sensor import Inspection, inspect_raw
+from vibrissa.sensor import Inspection, RawRecording, inspect_raw
 
 
 class RecordingWarning(UserWarning):
@@ -42,16 +42,32 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
         If the file cannot be read or is damaged, names or topics are missing, a row is short or cut off, time runs backwards, a quaternion has no unit norm, the tare
         window does not fit or no rest is found, clocks do not overlap, or the numbers cannot be in metres, newtons and newton metres.
     """
-    file, table = Path(path), setup.recording or RecordingTable()
+    inspection = _judged(Path(path), setup)
+    return setup.sensor.reactions(inspection.cleaned, inspection.tare)
+
+
+def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:
+    """Read a recording as it was logged, tare included, in rows that can be used: stamps increase, each row has a pose, and wrenches that are not usable are NaN.
+
+    Raises
+    ------
+    InputError
+        As `read_recording` does.
+    """
+    return _judged(Path(path), setup).cleaned
+
+
+def _judged(file: Path, setup: Setup) -> Inspection:
+    table = setup.recording or RecordingTable()
     streams = _streams(file, setup.recording)
     judge.check(file, streams)
     recording = aligned(file, streams, table, setup.rod.length)
     for note in recording.notes:
-        warnings.warn(f"{file}: {note}", RecordingWarning, stacklevel=2)
+        warnings.warn(f"{file}: {note}", RecordingWarning, stacklevel=3)
     inspection = _inspected(file, recording, setup)
     if inspection.unusable:
         raise InputError(f"{file}: {inspection.unusable[0].text}")
-    return setup.sensor.reactions(inspection.cleaned, inspection.tare)
+    return inspection
 
 
 def inspect_recording(path: str | Path, setup: Setup) -> Inspection:

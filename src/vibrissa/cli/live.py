@@ -1,0 +1,169 @@
+"""`vibrissa live`: a sensor's stream to contacts, as it comes."""
+
+import gc
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from vibrissa.io import Setup
+    from vibrissa.live import Address, Report, Sink, Source
+
+SINKS = "FILE.mcap, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:- (standard output)"
+
+
+def live(
+    source: Annotated[
+        str, typer.Option("--source", help="netft://HOST[:PORT], tcp://HOST:PORT, serial:DEVICE[?baud=N] or replay:FILE[?speed=X].")
+    ],
+    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and, for a sensor, [rdt] and [pose].")],
+    sink: Annotated[list[str] | None, typer.Option("--sink", help=f"{SINKS}; may be given again.")] = None,
+    duration: Annotated[float | None, typer.Option("--duration", help="Seconds after the first sample at which to end.")] = None,
+    batch: Annotated[float, typer.Option("--batch", help="Seconds of samples that are worked on together.")] = 0.005,
+    silence: Annotated[float, typer.Option("--silence", help="Seconds without a sample after which to give up; 0 for never.")] = 5.0,
+    friction: Annotated[float | None, typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON; to stderr if a sink takes stdout.")] = False,
+) -> None:
+    """Reconstruct contacts from a running sensor, record them and the raw wrench. Ends with the source, after --duration, or on an interrupt."""
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
+    from vibrissa.io.setup import load_setup  # noqa: PLC0415
+    from vibrissa.live.address import parse_address  # noqa: PLC0415
+
+    for name, value, least in (
+        ("--duration", duration, 0.0),
+        ("--batch", batch, 0.0),
+        ("--silence", silence, -1.0),
+        ("--friction", friction, -1.0),
+    ):
+        if value is not None and not (max(least, 0.0) <= value < float("inf") and value > least):
+            raise InputError(f"{name} = {value}; allowed is a finite number {'greater than' if least == 0 else 'of at least'} 0")
+    address = parse_address(source)
+    targets = [_target(text, overwrite=overwrite) for text in sink or []]
+    loaded = load_setup(setup)
+    report = _run(address, loaded, setup.parent, targets, duration=duration, batch=batch, silence=silence, friction=friction)
+    if as_json:
+        typer.echo(json.dumps(report.as_dict(), indent=1), err=any(path is None for _, path in targets))
+    else:
+        typer.echo(_text(report), err=True)
+    if report.silent:
+        raise typer.Exit(1)
+
+
+def _run(
+    address: "Address",
+    loaded: "Setup",
+    folder: Path,
+    targets: "list[tuple[str, Path | None]]",
+    *,
+    duration: float | None,
+    batch: float,
+    silence: float,
+    friction: float | None,
+) -> "Report":
+    from vibrissa.cli.live_parts import interrupts, one_line, poses_of  # noqa: PLC0415
+    from vibrissa.live import Processor, stream  # noqa: PLC0415
+
+    # Batches are small: one thread on this machine answers soonest, in the order of the calls.
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "false")
+    _say("loading")
+    origin = _source(address, loaded)
+    poses = poses_of(loaded, folder, needed=address.kind == "netft")
+    processor = Processor(loaded.rod, loaded.sensor, poses, friction=friction)
+    with interrupts() as stop, one_line():
+        sinks = [_sink(kind, path, loaded) for kind, path in targets]
+        processor.warm_up()
+        # No pause for what was made up to here, and short turns: the thread that reads must not wait for the one that works.
+        gc.collect()
+        gc.freeze()
+        sys.setswitchinterval(1e-3)
+        return stream(
+            origin, processor, sinks, poses=poses, duration=duration, batch_seconds=batch, silence=silence, stop=stop, notice=_say
+        )
+
+
+def _say(text: str) -> None:
+    typer.echo(text, err=True)
+
+
+def _source(address: "Address", loaded: "Setup") -> "Source":
+    from vibrissa.cli.live_parts import rdt_of  # noqa: PLC0415
+    from vibrissa.io.recordings.read import read_cleaned  # noqa: PLC0415
+    from vibrissa.live.lines import LineSource, SerialLine, TcpLine  # noqa: PLC0415
+    from vibrissa.live.netft import NetFtSource  # noqa: PLC0415
+    from vibrissa.live.replay import ReplaySource  # noqa: PLC0415
+
+    match address.kind:
+        case "replay":
+            return ReplaySource(read_cleaned(address.path, loaded), address.speed)
+        case "tcp":
+            return LineSource(TcpLine(address.path, address.port))
+        case "serial":
+            return LineSource(SerialLine(address.path, address.baud))
+    table = rdt_of(loaded)
+    return NetFtSource(
+        address.path,
+        address.port,
+        counts_per_force=table.counts_per_force,
+        counts_per_torque=table.counts_per_torque,
+        rate=table.rate,
+        buffered=table.buffered,
+        bias=table.bias,
+        error_bits=table.error_bits,
+    )
+
+
+def _target(text: str, *, overwrite: bool) -> "tuple[str, Path | None]":
+    """Kind and file of a sink."""
+    from vibrissa.io.errors import InputError, writable  # noqa: PLC0415
+
+    if text == "jsonl:-":
+        return "jsonl", None
+    kind, path = ("jsonl", Path(text.removeprefix("jsonl:"))) if text.startswith("jsonl:") else (Path(text).suffix.lower()[1:], Path(text))
+    if kind not in ("mcap", "ply", "jsonl") or not path.name:
+        raise InputError(f"sink {text!r}; allowed are {SINKS}")
+    if path.exists() and path.is_file() and not overwrite:
+        raise InputError(f"sink {path}: is there already; allowed is a new file, or --overwrite")
+    return kind, writable(path)
+
+
+def _sink(kind: str, path: Path | None, loaded: "Setup") -> "Sink":
+    from vibrissa.io.sinks import JsonLinesSink, PlySink  # noqa: PLC0415
+
+    if kind == "jsonl" or path is None:
+        return JsonLinesSink(path)
+    if kind == "ply":
+        return PlySink(path, "metre" if loaded.rod.units == "SI" else "rod length")
+    from vibrissa.io.rosbag import McapSink  # noqa: PLC0415
+
+    return McapSink(path, wrench_frame=loaded.sensor.wrench_frame)
+
+
+def _text(report: "Report") -> str:
+    counts = report.counts
+    lines = [
+        f"{counts.samples} samples in {report.seconds:.2f} s ({counts.samples / max(report.seconds, 1e-9):.0f} a second), {report.rows} rows: "
+        + ", ".join(f"{count} {name.lower()}" for name, count in report.contacts.items()),
+        f"lost {counts.lost} in {counts.gaps} gaps ({counts.late} of them came too late), put in order {counts.reordered}, "
+        f"double {counts.duplicates}, malformed {counts.malformed}, restarts {counts.restarts}, thrown away here {report.overflow}",
+    ]
+    if counts.flagged:
+        bits = ", ".join(str(bit) for bit in range(32) if counts.status >> bit & 1)
+        lines.append(f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them in error")
+    if counts.rate_changes:
+        lines.append("samples came at another rate than the setup says: stamps follow the rate that was seen")
+    if report.without_pose or report.malformed_poses:
+        lines.append(f"{report.without_pose} rows without a pose, {report.malformed_poses} poses malformed")
+    if report.unused:
+        lines.append(f"{report.unused} samples recorded without a row: the end came before their tare or their pose")
+    if report.latency_median is not None and report.latency_999 is not None:
+        lines.append(
+            f"latency from arrival to contact: median {report.latency_median * 1e3:.2f} ms, 99.9th percentile {report.latency_999 * 1e3:.2f} ms"
+        )
+    lines.append(f"CPU share {report.cpu_share:.1%} of one core")
+    return "\n".join(lines)

@@ -1,0 +1,121 @@
+"""`vibrissa simulate-sensor`: a sensor on the loopback address that feels a scan."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from vibrissa.live.process import TARE_SECONDS
+    from vibrissa.live.simulator import Sent
+
+
+def simulate_sensor(
+    case: Annotated[Path, typer.Argument(help="TOML file with [rod], [object] and [[trail]].", show_default=False)],
+    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and [rdt].", show_default=False)],
+    rate: Annotated[float | None, typer.Option("--rate", help="Records a second; default is the setup's.")] = None,
+    host: Annotated[str, typer.Option("--host", help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", help="Port to listen at.")] = 49152,
+    duration: Annotated[float | None, typer.Option("--duration", help="Seconds after the first request at which to end.")] = None,
+    rest: Annotated[
+        float | None, typer.Option("--rest", help="Seconds at rest before the first trail; default is the tare's and 0.1 s.")
+    ] = None,
+    sweep: Annotated[float, typer.Option("--sweep", help="Seconds for each trail.")] = 10.0,
+    pause: Annotated[float, typer.Option("--pause", help="Seconds between trails.")] = 0.5,
+    repeat: Annotated[bool, typer.Option("--repeat", help="Play the case again and again.")] = False,
+    tare: Annotated[str, typer.Option("--tare", help="Offsets of the sensor: fx,fy,fz,tx,ty,tz [N], [N m].")] = "0,0,0,0,0,0",
+    pose: Annotated[str | None, typer.Option("--pose", help="udp://HOST:PORT to which poses are sent as JSON.")] = None,
+    pose_rate: Annotated[float, typer.Option("--pose-rate", help="Poses a second.")] = 250.0,
+    buffer: Annotated[int, typer.Option("--buffer", help="Records a datagram in buffered mode.")] = 20,
+    drop: Annotated[float, typer.Option("--drop", help="Share of datagrams that are lost.")] = 0.0,
+    duplicate: Annotated[float, typer.Option("--duplicate", help="Share of datagrams that come twice.")] = 0.0,
+    reorder: Annotated[float, typer.Option("--reorder", help="Share of datagrams that come after the next one.")] = 0.0,
+    malformed: Annotated[float, typer.Option("--malformed", help="Share of datagrams that are followed by a broken one.")] = 0.0,
+    error: Annotated[float, typer.Option("--error", help="Share of datagrams whose status says error.")] = 0.0,
+    seed: Annotated[int, typer.Option("--seed", help="Of noise and flaws.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts of the setup."""
+    import numpy as np  # noqa: PLC0415
+
+    from vibrissa.cli.live_parts import interrupts, one_line, rdt_of  # noqa: PLC0415
+    from vibrissa.geometry.checks import positive  # noqa: PLC0415
+    from vibrissa.io.case import load_case  # noqa: PLC0415
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
+    from vibrissa.io.setup import load_setup  # noqa: PLC0415
+    from vibrissa.live.address import host_and_port  # noqa: PLC0415
+    from vibrissa.live.scene import measured, swept  # noqa: PLC0415
+    from vibrissa.live.simulator import Flaws, SensorSimulator  # noqa: PLC0415
+
+    loaded, setting = load_case(case), load_setup(setup)
+    table = rdt_of(setting)
+    every = table.rate if rate is None else rate
+    try:
+        if duration is not None and not 0 < duration < float("inf"):
+            raise ValueError(f"duration = {duration}; allowed is a finite number greater than 0")
+        if not 0 <= port <= 65535:
+            raise ValueError(f"port = {port}; allowed is a port from 1 to 65535, or 0 for any")
+        positive(every, "rate")
+        positive(pose_rate, "pose_rate")
+        flaws = Flaws(drop, duplicate, reorder, malformed, error)
+        offsets, listener = _offsets(tare), None if pose is None else host_and_port(pose)
+        resting = (TARE_SECONDS if setting.sensor.tare_seconds is None else setting.sensor.tare_seconds) + 0.1
+        typer.echo("scanning", err=True)
+        scene = swept(
+            loaded.rod,
+            loaded.surface,
+            loaded.trail,
+            rest=resting if rest is None else rest,
+            sweep=sweep,
+            pause=pause,
+            friction=loaded.friction,
+            finite_radius=loaded.finite_radius,
+        )
+        rng = np.random.default_rng(seed)
+        simulator = SensorSimulator(
+            measured(scene, setting.sensor, every, rng, tare=offsets, repeat=repeat),
+            counts_per_force=table.counts_per_force,
+            counts_per_torque=table.counts_per_torque,
+            rate=every,
+            host=host,
+            port=port,
+            buffer=buffer,
+            flaws=flaws,
+            seed=seed,
+            poses=listener,
+            pose_rate=pose_rate,
+        )
+    except InputError:
+        raise
+    except ValueError as failure:
+        raise InputError(str(failure)) from failure
+    with interrupts() as stop, one_line():
+        simulator.open()
+        typer.echo(f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts {scene.duration:g} s", err=True)
+        try:
+            sent = simulator.run(duration=duration, stop=stop)
+        finally:
+            simulator.close()
+    typer.echo(json.dumps(vars(sent), indent=1) if as_json else _text(sent), err=not as_json)
+
+
+def _offsets(text: str) -> "np.ndarray":
+    import numpy as np  # noqa: PLC0415
+
+    try:
+        offsets = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        offsets = np.empty(0)
+    if offsets.shape != (6,) or not np.all(np.isfinite(offsets)):
+        raise ValueError(f"tare = {text!r}; allowed are six finite numbers fx,fy,fz,tx,ty,tz")
+    return offsets
+
+
+def _text(sent: "Sent") -> str:
+    return (
+        f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} poses; {sent.malformed_requests} requests malformed; "
+        f"largest delay {sent.latest * 1e3:.2f} ms"
+    )

@@ -1,0 +1,167 @@
+"""Samples to contacts: tare, pose, inverse, batch by batch."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.live.poses import Poses, PoseSource
+from vibrissa.live.samples import Samples, joined
+from vibrissa.reconstruct import Reconstruction, reconstruct
+from vibrissa.rod import Rod
+from vibrissa.sensor import RawRecording, Sensor
+
+MOST_ROWS = 64
+"""Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
+_WARM_SIZES = (1, MOST_ROWS)
+_LEAST_TARE = 2
+TARE_SECONDS = 1.0
+"""Where the setup gives none."""
+_ONE_ROW = RawRecording(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.zeros((1, 3)))
+_RESTLESS = 3.0
+
+
+@runtime_checkable
+class Stage(Protocol):
+    """What stands between the inverse and the sinks, such as a filter in time. `vibrissa.live.Processor` calls it with each batch, in order."""
+
+    def push(self, found: Reconstruction) -> Reconstruction:
+        """Return the batch with each row as it is known by now: the same rows."""
+
+
+class Result(NamedTuple):
+    """One batch: stamps (n,) [ns], arrivals (n,) [ns], whether it waited for the tare, poses and tared wrench (NaN where not known), contacts."""
+
+    stamp: Int[np.ndarray, "n"]
+    arrival: Int[np.ndarray, "n"]
+    held: bool
+    raw: RawRecording
+    found: Reconstruction
+
+
+class Processor:
+    """Turns samples into contacts.
+
+    Rows are held until the tare is over, and until their pose is known. A row that the sensor calls invalid, or that has no pose, is given on without contact,
+    with `Status.BAD_DATA`.
+
+    Parameters
+    ----------
+    rod, sensor
+        Of the setup; the first `sensor.tare_seconds` of samples, taken from the stream, are its tare: one second where that is None. Rest intervals and an
+        estimated drift need a whole recording and are not used; of pink noise and random walk the covariance holds nothing.
+    poses
+        Of the sensor frame, for sources that do not know it.
+    stage
+        Between the inverse and the sinks, or None.
+    friction
+        As for `vibrissa.reconstruct`.
+    """
+
+    def __init__(self, rod: Rod, sensor: Sensor, poses: PoseSource, *, stage: Stage | None = None, friction: float | None = None) -> None:
+        self._rod, self._poses, self._stage, self._friction = rod, poses, stage, friction
+        seconds = TARE_SECONDS if sensor.tare_seconds is None else sensor.tare_seconds
+        self._sensor = replace(sensor, tare_seconds=seconds, rest_intervals=(), estimate_drift=False)
+        self._tare = self._sensor.tare(_ONE_ROW) if seconds == 0 else None
+        self._held_by_tare = 0
+        self._waiting: list[Samples] = []
+        self._origin: int | None = None
+        self.tare: Float[np.ndarray, 6] | None = None if self._tare is None else self._tare.offset
+        self.restless = 0.0
+        self.without_pose = 0
+
+    def warm_up(self) -> None:
+        """Compile, for every size of batch that may come, before samples do."""
+        for rows in _WARM_SIZES:
+            turn = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1))
+            raw = RawRecording(np.arange(rows) * 1.0, np.zeros((rows, 3)), turn, np.ones((rows, 3)), np.zeros((rows, 3)))
+            reactions = self._sensor.reactions(raw, self._tare or replace(self._sensor, tare_seconds=0.0).tare(raw))
+            reconstruct(self._rod, reactions, friction=self._friction)
+
+    def push(self, samples: Samples) -> None:
+        """Take samples in."""
+        if not len(samples):
+            return
+        if self._origin is None:
+            self._origin = int(samples.stamp[0])
+        self._waiting.append(samples)
+        if self._tare is None:
+            self._try_tare()
+
+    def _try_tare(self) -> None:
+        """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from a recording."""
+        assert self._origin is not None
+        assert self._sensor.tare_seconds is not None
+        end = self._origin + self._sensor.tare_seconds * 1e9
+        if self._waiting[-1].stamp[-1] < end:
+            return
+        samples = joined(self._waiting)
+        self._waiting = [samples]
+        rows = (samples.stamp < end) & samples.valid
+        count = int(np.count_nonzero(rows))
+        if count < _LEAST_TARE:
+            raise ValueError(
+                f"tare_seconds = {self._sensor.tare_seconds}: {count} samples came within it; allowed are at least {_LEAST_TARE}"
+            )
+        raw, _ = self._raw(samples)
+        self._tare = self._sensor.tare(raw)
+        self.tare = self._tare.offset
+        self.restless = self._restlessness(raw.wrench[rows])
+        self._held_by_tare = len(samples)
+
+    def _restlessness(self, wrench: Float[np.ndarray, "n 6"]) -> float:
+        """Largest standard deviation of the tare's samples over the sensor's noise; 0 where that is not known."""
+        force_noise, torque_noise = self._sensor.force_noise, self._sensor.torque_noise
+        if force_noise is None or torque_noise is None:
+            return 0.0
+        return float(np.max(wrench.std(axis=0, ddof=1) / np.repeat([force_noise, torque_noise], 3)))
+
+    @property
+    def moved_during_tare(self) -> bool:
+        """Whether the wrench varied by more than three times the noise while it was taken for zero."""
+        return self.restless > _RESTLESS
+
+    def ready(self, now: int) -> Iterator[Result]:
+        """Batches that can be worked on at `now` [ns since 1970], for sources whose stamps are of the host's clock."""
+        while self._tare is not None and self._waiting:
+            samples = joined(self._waiting)
+            self._waiting = [samples]
+            known = len(samples) if samples.position is not None else self._poses.ready(samples.stamp, now)
+            if known == 0:
+                return
+            count = min(known, MOST_ROWS)
+            self._waiting = [samples.rows(count, len(samples))] if count < len(samples) else []
+            yield self._result(samples.rows(0, count))
+
+    @property
+    def waiting(self) -> int:
+        """Samples that are held."""
+        return sum(map(len, self._waiting))
+
+    def _result(self, samples: Samples) -> Result:
+        assert self._tare is not None
+        raw, known = self._raw(samples)
+        found = reconstruct(self._rod, self._sensor.reactions(raw, self._tare), friction=self._friction)
+        tared = raw.wrench - self._tare.readings(self._sensor, raw.time, raw.orientation)
+        raw = replace(raw, force=tared[:, :3], torque=tared[:, 3:])
+        if not known.all():
+            raw = replace(raw, **{name: np.where(known[:, None], getattr(raw, name), np.nan) for name in ("position", "orientation")})
+        held, self._held_by_tare = self._held_by_tare > 0, max(self._held_by_tare - len(samples), 0)
+        return Result(samples.stamp, samples.arrival, held, raw, found if self._stage is None else self._stage.push(found))
+
+    def _raw(self, samples: Samples) -> tuple[RawRecording, Bool[np.ndarray, "n"]]:
+        """Samples as a recording, NaN for those without a pose or not valid; and which poses are known."""
+        assert self._origin is not None
+        position, orientation, known = self._posed(samples)
+        wrench = np.concatenate([samples.force, samples.torque], axis=1)
+        wrench[~(samples.valid & known)] = np.nan
+        return RawRecording((samples.stamp - self._origin) * 1e-9, position, orientation, wrench[:, :3], wrench[:, 3:]), known
+
+    def _posed(self, samples: Samples) -> Poses:
+        if samples.position is not None and samples.orientation is not None:
+            return Poses(samples.position, samples.orientation, np.ones(len(samples), dtype=bool))
+        poses = self._poses.at(samples.stamp)
+        self.without_pose += int(np.count_nonzero(~poses.known))
+        return poses

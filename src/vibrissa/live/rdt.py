@@ -1,0 +1,87 @@
+"""RDT, the raw data transfer of Ethernet force/torque sensors over UDP: requests and records as bytes. Nothing here touches a socket."""
+
+import struct
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+PORT = 49152
+MOST_RECORDS = 40
+"""In one datagram: what the sensors' buffered mode sends at most."""
+ERROR_BIT = 1 << 31
+"""Of the status: set by the sensor where its reading is not to be trusted; the lower bits say why."""
+MODULUS = 1 << 32
+"""Sequence numbers count up to here, and start at 0 again."""
+
+RECORD = np.dtype([("rdt_sequence", ">u4"), ("ft_sequence", ">u4"), ("status", ">u4"), ("counts", ">i4", (6,))])
+"""One sample: number of the record in this stream, number of the sensor's own sample, status, and counts of fx, fy, fz, tx, ty, tz."""
+
+_REQUEST = struct.Struct(">HHI")
+_HEADER = 0x1234
+_MOST_COUNT = MODULUS - 1
+
+
+class Command(IntEnum):
+    """What a request asks for."""
+
+    STOP = 0x0000
+    REAL_TIME = 0x0002
+    """One record a datagram."""
+    BUFFERED = 0x0003
+    """Several records a datagram."""
+    RESET_LATCH = 0x0041
+    BIAS = 0x0042
+    """Take the present wrench for zero."""
+
+
+class Request(NamedTuple):
+    """A command, and how many records are wanted: 0 for no end."""
+
+    command: Command
+    records: int
+
+
+def request_bytes(command: Command, count: int = 0) -> bytes:
+    """Eight bytes `>HHI`: 0x1234, command, count.
+
+    Raises
+    ------
+    ValueError
+        If `count` does not fit into 32 bits.
+    """
+    if not 0 <= count <= _MOST_COUNT:
+        raise ValueError(f"count = {count}; allowed is a whole number from 0 to {_MOST_COUNT}")
+    return _REQUEST.pack(_HEADER, command, count)
+
+
+def parse_request(data: bytes) -> Request:
+    """Undo `request_bytes`.
+
+    Raises
+    ------
+    ValueError
+        If there are not eight bytes, they do not begin with 0x1234, or the command is not known.
+    """
+    if len(data) != _REQUEST.size:
+        raise ValueError(f"request of {len(data)} bytes; allowed are {_REQUEST.size}")
+    header, command, count = _REQUEST.unpack(data)
+    if header != _HEADER:
+        raise ValueError(f"request begins with {header:#06x}; allowed is {_HEADER:#06x}")
+    if command not in list(Command):
+        raise ValueError(f"command = {command:#06x}; allowed are {', '.join(f'{known:#06x}' for known in Command)}")
+    return Request(Command(command), count)
+
+
+def parse_records(data: bytes) -> np.ndarray:
+    """Records (n,) of type `RECORD` in one datagram.
+
+    Raises
+    ------
+    ValueError
+        If the datagram is empty, longer than `MOST_RECORDS` records, or not a whole number of them.
+    """
+    count, rest = divmod(len(data), RECORD.itemsize)
+    if rest or not 1 <= count <= MOST_RECORDS:
+        raise ValueError(f"datagram of {len(data)} bytes; allowed are 1 to {MOST_RECORDS} records of {RECORD.itemsize} bytes")
+    return np.frombuffer(data, dtype=RECORD)

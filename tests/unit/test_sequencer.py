@@ -1,0 +1,106 @@
+"""Records in order: what is lost, late, double or swapped is counted as it is."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vibrissa.live.rdt import RECORD
+from vibrissa.live.samples import Counts
+from vibrissa.live.sequence import Sequencer
+
+MS = 1_000_000
+
+
+class Stream:
+    """Feeds numbers to a sequencer, each at its time in milliseconds."""
+
+    def __init__(self) -> None:
+        self.counts = Counts()
+        self._sequencer = Sequencer(self.counts)
+        self.out: list[int] = []
+        self.wrapped: list[int] = []
+
+    def feed(self, numbers: list[int], at: float) -> "Stream":
+        """These came together."""
+        records = np.zeros(len(numbers), dtype=RECORD)
+        records["rdt_sequence"] = [number % 2**32 for number in numbers]
+        moment = round(at * MS)
+        rows, found, arrival = self._sequencer.accept(records, np.full(len(numbers), moment, dtype=np.int64), moment)
+        assert len(rows) == len(found) == len(arrival)
+        assert np.array_equal(rows["rdt_sequence"], found % 2**32)
+        self.out += found.tolist()
+        self.wrapped += rows["rdt_sequence"].tolist()
+        return self
+
+    def has(self, **counts: int) -> bool:
+        """Whether these are the counts, and all others zero."""
+        return vars(self.counts) == vars(Counts(**counts))
+
+
+def test_in_order() -> None:
+    stream = Stream().feed([1, 2, 3], 0).feed([], 1).feed([4], 2)
+    assert stream.out == [1, 2, 3, 4]
+    assert stream.has()
+
+
+def test_a_gap_is_lost_after_a_while() -> None:
+    stream = Stream().feed([1, 2], 0).feed([6, 7], 1)
+    assert stream.out == [1, 2]
+    stream.feed([8], 5)
+    assert stream.out == [1, 2, 6, 7, 8]
+    assert stream.has(lost=3, gaps=1)
+    stream.feed([4], 6).feed([4], 7)
+    assert stream.out == [1, 2, 6, 7, 8]
+    assert stream.has(lost=3, gaps=1, late=1, duplicates=1)
+
+
+def test_neighbours_that_are_swapped() -> None:
+    stream = Stream().feed([1, 3], 0).feed([2], 1).feed([4], 2)
+    assert stream.out == [1, 2, 3, 4]
+    assert stream.has(reordered=1)
+
+
+def test_doubles() -> None:
+    stream = Stream().feed([1, 1, 2], 0).feed([2, 3, 5, 5], 1).feed([4], 2)
+    assert stream.out == [1, 2, 3, 4, 5]
+    assert stream.has(duplicates=3, reordered=1)
+
+
+def test_numbers_wrap() -> None:
+    stream = Stream().feed([2**32 - 2, 2**32 - 1], 0).feed([0, 1], 1).feed([3], 2).feed([4], 9)
+    assert stream.out == [2**32 - 2, 2**32 - 1, 2**32, 2**32 + 1, 2**32 + 3, 2**32 + 4]
+    assert stream.wrapped == [2**32 - 2, 2**32 - 1, 0, 1, 3, 4]
+    assert stream.has(lost=1, gaps=1)
+
+
+@pytest.mark.parametrize("jump", [1, 3_000_000])
+def test_a_stream_that_begins_anew(jump: int) -> None:
+    """A sensor that was switched off and on: numbers go on increasing here, and nothing counts as lost."""
+    stream = Stream().feed(list(range(50_000, 50_010)), 0).feed([jump, jump + 1], 1)
+    assert np.all(np.diff(stream.out) > 0)
+    assert stream.wrapped[-2:] == [jump, jump + 1]
+    assert stream.has(restarts=1)
+
+
+@given(st.data())
+def test_any_mix_adds_up(data: st.DataObject) -> None:
+    """What comes out is increasing and came in; lost, doubles and out add up to what was sent."""
+    count = data.draw(st.integers(2, 80))
+    start = data.draw(st.sampled_from([1, 2**31 - 20, 2**32 - 30]))
+    dropped = data.draw(st.sets(st.integers(1, count - 2), max_size=10)) if count > 2 else set()
+    sent = [start + number for number in range(count) if number not in dropped]
+    places = [place + data.draw(st.floats(0, 3)) for place in range(len(sent))]
+    doubles = data.draw(st.lists(st.sampled_from(sent), max_size=5))
+    order = [sent[0], *(number for _, number in sorted(zip(places[1:], sent[1:], strict=True))), *doubles]
+    stream, rest = Stream(), list(order)
+    for moment in range(len(order)):
+        size = data.draw(st.integers(0, 6))
+        stream.feed(rest[:size], moment * 0.1)
+        rest = rest[size:]
+    stream.feed(rest, 50).feed([], 60)
+    assert stream.out == sorted(set(stream.out))
+    assert set(stream.out) <= set(sent)
+    assert len(stream.out) + stream.counts.late == len(sent)
+    assert stream.counts.lost == len(dropped) + stream.counts.late
+    assert stream.counts.duplicates == len(doubles)

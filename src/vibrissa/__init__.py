@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vibrissa.contacts import ContactKind, Motion, Status
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
-    from vibrissa.reconstruct import FrictionEstimate, Reconstruction, estimate_friction, reconstruct
+    from vibrissa.reconstruct import FrictionEstimate, Reconstruction, Smoothing, Touch, estimate_friction, reconstruct, smooth
     from vibrissa.rod import Rod
     from vibrissa.scan import Equilibrium, Event, EventKind, Scan, equilibria, scan
     from vibrissa.sensor import Sensor
@@ -42,7 +42,10 @@ _HOMES = {
     "reconstruct": "reconstruct",
     "Rod": "rod",
     "Scan": "scan",
+    "Smoothing": "reconstruct",
+    "smooth": "reconstruct",
     "Status": "contacts",
+    "Touch": "reconstruct",
     "Trail": "trail",
     "scan": "scan",
     "surfaces": "surfaces",
@@ -62,7 +65,9 @@ __all__ = [
     "Scan",
     "Sensor",
     "Setup",
+    "Smoothing",
     "Status",
+    "Touch",
     "Trail",
     "__version__",
     "equilibria",
@@ -72,6 +77,7 @@ __all__ = [
     "read_recording",
     "reconstruct",
     "scan",
+    "smooth",
     "surfaces",
     "write_contacts",
 ]

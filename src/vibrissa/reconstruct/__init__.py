@@ -4,5 +4,7 @@ from vibrissa.reconstruct.friction import FrictionEstimate, estimate_friction
 from vibrissa.reconstruct.integration import reconstruct_by_integration
 from vibrissa.reconstruct.reconstruct import reconstruct
 from vibrissa.reconstruct.result import Reconstruction
+from vibrissa.reconstruct.smoothing.result import Smoothing, Touch
+from vibrissa.reconstruct.smoothing.smooth import smooth
 
-__all__ = ["FrictionEstimate", "Reconstruction", "estimate_friction", "reconstruct", "reconstruct_by_integration"]
+__all__ = ["FrictionEstimate", "Reconstruction", "Smoothing", "Touch", "estimate_friction", "reconstruct", "reconstruct_by_integration", "smooth"]

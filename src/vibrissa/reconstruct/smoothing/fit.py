@@ -1,0 +1,117 @@
+"""The iteration that smooths one series: linearise, smooth, weigh outliers, estimate the intensities."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize
+
+from vibrissa.reconstruct.smoothing import kalman
+from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, Smoothed, Step
+from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
+from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
+from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, Labels, Series, linearised, steps_of
+
+_OUTLIER = 28.0
+"""Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; further ones weigh less."""
+TARE_VARIANCE = 0.02
+"""Of the zero at the start of a recording, in variances of a sample: that of a tare over 50 samples."""
+_MOST_STEPS = 12
+_CLOSE = 1e-6
+_AVERAGE = 0.04
+_BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
+
+
+class Fit(NamedTuple):
+    """A smoothed series."""
+
+    labels: Labels
+    about: Float[np.ndarray, "n 5"]
+    weight: Float[np.ndarray, "n"]
+    intensities: Float[np.ndarray, "5"]
+    states: Smoothed
+
+
+def initial() -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
+    """A rod free of contact, and the error of the tare."""
+    mean = jnp.zeros(SIZE).at[: len(AT_REST)].set(AT_REST)
+    return mean, jnp.diag(jnp.zeros(SIZE).at[2 * COORDINATES :].set(TARE_VARIANCE))
+
+
+def initial_states(count: int) -> Smoothed:
+    """States of which nothing is known yet."""
+    square = np.zeros((count, SIZE, SIZE))
+    return Smoothed(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
+
+
+def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]) -> tuple[Labels, Float[np.ndarray, "n 5"]]:
+    """Phases, and coordinates from moving averages of the wrench over 40 ms."""
+    phase, arc_length = first_labels(series, loaded, drift)
+    step = float(np.median(np.diff(series.time))) if len(series.time) > 1 else 1.0
+    size = max(1, round(_AVERAGE / step))
+    average = uniform_filter1d(series.wrench, size, axis=0, mode="nearest")
+    about = np.column_stack([average[:, 3], average[:, 4], -average[:, 2], arc_length, np.zeros(len(phase))])
+    link = np.where(np.diff(phase, prepend=FREE) != 0, KINK, 0)
+    return Labels(phase, link, np.ones(len(phase))), np.where((phase == FREE)[:, None], AT_REST, about)
+
+
+def rates_of(series: Series, labels: Labels, about: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "5"]:
+    """Standard deviations of rates of which nothing is known: thirty times the range over the longest contact."""
+    touching = labels.phase != FREE
+    longest = max((series.time[last] - series.time[first] for first, last in runs_of(touching)), default=1.0)
+    longest = max(float(longest), float(np.median(np.diff(series.time))) if len(series.time) > 1 else 1.0)
+    load = max(float(np.ptp(about[touching, :ARC_LENGTH], axis=0).max(initial=0.0)), 1e-2) if touching.any() else 1.0
+    return np.array([load, load, load, 0.3, TILT_SPREAD / 10]) * 30 / longest
+
+
+@jax.jit
+def _objective(logarithms: Float[Array, "5"], steps: Step, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    intensities = jnp.exp(logarithms)
+    states = kalman.smoothed(steps, intensities, mean, covariance)
+    return -jnp.sum(states.log_likelihood), -kalman.score(steps, states, intensities)
+
+
+def most_probable_intensities(steps: Step, start: Float[np.ndarray, "5"]) -> Float[np.ndarray, "5"]:
+    """Intensities that maximise the marginal likelihood."""
+    mean, covariance = initial()
+
+    def objective(logarithms: Float[np.ndarray, "5"]) -> tuple[float, Float[np.ndarray, "5"]]:
+        value, slope = _objective(jnp.asarray(logarithms), steps, mean, covariance)
+        return float(value), np.asarray(slope)
+
+    found = minimize(objective, np.log(start), jac=True, method="L-BFGS-B", bounds=_BOUNDS, options={"maxiter": 30, "ftol": 1e-7})
+    return np.exp(found.x)
+
+
+def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, estimate: bool = True) -> Fit:
+    """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
+    mean, covariance = initial()
+    labels, about, weight, intensities, states = fit
+    for iteration in range(_MOST_STEPS):
+        steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
+        if estimate and iteration == 2:
+            intensities = most_probable_intensities(steps, intensities)
+        states = kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance)
+        states = Smoothed(*(np.asarray(part)[: len(about)] for part in states))
+        new = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])
+        new[:, ARC_LENGTH] = np.clip(new[:, ARC_LENGTH], 0.02, 1.2)
+        change = float(np.abs(new - about).max())
+        about = new
+        weight = robust_weights(series, labels, about, states.mean[:, 2 * COORDINATES :])
+        if change < _CLOSE and iteration > 2:
+            break
+    return Fit(labels, about, weight, intensities, states)
+
+
+def robust_weights(
+    series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], drift: Float[np.ndarray, "n 6"]
+) -> Float[np.ndarray, "n"]:
+    """1 up to the limit, beyond it so that an outlier pulls no more than a sample at the limit (Huber)."""
+    values, _ = linearised(about)
+    expected = np.where((labels.phase == FREE)[:, None], 0.0, np.asarray(values.wrench))
+    residual = series.whitened - np.einsum("nij,nj->ni", series.whitening, expected) - drift
+    return np.minimum(1.0, np.sqrt(_OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300)))

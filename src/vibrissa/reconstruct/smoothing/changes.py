@@ -13,7 +13,7 @@ from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import SIZE, Smoothed, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
 from vibrissa.reconstruct.smoothing.phases import runs_of
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, TANGENTIAL, TIP, Labels, Series, steps_of
+from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, TANGENTIAL, TIP, Labels, Series, chosen, linearised, steps_of
 
 _LOADS = ARC_LENGTH
 """Moment and axial force: the coordinates whose jumps are looked for."""
@@ -21,7 +21,8 @@ _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
 _APART = 12
 _MARGIN = 96
-_CAPACITY = 256
+_AT_ONCE = 8
+_MOST_ROWS = 512
 _COARSE = np.array([-96, -72, -56, -40, -32, -24, -16, -12, -8, -4, 0, 4, 8, 12, 16, 24, 32, 40, 56, 72, 96])
 _LEAST_RUN = 4
 _SHORT_RUN = 96
@@ -75,23 +76,28 @@ _likelihoods = jax.jit(jax.vmap(kalman.log_likelihood, in_axes=(0, None, None, N
 
 def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: int) -> Float[np.ndarray, "k"]:
     """Log-likelihoods of the rows from `first` to `last` by candidates for the labels of the whole series; the state before them is that of the smoother."""
-    rows = slice(max(first, 0), last + 1)
+    rows = slice(max(first, 0), min(last + 1, max(first, 0) + _MOST_ROWS))
     cut = Series(*(part[rows] for part in model.series))
     mean = np.concatenate([[0, 0, 0, 1.0, 0], np.zeros(COORDINATES), model.states.mean[rows.start, 2 * COORDINATES :]])
     covariance = np.zeros((SIZE, SIZE))
     covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[rows.start, 2 * COORDINATES :, 2 * COORDINATES :]
-    steps = []
+    about, steps = model.about[rows], []
+    at_tip = about.copy()
+    at_tip[:, ARC_LENGTH] = 1
+    linears = linearised(about), linearised(at_tip)
     for labels in candidates:
         part = Labels(*(field[rows].copy() for field in labels))
         part.link[0] = JUMP if part.phase[0] != FREE else GO_ON
-        about = model.about[rows].copy()
-        about[part.phase == TIP, ARC_LENGTH] = 1
-        capacity = -(-len(cut.time) // _CAPACITY) * _CAPACITY
-        steps.append(
-            steps_of(cut, part, about, model.weight[rows], model.rates, frictionless=model.frictionless, capacity=capacity)
-        )
-    stacked = Step(*(jnp.stack(parts) for parts in zip(*steps, strict=True)))
-    return np.asarray(_likelihoods(stacked, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance)))
+        tip = part.phase == TIP
+        linear = chosen(tip, linears[1], linears[0])
+        place = np.where(tip[:, None], at_tip, about)
+        steps.append(steps_of(cut, part, place, model.weight[rows], model.rates, frictionless=model.frictionless, linear=linear))
+    steps += steps[-1:] * (-len(steps) % _AT_ONCE)
+    values = []
+    for k in range(0, len(steps), _AT_ONCE):
+        stacked = Step(*(jnp.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
+        values.append(_likelihoods(stacked, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance)))
+    return np.concatenate(values)[: len(candidates)]
 
 
 def moved(labels: Labels, change: int, place: int) -> Labels:

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -68,20 +67,14 @@ def rates_of(series: Series, labels: Labels, about: Float[np.ndarray, "n 5"]) ->
     return np.array([load, load, load, 0.3, TILT_SPREAD / 10]) * 30 / longest
 
 
-@jax.jit
-def _objective(logarithms: Float[Array, "5"], steps: Step, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    intensities = jnp.exp(logarithms)
-    states = kalman.smoothed(steps, intensities, mean, covariance)
-    return -jnp.sum(states.log_likelihood), -kalman.score(steps, states, intensities)
-
-
 def most_probable_intensities(steps: Step, start: Float[np.ndarray, "5"]) -> Float[np.ndarray, "5"]:
     """Intensities that maximise the marginal likelihood."""
     mean, covariance = initial()
 
     def objective(logarithms: Float[np.ndarray, "5"]) -> tuple[float, Float[np.ndarray, "5"]]:
-        value, slope = _objective(jnp.asarray(logarithms), steps, mean, covariance)
-        return float(value), np.asarray(slope)
+        intensities = jnp.exp(jnp.asarray(logarithms))
+        states = kalman.smoothed(steps, intensities, mean, covariance)
+        return -float(jnp.sum(states.log_likelihood)), -np.asarray(kalman.score(steps, states, intensities))
 
     found = minimize(objective, np.log(start), jac=True, method="L-BFGS-B", bounds=_BOUNDS, options={"maxiter": 30, "ftol": 1e-7})
     return np.exp(found.x)
@@ -111,7 +104,7 @@ def robust_weights(
     series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], drift: Float[np.ndarray, "n 6"]
 ) -> Float[np.ndarray, "n"]:
     """1 up to the limit, beyond it so that an outlier pulls no more than a sample at the limit (Huber)."""
-    values, _ = linearised(about)
-    expected = np.where((labels.phase == FREE)[:, None], 0.0, np.asarray(values.wrench))
+    values = linearised(about).values
+    expected = np.where((labels.phase == FREE)[:, None], 0.0, values.wrench)
     residual = series.whitened - np.einsum("nij,nj->ni", series.whitening, expected) - drift
     return np.minimum(1.0, np.sqrt(_OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300)))

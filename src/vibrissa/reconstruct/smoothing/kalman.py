@@ -144,6 +144,7 @@ def smoothed(steps: Step, intensities: Float[Array, "5"], mean: State, covarianc
     return Smoothed(*rows, likelihoods)
 
 
+@jax.jit
 def score(steps: Step, states: Smoothed, intensities: Float[Array, "5"]) -> Float[Array, "5"]:
     """Derivative of the log-likelihood by the logarithms of the intensities: half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992)."""
 

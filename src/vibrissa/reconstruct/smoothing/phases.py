@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from vibrissa.numerics.blocks import rounded_up
+from vibrissa.numerics.compiled import compiled
 from vibrissa.reconstruct.inverse import invert, single_contact
 from vibrissa.reconstruct.smoothing.kalman import WRENCH
-from vibrissa.reconstruct.smoothing.series import FREE, TANGENTIAL, TIP, Series
+from vibrissa.reconstruct.smoothing.series import FREE, TANGENTIAL, TIP, Series, capacity_for
 
 _DETECTION_SAMPLES = 5
 _LEAST_SAMPLES = 8
@@ -66,7 +66,7 @@ def runs_of(flags: Bool[np.ndarray, "n"]) -> Iterator[tuple[int, int]]:
         yield int(first), int(stop) - 1
 
 
-@jax.jit
+@compiled
 def _raw_blocks(wrench: Float[Array, "n 6"], covariance: Float[Array, "n 6 6"]) -> Float[Array, "n 2"]:
     def one(wrench: Array, covariance: Array) -> Array:
         def arc_length(wrench: Array) -> Array:
@@ -84,7 +84,7 @@ def raw_arc_lengths(series: Series, drift: Float[np.ndarray, "n 6"]) -> tuple[Fl
     unwhitening = np.linalg.inv(series.whitening)
     wrench = series.wrench - np.einsum("nij,nj->ni", unwhitening, drift)
     covariance = unwhitening @ np.swapaxes(unwhitening, 1, 2)
-    missing = rounded_up(len(wrench)) - len(wrench)
+    missing = capacity_for(len(wrench)) - len(wrench)
     filled = [np.concatenate([part, np.repeat(part[-1:], missing, axis=0)]) for part in (wrench, covariance)]
     value, deviation = np.asarray(_raw_blocks(*map(jnp.asarray, filled)))[: len(wrench)].T
     useless = ~(np.isfinite(value) & np.isfinite(deviation) & (deviation < _MOST_DEVIATION) & (deviation > 0)) | ~series.sound

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.numerics.blocks import rounded_up
+from vibrissa.numerics.compiled import compiled
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT, Bent, bent
@@ -19,11 +19,19 @@ from vibrissa.rod import Rod
 FREE, TIP, TANGENTIAL = (int(kind) for kind in ContactKind)
 GO_ON, KINK, JUMP = 0, 1, 2
 """How a sample continues the one before: evenly, with other rates, or not at all."""
-TILT_SPREAD = 1e-2
-"""Standard deviation [rad] of the tilt where nothing else is known of it: half a degree, as rods are straight and clamps are true."""
+TILT_SPREAD = 3e-3
+"""Standard deviation [rad] of the tilt where nothing else is known of it: a sixth of a degree, as rods are straight and clamps are true."""
 _ARC_LENGTH_SPREAD = 0.3
 _PINNED = 1e-12
 _LOAD_SPREAD = 2.0
+
+
+_BUCKET = 512
+
+
+def capacity_for(count: int) -> int:
+    """Rows of a compiled loop that holds so many: few different numbers, since each is compiled anew."""
+    return -(-count // _BUCKET) * _BUCKET
 
 
 class Series(NamedTuple):
@@ -70,21 +78,39 @@ def series_of(rod: Rod, reactions: Reactions) -> Series:
     return Series(time, turn, np.where(sound[:, None], wrench, 0.0), np.linalg.inv(np.linalg.cholesky(covariance)), sound)
 
 
-@jax.jit
-def _linearised(x: Float[Array, "n 5"]) -> tuple[Bent, Float[Array, "n 10 5"]]:
+@compiled
+def _linearised(x: Float[Array, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
     def observed(x: Float[Array, "5"]) -> tuple[Float[Array, "10"], Bent]:
         value = bent(x)
         return jnp.concatenate([value.wrench, value.modulus[None], value.reach]), value
 
-    jacobian, values = jax.vmap(jax.jacfwd(observed, has_aux=True))(x)
+    jacobian, values = jax.vmap(jax.jacfwd(observed, has_aux=True), in_axes=1, out_axes=-1)(x)
     return values, jacobian
 
 
-def linearised(x: Float[np.ndarray, "n 5"]) -> tuple[Bent, Float[np.ndarray, "n 10 5"]]:
-    """What coordinates imply, and the derivatives of wrench (6), k² and reach (3)."""
-    missing = rounded_up(len(x)) - len(x)
-    values, jacobian = _linearised(jnp.asarray(np.concatenate([x, np.tile(AT_REST, (missing, 1))])))
-    return Bent(*(np.asarray(part)[: len(x)] for part in values)), np.asarray(jacobian)[: len(x)]
+class Linear(NamedTuple):
+    """What coordinates imply, and the derivatives of wrench (6), k² and reach (3) by them."""
+
+    values: Bent
+    jacobian: Float[np.ndarray, "n 10 5"]
+
+
+def linearised(x: Float[np.ndarray, "n 5"]) -> Linear:
+    """The model about coordinates, in blocks of one size."""
+    filled = np.concatenate([x, np.tile(AT_REST, (-len(x) % _BUCKET, 1))])
+    parts = [_linearised(jnp.asarray(block.T)) for block in filled.reshape(-1, _BUCKET, COORDINATES)]
+    values, jacobians = zip(*parts, strict=True)
+    rows = (np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in field])[: len(x)] for field in zip(*values, strict=True))
+    return Linear(Bent(*rows), np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in jacobians])[: len(x)])
+
+
+def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear:
+    """The first model in these rows, the second in the others."""
+
+    def either(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+
+    return Linear(Bent(*map(either, first.values, second.values)), either(first.jacobian, second.jacobian))
 
 
 AT_REST = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
@@ -98,19 +124,20 @@ def steps_of(
     weight: Float[np.ndarray, "n"],
     rates: Float[np.ndarray, "5"],
     *,
-    frictionless: bool = False,
+    frictionless: bool,
+    linear: Linear | None = None,
     capacity: int | None = None,
 ) -> Step:
     """The model linearised about coordinates, filled up to a fixed number of rows so that it need not be compiled for each length.
 
-    `rates` are standard deviations of rates of which nothing is known.
+    `rates` are standard deviations of rates of which nothing is known; `linear` is the model about these coordinates, if it is known.
     """
     count = len(series.time)
     keep, begin, spread, active = _transitions(labels, about, rates)
-    target, design, variance = _observations(series, labels, about, weight, frictionless=frictionless)
+    target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), frictionless=frictionless)
     duration = np.diff(series.time, prepend=series.time[0])
     rows = Step(duration, keep, begin, spread, active, target, design, variance)
-    missing = (capacity or rounded_up(count)) - count
+    missing = (capacity or capacity_for(count)) - count
     filling = Step(*(np.zeros((missing, *part.shape[1:])) for part in rows))
     filling = filling._replace(keep=np.ones((missing, SIZE)), variance=np.full((missing, ROWS), np.inf))
     return Step(*(jnp.asarray(np.concatenate(pair)) for pair in zip(rows, filling, strict=True)))
@@ -143,13 +170,13 @@ def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[n
 
 
 def _observations(
-    series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], weight: Float[np.ndarray, "n"], *, frictionless: bool
+    series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], weight: Float[np.ndarray, "n"], linear: Linear, *, frictionless: bool
 ) -> tuple[np.ndarray, ...]:
     phase, count = labels.phase, len(labels.phase)
     touching = phase != FREE
-    values, jacobian = linearised(about)
+    values, jacobian = linear
     design, target, variance = np.zeros((count, ROWS, SIZE)), np.zeros((count, ROWS)), np.full((count, ROWS), np.inf)
-    offset = np.asarray(values.wrench) - np.einsum("nij,nj->ni", jacobian[:, :WRENCH], about)
+    offset = values.wrench - np.einsum("nij,nj->ni", jacobian[:, :WRENCH], about)
     moved = series.wrench - np.where(touching[:, None], offset, 0.0)
     target[:, :WRENCH] = np.einsum("nij,nj->ni", series.whitening, moved)
     design[:, :WRENCH, :COORDINATES] = np.where(touching[:, None, None], series.whitening @ jacobian[:, :WRENCH], 0.0)
@@ -162,6 +189,6 @@ def _observations(
         square = np.flatnonzero(phase == TANGENTIAL)
         slope = jacobian[square, WRENCH]
         design[square, WRENCH + 1, :COORDINATES] = slope
-        target[square, WRENCH + 1] = 0.5 - np.asarray(values.modulus)[square] + np.einsum("ni,ni->n", slope, about[square])
+        target[square, WRENCH + 1] = 0.5 - values.modulus[square] + np.einsum("ni,ni->n", slope, about[square])
         variance[square, WRENCH + 1] = _PINNED
     return target, design, variance

@@ -172,7 +172,7 @@ def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touc
     if found.reactions.position_covariance is not None:
         floor = floor + found.reactions.position_covariance
     of_point = series.turn @ jacobian[:, WRENCH + 1 :]
-    force = np.linalg.norm(np.asarray(values.wrench)[:, :3], axis=1)
+    force = np.linalg.norm(values.wrench[:, :3], axis=1)
     across = np.eye(3) - np.einsum("ni,nj->nij", values.direction, values.direction)
     of_normal = -series.turn @ across @ jacobian[:, :3] / np.maximum(force, 1e-12)[:, None, None]
     unwhitened = np.einsum("nij,nj->ni", np.linalg.inv(series.whitening), fit.states.mean[:, 2 * COORDINATES :])
@@ -189,8 +189,8 @@ def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touc
         point=rows(found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)),
         normal=rows(np.einsum("nij,nj->ni", series.turn, values.direction)),
         arc_length=rows(length * about[:, ARC_LENGTH]),
-        energy=rows(found.rod.moment_scale * np.asarray(values.energy), 0.0),
-        modulus=rows(np.asarray(values.modulus)),
+        energy=rows(found.rod.moment_scale * values.energy, 0.0),
+        modulus=rows(values.modulus),
         covariance=rows(length**2 * of_point @ errors @ np.swapaxes(of_point, 1, 2) + floor),
         normal_covariance=rows(of_normal @ errors @ np.swapaxes(of_normal, 1, 2)),
         arc_length_deviation=rows(length * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0))),

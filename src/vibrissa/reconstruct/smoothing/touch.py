@@ -10,7 +10,7 @@ from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.changes import Model, log_likelihoods
 from vibrissa.reconstruct.smoothing.kalman import COORDINATES, SIZE, Smoothed
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, Labels, Series, steps_of
+from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, Labels, Series, capacity_for, steps_of
 
 _BEFORE, _AFTER = 96, 128
 _COARSE = np.arange(-64.0, 33.0, 4.0)
@@ -88,10 +88,10 @@ def limit_of(model: Model, labels: Labels, first: int) -> float:
     """Cramér-Rao: (gᵀ P⁻¹ g)^(−½), g the rates of the loads at the beginning, P the covariance with which what follows tells the loads there [s]."""
     link = labels.link.copy()
     link[first] = JUMP
-    rows = slice(first, min(len(link), first + 2 * _AFTER))
+    rows = slice(first, len(link))
     cut = Series(*(part[rows] for part in model.series))
     part = Labels(labels.phase[rows], link[rows], np.ones(len(cut.time)))
-    steps = steps_of(cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless, capacity=2 * _AFTER)
+    steps = steps_of(cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless, capacity=capacity_for(len(link)))
     covariance = np.zeros((SIZE, SIZE))
     covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[first, 2 * COORDINATES :, 2 * COORDINATES :]
     mean = np.concatenate([np.zeros(2 * COORDINATES), model.states.mean[first, 2 * COORDINATES :]])

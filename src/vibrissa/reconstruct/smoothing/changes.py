@@ -112,7 +112,7 @@ def moved(labels: Labels, change: int, place: int) -> Labels:
         link[change] = GO_ON
     if place < len(link):
         link[place] = max(kind, KINK)
-    return Labels(phase, link, labels.share)
+    return labels._replace(phase=phase, link=link)
 
 
 def phase_changes(labels: Labels) -> list[int]:
@@ -159,7 +159,7 @@ def with_fewer_phases(model: Model, labels: Labels) -> Labels:
         if neighbours and any(other != phase[first] for other in neighbours):
             continue
         link[[row for row in (first, last + 1) if row < len(link) and link[row] == KINK and row > 0 and phase[row - 1] != FREE]] = GO_ON
-        other = Labels(phase, link, labels.share)
+        other = labels._replace(phase=phase, link=link)
         values = log_likelihoods(model, [labels, other], *_within(labels, first, first - _MARGIN, last + _MARGIN))
         if values[1] > values[0] - _LEAST_GAIN * (len(neighbours) > 0):
             labels = other

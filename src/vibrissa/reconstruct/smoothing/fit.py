@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
@@ -19,6 +19,7 @@ _OUTLIER = 28.0
 """Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; further ones weigh less."""
 TARE_VARIANCE = 0.02
 """Of the zero at the start of a recording, in variances of a sample: that of a tare over 50 samples."""
+_STRETCH = 48
 _MOST_STEPS = 12
 _CLOSE = 1e-6
 _AVERAGE = 0.04
@@ -55,7 +56,7 @@ def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.n
     average = uniform_filter1d(series.wrench, size, axis=0, mode="nearest")
     about = np.column_stack([average[:, 3], average[:, 4], -average[:, 2], arc_length, np.zeros(len(phase))])
     link = np.where(np.diff(phase, prepend=FREE) != 0, KINK, 0)
-    return Labels(phase, link, np.ones(len(phase))), np.where((phase == FREE)[:, None], AT_REST, about)
+    return Labels(phase, link, np.ones(len(phase)), np.ones(len(phase))), np.where((phase == FREE)[:, None], AT_REST, about)
 
 
 def rates_of(series: Series, labels: Labels, about: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "5"]:
@@ -67,27 +68,66 @@ def rates_of(series: Series, labels: Labels, about: Float[np.ndarray, "n 5"]) ->
     return np.array([load, load, load, 0.3, TILT_SPREAD / 10]) * 30 / longest
 
 
-def most_probable_intensities(steps: Step, start: Float[np.ndarray, "5"]) -> Float[np.ndarray, "5"]:
-    """Intensities that maximise the marginal likelihood."""
+def most_probable_intensities(
+    steps: Step, start: Float[np.ndarray, "5"], labels: Labels, *, local: bool
+) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "n"]]:
+    """Intensities, and the pace of each sample, that maximise the marginal likelihood.
+
+    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk from each to the next, with a standard deviation of 1.
+    """
     mean, covariance = initial()
+    count = len(labels.pace)
+    stretch = stretches(labels)
+    blocks = int(stretch.max(initial=-1)) + 1 if local else 0
+    linked = np.diff(_contact_of(labels, stretch, blocks)) == 0 if blocks else np.zeros(0, dtype=bool)
+    logarithm = np.array([np.log(labels.pace[stretch == block][0]) for block in range(blocks)])
 
-    def objective(logarithms: Float[np.ndarray, "5"]) -> tuple[float, Float[np.ndarray, "5"]]:
-        intensities = jnp.exp(jnp.asarray(logarithms))
-        states = kalman.smoothed(steps, intensities, mean, covariance)
-        return -float(jnp.sum(states.log_likelihood)), -np.asarray(kalman.score(steps, states, intensities))
+    def paces(values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "n"]:
+        return np.where(stretch >= 0, np.exp(np.clip(values, -20, 20))[stretch], 1.0) if blocks else labels.pace
 
-    found = minimize(objective, np.log(start), jac=True, method="L-BFGS-B", bounds=_BOUNDS, options={"maxiter": 30, "ftol": 1e-7})
-    return np.exp(found.x)
+    def objective(values: Float[np.ndarray, "k"]) -> tuple[float, Float[np.ndarray, "k"]]:
+        intensities = jnp.exp(jnp.asarray(values[:INTENSITIES]))
+        pace = np.concatenate([paces(values[INTENSITIES:]), np.ones(len(steps.pace) - count)])
+        given = steps._replace(pace=jnp.asarray(pace))
+        states = kalman.smoothed(given, intensities, mean, covariance)
+        slopes = np.asarray(kalman.score(given, states, intensities))
+        local_slope = np.bincount(stretch[stretch >= 0], slopes[:count][stretch >= 0, :2].sum(axis=1), blocks) if blocks else np.zeros(0)
+        step = np.where(linked, np.diff(values[INTENSITIES:]), 0.0)
+        pull = np.diff(step, prepend=0.0, append=0.0) if blocks else np.zeros(0)
+        value = -float(jnp.sum(states.log_likelihood)) + float(step @ step) / 2
+        return value, -np.concatenate([slopes.sum(axis=0), local_slope + pull])
+
+    bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
+    first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])
+    found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-6})
+    return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:])
 
 
-def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, estimate: bool = True) -> Fit:
+def stretches(labels: Labels) -> Int[np.ndarray, "n"]:
+    """Number of the stretch that each sample belongs to; -1 without contact."""
+    number, stretch = 0, np.full(len(labels.phase), -1)
+    for first, last in runs_of(labels.phase != FREE):
+        count = max(1, round((last - first + 1) / _STRETCH))
+        stretch[first : last + 1] = number + np.arange(last - first + 1) * count // (last - first + 1)
+        number += count
+    return stretch
+
+
+def _contact_of(labels: Labels, stretch: Int[np.ndarray, "n"], blocks: int) -> Int[np.ndarray, "b"]:
+    contact = np.cumsum(np.diff(labels.phase != FREE, prepend=False))
+    return np.array([contact[np.argmax(stretch == block)] for block in range(blocks)])
+
+
+def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, local: bool = True) -> Fit:
     """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
     mean, covariance = initial()
     labels, about, weight, intensities, states = fit
     for iteration in range(_MOST_STEPS):
         steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
-        if estimate and iteration == 2:
-            intensities = most_probable_intensities(steps, intensities)
+        if iteration == 2:
+            intensities, pace = most_probable_intensities(steps, intensities, labels, local=local)
+            labels = labels._replace(pace=pace)
+            steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
         states = kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance)
         states = Smoothed(*(np.asarray(part)[: len(about)] for part in states))
         new = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])

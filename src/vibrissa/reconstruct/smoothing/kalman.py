@@ -42,6 +42,8 @@ class Step(NamedTuple):
     """Their variances."""
     active: Float[Array, "*n 5"]
     """1 for coordinates that move, 0 for known ones."""
+    pace: Float[Array, "*n"]
+    """Factor of the intensities of moment and axial force."""
     target: Float[Array, "*n 8"]
     """Observed values."""
     design: Float[Array, "*n 8 16"]
@@ -145,8 +147,8 @@ def smoothed(steps: Step, intensities: Float[Array, "5"], mean: State, covarianc
 
 
 @jax.jit
-def score(steps: Step, states: Smoothed, intensities: Float[Array, "5"]) -> Float[Array, "5"]:
-    """Derivative of the log-likelihood by the logarithms of the intensities: half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992)."""
+def score(steps: Step, states: Smoothed, intensities: Float[Array, "5"]) -> Float[Array, "n 5"]:
+    """What each step adds to the derivative of the log-likelihood by the logarithms of the intensities: half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992)."""
 
     def diagonal(first: int, second: int, size: int) -> Float[Array, "n k"]:
         parts = [
@@ -156,9 +158,14 @@ def score(steps: Step, states: Smoothed, intensities: Float[Array, "5"]) -> Floa
 
     dt = steps.duration[:, None]
     place, both, rate = (diagonal(*pair, COORDINATES) for pair in ((0, 0), (0, COORDINATES), (COORDINATES, COORDINATES)))
-    of_coordinates = jnp.sum(steps.active * (dt**3 / 3 * place + dt**2 * both + dt * rate), axis=0)
-    of_drift = jnp.sum(dt * diagonal(2 * COORDINATES, 2 * COORDINATES, WRENCH))
-    return intensities / 2 * jnp.stack([of_coordinates[0] + of_coordinates[1], *of_coordinates[2:], of_drift])
+    of_coordinates = steps.active * (dt**3 / 3 * place + dt**2 * both + dt * rate) * jax.vmap(_local, (None, 0))(intensities, steps.pace)
+    of_drift = intensities[-1] * jnp.sum(dt * diagonal(2 * COORDINATES, 2 * COORDINATES, WRENCH), axis=1)
+    return jnp.column_stack([of_coordinates[:, 0] + of_coordinates[:, 1], of_coordinates[:, 2:], of_drift]) / 2
+
+
+def _local(intensities: Float[Array, "5"], pace: Float[Array, ""]) -> Float[Array, "5"]:
+    """Of the five coordinates at a sample."""
+    return jnp.concatenate([intensities[:1] * pace, intensities[:2] * pace, intensities[2:4]])
 
 
 def _transition(step: Step) -> Square:
@@ -168,7 +175,7 @@ def _transition(step: Step) -> Square:
 
 def _process_noise(step: Step, intensities: Float[Array, "5"]) -> Square:
     dt = step.duration
-    q = step.active * jnp.concatenate([intensities[:1], intensities[:4]])
+    q = step.active * _local(intensities, step.pace)
     place, rate = slice(0, COORDINATES), slice(COORDINATES, 2 * COORDINATES)
     noise = jnp.zeros((SIZE, SIZE)).at[2 * COORDINATES :, 2 * COORDINATES :].set(jnp.eye(WRENCH) * intensities[4] * dt)
     noise = noise.at[place, place].set(jnp.diag(q * dt**3 / 3)).at[rate, rate].set(jnp.diag(q * dt))

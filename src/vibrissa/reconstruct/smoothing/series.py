@@ -61,6 +61,8 @@ class Labels(NamedTuple):
     """GO_ON, KINK or JUMP."""
     share: Float[np.ndarray, "n"]
     """Of the time since the sample before in which the contact moved; less than 1 where it began on the way."""
+    pace: Float[np.ndarray, "n"]
+    """Factor of the intensities of moment and axial force."""
 
 
 def series_of(rod: Rod, reactions: Reactions) -> Series:
@@ -136,7 +138,7 @@ def steps_of(
     keep, begin, spread, active = _transitions(labels, about, rates)
     target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), frictionless=frictionless)
     duration = np.diff(series.time, prepend=series.time[0])
-    rows = Step(duration, keep, begin, spread, active, target, design, variance)
+    rows = Step(duration, keep, begin, spread, active, labels.pace, target, design, variance)
     missing = (capacity or capacity_for(count)) - count
     filling = Step(*(np.zeros((missing, *part.shape[1:])) for part in rows))
     filling = filling._replace(keep=np.ones((missing, SIZE)), variance=np.full((missing, ROWS), np.inf))

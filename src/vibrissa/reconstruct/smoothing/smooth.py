@@ -23,7 +23,7 @@ _ROUNDS = 4
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
 
 
-def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: float = 3e-4) -> Reconstruction:
+def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: float = 1.5e-4) -> Reconstruction:
     """Contacts smoothed along their sweep: all samples tell of each point, the noise of the wrench is known, and a contact moves evenly until it changes.
 
     Parameters
@@ -102,7 +102,7 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
     loaded = detected(series, drift, spread, false_alarm)
     labels, about = first_guess(series, loaded, drift)
     rates = rates_of(series, labels, about)
-    fit = fitted(series, Fit(labels, about, np.ones(count), _START, initial_states(count)), rates, frictionless=frictionless)
+    fit = fitted(series, Fit(labels, about, np.ones(count), _START, initial_states(count)), rates, frictionless=frictionless, local=False)
     # Once more, now that the drift of the zero is known.
     drift, spread = fit.states.mean[:, 2 * COORDINATES :], fit.states.covariance[:, 2 * COORDINATES :, 2 * COORDINATES :]
     loaded = detected(series, drift, spread, false_alarm)

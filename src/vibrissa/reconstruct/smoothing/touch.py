@@ -39,12 +39,12 @@ def reversed_model(model: Model) -> Model:
 def reversed_labels(labels: Labels) -> Labels:
     """Labels of the reversed series: a break between two samples stays between them."""
     link = np.concatenate([[GO_ON], labels.link[:0:-1]])
-    return Labels(labels.phase[::-1].copy(), link, np.ones(len(link)))
+    return Labels(labels.phase[::-1].copy(), link, np.ones(len(link)), labels.pace[::-1].copy())
 
 
 def onset_at(labels: Labels, first: int, place: float) -> Labels:
     """Labels with the contact that begins at sample `first` beginning at `place` instead."""
-    phase, link, share = (field.copy() for field in labels)
+    phase, link, share, pace = (field.copy() for field in labels)
     begins = int(np.floor(place)) + 1
     phase[begins:first] = phase[first]
     phase[first:begins] = FREE
@@ -52,7 +52,8 @@ def onset_at(labels: Labels, first: int, place: float) -> Labels:
     link[begins] = KINK
     share[first] = 1.0
     share[begins] = max(begins - place, _LEAST_SHARE)
-    return Labels(phase, link, share)
+    pace[begins:first] = pace[first]
+    return Labels(phase, link, share, pace)
 
 
 def onset_of(model: Model, labels: Labels, first: int) -> Onset:
@@ -90,7 +91,7 @@ def limit_of(model: Model, labels: Labels, first: int) -> float:
     link[first] = JUMP
     rows = slice(first, len(link))
     cut = Series(*(part[rows] for part in model.series))
-    part = Labels(labels.phase[rows], link[rows], np.ones(len(cut.time)))
+    part = Labels(labels.phase[rows], link[rows], np.ones(len(cut.time)), labels.pace[rows])
     steps = steps_of(cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless, capacity=capacity_for(len(link)))
     covariance = np.zeros((SIZE, SIZE))
     covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[first, 2 * COORDINATES :, 2 * COORDINATES :]

@@ -1,0 +1,357 @@
+"""Smoothing as the samples come: a filter of fixed cost a sample, for live sensing.
+
+Three hypotheses run side by side: no contact, tip contact, tangential contact. Each is the same filter as the fixed-interval smoother's way forward, and they
+mix by their probabilities (interacting multiple models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.geometry.checks import finite_array, not_negative, positive
+from vibrissa.numerics.compiled import compiled
+from vibrissa.numerics.rotation import cross_matrix
+from vibrissa.reconstruct.smoothing import kalman
+from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, ROWS, SIZE, WRENCH, Step
+from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT, bent
+from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, TANGENTIAL, TILT_SPREAD, TIP
+from vibrissa.rod import Rod
+
+_SWITCH = 1e-2
+"""Probability a sample that the hypothesis changes, to each of the others."""
+_OUTLIER = 28.0
+_PATIENCE = 4
+"""Consecutive outliers that are taken for a jump of the contact."""
+_MEAN_SAMPLES = 5
+_TARE_VARIANCE = 0.02
+_JUMP = 2.0
+_ENTRIES = np.arange(SIZE)
+_SAMPLE = 14
+
+
+class Hypotheses(NamedTuple):
+    """What the filter carries from sample to sample."""
+
+    mean: Float[Array, "3 16"]
+    covariance: Float[Array, "3 16 16"]
+    probability: Float[Array, "3"]
+    recent: Float[Array, "5 6"]
+    """The last whitened wrenches, the newest first; NaN where there was none."""
+    strange: Float[Array, ""]
+    """Consecutive outliers."""
+
+
+class Settings(NamedTuple):
+    """What does not change."""
+
+    units: Float[Array, "7"]
+    """Of length, of force and of moment, by axis."""
+    whitening: Float[Array, "6 6"]
+    intensities: Float[Array, "5"]
+    rates: Float[Array, "5"]
+    frictionless: Float[Array, ""]
+
+
+@dataclass(frozen=True, eq=False)
+class LiveContact:
+    """One sample's contact, given the samples so far. World axes, units of the rod.
+
+    Attributes
+    ----------
+    time
+        [s].
+    kind
+        `ContactKind.NONE` without contact.
+    point, normal
+        (3,); NaN without contact.
+    arc_length, modulus
+        s₁ and k².
+    covariance, normal_covariance
+        (3, 3).
+    probability
+        Of contact, among the hypotheses.
+    status
+        BAD_DATA where the sample holds numbers that are not finite: the contact is then that predicted from the samples before.
+    """
+
+    time: float
+    kind: ContactKind
+    point: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+    arc_length: float
+    modulus: float
+    covariance: Float[np.ndarray, "3 3"]
+    normal_covariance: Float[np.ndarray, "3 3"]
+    probability: float
+    status: Status
+
+
+class CausalSmoother:
+    """Filters one sweep sample by sample.
+
+    Parameters
+    ----------
+    rod
+        Uniform straight rod.
+    covariance
+        Of a sample's (force, moment) on the rod about the clamp, **clamp axes** (6, 6), units of the rod.
+    position_covariance
+        Of the clamp point (3, 3), or None.
+    speed
+        Of the clamp along the object, in units of the rod a second: how quickly contacts are expected to change. Default: a fifth of the length a second.
+    intensities
+        (5,) as `Smoothing.intensities`, in place of those that follow from the speed.
+    friction
+        0 where there is known to be none: k² = ½ is then used in tangential contact.
+    false_alarm
+        Share of samples without contact that may be taken for contact: the mean of five samples has to pass the chi-square test at that level, the drift of the zero
+        and its error taken into account.
+    model_error
+        As for `smooth`.
+
+    Raises
+    ------
+    ValueError
+        If a figure is not allowed, or the covariance is not positive definite.
+
+    Notes
+    -----
+    One call costs the same whatever came before. `reset` forgets all.
+    """
+
+    def __init__(
+        self,
+        rod: Rod,
+        covariance: ArrayLike,
+        *,
+        position_covariance: ArrayLike | None = None,
+        speed: float | None = None,
+        intensities: ArrayLike | None = None,
+        friction: float | None = None,
+        false_alarm: float = 1e-3,
+        model_error: float = 1.5e-4,
+    ) -> None:
+        if not 0 < false_alarm < 1:
+            raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
+        self._rod = rod
+        units = np.repeat([rod.force_scale, rod.moment_scale], 3)
+        pace = (positive(speed, "speed") / rod.length) if speed is not None else 0.2
+        self._settings = Settings(
+            jnp.asarray(np.concatenate([[rod.length], units])),
+            jnp.asarray(_whitening(covariance, units)),
+            jnp.asarray(_intensities(intensities, pace)),
+            jnp.asarray(np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD]) * pace),
+            jnp.asarray(float(friction is not None and not_negative(friction, "friction") == 0)),
+        )
+        clamp = np.zeros((3, 3)) if position_covariance is None else finite_array(position_covariance, "position_covariance", last=3, ndim=2)
+        self._floor = clamp + np.eye(3) * (not_negative(model_error, "model_error") * rod.length) ** 2
+        self._threshold = float(chi2.isf(false_alarm, WRENCH))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples: a new recording begins, free of contact, with its zero as good as a tare over 50 samples."""
+        covariance = np.zeros((3, SIZE, SIZE))
+        covariance[:, 2 * COORDINATES :, 2 * COORDINATES :] = _TARE_VARIANCE * np.eye(WRENCH)
+        mean = np.zeros((3, SIZE))
+        mean[:, :COORDINATES] = AT_REST
+        recent = np.full((_MEAN_SAMPLES, WRENCH), np.nan)
+        self._state = Hypotheses(*map(jnp.asarray, (mean, covariance, np.array([1.0, 0.0, 0.0]), recent, 0.0)))
+        self._time: float | None = None
+
+    def update(self, time: float, position: ArrayLike, orientation: ArrayLike, force: ArrayLike, moment: ArrayLike) -> LiveContact:
+        """Take one sample: time [s], the clamp's position (3,) and quaternion x, y, z, w (4,), force and moment on the rod about the clamp (3,), world axes.
+
+        Raises
+        ------
+        ValueError
+            If the time does not increase, or the pose is not finite.
+        """
+        if not math.isfinite(time) or (self._time is not None and time <= self._time):
+            before = "" if self._time is None else f", after the sample before at {self._time}"
+            raise ValueError(f"time = {time!r}; allowed are finite increasing times{before}")
+        sample = np.concatenate([position, orientation, force, moment, [0.0 if self._time is None else time - self._time]]).astype(float)
+        if sample.shape != (_SAMPLE,) or not np.isfinite(sample[:7]).all() or not sample[3:7].any():
+            raise ValueError(
+                f"position, orientation, force, moment = {sample[:-1].tolist()}; allowed are 3, 4, 3 and 3 numbers, a finite position and a quaternion"
+            )
+        self._time = float(time)
+        self._state, packed = _advanced(self._state, self._settings, sample)
+        return self._contact(np.asarray(packed), self._time)
+
+    def _contact(self, packed: Float[np.ndarray, "29"], time: float) -> LiveContact:
+        probability, distance, sound = float(packed[26]), packed[27], packed[28] >= 0
+        status = Status.OK if sound else Status.BAD_DATA
+        if probability < 0.5 or not distance > self._threshold:
+            nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
+            return LiveContact(time, ContactKind.NONE, nothing, nothing, np.nan, np.nan, square, square, probability, status)
+        length = self._rod.length
+        return LiveContact(
+            time,
+            ContactKind(int(abs(packed[28]))),
+            length * packed[:3],
+            packed[3:6],
+            float(length * packed[6]),
+            float(packed[7]),
+            length**2 * packed[8:17].reshape(3, 3) + self._floor,
+            packed[17:26].reshape(3, 3),
+            probability,
+            status,
+        )
+
+
+def _whitening(covariance: ArrayLike, units: np.ndarray) -> Float[np.ndarray, "6 6"]:
+    square = finite_array(covariance, "covariance", last=WRENCH, ndim=2) / np.outer(units, units)
+    if square.shape != (WRENCH, WRENCH) or np.linalg.eigvalsh((square + square.T) / 2)[0] <= 0:
+        raise ValueError(f"covariance of shape {square.shape}; allowed is a positive definite (6, 6)")
+    return np.linalg.inv(np.linalg.cholesky(square))
+
+
+def _intensities(given: ArrayLike | None, pace: float) -> Float[np.ndarray, "5"]:
+    """Those of a sweep at a speed (rod lengths a second): accelerations are of the order of its square, and last for its inverse."""
+    if given is None:
+        return np.array([100.0, 100.0, 1.0, 1e-4, 0.0]) * pace**3 + np.array([0, 0, 0, 0, 1e-4])
+    values = finite_array(given, "intensities", last=INTENSITIES, ndim=1)
+    if not np.all(values > 0):
+        raise ValueError(f"intensities = {values.tolist()}; allowed are numbers greater than 0")
+    return values
+
+
+@compiled
+def _advanced(
+    state: Hypotheses, settings: Settings, sample: Float[Array, "14"] | Float[np.ndarray, "14"]
+) -> tuple[Hypotheses, Float[Array, "29"]]:
+    """Take position (3), orientation (4), force and moment (3 each) and the time since the sample before."""
+    duration, turn = sample[13], _turned(sample[3:7])
+    wrench = jnp.concatenate([sample[7:10] @ turn, sample[10:13] @ turn]) / settings.units[1:]
+    sound = jnp.all(jnp.isfinite(wrench))
+    whitened = settings.whitening @ jnp.where(jnp.isfinite(wrench), wrench, 0.0)
+    arrival = state.probability @ _transition_probabilities()
+    jumped = (state.strange >= _PATIENCE).astype(float)
+
+    def one(kind: Array) -> tuple[Array, Array, Array, Array]:
+        mean, covariance = _mixed(state, kind, arrival[kind], settings, jumped)
+        step = _prediction(kind, duration)
+        mean, covariance, _ = kalman.predicted(mean, covariance, step, settings.intensities)
+        mean = mean.at[ARC_LENGTH].set(jnp.clip(mean[ARC_LENGTH], 0.05, 1.0))
+        step, excess = _observed(step, kind, mean, covariance, whitened, settings, sound)
+        mean, covariance, _, likelihood = kalman.updated(mean, covariance, step)
+        return mean, covariance, likelihood, excess
+
+    means, covariances, likelihoods, excess = jax.vmap(one)(jnp.arange(3))
+    weight = arrival * jnp.exp(likelihoods - jnp.max(likelihoods))
+    probability = jnp.where(sound, weight / jnp.sum(weight), arrival)
+    strange = jnp.where(jnp.min(excess) > _OUTLIER, jnp.where(jumped > 0, 0.0, state.strange + 1), 0.0)
+    newest = jnp.where(sound, whitened, jnp.nan)
+    recent = jnp.concatenate([newest[None], state.recent[:-1]])
+    after = Hypotheses(means, covariances, probability, recent, strange)
+    return after, _report(after, sample[:3] / settings.units[0], turn, sound)
+
+
+def _turned(quaternion: Array) -> Float[Array, "3 3"]:
+    """Rotation matrix of a quaternion x, y, z, w of any norm: clamp axes to world axes."""
+    x, y, z, w = quaternion / jnp.sqrt(jnp.sum(quaternion**2))
+    across = cross_matrix(jnp.stack([x, y, z]))
+    return jnp.eye(3) + 2 * w * across + 2 * across @ across
+
+
+def _transition_probabilities() -> Float[Array, "3 3"]:
+    return jnp.full((3, 3), _SWITCH) + (1 - 3 * _SWITCH) * jnp.eye(3)
+
+
+def _mixed(
+    state: Hypotheses, kind: Array, arrival: Array, settings: Settings, jumped: Array
+) -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
+    """State under a hypothesis from those under all, each as it would enter this one."""
+    shares = state.probability * _transition_probabilities()[:, kind] / jnp.maximum(arrival, 1e-300)
+    means, covariances = jax.vmap(lambda other: _entered(state.mean[other], state.covariance[other], other, kind, settings))(jnp.arange(3))
+    mean = shares @ means
+    away = means - mean
+    covariance = jnp.einsum("k,kij->ij", shares, covariances) + jnp.einsum("k,ki,kj->ij", shares, away, away)
+    spread = jnp.zeros(SIZE).at[:ARC_LENGTH].set(_JUMP**2).at[COORDINATES : COORDINATES + ARC_LENGTH].set(settings.rates[:3] ** 2)
+    return mean, covariance + jnp.diag(spread) * jumped * (kind != FREE)
+
+
+def _entered(
+    mean: Float[Array, "16"], covariance: Float[Array, "16 16"], before: Array, kind: Array, settings: Settings
+) -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
+    """As a fixed-interval smoother's sample begins: at rest where a contact begins, at the tip in tip contact, with a new rate of s₁ in tangential contact."""
+    free, tip, onset = kind == FREE, kind == TIP, (before == FREE) & (kind != FREE)
+    rate_of_arc_length = COORDINATES + ARC_LENGTH
+    anew = jnp.where(free | onset, _ENTRIES < 2 * COORDINATES, False)
+    anew = anew | (tip & ((_ENTRIES == ARC_LENGTH) | (_ENTRIES == rate_of_arc_length)))
+    anew = anew | ((kind == TANGENTIAL) & (before == TIP) & (_ENTRIES == rate_of_arc_length))
+    keep = jnp.where(anew, 0.0, 1.0)
+    begin = jnp.where(anew & (_ENTRIES == ARC_LENGTH), 1.0, 0.0)
+    rates = jnp.concatenate([jnp.zeros(COORDINATES), settings.rates**2, jnp.zeros(WRENCH)])
+    spread = jnp.where(anew & ~free & ~(tip & (_ENTRIES == rate_of_arc_length)), rates, 0.0)
+    spread = spread + jnp.where(onset & (_ENTRIES == TILT), TILT_SPREAD**2, 0.0)
+    spread = spread + jnp.where(onset & (kind == TANGENTIAL) & (_ENTRIES == ARC_LENGTH), 0.1, 0.0)
+    return keep * mean + begin, keep[:, None] * covariance * keep + jnp.diag(spread)
+
+
+def _prediction(kind: Array, duration: Array) -> Step:
+    active = jnp.where(kind == FREE, 0.0, jnp.ones(COORDINATES)).at[ARC_LENGTH].set((kind == TANGENTIAL).astype(float))
+    nothing = jnp.zeros(SIZE)
+    return Step(
+        duration, nothing + 1, nothing, nothing, active, jnp.ones(()), jnp.zeros(ROWS), jnp.zeros((ROWS, SIZE)), jnp.full(ROWS, jnp.inf)
+    )
+
+
+def _observed(
+    step: Step, kind: Array, mean: Array, covariance: Array, whitened: Array, settings: Settings, sound: Array
+) -> tuple[Step, Float[Array, ""]]:
+    """The sample linearised about the prediction, and its squared distance from it."""
+
+    def both(x: Array) -> tuple[Array, Array]:
+        value = bent(x)
+        seen = jnp.concatenate([settings.whitening @ value.wrench, value.modulus[None]])
+        return seen, seen
+
+    touching = (kind != FREE).astype(float)
+    slope, seen = jax.jacfwd(both, has_aux=True)(mean[:COORDINATES])
+    design = jnp.zeros((ROWS, SIZE)).at[:WRENCH, :COORDINATES].set(touching * slope[:WRENCH])
+    design = design.at[:WRENCH, 2 * COORDINATES :].set(jnp.eye(WRENCH)).at[WRENCH + 1, :COORDINATES].set(slope[WRENCH])
+    offset = design @ mean
+    residual = whitened - touching * seen[:WRENCH] - mean[2 * COORDINATES :]
+    target = jnp.zeros(ROWS).at[:WRENCH].set(residual + offset[:WRENCH]).at[WRENCH + 1].set(0.5 - seen[WRENCH] + offset[WRENCH + 1])
+    expected = design[:WRENCH] @ covariance @ design[:WRENCH].T + jnp.eye(WRENCH)
+    distance = residual @ jnp.linalg.solve(expected, residual)
+    variance = jnp.where(sound, jnp.maximum(1.0, jnp.sqrt(distance / _OUTLIER)), jnp.inf)
+    square = jnp.where((settings.frictionless > 0) & (kind == TANGENTIAL), 1e-12, jnp.inf)
+    return step._replace(target=target, design=design, variance=jnp.full(ROWS, jnp.inf).at[:WRENCH].set(variance).at[WRENCH + 1].set(square)), (
+        jnp.where(sound, distance, 0.0)
+    )
+
+
+def _report(state: Hypotheses, clamp: Array, turn: Array, sound: Array) -> Float[Array, "29"]:
+    """Point (3), direction (3), s₁, k², covariances of point and direction (9 each), probability of contact, its test's figure, and the kind; negative after a bad sample."""
+    shares = state.probability[1:] / jnp.maximum(jnp.sum(state.probability[1:]), 1e-300)
+    mean = shares @ state.mean[1:]
+    away = state.mean[1:] - mean
+    covariance = jnp.einsum("k,kij->ij", shares, state.covariance[1:]) + jnp.einsum("k,ki,kj->ij", shares, away, away)
+
+    def contact(x: Array) -> tuple[Array, Array]:
+        value = bent(x)
+        packed = jnp.concatenate([clamp + turn @ value.reach, turn @ value.direction, x[ARC_LENGTH, None], value.modulus[None]])
+        return packed, packed
+
+    slope, values = jax.jacfwd(contact, has_aux=True)(mean[:COORDINATES])
+    errors = slope @ covariance[:COORDINATES, :COORDINATES] @ slope.T
+    drift, spread = state.probability @ state.mean[:, 2 * COORDINATES :], state.covariance[0, 2 * COORDINATES :, 2 * COORDINATES :]
+    present = jnp.all(jnp.isfinite(state.recent), axis=1)
+    count = jnp.sum(present)
+    average = jnp.sum(jnp.where(present[:, None], state.recent - drift, 0.0), axis=0) / jnp.maximum(count, 1)
+    distance = average @ jnp.linalg.solve(jnp.eye(WRENCH) / jnp.maximum(count, 1) + spread, average)
+    kind = jnp.where(state.probability[TANGENTIAL] > state.probability[TIP], TANGENTIAL, TIP) * jnp.where(sound, 1.0, -1.0)
+    return jnp.concatenate(
+        [values, errors[:3, :3].ravel(), errors[3:6, 3:6].ravel(), jnp.stack([1 - state.probability[FREE], distance, kind])]
+    )

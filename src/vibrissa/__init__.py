@@ -15,7 +15,19 @@ if TYPE_CHECKING:
     from vibrissa.contacts import ContactKind, Motion, Status
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
-    from vibrissa.reconstruct import FrictionEstimate, Reconstruction, Smoothing, Touch, estimate_friction, reconstruct, smooth
+    from vibrissa.reconstruct import (
+        CausalSmoother,
+        ContactErrors,
+        FrictionEstimate,
+        LiveContact,
+        Reconstruction,
+        Smoothing,
+        Touch,
+        contact_errors,
+        estimate_friction,
+        reconstruct,
+        smooth,
+    )
     from vibrissa.rod import Rod
     from vibrissa.scan import Equilibrium, Event, EventKind, Scan, equilibria, scan
     from vibrissa.sensor import Sensor
@@ -23,6 +35,9 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Case": "io",
+    "CausalSmoother": "reconstruct",
+    "contact_errors": "reconstruct",
+    "ContactErrors": "reconstruct",
     "Sensor": "sensor",
     "Setup": "io",
     "load_case": "io",
@@ -36,6 +51,7 @@ _HOMES = {
     "EventKind": "scan",
     "FrictionEstimate": "reconstruct",
     "estimate_friction": "reconstruct",
+    "LiveContact": "reconstruct",
     "Motion": "contacts",
     "Reactions": "reactions",
     "Reconstruction": "reconstruct",
@@ -53,11 +69,14 @@ _HOMES = {
 
 __all__ = [
     "Case",
+    "CausalSmoother",
+    "ContactErrors",
     "ContactKind",
     "Equilibrium",
     "Event",
     "EventKind",
     "FrictionEstimate",
+    "LiveContact",
     "Motion",
     "Reactions",
     "Reconstruction",
@@ -70,6 +89,7 @@ __all__ = [
     "Touch",
     "Trail",
     "__version__",
+    "contact_errors",
     "equilibria",
     "estimate_friction",
     "load_case",

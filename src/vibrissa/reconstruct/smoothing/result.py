@@ -55,6 +55,8 @@ class Smoothing:
         (n,) of each sample: 1, less where it is an outlier.
     tilt
         (n,) angle [rad] by which the base moment leaves the plane square to the rod: 0 for an ideal rod and mount.
+    model_error
+        Standard deviation in rod lengths that was added on each axis.
     log_likelihood
         Logarithm of the marginal likelihood of the recording.
     """
@@ -64,6 +66,7 @@ class Smoothing:
     drift: Float[np.ndarray, "n 6"]
     weight: Float[np.ndarray, "n"]
     tilt: Float[np.ndarray, "n"]
+    model_error: float
     log_likelihood: float
 
     @property

@@ -177,7 +177,7 @@ def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touc
     of_normal = -series.turn @ across @ jacobian[:, :3] / np.maximum(force, 1e-12)[:, None, None]
     unwhitened = np.einsum("nij,nj->ni", np.linalg.inv(series.whitening), fit.states.mean[:, 2 * COORDINATES :])
     tilt = np.where(touching, about[:, TILT], np.nan)
-    smoothing = Smoothing(touches, fit.intensities, unwhitened * units, fit.weight, tilt, float(np.sum(fit.states.log_likelihood)))
+    smoothing = Smoothing(touches, fit.intensities, unwhitened * units, fit.weight, tilt, model_error, float(np.sum(fit.states.log_likelihood)))
 
     def rows(values: np.ndarray, nothing: float = np.nan) -> np.ndarray:
         return np.where(touching.reshape(-1, *[1] * (values.ndim - 1)), values, nothing)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from vibrissa.contacts import ContactKind
 from vibrissa.geometry.checks import finite_array, not_negative
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.rotation import cross_matrix
 from vibrissa.reconstruct.result import Reconstruction
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, bent
@@ -92,9 +93,13 @@ def contact_errors(
     At the tip s₁ = L is part of h: in smoothed tip contacts, and in single samples that were limited to the rod's length.
     """
     if found.covariance is None or found.reactions.covariance is None:
-        raise ValueError("found.covariance = None: errors by cause need the noise of the wrench; give the sensor force_noise and torque_noise")
+        raise ValueError(
+            "found.covariance = None: errors by cause need the noise of the wrench; give the sensor force_noise and torque_noise"
+        )
     rod = found.rod
-    stiffness = np.hypot(not_negative(youngs_modulus, "youngs_modulus"), not_negative(bending_stiffness, "bending_stiffness") / rod.bending_stiffness)
+    stiffness = np.hypot(
+        not_negative(youngs_modulus, "youngs_modulus"), not_negative(bending_stiffness, "bending_stiffness") / rod.bending_stiffness
+    )
     own = found.reactions.position_covariance
     floor = np.zeros((3, 3)) if own is None else own
     robot = floor if pose is None else _covariance(pose, "pose")
@@ -140,9 +145,9 @@ def _covariance(value: ArrayLike, name: str) -> Float[np.ndarray, "3 3"]:
 class _Rows(NamedTuple):
     """Contacts in clamp axes and model units."""
 
-    x: Float[Array, "n 5"]
-    at_tip: Float[Array, "n"]
-    precision: Float[Array, "n 6 6"]
+    x: Float[AnyArray, "n 5"]
+    at_tip: Float[AnyArray, "n"]
+    precision: Float[AnyArray, "n 6 6"]
 
 
 def _sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 3 8"]:
@@ -162,9 +167,7 @@ def _rows(found: Reconstruction) -> _Rows:
     """Coordinates of the contacts as they were found, also where noise or smoothing moved them from the measured wrench."""
     rod, trail = found.rod, found.reactions.trail
     turn = rotation_matrices(trail.orientation).reshape(-1, 3, 3)
-    reach, n = (
-        np.einsum("nji,nj->ni", turn, part.reshape(-1, 3)) for part in ((found.point - trail.position) / rod.length, found.normal)
-    )
+    reach, n = (np.einsum("nji,nj->ni", turn, part.reshape(-1, 3)) for part in ((found.point - trail.position) / rod.length, found.normal))
     lever = np.linalg.norm(np.cross(reach, n), axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         force = 4 * (found.modulus.reshape(-1) - (1 + n[:, 2]) / 2) / lever**2
@@ -184,7 +187,7 @@ def _rows(found: Reconstruction) -> _Rows:
 
 @jax.jit
 def _slopes(rows: _Rows) -> Float[Array, "n 3 8"]:
-    return jax.vmap(_slope)(*rows)
+    return jax.vmap(_slope)(rows.x, rows.at_tip, rows.precision)
 
 
 def _slope(x: Float[Array, "5"], at_tip: Float[Array, ""], precision: Float[Array, "6 6"]) -> Float[Array, "3 8"]:

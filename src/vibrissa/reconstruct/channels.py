@@ -52,7 +52,9 @@ def checked_channels(channels: Sequence[str]) -> tuple[str, ...]:
     given = tuple(channels)
     unknown = [name for name in given if name not in CHANNELS]
     if isinstance(channels, str) or unknown or len(set(given)) != len(given) or len(given) < 3:
-        raise ValueError(f"channels = {channels!r}; allowed are at least 3 different ones of {', '.join(CHANNELS)}, forces and moments in clamp axes")
+        raise ValueError(
+            f"channels = {channels!r}; allowed are at least 3 different ones of {', '.join(CHANNELS)}, forces and moments in clamp axes"
+        )
     return tuple(name for name in CHANNELS if name in given)
 
 
@@ -98,7 +100,9 @@ def _clamp_wrench(
     return wrench / units, root
 
 
-def _solved(wrench: Float[np.ndarray, "k 6"], root: Float[np.ndarray, "k 6 6"], selected: Bool[np.ndarray, "6"], *, rough: bool, known: bool) -> Solved:
+def _solved(
+    wrench: Float[np.ndarray, "k 6"], root: Float[np.ndarray, "k 6 6"], selected: Bool[np.ndarray, "6"], *, rough: bool, known: bool
+) -> Solved:
     """Both laws of contact tried. A row is unique where one of them alone has a solution, no direction left open.
 
     With friction k² of a tangential contact is not known, and the channels have to do without a law.
@@ -173,7 +177,11 @@ def _solve(
             tried = (x + jnp.clip(change, -0.5, 0.5)).at[ARC_LENGTH].set(jnp.clip((x + change)[ARC_LENGTH], 0.05, 1.5))
             error = jnp.sum(equations(tried)[0] ** 2)
             better = jnp.isfinite(error) & (error <= best)
-            return jnp.where(better, tried, x), jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-15, 1e6), jnp.where(better, error, best)
+            return (
+                jnp.where(better, tried, x),
+                jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-15, 1e6),
+                jnp.where(better, error, best),
+            )
 
         start = _start(wrench, selected)
         first = jnp.sum(equations(start)[0] ** 2)

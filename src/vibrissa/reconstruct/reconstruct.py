@@ -34,7 +34,9 @@ _NOT_SINGLE_CONTACT, _BEYOND_TIP, _NO_CURVATURE_ZERO = int(Status.NOT_SINGLE_CON
 _STEEP_TANGENT, _BAD_DATA = int(Status.STEEP_TANGENT), int(Status.BAD_DATA)
 
 
-def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None, false_alarm: float = 1e-3, channels: Sequence[str] | None = None) -> Reconstruction:
+def reconstruct(
+    rod: Rod, reactions: Reactions, *, friction: float | None = None, false_alarm: float = 1e-3, channels: Sequence[str] | None = None
+) -> Reconstruction:
     """Contact points, normals and arc lengths from support reactions (paper, section II; mechanics.md).
 
     Parameters
@@ -50,8 +52,9 @@ def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None
     false_alarm
         Share of samples without contact that may be taken for one; used where the noise is known.
     channels
-        Names of the reactions to use, at least three of `fx`, `fy`, `fz`, `mx`, `my`, `mz` in **clamp** axes; default: all six. The rod is then taken as ideal, and without
-        `friction` greater than 0 the contact as frictionless. Rows that the channels leave open are `NOT_UNIQUE` (mechanics.md, "Fewer channels").
+        Names of the reactions to use, at least three of `fx`, `fy`, `fz`, `mx`, `my`, `mz` in **clamp** axes; default: all six. The rod is then
+        taken as ideal, and without `friction` greater than 0 the contact as frictionless.
+        Rows that the channels leave open are `NOT_UNIQUE` (mechanics.md, "Fewer channels").
 
     Returns
     -------

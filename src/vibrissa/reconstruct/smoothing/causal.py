@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
 from vibrissa.numerics.rotation import cross_matrix
 from vibrissa.reconstruct.smoothing import kalman
@@ -152,7 +153,9 @@ class CausalSmoother:
             jnp.asarray(np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD]) * pace),
             jnp.asarray(float(friction is not None and not_negative(friction, "friction") == 0)),
         )
-        clamp = np.zeros((3, 3)) if position_covariance is None else finite_array(position_covariance, "position_covariance", last=3, ndim=2)
+        clamp = (
+            np.zeros((3, 3)) if position_covariance is None else finite_array(position_covariance, "position_covariance", last=3, ndim=2)
+        )
         self._floor = clamp + np.eye(3) * (not_negative(model_error, "model_error") * rod.length) ** 2
         self._threshold = float(chi2.isf(false_alarm, WRENCH))
         self.reset()
@@ -226,9 +229,7 @@ def _intensities(given: ArrayLike | None, pace: float) -> Float[np.ndarray, "5"]
 
 
 @compiled
-def _advanced(
-    state: Hypotheses, settings: Settings, sample: Float[Array, "14"] | Float[np.ndarray, "14"]
-) -> tuple[Hypotheses, Float[Array, "29"]]:
+def _advanced(state: Hypotheses, settings: Settings, sample: Float[AnyArray, "14"]) -> tuple[Hypotheses, Float[Array, "29"]]:
     """Take position (3), orientation (4), force and moment (3 each) and the time since the sample before."""
     duration, turn = sample[13], _turned(sample[3:7])
     wrench = jnp.concatenate([sample[7:10] @ turn, sample[10:13] @ turn]) / settings.units[1:]
@@ -256,7 +257,7 @@ def _advanced(
     return after, _report(after, sample[:3] / settings.units[0], turn, sound)
 
 
-def _turned(quaternion: Array) -> Float[Array, "3 3"]:
+def _turned(quaternion: AnyArray) -> Float[Array, "3 3"]:
     """Rotation matrix of a quaternion x, y, z, w of any norm: clamp axes to world axes."""
     x, y, z, w = quaternion / jnp.sqrt(jnp.sum(quaternion**2))
     across = cross_matrix(jnp.stack([x, y, z]))
@@ -286,13 +287,13 @@ def _entered(
     """As a fixed-interval smoother's sample begins: at rest where a contact begins, at the tip in tip contact, with a new rate of s₁ in tangential contact."""
     free, tip, onset = kind == FREE, kind == TIP, (before == FREE) & (kind != FREE)
     rate_of_arc_length = COORDINATES + ARC_LENGTH
-    anew = jnp.where(free | onset, _ENTRIES < 2 * COORDINATES, False)
-    anew = anew | (tip & ((_ENTRIES == ARC_LENGTH) | (_ENTRIES == rate_of_arc_length)))
-    anew = anew | ((kind == TANGENTIAL) & (before == TIP) & (_ENTRIES == rate_of_arc_length))
+    anew = (free | onset) & (_ENTRIES < 2 * COORDINATES)
+    anew = anew | (tip & ((_ENTRIES == ARC_LENGTH) | (rate_of_arc_length == _ENTRIES)))
+    anew = anew | ((kind == TANGENTIAL) & (before == TIP) & (rate_of_arc_length == _ENTRIES))
     keep = jnp.where(anew, 0.0, 1.0)
     begin = jnp.where(anew & (_ENTRIES == ARC_LENGTH), 1.0, 0.0)
     rates = jnp.concatenate([jnp.zeros(COORDINATES), settings.rates**2, jnp.zeros(WRENCH)])
-    spread = jnp.where(anew & ~free & ~(tip & (_ENTRIES == rate_of_arc_length)), rates, 0.0)
+    spread = jnp.where(anew & ~free & ~(tip & (rate_of_arc_length == _ENTRIES)), rates, 0.0)
     spread = spread + jnp.where(onset & (_ENTRIES == TILT), TILT_SPREAD**2, 0.0)
     spread = spread + jnp.where(onset & (kind == TANGENTIAL) & (_ENTRIES == ARC_LENGTH), 0.1, 0.0)
     return keep * mean + begin, keep[:, None] * covariance * keep + jnp.diag(spread)
@@ -327,13 +328,16 @@ def _observed(
     distance = residual @ jnp.linalg.solve(expected, residual)
     variance = jnp.where(sound, jnp.maximum(1.0, jnp.sqrt(distance / _OUTLIER)), jnp.inf)
     square = jnp.where((settings.frictionless > 0) & (kind == TANGENTIAL), 1e-12, jnp.inf)
-    return step._replace(target=target, design=design, variance=jnp.full(ROWS, jnp.inf).at[:WRENCH].set(variance).at[WRENCH + 1].set(square)), (
-        jnp.where(sound, distance, 0.0)
-    )
+    return step._replace(
+        target=target, design=design, variance=jnp.full(ROWS, jnp.inf).at[:WRENCH].set(variance).at[WRENCH + 1].set(square)
+    ), (jnp.where(sound, distance, 0.0))
 
 
-def _report(state: Hypotheses, clamp: Array, turn: Array, sound: Array) -> Float[Array, "29"]:
-    """Point (3), direction (3), s₁, k², covariances of point and direction (9 each), probability of contact, its test's figure, and the kind; negative after a bad sample."""
+def _report(state: Hypotheses, clamp: AnyArray, turn: Array, sound: Array) -> Float[Array, "29"]:
+    """What `update` reports.
+
+    Point (3), direction (3), s₁, k², covariances of point and direction (9 each), probability of contact, its test's figure, and the kind, negative after a bad sample.
+    """
     shares = state.probability[1:] / jnp.maximum(jnp.sum(state.probability[1:]), 1e-300)
     mean = shares @ state.mean[1:]
     away = state.mean[1:] - mean

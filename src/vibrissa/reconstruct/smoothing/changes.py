@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from vibrissa.reconstruct.smoothing import kalman
-from vibrissa.reconstruct.smoothing.kalman import SIZE, Smoothed, Step
+from vibrissa.reconstruct.smoothing.kalman import SIZE, States, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
 from vibrissa.reconstruct.smoothing.phases import runs_of
 from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, TANGENTIAL, TIP, Labels, Series, chosen, linearised, steps_of
@@ -37,7 +37,7 @@ class Model(NamedTuple):
     weight: Float[np.ndarray, "n"]
     rates: Float[np.ndarray, "5"]
     intensities: Float[np.ndarray, "5"]
-    states: Smoothed
+    states: States
     frictionless: bool
 
 
@@ -62,8 +62,8 @@ def jumps(model: Model, labels: Labels) -> list[tuple[int, int]]:
     return found
 
 
-def _shock(states: Smoothed, rows: np.ndarray, entries: list[int]) -> Float[np.ndarray, "k"]:
-    pull = states.pull[np.ix_(rows, entries)]
+def _shock(states: States, rows: np.ndarray, entries: list[int]) -> Float[np.ndarray, "k"]:
+    pull = states.pull[rows][:, entries]
     information = states.information[rows][:, entries][:, :, entries]
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
     relative = information / scale[:, :, None] / scale[:, None, :]

@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
 from vibrissa.reconstruct.smoothing import kalman
-from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, Smoothed, Step
+from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
 from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
 from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, Labels, Series, linearised, steps_of
@@ -33,7 +33,7 @@ class Fit(NamedTuple):
     about: Float[np.ndarray, "n 5"]
     weight: Float[np.ndarray, "n"]
     intensities: Float[np.ndarray, "5"]
-    states: Smoothed
+    states: States
 
 
 def initial() -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
@@ -42,10 +42,10 @@ def initial() -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
     return mean, jnp.diag(jnp.zeros(SIZE).at[2 * COORDINATES :].set(TARE_VARIANCE))
 
 
-def initial_states(count: int) -> Smoothed:
+def initial_states(count: int) -> States:
     """States of which nothing is known yet."""
     square = np.zeros((count, SIZE, SIZE))
-    return Smoothed(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
+    return States(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
 
 
 def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]) -> tuple[Labels, Float[np.ndarray, "n 5"]]:
@@ -128,8 +128,7 @@ def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
             intensities, pace = most_probable_intensities(steps, intensities, labels, local=local)
             labels = labels._replace(pace=pace)
             steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
-        states = kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance)
-        states = Smoothed(*(np.asarray(part)[: len(about)] for part in states))
+        states = fetched(kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance), len(about))
         new = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])
         new[:, ARC_LENGTH] = np.clip(new[:, ARC_LENGTH], 0.02, 1.2)
         change = float(np.abs(new - about).max())

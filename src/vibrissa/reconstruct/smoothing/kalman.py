@@ -1,5 +1,7 @@
-"""Fixed-interval smoothing of a linear Gaussian model, one scalar observation after the other (Durbin & Koopman, *Time Series Analysis by State Space Methods*,
-2nd ed., sections 4.4 and 6.4). No matrix is inverted, so states may be known exactly: a rod in tip contact, or without contact.
+"""Fixed-interval smoothing of a linear Gaussian model, one scalar observation after the other.
+
+Durbin & Koopman, *Time Series Analysis by State Space Methods*, 2nd ed., sections 4.4 and 6.4. No matrix is inverted, so states may be known exactly: a rod in tip
+contact, or without contact.
 
 The state holds the contact's coordinates x, their rates v and the drift d of the sensor's zero. Between samples x is driven by white acceleration of spectral density q
 (an integrated Wiener process) and d by white noise:
@@ -11,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
@@ -122,6 +125,21 @@ class Smoothed(NamedTuple):
     """Of each sample, given those before."""
 
 
+class States(NamedTuple):
+    """`Smoothed`, fetched: the rows of a series without those that fill it up."""
+
+    mean: Float[np.ndarray, "n 16"]
+    covariance: Float[np.ndarray, "n 16 16"]
+    pull: Float[np.ndarray, "n 16"]
+    information: Float[np.ndarray, "n 16 16"]
+    log_likelihood: Float[np.ndarray, "n"]
+
+
+def fetched(states: Smoothed, count: int) -> States:
+    """Return the first rows as NumPy arrays."""
+    return States(*(np.asarray(part)[:count] for part in states))
+
+
 @jax.jit
 def smoothed(steps: Step, intensities: Float[Array, "5"], mean: State, covariance: Square) -> Smoothed:
     """Means and covariances of the states given all samples."""
@@ -148,12 +166,13 @@ def smoothed(steps: Step, intensities: Float[Array, "5"], mean: State, covarianc
 
 @jax.jit
 def score(steps: Step, states: Smoothed, intensities: Float[Array, "5"]) -> Float[Array, "n 5"]:
-    """What each step adds to the derivative of the log-likelihood by the logarithms of the intensities: half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992)."""
+    """What each step adds to the derivative of the log-likelihood by the logarithms of the intensities.
+
+    Half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992).
+    """
 
     def diagonal(first: int, second: int, size: int) -> Float[Array, "n k"]:
-        parts = [
-            states.pull[:, first + k] * states.pull[:, second + k] - states.information[:, first + k, second + k] for k in range(size)
-        ]
+        parts = [states.pull[:, first + k] * states.pull[:, second + k] - states.information[:, first + k, second + k] for k in range(size)]
         return jnp.stack(parts, axis=1)
 
     dt = steps.duration[:, None]

@@ -91,9 +91,7 @@ def raw_arc_lengths(series: Series, drift: Float[np.ndarray, "n 6"]) -> tuple[Fl
     return np.where(useless, 1.0, value), np.where(useless, np.inf, deviation)
 
 
-def phases_of(
-    value: Float[np.ndarray, "k"], deviation: Float[np.ndarray, "k"]
-) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+def phases_of(value: Float[np.ndarray, "k"], deviation: Float[np.ndarray, "k"]) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Most probable sequence of tip and tangential contact from the arc lengths of one contact, and the arc lengths averaged.
 
     Tip contact says s₁ = L, tangential contact that s₁ ≤ L changes evenly; each change costs six units of log-likelihood, and each sample of the

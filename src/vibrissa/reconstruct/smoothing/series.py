@@ -90,10 +90,20 @@ def _linearised(x: Float[Array, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
     return values, jacobian
 
 
+class Values(NamedTuple):
+    """`Bent`, one row a sample."""
+
+    wrench: Float[np.ndarray, "n 6"]
+    modulus: Float[np.ndarray, "n"]
+    reach: Float[np.ndarray, "n 3"]
+    direction: Float[np.ndarray, "n 3"]
+    energy: Float[np.ndarray, "n"]
+
+
 class Linear(NamedTuple):
     """What coordinates imply, and the derivatives of wrench (6), k² and reach (3) by them."""
 
-    values: Bent
+    values: Values
     jacobian: Float[np.ndarray, "n 10 5"]
 
 
@@ -103,7 +113,7 @@ def linearised(x: Float[np.ndarray, "n 5"]) -> Linear:
     parts = [_linearised(jnp.asarray(block.T)) for block in filled.reshape(-1, _BUCKET, COORDINATES)]
     values, jacobians = zip(*parts, strict=True)
     rows = (np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in field])[: len(x)] for field in zip(*values, strict=True))
-    return Linear(Bent(*rows), np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in jacobians])[: len(x)])
+    return Linear(Values(*rows), np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in jacobians])[: len(x)])
 
 
 def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear:
@@ -112,7 +122,7 @@ def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear
     def either(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         return np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
-    return Linear(Bent(*map(either, first.values, second.values)), either(first.jacobian, second.jacobian))
+    return Linear(Values(*map(either, first.values, second.values)), either(first.jacobian, second.jacobian))
 
 
 AT_REST = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
@@ -138,10 +148,10 @@ def steps_of(
     keep, begin, spread, active = _transitions(labels, about, rates)
     target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), frictionless=frictionless)
     duration = np.diff(series.time, prepend=series.time[0])
-    rows = Step(duration, keep, begin, spread, active, labels.pace, target, design, variance)
+    rows = (duration, keep, begin, spread, active, labels.pace, target, design, variance)
     missing = (capacity or capacity_for(count)) - count
-    filling = Step(*(np.zeros((missing, *part.shape[1:])) for part in rows))
-    filling = filling._replace(keep=np.ones((missing, SIZE)), variance=np.full((missing, ROWS), np.inf))
+    filling = [np.zeros((missing, *part.shape[1:])) for part in rows]
+    filling[1], filling[-1] = np.ones((missing, SIZE)), np.full((missing, ROWS), np.inf)
     return Step(*(jnp.asarray(np.concatenate(pair)) for pair in zip(rows, filling, strict=True)))
 
 

@@ -1,6 +1,7 @@
 """Smoothing's entry point: contacts of a sweep in, the same contacts smoothed along it out."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -55,11 +56,15 @@ def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: flo
         raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
     model_error = not_negative(model_error, "model_error")
     if found.reactions.covariance is None:
-        raise ValueError("found.reactions.covariance = None: smoothing needs the noise of the wrench; give the sensor force_noise and torque_noise")
+        raise ValueError(
+            "found.reactions.covariance = None: smoothing needs the noise of the wrench; give the sensor force_noise and torque_noise"
+        )
     if found.kind.ndim == 1:
         return _smoothed_trail(found, false_alarm, model_error)
     parts = [_smoothed_trail(_trail_of(found, j), false_alarm, model_error) for j in range(len(found.kind))]
-    stacked = {name: np.stack([getattr(part, name) for part in parts]) for name in _FIELDS if getattr(found, name) is not None}
+    stacked: dict[str, Any] = {
+        name: np.stack([getattr(part, name) for part in parts]) for name in _FIELDS if getattr(found, name) is not None
+    }
     return replace(found, **stacked, smoothing=tuple(part.smoothing[0] for part in parts if part.smoothing))
 
 
@@ -90,7 +95,7 @@ def _trail_of(found: Reconstruction, j: int) -> Reconstruction:
         covariance=given.covariance if given.covariance.ndim == 2 else given.covariance[j],
         position_covariance=given.position_covariance,
     )
-    rows = {name: getattr(found, name)[j] for name in _FIELDS if getattr(found, name) is not None}
+    rows: dict[str, Any] = {name: getattr(found, name)[j] for name in _FIELDS if getattr(found, name) is not None}
     return replace(found, reactions=reactions, **rows)
 
 
@@ -177,7 +182,9 @@ def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touc
     of_normal = -series.turn @ across @ jacobian[:, :3] / np.maximum(force, 1e-12)[:, None, None]
     unwhitened = np.einsum("nij,nj->ni", np.linalg.inv(series.whitening), fit.states.mean[:, 2 * COORDINATES :])
     tilt = np.where(touching, about[:, TILT], np.nan)
-    smoothing = Smoothing(touches, fit.intensities, unwhitened * units, fit.weight, tilt, model_error, float(np.sum(fit.states.log_likelihood)))
+    smoothing = Smoothing(
+        touches, fit.intensities, unwhitened * units, fit.weight, tilt, model_error, float(np.sum(fit.states.log_likelihood))
+    )
 
     def rows(values: np.ndarray, nothing: float = np.nan) -> np.ndarray:
         return np.where(touching.reshape(-1, *[1] * (values.ndim - 1)), values, nothing)

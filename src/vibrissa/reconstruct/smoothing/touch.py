@@ -4,12 +4,11 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.changes import Model, log_likelihoods
-from vibrissa.reconstruct.smoothing.kalman import COORDINATES, SIZE, Smoothed
-from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH
+from vibrissa.reconstruct.smoothing.kalman import SIZE, States, fetched
+from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
 from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, Labels, Series, capacity_for, steps_of
 
 _BEFORE, _AFTER = 96, 128
@@ -32,7 +31,7 @@ def reversed_model(model: Model) -> Model:
     """The same series run backwards: an end becomes a beginning. An integrated Wiener process has the same law both ways."""
     series = model.series
     backwards = Series(series.time[-1] - series.time[::-1], *(part[::-1] for part in series[1:]))
-    states = Smoothed(*(np.asarray(part)[::-1] for part in model.states))
+    states = States(*(part[::-1] for part in model.states))
     return model._replace(series=backwards, about=model.about[::-1], weight=model.weight[::-1], states=states)
 
 
@@ -92,11 +91,13 @@ def limit_of(model: Model, labels: Labels, first: int) -> float:
     rows = slice(first, len(link))
     cut = Series(*(part[rows] for part in model.series))
     part = Labels(labels.phase[rows], link[rows], np.ones(len(cut.time)), labels.pace[rows])
-    steps = steps_of(cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless, capacity=capacity_for(len(link)))
+    steps = steps_of(
+        cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless, capacity=capacity_for(len(link))
+    )
     covariance = np.zeros((SIZE, SIZE))
     covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[first, 2 * COORDINATES :, 2 * COORDINATES :]
     mean = np.concatenate([np.zeros(2 * COORDINATES), model.states.mean[first, 2 * COORDINATES :]])
-    states = kalman.smoothed(steps, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance))
-    rates: Float[np.ndarray, "3"] = np.asarray(states.mean)[0, COORDINATES : COORDINATES + ARC_LENGTH]
-    told = np.asarray(states.covariance)[0, :ARC_LENGTH, :ARC_LENGTH]
-    return float(1 / np.sqrt(max(rates @ np.linalg.solve(told, rates), 1e-300)))
+    states = fetched(kalman.smoothed(steps, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance)), 1)
+    rates = states.mean[0, COORDINATES : COORDINATES + ARC_LENGTH]
+    told = states.covariance[0, :ARC_LENGTH, :ARC_LENGTH]
+    return float(np.maximum(rates @ np.linalg.solve(told, rates), 1e-300)) ** -0.5

@@ -190,7 +190,7 @@ def _slopes(rows: _Rows) -> Float[Array, "n 3 8"]:
     return jax.vmap(_slope)(rows.x, rows.at_tip, rows.precision)
 
 
-def _slope(x: Float[Array, "5"], at_tip: Float[Array, ""], precision: Float[Array, "6 6"]) -> Float[Array, "3 8"]:
+def _slope(x: Float[AnyArray, "5"], at_tip: Float[AnyArray, ""], precision: Float[AnyArray, "6 6"]) -> Float[Array, "3 8"]:
     def observed(both: Float[Array, "13"]) -> Float[Array, "9"]:
         return _seen(both[:COORDINATES], both[COORDINATES:])
 

@@ -1,17 +1,13 @@
 """A simulated sweep, smoothed: errors and their bars, start and end, outliers, what is not smoothed across, and the causal form."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
+from sweeps import SPEED, WIRE, Sweep, at_rest, sweep
 
 import vibrissa as vb
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
-from sweeps import SPEED, WIRE, Sweep, at_rest, sweep
 
 SPIKES = (150, 220, 290)
 

@@ -55,5 +55,5 @@ def test_with_friction_four_channels_are_needed() -> None:
 
 @pytest.mark.parametrize("channels", [("mx", "my"), ("mx", "my", "mx"), ("mx", "my", "Fz"), "fxfyfz"])
 def test_channels_are_checked(channels: tuple[str, ...], no_shape_checks: None) -> None:
-    with pytest.raises(ValueError, match="channels = .*allowed are at least 3"):
+    with pytest.raises(ValueError, match=r"channels = .*allowed are at least 3"):
         vb.reconstruct(UNIT, SCAN.reactions, channels=channels)

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import SIZE, States, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
-from vibrissa.reconstruct.smoothing.phases import runs_of
+from vibrissa.reconstruct.smoothing.phases import raw_arc_lengths, runs_of
 from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, TANGENTIAL, TIP, Labels, Series, chosen, linearised, steps_of
 
 _LOADS = ARC_LENGTH
@@ -27,6 +27,8 @@ _COARSE = np.array([-96, -72, -56, -40, -32, -24, -16, -12, -8, -4, 0, 4, 8, 12,
 _LEAST_RUN = 4
 _SHORT_RUN = 96
 _LEAST_GAIN = 3.0
+_CLEARLY = 3.0
+_SIZES = (32, 64, 128, 256, 384)
 
 
 class Model(NamedTuple):
@@ -164,6 +166,37 @@ def with_fewer_phases(model: Model, labels: Labels) -> Labels:
         if values[1] > values[0] - _LEAST_GAIN * (len(neighbours) > 0):
             labels = other
     return labels
+
+
+def with_tangential_phases(model: Model, labels: Labels) -> Labels:
+    """Tangential contact is tried within each stretch of tip contact, where the samples by themselves put the contact most clearly before the tip."""
+    value, deviation = raw_arc_lengths(model.series, model.states.mean[:, 2 * COORDINATES :])
+    weight = 1 / deviation**2
+    for first, last in list(runs_of(labels.phase == TIP)):
+        z, low, high = _most_clearly_short(value[first : last + 1], weight[first : last + 1])
+        if z < _CLEARLY:
+            continue
+        phase, link = labels.phase.copy(), labels.link.copy()
+        low, high = max(first + low, first + _LEAST_RUN), min(first + high, last + 1 - _LEAST_RUN)
+        phase[low:high] = TANGENTIAL
+        link[[low, high]] = np.maximum(link[[low, high]], KINK)
+        other = labels._replace(phase=phase, link=link)
+        values = log_likelihoods(model, [labels, other], *_within(labels, low, low - _MARGIN // 2, high + _MARGIN // 2))
+        if values[1] > values[0] + _LEAST_GAIN:
+            labels = other
+    return labels
+
+
+def _most_clearly_short(value: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> tuple[float, int, int]:
+    """By how many deviations, and over which samples, the weighted mean of the arc lengths lies below the rod's."""
+    best = (0.0, 0, 0)
+    for size in (size for size in _SIZES if size < len(value)):
+        total, short = (np.cumsum(np.concatenate([[0.0], part])) for part in (weight, weight * (1 - value)))
+        spread = np.sqrt(np.maximum(total[size:] - total[:-size], 1e-300))
+        z = (short[size:] - short[:-size]) / spread
+        place = int(np.argmax(z))
+        best = max(best, (float(z[place]), place, place + size))
+    return best
 
 
 def _phase_runs(labels: Labels) -> Iterable[tuple[int, int]]:

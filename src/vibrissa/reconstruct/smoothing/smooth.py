@@ -10,7 +10,7 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.result import Reconstruction
-from vibrissa.reconstruct.smoothing.changes import Model, jumps, with_better_changes, with_fewer_phases
+from vibrissa.reconstruct.smoothing.changes import Model, jumps, with_better_changes, with_fewer_phases, with_tangential_phases
 from vibrissa.reconstruct.smoothing.fit import TARE_VARIANCE, Fit, first_guess, fitted, initial_states, rates_of
 from vibrissa.reconstruct.smoothing.kalman import WRENCH
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT
@@ -133,7 +133,7 @@ def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
 def _refined(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> tuple[Labels, tuple[Touch, ...]]:
     """Labels with all changes where they are most probable, and the contacts' beginnings and ends."""
     model = _model(series, fit, rates, frictionless=frictionless)
-    labels = with_better_changes(model, with_fewer_phases(model, fit.labels))
+    labels = with_better_changes(model, with_tangential_phases(model, with_fewer_phases(model, fit.labels)))
     backwards, count = reversed_model(model), len(series.time)
     touches = []
     for first, last in list(runs_of(labels.phase != FREE)):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 import vibrissa as vb
+from vibrissa.sensor import RawRecording
 
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 BALL = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
@@ -29,6 +30,7 @@ class Sweep(NamedTuple):
     """True contact points of the recording's rows (n, 3)."""
     span: tuple[float, float]
     """Start and end of the contact [s]."""
+    raw: RawRecording
 
 
 def sweep(offset: float, seed: int, *, drift: float = 0.0, rate: float = RATE) -> Sweep:
@@ -50,7 +52,7 @@ def sweep(offset: float, seed: int, *, drift: float = 0.0, rate: float = RATE) -
         if event.kind in (vb.EventKind.FIRST_CONTACT, vb.EventKind.DETACH)
     ]
     point = np.concatenate([np.full((rest, 3), np.nan), scan.point])
-    return Sweep(scan, SENSOR.reactions(raw), point, (events[0] / rate, events[-1] / rate))
+    return Sweep(scan, SENSOR.reactions(raw), point, (events[0] / rate, events[-1] / rate), raw)
 
 
 def at_rest(count: int, seed: int, *, drift: float = 0.0) -> vb.Reactions:

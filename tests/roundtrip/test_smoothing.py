@@ -1,6 +1,8 @@
 """A simulated sweep, smoothed: errors and their bars, start and end, outliers, what is not smoothed across, and the causal form."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,27 @@ from scipy.stats import binom, chi2
 from sweeps import SPEED, WIRE, Sweep, at_rest, sweep
 
 import vibrissa as vb
+from vibrissa.cli.reconstruct import reconstruct
+from vibrissa.io import InputError
+from vibrissa.io.contacts import COLUMNS
+from vibrissa.io.recording import write_recording
 
+SETUP = """\
+[rod]
+kind = "cylinder"
+length = 0.05
+radius = 0.25e-3
+youngs_modulus = 206e9
+
+[sensor]
+clamp_position = [0.0, 0.0, 0.025]
+clamp_orientation = [0.0, 0.0, 0.0, 1.0]
+wrench = "on_sensor"
+tare_seconds = 0.95
+force_noise = 2.0e-3
+torque_noise = 4.0e-5
+position_noise = 1.0e-5
+"""
 SPIKES = (150, 220, 290)
 
 
@@ -119,3 +141,22 @@ def test_what_is_given_is_checked(found: vb.Reconstruction) -> None:
     bare = replace(found, reactions=vb.Reactions(found.reactions.trail, found.reactions.force, found.reactions.moment))
     with pytest.raises(ValueError, match="smoothing needs the noise"):
         vb.smooth(bare)
+
+
+def test_the_command_line_smooths(swept: Sweep, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The recording as a file: same columns, contacts of the same quality, start and end in the summary."""
+    setup = tmp_path / "setup.toml"
+    setup.write_text(SETUP, encoding="utf-8")
+    recording, contacts = write_recording(tmp_path / "trail.csv", swept.raw), tmp_path / "contacts.csv"
+    reconstruct(recording, setup, output=[contacts], smooth=True, as_json=True)
+    summary = json.loads(capsys.readouterr().out)
+    (contact,) = summary["contacts"]
+    assert abs(contact["start"] - swept.span[0]) < 4 * contact["start_deviation"]
+    table = np.genfromtxt(contacts, delimiter=",", names=True)
+    assert table.dtype.names == COLUMNS
+    rows = core(swept)
+    error = np.linalg.norm(np.stack([table[axis] for axis in "xyz"], axis=1)[rows] - swept.point[rows], axis=1)
+    assert np.median(error) < 0.15e-3
+    setup.write_text(SETUP.replace("force_noise", "# force_noise").replace("torque_noise", "# torque_noise"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"--smooth: .* gives no noise; allowed"):
+        reconstruct(recording, setup, smooth=True)

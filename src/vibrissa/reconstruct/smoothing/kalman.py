@@ -97,7 +97,7 @@ def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square,
 
 def _forward(
     steps: Step, intensities: Float[Array, "5"], mean: State, covariance: Square
-) -> tuple[tuple[Trace, Square], Float[Array, "n"]]:
+) -> tuple[tuple[Trace, Float[Array, "n 16 16"]], Float[Array, "n"]]:
     def one(carry: tuple[State, Square], step: Step) -> tuple[tuple[State, Square], tuple[tuple[Trace, Square], Float[Array, ""]]]:
         ahead, spread, transition = predicted(*carry, step, intensities)
         after, left, trace, log_likelihood = updated(ahead, spread, step)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import minimize
 
 from vibrissa.reconstruct.smoothing import kalman
@@ -23,6 +23,7 @@ _STRETCH = 48
 _MOST_STEPS = 12
 _CLOSE = 1e-6
 _AVERAGE = 0.04
+_MEDIAN = 9
 _BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
 
 
@@ -53,7 +54,7 @@ def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.n
     phase, arc_length = first_labels(series, loaded, drift)
     step = float(np.median(np.diff(series.time))) if len(series.time) > 1 else 1.0
     size = max(1, round(_AVERAGE / step))
-    average = uniform_filter1d(series.wrench, size, axis=0, mode="nearest")
+    average = uniform_filter1d(median_filter(series.wrench, (_MEDIAN, 1), mode="nearest"), size, axis=0, mode="nearest")
     about = np.column_stack([average[:, 3], average[:, 4], -average[:, 2], arc_length, np.zeros(len(phase))])
     link = np.where(np.diff(phase, prepend=FREE) != 0, KINK, 0)
     return Labels(phase, link, np.ones(len(phase)), np.ones(len(phase))), np.where((phase == FREE)[:, None], AT_REST, about)
@@ -139,11 +140,17 @@ def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
     return Fit(labels, about, weight, intensities, states)
 
 
+def first_weights(series: Series) -> Float[np.ndarray, "n"]:
+    """Weights of samples against the medians of nine, so that no outlier is followed from the start."""
+    residual = series.whitened - median_filter(series.whitened, (_MEDIAN, 1), mode="nearest")
+    return np.minimum(1.0, _OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300))
+
+
 def robust_weights(
     series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], drift: Float[np.ndarray, "n 6"]
 ) -> Float[np.ndarray, "n"]:
-    """1 up to the limit, beyond it so that an outlier pulls no more than a sample at the limit (Huber)."""
+    """1 up to the limit, beyond it the limit over the squared residual: the farther an outlier, the less it pulls, and no intensity has to explain it."""
     values = linearised(about).values
     expected = np.where((labels.phase == FREE)[:, None], 0.0, values.wrench)
     residual = series.whitened - np.einsum("nij,nj->ni", series.whitening, expected) - drift
-    return np.minimum(1.0, np.sqrt(_OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300)))
+    return np.minimum(1.0, _OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300))

@@ -146,7 +146,7 @@ def _observed(
     target = jnp.zeros(ROWS).at[:WRENCH].set(residual + offset[:WRENCH]).at[WRENCH + 1].set(0.5 - seen[WRENCH] + offset[WRENCH + 1])
     expected = design[:WRENCH] @ covariance @ design[:WRENCH].T + jnp.eye(WRENCH)
     distance = residual @ jnp.linalg.solve(expected, residual)
-    variance = jnp.where(sound, jnp.maximum(1.0, jnp.sqrt(distance / _OUTLIER)), jnp.inf)
+    variance = jnp.where(sound, jnp.maximum(1.0, distance / _OUTLIER), jnp.inf)
     square = jnp.where((settings.frictionless > 0) & (kind == TANGENTIAL), 1e-12, jnp.inf)
     return step._replace(
         target=target, design=design, variance=jnp.full(ROWS, jnp.inf).at[:WRENCH].set(variance).at[WRENCH + 1].set(square)

@@ -11,7 +11,7 @@ from vibrissa.geometry.checks import not_negative
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.result import Reconstruction
 from vibrissa.reconstruct.smoothing.changes import Model, jumps, with_better_changes, with_fewer_phases, with_tangential_phases
-from vibrissa.reconstruct.smoothing.fit import TARE_VARIANCE, Fit, first_guess, fitted, initial_states, rates_of
+from vibrissa.reconstruct.smoothing.fit import TARE_VARIANCE, Fit, first_guess, first_weights, fitted, initial_states, rates_of
 from vibrissa.reconstruct.smoothing.kalman import WRENCH
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT
 from vibrissa.reconstruct.smoothing.phases import detected, runs_of
@@ -107,7 +107,9 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
     loaded = detected(series, drift, spread, false_alarm)
     labels, about = first_guess(series, loaded, drift)
     rates = rates_of(series, labels, about)
-    fit = fitted(series, Fit(labels, about, np.ones(count), _START, initial_states(count)), rates, frictionless=frictionless, local=False)
+    fit = fitted(
+        series, Fit(labels, about, first_weights(series), _START, initial_states(count)), rates, frictionless=frictionless, local=False
+    )
     # Once more, now that the drift of the zero is known.
     drift, spread = fit.states.mean[:, 2 * COORDINATES :], fit.states.covariance[:, 2 * COORDINATES :, 2 * COORDINATES :]
     loaded = detected(series, drift, spread, false_alarm)

@@ -16,7 +16,19 @@ if TYPE_CHECKING:
     from vibrissa.design import ExpectedError, expected_error
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
-    from vibrissa.reconstruct import FrictionEstimate, Reconstruction, estimate_friction, reconstruct
+    from vibrissa.reconstruct import (
+        CausalSmoother,
+        ContactErrors,
+        FrictionEstimate,
+        LiveContact,
+        Reconstruction,
+        Smoothing,
+        Touch,
+        contact_errors,
+        estimate_friction,
+        reconstruct,
+        smooth,
+    )
     from vibrissa.rod import Rod
     from vibrissa.scan import Equilibrium, Event, EventKind, Scan, equilibria, scan
     from vibrissa.sensor import Sensor
@@ -24,6 +36,9 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Case": "io",
+    "CausalSmoother": "reconstruct",
+    "contact_errors": "reconstruct",
+    "ContactErrors": "reconstruct",
     "Sensor": "sensor",
     "Setup": "io",
     "load_case": "io",
@@ -39,13 +54,17 @@ _HOMES = {
     "EventKind": "scan",
     "FrictionEstimate": "reconstruct",
     "estimate_friction": "reconstruct",
+    "LiveContact": "reconstruct",
     "Motion": "contacts",
     "Reactions": "reactions",
     "Reconstruction": "reconstruct",
     "reconstruct": "reconstruct",
     "Rod": "rod",
     "Scan": "scan",
+    "Smoothing": "reconstruct",
+    "smooth": "reconstruct",
     "Status": "contacts",
+    "Touch": "reconstruct",
     "Trail": "trail",
     "scan": "scan",
     "surfaces": "surfaces",
@@ -53,12 +72,15 @@ _HOMES = {
 
 __all__ = [
     "Case",
+    "CausalSmoother",
+    "ContactErrors",
     "ContactKind",
     "Equilibrium",
     "Event",
     "EventKind",
     "ExpectedError",
     "FrictionEstimate",
+    "LiveContact",
     "Motion",
     "Reactions",
     "Reconstruction",
@@ -66,9 +88,12 @@ __all__ = [
     "Scan",
     "Sensor",
     "Setup",
+    "Smoothing",
     "Status",
+    "Touch",
     "Trail",
     "__version__",
+    "contact_errors",
     "equilibria",
     "estimate_friction",
     "expected_error",
@@ -77,6 +102,7 @@ __all__ = [
     "read_recording",
     "reconstruct",
     "scan",
+    "smooth",
     "surfaces",
     "write_contacts",
 ]

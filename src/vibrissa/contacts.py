@@ -37,6 +37,7 @@ class Status(IntEnum):
     NO_CURVATURE_ZERO = 10
     STEEP_TANGENT = 11
     BAD_DATA = 12
+    NOT_UNIQUE = 13
 
     @property
     def text(self) -> str:
@@ -58,4 +59,5 @@ _TEXTS = {
     Status.NO_CURVATURE_ZERO: "The curvature has no zero for these reactions, so no single contact explains them; check the rod, the tare and the sign of the wrench.",
     Status.STEEP_TANGENT: "At the contact the rod would point into the object (k² > 0.8, more than any friction explains); check the sign of the wrench and the rod.",
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
+    Status.NOT_UNIQUE: "More than one contact explains the channels that were used; add channels, such as the lateral forces.",
 }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from vibrissa.reconstruct import Reconstruction
+    from vibrissa.reconstruct import Reconstruction, Touch
 
 
 def reconstruct(
@@ -20,6 +20,7 @@ def reconstruct(
     ] = None,
     figure: Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")] = None,
     friction: Annotated[float | None, typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals.")] = None,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Smooth the contacts along the sweep; needs the sensor's noise.")] = False,
     find_friction: Annotated[bool, typer.Option("--estimate-friction", help="Estimate it from how the contacts move.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
@@ -38,20 +39,26 @@ def reconstruct(
         raise InputError(f"--friction = {friction}; allowed is a finite number of at least 0")
     loaded = load_setup(setup)
     reactions = read_recording(recording, loaded)
+    if smooth and reactions.covariance is None:
+        raise InputError(f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and torque_noise")
     with reporting() as report:
         report("loading")
         from vibrissa.reconstruct import reconstruct as run  # noqa: PLC0415
 
         report("reconstructing")
         found = run(loaded.rod, reactions, friction=friction)
+        estimated = _estimated(found) if find_friction else {}
+        if smooth:
+            from vibrissa.reconstruct import smooth as smoothed  # noqa: PLC0415
+
+            report("smoothing")
+            found = smoothed(found)
         report("writing")
         for path in output or []:
             write_contacts(path, found)
         if figure is not None:
             _draw(found, figure)
-    summary = _summary(found)
-    if find_friction:
-        summary |= _estimated(found)
+    summary = _summary(found) | estimated
     typer.echo(json.dumps(summary, indent=1) if as_json else _text(summary))
 
 
@@ -73,9 +80,22 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
         summary["unit"] = found.rod.unit_of("length")
         deviations = np.sqrt(np.linalg.eigvalsh(found.covariance[contact]))
         summary["median_standard_deviations"] = np.median(deviations, axis=0).tolist()
-        residual = found.single_contact_residual[contact]
+        residual = found.single_contact_residual[contact & np.isfinite(found.single_contact_residual)]
         summary["single_contact_residual_rms"] = float(np.sqrt(np.mean(residual**2)))
+    if found.smoothing is not None:
+        summary["contacts"] = [_touch(found, touch) for touch in found.smoothing[0].touches]
+        summary["outliers"] = int(found.smoothing[0].outlier.sum())
     return summary
+
+
+def _touch(found: "Reconstruction", touch: "Touch") -> dict[str, object]:
+    """Times [s], or numbers of samples where the recording has no time."""
+    import numpy as np  # noqa: PLC0415
+
+    time = np.arange(found.kind.size) if found.reactions.time is None else found.reactions.time
+    names = ("start", "start_deviation", "end", "end_deviation")
+    times = {name: [float(time[row]) for row in getattr(touch, name)] for name in ("changes", "jumps")}
+    return {name: getattr(touch, name) for name in names} | times
 
 
 def _estimated(found: "Reconstruction") -> dict[str, object]:
@@ -102,11 +122,28 @@ def _text(summary: dict[str, object]) -> str:
         shown = ", ".join(f"{factor * value:.3g}" for value in deviations)
         lines.append(f"standard deviations of the points along their axes, median: {shown} {unit}")
         lines.append(f"m0·f0 = 0 is violated by {summary['single_contact_residual_rms']:.2f} standard deviations (rms; 1 is noise alone)")
+    contacts = summary.get("contacts")
+    if isinstance(contacts, list):
+        lines += [_contact_line(contact) for contact in contacts]
+        lines.append(f"{summary['outliers']} outliers")
     if "normal_half_angle" in summary:
         lines.append(f"the object's normals lie within {summary['normal_half_angle']:.4g} rad of the contact forces")
     if "friction_estimate" in summary:
         lines.append(_friction_line(summary))
     return "\n".join(lines)
+
+
+def _contact_line(contact: dict[str, object]) -> str:
+    def instant(name: str, otherwise: str) -> str:
+        time, deviation = contact[name], contact[f"{name}_deviation"]
+        return otherwise if time is None else f"{time:.4f} ± {deviation:.4f} s"
+
+    line = f"contact from {instant('start', 'before the first sample')} to {instant('end', 'after the last sample')}"
+    for name, word in (("changes", "changes of phase"), ("jumps", "jumps")):
+        times = contact[name]
+        if isinstance(times, list) and times:
+            line += f"; {word} at " + ", ".join(f"{time:.3f}" for time in times) + " s"
+    return line
 
 
 def _friction_line(summary: dict[str, object]) -> str:

@@ -1,6 +1,7 @@
 """The inverse problem's entry point. It sees the rod and the reactions, nothing else."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -11,6 +12,7 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
 from vibrissa.numerics.blocks import in_blocks, single
 from vibrissa.reactions import Reactions
+from vibrissa.reconstruct.channels import reconstruct_from_channels
 from vibrissa.reconstruct.kernels import NOISY_WIDTH, TIP_DEVIATIONS, WIDTH, invert_blocks, invert_noisy_blocks
 from vibrissa.reconstruct.result import Reconstruction
 from vibrissa.rod import Rod
@@ -32,7 +34,9 @@ _NOT_SINGLE_CONTACT, _BEYOND_TIP, _NO_CURVATURE_ZERO = int(Status.NOT_SINGLE_CON
 _STEEP_TANGENT, _BAD_DATA = int(Status.STEEP_TANGENT), int(Status.BAD_DATA)
 
 
-def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None, false_alarm: float = 1e-3) -> Reconstruction:
+def reconstruct(
+    rod: Rod, reactions: Reactions, *, friction: float | None = None, false_alarm: float = 1e-3, channels: Sequence[str] | None = None
+) -> Reconstruction:
     """Contact points, normals and arc lengths from support reactions (paper, section II; mechanics.md).
 
     Parameters
@@ -47,6 +51,10 @@ def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None
         the object too steeply is judged for a coefficient of 0.75, or for this one where it is larger. `estimate_friction` finds it from the contacts of a sweep.
     false_alarm
         Share of samples without contact that may be taken for one; used where the noise is known.
+    channels
+        Names of the reactions to use, at least three of `fx`, `fy`, `fz`, `mx`, `my`, `mz` in **clamp** axes; default: all six. The rod is then
+        taken as ideal, and without `friction` greater than 0 the contact as frictionless.
+        Rows that the channels leave open are `NOT_UNIQUE` (mechanics.md, "Fewer channels").
 
     Returns
     -------
@@ -56,7 +64,7 @@ def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None
     Raises
     ------
     ValueError
-        If `false_alarm` is not between 0 and 1, or the coefficient is negative or not finite.
+        If `false_alarm` is not between 0 and 1, the coefficient is negative or not finite, or channels are unknown, given twice, or fewer than three.
 
     Notes
     -----
@@ -67,6 +75,8 @@ def reconstruct(rod: Rod, reactions: Reactions, *, friction: float | None = None
         raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
     if friction is not None:
         friction = not_negative(friction, "friction")
+    if channels is not None:
+        return reconstruct_from_channels(rod, reactions, channels, friction=friction, false_alarm=false_alarm)
     trail, scales = reactions.trail, np.array([rod.force_scale, rod.moment_scale])
     orientation = trail.orientation.reshape(-1, 4)
     force, moment = reactions.force.reshape(-1, 3), reactions.moment.reshape(-1, 3)

@@ -15,6 +15,8 @@ from vibrissa.rod import Rod
 if TYPE_CHECKING:
     import xarray
 
+    from vibrissa.reconstruct.smoothing.result import Smoothing
+
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
@@ -50,6 +52,8 @@ class Reconstruction:
         (…) values of `Status`.
     friction
         Coulomb's coefficient that was given, or None.
+    smoothing
+        What `smooth` says beside the contacts, one entry a trail; None for samples taken one by one.
     """
 
     rod: Rod
@@ -67,6 +71,7 @@ class Reconstruction:
     single_contact_residual: Float[np.ndarray, "*trail n"]
     status: Int[np.ndarray, "*trail n"]
     friction: float | None = None
+    smoothing: "tuple[Smoothing, ...] | None" = None
 
     @property
     def normal_half_angle(self) -> float:

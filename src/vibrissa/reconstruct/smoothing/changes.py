@@ -1,0 +1,204 @@
+"""Where something changes in a sweep: jumps, phases, the start and the end of a contact. Each place is the most probable one."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
+
+from vibrissa.reconstruct.smoothing import kalman
+from vibrissa.reconstruct.smoothing.kalman import SIZE, States, Step
+from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
+from vibrissa.reconstruct.smoothing.phases import raw_arc_lengths, runs_of
+from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, TANGENTIAL, TIP, Labels, Series, chosen, linearised, steps_of
+
+_LOADS = ARC_LENGTH
+"""Moment and axial force: the coordinates whose jumps are looked for."""
+_FALSE_JUMPS = 1e-3
+"""Expected number of jumps found in a recording that has none."""
+_APART = 12
+_MARGIN = 96
+_AT_ONCE = 8
+_MOST_ROWS = 512
+_COARSE = np.array([-96, -72, -56, -40, -32, -24, -16, -12, -8, -4, 0, 4, 8, 12, 16, 24, 32, 40, 56, 72, 96])
+_LEAST_RUN = 4
+_SHORT_RUN = 96
+_LEAST_GAIN = 3.0
+_CLEARLY = 3.0
+_SIZES = (32, 64, 128, 256, 384)
+
+
+class Model(NamedTuple):
+    """What the likelihood of a stretch of a series depends on, besides its labels."""
+
+    series: Series
+    about: Float[np.ndarray, "n 5"]
+    weight: Float[np.ndarray, "n"]
+    rates: Float[np.ndarray, "5"]
+    intensities: Float[np.ndarray, "5"]
+    states: States
+    frictionless: bool
+
+
+def jumps(model: Model, labels: Labels) -> list[tuple[int, int]]:
+    """Samples at which the motion of the contact breaks, with JUMP or KINK: shocks to its state that noise does not explain (de Jong & Penzer, *JASA* 93, 1998)."""
+    touching = np.flatnonzero((labels.phase[1:] != FREE) & (labels.phase[:-1] != FREE) & (labels.link[1:] == GO_ON)) + 1
+    if not touching.size:
+        return []
+    values, rates = list(range(_LOADS)), list(range(COORDINATES, COORDINATES + _LOADS))
+    shock, turn = _shock(model.states, touching, values + rates), _shock(model.states, touching, rates)
+    level = _FALSE_JUMPS / len(touching)
+    limit, value_limit = chi2.isf(level, 2 * _LOADS), chi2.isf(level, _LOADS)
+    found: list[tuple[int, int]] = []
+    for k in np.argsort(-shock):
+        row = int(touching[k])
+        if shock[k] < limit:
+            break
+        broken = np.flatnonzero((labels.link > GO_ON) | (np.diff(labels.phase, prepend=FREE) != 0))
+        others = np.concatenate([broken, [other for other, _ in found]])
+        if not others.size or np.abs(others - row).min() >= _APART:
+            found.append((row, KINK if shock[k] - turn[k] < value_limit else JUMP))
+    return found
+
+
+def _shock(states: States, rows: np.ndarray, entries: list[int]) -> Float[np.ndarray, "k"]:
+    pull = states.pull[rows][:, entries]
+    information = states.information[rows][:, entries][:, :, entries]
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+    relative = information / scale[:, :, None] / scale[:, None, :]
+    inverse = np.linalg.pinv(relative, rcond=1e-10, hermitian=True)
+    return np.einsum("ni,nij,nj->n", pull / scale, inverse, pull / scale)
+
+
+_likelihoods = jax.jit(jax.vmap(kalman.log_likelihood, in_axes=(0, None, None, None)))
+
+
+def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: int) -> Float[np.ndarray, "k"]:
+    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels of the whole series; the state before them is that of the smoother."""
+    rows = slice(max(first, 0), min(last + 1, max(first, 0) + _MOST_ROWS))
+    cut = Series(*(part[rows] for part in model.series))
+    mean = np.concatenate([[0, 0, 0, 1.0, 0], np.zeros(COORDINATES), model.states.mean[rows.start, 2 * COORDINATES :]])
+    covariance = np.zeros((SIZE, SIZE))
+    covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[rows.start, 2 * COORDINATES :, 2 * COORDINATES :]
+    about, steps = model.about[rows], []
+    at_tip = about.copy()
+    at_tip[:, ARC_LENGTH] = 1
+    linears = linearised(about), linearised(at_tip)
+    for labels in candidates:
+        part = Labels(*(field[rows].copy() for field in labels))
+        part.link[0] = JUMP if part.phase[0] != FREE else GO_ON
+        tip = part.phase == TIP
+        linear = chosen(tip, linears[1], linears[0])
+        place = np.where(tip[:, None], at_tip, about)
+        steps.append(steps_of(cut, part, place, model.weight[rows], model.rates, frictionless=model.frictionless, linear=linear))
+    steps += steps[-1:] * (-len(steps) % _AT_ONCE)
+    values = []
+    for k in range(0, len(steps), _AT_ONCE):
+        stacked = Step(*(jnp.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
+        values.append(_likelihoods(stacked, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance)))
+    return np.concatenate(values)[: len(candidates)]
+
+
+def moved(labels: Labels, change: int, place: int) -> Labels:
+    """Labels with the change of phase at sample `change` moved to `place`; links go with it."""
+    phase, link = labels.phase.copy(), labels.link.copy()
+    before, after, kind = phase[change - 1], phase[change] if change < len(phase) else FREE, link[change] if change < len(phase) else GO_ON
+    if place < change:
+        phase[place:change] = after
+    else:
+        phase[change:place] = before
+    if change < len(link):
+        link[change] = GO_ON
+    if place < len(link):
+        link[place] = max(kind, KINK)
+    return labels._replace(phase=phase, link=link)
+
+
+def phase_changes(labels: Labels) -> list[int]:
+    """First samples of a new phase within contacts."""
+    phase = labels.phase
+    return [int(row) for row in np.flatnonzero((phase[1:] != phase[:-1]) & (phase[1:] != FREE) & (phase[:-1] != FREE)) + 1]
+
+
+def with_better_changes(model: Model, labels: Labels) -> Labels:
+    """Each change between tip and tangential contact at its most probable sample."""
+    for change in phase_changes(labels):
+        best = change
+        for offsets in (_COARSE, np.arange(-3, 4), np.arange(-1, 2)):
+            low, high = _room(labels, change)
+            places = sorted({int(place) for place in np.clip(best + offsets, low, high)} | {best})
+            rows = (min(change, places[0]) - _MARGIN // 2, max(change, places[-1]) + _MARGIN // 2)
+            values = log_likelihoods(model, [moved(labels, change, place) for place in places], *_within(labels, change, *rows))
+            best = places[int(np.argmax(values))]
+        labels = moved(labels, change, best)
+    return labels
+
+
+def _room(labels: Labels, change: int) -> tuple[int, int]:
+    """Between the neighbouring changes of any kind."""
+    edges = np.flatnonzero((np.diff(labels.phase, prepend=FREE) != 0) | (labels.link == JUMP))
+    before, after = edges[edges < change], edges[edges > change]
+    low = int(before[-1]) if before.size else 0
+    high = int(after[0]) if after.size else len(labels.phase)
+    return low + _LEAST_RUN if low + _LEAST_RUN < change else change, high - _LEAST_RUN if high - _LEAST_RUN > change else change
+
+
+def _within(labels: Labels, row: int, first: int, last: int) -> tuple[int, int]:
+    return max(0, min(first, row - 1)), min(len(labels.phase) - 1, max(last, row))
+
+
+def with_fewer_phases(model: Model, labels: Labels) -> Labels:
+    """Short phases that the likelihood does not ask for are taken into the other phase; and tip contact is tried where a contact begins or ends tangentially."""
+    for first, last in list(_phase_runs(labels)):
+        if last - first + 1 > _SHORT_RUN:
+            continue
+        phase, link = labels.phase.copy(), labels.link.copy()
+        phase[first : last + 1] = TIP + TANGENTIAL - phase[first]
+        neighbours = [phase[row] for row in (first - 1, last + 1) if 0 <= row < len(phase) and phase[row] != FREE]
+        if neighbours and any(other != phase[first] for other in neighbours):
+            continue
+        link[[row for row in (first, last + 1) if row < len(link) and link[row] == KINK and row > 0 and phase[row - 1] != FREE]] = GO_ON
+        other = labels._replace(phase=phase, link=link)
+        values = log_likelihoods(model, [labels, other], *_within(labels, first, first - _MARGIN, last + _MARGIN))
+        if values[1] > values[0] - _LEAST_GAIN * (len(neighbours) > 0):
+            labels = other
+    return labels
+
+
+def with_tangential_phases(model: Model, labels: Labels) -> Labels:
+    """Tangential contact is tried within each stretch of tip contact, where the samples by themselves put the contact most clearly before the tip."""
+    value, deviation = raw_arc_lengths(model.series, model.states.mean[:, 2 * COORDINATES :])
+    weight = 1 / deviation**2
+    for first, last in list(runs_of(labels.phase == TIP)):
+        z, low, high = _most_clearly_short(value[first : last + 1], weight[first : last + 1])
+        if z < _CLEARLY:
+            continue
+        phase, link = labels.phase.copy(), labels.link.copy()
+        low, high = max(first + low, first + _LEAST_RUN), min(first + high, last + 1 - _LEAST_RUN)
+        phase[low:high] = TANGENTIAL
+        link[[low, high]] = np.maximum(link[[low, high]], KINK)
+        other = labels._replace(phase=phase, link=link)
+        values = log_likelihoods(model, [labels, other], *_within(labels, low, low - _MARGIN // 2, high + _MARGIN // 2))
+        if values[1] > values[0] + _LEAST_GAIN:
+            labels = other
+    return labels
+
+
+def _most_clearly_short(value: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> tuple[float, int, int]:
+    """By how many deviations, and over which samples, the weighted mean of the arc lengths lies below the rod's."""
+    best = (0.0, 0, 0)
+    for size in (size for size in _SIZES if size < len(value)):
+        total, short = (np.cumsum(np.concatenate([[0.0], part])) for part in (weight, weight * (1 - value)))
+        spread = np.sqrt(np.maximum(total[size:] - total[:-size], 1e-300))
+        z = (short[size:] - short[:-size]) / spread
+        place = int(np.argmax(z))
+        best = max(best, (float(z[place]), place, place + size))
+    return best
+
+
+def _phase_runs(labels: Labels) -> Iterable[tuple[int, int]]:
+    for phase in (TIP, TANGENTIAL):
+        yield from runs_of(labels.phase == phase)

@@ -1,0 +1,156 @@
+"""The iteration that smooths one series: linearise, smooth, weigh outliers, estimate the intensities."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.optimize import minimize
+
+from vibrissa.reconstruct.smoothing import kalman
+from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
+from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
+from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
+from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, Labels, Series, linearised, steps_of
+
+_OUTLIER = 28.0
+"""Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; further ones weigh less."""
+TARE_VARIANCE = 0.02
+"""Of the zero at the start of a recording, in variances of a sample: that of a tare over 50 samples."""
+_STRETCH = 48
+_MOST_STEPS = 12
+_CLOSE = 1e-6
+_AVERAGE = 0.04
+_MEDIAN = 9
+_BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
+
+
+class Fit(NamedTuple):
+    """A smoothed series."""
+
+    labels: Labels
+    about: Float[np.ndarray, "n 5"]
+    weight: Float[np.ndarray, "n"]
+    intensities: Float[np.ndarray, "5"]
+    states: States
+
+
+def initial() -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
+    """A rod free of contact, and the error of the tare."""
+    mean = jnp.zeros(SIZE).at[: len(AT_REST)].set(AT_REST)
+    return mean, jnp.diag(jnp.zeros(SIZE).at[2 * COORDINATES :].set(TARE_VARIANCE))
+
+
+def initial_states(count: int) -> States:
+    """States of which nothing is known yet."""
+    square = np.zeros((count, SIZE, SIZE))
+    return States(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
+
+
+def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]) -> tuple[Labels, Float[np.ndarray, "n 5"]]:
+    """Phases, and coordinates from moving averages of the wrench over 40 ms."""
+    phase, arc_length = first_labels(series, loaded, drift)
+    step = float(np.median(np.diff(series.time))) if len(series.time) > 1 else 1.0
+    size = max(1, round(_AVERAGE / step))
+    average = uniform_filter1d(median_filter(series.wrench, (_MEDIAN, 1), mode="nearest"), size, axis=0, mode="nearest")
+    about = np.column_stack([average[:, 3], average[:, 4], -average[:, 2], arc_length, np.zeros(len(phase))])
+    link = np.where(np.diff(phase, prepend=FREE) != 0, KINK, 0)
+    return Labels(phase, link, np.ones(len(phase)), np.ones(len(phase))), np.where((phase == FREE)[:, None], AT_REST, about)
+
+
+def rates_of(series: Series, labels: Labels, about: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "5"]:
+    """Standard deviations of rates of which nothing is known: thirty times the range over the longest contact."""
+    touching = labels.phase != FREE
+    longest = max((series.time[last] - series.time[first] for first, last in runs_of(touching)), default=1.0)
+    longest = max(float(longest), float(np.median(np.diff(series.time))) if len(series.time) > 1 else 1.0)
+    load = max(float(np.ptp(about[touching, :ARC_LENGTH], axis=0).max(initial=0.0)), 1e-2) if touching.any() else 1.0
+    return np.array([load, load, load, 0.3, TILT_SPREAD / 10]) * 30 / longest
+
+
+def most_probable_intensities(
+    steps: Step, start: Float[np.ndarray, "5"], labels: Labels, *, local: bool
+) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "n"]]:
+    """Intensities, and the pace of each sample, that maximise the marginal likelihood.
+
+    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk from each to the next, with a standard deviation of 1.
+    """
+    mean, covariance = initial()
+    count = len(labels.pace)
+    stretch = stretches(labels)
+    blocks = int(stretch.max(initial=-1)) + 1 if local else 0
+    linked = np.diff(_contact_of(labels, stretch, blocks)) == 0 if blocks else np.zeros(0, dtype=bool)
+    logarithm = np.array([np.log(labels.pace[stretch == block][0]) for block in range(blocks)])
+
+    def paces(values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "n"]:
+        return np.where(stretch >= 0, np.exp(np.clip(values, -20, 20))[stretch], 1.0) if blocks else labels.pace
+
+    def objective(values: Float[np.ndarray, "k"]) -> tuple[float, Float[np.ndarray, "k"]]:
+        intensities = jnp.exp(jnp.asarray(values[:INTENSITIES]))
+        pace = np.concatenate([paces(values[INTENSITIES:]), np.ones(len(steps.pace) - count)])
+        given = steps._replace(pace=jnp.asarray(pace))
+        states = kalman.smoothed(given, intensities, mean, covariance)
+        slopes = np.asarray(kalman.score(given, states, intensities))
+        local_slope = np.bincount(stretch[stretch >= 0], slopes[:count][stretch >= 0, :2].sum(axis=1), blocks) if blocks else np.zeros(0)
+        step = np.where(linked, np.diff(values[INTENSITIES:]), 0.0)
+        pull = np.diff(step, prepend=0.0, append=0.0) if blocks else np.zeros(0)
+        value = -float(jnp.sum(states.log_likelihood)) + float(step @ step) / 2
+        return value, -np.concatenate([slopes.sum(axis=0), local_slope + pull])
+
+    bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
+    first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])
+    found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-6})
+    return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:])
+
+
+def stretches(labels: Labels) -> Int[np.ndarray, "n"]:
+    """Number of the stretch that each sample belongs to; -1 without contact."""
+    number, stretch = 0, np.full(len(labels.phase), -1)
+    for first, last in runs_of(labels.phase != FREE):
+        count = max(1, round((last - first + 1) / _STRETCH))
+        stretch[first : last + 1] = number + np.arange(last - first + 1) * count // (last - first + 1)
+        number += count
+    return stretch
+
+
+def _contact_of(labels: Labels, stretch: Int[np.ndarray, "n"], blocks: int) -> Int[np.ndarray, "b"]:
+    contact = np.cumsum(np.diff(labels.phase != FREE, prepend=False))
+    return np.array([contact[np.argmax(stretch == block)] for block in range(blocks)])
+
+
+def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, local: bool = True) -> Fit:
+    """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
+    mean, covariance = initial()
+    labels, about, weight, intensities, states = fit
+    for iteration in range(_MOST_STEPS):
+        steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
+        if iteration == 2:
+            intensities, pace = most_probable_intensities(steps, intensities, labels, local=local)
+            labels = labels._replace(pace=pace)
+            steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
+        states = fetched(kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance), len(about))
+        new = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])
+        new[:, ARC_LENGTH] = np.clip(new[:, ARC_LENGTH], 0.02, 1.2)
+        change = float(np.abs(new - about).max())
+        about = new
+        weight = robust_weights(series, labels, about, states.mean[:, 2 * COORDINATES :])
+        if change < _CLOSE and iteration > 2:
+            break
+    return Fit(labels, about, weight, intensities, states)
+
+
+def first_weights(series: Series) -> Float[np.ndarray, "n"]:
+    """Weights of samples against the medians of nine, so that no outlier is followed from the start."""
+    residual = series.whitened - median_filter(series.whitened, (_MEDIAN, 1), mode="nearest")
+    return np.minimum(1.0, _OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300))
+
+
+def robust_weights(
+    series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], drift: Float[np.ndarray, "n 6"]
+) -> Float[np.ndarray, "n"]:
+    """1 up to the limit, beyond it the limit over the squared residual: the farther an outlier, the less it pulls, and no intensity has to explain it."""
+    values = linearised(about).values
+    expected = np.where((labels.phase == FREE)[:, None], 0.0, values.wrench)
+    residual = series.whitened - np.einsum("nij,nj->ni", series.whitening, expected) - drift
+    return np.minimum(1.0, _OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300))

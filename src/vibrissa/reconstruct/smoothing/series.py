@@ -1,0 +1,206 @@
+"""A recording as a time series of whitened wrenches in clamp axes, and the linear steps that the smoother takes through it."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.contacts import ContactKind
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.numerics.compiled import compiled
+from vibrissa.reactions import Reactions
+from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
+from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT, Bent, bent
+from vibrissa.rod import Rod
+
+FREE, TIP, TANGENTIAL = (int(kind) for kind in ContactKind)
+GO_ON, KINK, JUMP = 0, 1, 2
+"""How a sample continues the one before: evenly, with other rates, or not at all."""
+TILT_SPREAD = 3e-3
+"""Standard deviation [rad] of the tilt where nothing else is known of it: a sixth of a degree, as rods are straight and clamps are true."""
+_ARC_LENGTH_SPREAD = 0.3
+_PINNED = 1e-12
+_LOAD_SPREAD = 2.0
+
+
+_BUCKET = 512
+
+
+def capacity_for(count: int) -> int:
+    """Rows of a compiled loop that holds so many: few different numbers, since each is compiled anew."""
+    return -(-count // _BUCKET) * _BUCKET
+
+
+class Series(NamedTuple):
+    """One recording in clamp axes and model units."""
+
+    time: Float[np.ndarray, "n"]
+    turn: Float[np.ndarray, "n 3 3"]
+    """From clamp to world axes."""
+    wrench: Float[np.ndarray, "n 6"]
+    """(f0, m0); zero where the sample is bad."""
+    whitening: Float[np.ndarray, "n 6 6"]
+    """W with W Σ Wᵀ = 1."""
+    sound: Bool[np.ndarray, "n"]
+
+    @property
+    def whitened(self) -> Float[np.ndarray, "n 6"]:
+        """Wrench in standard deviations, independent of each other."""
+        return np.einsum("nij,nj->ni", self.whitening, self.wrench)
+
+
+class Labels(NamedTuple):
+    """What happens at each sample."""
+
+    phase: Int[np.ndarray, "n"]
+    """Values of `ContactKind`."""
+    link: Int[np.ndarray, "n"]
+    """GO_ON, KINK or JUMP."""
+    share: Float[np.ndarray, "n"]
+    """Of the time since the sample before in which the contact moved; less than 1 where it began on the way."""
+    pace: Float[np.ndarray, "n"]
+    """Factor of the intensities of moment and axial force."""
+
+
+def series_of(rod: Rod, reactions: Reactions) -> Series:
+    """Rows of one trail with known noise."""
+    assert reactions.covariance is not None
+    count = reactions.trail.count
+    time = np.arange(count, dtype=np.float64) if reactions.time is None else reactions.time
+    turn = rotation_matrices(reactions.trail.orientation)
+    units = np.repeat([rod.force_scale, rod.moment_scale], 3)
+    wrench = np.concatenate([np.einsum("nji,nj->ni", turn, part) for part in (reactions.force, reactions.moment)], axis=1) / units
+    sound = np.isfinite(wrench).all(axis=1)
+    both = np.zeros((count, WRENCH, WRENCH))
+    both[:, :3, :3] = both[:, 3:, 3:] = np.swapaxes(turn, 1, 2)
+    covariance = both @ (reactions.covariance / np.outer(units, units)) @ np.swapaxes(both, 1, 2)
+    return Series(time, turn, np.where(sound[:, None], wrench, 0.0), np.linalg.inv(np.linalg.cholesky(covariance)), sound)
+
+
+@compiled
+def _linearised(x: Float[Array, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
+    def observed(x: Float[Array, "5"]) -> tuple[Float[Array, "10"], Bent]:
+        value = bent(x)
+        return jnp.concatenate([value.wrench, value.modulus[None], value.reach]), value
+
+    jacobian, values = jax.vmap(jax.jacfwd(observed, has_aux=True), in_axes=1, out_axes=-1)(x)
+    return values, jacobian
+
+
+class Values(NamedTuple):
+    """`Bent`, one row a sample."""
+
+    wrench: Float[np.ndarray, "n 6"]
+    modulus: Float[np.ndarray, "n"]
+    reach: Float[np.ndarray, "n 3"]
+    direction: Float[np.ndarray, "n 3"]
+    energy: Float[np.ndarray, "n"]
+
+
+class Linear(NamedTuple):
+    """What coordinates imply, and the derivatives of wrench (6), k² and reach (3) by them."""
+
+    values: Values
+    jacobian: Float[np.ndarray, "n 10 5"]
+
+
+def linearised(x: Float[np.ndarray, "n 5"]) -> Linear:
+    """The model about coordinates, in blocks of one size."""
+    filled = np.concatenate([x, np.tile(AT_REST, (-len(x) % _BUCKET, 1))])
+    parts = [_linearised(jnp.asarray(block.T)) for block in filled.reshape(-1, _BUCKET, COORDINATES)]
+    values, jacobians = zip(*parts, strict=True)
+    rows = (np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in field])[: len(x)] for field in zip(*values, strict=True))
+    return Linear(Values(*rows), np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in jacobians])[: len(x)])
+
+
+def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear:
+    """The first model in these rows, the second in the others."""
+
+    def either(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+
+    return Linear(Values(*map(either, first.values, second.values)), either(first.jacobian, second.jacobian))
+
+
+AT_REST = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+"""Coordinates of a rod that touches nothing, as it meets an object with its tip."""
+
+
+def steps_of(
+    series: Series,
+    labels: Labels,
+    about: Float[np.ndarray, "n 5"],
+    weight: Float[np.ndarray, "n"],
+    rates: Float[np.ndarray, "5"],
+    *,
+    frictionless: bool,
+    linear: Linear | None = None,
+    capacity: int | None = None,
+) -> Step:
+    """The model linearised about coordinates, filled up to a fixed number of rows so that it need not be compiled for each length.
+
+    `rates` are standard deviations of rates of which nothing is known; `linear` is the model about these coordinates, if it is known.
+    """
+    count = len(series.time)
+    keep, begin, spread, active = _transitions(labels, about, rates)
+    target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), frictionless=frictionless)
+    duration = np.diff(series.time, prepend=series.time[0])
+    rows = (duration, keep, begin, spread, active, labels.pace, target, design, variance)
+    missing = (capacity or capacity_for(count)) - count
+    filling = [np.zeros((missing, *part.shape[1:])) for part in rows]
+    filling[1], filling[-1] = np.ones((missing, SIZE)), np.full((missing, ROWS), np.inf)
+    return Step(*(jnp.asarray(np.concatenate(pair)) for pair in zip(rows, filling, strict=True)))
+
+
+def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[np.ndarray, "5"]) -> tuple[np.ndarray, ...]:
+    phase, count = labels.phase, len(labels.phase)
+    keep, begin, spread = np.ones((count, SIZE)), np.zeros((count, SIZE)), np.zeros((count, SIZE))
+    places, speeds = slice(0, COORDINATES), slice(COORDINATES, 2 * COORDINATES)
+    before = np.concatenate([[FREE], phase[:-1]])
+    free, tip = phase == FREE, phase == TIP
+    onset = ~free & (before == FREE)
+    new_rates = ~free & ((labels.link > GO_ON) | onset)
+    keep[new_rates, speeds], spread[new_rates, speeds] = 0, rates**2
+    anew = ~free & (labels.link == JUMP)
+    keep[anew, places] = 0
+    begin[anew, :TILT] = about[anew, :TILT]
+    spread[anew, :ARC_LENGTH] = _LOAD_SPREAD**2
+    spread[anew, TILT] = spread[onset, TILT] = TILT_SPREAD**2
+    # A contact that begins with the flank begins anywhere on the rod.
+    flank = (onset | anew) & ~tip
+    keep[flank, ARC_LENGTH], begin[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, about[flank, ARC_LENGTH], _ARC_LENGTH_SPREAD**2
+    at_end = (ARC_LENGTH, COORDINATES + ARC_LENGTH)
+    keep[np.ix_(tip, at_end)] = begin[np.ix_(tip, at_end)] = spread[np.ix_(tip, at_end)] = 0
+    keep[free, : 2 * COORDINATES] = begin[free, : 2 * COORDINATES] = spread[free, : 2 * COORDINATES] = 0
+    begin[tip | free, ARC_LENGTH] = 1
+    active = np.where(free[:, None], 0.0, labels.share[:, None] * np.ones(COORDINATES))
+    active[tip, ARC_LENGTH] = 0
+    return keep, begin, spread, active
+
+
+def _observations(
+    series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], weight: Float[np.ndarray, "n"], linear: Linear, *, frictionless: bool
+) -> tuple[np.ndarray, ...]:
+    phase, count = labels.phase, len(labels.phase)
+    touching = phase != FREE
+    values, jacobian = linear
+    design, target, variance = np.zeros((count, ROWS, SIZE)), np.zeros((count, ROWS)), np.full((count, ROWS), np.inf)
+    offset = values.wrench - np.einsum("nij,nj->ni", jacobian[:, :WRENCH], about)
+    moved = series.wrench - np.where(touching[:, None], offset, 0.0)
+    target[:, :WRENCH] = np.einsum("nij,nj->ni", series.whitening, moved)
+    design[:, :WRENCH, :COORDINATES] = np.where(touching[:, None, None], series.whitening @ jacobian[:, :WRENCH], 0.0)
+    design[:, :WRENCH, 2 * COORDINATES :] = np.eye(WRENCH)
+    variance[series.sound, :WRENCH] = 1 / weight[series.sound, None]
+    # Where tangential contact passes over into tip contact, the arc length is the rod's.
+    arrives = np.flatnonzero((phase[:-1] == TANGENTIAL) & (phase[1:] == TIP) & (labels.link[1:] != JUMP))
+    design[arrives, WRENCH, ARC_LENGTH], target[arrives, WRENCH], variance[arrives, WRENCH] = 1, 1, _PINNED
+    if frictionless:
+        square = np.flatnonzero(phase == TANGENTIAL)
+        slope = jacobian[square, WRENCH]
+        design[square, WRENCH + 1, :COORDINATES] = slope
+        target[square, WRENCH + 1] = 0.5 - values.modulus[square] + np.einsum("ni,ni->n", slope, about[square])
+        variance[square, WRENCH + 1] = _PINNED
+    return target, design, variance

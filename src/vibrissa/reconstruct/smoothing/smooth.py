@@ -1,0 +1,208 @@
+"""Smoothing's entry point: contacts of a sweep in, the same contacts smoothed along it out."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.geometry.checks import not_negative
+from vibrissa.reactions import Reactions
+from vibrissa.reconstruct.result import Reconstruction
+from vibrissa.reconstruct.smoothing.changes import Model, jumps, with_better_changes, with_fewer_phases, with_tangential_phases
+from vibrissa.reconstruct.smoothing.fit import TARE_VARIANCE, Fit, first_guess, first_weights, fitted, initial_states, rates_of
+from vibrissa.reconstruct.smoothing.kalman import WRENCH
+from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT
+from vibrissa.reconstruct.smoothing.phases import detected, runs_of
+from vibrissa.reconstruct.smoothing.result import Smoothing, Touch
+from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, Labels, Series, linearised, series_of
+from vibrissa.reconstruct.smoothing.touch import Onset, onset_at, onset_of, reversed_labels, reversed_model
+from vibrissa.trail import Trail
+
+_ROUNDS = 4
+_START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
+
+
+def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: float = 1.5e-4) -> Reconstruction:
+    """Contacts smoothed along their sweep: all samples tell of each point, the noise of the wrench is known, and a contact moves evenly until it changes.
+
+    Parameters
+    ----------
+    found
+        Contacts of one sweep (n, …) or of several (m, n, …), with the covariance of their reactions. Where its `friction` is 0, k² = ½ is used in tangential contact.
+    false_alarm
+        Share of samples without contact that may be taken for contact.
+    model_error
+        Standard deviation in rod lengths, on each axis, of what statics of an ideal rod leaves out. It is added to the covariances.
+
+    Returns
+    -------
+    Reconstruction
+        The same rows. `point`, `normal`, `arc_length`, `energy` and `modulus` given all samples, their covariances, and `smoothing`: starts and ends of contacts,
+        changes of phase, jumps, outliers, drift.
+
+    Raises
+    ------
+    ValueError
+        If the noise is not known, `false_alarm` is not between 0 and 1, or `model_error` is negative.
+
+    Notes
+    -----
+    A fixed-interval smoother on the manifold of single contacts (mechanics.md, "Smoothing along a sweep"). Nothing is smoothed across starts and ends of contacts and
+    jumps; at changes between tip and tangential contact the point is continuous and its motion is not.
+    """
+    if not 0 < false_alarm < 1:
+        raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
+    model_error = not_negative(model_error, "model_error")
+    if found.reactions.covariance is None:
+        raise ValueError(
+            "found.reactions.covariance = None: smoothing needs the noise of the wrench; give the sensor force_noise and torque_noise"
+        )
+    if found.kind.ndim == 1:
+        return _smoothed_trail(found, false_alarm, model_error)
+    parts = [_smoothed_trail(_trail_of(found, j), false_alarm, model_error) for j in range(len(found.kind))]
+    stacked: dict[str, Any] = {
+        name: np.stack([getattr(part, name) for part in parts]) for name in _FIELDS if getattr(found, name) is not None
+    }
+    return replace(found, **stacked, smoothing=tuple(part.smoothing[0] for part in parts if part.smoothing))
+
+
+_FIELDS = (
+    "kind",
+    "point",
+    "normal",
+    "arc_length",
+    "energy",
+    "modulus",
+    "covariance",
+    "normal_covariance",
+    "arc_length_deviation",
+    "chi_square",
+    "single_contact_residual",
+    "status",
+)
+
+
+def _trail_of(found: Reconstruction, j: int) -> Reconstruction:
+    given = found.reactions
+    assert given.covariance is not None
+    reactions = Reactions(
+        Trail(given.trail.position[j], given.trail.orientation[j]),
+        given.force[j],
+        given.moment[j],
+        time=None if given.time is None else given.time[j],
+        covariance=given.covariance if given.covariance.ndim == 2 else given.covariance[j],
+        position_covariance=given.position_covariance,
+    )
+    rows: dict[str, Any] = {name: getattr(found, name)[j] for name in _FIELDS if getattr(found, name) is not None}
+    return replace(found, reactions=reactions, **rows)
+
+
+def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: float) -> Reconstruction:
+    series = series_of(found.rod, found.reactions)
+    frictionless = found.friction == 0
+    count = len(series.time)
+    drift, spread = np.zeros((count, WRENCH)), np.tile(TARE_VARIANCE * np.eye(WRENCH), (count, 1, 1))
+    loaded = detected(series, drift, spread, false_alarm)
+    labels, about = first_guess(series, loaded, drift)
+    rates = rates_of(series, labels, about)
+    fit = fitted(
+        series, Fit(labels, about, first_weights(series), _START, initial_states(count)), rates, frictionless=frictionless, local=False
+    )
+    # Once more, now that the drift of the zero is known.
+    drift, spread = fit.states.mean[:, 2 * COORDINATES :], fit.states.covariance[:, 2 * COORDINATES :, 2 * COORDINATES :]
+    loaded = detected(series, drift, spread, false_alarm)
+    labels, about = first_guess(series, loaded, drift)
+    fit = fitted(series, fit._replace(labels=labels, about=about), rates, frictionless=frictionless)
+    for _ in range(_ROUNDS):
+        broken = jumps(_model(series, fit, rates, frictionless=frictionless), fit.labels)
+        if not broken:
+            break
+        link = fit.labels.link.copy()
+        for row, kind in broken:
+            link[row] = kind
+        fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, frictionless=frictionless)
+    labels, touches = _refined(series, fit, rates, frictionless=frictionless)
+    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
+    return _result(found, series, fit, touches, model_error)
+
+
+def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Model:
+    return Model(series, fit.about, fit.weight, rates, fit.intensities, fit.states, frictionless)
+
+
+def _refined(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> tuple[Labels, tuple[Touch, ...]]:
+    """Labels with all changes where they are most probable, and the contacts' beginnings and ends."""
+    model = _model(series, fit, rates, frictionless=frictionless)
+    labels = with_better_changes(model, with_tangential_phases(model, with_fewer_phases(model, fit.labels)))
+    backwards, count = reversed_model(model), len(series.time)
+    touches = []
+    for first, last in list(runs_of(labels.phase != FREE)):
+        start = onset_of(model, labels, first) if first > 0 else None
+        end = onset_of(backwards, reversed_labels(labels), count - 1 - last) if last < count - 1 else None
+        labels = labels if start is None else onset_at(labels, first, start.place)
+        if end is not None:
+            labels = reversed_labels(onset_at(reversed_labels(labels), count - 1 - last, end.place))
+        touches.append(_touch(series, labels, start, end, (first, last)))
+    return labels, tuple(touches)
+
+
+def _touch(series: Series, labels: Labels, start: Onset | None, end: Onset | None, rough: tuple[int, int]) -> Touch:
+    count = len(series.time)
+    first = rough[0] if start is None else int(np.floor(start.place)) + 1
+    last = rough[1] if end is None else count - 2 - int(np.floor(end.place))
+    inside = np.arange(first + 1, last + 1)
+    changes = inside[labels.phase[inside] != labels.phase[inside - 1]]
+    broken = np.setdiff1d(inside[labels.link[inside] > GO_ON], changes)
+    return Touch(
+        first,
+        last,
+        None if start is None else start.time,
+        None if end is None else float(series.time[-1]) - end.time,
+        None if start is None else start.deviation,
+        None if end is None else end.deviation,
+        None if start is None else start.limit,
+        None if end is None else end.limit,
+        tuple(map(int, changes)),
+        tuple(map(int, np.union1d(broken, inside[labels.link[inside] == JUMP]))),
+    )
+
+
+def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touch, ...], model_error: float) -> Reconstruction:
+    length, units = found.rod.length, np.repeat([found.rod.force_scale, found.rod.moment_scale], 3)
+    phase, about = fit.labels.phase, fit.about
+    touching = (phase != FREE) & series.sound
+    values, jacobian = linearised(about)
+    errors = fit.states.covariance[:, :COORDINATES, :COORDINATES]
+    floor = np.eye(3) * (model_error * length) ** 2
+    if found.reactions.position_covariance is not None:
+        floor = floor + found.reactions.position_covariance
+    of_point = series.turn @ jacobian[:, WRENCH + 1 :]
+    force = np.linalg.norm(values.wrench[:, :3], axis=1)
+    across = np.eye(3) - np.einsum("ni,nj->nij", values.direction, values.direction)
+    of_normal = -series.turn @ across @ jacobian[:, :3] / np.maximum(force, 1e-12)[:, None, None]
+    unwhitened = np.einsum("nij,nj->ni", np.linalg.inv(series.whitening), fit.states.mean[:, 2 * COORDINATES :])
+    tilt = np.where(touching, about[:, TILT], np.nan)
+    smoothing = Smoothing(
+        touches, fit.intensities, unwhitened * units, fit.weight, tilt, model_error, float(np.sum(fit.states.log_likelihood))
+    )
+
+    def rows(values: np.ndarray, nothing: float = np.nan) -> np.ndarray:
+        return np.where(touching.reshape(-1, *[1] * (values.ndim - 1)), values, nothing)
+
+    kept = found.status == Status.BAD_DATA
+    return replace(
+        found,
+        kind=np.where(touching, phase, ContactKind.NONE).astype(np.int8),
+        point=rows(found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)),
+        normal=rows(np.einsum("nij,nj->ni", series.turn, values.direction)),
+        arc_length=rows(length * about[:, ARC_LENGTH]),
+        energy=rows(found.rod.moment_scale * values.energy, 0.0),
+        modulus=rows(values.modulus),
+        covariance=rows(length**2 * of_point @ errors @ np.swapaxes(of_point, 1, 2) + floor),
+        normal_covariance=rows(of_normal @ errors @ np.swapaxes(of_normal, 1, 2)),
+        arc_length_deviation=rows(length * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0))),
+        status=np.where(kept, found.status, np.where(touching & (fit.weight < 1), found.status, Status.OK)).astype(np.int8),
+        smoothing=(smoothing,),
+    )

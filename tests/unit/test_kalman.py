@@ -1,0 +1,102 @@
+"""The smoother's algebra against the joint Gaussian distribution of a short series, written out densely."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from vibrissa.reconstruct.smoothing import kalman
+from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, Step
+
+COUNT = 6
+PREDICTED = jax.jit(kalman.predicted)
+INTENSITIES = np.array([0.5, 0.8, 0.3, 0.1, 0.05])
+
+
+def series(seed: int = 3) -> Step:
+    """Random observations of a short series: one sample unseen, one where some states begin anew, one where a coordinate is known."""
+    rng = np.random.default_rng(seed)
+    keep, begin, spread, active = np.ones((COUNT, SIZE)), np.zeros((COUNT, SIZE)), np.zeros((COUNT, SIZE)), np.ones((COUNT, 5))
+    keep[3, 5:10], spread[3, 5:10] = 0, 2.0
+    keep[4:, [3, 8]], begin[4:, 3], active[4:, 3] = 0, 1, 0
+    design = np.zeros((COUNT, ROWS, SIZE))
+    design[:, :6, :5], design[:, :6, 10:] = rng.normal(size=(COUNT, 6, 5)), np.eye(6)
+    variance = np.full((COUNT, ROWS), np.inf)
+    variance[:, :6] = rng.uniform(0.5, 2, (COUNT, 1))
+    variance[2] = np.inf
+    design[1, 6, 3], variance[1, 6] = 1, 1e-3
+    duration = np.array([0.0, 0.3, 0.2, 0.4, 0.3, 0.25])
+    target = rng.normal(size=(COUNT, ROWS))
+    return Step(*map(jnp.asarray, (duration, keep, begin, spread, active, rng.uniform(0.5, 2, COUNT), target, design, variance)))
+
+
+def first() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(8)
+    root = rng.normal(size=(SIZE, SIZE)) / 4
+    return rng.normal(size=SIZE), root @ root.T
+
+
+def joint(steps: Step) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n·16) and covariance of all states before anything is seen."""
+    mean, covariance = first()
+    means, rows = [], np.zeros((0, 0))
+    for k in range(COUNT):
+        step = Step(*(part[k] for part in steps))
+        mean_k, own, transition = PREDICTED(jnp.asarray(mean), jnp.asarray(covariance), step, jnp.asarray(INTENSITIES))
+        mean, covariance, transition = np.asarray(mean_k), np.asarray(own), np.asarray(transition)
+        means.append(mean)
+        across = transition @ rows[-SIZE:] if k else np.zeros((SIZE, 0))
+        rows = np.block([[rows, across.T], [across, covariance]]) if k else covariance
+    return np.concatenate(means), rows
+
+
+def test_smoothed_states_are_the_conditional_distribution() -> None:
+    steps = series()
+    mean, covariance = joint(steps)
+    seen = np.isfinite(np.asarray(steps.variance)).reshape(-1)
+    design = np.zeros((COUNT * ROWS, COUNT * SIZE))
+    for k in range(COUNT):
+        design[k * ROWS : (k + 1) * ROWS, k * SIZE : (k + 1) * SIZE] = steps.design[k]
+    z, target = design[seen], np.asarray(steps.target).reshape(-1)[seen]
+    spread = z @ covariance @ z.T + np.diag(np.asarray(steps.variance).reshape(-1)[seen])
+    gain = covariance @ z.T @ np.linalg.inv(spread)
+    states = kalman.smoothed(steps, jnp.asarray(INTENSITIES), *map(jnp.asarray, first()))
+    np.testing.assert_allclose(np.asarray(states.mean).reshape(-1), mean + gain @ (target - z @ mean), atol=1e-9)
+    after = covariance - gain @ z @ covariance
+    for k in range(COUNT):
+        rows = slice(k * SIZE, (k + 1) * SIZE)
+        np.testing.assert_allclose(states.covariance[k], after[rows, rows], atol=1e-9)
+    expected = multivariate_normal(z @ mean, spread).logpdf(target)
+    assert float(jnp.sum(states.log_likelihood)) == pytest.approx(expected, abs=1e-8)
+    assert float(kalman.log_likelihood(steps, jnp.asarray(INTENSITIES), *map(jnp.asarray, first()))) == pytest.approx(expected, abs=1e-8)
+
+
+def test_the_score_is_the_derivative_of_the_log_likelihood() -> None:
+    steps, start = series(), tuple(map(jnp.asarray, first()))
+    states = kalman.smoothed(steps, jnp.asarray(INTENSITIES), *start)
+    score = np.asarray(kalman.score(steps, states, jnp.asarray(INTENSITIES))).sum(axis=0)
+    step = 1e-5
+    for k in range(5):
+        up, down = (INTENSITIES * np.exp(sign * step * np.eye(5)[k]) for sign in (1, -1))
+        slope = (kalman.log_likelihood(steps, jnp.asarray(up), *start) - kalman.log_likelihood(steps, jnp.asarray(down), *start)) / (
+            2 * step
+        )
+        assert score[k] == pytest.approx(float(slope), abs=1e-6)
+
+
+def test_a_shock_is_chi_square_where_there_is_none() -> None:
+    """R has the covariance N: over many series, rᵀ N⁻¹ r averages to the number of entries."""
+    steps, start = series(), tuple(map(jnp.asarray, first()))
+    rng = np.random.default_rng(5)
+    mean, covariance = joint(steps)
+    values = []
+    for _ in range(100):
+        states = rng.multivariate_normal(mean, covariance, method="eigh").reshape(COUNT, SIZE)
+        noise = rng.normal(size=(COUNT, ROWS)) * np.sqrt(np.where(np.isfinite(steps.variance), steps.variance, 0))
+        target = np.einsum("nij,nj->ni", steps.design, states) + noise
+        found = kalman.smoothed(steps._replace(target=jnp.asarray(target)), jnp.asarray(INTENSITIES), *start)
+        pull, information = np.asarray(found.pull)[3, :3], np.asarray(found.information)[3, :3, :3]
+        values.append(pull @ np.linalg.solve(information, pull))
+    # Mean of 100 chi-squares with three degrees of freedom: deviation √(6/100).
+    assert np.mean(values) == pytest.approx(3, abs=4 * np.sqrt(6 / 100))

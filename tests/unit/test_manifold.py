@@ -1,0 +1,75 @@
+"""All wrenches of a single contact by five coordinates: against scans, the inverse map, and finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import vibrissa as vb
+from vibrissa.reconstruct.inverse import invert
+from vibrissa.reconstruct.smoothing.manifold import Bent, bent
+
+UNIT = vb.Rod.unit()
+ROWS = 128
+AXIS = jnp.array([0.0, 0.0, 1.0])
+BENT, INVERT = jax.jit(jax.vmap(bent)), jax.jit(invert)
+SLOPE = jax.jit(jax.jacfwd(lambda x: bent(x).wrench))
+
+
+def one(x: tuple[float, ...] | jax.Array) -> Bent:
+    return Bent(*(part[0] for part in BENT(jnp.tile(jnp.asarray(x), (ROWS, 1)))))
+
+
+COORDINATES = [
+    (0.3, 0.4, -0.2, 0.9, 0.0),
+    (1.2, -0.8, -1.0, 0.7, 0.0),
+    (1e-3, 2e-3, -1e-4, 1.0, 0.0),
+    (0.3, 0.4, -0.2, 0.9, 2e-3),
+    (0.2, 0.1, 0.15, 1.0, 0.0),
+]
+
+
+@pytest.mark.parametrize("y0", [0.02, 0.2, 0.5])
+def test_scanned_contacts_are_found_from_their_coordinates(y0: float) -> None:
+    """Moment, axial force and arc length of a scan give its lateral force and its contact; at y0 = 0.02 the force passes behind the clamp's axis."""
+    surface = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
+    scan = vb.scan(UNIT, surface, vb.Trail.line(start=(1.2, y0, 0), stop=(-1.2, y0, 0), count=121))
+    rows = scan.in_contact
+    f0, m0 = scan.reactions.force[rows], scan.reactions.moment[rows]
+    x = np.column_stack([m0[:, :2], -f0[:, 2], scan.arc_length[rows], np.zeros(rows.sum())])
+    x = np.concatenate([x, np.repeat(x[-1:], ROWS - len(x), axis=0)])
+    found = Bent(*(part[: rows.sum()] for part in BENT(jnp.asarray(x))))
+    np.testing.assert_allclose(found.wrench, np.concatenate([f0, m0], axis=1), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found.reach, (scan.point - scan.trail.position)[rows], rtol=0, atol=2e-8)
+    np.testing.assert_allclose(found.direction, scan.normal[rows], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.energy, scan.energy[rows], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("x", COORDINATES)
+def test_the_inverse_map_leads_back(x: tuple[float, ...]) -> None:
+    value = one(x)
+    force, moment = value.wrench[:3], value.wrench[3:]
+    assert abs(force @ moment) < 1e-15
+    back = INVERT(force, moment, AXIS)
+    # A tilt enters f only by its square, which the coordinates leave out.
+    tolerance = 1e-6 if x[4] == 0 else 1e-5
+    assert back.arc_length == pytest.approx(x[3], abs=tolerance)
+    np.testing.assert_allclose(value.reach, back.reach, rtol=0, atol=tolerance)
+    assert value.modulus == pytest.approx(float(back.modulus), abs=tolerance)
+
+
+@pytest.mark.parametrize("x", COORDINATES)
+def test_derivatives_are_those_of_finite_differences(x: tuple[float, ...]) -> None:
+    step = 1e-6
+    slopes = [(one(jnp.asarray(x) + step * unit).wrench - one(jnp.asarray(x) - step * unit).wrench) / (2 * step) for unit in jnp.eye(5)]
+    np.testing.assert_allclose(SLOPE(jnp.asarray(x)), np.stack(slopes, axis=1), rtol=0, atol=1e-6)
+
+
+def test_first_contact_is_regular() -> None:
+    """No load: no force, the derivatives those of a straight cantilever, F_⊥ = t0 × m0 / L."""
+    x = jnp.array([0.0, 0.0, 0.0, 1.0, 0.0])
+    np.testing.assert_allclose(one(x).wrench, 0, atol=1e-12)
+    slope = SLOPE(x)
+    expected = np.zeros((6, 5))
+    expected[0, 1], expected[1, 0], expected[2, 2], expected[3, 0], expected[4, 1] = 1, -1, -1, 1, 1
+    np.testing.assert_allclose(slope, expected, atol=1e-6)

@@ -245,12 +245,6 @@ REFUSED = {
         {},
         ["column 'fx' is of type string", "allowed are numbers"],
     ),
-    "a null": (
-        "a.parquet",
-        lambda file: pq.write_table(pa.table({**COLUMNS, "fx": pa.array([None, *TABLE[1:, 8]])}), file),
-        {},
-        ["row 0: fx = nan", "allowed are finite numbers"],
-    ),
     "text in a matrix": ("a.mat", lambda file: savemat(file, {**ARRAYS, "force": "none"}), {}, ["'force'", "allowed are real numbers"]),
 }
 
@@ -300,3 +294,11 @@ def test_a_missing_library_is_named_with_its_command(tmp_path: Path, setup: vb.S
 
 def test_the_table_of_the_recording_is_that_of_the_csv() -> None:
     np.testing.assert_allclose(TABLE, recording_table(), atol=1e-4)
+
+
+def test_a_null_marks_its_row(tmp_path: Path, setup: vb.Setup, expected: vb.Reactions) -> None:
+    file = tmp_path / "a.parquet"
+    pq.write_table(pa.table({**COLUMNS, "fx": pa.array([*TABLE[:19, 8], None, *TABLE[20:, 8]])}), file)
+    found = vb.read_recording(file, setup)
+    assert np.flatnonzero(np.isnan(found.force).any(axis=1)).tolist() == [19]
+    np.testing.assert_allclose(np.delete(found.force, 19, axis=0), np.delete(expected.force, 19, axis=0), rtol=0, atol=1e-12)

@@ -89,7 +89,7 @@ def _shifted(pose: Stream, seconds: float) -> Stream:
 
 
 def _raw(wrench: Stream, pose: Float[np.ndarray, "n 7"]) -> RawRecording:
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         orientation = pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
     return RawRecording(wrench.time, pose[:, :3], orientation, wrench.values[:, :3], wrench.values[:, 3:])
 

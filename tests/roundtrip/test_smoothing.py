@@ -11,9 +11,8 @@ from sweeps import SPEED, WIRE, Sweep, at_rest, sweep
 
 import vibrissa as vb
 from vibrissa.cli.reconstruct import reconstruct
-from vibrissa.io import InputError
+from vibrissa.io import InputError, write_recording
 from vibrissa.io.contacts import COLUMNS
-from vibrissa.io.recording import write_recording
 
 SETUP = """\
 [rod]

@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from vibrissa import surfaces
+    from vibrissa.calibrate import Calibration, CalibrationError, calibrate
     from vibrissa.contacts import ContactKind, Motion, Status
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from vibrissa.trail import Trail
 
 _HOMES = {
+    "Calibration": "calibrate",
+    "CalibrationError": "calibrate",
+    "calibrate": "calibrate",
     "Case": "io",
     "Sensor": "sensor",
     "Setup": "io",
@@ -49,6 +53,8 @@ _HOMES = {
 }
 
 __all__ = [
+    "Calibration",
+    "CalibrationError",
     "Case",
     "ContactKind",
     "Equilibrium",
@@ -65,6 +71,7 @@ __all__ = [
     "Status",
     "Trail",
     "__version__",
+    "calibrate",
     "equilibria",
     "estimate_friction",
     "load_case",

@@ -1,33 +1,283 @@
-"""start"""
+"""The entry point: from recordings over a known object to a calibrated setup."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
 from vibrissa.calibrate.equilibrium import Bench
-from vibrissa.calibrate.fit import *
+from vibrissa.calibrate.fit import WRENCH, Linear, Point, Problem, fitted, linearised, spread, weights
+from vibrissa.calibrate.parameters import DEFAULT_FREE, STIFFNESS, Parameter, checked_prior, parameters
+from vibrissa.calibrate.result import Calibration, Estimate, Residuals, SetupLike, SetupType
+from vibrissa.calibrate.rows import CalibrationError, gathered
+from vibrissa.calibrate.statistics import covariance, fitness, identifiability, undetermined
+from vibrissa.geometry.checks import not_negative
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct import reconstruct
+from vibrissa.rod import Rod
+from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.surfaces import Mesh, Offset, Surface
+from vibrissa.surfaces.base import Placed
 from vibrissa.trail import Trail
 
+_WORST_SPREAD = 8.0
+_LEAST_SHARE = 0.5
+_DRIFT = 1.0
+"""Standard deviation of a free drift over a recording before the data, in those of one sample."""
 
-def _start(problem, rod, sensor):
+
+def calibrate(
+    recordings: "Reactions | RawRecording | Sequence[Reactions | RawRecording]",
+    setup: SetupType,
+    surface: Surface | None = None,
+    free: Iterable[str] | None = None,
+    *,
+    prior: Mapping[str, float] | None = None,
+    friction: float = 0.0,
+) -> Calibration[SetupType]:
+    """Rod, mount, sensor and object's pose from sweeps over a known object: least squares on the six reactions.
+
+    Parameters
+    ----------
+    recordings
+        One or more sweeps, each with a rest free of contact: reactions as `read_recording` gives them with this setup, or raw as `Sensor.measure` does.
+    setup
+        Rod and sensor to start from: off by up to about 20 % in stiffness, 3 % in length, 2 mm and 3° of a 50 mm rod.
+    surface
+        The object; by default that of the setup.
+    free
+        What to calibrate: `youngs_modulus` (for rods with a radius) or `bending_stiffness`, `length`, `clamp_position`, `clamp_orientation`,
+        `object_position`, `object_orientation`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`. What is not named is held. By
+        default the stiffness, `length`, `clamp_position`, `clamp_orientation`, `tare` and `drift`. The tare of each recording is always fitted, as
+        otherwise its error would be missing in the others'.
+    prior
+        Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as known before.
+    friction
+        Coulomb's coefficient between rod and object; 0 for none. With friction each sample's tangential force is unknown, and only points and rod tell.
+
+    Returns
+    -------
+    Calibration
+        Setup, estimates with confidence intervals, identifiability, residuals.
+
+    Raises
+    ------
+    ValueError
+        If an argument is unknown or out of range; the text says which and what is allowed.
+    CalibrationError
+        If the recordings have no contact, no rest, or too few samples, or if rod and object as given cannot explain them.
+
+    Notes
+    -----
+    Residuals are readings less those of the contact equilibrium at each pose, weighted by the covariance of wrench and pose. Their derivatives are exact
+    (implicit function theorem). Parameters that the data leave open are held as given and named in `identifiability`. Where the residuals are more than noise,
+    variances are taken larger (`fitness.inflation`): by their mean square, and where they are correlated in time by their long-run variance.
+    """
+    surface = setup.surface if surface is None else surface
+    if surface is None:
+        raise ValueError("surface = None, and the setup has no object; allowed is the surface that was swept")
+    names = tuple(free) if free is not None else _default(setup.rod)
+    chosen = parameters(names, setup.rod)
+    deviations = checked_prior(prior, names, setup.rod)
+    listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
+    rows = gathered(listed, setup.sensor)
+    factors = _factors(chosen, setup.rod, setup.sensor)
+    spreads = np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
+    coefficient = not_negative(friction, "friction")
+    problem = Problem(surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient)
+    start = _start(problem, setup.rod, setup.sensor)
+    problem, held, linear = _solved(problem, start)
+    return _result(setup, names, chosen, problem, held, linear)
+
+
+def _default(rod: Rod) -> tuple[str, ...]:
+    return DEFAULT_FREE if rod.radius is not None else (STIFFNESS[1], *DEFAULT_FREE[1:])
+
+
+def _factors(chosen: list[Parameter], rod: Rod, sensor: Sensor) -> Float[np.ndarray, "parameters"]:
+    """Change of each estimate for a unit step of its parameter."""
+    gain = np.asarray(sensor.gain)
+    ties = {"force_gain": 0, "torque_gain": 3}
+    factors = []
+    for parameter in chosen:
+        if parameter.group in STIFFNESS:
+            factors.append(_stiffness(parameter.group, rod.bending_stiffness, rod))
+        elif parameter.group == "length":
+            factors.append(rod.length)
+        elif parameter.group == "gain":
+            factors.append(float(gain[int(np.argmax(parameter.direction)) - 8]))
+        else:
+            factors.append(float(gain[ties[parameter.group]]) if parameter.group in ties else 1.0)
+    return np.array(factors)
+
+
+def _stiffness(name: str, stiffness: float, rod: Rod) -> float:
+    """EI, or of a round rod E = 4 EI / (π r⁴)."""
+    return stiffness if name == STIFFNESS[1] or rod.radius is None else stiffness / (math.pi / 4 * rod.radius**4)
+
+
+def _solved(problem: Problem, start: Point) -> tuple[Problem, dict[str, tuple[str, ...]], Linear]:
+    """Fit what the data determine, as seen from the start; look again at the solution, and fit anew without what they do not."""
+    problem, held = undetermined(problem, linearised(problem, start))
+    while problem.free:
+        linear = fitted(problem, start._replace(step=np.zeros(len(problem.free))))
+        problem, more = undetermined(problem, linear)
+        if not more:
+            _check_explained(problem, linear)
+            return problem, held, linear
+        held |= more
+    raise CalibrationError(f"these recordings determine none of the free parameters: {', '.join(held)}")
+
+
+def _check_explained(problem: Problem, linear: Linear) -> None:
+    excess = spread(problem, linear)
+    if excess > _WORST_SPREAD:
+        raise CalibrationError(
+            f"rod and object as given do not explain the recordings: residuals are {excess:.0f} times the noise in the median, allowed are {_WORST_SPREAD:g}: "
+            "check the object's shape and pose, friction, the sign of the wrench, and what is free"
+        )
+    share = float(np.mean(linear.readings.sound))
+    if share < _LEAST_SHARE:
+        raise CalibrationError(
+            f"for {share:.0%} of the samples in contact the rod has an equilibrium on the object; needed are at least {_LEAST_SHARE:.0%}: "
+            "check the object's shape and pose"
+        )
+
+
+def _start(problem: Problem, rod: Rod, sensor: Sensor) -> Point:
+    """States from the reconstruction of each row, its point taken to the nearest of the object."""
     rows = problem.rows
-    bench = Bench(rod.bending_stiffness, rod.length, sensor.clamp_position, rotation_matrices(sensor.clamp_orientation), np.ones(6), np.zeros(3), np.eye(3), np.zeros(3))
-    c = rows.contact
-    axes = rows.pose[c, 3:12].reshape(-1, 3, 3)
-    from scipy.spatial.transform import Rotation
-    clamp = rows.pose[c, :3] + axes @ bench.clamp
-    f = rows.wrench[c, :3]
-    m = rows.wrench[c, 3:] - np.cross(bench.clamp - rows.pose[c, 12:], f)
-    F = np.einsum("nij,nj->ni", axes, f)
-    M = np.einsum("nij,nj->ni", axes, m)
-    q = Rotation.from_matrix(axes @ bench.axes).as_quat()
-    found = reconstruct(rod, Reactions(Trail(clamp, q), F, M))
-    p = found.point
-    bad = ~np.isfinite(p).all(1)
-    p[bad] = clamp[bad] + rod.length*(axes @ bench.axes)[bad][:,:,2]
-    p = problem.surface.nearest(p)
-    mag = np.linalg.norm(F, axis=1)
-    n = problem.surface.normal(p)
-    d = -F/mag[:,None]
-    tau = d/np.maximum(np.sum(d*n,axis=1),.3)[:,None]-n if problem.rubs else np.zeros_like(p)
-    st = np.concatenate([p, mag[:, None], tau], axis=1)
-    return Point(bench, np.zeros((rows.recordings, 12)), st, np.zeros(len(problem.free)))
+    pose = rows.pose[rows.contact]
+    axes = pose[:, 3:12].reshape(-1, 3, 3)
+    bench = Bench(
+        rod.bending_stiffness,
+        rod.length,
+        sensor.clamp_position,
+        rotation_matrices(sensor.clamp_orientation),
+        np.ones(WRENCH),
+        np.zeros(3),
+        np.eye(3),
+        np.zeros(3),
+    )
+    wrench = rows.wrench[rows.contact]
+    force, torque = wrench[:, :3], wrench[:, 3:]
+    moment = torque - np.cross(bench.clamp - pose[:, 12:], force)
+    force, moment = (np.einsum("nij,nj->ni", axes, part) for part in (force, moment))
+    trail = Trail(pose[:, :3] + axes @ bench.clamp, Rotation.from_matrix(axes @ bench.axes))
+    found = reconstruct(rod, Reactions(trail, force, moment))
+    tip = trail.position + rod.length * trail.axis
+    points = np.where(np.isfinite(found.point).all(axis=1)[:, None], found.point, tip)
+    points = problem.surface.nearest(points)
+    magnitude = np.linalg.norm(force, axis=1, keepdims=True)
+    leaning = _leaning(-force / magnitude, problem.surface.normal(points)) if problem.rubs else np.zeros_like(points)
+    states = np.concatenate([points, magnitude, leaning], axis=1)
+    bench = bench._replace(pivot=_pivot(problem.surface, points))
+    return Point(bench, np.zeros((rows.recordings, 2 * WRENCH)), states, np.zeros(len(problem.free)))
+
+
+def _leaning(direction: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Tangential force in units of the normal one, of forces of this direction."""
+    along = np.sum(direction * normal, axis=1, keepdims=True)
+    return (direction - along * normal) / np.maximum(along, 0.3)
+
+
+def _pivot(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+    """The object's centre where it has one; else the middle of where it was touched."""
+    if isinstance(surface, Placed):
+        turn, move = np.asarray(surface.rotation), np.asarray(surface.translation)
+        return move + turn @ _pivot(surface.surface, (points - move) @ turn)
+    if isinstance(surface, Mesh):
+        return np.mean(surface.vertices, axis=0)
+    if isinstance(surface, Offset):
+        return _pivot(surface.surface, points)
+    center = getattr(surface, "center", None)
+    return np.median(points, axis=0) if center is None else np.asarray(center)
+
+
+def _result(
+    setup: SetupType, names: tuple[str, ...], chosen: list[Parameter], problem: Problem, held: dict[str, tuple[str, ...]], linear: Linear
+) -> Calibration[SetupType]:
+    weight = weights(problem, linear, spread(problem, linear))
+    found = fitness(problem, linear, weight)
+    errors = covariance(problem, linear, weight, found.inflation)
+    count = len(problem.free)
+    own = np.ascontiguousarray(errors[:count, :count])
+    bench, rows = linear.point.bench, problem.rows
+    factors = _factors(problem.free, _rod(setup.rod, bench), _sensor(setup.sensor, bench))
+    deviations = dict(zip((parameter.name for parameter in problem.free), factors * np.sqrt(np.diag(own)), strict=True))
+    offsets = linear.point.offsets
+    offset_deviations = np.sqrt(np.diag(errors)[count:]).reshape(offsets.shape)
+    move = bench.pivot + bench.shift - bench.turn @ bench.pivot
+    surface = _placed(problem.surface, bench, move, names)
+    return Calibration(
+        setup=_setup(setup, bench, surface),
+        surface=surface,
+        estimates={parameter.name: _estimate(parameter, setup, bench, deviations) for parameter in chosen},
+        covariance=own * np.outer(factors, factors),
+        identifiability=identifiability(problem, own, linear, held),
+        residuals=Residuals(
+            rows.recording, rows.seconds, rows.contact, rows.wrench, linear.predicted, linear.whitened, weight, linear.chi_square
+        ),
+        fitness=found,
+        tare=offsets[:, :WRENCH],
+        tare_deviation=offset_deviations[:, :WRENCH],
+        drift=offsets[:, WRENCH:],
+        drift_deviation=offset_deviations[:, WRENCH:],
+        pivot=np.asarray(bench.pivot),
+        pose=(np.asarray(bench.turn), np.asarray(move)),
+        friction=problem.friction,
+        free=names,
+    )
+
+
+def _rod(rod: Rod, bench: Bench) -> Rod:
+    return replace(rod, length=float(bench.length), bending_stiffness=float(bench.stiffness))
+
+
+def _sensor(sensor: Sensor, bench: Bench) -> Sensor:
+    turned = Rotation.from_matrix(np.asarray(bench.axes)).as_quat()
+    gain = np.asarray(sensor.gain) * np.asarray(bench.gain)
+    return replace(sensor, clamp_position=np.asarray(bench.clamp), clamp_orientation=turned, gain=tuple(map(float, gain)))
+
+
+def _placed(surface: Surface, bench: Bench, move: Float[np.ndarray, "3"], names: tuple[str, ...]) -> Surface:
+    if not {"object_position", "object_orientation"} & set(names):
+        return surface
+    return surface.placed(Rotation.from_matrix(np.asarray(bench.turn)), move)
+
+
+def _setup(setup: SetupType, bench: Bench, surface: Surface) -> SetupType:
+    parts = {"rod": _rod(setup.rod, bench), "sensor": _sensor(setup.sensor, bench), "surface": surface}
+    return cast(SetupType, replace(cast(Any, setup), **parts))
+
+
+def _estimate(parameter: Parameter, setup: SetupLike, bench: Bench, deviations: Mapping[str, float]) -> Estimate:
+    given, value = _values(parameter, setup, bench)
+    deviation = float(deviations.get(parameter.name, math.nan))
+    return Estimate(parameter.name, parameter.unit, given, value, deviation, parameter.name in deviations)
+
+
+def _values(parameter: Parameter, setup: SetupLike, bench: Bench) -> tuple[float, float]:
+    """Given and calibrated."""
+    rod, sensor = setup.rod, setup.sensor
+    place = int(np.argmax(parameter.direction))
+    match parameter.group:
+        case "youngs_modulus" | "bending_stiffness":
+            return _stiffness(parameter.group, rod.bending_stiffness, rod), _stiffness(parameter.group, float(bench.stiffness), rod)
+        case "length":
+            return rod.length, float(bench.length)
+        case "clamp_position":
+            return float(sensor.clamp_position[place - 2]), float(bench.clamp[place - 2])
+        case "clamp_orientation":
+            turned = Rotation.from_quat(sensor.clamp_orientation).inv() * Rotation.from_matrix(np.asarray(bench.axes))
+            return 0.0, float(turned.as_rotvec()[place - 5])
+        case "object_position":
+            return 0.0, float(bench.shift[place - 14])
+        case "object_orientation":
+            return 0.0, float(Rotation.from_matrix(np.asarray(bench.turn)).as_rotvec()[place - 17])
+    return float(sensor.gain[place - 8]), float(sensor.gain[place - 8] * bench.gain[place - 8])

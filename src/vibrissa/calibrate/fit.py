@@ -27,8 +27,6 @@ _FLOOR = 1e-14
 _HELD = 1e-12
 _MOST_LEANING = 3.0
 _LEAST_SHARE = 0.5
-# Of the tangential force, in units of the normal one: a weak bound, since each row shows its own.
-_LEANING = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +45,8 @@ class Problem:
         (parameters,) their standard deviations before the data, infinite for none.
     drift
         Standard deviation of the drift over a recording, in those of one sample; 0 for none.
-    rubs
-        Whether there is friction.
+    friction
+        Coulomb's coefficient: the standard deviation given to each tangential force, in units of the normal one. Each row shows its own.
     """
 
     surface: Surface
@@ -56,7 +54,12 @@ class Problem:
     free: list[Parameter]
     prior: Float[np.ndarray, "parameters"]
     drift: float
-    rubs: bool
+    friction: float
+
+    @property
+    def rubs(self) -> bool:
+        """Whether there is friction."""
+        return self.friction > 0
 
     @property
     def freedom(self) -> int:
@@ -103,8 +106,8 @@ class Linear(NamedTuple):
 
     @property
     def chi_square(self) -> Float[np.ndarray, "n"]:
-        """Squared length of each row's residual; NaN where there is no equilibrium."""
-        return np.where(self.sound, np.sum(self.residual**2, axis=1), np.nan)
+        """Squared length of each row's residual in the six channels; NaN where there is no equilibrium."""
+        return np.where(self.sound, np.sum(self.residual[:, :WRENCH] ** 2, axis=1), np.nan)
 
 
 def linearised(problem: Problem, point: Point) -> Linear:
@@ -136,7 +139,7 @@ def linearised(problem: Problem, point: Point) -> Linear:
     whitened[~sound], jacobian[~sound] = 0.0, 0.0
     if not problem.rubs:
         return Linear(point, found, sound, whitened, jacobian, None, whitened, predicted)
-    residual, jacobian, rubbing = _without_rubbing(point, found, contact, factor, whitened, jacobian)
+    residual, jacobian, rubbing = _without_rubbing(problem, point, found, factor, whitened, jacobian)
     return Linear(point, found, sound, residual, jacobian, rubbing, whitened, predicted)
 
 
@@ -146,20 +149,21 @@ def _offset_design(rows: Rows) -> Float[np.ndarray, "n 6 12"]:
 
 
 def _without_rubbing(
+    problem: Problem,
     point: Point,
     found: Readings,
-    contact: Bool[np.ndarray, "n"],
     factor: Float[np.ndarray, "n 6 6"],
     whitened: Float[np.ndarray, "n 6"],
     jacobian: Float[np.ndarray, "n 6 unknowns"],
 ) -> tuple[Float[np.ndarray, "n 9"], Float[np.ndarray, "n 9 unknowns"], Rubbing]:
     """Eliminate the tangential forces: residual and Jacobian on what they cannot explain (variable projection, Golub and Pereyra 1973)."""
+    contact = problem.rows.contact
     n, unknowns = len(contact), jacobian.shape[2]
     residual, design = np.zeros((n, WRENCH + 3)), np.zeros((n, WRENCH + 3, unknowns))
     residual[:, :WRENCH], design[:, :WRENCH] = whitened, jacobian
-    residual[contact, WRENCH:] = -point.states[:, 4:] / _LEANING
+    residual[contact, WRENCH:] = -point.states[:, 4:] / problem.friction
     slope = np.where(found.sound[:, None, None], factor[contact] @ found.rubbing, 0.0)
-    slope = np.concatenate([slope, np.broadcast_to(np.eye(3) / _LEANING, (len(slope), 3, 3))], axis=1)
+    slope = np.concatenate([slope, np.broadcast_to(np.eye(3) / problem.friction, (len(slope), 3, 3))], axis=1)
     solve = np.linalg.solve(np.swapaxes(slope, 1, 2) @ slope, np.swapaxes(slope, 1, 2))
     project = np.eye(WRENCH + 3) - slope @ solve
     rubbing = Rubbing(np.einsum("nij,nj->ni", solve, residual[contact]), solve @ design[contact])

@@ -15,6 +15,11 @@ from vibrissa.sensor import Sensor
 from vibrissa.surfaces import Surface
 
 
+Gain = Annotated[
+    tuple[Positive, Positive, Positive, Positive, Positive, Positive], Field(description="six numbers greater than 0, forces and torques")
+]
+
+
 @dataclass(frozen=True)
 class Setup:
     """What a recording needs to be read.
@@ -51,6 +56,7 @@ class SensorTable(Table):
     force_resolution: NotNegative = 0.0
     torque_resolution: NotNegative = 0.0
     position_noise: NotNegative = 0.0
+    gain: Gain = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
     def build(self) -> Sensor:
         """Return the sensor."""
@@ -66,6 +72,7 @@ class SensorTable(Table):
             self.force_resolution,
             self.torque_resolution,
             self.position_noise,
+            self.gain,
         )
 
 

@@ -15,6 +15,9 @@ from vibrissa.trail import Trail
 WrenchSign = Literal["on_sensor", "on_rod"]
 WrenchFrame = Literal["sensor", "world"]
 
+_CHANNELS = 6
+_ONES = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class RawRecording:
@@ -59,6 +62,8 @@ class Sensor:
         Steps of the numbers [N], [N m].
     position_noise
         Standard deviation of the robot's position on each axis [m]; used where the wrench's noise is known.
+    gain
+        Reading over true value of the six channels, force x, y, z and torque x, y, z in the sensor's axes.
 
     Raises
     ------
@@ -77,6 +82,7 @@ class Sensor:
     force_resolution: float = 0.0
     torque_resolution: float = 0.0
     position_noise: float = 0.0
+    gain: tuple[float, float, float, float, float, float] = _ONES
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "clamp_position", finite_array(self.clamp_position, "clamp_position", last=3, ndim=1))
@@ -84,6 +90,8 @@ class Sensor:
         if self.clamp_orientation.shape != (4,):
             raise ValueError(f"clamp_orientation has shape {self.clamp_orientation.shape}; allowed is (4,)")
         finite_array(self.wrench_point, "wrench_point", last=3, ndim=1)
+        if np.any(finite_array(self.gain, "gain", last=_CHANNELS, ndim=1) <= 0):
+            raise ValueError(f"gain = {self.gain!r}; allowed are six numbers greater than 0")
         for name, allowed in (("wrench", ("on_sensor", "on_rod")), ("wrench_frame", ("sensor", "world"))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")
@@ -104,8 +112,8 @@ class Sensor:
         ValueError
             If the tare window holds fewer than two samples, or the whole recording.
         """
-        tared = self._tared(raw)
         sensor_axes = rotation_matrices(raw.orientation)
+        tared = self._amplified(self._tared(raw), sensor_axes, 1 / np.asarray(self.gain))
         arm = np.einsum("nij,j->ni", sensor_axes, self.clamp_position - np.asarray(self.wrench_point))
         in_world = self.wrench_frame == "world"
         force, torque = (part if in_world else np.einsum("nij,nj->ni", sensor_axes, part) for part in tared)
@@ -118,7 +126,7 @@ class Sensor:
             sign * force,
             sign * (torque - np.cross(arm, force)),
             time=raw.time,
-            covariance=self._covariance(arm, self._tare_count(raw)),
+            covariance=self._covariance(arm, self._tare_count(raw)) if self.gain == _ONES else self._uneven_covariance(arm, sensor_axes, raw),
             position_covariance=np.eye(3) * self.position_noise**2 if self.force_noise is not None else None,
         )
 
@@ -157,6 +165,7 @@ class Sensor:
         torque = sign * reactions.moment + np.cross(arm, force)
         if self.wrench_frame == "sensor":
             force, torque = (np.einsum("nji,nj->ni", sensor_axes, part) for part in (force, torque))
+        force, torque = self._amplified((force, torque), sensor_axes, np.asarray(self.gain))
         return RawRecording(
             reactions.time,
             position + rng.normal(0.0, self.position_noise, position.shape),
@@ -164,6 +173,36 @@ class Sensor:
             _logged(force + np.asarray(force_tare), self.force_noise, self.force_resolution, rng),
             _logged(torque + np.asarray(torque_tare), self.torque_noise, self.torque_resolution, rng),
         )
+
+    def _amplified(
+        self,
+        wrench: tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]],
+        sensor_axes: Float[np.ndarray, "n 3 3"],
+        factors: Float[np.ndarray, "6"],
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Multiply the sensor's channels, whatever axes the wrench is in."""
+        if self.gain == _ONES:
+            return wrench
+        force, torque = wrench
+        if self.wrench_frame == "sensor":
+            return force * factors[:3], torque * factors[3:]
+        turned = [np.einsum("nij,j,nkj->nik", sensor_axes, part, sensor_axes) for part in (factors[:3], factors[3:])]
+        return np.einsum("nij,nj->ni", turned[0], force), np.einsum("nij,nj->ni", turned[1], torque)
+
+    def _uneven_covariance(
+        self, arm: Float[np.ndarray, "n 3"], sensor_axes: Float[np.ndarray, "n 3 3"], raw: RawRecording
+    ) -> Float[np.ndarray, "n 6 6"] | None:
+        """The same for channels of different gain: noise is that of the readings."""
+        even = self._covariance(np.zeros_like(arm[:1]), self._tare_count(raw))
+        if even is None:
+            return None
+        variance = np.diag(even) / np.asarray(self.gain) ** 2
+        force, torque = (np.einsum("nij,j,nkj->nik", sensor_axes, part, sensor_axes) for part in (variance[:3], variance[3:]))
+        x, y, z = arm.T
+        zero = np.zeros_like(x)
+        lever = -np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+        mixed = lever @ force
+        return np.block([[force, np.swapaxes(mixed, 1, 2)], [mixed, torque + mixed @ np.swapaxes(lever, 1, 2)]])
 
     def _tare_count(self, raw: RawRecording) -> int:
         return int(np.count_nonzero(raw.time - raw.time[0] < self.tare_seconds))

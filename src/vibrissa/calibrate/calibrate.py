@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, cast
 
 import numpy as np
@@ -16,7 +16,7 @@ from vibrissa.calibrate.result import Calibration, Estimate, Residuals, SetupLik
 from vibrissa.calibrate.rows import CalibrationError, gathered
 from vibrissa.calibrate.statistics import covariance, fitness, identifiability, undetermined
 from vibrissa.geometry.checks import not_negative
-from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.geometry.rotation import rotation_matrices, turning_axis_to
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct import reconstruct
 from vibrissa.rod import Rod
@@ -27,6 +27,7 @@ from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
 _LEAST_SHARE = 0.5
+_ROLL = "clamp_orientation_z"
 _DRIFT = 1.0
 """Standard deviation of a free drift over a recording before the data, in those of one sample."""
 
@@ -83,7 +84,7 @@ def calibrate(
         raise ValueError("surface = None, and the setup has no object; allowed is the surface that was swept")
     names = tuple(free) if free is not None else _default(setup.rod)
     chosen = parameters(names, setup.rod)
-    deviations = checked_prior(prior, names, setup.rod)
+    deviations = checked_prior(prior, names)
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     rows = gathered(listed, setup.sensor)
     factors = _factors(chosen, setup.rod, setup.sensor)
@@ -91,7 +92,7 @@ def calibrate(
     coefficient = not_negative(friction, "friction")
     problem = Problem(surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient)
     start = _start(problem, setup.rod, setup.sensor)
-    problem, held, linear = _solved(problem, start)
+    problem, held, linear = _solved(problem, start, setup.rod)
     return _result(setup, names, chosen, problem, held, linear)
 
 
@@ -121,17 +122,30 @@ def _stiffness(name: str, stiffness: float, rod: Rod) -> float:
     return stiffness if name == STIFFNESS[1] or rod.radius is None else stiffness / (math.pi / 4 * rod.radius**4)
 
 
-def _solved(problem: Problem, start: Point) -> tuple[Problem, dict[str, tuple[str, ...]], Linear]:
+def _solved(problem: Problem, start: Point, rod: Rod) -> tuple[Problem, dict[str, tuple[str, ...]], Linear]:
     """Fit what the data determine, as seen from the start; look again at the solution, and fit anew without what they do not."""
     problem, held = undetermined(problem, linearised(problem, start))
     while problem.free:
-        linear = fitted(problem, start._replace(step=np.zeros(len(problem.free))))
+        linear = _seeded_anew(problem, fitted(problem, start._replace(step=np.zeros(len(problem.free)))), rod)
         problem, more = undetermined(problem, linear)
         if not more:
             _check_explained(problem, linear)
             return problem, held, linear
         held |= more
     raise CalibrationError(f"these recordings determine none of the free parameters: {', '.join(held)}")
+
+
+def _seeded_anew(problem: Problem, linear: Linear, rod: Rod) -> Linear:
+    """Where rows do not fit, fit again from states that the found parameters give: rows may be caught on another equilibrium. Keep what fits more rows."""
+    if not np.any(_weights(problem, linear)[problem.rows.contact] < 1):
+        return linear
+    point = linear.point
+    again = fitted(problem, point._replace(states=_states(problem, point.bench, point.offsets, rod)))
+    return max(linear, again, key=lambda one: float(np.sum(_weights(problem, one))))
+
+
+def _weights(problem: Problem, linear: Linear) -> Float[np.ndarray, "n"]:
+    return weights(problem, linear, spread(problem, linear))
 
 
 def _check_explained(problem: Problem, linear: Linear) -> None:
@@ -150,13 +164,9 @@ def _check_explained(problem: Problem, linear: Linear) -> None:
 
 
 def _start(problem: Problem, rod: Rod, sensor: Sensor) -> Point:
-    """States from the reconstruction of each row, its point taken to the nearest of the object."""
-    rows = problem.rows
-    pose = rows.pose[rows.contact]
-    axes = pose[:, 3:12].reshape(-1, 3, 3)
     bench = Bench(
-        rod.bending_stiffness,
-        rod.length,
+        np.asarray(rod.bending_stiffness),
+        np.asarray(rod.length),
         sensor.clamp_position,
         rotation_matrices(sensor.clamp_orientation),
         np.ones(WRENCH),
@@ -164,20 +174,31 @@ def _start(problem: Problem, rod: Rod, sensor: Sensor) -> Point:
         np.eye(3),
         np.zeros(3),
     )
-    wrench = rows.wrench[rows.contact]
+    offsets = np.zeros((problem.rows.recordings, 2 * WRENCH))
+    states = _states(problem, bench, offsets, rod)
+    bench = bench._replace(pivot=_pivot(problem.surface, states[:, :3]))
+    return Point(bench, offsets, states, np.zeros(len(problem.free)))
+
+
+def _states(problem: Problem, bench: Bench, offsets: Float[np.ndarray, "recordings 12"], rod: Rod) -> Float[np.ndarray, "contacts 7"]:
+    """From the reconstruction of each row, its point taken to the nearest of the object."""
+    rows = problem.rows
+    pose = rows.pose[rows.contact]
+    axes = pose[:, 3:12].reshape(-1, 3, 3)
+    own = offsets[rows.recording]
+    wrench = ((rows.wrench - own[:, :WRENCH] - rows.time[:, None] * own[:, WRENCH:]) / bench.gain)[rows.contact]
     force, torque = wrench[:, :3], wrench[:, 3:]
     moment = torque - np.cross(bench.clamp - pose[:, 12:], force)
     force, moment = (np.einsum("nij,nj->ni", axes, part) for part in (force, moment))
     trail = Trail(pose[:, :3] + axes @ bench.clamp, Rotation.from_matrix(axes @ bench.axes))
-    found = reconstruct(rod, Reactions(trail, force, moment))
-    tip = trail.position + rod.length * trail.axis
+    found = reconstruct(_rod(rod, bench), Reactions(trail, force, moment))
+    tip = trail.position + float(bench.length) * trail.axis
     points = np.where(np.isfinite(found.point).all(axis=1)[:, None], found.point, tip)
-    points = problem.surface.nearest(points)
+    surface = _placed(problem.surface, bench)
+    points = surface.nearest(points)
     magnitude = np.linalg.norm(force, axis=1, keepdims=True)
-    leaning = _leaning(-force / magnitude, problem.surface.normal(points)) if problem.rubs else np.zeros_like(points)
-    states = np.concatenate([points, magnitude, leaning], axis=1)
-    bench = bench._replace(pivot=_pivot(problem.surface, points))
-    return Point(bench, np.zeros((rows.recordings, 2 * WRENCH)), states, np.zeros(len(problem.free)))
+    leaning = _leaning(-force / magnitude, surface.normal(points)) if problem.rubs else np.zeros_like(points)
+    return np.concatenate([points, magnitude, leaning], axis=1)
 
 
 def _leaning(direction: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -202,18 +223,18 @@ def _pivot(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarr
 def _result(
     setup: SetupType, names: tuple[str, ...], chosen: list[Parameter], problem: Problem, held: dict[str, tuple[str, ...]], linear: Linear
 ) -> Calibration[SetupType]:
-    weight = weights(problem, linear, spread(problem, linear))
+    weight = _weights(problem, linear)
     found = fitness(problem, linear, weight)
     errors = covariance(problem, linear, weight, found.inflation)
     count = len(problem.free)
     own = np.ascontiguousarray(errors[:count, :count])
-    bench, rows = linear.point.bench, problem.rows
+    bench, rows = _unrolled(linear.point.bench, setup.sensor, held), problem.rows
     factors = _factors(problem.free, _rod(setup.rod, bench), _sensor(setup.sensor, bench))
     deviations = dict(zip((parameter.name for parameter in problem.free), factors * np.sqrt(np.diag(own)), strict=True))
     offsets = linear.point.offsets
     offset_deviations = np.sqrt(np.diag(errors)[count:]).reshape(offsets.shape)
-    move = bench.pivot + bench.shift - bench.turn @ bench.pivot
-    surface = _placed(problem.surface, bench, move, names)
+    posed = {"object_position", "object_orientation"} & set(names)
+    surface = _placed(problem.surface, bench) if posed else problem.surface
     return Calibration(
         setup=_setup(setup, bench, surface),
         surface=surface,
@@ -229,10 +250,18 @@ def _result(
         drift=offsets[:, WRENCH:],
         drift_deviation=offset_deviations[:, WRENCH:],
         pivot=np.asarray(bench.pivot),
-        pose=(np.asarray(bench.turn), np.asarray(move)),
+        pose=(np.asarray(bench.turn), _move(bench)),
         friction=problem.friction,
         free=names,
     )
+
+
+def _unrolled(bench: Bench, sensor: Sensor, held: Mapping[str, object]) -> Bench:
+    """Where the roll about the rod's axis is open, the clamp's axes turned from the given ones without roll, the shortest way."""
+    if _ROLL not in held:
+        return bench
+    given = rotation_matrices(sensor.clamp_orientation)
+    return bench._replace(axes=given @ rotation_matrices(turning_axis_to(given.T @ np.asarray(bench.axes)[:, 2])))
 
 
 def _rod(rod: Rod, bench: Bench) -> Rod:
@@ -241,18 +270,22 @@ def _rod(rod: Rod, bench: Bench) -> Rod:
 
 def _sensor(sensor: Sensor, bench: Bench) -> Sensor:
     turned = Rotation.from_matrix(np.asarray(bench.axes)).as_quat()
-    gain = np.asarray(sensor.gain) * np.asarray(bench.gain)
-    return replace(sensor, clamp_position=np.asarray(bench.clamp), clamp_orientation=turned, gain=tuple(map(float, gain)))
+    fx, fy, fz, tx, ty, tz = (float(one * factor) for one, factor in zip(sensor.gain, bench.gain, strict=True))
+    return replace(sensor, clamp_position=np.asarray(bench.clamp), clamp_orientation=turned, gain=(fx, fy, fz, tx, ty, tz))
 
 
-def _placed(surface: Surface, bench: Bench, move: Float[np.ndarray, "3"], names: tuple[str, ...]) -> Surface:
-    if not {"object_position", "object_orientation"} & set(names):
-        return surface
-    return surface.placed(Rotation.from_matrix(np.asarray(bench.turn)), move)
+def _placed(surface: Surface, bench: Bench) -> Surface:
+    return Placed(surface, np.asarray(bench.turn), _move(bench))
+
+
+def _move(bench: Bench) -> Float[np.ndarray, "3"]:
+    return np.asarray(bench.pivot + bench.shift - bench.turn @ bench.pivot)
 
 
 def _setup(setup: SetupType, bench: Bench, surface: Surface) -> SetupType:
-    parts = {"rod": _rod(setup.rod, bench), "sensor": _sensor(setup.sensor, bench), "surface": surface}
+    parts: dict[str, object] = {"rod": _rod(setup.rod, bench), "sensor": _sensor(setup.sensor, bench), "surface": surface}
+    # What a file said of an earlier calibration no longer holds.
+    parts |= {field.name: None for field in fields(cast(Any, setup)) if field.name == "calibration"}
     return cast(SetupType, replace(cast(Any, setup), **parts))
 
 

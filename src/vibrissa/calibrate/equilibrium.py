@@ -42,8 +42,8 @@ Wrench = Float[Array, "6"]
 class Bench(NamedTuple):
     """All that a calibration may change, in units of the rod."""
 
-    stiffness: Float[AnyArray, ""] | float
-    length: Float[AnyArray, ""] | float
+    stiffness: Float[AnyArray, ""]
+    length: Float[AnyArray, ""]
     clamp: Float[AnyArray, "3"]
     """Clamp point in the sensor frame."""
     axes: Float[AnyArray, "3 3"]
@@ -89,7 +89,9 @@ class Readings(NamedTuple):
     @property
     def sound(self) -> np.ndarray:
         """Rows with an equilibrium and finite derivatives (n,)."""
-        finite = np.isfinite(self.wrench).all(axis=1) & np.isfinite(self.jacobian).all(axis=(1, 2)) & np.isfinite(self.rubbing).all(axis=(1, 2))
+        finite = (
+            np.isfinite(self.wrench).all(axis=1) & np.isfinite(self.jacobian).all(axis=(1, 2)) & np.isfinite(self.rubbing).all(axis=(1, 2))
+        )
         return finite & (self.solved < _SOLVED)
 
 
@@ -144,7 +146,7 @@ def _predicted(law: Law, surface: Surface, bench: Bench, state: State, row: Floa
 
 
 def _scene(surface: Surface, bench: Bench) -> Scene:
-    return Scene(Placed(surface, bench.turn, bench.pivot + bench.shift - bench.turn @ bench.pivot), bench.length)
+    return Scene(Placed(surface, bench.turn, bench.pivot + bench.shift - bench.turn @ bench.pivot), jnp.asarray(bench.length))
 
 
 def _clamp(bench: Bench, row: Float[Array, "15"]) -> Clamp:
@@ -156,7 +158,7 @@ def _reading(bench: Bench, x: Float[Array, "4"], direction: Float[Array, "3"], r
     axes = row[3:12].reshape(3, 3)
     force = -x[3] * bench.stiffness / bench.length**2 * (axes.T @ direction)
     arm = axes.T @ (x[:3] * bench.length - row[:3]) - row[12:]
-    return bench.gain * jnp.concatenate([force, jnp.cross(arm, force)])
+    return jnp.asarray(bench.gain) * jnp.concatenate([force, jnp.cross(arm, force)])
 
 
 def _solved(
@@ -190,9 +192,7 @@ _smooth_blocks = compiled(partial(_blocks, _smooth))
 _rough_blocks = compiled(partial(_blocks, _rough))
 
 
-def readings(
-    surface: Surface, bench: Bench, states: Float[np.ndarray, "n 7"], rows: Float[np.ndarray, "n 15"], *, rubs: bool
-) -> Readings:
+def readings(surface: Surface, bench: Bench, states: Float[np.ndarray, "n 7"], rows: Float[np.ndarray, "n 15"], *, rubs: bool) -> Readings:
     """Readings of rows (n, …) in contact, each equilibrium sought from a state (n, 7); with `rubs` the tangential force is that of the state."""
     kernel = partial(_rough_blocks if rubs else _smooth_blocks, surface, bench)
     return unpacked(in_blocks(kernel, states, rows, sizes=ONE_BY_ONE if surface.heavy else SIZES))

@@ -23,6 +23,8 @@ _DAMPING = 1e-3
 _LONGEST_STEP = 0.25
 _DONE = 1e-3
 _OUTLYING = 1e-3
+_MOST_LOST = 0.05
+_FAR_OUT = 3.0
 _FLOOR = 1e-14
 _HELD = 1e-12
 _MOST_LEANING = 3.0
@@ -179,18 +181,23 @@ def spread(problem: Problem, linear: Linear) -> float:
 
 
 def weights(problem: Problem, linear: Linear, scale: float) -> Float[np.ndarray, "n"]:
-    """Huber's weights (n,): 1 for 999 of 1000 rows of noise of this scale; 0 where there is no equilibrium."""
+    """Weights (n,): 1 for 999 of 1000 rows of noise of this scale, less as Huber's beyond, and 0 far out or without equilibrium."""
     limit = scale * np.sqrt(chi2.isf(_OUTLYING, problem.freedom))
-    length = np.sqrt(np.nan_to_num(linear.chi_square, nan=np.inf))
-    return np.where(linear.sound, limit / np.maximum(length, limit), 0.0)
+    length = np.sqrt(np.sum(linear.residual**2, axis=1))
+    return np.where(linear.sound & (length < _FAR_OUT * limit), limit / np.maximum(length, limit), 0.0)
 
 
-def _cost(problem: Problem, linear: Linear, scale: float, unsolved: float) -> float:
-    """Huber's cost; a row without equilibrium costs as much as one of the length `unsolved`."""
+def _costs(problem: Problem, linear: Linear, trial: Linear, scale: float) -> tuple[float, float]:
+    """Cost of two points, on the rows that have an equilibrium at both and are not far out at the first."""
+    rows = trial.sound & (weights(problem, linear, scale) > 0)
+    return _cost(problem, linear, scale, rows), _cost(problem, trial, scale, rows)
+
+
+def _cost(problem: Problem, linear: Linear, scale: float, rows: Bool[np.ndarray, "n"]) -> float:
     limit = scale * np.sqrt(chi2.isf(_OUTLYING, problem.freedom))
-    length = np.sqrt(np.nan_to_num(linear.chi_square, nan=unsolved**2))
-    rows = np.where(length <= limit, length**2, limit * (2 * length - limit))
-    return float(np.sum(rows) + np.sum(_prior_terms(problem, linear.point) ** 2))
+    length = np.minimum(np.sqrt(np.sum(linear.residual[rows] ** 2, axis=1)), _FAR_OUT * limit)
+    robust = np.where(length <= limit, length**2, limit * (2 * length - limit))
+    return float(np.sum(robust) + np.sum(_prior_terms(problem, linear.point) ** 2))
 
 
 def _prior_deviations(problem: Problem) -> Float[np.ndarray, "unknowns"]:
@@ -227,7 +234,7 @@ def fitted(problem: Problem, start: Point) -> Linear:
         If for less than half of the rows an equilibrium is found near the start.
     """
     linear = linearised(problem, start)
-    _check_start(problem, linear)
+    _check_start(linear)
     damping = _DAMPING
     for _ in range(_MOST_STEPS):
         scale = spread(problem, linear)
@@ -247,8 +254,6 @@ def _improved(
 ) -> tuple[Linear, float, float]:
     """Damped step that lowers the cost, the next damping, and the step's length in standard deviations; length 0 where no step does."""
     matrix, gradient = system
-    unsolved = np.sqrt(np.nanmax(linear.chi_square))
-    cost = _cost(problem, linear, scale, unsolved)
     units = np.concatenate([[parameter.scale for parameter in problem.free], 1 / np.sqrt(np.diag(matrix)[len(problem.free) :])])
     scaled, slope = matrix * np.outer(units, units), gradient * units
     for _ in range(_MOST_TRIALS):
@@ -257,7 +262,8 @@ def _improved(
         own = step[: len(problem.free)]
         step = step * min(1.0, _LONGEST_STEP / max(np.abs(own).max(), _LONGEST_STEP))
         trial = linearised(problem, _moved(problem, linear, step * units))
-        if _cost(problem, trial, scale, unsolved) <= cost:
+        before, after = _costs(problem, linear, trial, scale)
+        if after <= before and np.mean(trial.sound) > np.mean(linear.sound) - _MOST_LOST:
             return trial, damping / 10, float(np.sqrt(step @ scaled @ step))
         damping = max(damping, _DAMPING) * 10
     return linear, damping, 0.0
@@ -266,7 +272,7 @@ def _improved(
 def _moved(problem: Problem, linear: Linear, step: Float[np.ndarray, "unknowns"]) -> Point:
     count = len(problem.free)
     core = sum((value * parameter.direction for value, parameter in zip(step[:count], problem.free, strict=True)), start=np.zeros(CORE))
-    states = _mended(problem, linear)
+    states = _mended(linear)
     if linear.rubbing is not None:
         turned = states[:, 4:] + np.where(linear.readings.sound[:, None], linear.rubbing.still - linear.rubbing.slope @ step, 0.0)
         states = np.concatenate([states[:, :4], np.clip(turned, -_MOST_LEANING, _MOST_LEANING)], axis=1)
@@ -274,7 +280,7 @@ def _moved(problem: Problem, linear: Linear, step: Float[np.ndarray, "unknowns"]
     return Point(moved(point.bench, core), point.offsets + step[count:].reshape(point.offsets.shape), states, point.step + step[:count])
 
 
-def _mended(problem: Problem, linear: Linear) -> Float[np.ndarray, "contacts 7"]:
+def _mended(linear: Linear) -> Float[np.ndarray, "contacts 7"]:
     """States to start from: where no equilibrium was found, that of the nearest row which has one."""
     sound = linear.readings.sound
     if sound.all():
@@ -286,7 +292,7 @@ def _mended(problem: Problem, linear: Linear) -> Float[np.ndarray, "contacts 7"]
     return linear.readings.state[np.where(index - before <= after - index, before, after)]
 
 
-def _check_start(problem: Problem, linear: Linear) -> None:
+def _check_start(linear: Linear) -> None:
     share = float(np.mean(linear.readings.sound))
     if share < _LEAST_SHARE:
         raise CalibrationError(

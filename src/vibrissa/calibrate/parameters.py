@@ -127,7 +127,7 @@ def _unit(entries: list[int]) -> Float[np.ndarray, "20"]:
     return direction
 
 
-def checked_prior(prior: Mapping[str, float] | None, names: Iterable[str], rod: Rod) -> dict[str, float]:
+def checked_prior(prior: Mapping[str, float] | None, names: Iterable[str]) -> dict[str, float]:
     """Standard deviations by name.
 
     Raises
@@ -135,10 +135,10 @@ def checked_prior(prior: Mapping[str, float] | None, names: Iterable[str], rod: 
     ValueError
         If a name is not free, or a deviation not positive.
     """
-    wanted = list(names)
+    wanted = [name for name in names if name not in ("tare", "drift")]
     for name, deviation in (prior or {}).items():
-        if name not in wanted or name == "tare":
-            raise ValueError(f"prior: {name!r} is not a free parameter; allowed are {', '.join(n for n in wanted if n != 'tare') or 'none'}")
+        if name not in wanted:
+            raise ValueError(f"prior: {name!r} is not a free parameter of the bench; allowed are {', '.join(wanted)}")
         positive(deviation, f"prior[{name!r}]")
     return dict(prior or {})
 

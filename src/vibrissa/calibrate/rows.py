@@ -106,7 +106,9 @@ def _samples(recording: Reactions | RawRecording, sensor: Sensor) -> list[_Sampl
     if isinstance(recording, RawRecording):
         recording = sensor.reactions(recording)
     if not isinstance(recording, Reactions):
-        raise ValueError(f"recordings holds {type(recording).__name__}; allowed are Reactions (`read_recording`) and RawRecording (`Sensor.measure`)")
+        raise ValueError(
+            f"recordings holds {type(recording).__name__}; allowed are Reactions (`read_recording`) and RawRecording (`Sensor.measure`)"
+        )
     if recording.force.ndim == 2:
         return [_seen_from_the_sensor(recording, sensor)]
     return [_seen_from_the_sensor(_one(recording, index), sensor) for index in range(len(recording.force))]
@@ -153,7 +155,9 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
             f"{_FEWEST}: does the rod touch, and is the wrench's sign right?"
         )
     if np.count_nonzero(rest) < 2:
-        raise CalibrationError(f"{where}: no sample is at rest and free of contact; needed is a start free of contact, which `tare_seconds` may name")
+        raise CalibrationError(
+            f"{where}: no sample is at rest and free of contact; needed is a start free of contact, which `tare_seconds` may name"
+        )
     return _averaged(index, samples, noise, np.asarray(sensor.wrench_point), (_groups(contact, _MOST_ROWS), _groups(rest, _REST_ROWS)))
 
 
@@ -168,7 +172,9 @@ def _noise(where: str, samples: _Samples, sensor: Sensor, finite: Bool[np.ndarra
         )
     variance = np.var(samples.wrench[still], axis=0, ddof=1)
     if not np.all(variance > 0):
-        raise CalibrationError(f"{where}: a channel does not scatter at rest, so that its noise cannot be seen; give force_noise and torque_noise")
+        raise CalibrationError(
+            f"{where}: a channel does not scatter at rest, so that its noise cannot be seen; give force_noise and torque_noise"
+        )
     return np.broadcast_to(np.diag(variance), (len(finite), 6, 6))
 
 

@@ -56,10 +56,16 @@ class Identifiability:
         """One sentence a finding."""
         lines = [
             f"{name}: not determined, kept as given; "
-            + (f"it cannot be told apart from {', '.join(others)}, whose figures hold for this value" if others else "the readings do not depend on it")
+            + (
+                f"it cannot be told apart from {', '.join(others)}, whose figures hold for this value"
+                if others
+                else "the readings do not depend on it"
+            )
             for name, others in self.held.items()
         ]
-        return lines + [f"{first} and {second}: hardly told apart, errors correlated by {value:+.3f}" for first, second, value in self.confused]
+        return lines + [
+            f"{first} and {second}: hardly told apart, errors correlated by {value:+.3f}" for first, second, value in self.confused
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +119,9 @@ def undetermined(problem: Problem, linear: Linear) -> tuple[Problem, dict[str, t
     return problem, held
 
 
-def identifiability(problem: Problem, covariance: Float[np.ndarray, "k k"], linear: Linear, held: dict[str, tuple[str, ...]]) -> Identifiability:
+def identifiability(
+    problem: Problem, covariance: Float[np.ndarray, "k k"], linear: Linear, held: dict[str, tuple[str, ...]]
+) -> Identifiability:
     """Of the parameters that were fitted, from the covariance of their steps."""
     scales = np.array([parameter.scale for parameter in problem.free])
     deviations = np.sqrt(np.diag(covariance))
@@ -132,8 +140,9 @@ def identifiability(problem: Problem, covariance: Float[np.ndarray, "k k"], line
 def fitness(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]) -> Fitness:
     """Judge the residuals in contact, in time order within each recording."""
     rows = problem.rows
-    chosen = rows.contact & linear.sound
-    series = [linear.whitened[chosen & (rows.recording == recording)] for recording in range(rows.recordings)]
+    chosen = rows.contact & (weight > 0)
+    left = np.sqrt(weight)[:, None] * linear.residual[:, :WRENCH]
+    series = [left[chosen & (rows.recording == recording)] for recording in range(rows.recordings)]
     series = [part for part in series if len(part) > 2 * _LAGS]
     used = linear.chi_square[chosen & (weight == 1.0)]
     total = len(used) * problem.freedom - len(problem.free)
@@ -143,7 +152,7 @@ def fitness(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]) ->
     inflation = np.full(WRENCH, max(1.0, reduced) if worse else 1.0)
     if whiteness < _SIGNIFICANT:
         inflation = np.maximum(inflation, _long_run(series))
-    return Fitness(reduced, whiteness, inflation, float(np.mean(weight[chosen] < 1)))
+    return Fitness(reduced, whiteness, inflation, float(np.mean(weight[rows.contact] < 1)))
 
 
 def _ljung_box(series: list[Float[np.ndarray, "_ 6"]]) -> float:
@@ -159,20 +168,18 @@ def _ljung_box(series: list[Float[np.ndarray, "_ 6"]]) -> float:
 
 def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
     """Variance of means over a twelfth of a recording, times how many samples they hold: the noise's level at the sweep's own time scale."""
-    squares = [
-        len(block) * np.mean(block, axis=0) ** 2 for part in series for block in np.array_split(part, _BLOCKS)
-    ]
+    squares = [len(block) * np.mean(block, axis=0) ** 2 for part in series for block in np.array_split(part, _BLOCKS)]
     return np.mean(squares, axis=0)
 
 
-def covariance(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"], inflation: Float[np.ndarray, "6"]) -> Float[np.ndarray, "n n"]:
+def covariance(
+    problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"], inflation: Float[np.ndarray, "6"]
+) -> Float[np.ndarray, "n n"]:
     """Of all unknowns: the inverse information, or where the residuals are more than noise that of estimates with their long-run variance (a sandwich)."""
     inverse = np.linalg.inv(information(problem, linear, weight))
     if np.all(inflation == 1):
         return inverse
-    if problem.rubs:
-        return inverse * inflation.max()
-    excess = np.sqrt(weight)[:, None, None] * linear.jacobian * np.sqrt(inflation - 1)[None, :, None]
+    excess = np.sqrt(weight)[:, None, None] * linear.jacobian[:, :WRENCH] * np.sqrt(inflation - 1)[None, :, None]
     excess = excess[problem.rows.contact].reshape(-1, linear.jacobian.shape[2])
     return inverse + inverse @ (excess.T @ excess) @ inverse
 

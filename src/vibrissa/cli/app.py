@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from vibrissa.cli.calibrate import calibrate
 from vibrissa.cli.demo import demo
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
@@ -21,6 +22,7 @@ app = typer.Typer(
 app.command()(demo)
 app.command()(scan)
 app.command()(reconstruct)
+app.command()(calibrate)
 
 
 @app.callback(invoke_without_command=True)

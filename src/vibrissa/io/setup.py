@@ -7,13 +7,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from vibrissa.io.calibration import CalibrationTable
 from vibrissa.io.config import ORIGIN, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
 from vibrissa.io.objects import ObjectTable, built
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
 from vibrissa.surfaces import Surface
-
 
 Gain = Annotated[
     tuple[Positive, Positive, Positive, Positive, Positive, Positive], Field(description="six numbers greater than 0, forces and torques")
@@ -32,11 +32,14 @@ class Setup:
         Mount, sign, frame and noise of the wrench.
     surface
         The object that was scanned, or None.
+    calibration
+        What is known of the numbers of a calibrated setup, or None.
     """
 
     rod: Rod
     sensor: Sensor
     surface: Surface | None = None
+    calibration: CalibrationTable | None = None
 
 
 class SensorTable(Table):
@@ -82,10 +85,11 @@ class SetupFile(Table):
     rod: RodTable
     sensor: SensorTable
     object: ObjectTable | None = None
+    calibration: CalibrationTable | None = None
 
 
 def load_setup(path: str | Path) -> Setup:
-    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object].
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object]; [calibration], where it was calibrated.
 
     Raises
     ------
@@ -96,6 +100,6 @@ def load_setup(path: str | Path) -> Setup:
     table = load_table(file, SetupFile)
     try:
         surface = None if table.object is None else built(table.object, file.parent)
-        return Setup(table.rod.build(), table.sensor.build(), surface)
+        return Setup(table.rod.build(), table.sensor.build(), surface, table.calibration)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

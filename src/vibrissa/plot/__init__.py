@@ -1,5 +1,6 @@
 """Figures, one a function. The only room that knows matplotlib."""
 
+from vibrissa.plot.calibration import parameter_correlation, residual_histogram, residuals_over_force, residuals_over_time
 from vibrissa.plot.contacts import contacts_figure
 from vibrissa.plot.coverage import coverage_figure
 from vibrissa.plot.events import reactions_along
@@ -14,8 +15,12 @@ __all__ = [
     "coverage_figure",
     "elastic_lines",
     "journal",
+    "parameter_correlation",
     "reactions_along",
     "reactions_over_plane",
+    "residual_histogram",
+    "residuals_over_force",
+    "residuals_over_time",
     "save",
     "save_as",
 ]

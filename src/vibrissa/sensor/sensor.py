@@ -126,7 +126,9 @@ class Sensor:
             sign * force,
             sign * (torque - np.cross(arm, force)),
             time=raw.time,
-            covariance=self._covariance(arm, self._tare_count(raw)) if self.gain == _ONES else self._uneven_covariance(arm, sensor_axes, raw),
+            covariance=self._covariance(arm, self._tare_count(raw))
+            if self.gain == _ONES
+            else self._uneven_covariance(arm, sensor_axes, raw),
             position_covariance=np.eye(3) * self.position_noise**2 if self.force_noise is not None else None,
         )
 

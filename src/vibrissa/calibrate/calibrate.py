@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vibrissa.calibrate.equilibrium import Bench
-from vibrissa.calibrate.fit import WRENCH, Linear, Point, Problem, fitted, linearised, spread, weights
+from vibrissa.calibrate.fit import WRENCH, Linear, Point, Problem, fitted, spread, weights
 from vibrissa.calibrate.parameters import DEFAULT_FREE, STIFFNESS, Parameter, checked_prior, parameters
 from vibrissa.calibrate.result import Calibration, Estimate, Residuals, SetupLike, SetupType
 from vibrissa.calibrate.rows import CalibrationError, gathered
@@ -27,6 +27,8 @@ from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
 _LEAST_SHARE = 0.5
+_GOOD_SPREAD = 1.1
+_OTHER_LENGTHS = (-0.06, 0.06)
 _ROLL = "clamp_orientation_z"
 _DRIFT = 1.0
 """Standard deviation of a free drift over a recording before the data, in those of one sample."""
@@ -123,16 +125,38 @@ def _stiffness(name: str, stiffness: float, rod: Rod) -> float:
 
 
 def _solved(problem: Problem, start: Point, rod: Rod) -> tuple[Problem, dict[str, tuple[str, ...]], Linear]:
-    """Fit what the data determine, as seen from the start; look again at the solution, and fit anew without what they do not."""
-    problem, held = undetermined(problem, linearised(problem, start))
+    """Fit; hold what the solution shows to be open, and fit anew without it."""
+    held: dict[str, tuple[str, ...]] = {}
     while problem.free:
-        linear = _seeded_anew(problem, fitted(problem, start._replace(step=np.zeros(len(problem.free)))), rod)
+        linear = _best(problem, start, rod)
         problem, more = undetermined(problem, linear)
         if not more:
             _check_explained(problem, linear)
             return problem, held, linear
-        held |= more
+        held = {name: tuple(other for other in others if other not in more) for name, others in held.items()} | more
     raise CalibrationError(f"these recordings determine none of the free parameters: {', '.join(held)}")
+
+
+def _best(problem: Problem, start: Point, rod: Rod) -> Linear:
+    """Fit from the start; where that leaves more than noise, also from a shorter and a longer rod: one in contact along its flank does not show its length."""
+    point = start._replace(step=np.zeros(len(problem.free)))
+    found = _seeded_anew(problem, fitted(problem, point), rod)
+    length = [index for index, parameter in enumerate(problem.free) if parameter.group == "length"]
+    if not length or spread(problem, found) < _GOOD_SPREAD:
+        return found
+    for change in _OTHER_LENGTHS:
+        other = point._replace(bench=start.bench._replace(length=start.bench.length * math.exp(change)))
+        other.step[length[0]] = change
+        try:
+            found = _better(problem, found, _seeded_anew(problem, fitted(problem, other), rod))
+        except CalibrationError:
+            continue
+    return found
+
+
+def _better(problem: Problem, first: Linear, second: Linear) -> Linear:
+    """The one that fits more rows."""
+    return max(first, second, key=lambda one: float(np.sum(weights(problem, one, 1.0))))
 
 
 def _seeded_anew(problem: Problem, linear: Linear, rod: Rod) -> Linear:
@@ -141,7 +165,7 @@ def _seeded_anew(problem: Problem, linear: Linear, rod: Rod) -> Linear:
         return linear
     point = linear.point
     again = fitted(problem, point._replace(states=_states(problem, point.bench, point.offsets, rod)))
-    return max(linear, again, key=lambda one: float(np.sum(_weights(problem, one))))
+    return _better(problem, linear, again)
 
 
 def _weights(problem: Problem, linear: Linear) -> Float[np.ndarray, "n"]:
@@ -238,7 +262,7 @@ def _result(
     return Calibration(
         setup=_setup(setup, bench, surface),
         surface=surface,
-        estimates={parameter.name: _estimate(parameter, setup, bench, deviations) for parameter in chosen},
+        estimates={parameter.name: _estimate(parameter, setup, bench, deviations, held) for parameter in chosen},
         covariance=own * np.outer(factors, factors),
         identifiability=identifiability(problem, own, linear, held),
         residuals=Residuals(
@@ -289,10 +313,13 @@ def _setup(setup: SetupType, bench: Bench, surface: Surface) -> SetupType:
     return cast(SetupType, replace(cast(Any, setup), **parts))
 
 
-def _estimate(parameter: Parameter, setup: SetupLike, bench: Bench, deviations: Mapping[str, float]) -> Estimate:
+def _estimate(
+    parameter: Parameter, setup: SetupLike, bench: Bench, deviations: Mapping[str, float], held: Mapping[str, tuple[str, ...]]
+) -> Estimate:
     given, value = _values(parameter, setup, bench)
+    holds_for = tuple(name for name, others in held.items() if parameter.name in others)
     deviation = float(deviations.get(parameter.name, math.nan))
-    return Estimate(parameter.name, parameter.unit, given, value, deviation, parameter.name in deviations)
+    return Estimate(parameter.name, parameter.unit, given, value, deviation, parameter.name in deviations, holds_for)
 
 
 def _values(parameter: Parameter, setup: SetupLike, bench: Bench) -> tuple[float, float]:

@@ -25,7 +25,9 @@ _DONE = 1e-3
 _OUTLYING = 1e-3
 _MOST_LOST = 0.05
 _FAR_OUT = 3.0
-_FLOOR = 1e-14
+# Information added to each step, in the parameters' scales: what the data leave open stays where it is.
+_FLOOR = 1.0
+_LITTLE = 1e-9
 _HELD = 1e-12
 _MOST_LEANING = 3.0
 _LEAST_SHARE = 0.5
@@ -256,8 +258,9 @@ def _improved(
     matrix, gradient = system
     units = np.concatenate([[parameter.scale for parameter in problem.free], 1 / np.sqrt(np.diag(matrix)[len(problem.free) :])])
     scaled, slope = matrix * np.outer(units, units), gradient * units
+    floor = np.diag(np.where(np.arange(len(units)) < len(problem.free), _FLOOR, _LITTLE))
     for _ in range(_MOST_TRIALS):
-        damped = scaled + damping * np.diag(np.diag(scaled)) + _FLOOR * np.trace(scaled) / len(scaled) * np.eye(len(scaled))
+        damped = scaled + damping * np.diag(np.diag(scaled)) + floor
         step = np.linalg.solve(damped, slope)
         own = step[: len(problem.free)]
         step = step * min(1.0, _LONGEST_STEP / max(np.abs(own).max(), _LONGEST_STEP))

@@ -46,7 +46,9 @@ class Estimate:
     deviation
         Standard deviation; NaN where the parameter was held.
     determined
-        Whether the data determine it; else `value` is as given.
+        Whether the data determine it; else it was held as given.
+    holds_for
+        Parameters that were held and from which it cannot be told apart: value and interval are right if those are.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Estimate:
     value: float
     deviation: float
     determined: bool
+    holds_for: tuple[str, ...] = ()
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval; NaN where the parameter was held.

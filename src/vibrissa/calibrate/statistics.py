@@ -16,6 +16,7 @@ _LAGS = 20
 _BLOCKS = 12
 _SIGNIFICANT = 1e-3
 _CONFUSED = 0.9
+_SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,8 @@ def undetermined(problem: Problem, linear: Linear) -> tuple[Problem, dict[str, t
         others = tuple(problem.free[keep[index]].name for index in np.flatnonzero(loading > _ALIKE) if index != place)
         held[problem.free[keep[place]].name] = others
         del keep[place]
+    names = [problem.free[index].name for index in keep]
+    held = {name: tuple(other for other in others if other in names) for name, others in held.items()}
     for index in sorted(set(range(len(problem.free))) - set(keep), reverse=True):
         problem = problem.without(index)
     return problem, held

@@ -30,6 +30,7 @@ class EstimateTable(Table):
     given: Finite
     value: Finite
     standard_deviation: NotNegative | None = None
+    holds_for: Names | None = None
 
 
 class CalibrationTable(Table):

@@ -49,6 +49,7 @@ def _numbers(estimate: "Estimate") -> dict[str, Any]:
         "standard_deviation": _or_none(estimate.deviation),
         "interval_95": [_or_none(low), _or_none(high)],
         "determined": estimate.determined,
+        "holds_for": list(estimate.holds_for),
     }
 
 
@@ -66,7 +67,15 @@ def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str
             continue
         half = factor * (one.interval()[1] - one.value)
         places = max(0, 2 - math.floor(math.log10(half))) if half > 0 else 6
-        rows.append((one.name, unit, f"{factor * one.given:.{places}f}", f"{factor * one.value:.{places}f}", f"{half:.2g}"))
+        rows.append(
+            (
+                one.name,
+                unit,
+                f"{factor * one.given:.{places}f}",
+                f"{factor * one.value:.{places}f}",
+                f"{half:.2g}{'*' * bool(one.holds_for)}",
+            )
+        )
     return rows
 
 
@@ -85,6 +94,9 @@ def findings(calibration: "Calibration[Any]") -> list[str]:
         )
     else:
         lines.append("The residuals are what the stated noise explains.")
+    given = sorted({name for one in calibration.estimates.values() for name in one.holds_for})
+    if given:
+        lines.append(f"* holds for {', '.join(given)} as given.")
     return lines + [f"{sentence}." for sentence in calibration.identifiability.text]
 
 

@@ -26,7 +26,7 @@ def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
         rows = residuals.contact & (residuals.recording == recording) & (residuals.weight > 0)
         colour = _COLOURS[int(recording) % len(_COLOURS)]
         for axes, values in zip(panels, left[rows].T, strict=True):
-            axes.plot(residuals.time[rows], values, ".", color=colour, markersize=1.2, alpha=0.25, markeredgewidth=0)
+            axes.plot(residuals.time[rows], values, ".", color=colour, markersize=1.6, alpha=0.45, markeredgewidth=0)
             axes.plot(*_means(residuals.time[rows], values), color=colour, label=f"recording {int(recording) + 1}")
     for axes, name in zip(panels, _CHANNELS, strict=True):
         axes.axhline(0.0, color="0.4", linewidth=0.5)

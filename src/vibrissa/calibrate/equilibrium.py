@@ -124,7 +124,7 @@ def _rough(scene: Scene, x: Float[Array, "4"], tau: Float[Array, "3"], clamp: Cl
     return _Contact(state.conditions, state.direction)
 
 
-def _predicted(law: Law, surface: Surface, bench: Bench, state: State, row: Float[Array, "15"]) -> Float[Array, "146"]:
+def _predicted(law: Law, surface: Surface, bench: Bench, state: State, row: Float[Array, "15"]) -> Float[Array, "152"]:
     tau = state[4:]
 
     def conditions(bench: Bench, x: Float[Array, "4"], tau: Float[Array, "3"]) -> _Contact:
@@ -183,7 +183,7 @@ def _solved(
 
 def _blocks(
     law: Law, surface: Surface, bench: Bench, states: Float[Array, "blocks 7 width"], rows: Float[Array, "blocks 15 width"]
-) -> Float[Array, "blocks 146 width"]:
+) -> Float[Array, "blocks 152 width"]:
     lanes = jax.vmap(partial(_predicted, law, surface, bench), in_axes=-1, out_axes=-1)
     return lax.map(lambda block: lanes(*block), (states, rows))
 

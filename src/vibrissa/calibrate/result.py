@@ -1,7 +1,7 @@
 """What a calibration returns."""
 
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,6 +13,7 @@ from vibrissa.sensor import Sensor
 from vibrissa.surfaces import Surface
 
 
+@runtime_checkable
 class SetupLike(Protocol):
     """A dataclass with rod, sensor and surface, as `vibrissa.Setup`."""
 

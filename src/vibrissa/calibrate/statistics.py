@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.stats import chi2
 
 from vibrissa.calibrate.fit import WRENCH, Linear, Problem, information, weights
@@ -177,7 +177,7 @@ def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
 
 def covariance(
     problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"], inflation: Float[np.ndarray, "6"]
-) -> Float[np.ndarray, "n n"]:
+) -> Float[np.ndarray, "unknowns unknowns"]:
     """Of all unknowns: the inverse information, or where the residuals are more than noise that of estimates with their long-run variance (a sandwich)."""
     inverse = np.linalg.inv(information(problem, linear, weight))
     if np.all(inflation == 1):
@@ -185,8 +185,3 @@ def covariance(
     excess = np.sqrt(weight)[:, None, None] * linear.jacobian[:, :WRENCH] * np.sqrt(inflation - 1)[None, :, None]
     excess = excess[problem.rows.contact].reshape(-1, linear.jacobian.shape[2])
     return inverse + inverse @ (excess.T @ excess) @ inverse
-
-
-def marked(chi_square: Float[np.ndarray, "n"], freedom: int) -> Bool[np.ndarray, "n"]:
-    """Rows that noise of the stated level makes once in a thousand."""
-    return chi_square > chi2.isf(_SIGNIFICANT, freedom)

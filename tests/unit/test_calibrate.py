@@ -159,7 +159,7 @@ def test_derivatives_are_those_of_the_readings(rubs: bool) -> None:  # noqa: FBT
         np.array([1.1, 0.9, 1, 1, 1.2, 1]),
         np.array([1e-4, 0, 0]),
         np.eye(3),
-        np.zeros(3),
+        np.array([0.01, 0.02, 0.03]),
     )
     at = readings(BALL, bench, states, poses, rubs=rubs)
     assert at.sound.all()

@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from vibrissa import surfaces
+    from vibrissa.calibrate import Calibration, CalibrationError, calibrate
     from vibrissa.contacts import ContactKind, Motion, Status
     from vibrissa.design import ExpectedError, expected_error
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from vibrissa.trail import Trail
 
 _HOMES = {
+    "Calibration": "calibrate",
+    "CalibrationError": "calibrate",
+    "calibrate": "calibrate",
     "Case": "io",
     "CausalSmoother": "reconstruct",
     "contact_errors": "reconstruct",
@@ -71,6 +75,8 @@ _HOMES = {
 }
 
 __all__ = [
+    "Calibration",
+    "CalibrationError",
     "Case",
     "CausalSmoother",
     "ContactErrors",
@@ -94,6 +100,7 @@ __all__ = [
     "Trail",
     "__version__",
     "contact_errors",
+    "calibrate",
     "equilibria",
     "estimate_friction",
     "expected_error",

@@ -65,6 +65,25 @@ def test_taking_one_sign_for_the_other_turns_the_reactions_round() -> None:
     np.testing.assert_allclose(found.force, bench.force, rtol=0, atol=1e-14)
 
 
+GAIN = (1.1, 0.9, 1.05, 0.8, 1.2, 0.95)
+
+
+@pytest.mark.parametrize("wrench_frame", ["sensor", "world"])
+def test_gain_is_that_of_the_sensor_s_own_channels(wrench_frame: str) -> None:
+    """Readings in the sensor's axes grow by it, whatever axes they are logged in; taking it off gives the reactions back."""
+    bench = Bench()
+    true, uneven = (bench.sensor(wrench_frame=wrench_frame, **options) for options in ({}, {"gain": GAIN}))
+    raw = bench.raw(wrench_frame=wrench_frame)
+    reactions = true.reactions(raw)
+    read = uneven.measure(reactions, np.random.default_rng(0))
+    own = [part if wrench_frame == "sensor" else bench.pose.inv().apply(part) for part in (read.force, read.torque, raw.force, raw.torque)]
+    np.testing.assert_allclose(own[0], own[2] * GAIN[:3], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(own[1], own[3] * GAIN[3:], rtol=0, atol=1e-14)
+    back = uneven.reactions(read)
+    np.testing.assert_allclose(back.force, reactions.force, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(back.moment, reactions.moment, rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize("seconds", [0.35, 0.4, 0.41])
 def test_the_mean_of_the_leading_time_is_taken_off(seconds: float) -> None:
     bench = Bench()
@@ -115,12 +134,13 @@ def test_covariance_is_that_of_many_recordings() -> None:
     np.testing.assert_allclose(root @ np.cov(samples.T) @ root.T, np.eye(6), rtol=0, atol=4 * np.sqrt(2 / 1500))
 
 
+@pytest.mark.parametrize("gain", [(1.0,) * 6, (1.1, 0.9, 1.05, 0.8, 1.2, 0.95)], ids=["even", "uneven"])
 @pytest.mark.parametrize("wrench_frame", ["sensor", "world"])
 @pytest.mark.parametrize("turning", [True, False])
-def test_covariance_is_carried_by_the_map_from_readings_to_reactions(wrench_frame: str, *, turning: bool) -> None:
+def test_covariance_is_carried_by_the_map_from_readings_to_reactions(wrench_frame: str, gain: tuple[float, ...], *, turning: bool) -> None:
     """The six readings of each row, moved one by one, move the reactions by the columns of a Jacobian."""
     bench = Bench(turning=turning)
-    sensor = bench.sensor(wrench_frame=wrench_frame, force_noise=2e-3, torque_noise=4e-5)
+    sensor = bench.sensor(wrench_frame=wrench_frame, force_noise=2e-3, torque_noise=4e-5, gain=gain)
     raw = bench.raw(wrench_frame=wrench_frame)
     still = sensor.reactions(raw)
     columns = []
@@ -155,6 +175,8 @@ BAD = {
     "one noise": ({"force_noise": 1.0}, "force_noise and torque_noise: one is given without the other; allowed are both"),
     "clamp": ({"clamp_position": np.array([0, np.nan, 0])}, "clamp_position[1] = nan; allowed are finite numbers"),
     "turn": ({"clamp_orientation": np.zeros(4)}, "clamp_orientation = [0.0, 0.0, 0.0, 0.0] has zero norm; allowed is any"),
+    "gain": ({"gain": (1, 1, 1, 1, 0, 1)}, "gain = (1, 1, 1, 1, 0, 1); allowed are six numbers greater than 0"),
+    "gains": ({"gain": (1.0, 1.0)}, "gain has shape (2,); allowed is (…, 6)"),
     "turns": ({"clamp_orientation": np.ones((2, 4))}, "clamp_orientation has shape (2, 4); allowed is"),
     "point": ({"wrench_point": (0.0, np.nan, 0.0)}, "wrench_point[1] = nan; allowed are finite numbers"),
 }

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from vibrissa.cli.calibrate import calibrate
 from vibrissa.cli.demo import demo
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
@@ -27,6 +28,7 @@ app.command()(reconstruct)
 app.command()(inspect)
 app.command()(live)
 app.command("simulate-sensor")(simulate_sensor)
+app.command()(calibrate)
 
 
 @app.callback(invoke_without_command=True)

@@ -1,5 +1,6 @@
 """Files: setups, cases, recordings in; contacts and datasets out."""
 
+from vibrissa.io.calibration import write_calibration
 from vibrissa.io.case import Case, load_case
 from vibrissa.io.contacts import write_contacts, write_dataset
 from vibrissa.io.errors import InputError
@@ -19,6 +20,7 @@ __all__ = [
     "load_setup",
     "read_raw",
     "read_recording",
+    "write_calibration",
     "write_contacts",
     "write_dataset",
     "write_recording",

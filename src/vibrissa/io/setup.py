@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from vibrissa.io.calibration import CalibrationTable
 from vibrissa.io.config import ORIGIN, Finite, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
 from vibrissa.io.errors import InputError
 from vibrissa.io.live_setup import PoseTable, RdtTable
@@ -18,6 +19,10 @@ from vibrissa.sensor import LowPass, Mount, Sensor
 from vibrissa.sensor.mount import STANDARD_GRAVITY
 from vibrissa.sensor.presets import PRESETS, preset_figures
 from vibrissa.surfaces import Surface
+
+Gain = Annotated[
+    tuple[Positive, Positive, Positive, Positive, Positive, Positive], Field(description="six numbers greater than 0, forces and torques")
+]
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,8 @@ class Setup:
         How its recordings are laid out, or None for CSV as `write_recording` writes it, and for the names of that header elsewhere.
     rdt, pose
         Of a live sensor, or None: how it counts and sends, and where its pose comes from.
+    calibration
+        What is known of the numbers of a calibrated setup, or None.
     """
 
     rod: Rod
@@ -44,6 +51,7 @@ class Setup:
     recording: RecordingTable | None = None
     rdt: RdtTable | None = None
     pose: PoseTable | None = None
+    calibration: CalibrationTable | None = None
 
 
 Interval = Annotated[tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")]
@@ -109,6 +117,7 @@ class SensorTable(Table):
     cross_talk: Annotated[tuple[Row, Row, Row, Row, Row, Row], Field(description="six rows of six finite numbers")] | None = None
     low_pass: LowPassTable | None = None
     mount: MountTable | None = None
+    gain: Gain = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
     def build(self) -> Sensor:
         """Return the sensor."""
@@ -135,10 +144,11 @@ class SetupFile(Table):
     recording: RecordingTable | None = None
     rdt: RdtTable | None = None
     pose: PoseTable | None = None
+    calibration: CalibrationTable | None = None
 
 
 def load_setup(path: str | Path) -> Setup:
-    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt] and [pose].
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt], [pose] and, where it was calibrated, [calibration].
 
     Raises
     ------
@@ -149,6 +159,6 @@ def load_setup(path: str | Path) -> Setup:
     table = load_table(file, SetupFile)
     try:
         surface = None if table.object is None else built(table.object, file.parent)
-        return Setup(table.rod.build(), table.sensor.build(), surface, table.recording, table.rdt, table.pose)
+        return Setup(table.rod.build(), table.sensor.build(), surface, table.recording, table.rdt, table.pose, table.calibration)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

@@ -1,5 +1,6 @@
 """Figures, one a function. The only room that knows matplotlib."""
 
+from vibrissa.plot.calibration import parameter_correlation, residual_histogram, residuals_over_force, residuals_over_time
 from vibrissa.plot.contacts import contacts_figure
 from vibrissa.plot.coverage import coverage_figure
 from vibrissa.plot.design import expected_error_map
@@ -17,9 +18,13 @@ __all__ = [
     "elastic_lines",
     "expected_error_map",
     "journal",
+    "parameter_correlation",
     "reactions_along",
     "reactions_over_plane",
     "recording_figure",
+    "residual_histogram",
+    "residuals_over_force",
+    "residuals_over_time",
     "save",
     "save_as",
 ]

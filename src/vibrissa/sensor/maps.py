@@ -25,11 +25,11 @@ def to_reactions(sensor: "Sensor", axes: Rotations) -> Matrices:
         Rotations (n, 3, 3) from sensor to world axes.
     """
     lever = _lever(_arm(sensor, axes))
-    if sensor.wrench_frame == "world" and sensor.cross_talk is None:
+    if sensor.wrench_frame == "world" and sensor.response is None:
         return sensor.sign * lever
     turn = _both(axes)
-    if sensor.cross_talk is not None:
-        turned = turn @ np.linalg.inv(sensor.cross_talk)
+    if sensor.response is not None:
+        turned = turn @ np.linalg.inv(sensor.response)
         turn = turned @ np.swapaxes(turn, 1, 2) if sensor.wrench_frame == "world" else turned
     return sensor.sign * lever @ turn
 
@@ -37,7 +37,7 @@ def to_reactions(sensor: "Sensor", axes: Rotations) -> Matrices:
 def to_readings(sensor: "Sensor", axes: Rotations) -> Matrices:
     """Reactions to readings: the inverse of `to_reactions`, in closed form."""
     at_sensor = sensor.sign * _lever(-_arm(sensor, axes))
-    if sensor.wrench_frame == "world" and sensor.cross_talk is None:
+    if sensor.wrench_frame == "world" and sensor.response is None:
         return at_sensor
     back = np.swapaxes(_both(axes), 1, 2)
     return crossed(sensor, axes) @ (at_sensor if sensor.wrench_frame == "world" else back @ at_sensor)
@@ -45,8 +45,8 @@ def to_readings(sensor: "Sensor", axes: Rotations) -> Matrices:
 
 def crossed(sensor: "Sensor", axes: Rotations) -> Matrices:
     """The cross-talk in the axes of the wrench: true wrench to readings."""
-    matrix = np.eye(6) if sensor.cross_talk is None else sensor.cross_talk
-    if sensor.wrench_frame == "sensor" or sensor.cross_talk is None:
+    matrix = np.eye(6) if sensor.response is None else sensor.response
+    if sensor.wrench_frame == "sensor" or sensor.response is None:
         return np.broadcast_to(matrix, (len(axes), 6, 6))
     turn = _both(axes)
     return turn @ matrix @ np.swapaxes(turn, 1, 2)

@@ -23,6 +23,7 @@ from vibrissa.trail import Trail
 WrenchSign = Literal["on_sensor", "on_rod"]
 WrenchFrame = Literal["sensor", "world"]
 Vector = tuple[float, float, float]
+Channels = tuple[float, float, float, float, float, float]
 
 _LARGEST_CONDITION = 1e8
 _SAME = 1e-9
@@ -70,6 +71,8 @@ class Sensor:
         Filter and delay of the electronics, or None.
     mount
         What hangs on the sensor and weighs, or None.
+    gain
+        Reading over true value of the six channels, force x, y, z and torque x, y, z in the sensor's axes, behind the cross-talk.
 
     Raises
     ------
@@ -102,6 +105,7 @@ class Sensor:
     cross_talk: Float[np.ndarray, "6 6"] | None = None
     low_pass: LowPass | None = None
     mount: Mount | None = None
+    gain: Channels = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "clamp_position", finite_array(self.clamp_position, "clamp_position", last=3, ndim=1))
@@ -110,6 +114,8 @@ class Sensor:
             raise ValueError(f"clamp_orientation has shape {self.clamp_orientation.shape}; allowed is (4,)")
         for name in ("wrench_point", "force_drift", "torque_drift"):
             finite_array(getattr(self, name), name, last=3, ndim=1)
+        if np.any(finite_array(self.gain, "gain", last=6, ndim=1) <= 0):
+            raise ValueError(f"gain = {self.gain!r}; allowed are six numbers greater than 0")
         for name, allowed in (("wrench", ("on_sensor", "on_rod")), ("wrench_frame", ("sensor", "world"))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")
@@ -155,6 +161,14 @@ class Sensor:
     def sign(self) -> float:
         """What takes a wrench to the support reaction: −1 where it is given as on the sensor, else 1."""
         return -1.0 if self.wrench == "on_sensor" else 1.0
+
+    @property
+    def response(self) -> Float[np.ndarray, "6 6"] | None:
+        """Matrix that takes the true wrench in sensor axes to the readings, cross-talk and gain; None for the identity."""
+        gain = np.asarray(self.gain, dtype=float)
+        if self.cross_talk is None:
+            return None if np.all(gain == 1) else np.diag(gain)
+        return gain[:, None] * self.cross_talk
 
     @property
     def reading_variance(self) -> Float[np.ndarray, "6"]:

@@ -1,0 +1,112 @@
+"""`vibrissa calibrate`: recordings over a known object to a calibrated setup."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from vibrissa.calibrate import Calibration
+
+
+def calibrate(
+    recordings: Annotated[list[Path], typer.Argument(help="Logs of the sensor, each with a start free of contact.", show_default=False)],
+    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and the swept [object].", show_default=False)],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibrated setup to write (.toml).")] = None,
+    free: Annotated[
+        str | None, typer.Option("--free", help="What to calibrate, NAME,NAME,...; by default rod, clamp, tare and drift.")
+    ] = None,
+    prior: Annotated[
+        list[str] | None, typer.Option("--prior", help="NAME=DEVIATION of a free parameter, SI units; may be given again.")
+    ] = None,
+    friction: Annotated[float, typer.Option("--friction", help="Coulomb's coefficient between rod and object.")] = 0.0,
+    report: Annotated[Path | None, typer.Option("--report", help="Folder for figures of the residuals and a summary.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Find stiffness, length and mount of the rod from sweeps over an object that is known."""
+    from vibrissa.cli.progress import reporting  # noqa: PLC0415
+    from vibrissa.io.calibration import toml_library, write_calibration  # noqa: PLC0415
+    from vibrissa.io.calibration_report import summary  # noqa: PLC0415
+    from vibrissa.io.contacts import checked_output  # noqa: PLC0415
+    from vibrissa.io.errors import InputError, writable_folder  # noqa: PLC0415
+    from vibrissa.io.recordings.read import read_recording  # noqa: PLC0415
+    from vibrissa.io.setup import load_setup  # noqa: PLC0415
+
+    if output is not None:
+        toml_library()
+        checked_output(output, (".toml",))
+    if report is not None:
+        writable_folder(report)
+    loaded = load_setup(setup)
+    if loaded.surface is None:
+        raise InputError(f"{setup}: object: missing; allowed is a table [object] with what was swept")
+    reactions = [read_recording(recording, loaded) for recording in recordings]
+    names = None if free is None else [name.strip() for name in free.split(",")]
+    priors = dict(map(_prior, prior or []))
+    with reporting() as step:
+        step("loading")
+        from vibrissa.calibrate import CalibrationError  # noqa: PLC0415
+        from vibrissa.calibrate import calibrate as run  # noqa: PLC0415
+
+        step("calibrating")
+        try:
+            found = run(reactions, loaded, free=names, prior=priors, friction=friction)
+        except CalibrationError as error:
+            print(f"vibrissa: error: {_named(str(error), recordings)}", file=sys.stderr)  # noqa: T201
+            raise typer.Exit(1) from None
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        step("writing")
+        if output is not None:
+            write_calibration(output, found, setup, recordings)
+        if report is not None:
+            _write_report(report, found)
+    typer.echo(json.dumps(summary(found), indent=1) if as_json else _text(found))
+
+
+def _prior(text: str) -> tuple[str, float]:
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
+
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise InputError(f"--prior = {text!r}; allowed is NAME=DEVIATION with a number") from None
+
+
+def _named(text: str, recordings: list[Path]) -> str:
+    """Files in place of their numbers."""
+    for index, recording in enumerate(recordings):
+        text = text.replace(f"recordings[{index}]", str(recording))
+    return text
+
+
+def _text(found: "Calibration[Any]") -> str:
+    from vibrissa.io.calibration_report import findings, table  # noqa: PLC0415
+
+    rows = table(found)
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = [
+        "  ".join(
+            cell.rjust(width) if column > 1 else cell.ljust(width) for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]
+    return "\n".join([line.rstrip() for line in lines] + findings(found))
+
+
+def _write_report(folder: Path, found: "Calibration[Any]") -> None:
+    import matplotlib as mpl  # noqa: PLC0415
+
+    mpl.use("Agg")
+    from vibrissa import plot  # noqa: PLC0415
+    from vibrissa.io.calibration_report import write_summary  # noqa: PLC0415
+
+    write_summary(folder, found)
+    with plot.journal():
+        plot.save_as(plot.residuals_over_time(found), folder / "residuals_over_time.png")
+        plot.save_as(plot.residual_histogram(found), folder / "residual_histogram.png")
+        plot.save_as(plot.residuals_over_force(found), folder / "residuals_over_force.png")
+        plot.save_as(plot.parameter_correlation(found), folder / "parameter_correlation.png")

@@ -1,0 +1,225 @@
+"""A calibrated setup as a file: the setup it came from with the numbers found, and what is known of them in a table [calibration]."""
+
+import importlib
+import os
+from collections.abc import Iterator, MutableMapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table
+from vibrissa.io.errors import InputError, readable, writable
+
+if TYPE_CHECKING:
+    from vibrissa.calibrate import Calibration
+
+FORMAT = 1
+"""Version of the table [calibration]."""
+
+Names = Annotated[list[str], Field(description="a list of names")]
+
+
+class EstimateTable(Table):
+    """One calibrated number, in its unit."""
+
+    unit: Annotated[str, Field(description="a unit")]
+    given: Finite
+    value: Finite
+    standard_deviation: NotNegative | None = None
+    holds_for: Names | None = None
+
+
+class CalibrationTable(Table):
+    """What is known of a calibrated setup's numbers."""
+
+    format: Annotated[Literal[1], Field(description="1, the format that this version of vibrissa reads")]
+    vibrissa: Annotated[str, Field(description="a version of vibrissa")]
+    date: Annotated[datetime, Field(description="a date and time")]
+    recordings: Names
+    setup: Annotated[str, Field(description="the name of the setup that was started from")]
+    free: Names
+    friction: NotNegative = 0.0
+    rows: Annotated[int, Field(strict=True, ge=0, description="a whole number of at least 0")]
+    reduced_chi_square: NotNegative
+    whiteness: NotNegative
+    inflation: Annotated[list[NotNegative], Field(description="a list of numbers of at least 0")]
+    not_determined: Names
+    names: Names
+    correlation: Annotated[list[list[Finite]], Field(description="a matrix of finite numbers")]
+    tare: Annotated[list[list[Finite]], Field(description="six finite numbers a recording")]
+    drift: Annotated[list[list[Finite]], Field(description="six finite numbers a recording")]
+    estimates: Annotated[dict[str, EstimateTable], Field(description="a table for each estimate")]
+
+    def covariance(self) -> np.ndarray:
+        """Covariance (k, k) of the numbers `names`, in their units."""
+        deviations = np.array([self.estimates[name].standard_deviation or 0.0 for name in self.names])
+        return np.array(self.correlation).reshape(len(deviations), -1) * np.outer(deviations, deviations)
+
+
+def toml_library() -> Any:
+    """Import `tomlkit`, which changes numbers in a TOML file and keeps the rest.
+
+    Raises
+    ------
+    InputError
+        If it is not installed; the text names the command that does it.
+    """
+    try:
+        return importlib.import_module("tomlkit")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "tomlkit is not installed; writing a calibrated setup needs it: python3 -m pip install 'vibrissa[calibrate]'"
+        ) from error
+
+
+def write_calibration(
+    path: str | Path,
+    calibration: "Calibration[Any]",
+    setup: str | Path,
+    recordings: Sequence[str | Path] = (),
+    *,
+    date: datetime | None = None,
+) -> Path:
+    """Write a setup that the other commands take: that of the file `setup` with the calibrated numbers and a table [calibration].
+
+    Parameters
+    ----------
+    path
+        TOML file to write; it may be the setup's own.
+    calibration
+        What was found with that setup.
+    setup
+        The setup's file. Its comments and all that was not calibrated are kept.
+    recordings
+        Names of the recordings, to be noted.
+    date
+        To be noted; now by default.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read or written, the setup's rod is one in the model's units, or tomlkit is not installed.
+    """
+    library = toml_library()
+    source, file = Path(setup), writable(Path(path))
+    document = library.parse(readable(source).read_text(encoding="utf-8"))
+    _set_rod(document["rod"], calibration, source)
+    _set_sensor(document["sensor"], calibration)
+    if "object" in document:
+        _set_object(document["object"], calibration)
+        _set_files(document["object"], source.parent.resolve(), file.parent.resolve())
+    table = _table(calibration, source, recordings, date or datetime.now(UTC).replace(microsecond=0))
+    document.pop("calibration", None)
+    document.add("calibration", _item(library, table))
+    file.write_text(library.dumps(document), encoding="utf-8")
+    return file
+
+
+def _set_rod(table: MutableMapping[str, Any], calibration: "Calibration[Any]", source: Path) -> None:
+    rod = calibration.setup.rod
+    match table["kind"]:
+        case "cylinder":
+            stiffness = {"youngs_modulus": rod.bending_stiffness / (np.pi / 4 * rod.radius**4)}
+        case "uniform":
+            stiffness = {"bending_stiffness": rod.bending_stiffness}
+        case kind:
+            raise InputError(f"{source}: rod.kind = {kind!r} cannot hold a calibrated rod; allowed are cylinder and uniform")
+    _change(table, {"length": rod.length} | stiffness)
+
+
+def _set_sensor(table: MutableMapping[str, Any], calibration: "Calibration[Any]") -> None:
+    sensor = calibration.setup.sensor
+    _change(table, {"clamp_position": sensor.clamp_position.tolist(), "clamp_orientation": sensor.clamp_orientation.tolist()})
+    if "gain" in table or set(sensor.gain) != {1.0}:
+        _change(table, {"gain": list(sensor.gain)})
+
+
+def _set_object(table: MutableMapping[str, Any], calibration: "Calibration[Any]") -> None:
+    turn, move = calibration.pose
+    if not {"object_position", "object_orientation"} & set(calibration.free):
+        return
+    rotation = Rotation.from_matrix(turn)
+    before = Rotation.from_quat(list(table.get("rotation", NO_TURN)))
+    translation = rotation.apply(np.array(list(table.get("translation", ORIGIN)), dtype=float)) + move
+    _change(table, {"rotation": (rotation * before).as_quat().tolist(), "translation": translation.tolist()})
+
+
+def _change(table: MutableMapping[str, Any], values: dict[str, Any]) -> None:
+    """Set values, where they differ by more than rounding: what is as it was keeps its digits."""
+    for name, value in values.items():
+        old = table.get(name)
+        if old is None or not np.allclose(np.array(old, dtype=float), value, rtol=1e-14, atol=0):
+            table[name] = value
+
+
+def _set_files(table: Any, old: Path, new: Path) -> None:
+    """Files are seen from the folder of the TOML file that names them."""
+    if old == new:
+        return
+    for inner in _tables(table):
+        if "file" in inner and not Path(str(inner["file"])).is_absolute():
+            inner["file"] = Path(os.path.relpath(old / str(inner["file"]), new)).as_posix()
+
+
+def _tables(value: Any) -> Iterator[MutableMapping[str, Any]]:
+    if isinstance(value, MutableMapping):
+        yield value
+        for inner in list(value.values()):
+            yield from _tables(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _tables(inner)
+
+
+def _item(library: Any, table: dict[str, Any]) -> Any:
+    """A table in which each row of a matrix has its own line."""
+    item = library.item({name: value for name, value in table.items() if name not in _MATRICES and name != "estimates"})
+    for name in _MATRICES:
+        array = library.array()
+        for row in table[name]:
+            array.add_line(row)
+        if len(array):
+            array.add_line(indent="")
+        item.add(name, array)
+    item.add("estimates", library.item(table["estimates"]))
+    return item
+
+
+_MATRICES = ("correlation", "tare", "drift")
+
+
+def _table(calibration: "Calibration[Any]", source: Path, recordings: Sequence[str | Path], date: datetime) -> dict[str, Any]:
+    from vibrissa import __version__  # noqa: PLC0415
+
+    found, known = calibration.fitness, calibration.identifiability
+    estimates = {
+        name: {"unit": one.unit, "given": one.given, "value": one.value} | ({"standard_deviation": one.deviation} if one.determined else {})
+        for name, one in calibration.estimates.items()
+    }
+    return {
+        "format": FORMAT,
+        "vibrissa": __version__,
+        "date": date,
+        "recordings": [Path(recording).name for recording in recordings],
+        "setup": source.name,
+        "free": list(calibration.free),
+        "friction": calibration.friction,
+        "rows": int(np.count_nonzero(calibration.residuals.contact)),
+        "reduced_chi_square": found.reduced_chi_square,
+        "whiteness": found.whiteness,
+        "inflation": [float(f"{factor:.4g}") for factor in found.inflation],
+        "not_determined": list(known.held),
+        "names": list(known.names),
+        "correlation": np.round(known.correlation, 9).tolist(),
+        "tare": _rounded(calibration.tare),
+        "drift": _rounded(calibration.drift),
+        "estimates": estimates,
+    }
+
+
+def _rounded(values: np.ndarray) -> list[list[float]]:
+    return [[float(f"{value:.5g}") for value in row] for row in values]

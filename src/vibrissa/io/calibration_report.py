@@ -1,0 +1,121 @@
+"""What a calibration found, as numbers for machines and as text."""
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vibrissa.io.errors import writable
+
+if TYPE_CHECKING:
+    from vibrissa.calibrate import Calibration, Estimate
+
+_SHOWN = {"Pa": (1e-9, "GPa"), "m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "N m2": (1e6, "N mm²")}
+
+
+def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
+    """Everything but the residuals, as plain numbers and names; None where there is no number."""
+    known, found = calibration.identifiability, calibration.fitness
+    return {
+        "estimates": {name: _numbers(one) for name, one in calibration.estimates.items()},
+        "not_determined": {name: list(others) for name, others in known.held.items()},
+        "hardly_told_apart": [list(pair) for pair in known.confused],
+        "weakest_direction": dict(zip(known.names, known.directions[0].tolist(), strict=True)),
+        "names": list(known.names),
+        "correlation": known.correlation.tolist(),
+        "deviation_if_others_were_known": dict(zip(known.names, known.alone.tolist(), strict=True)),
+        "rows": int(np.count_nonzero(calibration.residuals.contact)),
+        "reduced_chi_square": found.reduced_chi_square,
+        "whiteness": found.whiteness,
+        "variance_inflation": found.inflation.tolist(),
+        "outliers": found.outliers,
+        "tare": calibration.tare.tolist(),
+        "tare_deviation": calibration.tare_deviation.tolist(),
+        "drift": calibration.drift.tolist(),
+        "drift_deviation": calibration.drift_deviation.tolist(),
+        "friction": calibration.friction,
+        "free": list(calibration.free),
+    }
+
+
+def _numbers(estimate: "Estimate") -> dict[str, Any]:
+    low, high = estimate.interval()
+    return {
+        "unit": estimate.unit,
+        "given": estimate.given,
+        "value": estimate.value,
+        "standard_deviation": _or_none(estimate.deviation),
+        "interval_95": [_or_none(low), _or_none(high)],
+        "determined": estimate.determined,
+        "holds_for": list(estimate.holds_for),
+    }
+
+
+def _or_none(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str]]:
+    """Rows of text, the first the heading: name, unit, given, found, half of the 95 % interval."""
+    rows = [("parameter", "unit", "given", "found", "95 % ±")]
+    for one in calibration.estimates.values():
+        factor, unit = _SHOWN.get(one.unit, (1.0, one.unit))
+        if not one.determined:
+            rows.append((one.name, unit, f"{factor * one.given:.6g}", "not determined", ""))
+            continue
+        half = factor * (one.interval()[1] - one.value)
+        places = max(0, 2 - math.floor(math.log10(half))) if half > 0 else 6
+        rows.append(
+            (
+                one.name,
+                unit,
+                f"{factor * one.given:.{places}f}",
+                f"{factor * one.value:.{places}f}",
+                f"{half:.2g}{'*' * bool(one.holds_for)}",
+            )
+        )
+    return rows
+
+
+def findings(calibration: "Calibration[Any]") -> list[str]:
+    """Sentences: how well the model explains the data, and what they cannot tell apart."""
+    found = calibration.fitness
+    rows = int(np.count_nonzero(calibration.residuals.contact))
+    lines = [
+        f"{rows} rows in contact; mean square of the residuals {found.reduced_chi_square:.3f} of the noise's; {found.outliers:.1%} of the rows fit badly and weigh less."
+    ]
+    if np.any(found.inflation > 1):
+        factors = ", ".join(f"{math.sqrt(factor):.2g}" for factor in found.inflation)
+        lines.append(
+            f"The residuals are more than white noise (p = {found.whiteness:.1g}): the model does not explain all. "
+            f"The intervals take the six channels' noise {factors} times as large as stated."
+        )
+    else:
+        lines.append("The residuals are what the stated noise explains.")
+    given = sorted({name for one in calibration.estimates.values() for name in one.holds_for})
+    if given:
+        lines.append(f"* holds for {', '.join(given)} as given.")
+    return lines + [f"{sentence}." for sentence in calibration.identifiability.text]
+
+
+def write_summary(folder: Path, calibration: "Calibration[Any]") -> list[Path]:
+    """Write `summary.json` and `summary.md`.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
+    """
+    numbers, text = writable(folder / "summary.json"), writable(folder / "summary.md")
+    numbers.write_text(json.dumps(summary(calibration), indent=1) + "\n", encoding="utf-8")
+    heading, *rows = table(calibration)
+    lines = ["# Calibration", "", _row(heading), _row(["---"] * len(heading)), *map(_row, rows), ""]
+    lines += [f"- {sentence}" for sentence in findings(calibration)]
+    text.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return [numbers, text]
+
+
+def _row(cells: "tuple[str, ...] | list[str]") -> str:
+    return "| " + " | ".join(cells) + " |"

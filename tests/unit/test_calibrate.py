@@ -1,0 +1,258 @@
+"""Rod and mount from sweeps over a ball that the forward solver made, by readings that the calibration predicts on its own."""
+
+import re
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from calibration_bench import BALL, CLAMP, NAMES, REST, TURN, WIRE, recordings, sensor, setup, swept, true_values, wrong
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+import vibrissa as vb
+from vibrissa.calibrate.equilibrium import CORE, Bench, changed, readings
+
+POSE = ("youngs_modulus", "length", "clamp_position", "clamp_orientation", "tare")
+
+
+@pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_without_noise_the_truth_is_found(signs: tuple[int, int]) -> None:
+    """From 20 %, 3 %, 2 mm and 3° off, with all signs: exact forward solutions lead back to the numbers they were made with."""
+    exact = sensor(1e-5)
+    start = wrong(setup(exact), signs)
+    found = vb.calibrate(recordings(exact), start)
+    for name, value in true_values(start).items():
+        assert found.estimates[name].value == pytest.approx(value, rel=2e-6, abs=2e-8), name
+    axis = Rotation.from_quat(found.setup.sensor.clamp_orientation).apply([0, 0, 1])
+    np.testing.assert_allclose(axis, TURN.apply([0, 0, 1]), atol=1e-7)
+    np.testing.assert_allclose(found.tare, 0, atol=1e-6)
+    assert found.setup.rod.bending_stiffness == pytest.approx(WIRE.bending_stiffness, rel=2e-6)
+    assert found.surface is BALL
+
+
+def test_errors_are_as_large_as_stated() -> None:
+    """In eight repeats the squared errors in the metric of the stated covariance are those of seven unknowns each, and residuals are white noise."""
+    noisy, total, inside = sensor(), 0.0, 0
+    start = wrong(setup(noisy))
+    truth = true_values(start)
+    for seed in range(8):
+        found = vb.calibrate(recordings(noisy, seed), start)
+        assert found.identifiability.names == NAMES
+        error = np.array([found.estimates[name].value - truth[name] for name in NAMES])
+        total += float(error @ np.linalg.solve(found.covariance, error))
+        inside += sum(low <= truth[name] <= high for name in NAMES for low, high in [found.interval(name)])
+        assert found.fitness.reduced_chi_square == pytest.approx(1, abs=0.15)
+        np.testing.assert_array_equal(found.fitness.inflation, 1)
+    assert chi2.ppf(1e-3, 56) < total < chi2.isf(1e-3, 56)
+    assert inside >= 0.85 * 56
+
+
+def test_reactions_and_raw_logs_say_the_same() -> None:
+    noisy = sensor()
+    start, raw = wrong(setup(noisy)), recordings(noisy)
+    first, second = (vb.calibrate(rows, start) for rows in (raw, [start.sensor.reactions(one) for one in raw]))
+    np.testing.assert_allclose(first.covariance, second.covariance, rtol=1e-6)
+    assert first.estimates["length"].value == pytest.approx(second.estimates["length"].value, rel=1e-12)
+
+
+def test_the_roll_about_the_rod_s_axis_is_open_and_stays() -> None:
+    """A round straight rod looks alike however it is turned about its axis."""
+    noisy = sensor()
+    found = vb.calibrate(recordings(noisy), setup(noisy), free=POSE)
+    roll = found.estimates["clamp_orientation_z"]
+    assert not roll.determined
+    assert roll.value == pytest.approx(0, abs=1e-12)
+    assert np.isnan(roll.interval()).all()
+    assert found.identifiability.held == {"clamp_orientation_z": ()}
+    assert "clamp_orientation_z: not determined, kept as given; the readings do not depend on it" in found.identifiability.text
+
+
+def test_a_common_gain_cannot_be_told_from_the_stiffness() -> None:
+    """All six reactions grow with EI as they do with the gain: with one of the factors held, the others are found up to it."""
+    gain = (1.02, 1.02, 1.02, 0.99, 0.99, 0.99)
+    uneven = sensor(0.01, gain=gain)
+    start = wrong(setup(sensor(0.01)))
+    found = vb.calibrate(recordings(uneven), start, free=(*POSE, "force_gain", "torque_gain"))
+    held = found.identifiability.held["torque_gain"]
+    assert set(held) == {"youngs_modulus", "force_gain"}
+    assert found.estimates["torque_gain"].value == 1
+    assert found.estimates["youngs_modulus"].holds_for == ("torque_gain",)
+    assert found.estimates["length"].holds_for == ()
+    assert found.estimates["youngs_modulus"].value == pytest.approx(0.99 * 206e9, rel=1e-4)
+    assert found.estimates["force_gain"].value == pytest.approx(1.02 / 0.99, rel=1e-4)
+    assert found.estimates["length"].value == pytest.approx(0.05, rel=1e-4)
+
+
+def test_with_known_stiffness_each_channel_s_gain_is_found() -> None:
+    gain = (1.02, 0.98, 1.01, 0.99, 1.03, 0.97)
+    uneven, truth = sensor(0.01, gain=gain), setup(sensor(0.01))
+    found = vb.calibrate(recordings(uneven), truth, free=("length", "clamp_position", "gain"))
+    assert found.setup.sensor.gain == pytest.approx(gain, rel=3e-4)
+    errors = [
+        (found.estimates[f"gain_{name}"].value - value) / found.estimates[f"gain_{name}"].deviation
+        for name, value in zip(_CHANNELS, gain, strict=True)
+    ]
+    assert np.abs(errors).max() < 4
+
+
+_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
+
+
+def test_a_ball_that_is_not_where_it_was_given() -> None:
+    """Its place is found along with the rod; how it is turned leaves no trace."""
+    noisy = sensor(0.01)
+    moved = replace(wrong(setup(noisy)), surface=vb.surfaces.Sphere(center=(0.001, -0.0015, 0.0565), radius=0.03))
+    found = vb.calibrate(recordings(noisy), moved, free=(*POSE, "object_position", "object_orientation"))
+    shift = [found.estimates[f"object_position_{axis}"].value for axis in "xyz"]
+    np.testing.assert_allclose(shift, [-0.001, 0.0015, 0.001], atol=3e-6)
+    assert {f"object_orientation_{axis}" for axis in "xyz"} <= set(found.identifiability.held)
+    assert found.estimates["length"].value == pytest.approx(0.05, rel=1e-4)
+    on_it = np.array([0.0, 0.03, 0.0575])
+    assert found.surface.levels(on_it) == pytest.approx(0, abs=5e-6)
+    assert found.setup.surface is found.surface
+
+
+def test_a_prior_holds_what_the_data_do_not() -> None:
+    """With EI as well as both gains free, a prior on one makes all determined: to EI's variance it adds its own, as EI stands for it."""
+    noisy = sensor()
+    rows, start = recordings(noisy), setup(noisy)
+    without = vb.calibrate(rows, start, free=(*POSE, "force_gain"))
+    found = vb.calibrate(rows, start, free=(*POSE, "torque_gain", "force_gain"), prior={"torque_gain": 0.005})
+    assert "torque_gain" not in found.identifiability.held
+    alone, stiffness = (result.estimates["youngs_modulus"].deviation / 206e9 for result in (without, found))
+    assert stiffness == pytest.approx(np.hypot(alone, 0.005), rel=0.02)
+    assert found.estimates["torque_gain"].deviation == pytest.approx(0.005, rel=0.02)
+
+
+def test_what_is_not_free_is_as_given() -> None:
+    noisy = sensor()
+    truth = setup(noisy)
+    found = vb.calibrate(
+        recordings(noisy), replace(truth, rod=replace(WIRE, bending_stiffness=1.1 * WIRE.bending_stiffness)), free=("bending_stiffness",)
+    )
+    assert found.setup.rod.length == WIRE.length
+    np.testing.assert_array_equal(found.setup.sensor.clamp_position, CLAMP)
+    low, high = found.interval("bending_stiffness", 0.999)
+    assert low < WIRE.bending_stiffness < high
+
+
+@pytest.mark.parametrize("rubs", [False, True])
+def test_derivatives_are_those_of_the_readings(rubs: bool) -> None:  # noqa: FBT001
+    """Of each parameter and of the tangential force, against central differences of solved equilibria."""
+    reactions = swept(0.005)
+    rows = np.repeat(np.flatnonzero(np.linalg.norm(reactions.force, axis=1) > 0.03)[5:-5:20], 64)
+    trail = reactions.trail
+    found = vb.reconstruct(WIRE, vb.Reactions(vb.Trail(trail.position[rows]), reactions.force[rows], reactions.moment[rows]))
+    force = np.linalg.norm(reactions.force[rows], axis=1, keepdims=True)
+    states = np.hstack([found.point, force, np.full((len(rows), 3), 0.05 if rubs else 0.0)])
+    poses = np.hstack(
+        [trail.position[rows] - CLAMP, np.tile(np.eye(3).ravel(), (len(rows), 1)), np.tile([0.001, 0.002, -0.001], (len(rows), 1))]
+    )
+    tilt = Rotation.from_rotvec([0.02, -0.01, 0.3]).as_matrix()
+    bench = Bench(
+        np.asarray(6.3e-4),
+        np.asarray(0.05),
+        CLAMP,
+        tilt,
+        np.array([1.1, 0.9, 1, 1, 1.2, 1]),
+        np.array([1e-4, 0, 0]),
+        np.eye(3),
+        np.array([0.01, 0.02, 0.03]),
+    )
+    at = readings(BALL, bench, states, poses, rubs=rubs)
+    assert at.sound.all()
+
+    def slope(place: int, step: float) -> np.ndarray:
+        ends = []
+        for sign in (1, -1):
+            move = np.zeros(CORE + 3)
+            move[place] = sign * step
+            there = jax.tree.map(np.asarray, changed(bench, jnp.asarray(move[:CORE])))
+            ends.append(readings(BALL, there, at.state + np.concatenate([np.zeros(4), move[CORE:]]), poses, rubs=rubs).wrench)
+        return (ends[0] - ends[1]) / (2 * step)
+
+    for place in range(CORE + 3 * rubs):
+        exact = at.jacobian[..., place] if place < CORE else at.rubbing[..., place - CORE]
+        size = np.abs(exact).max() + 1e-6
+        np.testing.assert_allclose(exact / size, slope(place, 1e-6) / size, atol=2e-6, err_msg=str(place))
+
+
+def test_neighbours_are_averaged_in_long_recordings() -> None:
+    """Each sample sixteen times in turn, as a log sixteen times as fast of a slow sweep would hold it: a quarter of the deviations."""
+    slow = [_repeated(swept(y), 16) for y in (0.005, -0.01)]
+    noisy, rng = sensor(), np.random.default_rng(4)
+    few = vb.calibrate(recordings(noisy), setup(noisy), free=POSE)
+    many = vb.calibrate([noisy.measure(one, rng) for one in slow], setup(noisy), free=POSE)
+    assert np.count_nonzero(many.residuals.contact) < 6000
+    ratio = np.array([many.estimates[name].deviation / few.estimates[name].deviation for name in NAMES])
+    np.testing.assert_allclose(ratio, 0.25, rtol=0.1)
+    assert many.fitness.reduced_chi_square == pytest.approx(1, abs=0.1)
+
+
+def _repeated(reactions: vb.Reactions, times: int) -> vb.Reactions:
+    """The pose moves on evenly, the wrench with it."""
+    old = np.arange(len(reactions.force))
+    new = np.linspace(0, old[-1], times * len(old))
+    position, force, moment = (
+        np.stack([np.interp(new, old, column) for column in part.T], axis=1)
+        for part in (reactions.trail.position, reactions.force, reactions.moment)
+    )
+    loaded = np.interp(new, old, np.linalg.norm(reactions.force, axis=1)) > 0
+    # Between samples on either side of first contact a straight line is no equilibrium.
+    edge = np.convolve(np.abs(np.diff(loaded.astype(float), prepend=loaded[0])), np.ones(4 * times), mode="same") > 0
+    keep = ~edge
+    return vb.Reactions(vb.Trail(position[keep]), force[keep], moment[keep], time=(new / 50.0)[keep])
+
+
+def _bad(noisy: vb.Sensor) -> dict:
+    truth, rows = setup(noisy), recordings(noisy)
+    tip = swept(0.005)
+    middle = slice(REST + 80, REST + 180)
+    late = vb.Reactions(vb.Trail(tip.trail.position[middle]), tip.force[middle], tip.moment[middle], time=tip.time[middle])
+    free = vb.Reactions(vb.Trail(tip.trail.position[:REST]), tip.force[:REST], tip.moment[:REST], time=tip.time[:REST])
+    rng = np.random.default_rng(0)
+    untared = replace(noisy, tare_seconds=0.0)
+    return {
+        "unknown name": (
+            rows,
+            truth,
+            {"free": ("stiffness",)},
+            "free: 'stiffness' is no parameter; allowed are youngs_modulus, bending_stiffness, length",
+        ),
+        "twice": (rows, truth, {"free": ("length", "length")}, "free: 'length' is given twice"),
+        "same": (rows, truth, {"free": ("youngs_modulus", "bending_stiffness")}, "the same parameters"),
+        "nothing": (rows, truth, {"free": ("tare",)}, "no parameter of rod, clamp, sensor or object"),
+        "prior of a held one": (rows, truth, {"free": ("length",), "prior": {"gain": 0.1}}, "prior: 'gain' is not a free parameter"),
+        "prior of zero": (rows, truth, {"free": ("length",), "prior": {"length": 0.0}}, "prior['length'] = 0.0"),
+        "friction": (rows, truth, {"friction": -0.1}, "friction = -0.1; allowed is a finite number of at least 0"),
+        "no object": (rows, replace(truth, surface=None), {}, "surface = None, and the setup has no object"),
+        "no recording": ([], truth, {}, "recordings = []; allowed is at least one"),
+        "a path": (["trail.csv"], truth, {}, "recordings holds str; allowed are Reactions"),
+        "no contact": ([noisy.reactions(untared.measure(free, rng))], truth, {}, "recordings[0]: 0 samples are in contact"),
+        "no rest": ([untared.measure(late, rng)], replace(truth, sensor=untared), {}, "recordings[0]: no sample is at rest"),
+        "another object": (
+            rows,
+            replace(truth, surface=vb.surfaces.Plane((0, 0, 0.03), (0.5, 0, -1))),
+            {},
+            "do not explain the recordings: residuals are",
+        ),
+    }
+
+
+@pytest.mark.usefixtures("no_shape_checks")
+def test_what_is_wrong_is_named() -> None:
+    for what, (rows, start, options, message) in _bad(sensor()).items():
+        with pytest.raises(ValueError, match=re.escape(message)) as caught:
+            vb.calibrate(rows, start, **options)
+        assert isinstance(caught.value, vb.CalibrationError) == (what in {"no contact", "no rest", "another object"}), what
+
+
+def test_rows_without_numbers_are_left_out() -> None:
+    noisy = sensor()
+    rows = recordings(noisy)
+    rows[0].force[150:160], rows[1].torque[200] = np.nan, np.nan
+    found = vb.calibrate(rows, setup(noisy), free=POSE)
+    assert np.isfinite(found.residuals.reading).all()
+    assert abs(found.estimates["length"].value - 0.05) < 4.5 * found.estimates["length"].deviation

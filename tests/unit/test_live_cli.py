@@ -139,7 +139,7 @@ def test_tables_that_are_wrong(name: str, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_work_that_fails_has_status_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Nobody at the port; a serial device that is none; a stream too short for its tare."""
+    """Nobody at the port; a serial device that is none; a recording too short for its tare."""
     short = tmp_path / "short.csv"
     short.write_text("".join(TRAIL.read_text(encoding="utf-8").splitlines(keepends=True)[:2]), encoding="utf-8")
     for source, word in (("tcp://127.0.0.1:9", "refused"), ("serial:/dev/null/none", "/dev/null/none")):
@@ -147,8 +147,8 @@ def test_work_that_fails_has_status_1(monkeypatch: pytest.MonkeyPatch, capsys: p
         out, err = capsys.readouterr()
         assert out == ""
         assert word in err.splitlines()[-1]
-    assert run(monkeypatch, "live", "--source", f"replay:{short}", "--setup", SETUP) == 0
-    assert "1 samples recorded without a row" in capsys.readouterr().err
+    assert run(monkeypatch, "live", "--source", f"replay:{short}", "--setup", SETUP) == 2
+    assert "tare_seconds = 0.9: 1 of 1 samples lie within it" in capsys.readouterr().err
 
 
 def test_json_lines_on_standard_output(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:

@@ -147,7 +147,7 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
     force = np.where(finite[:, None], samples.wrench[:, :3], 0.0)
     deviation = np.sqrt(np.trace(noise[:, :3, :3], axis1=1, axis2=2) / 3)
     strength = np.linalg.norm(uniform_filter1d(force, _WINDOW, axis=0), axis=1) / deviation
-    contact, rest = _stretches(samples.seconds, strength, sensor.tare_seconds)
+    contact, rest = _stretches(samples.seconds, strength, sensor.tare_seconds or 0.0)
     contact, rest = contact & finite, rest & finite
     if np.count_nonzero(contact) < _FEWEST:
         raise CalibrationError(
@@ -165,7 +165,7 @@ def _noise(where: str, samples: _Samples, sensor: Sensor, finite: Bool[np.ndarra
     """Stated covariances of the samples; where none is, what the scatter within the tare window says."""
     if samples.covariance is not None:
         return np.broadcast_to(samples.covariance, (len(finite), 6, 6))
-    still = finite & (samples.seconds - samples.seconds[0] < sensor.tare_seconds)
+    still = finite & (samples.seconds - samples.seconds[0] < (sensor.tare_seconds or 0.0))
     if np.count_nonzero(still) < _FEWEST:
         raise CalibrationError(
             f"{where}: the sensor's noise is not known; give force_noise and torque_noise, or a tare_seconds with at least {_FEWEST} samples to see it from"

@@ -17,6 +17,9 @@ from vibrissa.io.recordings.table import RecordingTable
 MOST_ROWS = 10_000_000
 Array = Float[np.ndarray, "n"] | Float[np.ndarray, "n k"]
 
+# Share of rows without a wrench or without a pose.
+_OTHER_RATE = 0.3
+
 
 @dataclass(frozen=True)
 class Columns:
@@ -65,13 +68,13 @@ def streams(columns: Columns, table: RecordingTable, poses: Columns | None = Non
 
 
 def _one_table(columns: Columns, wrench: Stream, pose: Stream) -> Streams:
-    """Rows that hold only a wrench or only a pose are streams of different rates, written into one table."""
+    """Rows of which many hold only a wrench or only a pose are streams of different rates, written into one table; of a few, the numbers are missing."""
     if len(pose.time) != len(wrench.time):
         raise InputError(
             f"{columns.file}: position has {len(pose.time)} rows, force {len(wrench.time)}; allowed are poses as often, or pose_time"
         )
     no_wrench, no_pose = (np.all(np.isnan(stream.values), axis=1) for stream in (wrench, pose))
-    if not np.any(no_wrench ^ no_pose):
+    if np.mean(no_wrench ^ no_pose) < _OTHER_RATE:
         return Streams(wrench, pose, together=True)
     notes = (f"{np.count_nonzero(~no_wrench)} rows hold a wrench and {np.count_nonzero(~no_pose)} a pose, of {len(wrench.time)}",)
     return Streams(wrench.rows(~no_wrench | no_pose), pose.rows(~no_pose), notes=notes)

@@ -18,7 +18,7 @@ SENSOR = vb.Sensor(
     torque_noise=4e-5,
     position_noise=1e-5,
 )
-RATE, SPEED = 50.0, 0.01
+RATE, SPEED = 100.0, 0.01
 
 
 class Sweep(NamedTuple):

@@ -127,7 +127,7 @@ def with_better_changes(model: Model, labels: Labels) -> Labels:
     """Each change between tip and tangential contact at its most probable sample."""
     for change in phase_changes(labels):
         best = change
-        for offsets in (_COARSE, np.arange(-3, 4), np.arange(-1, 2)):
+        for offsets in (_COARSE, _COARSE, np.arange(-3, 4), np.arange(-1, 2)):
             low, high = _room(labels, change)
             places = sorted({int(place) for place in np.clip(best + offsets, low, high)} | {best})
             rows = (min(change, places[0]) - _MARGIN // 2, max(change, places[-1]) + _MARGIN // 2)

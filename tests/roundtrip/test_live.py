@@ -18,6 +18,7 @@ import pytest
 from mcap.reader import make_reader
 from plyfile import PlyData
 from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 from vibrissa.io.recordings.read import read_cleaned
@@ -33,6 +34,7 @@ from vibrissa.live import (
     Report,
     SensorSimulator,
     Sink,
+    SmoothingStage,
     StreamedPoses,
     TimedPoses,
     stream,
@@ -100,6 +102,28 @@ def test_a_shared_recording_replayed(sphere_60mm: Path) -> None:
     expected = vb.reconstruct(setup.rod, vb.read_recording(file, setup))
     assert report.rows == len(expected.kind)
     np.testing.assert_allclose(kept.all("point"), expected.point, rtol=1e-9, atol=1e-15)
+
+
+def test_a_smoothed_stream_is_what_the_filter_says_sample_by_sample(setup: vb.Setup, raw: RawRecording) -> None:
+    """In batches as they come; and its contacts lie nearer to the ball than those of single samples."""
+    kept = Kept()
+    processor = Processor(setup.rod, setup.sensor, ConstantPose(), stage=SmoothingStage(setup.rod))
+    stream(ReplaySource(raw, np.inf), processor, [Callback(kept)])
+    given = vb.read_recording(FOLDER / "trail.csv", setup)
+    assert given.covariance is not None
+    both = np.kron(np.eye(2), Rotation.from_quat(given.trail.orientation[0]).as_matrix())
+    live = vb.CausalSmoother(setup.rod, both.T @ given.covariance @ both, position_covariance=given.position_covariance)
+    rows = zip(given.time, given.trail.position, given.trail.orientation, given.force, given.moment, strict=True)
+    expected = [live.update(*row) for row in rows]
+    assert kept.all("kind").tolist() == [contact.kind for contact in expected]
+    np.testing.assert_allclose(kept.all("point"), [contact.point for contact in expected], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(kept.all("covariance"), [contact.covariance for contact in expected], rtol=1e-6, atol=1e-16)
+    assert setup.surface is not None
+    touching = kept.all("kind") != vb.ContactKind.NONE
+    singly = vb.reconstruct(setup.rod, given)
+    both_touch = touching & singly.in_contact
+    off = [np.median(np.abs(setup.surface.distances(points[both_touch]))) for points in (kept.all("point"), singly.point)]
+    assert off[0] < off[1]
 
 
 def test_sinks_agree(tmp_path: Path, setup: vb.Setup, raw: RawRecording) -> None:

@@ -26,6 +26,7 @@ def live(
     batch: Annotated[float, typer.Option("--batch", help="Seconds of samples that are worked on together.")] = 0.005,
     silence: Annotated[float, typer.Option("--silence", help="Seconds without a sample after which to give up; 0 for never.")] = 5.0,
     friction: Annotated[float | None, typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals.")] = None,
+    smooth: Annotated[bool, typer.Option("--smooth", help="Smooth the contacts as they come: each from all samples up to it.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON; to stderr if a sink takes stdout.")] = False,
 ) -> None:
@@ -45,7 +46,7 @@ def live(
     address = parse_address(source)
     targets = [_target(text, overwrite=overwrite) for text in sink or []]
     loaded = load_setup(setup)
-    report = _run(address, loaded, setup.parent, targets, duration=duration, batch=batch, silence=silence, friction=friction)
+    report = _run(address, loaded, setup.parent, targets, duration=duration, batch=batch, silence=silence, friction=friction, smooth=smooth)
     if as_json:
         typer.echo(json.dumps(report.as_dict(), indent=1), err=any(path is None for _, path in targets))
     else:
@@ -64,9 +65,11 @@ def _run(
     batch: float,
     silence: float,
     friction: float | None,
+    smooth: bool,
 ) -> "Report":
     from vibrissa.cli.live_parts import interrupts, one_line, poses_of  # noqa: PLC0415
-    from vibrissa.live import Processor, stream  # noqa: PLC0415
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
+    from vibrissa.live import Processor, SmoothingStage, stream  # noqa: PLC0415
 
     # Batches are small: one thread on this machine answers soonest, in the order of the calls.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -74,7 +77,10 @@ def _run(
     _say("loading")
     origin = _source(address, loaded)
     poses = poses_of(loaded, folder, needed=address.kind == "netft")
-    processor = Processor(loaded.rod, loaded.sensor, poses, friction=friction)
+    if smooth and loaded.sensor.force_noise is None:
+        raise InputError("sensor.force_noise is not given with --smooth; allowed is a setup with force_noise and torque_noise")
+    stage = SmoothingStage(loaded.rod, friction=friction) if smooth else None
+    processor = Processor(loaded.rod, loaded.sensor, poses, stage=stage, friction=friction)
     with interrupts() as stop, one_line():
         sinks = [_sink(kind, path, loaded) for kind, path in targets]
         processor.warm_up()

@@ -10,6 +10,7 @@ from vibrissa.live.replay import ReplaySource
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
 from vibrissa.live.simulator import Flaws, SensorSimulator
 from vibrissa.live.sinks import Callback, Sink
+from vibrissa.live.smoothing import SmoothingStage
 
 __all__ = [
     "Address",
@@ -27,6 +28,7 @@ __all__ = [
     "Samples",
     "SensorSimulator",
     "Sink",
+    "SmoothingStage",
     "Source",
     "Stage",
     "StreamedPoses",

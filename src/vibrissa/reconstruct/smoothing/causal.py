@@ -15,7 +15,8 @@ from scipy.stats import chi2
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
-from vibrissa.reconstruct.smoothing.hypotheses import Hypotheses, Settings, advanced
+from vibrissa.reactions import Reactions
+from vibrissa.reconstruct.smoothing.hypotheses import Hypotheses, Settings, advanced, advanced_through
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, WRENCH
 from vibrissa.reconstruct.smoothing.manifold import COORDINATES
 from vibrissa.reconstruct.smoothing.series import AT_REST, TILT_SPREAD
@@ -24,6 +25,7 @@ from vibrissa.rod import Rod
 _MEAN_SAMPLES = 5
 _TARE_VARIANCE = 0.02
 _SAMPLE = 14
+_BATCH = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +155,31 @@ class CausalSmoother:
         self._time = float(time)
         self._state, packed = advanced(self._state, self._settings, sample)
         return self._contact(np.asarray(packed), self._time)
+
+    def update_all(self, reactions: Reactions) -> list[LiveContact]:
+        """Take several samples of one trail (n, …) with time, in one call: as `update` does one by one, at a fraction of its cost for each.
+
+        Raises
+        ------
+        ValueError
+            If the reactions are of several trails or have no time, or the first is not after the last sample before.
+        """
+        time, trail = reactions.time, reactions.trail
+        if time is None or time.ndim != 1:
+            raise ValueError(f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …) with time")
+        if self._time is not None and len(time) and time[0] <= self._time:
+            raise ValueError(f"time[0] = {time[0]}; allowed is after the sample before at {self._time}")
+        steps = np.diff(time, prepend=time[0] if self._time is None else self._time)
+        samples = np.column_stack([trail.position, trail.orientation, reactions.force, reactions.moment, steps])
+        found: list[LiveContact] = []
+        for first in range(0, len(samples), _BATCH):
+            part = samples[first : first + _BATCH]
+            filled = np.concatenate([part, np.zeros((_BATCH - len(part), _SAMPLE))])
+            self._state, packed = advanced_through(self._state, self._settings, filled, np.array(len(part)))
+            rows = np.asarray(packed)[: len(part)]
+            found += [self._contact(row, float(at)) for row, at in zip(rows, time[first : first + _BATCH], strict=True)]
+        self._time = float(time[-1]) if len(time) else self._time
+        return found
 
     def _contact(self, packed: Float[np.ndarray, "29"], time: float) -> LiveContact:
         probability, distance, sound = float(packed[26]), packed[27], packed[28] >= 0

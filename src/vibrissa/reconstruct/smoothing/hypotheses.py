@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jaxtyping import Float
+from jax import Array, lax
+from jaxtyping import Float, Int
 
 from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
@@ -23,6 +23,7 @@ _PATIENCE = 4
 """Consecutive outliers that are taken for a jump of the contact."""
 _JUMP = 2.0
 _ENTRIES = np.arange(SIZE)
+REPORT = 29
 
 
 class Hypotheses(NamedTuple):
@@ -75,6 +76,21 @@ def advanced(state: Hypotheses, settings: Settings, sample: Float[AnyArray, "14"
     recent = jnp.concatenate([newest[None], state.recent[:-1]])
     after = Hypotheses(means, covariances, probability, recent, strange)
     return after, _report(after, sample[:3] / settings.units[0], turn, sound)
+
+
+@compiled
+def advanced_through(
+    state: Hypotheses, settings: Settings, samples: Float[AnyArray, "batch 14"], count: Int[AnyArray, ""]
+) -> tuple[Hypotheses, Float[Array, "batch 29"]]:
+    """The same for the first `count` of several samples, one after the other."""
+    samples = jnp.asarray(samples)
+
+    def one(index: Array, carried: tuple[Hypotheses, Array]) -> tuple[Hypotheses, Array]:
+        after, report = advanced(carried[0], settings, samples[index])
+        return after, carried[1].at[index].set(report)
+
+    through: tuple[Hypotheses, Array] = lax.fori_loop(0, count, one, (state, jnp.full((samples.shape[0], REPORT), jnp.nan)))
+    return through
 
 
 def _turned(quaternion: AnyArray) -> Float[Array, "3 3"]:

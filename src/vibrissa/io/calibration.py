@@ -1,6 +1,5 @@
 """A calibrated setup as a file: the setup it came from with the numbers found, and what is known of them in a table [calibration]."""
 
-import importlib
 import os
 from collections.abc import Iterator, MutableMapping, Sequence
 from datetime import UTC, datetime
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table
 from vibrissa.io.errors import InputError, readable, writable
+from vibrissa.libraries import extra_library
 
 if TYPE_CHECKING:
     from vibrissa.calibrate import Calibration
@@ -69,11 +69,9 @@ def toml_library() -> Any:
         If it is not installed; the text names the command that does it.
     """
     try:
-        return importlib.import_module("tomlkit")
-    except ModuleNotFoundError as error:
-        raise InputError(
-            "tomlkit is not installed; writing a calibrated setup needs it: python3 -m pip install 'vibrissa[calibrate]'"
-        ) from error
+        return extra_library("tomlkit", extra="calibrate", need="writing a calibrated setup needs it")
+    except ImportError as error:
+        raise InputError(str(error)) from error
 
 
 def write_calibration(

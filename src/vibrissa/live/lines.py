@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from vibrissa.libraries import extra_library
 from vibrissa.live.clock import SampleClock, epoch_offset
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
 
@@ -128,10 +129,7 @@ class SerialLine(Line):
 
     def open(self) -> None:
         """Open the device. Raise ImportError where pyserial is missing."""
-        try:
-            import serial  # noqa: PLC0415
-        except ModuleNotFoundError as error:
-            raise ImportError("serial is not installed; serial lines need it: python3 -m pip install 'vibrissa[live]'") from error
+        serial = extra_library("serial", extra="live", need="serial lines need it")
         self._port = serial.Serial(self._device, self._baud, timeout=0)
 
     def receive(self, timeout: float) -> bytes:

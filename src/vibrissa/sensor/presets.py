@@ -6,6 +6,9 @@ sheet states is what the maker calls discernible in the noise, so that the noise
 ATI Nano17, calibrations SI-12-0.12, SI-25-0.25 and SI-50-0.5
     ATI Industrial Automation, product page "F/T Sensor: Nano17", tables "Sensing ranges" and "Resolution" (typical, with a 16-bit data acquisition
     system). Noise is not stated.
+ATI Axia80-M20, calibration SI-500-20
+    ATI Industrial Automation, "Manual, F/T Sensor, Ethernet Axia", document 9610-05-Ethernet Axia-09, table 4.8: the ranges alone. Resolution and noise are not in what
+    we have seen of it, and have to be given.
 Robotiq FT 300-S
     Robotiq, "FT 300-S Force Torque Sensor Instruction Manual": range, data stream at 100 Hz in steps of 0.01 N and 0.001 N m. Signal noise as in the maker's
     data sheet: 0.1 N, 0.005 N m; the figure of tx and ty is taken for tz too.
@@ -42,6 +45,7 @@ PRESETS: MappingProxyType[str, _Figures] = MappingProxyType(
         "ati_nano17_si_12_0_12": _nano17(1),
         "ati_nano17_si_25_0_25": _nano17(2),
         "ati_nano17_si_50_0_5": _nano17(4),
+        "ati_axia80_m20_si_500_20": {"force_range": (500.0, 500.0, 900.0), "torque_range": (20.0, 20.0, 20.0)},
         "robotiq_ft_300_s": {
             "force_range": (300.0, 300.0, 300.0),
             "torque_range": (30.0, 30.0, 30.0),

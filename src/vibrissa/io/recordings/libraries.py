@@ -1,24 +1,12 @@
-"""The libraries for tables and bags, an extra: loaded when first needed."""
+"""`pyarrow`, `rosbags` and their compression."""
 
-import importlib
 import sys
+from functools import partial
 from types import ModuleType
 
+from vibrissa.libraries import extra_library
 
-def library(name: str) -> ModuleType:
-    """Import a module of `pyarrow`, `rosbags`, `lz4` or `backports.zstd`.
-
-    Raises
-    ------
-    ImportError
-        If it is not installed; the text names the command that does it.
-    """
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        raise ImportError(
-            f"{error.name} is not installed; Parquet and ROS bags need it: python3 -m pip install 'vibrissa[recordings]'", name=error.name
-        ) from error
+library = partial(extra_library, extra="recordings", need="Parquet and ROS bags need it")
 
 
 def zstandard() -> ModuleType:

@@ -1,20 +1,7 @@
-"""The libraries for MCAP and ROS 2 messages, an extra: loaded when first needed."""
+"""`mcap` and `rosbags`, for writing."""
 
-import importlib
-from types import ModuleType
+from functools import partial
 
+from vibrissa.libraries import extra_library
 
-def library(name: str) -> ModuleType:
-    """Import a module of `mcap` or `rosbags`.
-
-    Raises
-    ------
-    ImportError
-        If it is not installed; the text names the command that does it.
-    """
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        raise ImportError(
-            f"{error.name} is not installed; MCAP needs it: python3 -m pip install 'vibrissa[live]'", name=error.name
-        ) from error
+library = partial(extra_library, extra="live", need="MCAP needs it")

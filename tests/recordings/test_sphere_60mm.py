@@ -274,7 +274,7 @@ def test_a_recording_as_it_is_has_no_faults(sphere_60mm: Path, name: str) -> Non
 def test_the_rest_that_is_found_ends_before_the_contact(sweeps: dict[str, Sweep], sphere_60mm: Path, name: str) -> None:
     """And is longer than the 0.9 s that the setup gives, whose tare it confirms."""
     setup = vb.load_setup(sphere_60mm / "setup.toml")
-    raw = read_raw(sphere_60mm / f"{name}.csv")
+    raw = read_raw(sphere_60mm / f"{name}.csv", setup).raw
     tare = replace(setup.sensor, tare_seconds=None).tare(raw)
     ((start, stop),) = tare.intervals
     touching = raw.time[sweeps[name].touching]

@@ -22,7 +22,9 @@ Foot = Float[Array, "4"]
 
 _REACH = 2.0
 """Longest step in shares of the first-order distance."""
-_MOST_ITERATIONS = 30
+_MOST_ITERATIONS = 60
+# From when on steps are halved: where Newton's method goes to and fro, half of its way leads on.
+_HALVED = 12
 # A step, in shares of the longest and of the point's own size, after which another would change nothing.
 _SETTLED, _SETTLED_SIZE = 1e-9, 1e-15
 # By how much the equations may be missed, in the same terms.
@@ -106,7 +108,7 @@ def _foot(solid: Solid, point: Vector) -> Foot:
         iteration, foot, _ = state
         residual, jacobian = _linearised(solid, point, foot)
         step, _determinant = solve_4x4(jacobian, residual)
-        step *= jnp.minimum(1.0, reach / _or_one(norm(*step[:3])))
+        step *= jnp.where(state[0] < _HALVED, 1.0, 0.5) * jnp.minimum(1.0, reach / _or_one(norm(*step[:3])))
         finite = jnp.all(jnp.isfinite(step))
         return iteration + 1, jnp.where(finite, foot - step, foot), jnp.where(finite, norm(*step[:3]), 0.0)
 

@@ -1,5 +1,8 @@
-"""For all tests: shape checks that take plain numbers, Hypothesis without a clock, and the data beside the checkout."""
+"""For all tests: shape checks that take plain numbers, Hypothesis without a clock, kernels compiled once for all processes, and the data beside the checkout."""
 
+import os
+import shutil
+import tempfile
 from pathlib import Path
 from typing import get_args
 
@@ -16,6 +19,21 @@ beartype.beartype = beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower
 
 settings.register_profile("vibrissa", deadline=None, derandomize=True, database=None, max_examples=25)
 settings.load_profile("vibrissa")
+
+_COMPILED = "JAX_COMPILATION_CACHE_DIR"
+_HERE = "VIBRISSA_TESTS_COMPILED"
+
+if _COMPILED not in os.environ:
+    # Of this run alone: the processes that share the tests, and those that tests start, compile each kernel once.
+    os.environ[_COMPILED] = os.environ[_HERE] = tempfile.mkdtemp(prefix="vibrissa-tests-")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+
+def pytest_unconfigure() -> None:
+    """Leave nothing behind."""
+    if "PYTEST_XDIST_WORKER" not in os.environ and _HERE in os.environ:
+        shutil.rmtree(os.environ.pop(_HERE), ignore_errors=True)
+
 
 _SHARED = Path(__file__).parents[1].parent / "shared"
 

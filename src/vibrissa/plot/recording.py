@@ -5,6 +5,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Patch
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from scipy.signal import welch
 
 from vibrissa.geometry.rotation import rotation_vectors
@@ -121,6 +122,10 @@ def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None
         stated = white + own * sensor.noise_corner / frequency[1:]
         axes.loglog(frequency[1:], factor * np.sqrt(stated), color="black", linestyle="--", linewidth=0.9, label="stated")
         axes.legend(loc="lower left")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.set_minor_formatter(NullFormatter())
     low, high = axes.get_ylim()
     middle = np.sqrt(low * high)
     axes.set_ylim(min(low, middle / _LEAST_SPAN), max(high, middle * _LEAST_SPAN))

@@ -13,7 +13,7 @@ from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
 from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
-from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, Labels, Series, linearised, steps_of
+from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, TIP, Labels, Series, linearised, steps_of
 
 _OUTLIER = 28.0
 """Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; further ones weigh less."""
@@ -22,6 +22,7 @@ TARE_VARIANCE = 0.02
 _STRETCH = 48
 _MOST_STEPS = 12
 _CLOSE = 1e-6
+_RELABELLED_STEPS = 2
 _AVERAGE = 0.04
 _MEDIAN = 9
 _BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
@@ -130,14 +131,44 @@ def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
             labels = labels._replace(pace=pace)
             steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
         states = fetched(kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance), len(about))
-        new = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])
-        new[:, ARC_LENGTH] = np.clip(new[:, ARC_LENGTH], 0.02, 1.2)
+        new = _coordinates(labels, states)
         change = float(np.abs(new - about).max())
         about = new
         weight = robust_weights(series, labels, about, states.mean[:, 2 * COORDINATES :])
         if change < _CLOSE and iteration > 2:
             break
     return Fit(labels, about, weight, intensities, states)
+
+
+def _coordinates(labels: Labels, states: States) -> Float[np.ndarray, "n 5"]:
+    """About which to linearise."""
+    values = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])
+    values[:, ARC_LENGTH] = np.clip(values[:, ARC_LENGTH], 0.02, 1.2)
+    return values
+
+
+def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Fit:
+    """Mean and covariance of the coordinates over equally probable labels: that within each, and that between them."""
+    parts = [_relabelled(series, fit, labels, rates, frictionless=frictionless) for labels in candidates]
+    about = np.mean([part for part, _ in parts], axis=0)
+    between = np.mean([np.einsum("ni,nj->nij", part - about, part - about) for part, _ in parts], axis=0)
+    covariance = fit.states.covariance.copy()
+    covariance[:, :COORDINATES, :COORDINATES] = np.mean([within for _, within in parts], axis=0) + between
+    return fit._replace(about=about, states=fit.states._replace(covariance=covariance))
+
+
+def _relabelled(
+    series: Series, fit: Fit, labels: Labels, rates: Float[np.ndarray, "5"], *, frictionless: bool
+) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5 5"]]:
+    """Coordinates by other labels and their covariance; intensities and weights are those of the fit."""
+    mean, covariance = initial()
+    about = fit.about.copy()
+    for _ in range(_RELABELLED_STEPS):
+        about[labels.phase == TIP, ARC_LENGTH] = 1
+        steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless)
+        states = fetched(kalman.smoothed(steps, jnp.asarray(fit.intensities), mean, covariance), len(about))
+        about = _coordinates(labels, states)
+    return about, states.covariance[:, :COORDINATES, :COORDINATES]
 
 
 def first_weights(series: Series) -> Float[np.ndarray, "n"]:

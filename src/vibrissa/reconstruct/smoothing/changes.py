@@ -149,7 +149,8 @@ class Places(NamedTuple):
 def with_placed_changes(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
     """Each change between tip and tangential contact at the median of its likelihood, and where else it may be, given the others."""
     places: list[Places] = []
-    for _ in range(_SWEEPS):
+    # A change alone depends on no other.
+    for _ in range(min(len(phase_changes(labels)), _SWEEPS)):
         places = []
         for change in phase_changes(labels):
             places.append(places_of(model, labels, change))
@@ -162,21 +163,22 @@ def places_of(model: Model, labels: Labels, change: int) -> Places:
     low, high = _room(labels, change)
     best = change
     for _ in range(_REACHES):
-        coarse = _grid(max(low, best - _REACH), min(high, best + _REACH), _SPACING)
+        coarse = _grid(max(low, best - _REACH), min(high, best + _REACH), _SPACING, best)
         values = _place_likelihoods(model, labels, change, coarse)
         moved_on, best = best, int(coarse[np.argmax(values)])
         if abs(best - moved_on) < _REACH - 2 * _SPACING or best in (low, high):
             break
     likely = coarse[values > values.max() - _NEGLIGIBLE]
     first, last = max(low, int(likely[0]) - _SPACING), min(high, int(likely[-1]) + _SPACING)
-    fine = _grid(first, last, -(-(last - first + 1) // _FINE))
+    fine = _grid(first, last, -(-(last - first + 1) // _FINE), best)
     values = _place_likelihoods(model, labels, change, fine)
-    probability = np.exp(values - values.max())
+    width = np.diff(np.concatenate([fine[:1], (fine[:-1] + fine[1:]) / 2, fine[-1:]]))
+    probability = np.exp(values - values.max()) * (width + 1e-9)
     return Places(fine, probability / probability.sum())
 
 
-def _grid(low: int, high: int, spacing: int) -> Int[np.ndarray, "k"]:
-    return np.unique(np.append(np.arange(low, high + 1, spacing), high))
+def _grid(low: int, high: int, spacing: int, best: int) -> Int[np.ndarray, "k"]:
+    return np.unique(np.append(np.arange(low, high + 1, spacing), [best, high]))
 
 
 def _place_likelihoods(model: Model, labels: Labels, change: int, places: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:

@@ -22,7 +22,6 @@ TARE_VARIANCE = 0.02
 _STRETCH = 48
 _MOST_STEPS = 12
 _CLOSE = 1e-6
-_RELABELLED_STEPS = 2
 _AVERAGE = 0.04
 _MEDIAN = 9
 _BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
@@ -131,7 +130,7 @@ def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
             labels = labels._replace(pace=pace)
             steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
         states = fetched(kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance), len(about))
-        new = _coordinates(labels, states)
+        new = _coordinates(labels, states.mean)
         change = float(np.abs(new - about).max())
         about = new
         weight = robust_weights(series, labels, about, states.mean[:, 2 * COORDINATES :])
@@ -140,9 +139,9 @@ def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
     return Fit(labels, about, weight, intensities, states)
 
 
-def _coordinates(labels: Labels, states: States) -> Float[np.ndarray, "n 5"]:
+def _coordinates(labels: Labels, means: Float[np.ndarray, "n 16"]) -> Float[np.ndarray, "n 5"]:
     """About which to linearise."""
-    values = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])
+    values = np.where((labels.phase == FREE)[:, None], AT_REST, means[:, :COORDINATES])
     values[:, ARC_LENGTH] = np.clip(values[:, ARC_LENGTH], 0.02, 1.2)
     return values
 
@@ -163,12 +162,11 @@ def _relabelled(
     """Coordinates by other labels and their covariance; intensities and weights are those of the fit."""
     mean, covariance = initial()
     about = fit.about.copy()
-    for _ in range(_RELABELLED_STEPS):
-        about[labels.phase == TIP, ARC_LENGTH] = 1
-        steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless)
-        states = fetched(kalman.smoothed(steps, jnp.asarray(fit.intensities), mean, covariance), len(about))
-        about = _coordinates(labels, states)
-    return about, states.covariance[:, :COORDINATES, :COORDINATES]
+    about[labels.phase == TIP, ARC_LENGTH] = 1
+    steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless)
+    states = kalman.smoothed(steps, jnp.asarray(fit.intensities), mean, covariance)
+    means, squares = (np.asarray(part)[: len(about)] for part in (states.mean, states.covariance))
+    return _coordinates(labels, means), squares[:, :COORDINATES, :COORDINATES]
 
 
 def first_weights(series: Series) -> Float[np.ndarray, "n"]:

@@ -20,7 +20,17 @@ from vibrissa.reconstruct.smoothing.changes import (
     with_placed_changes,
     with_tangential_phases,
 )
-from vibrissa.reconstruct.smoothing.fit import TARE_VARIANCE, Fit, averaged, first_guess, first_weights, fitted, initial_states, rates_of
+from vibrissa.reconstruct.smoothing.fit import (
+    MOST_STEPS,
+    TARE_VARIANCE,
+    Fit,
+    averaged,
+    first_guess,
+    first_weights,
+    fitted,
+    initial_states,
+    rates_of,
+)
 from vibrissa.reconstruct.smoothing.kalman import WRENCH
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT
 from vibrissa.reconstruct.smoothing.phases import detected, runs_of
@@ -133,7 +143,7 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
             link[row] = kind
         fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, frictionless=frictionless)
     labels, places, touches = _refined(series, fit, rates, frictionless=frictionless)
-    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
+    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless, most_steps=MOST_STEPS)
     if places:
         fit = averaged(series, fit, alternatives(fit.labels, places), rates, frictionless=frictionless)
     return _result(found, series, fit, touches, model_error)

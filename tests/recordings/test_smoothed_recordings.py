@@ -61,7 +61,7 @@ def test_the_ellipsoids_hold_the_true_points(recorded: Smoothed) -> None:
     assert recorded.smooth.covariance is not None
     error = recorded.smooth.point[recorded.core] - recorded.point[recorded.core]
     distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(recorded.smooth.covariance[recorded.core]), error)
-    assert np.mean(distance < chi2.isf(0.05, 3)) >= 0.85
+    assert np.mean(distance < chi2.isf(0.05, 3)) >= 0.9
 
 
 def test_start_and_end_are_found_to_a_sample(recorded: Smoothed) -> None:

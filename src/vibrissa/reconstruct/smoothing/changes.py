@@ -1,4 +1,4 @@
-"""Where something changes in a sweep: jumps, phases, the start and the end of a contact. Each place is the most probable one."""
+"""Where something changes in a sweep: jumps, phases, the start and the end of a contact. The places of changes of phase come with their probabilities."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.stats import chi2
 
 from vibrissa.reconstruct.smoothing import kalman
@@ -23,7 +23,11 @@ _APART = 12
 _MARGIN = 96
 _AT_ONCE = 8
 _MOST_ROWS = 512
-_COARSE = np.array([-96, -72, -56, -40, -32, -24, -16, -12, -8, -4, 0, 4, 8, 12, 16, 24, 32, 40, 56, 72, 96])
+_SWEEPS, _REACHES = 2, 3
+_REACH, _SPACING, _FINE = 160, 8, 32
+_NEGLIGIBLE = 8.0
+_ALTERNATIVES = 8
+"""Of the places of changes: a power of two, so that odd multiples permute them."""
 _LEAST_RUN = 4
 _SHORT_RUN = 96
 _LEAST_GAIN = 3.0
@@ -123,18 +127,76 @@ def phase_changes(labels: Labels) -> list[int]:
     return [int(row) for row in np.flatnonzero((phase[1:] != phase[:-1]) & (phase[1:] != FREE) & (phase[:-1] != FREE)) + 1]
 
 
-def with_better_changes(model: Model, labels: Labels) -> Labels:
-    """Each change between tip and tangential contact at its most probable sample."""
-    for change in phase_changes(labels):
-        best = change
-        for offsets in (_COARSE, _COARSE, np.arange(-3, 4), np.arange(-1, 2)):
-            low, high = _room(labels, change)
-            places = sorted({int(place) for place in np.clip(best + offsets, low, high)} | {best})
-            rows = (min(change, places[0]) - _MARGIN // 2, max(change, places[-1]) + _MARGIN // 2)
-            values = log_likelihoods(model, [moved(labels, change, place) for place in places], *_within(labels, change, *rows))
-            best = places[int(np.argmax(values))]
-        labels = moved(labels, change, best)
-    return labels
+class Places(NamedTuple):
+    """Where one change of phase may be."""
+
+    place: Int[np.ndarray, "k"]
+    """First samples of the new phase, increasing."""
+    probability: Float[np.ndarray, "k"]
+
+    def quantile(self, share: float) -> int:
+        """Place before which, with this probability, the phase has changed."""
+        return int(self.place[min(int(np.searchsorted(np.cumsum(self.probability), share)), len(self.place) - 1)])
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation, in samples."""
+        spacing = float(np.median(np.diff(self.place))) if len(self.place) > 1 else 1.0
+        mean = self.probability @ self.place
+        return float(np.sqrt(self.probability @ (self.place - mean) ** 2 + spacing**2 / 12))
+
+
+def with_placed_changes(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
+    """Each change between tip and tangential contact at the median of its likelihood, and where else it may be, given the others."""
+    places: list[Places] = []
+    # A change alone depends on no other.
+    for _ in range(min(len(phase_changes(labels)), _SWEEPS)):
+        places = []
+        for change in phase_changes(labels):
+            places.append(places_of(model, labels, change))
+            labels = moved(labels, change, places[-1].quantile(0.5))
+    return labels, places
+
+
+def places_of(model: Model, labels: Labels, change: int) -> Places:
+    """Likelihood of a change's place as a density: over all places within reach, then more closely where it is not negligible."""
+    low, high = _room(labels, change)
+    best = change
+    for _ in range(_REACHES):
+        coarse = _grid(max(low, best - _REACH), min(high, best + _REACH), _SPACING, best)
+        values = _place_likelihoods(model, labels, change, coarse)
+        moved_on, best = best, int(coarse[np.argmax(values)])
+        if abs(best - moved_on) < _REACH - 2 * _SPACING or best in (low, high):
+            break
+    likely = coarse[values > values.max() - _NEGLIGIBLE]
+    first, last = max(low, int(likely[0]) - _SPACING), min(high, int(likely[-1]) + _SPACING)
+    fine = _grid(first, last, -(-(last - first + 1) // _FINE), best)
+    values = _place_likelihoods(model, labels, change, fine)
+    width = np.diff(np.concatenate([fine[:1], (fine[:-1] + fine[1:]) / 2, fine[-1:]]))
+    probability = np.exp(values - values.max()) * (width + 1e-9)
+    return Places(fine, probability / probability.sum())
+
+
+def _grid(low: int, high: int, spacing: int, best: int) -> Int[np.ndarray, "k"]:
+    return np.unique(np.append(np.arange(low, high + 1, spacing), [best, high]))
+
+
+def _place_likelihoods(model: Model, labels: Labels, change: int, places: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+    rows = min(change, int(places[0])) - _MARGIN // 2, max(change, int(places[-1])) + _MARGIN // 2
+    return log_likelihoods(model, [moved(labels, change, int(place)) for place in places], *_within(labels, change, *rows))
+
+
+def alternatives(labels: Labels, places: list[Places]) -> list[Labels]:
+    """Equally probable labels, each change at one quantile of its places, and the quantiles of different changes unrelated."""
+    drawn = []
+    for k in range(_ALTERNATIVES):
+        other = labels
+        for j, place in enumerate(places):
+            change = phase_changes(other)[j]
+            quantile = place.quantile(((2 * j + 1) * k % _ALTERNATIVES + 0.5) / _ALTERNATIVES)
+            other = moved(other, change, int(np.clip(quantile, *_room(other, change))))
+        drawn.append(other)
+    return drawn
 
 
 def _room(labels: Labels, change: int) -> tuple[int, int]:

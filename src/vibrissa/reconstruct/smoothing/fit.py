@@ -13,15 +13,15 @@ from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
 from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
-from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, Labels, Series, linearised, steps_of
+from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, TIP, Labels, Linear, Series, linearised, steps_of
 
 _OUTLIER = 28.0
 """Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; further ones weigh less."""
 TARE_VARIANCE = 0.02
 """Of the zero at the start of a recording, in variances of a sample: that of a tare over 50 samples."""
 _STRETCH = 48
-_MOST_STEPS = 12
-_CLOSE = 1e-6
+_ROUGH_STEPS, MOST_STEPS = 5, 12
+_CLOSE = 1e-5
 _AVERAGE = 0.04
 _MEDIAN = 9
 _BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
@@ -100,7 +100,7 @@ def most_probable_intensities(
 
     bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
     first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])
-    found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-6})
+    found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "ftol": 1e-5})
     return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:])
 
 
@@ -119,25 +119,57 @@ def _contact_of(labels: Labels, stretch: Int[np.ndarray, "n"], blocks: int) -> I
     return np.array([contact[np.argmax(stretch == block)] for block in range(blocks)])
 
 
-def fitted(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, local: bool = True) -> Fit:
+def fitted(
+    series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, local: bool = True, most_steps: int = _ROUGH_STEPS
+) -> Fit:
     """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
     mean, covariance = initial()
     labels, about, weight, intensities, states = fit
-    for iteration in range(_MOST_STEPS):
-        steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
+    linear = linearised(about)
+    for iteration in range(most_steps):
+        steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
         if iteration == 2:
             intensities, pace = most_probable_intensities(steps, intensities, labels, local=local)
             labels = labels._replace(pace=pace)
-            steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless)
+            steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
         states = fetched(kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance), len(about))
-        new = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, :COORDINATES])
-        new[:, ARC_LENGTH] = np.clip(new[:, ARC_LENGTH], 0.02, 1.2)
+        new = _coordinates(labels, states.mean)
         change = float(np.abs(new - about).max())
-        about = new
-        weight = robust_weights(series, labels, about, states.mean[:, 2 * COORDINATES :])
+        about, linear = new, linearised(new)
+        weight = robust_weights(series, labels, linear, states.mean[:, 2 * COORDINATES :])
         if change < _CLOSE and iteration > 2:
             break
     return Fit(labels, about, weight, intensities, states)
+
+
+def _coordinates(labels: Labels, means: Float[np.ndarray, "n 16"]) -> Float[np.ndarray, "n 5"]:
+    """About which to linearise."""
+    values = np.where((labels.phase == FREE)[:, None], AT_REST, means[:, :COORDINATES])
+    values[:, ARC_LENGTH] = np.clip(values[:, ARC_LENGTH], 0.02, 1.2)
+    return values
+
+
+def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Fit:
+    """Mean and covariance of the coordinates over equally probable labels: that within each, and that between them."""
+    parts = [_relabelled(series, fit, labels, rates, frictionless=frictionless) for labels in candidates]
+    about = np.mean([part for part, _ in parts], axis=0)
+    between = np.mean([np.einsum("ni,nj->nij", part - about, part - about) for part, _ in parts], axis=0)
+    covariance = fit.states.covariance.copy()
+    covariance[:, :COORDINATES, :COORDINATES] = np.mean([within for _, within in parts], axis=0) + between
+    return fit._replace(about=about, states=fit.states._replace(covariance=covariance))
+
+
+def _relabelled(
+    series: Series, fit: Fit, labels: Labels, rates: Float[np.ndarray, "5"], *, frictionless: bool
+) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5 5"]]:
+    """Coordinates by other labels and their covariance; intensities and weights are those of the fit."""
+    mean, covariance = initial()
+    about = fit.about.copy()
+    about[labels.phase == TIP, ARC_LENGTH] = 1
+    steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless)
+    states = kalman.smoothed(steps, jnp.asarray(fit.intensities), mean, covariance)
+    means, squares = (np.asarray(part)[: len(about)] for part in (states.mean, states.covariance))
+    return _coordinates(labels, means), squares[:, :COORDINATES, :COORDINATES]
 
 
 def first_weights(series: Series) -> Float[np.ndarray, "n"]:
@@ -146,11 +178,8 @@ def first_weights(series: Series) -> Float[np.ndarray, "n"]:
     return np.minimum(1.0, _OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300))
 
 
-def robust_weights(
-    series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], drift: Float[np.ndarray, "n 6"]
-) -> Float[np.ndarray, "n"]:
+def robust_weights(series: Series, labels: Labels, linear: Linear, drift: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n"]:
     """1 up to the limit, beyond it the limit over the squared residual: the farther an outlier, the less it pulls, and no intensity has to explain it."""
-    values = linearised(about).values
-    expected = np.where((labels.phase == FREE)[:, None], 0.0, values.wrench)
+    expected = np.where((labels.phase == FREE)[:, None], 0.0, linear.values.wrench)
     residual = series.whitened - np.einsum("nij,nj->ni", series.whitening, expected) - drift
     return np.minimum(1.0, _OUTLIER / np.maximum(np.sum(residual**2, axis=1), 1e-300))

@@ -24,6 +24,8 @@ class Touch:
         Samples at which the phase (tip, tangential) changes: the first of the new phase.
     jumps
         Samples at which the contact jumped, or its motion broke: nothing is smoothed across them.
+    change_deviations
+        Standard deviations [s] of the places of the changes of phase, from the likelihood. Points and covariances near a change are averaged over its places.
     """
 
     first: int
@@ -36,6 +38,7 @@ class Touch:
     end_limit: float | None
     changes: tuple[int, ...] = ()
     jumps: tuple[int, ...] = ()
+    change_deviations: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

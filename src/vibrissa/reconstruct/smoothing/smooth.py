@@ -10,8 +10,27 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.result import Reconstruction
-from vibrissa.reconstruct.smoothing.changes import Model, jumps, with_better_changes, with_fewer_phases, with_tangential_phases
-from vibrissa.reconstruct.smoothing.fit import TARE_VARIANCE, Fit, first_guess, first_weights, fitted, initial_states, rates_of
+from vibrissa.reconstruct.smoothing.changes import (
+    Model,
+    Places,
+    alternatives,
+    jumps,
+    phase_changes,
+    with_fewer_phases,
+    with_placed_changes,
+    with_tangential_phases,
+)
+from vibrissa.reconstruct.smoothing.fit import (
+    MOST_STEPS,
+    TARE_VARIANCE,
+    Fit,
+    averaged,
+    first_guess,
+    first_weights,
+    fitted,
+    initial_states,
+    rates_of,
+)
 from vibrissa.reconstruct.smoothing.kalman import WRENCH
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT
 from vibrissa.reconstruct.smoothing.phases import detected, runs_of
@@ -123,8 +142,10 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
         for row, kind in broken:
             link[row] = kind
         fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, frictionless=frictionless)
-    labels, touches = _refined(series, fit, rates, frictionless=frictionless)
-    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
+    labels, places, touches = _refined(series, fit, rates, frictionless=frictionless)
+    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless, most_steps=MOST_STEPS)
+    if places:
+        fit = averaged(series, fit, alternatives(fit.labels, places), rates, frictionless=frictionless)
     return _result(found, series, fit, touches, model_error)
 
 
@@ -132,10 +153,13 @@ def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
     return Model(series, fit.about, fit.weight, rates, fit.intensities, fit.states, frictionless)
 
 
-def _refined(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> tuple[Labels, tuple[Touch, ...]]:
-    """Labels with all changes where they are most probable, and the contacts' beginnings and ends."""
+def _refined(
+    series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool
+) -> tuple[Labels, list[Places], tuple[Touch, ...]]:
+    """Labels with all changes where they are most probable, where else these may be, and the contacts' beginnings and ends."""
     model = _model(series, fit, rates, frictionless=frictionless)
-    labels = with_better_changes(model, with_tangential_phases(model, with_fewer_phases(model, fit.labels)))
+    labels, places = with_placed_changes(model, with_tangential_phases(model, with_fewer_phases(model, fit.labels)))
+    deviations = dict(zip(phase_changes(labels), (place.deviation for place in places), strict=True))
     backwards, count = reversed_model(model), len(series.time)
     touches = []
     for first, last in list(runs_of(labels.phase != FREE)):
@@ -144,16 +168,19 @@ def _refined(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictio
         labels = labels if start is None else onset_at(labels, first, start.place)
         if end is not None:
             labels = reversed_labels(onset_at(reversed_labels(labels), count - 1 - last, end.place))
-        touches.append(_touch(series, labels, start, end, (first, last)))
-    return labels, tuple(touches)
+        touches.append(_touch(series, labels, start, end, (first, last), deviations))
+    return labels, places, tuple(touches)
 
 
-def _touch(series: Series, labels: Labels, start: Onset | None, end: Onset | None, rough: tuple[int, int]) -> Touch:
+def _touch(
+    series: Series, labels: Labels, start: Onset | None, end: Onset | None, rough: tuple[int, int], deviations: dict[int, float]
+) -> Touch:
     count = len(series.time)
     first = rough[0] if start is None else int(np.floor(start.place)) + 1
     last = rough[1] if end is None else count - 2 - int(np.floor(end.place))
     inside = np.arange(first + 1, last + 1)
     changes = inside[labels.phase[inside] != labels.phase[inside - 1]]
+    step = float(np.median(np.diff(series.time)))
     broken = np.setdiff1d(inside[labels.link[inside] > GO_ON], changes)
     return Touch(
         first,
@@ -166,6 +193,7 @@ def _touch(series: Series, labels: Labels, start: Onset | None, end: Onset | Non
         None if end is None else end.limit,
         tuple(map(int, changes)),
         tuple(map(int, np.union1d(broken, inside[labels.link[inside] == JUMP]))),
+        tuple(step * deviations[int(change)] for change in changes),
     )
 
 

@@ -207,10 +207,10 @@ def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
     """In the crease of two balls, from where no single contact leads on: a rod in space, by the integral of its own equations, with its end on both balls."""
     one, other = (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
     surface = Union([Sphere(*one), Sphere(*other)])
-    scan = vb.scan(vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=121))
+    scan = vb.scan(vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41))
     caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
-    assert caught.size > 20
-    for i in caught[::5]:
+    assert caught.size > 6
+    for i in caught[::2]:
         np.testing.assert_allclose(scan.second_contact[i], scan.point[i], rtol=0, atol=1e-9)
         normals = [scan.point[i] - center for center, _ in (one, other)]
         np.testing.assert_allclose([np.linalg.norm(n) for n in normals], [one[1], other[1]], rtol=0, atol=1e-9)
@@ -225,11 +225,11 @@ def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
 
 def test_a_rod_of_finite_radius_is_caught_with_its_skin_on_both_parts() -> None:
     rod, one, other = vb.Rod(1.0, 1.0, radius=0.01), (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
-    trail = vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=121)
+    trail = vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41)
     scan = vb.scan(rod, Union([Sphere(*one), Sphere(*other)]), trail, finite_radius=True)
     caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
-    assert caught.size > 20
-    for i in caught[::5]:
+    assert caught.size > 6
+    for i in caught[::2]:
         distances = np.abs(
             [
                 [np.linalg.norm(place - center) - radius for center, radius in (one, other)]

@@ -52,6 +52,10 @@ class Settings(NamedTuple):
 @compiled
 def advanced(state: Hypotheses, settings: Settings, sample: Float[AnyArray, "14"]) -> tuple[Hypotheses, Float[Array, "29"]]:
     """Take position (3), orientation (4), force and moment (3 each) and the time since the sample before."""
+    return _advanced(state, settings, sample)
+
+
+def _advanced(state: Hypotheses, settings: Settings, sample: Float[AnyArray, "14"]) -> tuple[Hypotheses, Float[Array, "29"]]:
     duration, turn = sample[13], _turned(sample[3:7])
     wrench = jnp.concatenate([sample[7:10] @ turn, sample[10:13] @ turn]) / settings.units[1:]
     sound = jnp.all(jnp.isfinite(wrench))
@@ -86,7 +90,7 @@ def advanced_through(
     samples = jnp.asarray(samples)
 
     def one(index: Array, carried: tuple[Hypotheses, Array]) -> tuple[Hypotheses, Array]:
-        after, report = advanced(carried[0], settings, samples[index])
+        after, report = _advanced(carried[0], settings, samples[index])
         return after, carried[1].at[index].set(report)
 
     through: tuple[Hypotheses, Array] = lax.fori_loop(0, count, one, (state, jnp.full((samples.shape[0], REPORT), jnp.nan)))

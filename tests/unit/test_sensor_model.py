@@ -37,6 +37,27 @@ def test_what_is_measured_is_undone(wrench: str, wrench_frame: str, parts: list[
     np.testing.assert_allclose(found.trail.position, truth.trail.position, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("wrench_frame", ["sensor", "world"])
+def test_gains_left_out_are_factors_of_the_true_channels_whatever_the_cross_talk(wrench_frame: str) -> None:
+    """What a calibration of gains multiplies: with the cross-talk undone alone, the wrench in sensor axes is the true one times the gains."""
+    gain = (1.1, 0.9, 1.05, 0.8, 1.2, 0.95)
+    talk = np.eye(6) + 0.03 * np.random.default_rng(2).normal(size=(6, 6))
+    options = {
+        "wrench_frame": wrench_frame,
+        "wrench": "on_rod",
+        "cross_talk": talk,
+        "wrench_point": (0.001, 0.002, 0.025),
+        "tare_seconds": 0.0,
+    }
+    options |= {"force_noise": None, "torque_noise": None, "force_resolution": 0.0, "torque_resolution": 0.0, "position_noise": 0.0}
+    given = pushed(turning=0.5)
+    raw = sensor(**options, gain=gain).measure(given, np.random.default_rng(0))
+    found = sensor(**options).reactions(raw)
+    turn = Rotation.from_quat(raw.orientation).inv()
+    for part, of, factors in ((found.force, given.force, gain[:3]), (found.moment, given.moment, gain[3:])):
+        np.testing.assert_allclose(turn.apply(part), turn.apply(of) * factors, rtol=0, atol=1e-12)
+
+
 def test_a_mount_weighs_by_the_lever_arm_of_its_centre() -> None:
     """One pose by hand: the sensor upside down, 100 g 20 mm beside its origin; the torque about a point 5 mm away."""
     of = Sensor(

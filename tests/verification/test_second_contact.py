@@ -218,7 +218,10 @@ def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
         shares = np.linalg.lstsq(np.stack(normals, axis=1), force, rcond=None)[0]
         np.testing.assert_allclose(np.stack(normals, axis=1) @ shares, force, rtol=0, atol=1e-9)
         assert np.all(shares > 0)
-        end = shooting.rod_along(scan.trail.position[i], (0, 0, 1), moment, force, [1.0])[-1]
+        rod = shooting.rod_along(scan.trail.position[i], (0, 0, 1), moment, force, np.linspace(0.01, 1.0, 400))
+        outside = np.min([np.linalg.norm(rod[:, :3] - center, axis=1) - radius for center, radius in (one, other)], axis=0)
+        assert outside.min() > -1e-6
+        end = rod[-1]
         np.testing.assert_allclose(end[:3], scan.point[i], rtol=0, atol=1e-8)
         np.testing.assert_allclose(end[6:9], 0, atol=1e-8)
 

@@ -88,18 +88,37 @@ def assess(scene: Scene, x: Float[Array, "size"], clamp: Clamp) -> tuple[Assessm
         state = contact_state(scene, x, clamp)
         n, d, r, plane, rod, steepness = state.normal, state.normal, state.to_contact, state.plane, state.rod, state.steepness
         residual, phase = jnp.max(jnp.abs(state.residual)), phase_difference(rod)
-    f = x[3]
+    bent = Pushed(x[:3], x[3], n, d, r, plane, rod, steepness)
+    return assessment_of(bent, clamp, phase, residual)
+
+
+class Pushed(NamedTuple):
+    """A rod that one force pushes."""
+
+    point: Vector
+    force: Scalar
+    normal: Vector
+    direction: Vector
+    to_contact: Vector
+    plane: BasePlane
+    rod: ContactOnRod
+    steepness: Scalar
+
+
+def assessment_of(pushed: Pushed, clamp: Clamp, phase: Scalar, residual: Scalar) -> tuple[Assessment, Line]:
+    """The same of a rod whose equations have been evaluated."""
+    f, d, r, rod = pushed.force, pushed.direction, pushed.to_contact, pushed.rod
     # r × F + m0 = 0: one contact carries no couple.
     moment = -f * jnp.cross(r, d)
-    side = (r - jnp.dot(r, d) * d) / plane.lever_arm
+    side = (r - jnp.dot(r, d) * d) / pushed.plane.lever_arm
     tangent = contact_tangent(d, side, rod)
     across = jnp.cross(clamp.tangent, d)
     plane_normal = across / jnp.sqrt(jnp.sum(across * across))
     assessment = Assessment(
-        x[:3], f, n, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(plane, rod, f), phase, residual, jnp.zeros_like(f),
-        tangent, plane_normal, d,
+        pushed.point, f, pushed.normal, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(pushed.plane, rod, f), phase,
+        residual, jnp.zeros_like(f), tangent, plane_normal, d,
     )  # fmt: skip
-    return assessment, Line(x[:3], f, d, side, tangent, plane, rod, steepness)
+    return assessment, Line(pushed.point, f, d, side, tangent, pushed.plane, rod, pushed.steepness)
 
 
 def _points(line: Line) -> tuple[list[Vector], list[Vector]]:
@@ -156,7 +175,7 @@ def _least_close_by(scene: Scene, line: Line) -> Scalar:
     return jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1]))
 
 
-def _closer(scene: Scene, line: Line) -> Float[Array, "4"]:
+def closer(scene: Scene, line: Line) -> Float[Array, "4"]:
     """Deepest of many points of the rod, and its depth [L].
 
     From below, by up to h²/(8R) for points h ≈ L/6000 apart at the deepest place and an object that is round with radius R there, and by h/2 where it is sharp.
@@ -210,7 +229,7 @@ def closer_blocks(
     """Deepest points of the elastic lines of states, and how deep they lie in the object [L]: the second contact that is missing, if there is one."""
 
     def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> Float[Array, "4"]:
-        return _closer(scene, assess(scene, x, Clamp(clamp[:3], clamp[3:]))[1])
+        return closer(scene, assess(scene, x, Clamp(clamp[:3], clamp[3:]))[1])
 
     return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (x, clamps))
 

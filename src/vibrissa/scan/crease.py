@@ -13,11 +13,9 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.mechanics.elastic_line import contact_tangent
-from vibrissa.mechanics.elastica import bending_energy, largest_curvature
 from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.assess import ENERGY, WIDTH, Assessment
+from vibrissa.scan.assess import DEPTH_TOLERANCE, ENERGY, WIDTH, Assessment, Line, Pushed, assessment_of, closer
 from vibrissa.scan.equations import Clamp, Scene, bent_by, part_levels, phase_difference
 from vibrissa.scan.search import FORCES, seeds_around
 
@@ -26,7 +24,8 @@ _LONGEST_STEP = 0.2
 _SETTLED = 1e-9
 # How far [L] from a second part a starting point may lie.
 _BESIDE = 0.2
-_INSIDE = 1e-7
+# Of unknowns that are the same.
+_DIGITS = 6
 
 
 class Caught(NamedTuple):
@@ -42,7 +41,7 @@ class Caught(NamedTuple):
 
 
 def caught(scene: Scene, clamps: Float[np.ndarray, "k 6"]) -> Caught:
-    """The equilibria of least energy of rods that are caught by their tips between two parts, at clamp points and tangents."""
+    """The equilibria of least energy of rods that are caught by their tips between two parts and lie outside the object, at clamp points and tangents [L]."""
     fields, second = np.full((len(clamps), WIDTH), np.nan), np.full((len(clamps), 3), np.nan)
     for row, clamp in enumerate(clamps):
         seeds = seeds_around(scene, clamp[:3], clamp[3:], [], FORCES)
@@ -53,14 +52,18 @@ def caught(scene: Scene, clamps: Float[np.ndarray, "k 6"]) -> Caught:
         near = np.take_along_axis(levels, pairs[:, 1:], axis=1)[:, 0] < _BESIDE
         if not near.any():
             continue
-        starts = np.column_stack([seeds, np.full(len(seeds), 0.5)])[near]
-        found = scene.in_blocks(_solve, starts, pairs[near], np.broadcast_to(clamp, (len(starts), 6)))
-        x, residual, elsewhere = found[:, :5], found[:, 5], found[:, 6]
-        sound = (residual < _SETTLED) & (x[:, 3] > 0) & (x[:, 4] > 0) & (x[:, 4] < 1) & (elsewhere > -_INSIDE)
-        if sound.any():
-            energy = np.where(sound, found[:, 10 + ENERGY], np.inf)
-            best = int(np.argmin(energy))
-            fields[row], second[row] = found[best, 10:], found[best, 7:10]
+        starts, pairs = np.column_stack([seeds, np.full(len(seeds), 0.5)])[near], pairs[near]
+        solved = scene.in_blocks(_solve, starts, pairs, np.broadcast_to(clamp, (len(starts), 6)))
+        sound = (solved[:, 5] < _SETTLED) & (solved[:, 3] > 0) & (solved[:, 4] > 0) & (solved[:, 4] < 1)
+        if not sound.any():
+            continue
+        _, first = np.unique(np.round(solved[sound, :5], _DIGITS), axis=0, return_index=True)
+        kept = np.flatnonzero(sound)[first]
+        found = scene.in_blocks(_assessed, solved[kept], pairs[kept], np.broadcast_to(clamp, (len(kept), 6)))
+        clear = found[:, 28] < DEPTH_TOLERANCE
+        if clear.any():
+            best = int(np.argmin(np.where(clear, found[:, ENERGY], np.inf)))
+            fields[row], second[row] = found[best, :WIDTH], found[best, WIDTH:28]
     return Caught(fields, second)
 
 
@@ -75,14 +78,14 @@ def _solve(
     starts: Float[AnyArray, "blocks 5 width"],
     pairs: Int[AnyArray, "blocks 2 width"],
     clamps: Float[AnyArray, "blocks 6 width"],
-) -> Float[Array, "blocks 35 width"]:
-    """Newton's method: unknowns (5), residual, least level of the other parts, the second part's normal (3), and the assessment (25)."""
+) -> Float[Array, "blocks 6 width"]:
+    """Newton's method: unknowns (5) and residual."""
 
-    def one(x: Float[Array, "5"], pair: Int[Array, "2"], clamp: Float[Array, "6"]) -> Float[Array, "35"]:
+    def one(x: Float[Array, "5"], pair: Int[Array, "2"], clamp: Float[Array, "6"]) -> Float[Array, "6"]:
         at = Clamp(clamp[:3], clamp[3:])
 
         def conditions(x: Float[Array, "5"]) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
-            levels, normals = _pair(scene, x[:3], pair)
+            levels, _, normals = _pair(scene, x[:3], pair)
             bent = bent_by(_direction(x[4], normals), x[:4], at)
             residual = jnp.concatenate([levels, jnp.stack([bent.out_of_plane, bent.misses, 1 - bent.rod.arc_length])])
             return residual, residual
@@ -95,22 +98,33 @@ def _solve(
 
         x = lax.fori_loop(0, _STEPS, iterate, x)
         residual = jnp.max(jnp.abs(conditions(x)[0]))
-        _, normals = _pair(scene, x[:3], pair)
-        all_levels = part_levels(scene, x[:3])
-        indices = jnp.arange(all_levels.shape[0])
-        elsewhere = jnp.min(jnp.where((indices == pair[0]) | (indices == pair[1]), jnp.inf, all_levels))
-        assessment = _assessment(x, _direction(x[4], normals), normals[0], at, residual)
-        return jnp.concatenate([x, jnp.stack([residual, elsewhere]), normals[1], assessment])
+        return jnp.append(x, residual)
 
     return lax.map(
         lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (jnp.asarray(starts), jnp.asarray(pairs), jnp.asarray(clamps))
     )
 
 
-def _pair(scene: Scene, point: Float[Array, "3"], pair: Int[Array, "2"]) -> tuple[Float[Array, "2"], Float[Array, "2 3"]]:
-    """Levels and unit normals of two parts."""
+@compiled
+def _assessed(
+    scene: Scene, x: Float[AnyArray, "blocks 6 width"], pairs: Int[AnyArray, "blocks 2 width"], clamps: Float[AnyArray, "blocks 6 width"]
+) -> Float[Array, "blocks 29 width"]:
+    """Assessments (25), the second part's normal (3), and how deep the rod lies in the object anywhere."""
+
+    def one(x: Float[Array, "6"], pair: Int[Array, "2"], clamp: Float[Array, "6"]) -> Float[Array, "29"]:
+        assessment, line = _pushed(scene, x[:5], pair, Clamp(clamp[:3], clamp[3:]), x[5])
+        fields = jnp.concatenate([jnp.atleast_1d(part) for part in assessment])
+        return jnp.concatenate([fields, _pair(scene, x[:3], pair)[2][1], closer(scene, line)[3:]])
+
+    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (jnp.asarray(x), jnp.asarray(pairs), jnp.asarray(clamps)))
+
+
+def _pair(
+    scene: Scene, point: Float[Array, "3"], pair: Int[Array, "2"]
+) -> tuple[Float[Array, "2"], Float[Array, "2 3"], Float[Array, "2 3"]]:
+    """Levels, their gradients and unit normals of two parts."""
     gradients = jax.jacfwd(lambda point: part_levels(scene, point))(point)[pair]
-    return part_levels(scene, point)[pair], gradients / jnp.sqrt(jnp.sum(gradients**2, axis=1, keepdims=True))
+    return part_levels(scene, point)[pair], gradients, gradients / jnp.sqrt(jnp.sum(gradients**2, axis=1, keepdims=True))
 
 
 def _direction(share: Float[Array, ""], normals: Float[Array, "2 3"]) -> Float[Array, "3"]:
@@ -118,15 +132,11 @@ def _direction(share: Float[Array, ""], normals: Float[Array, "2 3"]) -> Float[A
     return blend / jnp.sqrt(jnp.sum(blend**2))
 
 
-def _assessment(
-    x: Float[Array, "5"], d: Float[Array, "3"], normal: Float[Array, "3"], clamp: Clamp, residual: Float[Array, ""]
-) -> Float[Array, "25"]:
+def _pushed(scene: Scene, x: Float[Array, "5"], pair: Int[Array, "2"], clamp: Clamp, residual: Float[Array, ""]) -> tuple[Assessment, Line]:
+    """A state assessed, with the first part's normal."""
+    _, gradients, normals = _pair(scene, x[:3], pair)
+    d = _direction(x[4], normals)
     bent = bent_by(d, x[:4], clamp)
-    f, r, rod = x[3], bent.to_contact, bent.rod
-    tangent = contact_tangent(d, (r - jnp.dot(r, d) * d) / bent.plane.lever_arm, rod)
-    across = jnp.cross(clamp.tangent, d)
-    assessment = Assessment(
-        x[:3], f, normal, rod.arc_length, -f * jnp.cross(r, d), bending_energy(rod, f), largest_curvature(bent.plane, rod, f),
-        jnp.minimum(phase_difference(rod), 0.0), residual, jnp.zeros_like(f), tangent, across / jnp.sqrt(jnp.sum(across**2)), d,
-    )  # fmt: skip
-    return jnp.concatenate([jnp.atleast_1d(part) for part in assessment])
+    steepness = jnp.sqrt(jnp.sum(gradients[0] ** 2))
+    pushed = Pushed(x[:3], x[3], normals[0], d, bent.to_contact, bent.plane, bent.rod, steepness)
+    return assessment_of(pushed, clamp, jnp.minimum(phase_difference(bent.rod), 0.0), residual)

@@ -72,7 +72,7 @@ class Sensor:
     mount
         What hangs on the sensor and weighs, or None.
     gain
-        Reading over true value of the six channels, force x, y, z and torque x, y, z in the sensor's axes, behind the cross-talk.
+        Reading over true value of the six channels, force x, y, z and torque x, y, z in the sensor's axes, before the cross-talk.
 
     Raises
     ------
@@ -164,11 +164,11 @@ class Sensor:
 
     @property
     def response(self) -> Float[np.ndarray, "6 6"] | None:
-        """Matrix that takes the true wrench in sensor axes to the readings, cross-talk and gain; None for the identity."""
+        """Matrix that takes the true wrench in sensor axes to the readings, gain and then cross-talk; None for the identity."""
         gain = np.asarray(self.gain, dtype=float)
         if self.cross_talk is None:
             return None if np.all(gain == 1) else np.diag(gain)
-        return gain[:, None] * self.cross_talk
+        return self.cross_talk * gain
 
     @property
     def reading_variance(self) -> Float[np.ndarray, "6"]:

@@ -53,6 +53,17 @@ def test_two_trails_give_wire_and_mount(sphere_60mm: Path, stiffness: float, len
         assert low < value < high, name
 
 
+def test_two_trails_that_tell_little_give_them_too(sphere_60mm: Path) -> None:
+    """Far from the ball's middle on both sides; the engine's wire touches with a skin of 10 µm, which is found."""
+    truth = vb.load_setup(sphere_60mm / "setup.toml")
+    start = _start(truth, 0.8, 1.03)
+    paths = [sphere_60mm / "frictionless" / f"trail_y{name}.csv" for name in ("+0.30", "-0.40")]
+    found = vb.calibrate([vb.read_recording(path, start) for path in paths], start)
+    _check(found, truth)
+    low, high = found.interval("standoff")
+    assert low < 10e-6 < high
+
+
 def test_one_trail_with_friction_gives_them_too(sphere_60mm: Path) -> None:
     truth = vb.load_setup(sphere_60mm / "setup.toml")
     start = _start(truth, 1.2, 0.97)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.calibrate.equilibrium import Bench
 from vibrissa.calibrate.fit import WRENCH, Linear, Point, Problem, fitted, spread, weights
-from vibrissa.calibrate.parameters import DEFAULT_FREE, STIFFNESS, Parameter, checked_prior, parameters
+from vibrissa.calibrate.parameters import DEFAULT_FREE, STANDOFF, STIFFNESS, Parameter, checked_prior, parameters
 from vibrissa.calibrate.result import Calibration, Estimate, Residuals, SetupLike, SetupType
 from vibrissa.calibrate.rows import CalibrationError, gathered
 from vibrissa.calibrate.statistics import covariance, fitness, identifiability, undetermined
@@ -55,11 +55,13 @@ def calibrate(
         The object; by default that of the setup.
     free
         What to calibrate: `youngs_modulus` (for rods with a radius) or `bending_stiffness`, `length`, `clamp_position`, `clamp_orientation`,
-        `object_position`, `object_orientation`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`. What is not named is held. By
-        default the stiffness, `length`, `clamp_position`, `clamp_orientation`, `tare` and `drift`. The tare of each recording is always fitted, as
-        otherwise its error would be missing in the others'.
+        `object_position`, `object_orientation`, `standoff`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`. What is not named
+        is held. By default the stiffness, `length`, `clamp_position`, `clamp_orientation`, `tare` and `drift`, and with a `position_noise` the `standoff`:
+        how far the rod's centre line stays off the object as given where it touches. The tare of each recording is always fitted, as otherwise its error
+        would be missing in the others'.
     prior
-        Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as known before.
+        Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as known before. That of `standoff` is by default
+        `position_noise`: thousands of readings average the noise of the robot's position far below what its scale and the object's surface are good for.
     friction
         Coulomb's coefficient between rod and object; 0 for none. With friction each sample's tangential force is unknown, and only points and rod tell.
 
@@ -84,9 +86,11 @@ def calibrate(
     surface = setup.surface if surface is None else surface
     if surface is None:
         raise ValueError("surface = None, and the setup has no object; allowed is the surface that was swept")
-    names = tuple(free) if free is not None else _default(setup.rod)
+    names = tuple(free) if free is not None else _default(setup.rod, setup.sensor)
     chosen = parameters(names, setup.rod)
     deviations = checked_prior(prior, names)
+    if STANDOFF in names and setup.sensor.position_noise > 0:
+        deviations.setdefault(STANDOFF, setup.sensor.position_noise)
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     rows = gathered(listed, setup.sensor)
     factors = _factors(chosen, setup.rod, setup.sensor)
@@ -98,8 +102,9 @@ def calibrate(
     return _result(setup, names, chosen, problem, held, linear)
 
 
-def _default(rod: Rod) -> tuple[str, ...]:
-    return DEFAULT_FREE if rod.radius is not None else (STIFFNESS[1], *DEFAULT_FREE[1:])
+def _default(rod: Rod, sensor: Sensor) -> tuple[str, ...]:
+    names = DEFAULT_FREE if rod.radius is not None else (STIFFNESS[1], *DEFAULT_FREE[1:])
+    return (*names, STANDOFF) if sensor.position_noise > 0 else names
 
 
 def _factors(chosen: list[Parameter], rod: Rod, sensor: Sensor) -> Float[np.ndarray, "parameters"]:
@@ -197,6 +202,7 @@ def _start(problem: Problem, rod: Rod, sensor: Sensor) -> Point:
         np.zeros(3),
         np.eye(3),
         np.zeros(3),
+        np.asarray(0.0),
     )
     offsets = np.zeros((problem.rows.recordings, 2 * WRENCH))
     states = _states(problem, bench, offsets, rod)
@@ -340,4 +346,6 @@ def _values(parameter: Parameter, setup: SetupLike, bench: Bench) -> tuple[float
             return 0.0, float(bench.shift[place - 14])
         case "object_orientation":
             return 0.0, float(Rotation.from_matrix(np.asarray(bench.turn)).as_rotvec()[place - 17])
+        case "standoff":
+            return 0.0, float(bench.standoff)
     return float(sensor.gain[place - 8]), float(sensor.gain[place - 8] * bench.gain[place - 8])

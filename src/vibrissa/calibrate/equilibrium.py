@@ -23,7 +23,7 @@ from vibrissa.scan.friction import rubbing_state
 from vibrissa.surfaces import Surface
 from vibrissa.surfaces.base import Placed
 
-CORE = 20
+CORE = 21
 """Parameters of rod, clamp, sensor and object, in the order of `Bench`."""
 STATE = 7
 """Contact point [m], magnitude of the contact force [N], and with friction the tangential force in units of the normal one, world axes."""
@@ -55,10 +55,12 @@ class Bench(NamedTuple):
     turn: Float[AnyArray, "3 3"]
     """By which it is turned about `pivot` before that."""
     pivot: Float[AnyArray, "3"]
+    standoff: Float[AnyArray, ""]
+    """How far the centre line stays off the object as given, where it touches."""
 
 
-def changed(bench: Bench, step: Float[Array, "20"]) -> Bench:
-    """Parameters after a small step: ln EI, ln L, clamp point, rotation vector of the clamp in its own axes, ln gain, shift and rotation vector of the object.
+def changed(bench: Bench, step: Float[Array, "21"]) -> Bench:
+    """Parameters after a small step: ln EI, ln L, clamp point, rotation vector of the clamp in its own axes, ln gain, shift and turn of the object, standoff.
 
     Rotations are to first order, as for derivatives at zero.
     """
@@ -71,6 +73,7 @@ def changed(bench: Bench, step: Float[Array, "20"]) -> Bench:
         bench.shift + step[14:17],
         (jnp.eye(3) + cross_matrix(step[17:20])) @ bench.turn,
         bench.pivot,
+        bench.standoff + step[20],
     )
 
 
@@ -82,7 +85,7 @@ class Readings(NamedTuple):
     """Largest residual of the equilibrium, of which the equations of contact are dimensionless."""
     wrench: Float[np.ndarray, "n 6"]
     """Support reaction on the rod as the sensor reads it, its own axes, without tare."""
-    jacobian: Float[np.ndarray, "n 6 20"]
+    jacobian: Float[np.ndarray, "n 6 21"]
     rubbing: Float[np.ndarray, "n 6 3"]
     """Derivatives with respect to the tangential force; zero without friction."""
 
@@ -124,17 +127,18 @@ def _rough(scene: Scene, x: Float[Array, "4"], tau: Float[Array, "3"], clamp: Cl
     return _Contact(state.conditions, state.direction)
 
 
-def _predicted(law: Law, surface: Surface, bench: Bench, state: State, row: Float[Array, "15"]) -> Float[Array, "152"]:
+def _predicted(law: Law, surface: Surface, bench: Bench, state: State, row: Float[Array, "15"]) -> Float[Array, "158"]:
     tau = state[4:]
 
     def conditions(bench: Bench, x: Float[Array, "4"], tau: Float[Array, "3"]) -> _Contact:
-        return law(_scene(surface, bench), x, tau, _clamp(bench, row))
+        contact = law(_scene(surface, bench), x, tau, _clamp(bench, row))
+        return contact._replace(residual=contact.residual.at[0].add(-bench.standoff / bench.length))
 
     start = jnp.concatenate([state[:3] / bench.length, state[3:4] * bench.length**2 / bench.stiffness])
     x, residual = _solved(lambda x: conditions(bench, x, tau).residual, start)
     slope = jax.jacfwd(lambda x: conditions(bench, x, tau).residual)(x)
 
-    def reading(step: Float[Array, "20"], tau: Float[Array, "3"]) -> Wrench:
+    def reading(step: Float[Array, "21"], tau: Float[Array, "3"]) -> Wrench:
         moved = changed(bench, step)
         implicit = x - solve_4x4(slope, conditions(moved, x, tau).residual)[0]
         return _reading(moved, implicit, conditions(moved, implicit, tau).direction, row)
@@ -183,7 +187,7 @@ def _solved(
 
 def _blocks(
     law: Law, surface: Surface, bench: Bench, states: Float[Array, "blocks 7 width"], rows: Float[Array, "blocks 15 width"]
-) -> Float[Array, "blocks 152 width"]:
+) -> Float[Array, "blocks 158 width"]:
     lanes = jax.vmap(partial(_predicted, law, surface, bench), in_axes=-1, out_axes=-1)
     return lax.map(lambda block: lanes(*block), (states, rows))
 

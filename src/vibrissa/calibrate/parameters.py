@@ -28,7 +28,7 @@ class Parameter:
     unit
         Of its value and its standard deviation.
     direction
-        (20,) what a unit step of it does to the bench (`equilibrium.changed`).
+        (21,) what a unit step of it does to the bench (`equilibrium.changed`).
     scale
         A step that would be a gross change: by what parameters of different units are compared.
     """
@@ -36,17 +36,19 @@ class Parameter:
     name: str
     group: str
     unit: str
-    direction: Float[np.ndarray, "20"]
+    direction: Float[np.ndarray, "21"]
     scale: float
 
 
 STIFFNESS = ("youngs_modulus", "bending_stiffness")
+STANDOFF = "standoff"
 GROUPS = (
     "length",
     "clamp_position",
     "clamp_orientation",
     "object_position",
     "object_orientation",
+    STANDOFF,
     "gain",
     "force_gain",
     "torque_gain",
@@ -104,6 +106,8 @@ def _of(name: str, rod: Rod) -> list[Parameter]:
             return [_axis(name, unit, 14, axis, rod.length) for axis in range(3)]
         case "object_orientation":
             return [_axis(name, "rad", 17, axis, 1.0) for axis in range(3)]
+        case "standoff":
+            return [_one(name, unit, [20], rod.length)]
         case "gain":
             return [Parameter(f"gain_{channel}", name, "1", _unit([8 + index]), 1.0) for index, channel in enumerate(_CHANNELS)]
         case "force_gain":
@@ -121,7 +125,7 @@ def _axis(name: str, unit: str, first: int, axis: int, scale: float) -> Paramete
     return Parameter(f"{name}_{_AXES[axis]}", name, unit, _unit([first + axis]), scale)
 
 
-def _unit(entries: list[int]) -> Float[np.ndarray, "20"]:
+def _unit(entries: list[int]) -> Float[np.ndarray, "21"]:
     direction = np.zeros(CORE)
     direction[entries] = 1.0
     return direction
@@ -143,7 +147,7 @@ def checked_prior(prior: Mapping[str, float] | None, names: Iterable[str]) -> di
     return dict(prior or {})
 
 
-def moved(bench: Bench, step: Float[np.ndarray, "20"]) -> Bench:
+def moved(bench: Bench, step: Float[np.ndarray, "21"]) -> Bench:
     """Bench after a finite step; rotation vectors turn."""
     clamp_turn, object_turn = (Rotation.from_rotvec(part).as_matrix() for part in (step[5:8], step[17:20]))
     return Bench(
@@ -155,4 +159,5 @@ def moved(bench: Bench, step: Float[np.ndarray, "20"]) -> Bench:
         bench.shift + step[14:17],
         object_turn @ bench.turn,
         bench.pivot,
+        bench.standoff + step[20],
     )

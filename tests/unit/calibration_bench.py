@@ -21,7 +21,6 @@ NAMES = (
     "clamp_position_z",
     "clamp_orientation_x",
     "clamp_orientation_y",
-    "standoff",
 )
 
 
@@ -64,4 +63,4 @@ def true_values(start: vb.Setup) -> dict[str, float]:
     back = Rotation.from_quat(start.sensor.clamp_orientation).inv()
     x, y, z = back.apply(TURN.apply([0, 0, 1]))
     turn = np.arctan2(np.hypot(x, y), z) * np.array([-y, x]) / np.hypot(x, y)
-    return dict(zip(NAMES, (206e9, 0.05, *CLAMP, *turn, 0.0), strict=True))
+    return dict(zip(NAMES, (206e9, 0.05, *CLAMP, *turn), strict=True))

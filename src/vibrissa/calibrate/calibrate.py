@@ -10,8 +10,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vibrissa.calibrate.equilibrium import Bench
-from vibrissa.calibrate.fit import WRENCH, Linear, Point, Problem, fitted, spread, weights
-from vibrissa.calibrate.parameters import DEFAULT_FREE, STANDOFF, STIFFNESS, Parameter, checked_prior, parameters
+from vibrissa.calibrate.fit import WRENCH, Linear, Point, Problem, disturbed, fitted, spread, unevenness, weights, with_unevenness
+from vibrissa.calibrate.parameters import DEFAULT_FREE, STIFFNESS, Parameter, checked_prior, parameters
 from vibrissa.calibrate.result import Calibration, Estimate, Residuals, SetupLike, SetupType
 from vibrissa.calibrate.rows import CalibrationError, gathered
 from vibrissa.calibrate.statistics import covariance, fitness, identifiability, undetermined
@@ -27,6 +27,8 @@ from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
 _LEAST_SHARE = 0.5
+_MOST_ROUNDS = 5
+_ALIKE = 0.1
 _GOOD_SPREAD = 1.1
 _OTHER_LENGTHS = (-0.06, 0.06)
 _ROLL = "clamp_orientation_z"
@@ -56,12 +58,10 @@ def calibrate(
     free
         What to calibrate: `youngs_modulus` (for rods with a radius) or `bending_stiffness`, `length`, `clamp_position`, `clamp_orientation`,
         `object_position`, `object_orientation`, `standoff`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`. What is not named
-        is held. By default the stiffness, `length`, `clamp_position`, `clamp_orientation`, `tare` and `drift`, and with a `position_noise` the `standoff`:
-        how far the rod's centre line stays off the object as given where it touches. The tare of each recording is always fitted, as otherwise its error
-        would be missing in the others'.
+        is held. By default the stiffness, `length`, `clamp_position`, `clamp_orientation`, `tare` and `drift`. The tare of each recording is always fitted,
+        as otherwise its error would be missing in the others'.
     prior
-        Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as known before. That of `standoff` is by default
-        `position_noise`: thousands of readings average the noise of the robot's position far below what its scale and the object's surface are good for.
+        Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as known before.
     friction
         Coulomb's coefficient between rod and object; 0 for none. With friction each sample's tangential force is unknown, and only points and rod tell.
 
@@ -86,25 +86,24 @@ def calibrate(
     surface = setup.surface if surface is None else surface
     if surface is None:
         raise ValueError("surface = None, and the setup has no object; allowed is the surface that was swept")
-    names = tuple(free) if free is not None else _default(setup.rod, setup.sensor)
+    names = tuple(free) if free is not None else _default(setup.rod)
     chosen = parameters(names, setup.rod)
     deviations = checked_prior(prior, names)
-    if STANDOFF in names and setup.sensor.position_noise > 0:
-        deviations.setdefault(STANDOFF, setup.sensor.position_noise)
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     rows = gathered(listed, setup.sensor)
     factors = _factors(chosen, setup.rod, setup.sensor)
     spreads = np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
     coefficient = not_negative(friction, "friction")
-    problem = Problem(surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient)
+    problem = Problem(
+        surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient, np.zeros(len(rows.time), dtype=bool)
+    )
     start = _start(problem, setup.rod, setup.sensor)
     problem, held, linear = _solved(problem, start, setup.rod)
     return _result(setup, names, chosen, problem, held, linear)
 
 
-def _default(rod: Rod, sensor: Sensor) -> tuple[str, ...]:
-    names = DEFAULT_FREE if rod.radius is not None else (STIFFNESS[1], *DEFAULT_FREE[1:])
-    return (*names, STANDOFF) if sensor.position_noise > 0 else names
+def _default(rod: Rod) -> tuple[str, ...]:
+    return DEFAULT_FREE if rod.radius is not None else (STIFFNESS[1], *DEFAULT_FREE[1:])
 
 
 def _factors(chosen: list[Parameter], rod: Rod, sensor: Sensor) -> Float[np.ndarray, "parameters"]:
@@ -133,13 +132,26 @@ def _solved(problem: Problem, start: Point, rod: Rod) -> tuple[Problem, dict[str
     """Fit; hold what the solution shows to be open, and fit anew without it."""
     held: dict[str, tuple[str, ...]] = {}
     while problem.free:
-        linear = _best(problem, start, rod)
-        problem, more = undetermined(problem, linear)
+        problem, linear = _refined(problem, _best(problem, start, rod))
+        fewer, more = undetermined(problem, linear)
         if not more:
             _check_explained(problem, linear)
             return problem, held, linear
+        problem = replace(fewer, unevenness=0.0)
         held = {name: tuple(other for other in others if other not in more) for name, others in held.items()} | more
     raise CalibrationError(f"these recordings determine none of the free parameters: {', '.join(held)}")
+
+
+def _refined(problem: Problem, linear: Linear) -> tuple[Problem, Linear]:
+    """Fit again without stretches that do not fit, and with the unevenness that the data show, until neither changes."""
+    for count in range(_MOST_ROUNDS):
+        size = unevenness(problem, linear)
+        rows = disturbed(problem, linear) if count else problem.disturbed
+        if np.array_equal(rows, problem.disturbed) and math.isclose(size, problem.unevenness, rel_tol=_ALIKE):
+            break
+        problem, point = with_unevenness(replace(problem, disturbed=rows), linear.point, size)
+        linear = fitted(problem, point)
+    return problem, linear
 
 
 def _best(problem: Problem, start: Point, rod: Rod) -> Linear:
@@ -207,7 +219,7 @@ def _start(problem: Problem, rod: Rod, sensor: Sensor) -> Point:
     offsets = np.zeros((problem.rows.recordings, 2 * WRENCH))
     states = _states(problem, bench, offsets, rod)
     bench = bench._replace(pivot=_pivot(problem.surface, states[:, :3]))
-    return Point(bench, offsets, states, np.zeros(len(problem.free)))
+    return Point(bench, offsets, states, np.zeros(len(problem.free)), np.zeros((problem.rows.recordings, problem.places)))
 
 
 def _states(problem: Problem, bench: Bench, offsets: Float[np.ndarray, "recordings 12"], rod: Rod) -> Float[np.ndarray, "contacts 7"]:
@@ -262,7 +274,7 @@ def _result(
     factors = _factors(problem.free, _rod(setup.rod, bench), _sensor(setup.sensor, bench))
     deviations = dict(zip((parameter.name for parameter in problem.free), factors * np.sqrt(np.diag(own)), strict=True))
     offsets = linear.point.offsets
-    offset_deviations = np.sqrt(np.diag(errors)[count:]).reshape(offsets.shape)
+    offset_deviations = np.sqrt(np.diag(errors)[count : count + offsets.size]).reshape(offsets.shape)
     posed = {"object_position", "object_orientation"} & set(names)
     surface = _placed(problem.surface, bench) if posed else problem.surface
     return Calibration(
@@ -282,6 +294,7 @@ def _result(
         pivot=np.asarray(bench.pivot),
         pose=(np.asarray(bench.turn), _move(bench)),
         friction=problem.friction,
+        unevenness=problem.unevenness,
         free=names,
     )
 

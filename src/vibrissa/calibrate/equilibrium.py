@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.numerics.blocks import ONE_BY_ONE, SIZES, AnyArray, in_blocks
+from vibrissa.numerics.blocks import ONE_BY_ONE, AnyArray, in_blocks
 from vibrissa.numerics.compiled import compiled
 from vibrissa.numerics.linear import solve_4x4
 from vibrissa.numerics.rotation import cross_matrix
@@ -25,6 +25,8 @@ from vibrissa.surfaces.base import Placed
 
 CORE = 21
 """Parameters of rod, clamp, sensor and object, in the order of `Bench`."""
+STANDOFF_AT = 20
+"""Where among them the standoff is."""
 STATE = 7
 """Contact point [m], magnitude of the contact force [N], and with friction the tangential force in units of the normal one, world axes."""
 ROW = 15
@@ -34,6 +36,8 @@ _MOST_ITERATIONS = 25
 _CONVERGED = 1e-11
 _LONGEST_STEP = 0.2
 _SOLVED = 1e-9
+_SIZES = (16,)
+"""Of blocks: a recording's rows fill about so many, and compiling once more takes longer than the filling."""
 
 State = Float[Array, "7"]
 Wrench = Float[Array, "6"]
@@ -130,23 +134,34 @@ def _rough(scene: Scene, x: Float[Array, "4"], tau: Float[Array, "3"], clamp: Cl
 def _predicted(law: Law, surface: Surface, bench: Bench, state: State, row: Float[Array, "15"]) -> Float[Array, "158"]:
     tau = state[4:]
 
-    def conditions(bench: Bench, x: Float[Array, "4"], tau: Float[Array, "3"]) -> _Contact:
-        contact = law(_scene(surface, bench), x, tau, _clamp(bench, row))
-        return contact._replace(residual=contact.residual.at[0].add(-bench.standoff / bench.length))
+    def conditions(x: Float[Array, "4"]) -> Float[Array, "4"]:
+        return _conditions(law, surface, bench, x, tau, row).residual
 
     start = jnp.concatenate([state[:3] / bench.length, state[3:4] * bench.length**2 / bench.stiffness])
-    x, residual = _solved(lambda x: conditions(bench, x, tau).residual, start)
-    slope = jax.jacfwd(lambda x: conditions(bench, x, tau).residual)(x)
+    x = _solved(conditions, start)
 
-    def reading(step: Float[Array, "21"], tau: Float[Array, "3"]) -> Wrench:
-        moved = changed(bench, step)
-        implicit = x - solve_4x4(slope, conditions(moved, x, tau).residual)[0]
-        return _reading(moved, implicit, conditions(moved, implicit, tau).direction, row)
+    def both(y: Float[Array, "28"]) -> tuple[tuple[Float[Array, "4"], Wrench], tuple[Float[Array, "4"], Wrench]]:
+        moved, at, lean = changed(bench, y[:CORE]), x + y[CORE : CORE + 4], tau + y[CORE + 4 :]
+        contact = _conditions(law, surface, moved, at, lean, row)
+        values = contact.residual, _reading(moved, at, contact.direction, row)
+        return values, values
 
-    still = jnp.zeros(CORE)
-    jacobian, rubbing = jax.jacfwd(reading, argnums=(0, 1))(still, tau)
+    (residual_slope, reading_slope), (residual, reading) = jax.jacfwd(both, has_aux=True)(jnp.zeros(CORE + STATE))
+    known = jnp.concatenate([jnp.arange(CORE), jnp.arange(CORE + 4, CORE + STATE)])
+    unknown = slice(CORE, CORE + 4)
+    # What a parameter does to the equilibrium, column by column, and by this to the reading.
+    follows = jax.vmap(lambda column: solve_4x4(residual_slope[:, unknown], column)[0], 1, 1)(residual_slope[:, known])
+    jacobian = reading_slope[:, known] - reading_slope[:, unknown] @ follows
     found = jnp.concatenate([x[:3] * bench.length, x[3:] * bench.stiffness / bench.length**2, tau])
-    return jnp.concatenate([found, residual[None], reading(still, tau), jacobian.ravel(), rubbing.ravel()])
+    off = jnp.max(jnp.abs(residual))
+    return jnp.concatenate([found, off[None], reading, jacobian[:, :CORE].ravel(), jacobian[:, CORE:].ravel()])
+
+
+def _conditions(
+    law: Law, surface: Surface, bench: Bench, x: Float[Array, "4"], tau: Float[Array, "3"], row: Float[Array, "15"]
+) -> _Contact:
+    contact = law(_scene(surface, bench), x, tau, _clamp(bench, row))
+    return contact._replace(residual=contact.residual.at[0].add(-bench.standoff / bench.length))
 
 
 def _scene(surface: Surface, bench: Bench) -> Scene:
@@ -165,15 +180,17 @@ def _reading(bench: Bench, x: Float[Array, "4"], direction: Float[Array, "3"], r
     return jnp.asarray(bench.gain) * jnp.concatenate([force, jnp.cross(arm, force)])
 
 
-def _solved(
-    conditions: Callable[[Float[Array, "4"]], Float[Array, "4"]], start: Float[Array, "4"]
-) -> tuple[Float[Array, "4"], Float[Array, ""]]:
-    """Root by Newton's method, the contact point moving by at most 0.2 L a step, and its residual."""
+def _solved(conditions: Callable[[Float[Array, "4"]], Float[Array, "4"]], start: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Root by Newton's method, the contact point moving by at most 0.2 L a step."""
+
+    def both(x: Float[Array, "4"]) -> tuple[Array, Array]:
+        residual = conditions(x)
+        return residual, residual
 
     def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         x, _, count = carry
-        residual = conditions(x)
-        move, _ = solve_4x4(jax.jacfwd(conditions)(x), residual)
+        slope, residual = jax.jacfwd(both, has_aux=True)(x)
+        move, _ = solve_4x4(slope, residual)
         distance = jnp.sqrt(jnp.sum(move[:3] ** 2))
         return x - move * jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(distance, _LONGEST_STEP)), jnp.max(jnp.abs(residual)), count + 1
 
@@ -181,8 +198,7 @@ def _solved(
         _, residual, count = carry
         return (residual > _CONVERGED) & (count < _MOST_ITERATIONS)
 
-    x, _, _ = lax.while_loop(unfinished, step, (start, jnp.asarray(jnp.inf), jnp.asarray(0)))
-    return x, jnp.max(jnp.abs(conditions(x)))
+    return lax.while_loop(unfinished, step, (start, jnp.asarray(jnp.inf), jnp.asarray(0)))[0]
 
 
 def _blocks(
@@ -199,4 +215,4 @@ _rough_blocks = compiled(partial(_blocks, _rough))
 def readings(surface: Surface, bench: Bench, states: Float[np.ndarray, "n 7"], rows: Float[np.ndarray, "n 15"], *, rubs: bool) -> Readings:
     """Readings of rows (n, …) in contact, each equilibrium sought from a state (n, 7); with `rubs` the tangential force is that of the state."""
     kernel = partial(_rough_blocks if rubs else _smooth_blocks, surface, bench)
-    return unpacked(in_blocks(kernel, states, rows, sizes=ONE_BY_ONE if surface.heavy else SIZES))
+    return unpacked(in_blocks(kernel, states, rows, sizes=ONE_BY_ONE if surface.heavy else _SIZES))

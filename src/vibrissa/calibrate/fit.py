@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from vibrissa.calibrate.equilibrium import CORE, Bench, Readings, readings
+from vibrissa.calibrate.equilibrium import CORE, STANDOFF_AT, Bench, Readings, readings
 from vibrissa.calibrate.parameters import Parameter, moved
 from vibrissa.calibrate.rows import CalibrationError, Rows
 from vibrissa.surfaces import Surface
@@ -31,6 +32,15 @@ _LITTLE = 1e-9
 _HELD = 1e-12
 _MOST_LEANING = 3.0
 _LEAST_SHARE = 0.5
+# Rows whose residuals are judged together, how seldom noise alone does the same, and which share of the rows may be left out.
+_STRETCH = 25
+_CHANCE = 1e-6
+_MOST_DISTURBED = 0.3
+# Places along a contact between which the surface's unevenness is interpolated, its sizes that are tried, in rod lengths, and by how much −2 ln(likelihood) has
+# to be better than without.
+_PLACES = 24
+_UNEVEN = np.geomspace(1e-5, 1e-3, 13)
+_BETTER = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +61,10 @@ class Problem:
         Standard deviation of the drift over a recording, in those of one sample; 0 for none.
     friction
         Coulomb's coefficient: the standard deviation given to each tangential force, in units of the normal one. Each row shows its own.
+    disturbed
+        (n,) rows that are left out, since they lie in a stretch that no equilibrium explains.
+    unevenness
+        Standard deviation by which the rod is taken to touch off the object as given, along its normal, changing along the sweep; 0 for none.
     """
 
     surface: Surface
@@ -59,6 +73,8 @@ class Problem:
     prior: Float[np.ndarray, "parameters"]
     drift: float
     friction: float
+    disturbed: Bool[np.ndarray, "n"]
+    unevenness: float = 0.0
 
     @property
     def rubs(self) -> bool:
@@ -69,6 +85,11 @@ class Problem:
     def freedom(self) -> int:
         """Independent numbers of a row in contact: six, less the two of the tangential force."""
         return WRENCH - 2 if self.rubs else WRENCH
+
+    @property
+    def places(self) -> int:
+        """Unknowns of the unevenness in each recording."""
+        return _PLACES if self.unevenness > 0 else 0
 
     def without(self, index: int) -> "Problem":
         """The same with one parameter held."""
@@ -85,6 +106,8 @@ class Point(NamedTuple):
     states: Float[np.ndarray, "contacts 7"]
     step: Float[np.ndarray, "parameters"]
     """Steps of the parameters since the start, added up."""
+    uneven: Float[np.ndarray, "recordings places"]
+    """How far off the object as given the rod touches, at places along each contact."""
 
 
 class Rubbing(NamedTuple):
@@ -95,7 +118,7 @@ class Rubbing(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """The problem about a point, each row in its own standard deviations."""
+    """The problem about a point, each row in its own standard deviations. Unknown are the parameters, all offsets, and the unevenness at all places."""
 
     point: Point
     readings: Readings
@@ -123,6 +146,9 @@ def linearised(problem: Problem, point: Point) -> Linear:
     offset_design = _offset_design(rows)
     predicted = np.einsum("nij,nj->ni", offset_design, point.offsets[rows.recording])
     predicted[contact] += found.wrench
+    hats = _hats(problem)
+    uneven = np.sum(hats * point.uneven[rows.recording], axis=1)
+    predicted[contact] += np.where(found.sound[:, None], found.jacobian[:, :, STANDOFF_AT] * uneven[contact, None], 0.0)
     sound = np.ones(n, dtype=bool)
     sound[contact] = found.sound
     covariance = rows.covariance.copy()
@@ -132,12 +158,14 @@ def linearised(problem: Problem, point: Point) -> Linear:
     core = np.zeros((n, WRENCH, CORE))
     core[contact] = found.jacobian
     directions = np.stack([parameter.direction for parameter in problem.free], axis=1)
-    design = np.zeros((n, WRENCH, len(problem.free) + 2 * WRENCH * rows.recordings))
+    design = np.zeros((n, WRENCH, len(problem.free) + (2 * WRENCH + problem.places) * rows.recordings))
     design[:, :, : len(problem.free)] = core @ directions
     for recording in range(rows.recordings):
         own = rows.recording == recording
         first = len(problem.free) + 2 * WRENCH * recording
         design[own, :, first : first + 2 * WRENCH] = offset_design[own]
+        first = len(problem.free) + 2 * WRENCH * rows.recordings + problem.places * recording
+        design[own, :, first : first + problem.places] = core[own, :, STANDOFF_AT, None] * hats[own, None, :]
     whitened = np.einsum("nij,nj->ni", factor, rows.wrench - predicted)
     jacobian = factor @ design
     whitened[~sound], jacobian[~sound] = 0.0, 0.0
@@ -150,6 +178,18 @@ def linearised(problem: Problem, point: Point) -> Linear:
 def _offset_design(rows: Rows) -> Float[np.ndarray, "n 6 12"]:
     eye = np.broadcast_to(np.eye(WRENCH), (len(rows.time), WRENCH, WRENCH))
     return np.concatenate([eye, eye * rows.time[:, None, None]], axis=2)
+
+
+def _hats(problem: Problem) -> Float[np.ndarray, "n places"]:
+    """Share of each place in the unevenness at a row: piecewise linear in time, from the first to the last row in contact; 0 at rest."""
+    rows = problem.rows
+    hats = np.zeros((len(rows.time), problem.places))
+    for recording in range(rows.recordings if problem.places else 0):
+        own = rows.contact & (rows.recording == recording)
+        time = rows.time[own]
+        along = (time - time.min()) / max(float(np.ptp(time)), _LITTLE) * (problem.places - 1)
+        hats[own] = np.maximum(0.0, 1 - np.abs(along[:, None] - np.arange(problem.places)))
+    return hats
 
 
 def _without_rubbing(
@@ -183,10 +223,62 @@ def spread(problem: Problem, linear: Linear) -> float:
 
 
 def weights(problem: Problem, linear: Linear, scale: float) -> Float[np.ndarray, "n"]:
-    """Weights (n,): 1 for 999 of 1000 rows of noise of this scale, less as Huber's beyond, and 0 far out or without equilibrium."""
+    """Weights (n,): 1 for 999 of 1000 rows of noise of this scale, less as Huber's beyond, and 0 far out, without equilibrium or in a disturbed stretch."""
     limit = scale * np.sqrt(chi2.isf(_OUTLYING, problem.freedom))
     length = np.sqrt(np.sum(linear.residual**2, axis=1))
-    return np.where(linear.sound & (length < _FAR_OUT * limit), limit / np.maximum(length, limit), 0.0)
+    return np.where(linear.sound & (length < _FAR_OUT * limit) & ~problem.disturbed, limit / np.maximum(length, limit), 0.0)
+
+
+def disturbed(problem: Problem, linear: Linear) -> Bool[np.ndarray, "n"]:
+    """Rows in contact (n,) where many in a row do not fit, with as many before and behind: there the rod swings, or sticks and slips.
+
+    None where that would be more than three rows in ten: then it is not the rod that is disturbed, but rod or object are others.
+    """
+    scale = spread(problem, linear)
+    cap = scale**2 * chi2.isf(_OUTLYING, problem.freedom)
+    allowed = scale**2 * chi2.isf(_CHANCE, _STRETCH * problem.freedom) / _STRETCH
+    found = problem.disturbed.copy()
+    for recording in range(problem.rows.recordings):
+        own = np.flatnonzero(problem.rows.contact & (problem.rows.recording == recording))
+        if len(own) < _STRETCH:
+            continue
+        length = np.where(linear.sound[own], np.minimum(np.sum(linear.residual[own] ** 2, axis=1), cap), cap)
+        too_long = uniform_filter1d(length, _STRETCH) > allowed
+        found[own] |= uniform_filter1d(too_long.astype(float), 4 * _STRETCH + 1, mode="constant") > _LITTLE
+    share = int(np.count_nonzero(found)) / max(1, int(np.count_nonzero(problem.rows.contact)))
+    return found if share <= _MOST_DISTURBED else problem.disturbed
+
+
+def with_unevenness(problem: Problem, point: Point, unevenness: float) -> tuple[Problem, Point]:
+    """Another size of the unevenness, which is zero at first."""
+    changed = replace(problem, unevenness=unevenness)
+    return changed, point._replace(uneven=np.zeros((problem.rows.recordings, changed.places)))
+
+
+def unevenness(problem: Problem, linear: Linear) -> float:
+    """Size of the unevenness that makes the data most likely, all else unknown (restricted maximum likelihood); 0 if it is no better than none."""
+    scale = spread(problem, linear)
+    changed, point = with_unevenness(problem, linear.point, 1.0)
+    flat = linearised(changed, point)
+    weight = weights(changed, flat, scale) / scale**2
+    matrix = information(changed, flat, weight)
+    slope = np.einsum("n,nku,nk->u", weight, flat.jacobian, flat.residual)
+    deviations = _prior_deviations(changed)
+    slope -= np.divide(_prior_terms(changed, point), deviations, out=np.zeros_like(slope), where=deviations > 0)
+    uneven = np.arange(len(slope)) >= len(slope) - point.uneven.size
+    matrix[uneven, uneven] -= 1.0
+    # What the data leave open, as the roll, has no information, here as little for each size.
+    known = np.sqrt(np.where(uneven | (np.diag(matrix) == 0), 1.0, np.diag(matrix)))
+    length = float(point.bench.length)
+
+    def badness(size: float) -> float:
+        unit = np.where(uneven, size * length, 1 / known)
+        scaled = matrix * np.outer(unit, unit) + np.diag(np.where(uneven, 1.0, _LITTLE))
+        return float(np.linalg.slogdet(scaled)[1] - (slope * unit) @ np.linalg.solve(scaled, slope * unit))
+
+    found = [badness(size) for size in (0.0, *_UNEVEN)]
+    best = int(np.argmin(found))
+    return float(_UNEVEN[best - 1]) * length if best and found[best] < found[0] - _BETTER else 0.0
 
 
 def _costs(problem: Problem, linear: Linear, trial: Linear, scale: float) -> tuple[float, float]:
@@ -210,11 +302,11 @@ def _prior_deviations(problem: Problem) -> Float[np.ndarray, "unknowns"]:
         own = rows.recording == recording
         one = np.sqrt(np.median(np.diagonal(rows.covariance[own], axis1=1, axis2=2) * rows.count[own, None], axis=0))
         offsets[recording, WRENCH:] = problem.drift * one
-    return np.concatenate([problem.prior, offsets.ravel()])
+    return np.concatenate([problem.prior, offsets.ravel(), np.full(rows.recordings * problem.places, problem.unevenness)])
 
 
 def _prior_terms(problem: Problem, point: Point) -> Float[np.ndarray, "unknowns"]:
-    values = np.concatenate([point.step, point.offsets.ravel()])
+    values = np.concatenate([point.step, point.offsets.ravel(), point.uneven.ravel()])
     deviations = _prior_deviations(problem)
     return np.divide(values, deviations, out=np.zeros_like(values), where=deviations > 0)
 
@@ -280,7 +372,14 @@ def _moved(problem: Problem, linear: Linear, step: Float[np.ndarray, "unknowns"]
         turned = states[:, 4:] + np.where(linear.readings.sound[:, None], linear.rubbing.still - linear.rubbing.slope @ step, 0.0)
         states = np.concatenate([states[:, :4], np.clip(turned, -_MOST_LEANING, _MOST_LEANING)], axis=1)
     point = linear.point
-    return Point(moved(point.bench, core), point.offsets + step[count:].reshape(point.offsets.shape), states, point.step + step[:count])
+    offsets, uneven = np.split(step[count:], [point.offsets.size])
+    return Point(
+        moved(point.bench, core),
+        point.offsets + offsets.reshape(point.offsets.shape),
+        states,
+        point.step + step[:count],
+        point.uneven + uneven.reshape(point.uneven.shape),
+    )
 
 
 def _mended(linear: Linear) -> Float[np.ndarray, "contacts 7"]:

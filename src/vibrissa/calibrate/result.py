@@ -134,6 +134,9 @@ class Calibration(Generic[SetupType]):
         Rotation matrix (3, 3) and translation (3,) that take the object from where it was given to where it was found.
     friction
         Coulomb's coefficient that was given.
+    unevenness
+        Standard deviation by which the rod touches off the object as given, along its normal, changing along the sweep, as the data show it; 0 for none.
+        Estimates and intervals allow for it.
     free
         Names that were free.
     """
@@ -152,6 +155,7 @@ class Calibration(Generic[SetupType]):
     pivot: Float[np.ndarray, "3"]
     pose: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
     friction: float
+    unevenness: float
     free: tuple[str, ...]
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:

@@ -82,13 +82,16 @@ class Fitness:
     inflation
         (k,) factors by which the variances of the residuals' channels are taken larger than stated; 1 where the noise explains the residuals.
     outliers
-        Share of the rows in contact that were given less weight.
+        Share of the rows in contact that fit badly and were given less weight, or none.
+    disturbed
+        Share of them in stretches that no equilibrium explains, as where the rod swings, or sticks and slips: they were left out.
     """
 
     reduced_chi_square: float
     whiteness: float
     inflation: Float[np.ndarray, "k"]
     outliers: float
+    disturbed: float
 
 
 def marginal(matrix: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "k k"]:
@@ -155,7 +158,8 @@ def fitness(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]) ->
     inflation = np.full(WRENCH, max(1.0, reduced) if worse else 1.0)
     if whiteness < _SIGNIFICANT:
         inflation = np.maximum(inflation, _long_run(series))
-    return Fitness(reduced, whiteness, inflation, float(np.mean(weight[rows.contact] < 1)))
+    outliers, disturbed = (float(np.mean(rare[rows.contact])) for rare in ((weight < 1) & ~problem.disturbed, problem.disturbed))
+    return Fitness(reduced, whiteness, inflation, outliers, disturbed)
 
 
 def _ljung_box(series: list[Float[np.ndarray, "_ 6"]]) -> float:

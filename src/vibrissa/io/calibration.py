@@ -43,6 +43,7 @@ class CalibrationTable(Table):
     setup: Annotated[str, Field(description="the name of the setup that was started from")]
     free: Names
     friction: NotNegative = 0.0
+    unevenness: NotNegative = 0.0
     rows: Annotated[int, Field(strict=True, ge=0, description="a whole number of at least 0")]
     reduced_chi_square: NotNegative
     whiteness: NotNegative
@@ -206,6 +207,7 @@ def _table(calibration: "Calibration[Any]", source: Path, recordings: Sequence[s
         "setup": source.name,
         "free": list(calibration.free),
         "friction": calibration.friction,
+        "unevenness": float(f"{calibration.unevenness:.4g}"),
         "rows": int(np.count_nonzero(calibration.residuals.contact)),
         "reduced_chi_square": found.reduced_chi_square,
         "whiteness": found.whiteness,

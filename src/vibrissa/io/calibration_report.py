@@ -31,6 +31,8 @@ def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
         "whiteness": found.whiteness,
         "variance_inflation": found.inflation.tolist(),
         "outliers": found.outliers,
+        "disturbed": found.disturbed,
+        "unevenness": calibration.unevenness,
         "tare": calibration.tare.tolist(),
         "tare_deviation": calibration.tare_deviation.tolist(),
         "drift": calibration.drift.tolist(),
@@ -86,6 +88,16 @@ def findings(calibration: "Calibration[Any]") -> list[str]:
     lines = [
         f"{rows} rows in contact; mean square of the residuals {found.reduced_chi_square:.3f} of the noise's; {found.outliers:.1%} of the rows fit badly and weigh less."
     ]
+    if found.disturbed > 0:
+        lines.append(
+            f"{found.disturbed:.1%} of the rows lie in stretches that no equilibrium explains, as where the rod swings, or sticks and slips: they are left out."
+        )
+    if calibration.unevenness > 0:
+        unit = 1e6 if calibration.setup.rod.units == "SI" else 1.0
+        lines.append(
+            f"The rod touches {unit * calibration.unevenness:.3g} {'µm' if unit > 1 else 'L'} (standard deviation) off the object as given, changing along the sweep; "
+            "the intervals allow for it."
+        )
     if np.any(found.inflation > 1):
         factors = ", ".join(f"{math.sqrt(factor):.2g}" for factor in found.inflation)
         lines.append(

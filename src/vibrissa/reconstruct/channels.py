@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.rotation import rotation_matrices
@@ -68,7 +68,7 @@ def reconstruct_from_channels(
     known = reactions.covariance is not None
     distance = np.sum(np.einsum("nij,nj->ni", root, np.where(selected, wrench, 0.0)) ** 2, axis=1)
     bad = ~np.isfinite(wrench[:, selected]).all(axis=1)
-    rows = np.flatnonzero(~bad & (distance > (chi2.isf(false_alarm, selected.sum()) if known else _LEAST_LOAD**2)))
+    rows = np.flatnonzero(~bad & (distance > (chdtri(selected.sum(), false_alarm) if known else _LEAST_LOAD**2)))
     solved = _solved(wrench[rows], root[rows], selected, rough=bool(friction), known=known)
     return _filled(rod, reactions, friction, rows, bad, turn, solved, distance if known else None)
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.signal import savgol_coeffs
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.reconstruct.result import Reconstruction
@@ -72,6 +71,8 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     Where the contact sticks or rolls the force lies anywhere inside the cone; such samples take no part. Without a second look (another direction of
     sweeping) nothing more than the cone around the force is known of the normal there.
     """
+    from scipy.signal import savgol_coeffs  # noqa: PLC0415
+
     if window is None:
         window = _window(found)
     if window < _LEAST_WINDOW or window % 2 == 0:

@@ -6,7 +6,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
@@ -96,7 +96,7 @@ def reconstruct(
 
 @lru_cache(maxsize=32)
 def _threshold(false_alarm: float) -> float:
-    return float(chi2.isf(false_alarm, df=6))
+    return float(chdtri(6, false_alarm))
 
 
 def _steepest(friction: float | None) -> float:

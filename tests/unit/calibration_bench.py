@@ -32,10 +32,14 @@ def sensor(noise: float = 1.0, **options: object) -> vb.Sensor:
 
 @cache
 def swept(y: float, friction: float = 0.0) -> vb.Reactions:
-    """Reactions of a sweep along x, at first at rest and free of contact."""
-    start, stop = np.array([0.04, y, 0.0]), np.array([-0.04, y, 0.0])
-    position = np.vstack([np.repeat(start[None], REST, axis=0), np.linspace(start, stop, COUNT)])
-    scan = vb.scan(WIRE, BALL, vb.Trail(position), friction=friction)
+    """Reactions of a sweep under the ball along x, at first at rest and free of contact."""
+    return swept_under(BALL, (0.04, y, 0.0), (-0.04, y, 0.0), friction)
+
+
+def swept_under(surface: vb.surfaces.Surface, start: tuple, stop: tuple, friction: float = 0.0) -> vb.Reactions:
+    """The same under any object, from one place to another."""
+    position = np.vstack([np.repeat(np.array([start]), REST, axis=0), np.linspace(start, stop, COUNT)])
+    scan = vb.scan(WIRE, surface, vb.Trail(position), friction=friction)
     return vb.Reactions(scan.trail, scan.reactions.force, scan.reactions.moment, time=np.arange(len(position)) / RATE)
 
 

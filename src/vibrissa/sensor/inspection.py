@@ -59,6 +59,8 @@ class Inspection:
         Rate of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s], a given drift taken off, and its standard deviation; NaN without both.
     single_contact_misfit
         Median size of m0·f0 in its standard deviations over the loaded rows: 0.67 for a single contact and noise alone. NaN without a load.
+    notes
+        What reading left out, recovered or estimated, a sentence each.
     """
 
     raw: RawRecording
@@ -72,6 +74,7 @@ class Inspection:
     drift: Float[np.ndarray, "6"]
     drift_deviation: Float[np.ndarray, "6"]
     single_contact_misfit: float
+    notes: tuple[str, ...] = ()
 
     @property
     def unusable(self) -> tuple[Fault, ...]:

@@ -1,6 +1,7 @@
 """Unit mistakes: numbers that cannot be in metres, newtons and newton metres, or poses that cannot be unit quaternions x, y, z, w."""
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -19,23 +20,33 @@ _LARGEST_FORCE = 500.0
 def pose_unit_faults(raw: RawRecording, rod: Rod) -> list[Fault]:
     """Positions in millimetres, orientations that are no unit quaternions, and quaternions that may have been written w first."""
     faults = []
-    span = (float(raw.time[0]), float(raw.time[-1]), len(raw.time))
+    stamps = raw.time[np.isfinite(raw.time)]
+    span = (float(stamps[0]), float(stamps[-1]), len(raw.time))
     position = raw.position[np.isfinite(raw.position).all(axis=1)]
     extent = float(np.ptp(position, axis=0).max(initial=0.0)) if len(position) else 0.0
     if extent > _LONGEST_SWEEP * rod.length:
         text = f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
         faults.append(Fault(FaultKind.UNITS, ("position",), *span, text, unusable=True))
-    orientation = raw.orientation[np.isfinite(raw.orientation).all(axis=1)]
+    known = np.isfinite(raw.orientation).all(axis=1) & np.isfinite(raw.time)
+    orientation = raw.orientation[known]
     norm = np.linalg.norm(orientation, axis=1)
-    wrong = np.flatnonzero(np.abs(norm - 1) > _QUATERNION_TOLERANCE)
-    if wrong.size:
-        guess = ", as of angles in degrees" if norm[wrong[0]] > 2 else ""
-        text = f"qx,qy,qz,qw = {orientation[wrong[0]].tolist()} has the norm {norm[wrong[0]]:.3g} ({len(wrong)} such){guess}; allowed is 1"
-        faults.append(Fault(FaultKind.UNITS, ("orientation",), *span[:2], len(wrong), text, unusable=True))
+    wrong = wrong_norms(orientation)
+    if wrong.any():
+        first, count = int(np.argmax(wrong)), int(np.count_nonzero(wrong))
+        guess = ", as of angles in degrees" if norm[first] > 2 else ""
+        text = f"qx,qy,qz,qw = {orientation[first].tolist()} has the norm {norm[first]:.3g} ({count} such){guess}; allowed is 1"
+        time = raw.time[known][wrong]
+        faults.append(Fault(FaultKind.UNITS, ("orientation",), float(time[0]), float(time[-1]), count, text, unusable=True))
     elif len(orientation) and np.all(orientation[:, 0] == 1):
         text = "qx = 1 throughout: half a turn about x, or quaternions written w first; allowed are x, y, z, w"
         faults.append(Fault(FaultKind.UNITS, ("orientation",), *span, text))
     return faults
+
+
+def wrong_norms(orientation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n"]:
+    """Rows whose quaternion is there, and differs from the norm 1 by more than a thousandth."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.abs(np.linalg.norm(orientation, axis=1) - 1) > _QUATERNION_TOLERANCE)
 
 
 def wrench_unit_faults(raw: RawRecording, reactions: Reactions, rod: Rod) -> list[Fault]:

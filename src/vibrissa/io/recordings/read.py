@@ -1,6 +1,7 @@
 """Recordings of any format to support reactions: read, align, judge, and take off tare and mount."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 from vibrissa.files import read_table
@@ -83,9 +84,11 @@ def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
 
 def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
     try:
-        return inspect_raw(recording.marked, setup.sensor, setup.rod)
+        found = inspect_raw(recording.marked, setup.sensor, setup.rod)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
+    faults = found.faults if recording.poses is None else (*found.faults, *judge.pose_faults(recording.poses))
+    return replace(found, faults=tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop))), notes=recording.notes)
 
 
 def read_raw(path: str | Path, setup: Setup) -> Recording:

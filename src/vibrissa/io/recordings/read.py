@@ -2,7 +2,10 @@
 
 import warnings
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
+
+import numpy as np
 
 from vibrissa.files import read_table
 from vibrissa.io.errors import InputError
@@ -10,7 +13,7 @@ from vibrissa.io.recordings import arrays, bags, hdf5, judge, matlab, parquet, t
 from vibrissa.io.recordings.align import Recording, aligned
 from vibrissa.io.recordings.arrays import Columns
 from vibrissa.io.recordings.kinds import Kind, kind_of
-from vibrissa.io.recordings.streams import Streams
+from vibrissa.io.recordings.streams import Stream, Streams
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup
@@ -108,21 +111,37 @@ def _streams(file: Path, table: RecordingTable | None) -> Streams:
     kind, layout = kind_of(file), table or RecordingTable()
     try:
         if kind is Kind.BAG:
-            return bags.streams(file, layout)
+            return bags.streams(file, layout, _pose_stream(file, layout))
         if kind is Kind.TEXT and table is None:
             return arrays.streams(_strict(file), layout)
         if layout.pose_file is None:
             return arrays.streams(_columns(file, kind, layout), layout)
-        pose_file = file.parent / layout.pose_file.replace("{name}", file.stem)
-        return arrays.streams(_columns(file, kind, layout), layout, _columns(pose_file, kind_of(pose_file), layout))
+        return arrays.streams(_columns(file, kind, layout), layout, _pose_columns(file, layout, layout.pose_file))
     except ImportError as error:
         raise InputError(f"{file}: {error}") from error
 
 
+def _pose_stream(file: Path, layout: RecordingTable) -> Stream | None:
+    return None if layout.pose_file is None else arrays.pose_stream(_pose_columns(file, layout, layout.pose_file), layout)
+
+
+def _pose_columns(file: Path, layout: RecordingTable, name: str) -> Columns:
+    pose_file = file.parent / name.replace("{name}", file.stem)
+    own = {"decimal": layout.pose_decimal, "skip_lines": layout.pose_skip_lines}
+    return _columns(
+        pose_file, kind_of(pose_file), layout.model_copy(update={key: value for key, value in own.items() if value is not None})
+    )
+
+
 def _strict(file: Path) -> Columns:
     """The CSV that `write_recording` writes, and no other."""
-    table = read_table(file, COLUMNS, finite=False)
-    return Columns(file, COLUMNS, table.__getitem__, first_line=2)
+    try:
+        table = read_table(file, COLUMNS, finite=False)
+    except InputError as error:
+        if ", line 1: columns: " not in str(error):
+            raise
+        raise InputError(f"{error}; another layout is told by a table [recording] in the setup") from None
+    return Columns(file, COLUMNS, table.__getitem__, lines=2 + np.arange(len(table["time"])))
 
 
 def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
@@ -130,7 +149,7 @@ def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
     match kind:
         case Kind.TEXT:
             units = ((table.time, table.time_unit), (table.pose_time, table.pose_time_unit or table.time_unit))
-            stamps = [name for name, unit in units if name is not None and unit == "stamp"]
+            stamps = [name for name, unit in units if isinstance(name, str) and unit == "stamp"]
             return text.columns(file, table, wanted, stamps)
         case Kind.PARQUET:
             return parquet.columns(file, wanted)
@@ -146,6 +165,7 @@ def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
 
 def _wanted(table: RecordingTable) -> list[str]:
     """Names that may be asked for; `name[k]` also without its index."""
-    names = [table.time, *table.force, *table.torque, *table.position, *table.orientation]
-    names += [name for name in (table.pose_time, "force", "torque", "position", "orientation") if name is not None]
+    times = [(name,) if isinstance(name, str) else name for name in (table.time, table.pose_time) if name is not None]
+    names = [*chain(*times), *table.force, *table.torque, *table.position, *table.orientation]
+    names += ["force", "torque", "position", "orientation"]
     return [*names, *(name[: name.rindex("[")] for name in names if name.endswith("]") and "[" in name)]

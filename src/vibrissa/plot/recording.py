@@ -18,6 +18,7 @@ _FAULT_COLOURS = {
     FaultKind.SATURATION: "#e07b00",
     FaultKind.DROP_OUT: "#7a3e9d",
     FaultKind.STUCK: "#8c6d31",
+    FaultKind.HELD: "#c77cba",
     FaultKind.GAP: "#555555",
     FaultKind.DUPLICATE: "#d0a000",
     FaultKind.BACKWARD: "#a00000",

@@ -1,6 +1,7 @@
 """Faults of the readings: rows that are missing, channels that stand still, readings at their limit."""
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.raw import CHANNELS, RawRecording
-from vibrissa.sensor.rest import noise_by_differences
+from vibrissa.sensor.rest import noise_by_differences, own_rows, repeating_rows
 from vibrissa.sensor.stamps import runs
 
 if TYPE_CHECKING:
@@ -71,12 +72,43 @@ def longest_repeat(deviation: float, step: float, count: int, false_alarm: float
     A reading equals the one before with a probability of at most p = erf(step / (√8 deviation)), where the true value lies on a step; a run of r readings needs r − 1
     such, and `count` places bound the chance by count p^(r−1).
     """
-    if deviation <= 0:
-        return math.inf
-    same = math.erf(step / (math.sqrt(8) * deviation))
+    same = _repeats(deviation, step)
     if same >= 1:
         return math.inf
     return _SHORTEST if same <= 0 else max(_SHORTEST, 1 + math.ceil(math.log(false_alarm / count) / math.log(same)))
+
+
+def held_rows(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
+    """Rows that repeat the reading above them in all channels more often than chance allows: a lost sample, and the last one held in its place.
+
+    Where a third of all rows do so, the sensor is slower than the log; that is one finding, and no row is marked.
+    """
+    wrench = np.where(bad, np.nan, raw.wrench)
+    deviations = believed_noise(sensor, wrench)
+    chance = float(
+        np.prod([_repeats(float(deviations[channel]), _smallest_step(sensor, wrench[:, channel], channel)) for channel in range(6)])
+    )
+    same, held, faults = repeating_rows(wrench), np.zeros(len(wrench), dtype=bool), []
+    count = int(np.count_nonzero(same))
+    if not own_rows(wrench).all():
+        text = f"{count} of {len(wrench)} rows repeat the reading above them in all channels, as of a sensor of {(1 - count / len(wrench)) * raw.rate:.4g} "
+        text += f"readings a second in a log of {raw.rate:.4g}"
+        return [replace(_fault(FaultKind.HELD, CHANNELS, raw, 0, len(wrench), text), count=count)], np.zeros_like(bad)
+    if chance >= 1 or not same.any():
+        return [], np.zeros_like(bad)
+    needed = 2 if chance <= 0 else max(2, 1 + math.ceil(math.log(_FALSE_ALARM / len(wrench)) / math.log(chance)))
+    found = [(start, stop) for start, stop in runs(same) if stop - start + 1 >= needed]
+    for start, stop in found:
+        held[start:stop] = True
+        faults.append(
+            _fault(FaultKind.HELD, CHANNELS, raw, start, stop, f"{stop - start} rows repeat the reading above them in all channels")
+        )
+    return faults, np.repeat(held[:, None], 6, axis=1)
+
+
+def _repeats(deviation: float, step: float) -> float:
+    """Largest chance that a reading equals the one before."""
+    return 1.0 if deviation <= 0 else math.erf(step / (math.sqrt(8) * deviation))
 
 
 def standing_channels(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:

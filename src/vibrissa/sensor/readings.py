@@ -123,11 +123,16 @@ def standing_channels(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[l
         full = _at_range(sensor, wrench[:, channel], channel)
         standing[:, channel] |= full
         faults += [_saturated(sensor, raw, channel, start, stop) for start, stop in runs(full)]
+        tops: set[float] = set()
         needed = longest_repeat(float(deviations[channel]), _smallest_step(sensor, wrench[:, channel], channel), len(wrench))
         for start, stop in _equal_runs(wrench[:, channel], full):
             if stop - start >= needed:
                 standing[start:stop, channel] = True
                 faults.append(_repeating(raw, wrench[:, channel], channel, (start, stop), float(deviations[channel]), needed))
+                tops |= {float(wrench[start, channel])} if faults[-1].kind is FaultKind.SATURATION else set()
+        same = np.isin(wrench[:, channel], list(tops)) & ~standing[:, channel]
+        standing[:, channel] |= same
+        faults += [_at_the_top(raw, wrench[:, channel], channel, start, stop) for start, stop in runs(same)]
     return faults, standing
 
 
@@ -138,6 +143,11 @@ def _at_range(sensor: "Sensor", values: Float[np.ndarray, "n"], channel: int) ->
 
 def _saturated(sensor: "Sensor", raw: RawRecording, channel: int, start: int, stop: int) -> Fault:
     text = f"{stop - start} readings of {CHANNELS[channel]} at the range of {_limit(sensor, channel):g} {_unit(channel)}"
+    return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
+
+
+def _at_the_top(raw: RawRecording, values: Float[np.ndarray, "n"], channel: int, start: int, stop: int) -> Fault:
+    text = f"{stop - start} more readings of {CHANNELS[channel]} at its flat top of {values[start]:.6g} {_unit(channel)}"
     return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
 
 
@@ -191,9 +201,10 @@ def _flat_topped(values: Float[np.ndarray, "n"], start: int, stop: int, deviatio
         return False
     steps = np.abs(np.diff(values))
     usual = _FLAT_TOP * max(deviation, float(np.nanmedian(steps)))
-    before = start == 0 or steps[start - 1] <= usual
-    after = stop == len(values) or steps[stop - 1] <= usual
-    return bool(before and after)
+    # Next to a row that is missing it is not known how the channel came or left.
+    before = start > 0 and steps[start - 1] > usual
+    after = stop < len(values) and steps[stop - 1] > usual
+    return not (before or after)
 
 
 def _limit(sensor: "Sensor", channel: int) -> float | None:

@@ -78,3 +78,11 @@ def test_what_was_left_out_is_one_line_on_stderr_and_part_of_what_inspect_prints
     run = vibrissa("inspect", file, *setup, "--json")
     assert json.loads(run.stdout)["notes"] == [f"71 {left_out}"]
     assert f"71 {left_out}" in vibrissa("inspect", file, *setup).stdout
+
+
+def test_stamps_in_milliseconds_are_named_where_they_leave_no_rest(tmp_path: Path) -> None:
+    table = recording_table()
+    table[:, 0] *= 1e3
+    (tmp_path / "a.csv").write_text(text(table))
+    with pytest.raises(InputError, match=r"tare_seconds = 0\.85: 1 of 40 samples.*besides: 0\.01 samples a second.*milliseconds"):
+        read_recording(tmp_path / "a.csv", load(tmp_path))

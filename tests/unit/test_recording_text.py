@@ -175,3 +175,21 @@ def test_a_decimal_comma_that_is_not_told_is_pointed_out(tmp_path: Path, words: 
     with pytest.raises(InputError) as caught:
         vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT))
     assert [word for word in words if word not in str(caught.value)] == []
+
+
+ENDLESS = {
+    "comments": "#\n" * 300_000,
+    "blank lines": "\n" * 300_000,
+    "an open quote": '"' + "a" * 300_000 + "\n1\n",
+    "a long cell": joined(LINES[0], '"1",' * 13 + '"' + "1" * 300_000 + '"'),
+    "a comment with all names, again and again": ("# " + LINES[0] + "\n") * 20_000,
+}
+
+
+@pytest.mark.parametrize("what", ENDLESS)
+def test_text_without_a_recording_is_refused_in_one_line(tmp_path: Path, what: str) -> None:
+    (tmp_path / "a.csv").write_text(ENDLESS[what])
+    with pytest.raises(InputError) as caught:
+        vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT))
+    assert len(str(caught.value)) < 2000
+    assert "a.csv" in str(caught.value)

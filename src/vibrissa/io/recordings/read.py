@@ -18,7 +18,7 @@ from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
-from vibrissa.sensor import Inspection, RawRecording, inspect_raw
+from vibrissa.sensor import FaultKind, Inspection, RawRecording, inspect_raw
 
 
 class RecordingWarning(UserWarning):
@@ -70,7 +70,12 @@ def _judged(file: Path, setup: Setup) -> Inspection:
         warnings.warn(f"{file}: {note}", RecordingWarning, stacklevel=3)
     inspection = _inspected(file, recording, setup)
     if inspection.unusable:
-        raise InputError(f"{file}: {inspection.unusable[0].text}")
+        # What cannot be used may follow from a unit that alone would not forbid it: stamps in milliseconds leave no rest.
+        first, units = (
+            inspection.unusable[0],
+            [fault.text for fault in inspection.faults if fault.kind is FaultKind.UNITS and not fault.unusable],
+        )
+        raise InputError(f"{file}: " + "; besides: ".join([first.text, *units]))
     return inspection
 
 

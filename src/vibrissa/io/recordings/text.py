@@ -85,23 +85,23 @@ class _Header(NamedTuple):
 
 
 def _header(lines: list[str], table: RecordingTable, wanted: Sequence[str]) -> _Header:
-    """The first line that is neither blank nor a comment; or a comment, where it holds names that are asked for, as NumPy writes it."""
-    asked = set(wanted)
+    """The first line that is neither blank nor a comment; or the comment above it, where it holds more of the names that are asked for, as NumPy writes it."""
+    asked, above = set(wanted), None
     for line in range(table.skip_lines, len(lines)):
         plain = lines[line].lstrip()
-        if not plain:
-            continue
-        commented = plain.startswith(_COMMENTS)
-        found = [
-            _Header(line, [name.strip() for name in _cells(plain.lstrip("#% ") if commented else lines[line], delimiter)], delimiter)
-            for delimiter in (
-                [table.delimiter] if table.delimiter is not None else _DELIMITERS if table.decimal == "." else _DELIMITERS[1:]
-            )
-        ]
-        best = max(found, key=lambda header: len(asked.intersection(header.names)))
-        if not commented or len(asked.intersection(best.names)) > 1:
-            return best
+        if not plain.startswith(_COMMENTS) and plain:
+            found = [_names(line, lines[line], table, asked)]
+            found += [] if above is None else [_names(above, lines[above].lstrip("#% \t"), table, asked)]
+            return max(found, key=lambda header: len(asked.intersection(header.names)))
+        above = line if plain else above
     return _Header(table.skip_lines, [], ",")
+
+
+def _names(line: int, text: str, table: RecordingTable, asked: set[str]) -> _Header:
+    """Names of a line, by the delimiter that is given, or the one that gives most of the names asked for."""
+    delimiters = (table.delimiter,) if table.delimiter is not None else _DELIMITERS if table.decimal == "." else _DELIMITERS[1:]
+    found = [_Header(line, [name.strip() for name in _cells(text, delimiter)], delimiter) for delimiter in delimiters]
+    return max(found, key=lambda header: len(asked.intersection(header.names)))
 
 
 def _units(lines: list[str], header: _Header, place: Sequence[tuple[str, int, bool]]) -> dict[str, str]:
@@ -119,7 +119,11 @@ def _cells(line: str, delimiter: str) -> list[str]:
         return line.split()
     if '"' not in line:
         return line.split(delimiter)
-    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    except csv.Error:
+        # Of more letters than any number or name has.
+        return line.split(delimiter)
 
 
 def _rows(file: Path, lines: list[str], header: _Header, skip: int) -> Iterator[tuple[int, list[str]]]:
@@ -129,10 +133,7 @@ def _rows(file: Path, lines: list[str], header: _Header, skip: int) -> Iterator[
         line = lines[index]
         if not line.strip() or line.lstrip().startswith(_COMMENTS):
             continue
-        try:
-            cells = _cells(line, header.delimiter)
-        except csv.Error as error:
-            raise InputError(f"{file}, line {index + 1}: {error}; allowed are cells of numbers") from error
+        cells = _cells(line, header.delimiter)
         if len(cells) == count + 1 and not cells[-1].strip():
             cells.pop()
         if len(cells) != count:

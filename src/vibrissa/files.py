@@ -56,7 +56,7 @@ def read_table(
         allowed.
     """
     text = text_of(readable(file))
-    lines = text.splitlines()
+    lines = text.rstrip().splitlines() if text.endswith(("\n", "\r")) else text.splitlines()
     if not lines:
         raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(columns)}")
     names = _header(file, lines[0], columns, optional, any_order=any_order)

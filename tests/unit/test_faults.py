@@ -154,7 +154,11 @@ def test_flat_tops_are_saturation_though_the_range_is_not_known() -> None:
     flat = [fault for fault in inspected(raw).faults if fault.channels == ("tx",)]
     assert {str(fault.kind) for fault in flat} == {"saturation"}
     assert "flat-topped at -0.005 N m" in flat[0].text
-    assert sum(fault.count for fault in flat) > 0.8 * np.count_nonzero(np.abs(raw.torque[:, 0]) >= 0.005 - 1e-9)
+    full = np.flatnonzero(np.abs(raw.torque[:, 0]) >= 0.005 - 1e-9)
+    assert sum(fault.count for fault in flat) == len(full)
+    assert np.flatnonzero(~inspected(raw).usable).tolist() == full.tolist()
+    lost = changed(raw, int(full[len(full) // 2]), slice(0, 6), np.nan)
+    assert {str(fault.kind) for fault in inspected(lost).faults if fault.channels == ("tx",)} == {"saturation"}
 
 
 @pytest.mark.parametrize(("deviation", "step"), [(1.0, 1.0), (2.0, 1.0), (0.6, 1.0)])

@@ -239,7 +239,7 @@ WRONG: dict[str, tuple[str, Callable[[str], str], list[str]]] = {
         str,
         ["wrenches from 0.05 to 3.95 s, poses from 100.05 to 103.95 s", "time_offset"],
     ),
-    "one sign for two purposes": ('decimal = ","', str, ["decimal = ',' with delimiter = ','"]),
+    "one sign for two purposes": ('decimal = ","\ndelimiter = ","', str, ["decimal = ',' with delimiter = ','"]),
     "a pose file that is not there": ('pose_file = "none.csv"', str, ["none.csv: cannot be read"]),
 }
 
@@ -265,7 +265,7 @@ def test_an_empty_cell_marks_its_row(tmp_path: Path) -> None:
 
 KEYS = {
     "colour = 1": "recording.colour: unknown key; allowed are time, time_unit, force",
-    'force_unit = "kg"': "recording.force_unit = 'kg': allowed is one of N, mN, uN, kN, gf, lbf",
+    'force_unit = "kg"': "recording.force_unit = 'kg': allowed is one of N, mN, uN, kN, gf, kgf, lbf",
     "force = []": "recording.force = []: allowed is one name, of an array with a column for each, or a list of three names",
     'force = ["a", 1, "c"]': "recording.force[1] = 1: allowed is the name of a column, array or topic",
     'time_offset = "guess"': "recording.time_offset = 'guess': allowed is a finite number of seconds, or 'estimate'",
@@ -298,4 +298,4 @@ def test_reading_alone_judges_nothing(tmp_path: Path) -> None:
     assert len(raw.time) == 40
     assert np.diff(raw.time).min() == 0
     assert np.argwhere(np.isnan(raw.force)).tolist() == [[29, 1]]
-    assert np.argwhere(np.isnan(raw.orientation)).tolist() == [[19, k] for k in range(4)]
+    assert np.argwhere(np.linalg.norm(raw.orientation, axis=1) == 0).tolist() == [[19]]

@@ -2,6 +2,9 @@
 
 import os
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import typer
@@ -44,7 +47,8 @@ def main() -> None:
     """Run a command; exit status 2 for wrong input, in one line, and 1 for failed work."""
     _keep_compiled_code()
     try:
-        app()
+        with _warnings_in_one_line():
+            app()
     except ValueError as error:
         from vibrissa.io.errors import InputError  # noqa: PLC0415
 
@@ -52,6 +56,22 @@ def main() -> None:
             raise
         print(f"vibrissa: error: {error}", file=sys.stderr)  # noqa: T201
         sys.exit(2)
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Print each warning once, on stderr, without the place in the code that it comes from."""
+    said: set[str] = set()
+
+    def show(message: Warning | str, *_place: object, **_more: object) -> None:
+        line = " ".join(str(message).split())
+        if line not in said:
+            said.add(line)
+            print(f"vibrissa: warning: {line}", file=sys.stderr)  # noqa: T201
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 def _keep_compiled_code() -> None:

@@ -75,6 +75,7 @@ def _summary(found: "Inspection", loaded: "Setup") -> dict[str, object]:
         "rest": [list(part) for part in found.rest.intervals],
         "mount": None if tare is None or tare.mount is None else {"mass": tare.mount.mass, "center": list(tare.mount.center)},
         "single_contact_misfit": _number(found.single_contact_misfit),
+        "notes": list(found.notes),
         "counts": dict(Counter(str(fault.kind) for fault in found.faults)),
         "faults": [
             {
@@ -108,6 +109,7 @@ def _print(found: "Inspection", loaded: "Setup", summary: dict[str, object]) -> 
     first, sensor = float(found.cleaned.time[0]), loaded.sensor
     lines = [
         f"{summary['rows']} rows over {summary['duration']:.4g} s, {found.rate:.5g} a second; {summary['usable_rows']} usable",
+        *found.notes,
         _tare_line(found, first),
     ]
     if found.tare is not None and found.tare.mount is not None:

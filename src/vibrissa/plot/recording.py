@@ -18,6 +18,7 @@ _FAULT_COLOURS = {
     FaultKind.SATURATION: "#e07b00",
     FaultKind.DROP_OUT: "#7a3e9d",
     FaultKind.STUCK: "#8c6d31",
+    FaultKind.HELD: "#c77cba",
     FaultKind.GAP: "#555555",
     FaultKind.DUPLICATE: "#d0a000",
     FaultKind.BACKWARD: "#a00000",
@@ -26,6 +27,7 @@ _FAULT_COLOURS = {
 _SYMBOLS = ("f_x", "f_y", "f_z", r"\tau_x", r"\tau_y", r"\tau_z")
 _LONGEST_SEGMENT = 4096
 _FEWEST = 32
+_LARGEST = 1e12
 # Half a decade to either side at least: noise that follows its density looks flat.
 _LEAST_SPAN = 10**0.5
 
@@ -46,9 +48,10 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     torque, pose = (figure.add_subplot(grid[row, :], sharex=force) for row in (1, 2))
     spectra = [figure.add_subplot(grid[3, column]) for column in (0, 1)]
     time = found.cleaned.time - found.cleaned.time[0]
-    wrench = found.cleaned.wrench
+    wrench, logged = found.cleaned.wrench, np.where(np.abs(found.raw.wrench) < _LARGEST, found.raw.wrench, np.nan)
     for axes, first, factor, label in ((force, 0, 1.0, "force [N]"), (torque, 3, 1e3, "torque [N mm]")):
         for channel in range(first, first + 3):
+            axes.plot(time, factor * logged[:, channel], color=_AXIS_COLOURS[channel - first], linewidth=0.7, alpha=0.35)
             axes.plot(
                 time, factor * wrench[:, channel], color=_AXIS_COLOURS[channel - first], linewidth=0.7, label=f"${_SYMBOLS[channel]}$"
             )

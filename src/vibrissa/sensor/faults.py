@@ -11,6 +11,7 @@ class FaultKind(StrEnum):
     longer than noise and resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp equal to one before, or earlier.
     `UNITS`: numbers that cannot be in metres, newtons, newton metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated. `DRIFT`: the
     offset moves by more than stated. `POSE_JUMP`: the robot's pose jumps. `REST`: no rest for the tare. `TARE`: forces and moments that belong to no single contact.
+    `HELD`: rows that repeat the reading above them in all channels. `MOUNT`: a sign, clamp or reference point of the setup that the readings contradict.
     """
 
     SATURATION = "saturation"
@@ -25,6 +26,8 @@ class FaultKind(StrEnum):
     POSE_JUMP = "pose jump"
     REST = "no rest"
     TARE = "no single contact"
+    HELD = "held readings"
+    MOUNT = "mount"
 
 
 @dataclass(frozen=True)

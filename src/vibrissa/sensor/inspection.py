@@ -10,11 +10,12 @@ from scipy.stats import chi2
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor.faults import Fault, FaultKind
+from vibrissa.sensor.mounting import mount_faults
 from vibrissa.sensor.poses import filled_poses, pose_jumps
 from vibrissa.sensor.raw import CHANNELS, RawRecording
-from vibrissa.sensor.readings import drop_outs, standing_channels
-from vibrissa.sensor.rest import Interval, Rest, find_rest
-from vibrissa.sensor.stamps import increasing_stamps, stamp_faults
+from vibrissa.sensor.readings import drop_outs, held_rows, standing_channels
+from vibrissa.sensor.rest import Interval, Rest, find_rest, restless_tare
+from vibrissa.sensor.stamps import increasing_stamps, rounded_stamps, stamp_faults
 from vibrissa.sensor.tare import Tare, planned_tare, without_given
 from vibrissa.sensor.units import pose_unit_faults, wrench_unit_faults
 
@@ -59,6 +60,8 @@ class Inspection:
         Rate of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s], a given drift taken off, and its standard deviation; NaN without both.
     single_contact_misfit
         Median size of m0·f0 in its standard deviations over the loaded rows: 0.67 for a single contact and noise alone. NaN without a load.
+    notes
+        What reading left out, recovered or estimated, a sentence each.
     """
 
     raw: RawRecording
@@ -72,6 +75,7 @@ class Inspection:
     drift: Float[np.ndarray, "6"]
     drift_deviation: Float[np.ndarray, "6"]
     single_contact_misfit: float
+    notes: tuple[str, ...] = ()
 
     @property
     def unusable(self) -> tuple[Fault, ...]:
@@ -99,16 +103,18 @@ def inspect_raw(raw: RawRecording, sensor: "Sensor", rod: Rod) -> Inspection:
     if not np.any(np.abs(raw.time) < _LATEST):
         raise ValueError(f"none of {len(raw.time)} rows has a stamp; allowed are stamps in seconds")
     given = _bounded(raw)
-    faults = stamp_faults(given.time) + pose_unit_faults(given, rod)
-    time, moved = increasing_stamps(given.time)
+    faults = stamp_faults(given.time, rounded=rounded_stamps(given)) + pose_unit_faults(given, rod)
+    time, moved = increasing_stamps(given.time, rounded=rounded_stamps(given))
     position, orientation, poseless = filled_poses(given)
     timed = RawRecording(time, given.position, given.orientation, given.force, given.torque)
     lost, bad = drop_outs(timed, ~np.isfinite(given.time))
+    held, repeated = held_rows(sensor, timed, bad | moved[:, None])
+    bad |= repeated
     stuck, standing = standing_channels(sensor, timed, bad)
     usable = ~(bad.any(axis=1) | standing.any(axis=1) | moved | poseless)
     wrench = np.where(usable[:, None], given.wrench, np.nan)
     cleaned = RawRecording(time, position, orientation, wrench[:, :3], wrench[:, 3:])
-    faults += lost + stuck + pose_jumps(cleaned, rod)
+    faults += lost + held + stuck + pose_jumps(cleaned, rod)
     if not usable.any():
         text = f"none of {len(usable)} rows is usable; allowed is at least one"
         faults.append(_over_all(FaultKind.DROP_OUT, CHANNELS, cleaned, text, unusable=True))
@@ -126,6 +132,8 @@ def _at_rest(
             tare = sensor.tare(raw)
         except ValueError as error:
             faults.append(_over_all(FaultKind.REST, CHANNELS, raw, str(error), unusable=True))
+    if tare is not None and (sensor.tare_seconds is not None or sensor.rest_intervals):
+        faults += restless_tare(sensor, raw, tare)
     interval = tare.intervals[0] if tare is not None and tare.intervals else rest.leading
     if interval is not None:
         noise = rest_noise(raw, interval)
@@ -136,7 +144,8 @@ def _at_rest(
         faults += _drift_faults(sensor, raw, rest, drift, deviation)
     if tare is not None and not any(fault.unusable for fault in faults):
         reactions = sensor.reactions(raw, tare)
-        faults += wrench_unit_faults(raw, reactions, rod)
+        mistaken = wrench_unit_faults(raw, reactions, rod, sensor, tare)
+        faults += mistaken or mount_faults(reactions, rod)
         misfit = _misfit(reactions)
         # Errors that last, of pink noise and random walk, do not average out.
         if misfit > (_LASTING_MISFIT if sensor.coloured(raw.time) else _MISFIT):

@@ -1,6 +1,7 @@
 """Faults of the readings: rows that are missing, channels that stand still, readings at their limit."""
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.raw import CHANNELS, RawRecording
-from vibrissa.sensor.rest import noise_by_differences
+from vibrissa.sensor.rest import noise_by_differences, own_rows, repeating_rows
 from vibrissa.sensor.stamps import runs
 
 if TYPE_CHECKING:
@@ -71,12 +72,43 @@ def longest_repeat(deviation: float, step: float, count: int, false_alarm: float
     A reading equals the one before with a probability of at most p = erf(step / (√8 deviation)), where the true value lies on a step; a run of r readings needs r − 1
     such, and `count` places bound the chance by count p^(r−1).
     """
-    if deviation <= 0:
-        return math.inf
-    same = math.erf(step / (math.sqrt(8) * deviation))
+    same = _repeats(deviation, step)
     if same >= 1:
         return math.inf
     return _SHORTEST if same <= 0 else max(_SHORTEST, 1 + math.ceil(math.log(false_alarm / count) / math.log(same)))
+
+
+def held_rows(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
+    """Rows that repeat the reading above them in all channels more often than chance allows: a lost sample, and the last one held in its place.
+
+    Where a third of all rows do so, the sensor is slower than the log; that is one finding, and no row is marked.
+    """
+    wrench = np.where(bad, np.nan, raw.wrench)
+    deviations = believed_noise(sensor, wrench)
+    chance = float(
+        np.prod([_repeats(float(deviations[channel]), _smallest_step(sensor, wrench[:, channel], channel)) for channel in range(6)])
+    )
+    same, held, faults = repeating_rows(wrench), np.zeros(len(wrench), dtype=bool), []
+    count = int(np.count_nonzero(same))
+    if not own_rows(wrench).all():
+        text = f"{count} of {len(wrench)} rows repeat the reading above them in all channels, as of a sensor of {(1 - count / len(wrench)) * raw.rate:.4g} "
+        text += f"readings a second in a log of {raw.rate:.4g}"
+        return [replace(_fault(FaultKind.HELD, CHANNELS, raw, 0, len(wrench), text), count=count)], np.zeros_like(bad)
+    if chance >= 1 or not same.any():
+        return [], np.zeros_like(bad)
+    needed = 2 if chance <= 0 else max(2, 1 + math.ceil(math.log(_FALSE_ALARM / len(wrench)) / math.log(chance)))
+    found = [(start, stop) for start, stop in runs(same) if stop - start + 1 >= needed]
+    for start, stop in found:
+        held[start:stop] = True
+        faults.append(
+            _fault(FaultKind.HELD, CHANNELS, raw, start, stop, f"{stop - start} rows repeat the reading above them in all channels")
+        )
+    return faults, np.repeat(held[:, None], 6, axis=1)
+
+
+def _repeats(deviation: float, step: float) -> float:
+    """Largest chance that a reading equals the one before."""
+    return 1.0 if deviation <= 0 else math.erf(step / (math.sqrt(8) * deviation))
 
 
 def standing_channels(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
@@ -91,11 +123,16 @@ def standing_channels(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[l
         full = _at_range(sensor, wrench[:, channel], channel)
         standing[:, channel] |= full
         faults += [_saturated(sensor, raw, channel, start, stop) for start, stop in runs(full)]
+        tops: set[float] = set()
         needed = longest_repeat(float(deviations[channel]), _smallest_step(sensor, wrench[:, channel], channel), len(wrench))
         for start, stop in _equal_runs(wrench[:, channel], full):
             if stop - start >= needed:
                 standing[start:stop, channel] = True
                 faults.append(_repeating(raw, wrench[:, channel], channel, (start, stop), float(deviations[channel]), needed))
+                tops |= {float(wrench[start, channel])} if faults[-1].kind is FaultKind.SATURATION else set()
+        same = np.isin(wrench[:, channel], list(tops)) & ~standing[:, channel]
+        standing[:, channel] |= same
+        faults += [_at_the_top(raw, wrench[:, channel], channel, start, stop) for start, stop in runs(same)]
     return faults, standing
 
 
@@ -106,6 +143,11 @@ def _at_range(sensor: "Sensor", values: Float[np.ndarray, "n"], channel: int) ->
 
 def _saturated(sensor: "Sensor", raw: RawRecording, channel: int, start: int, stop: int) -> Fault:
     text = f"{stop - start} readings of {CHANNELS[channel]} at the range of {_limit(sensor, channel):g} {_unit(channel)}"
+    return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
+
+
+def _at_the_top(raw: RawRecording, values: Float[np.ndarray, "n"], channel: int, start: int, stop: int) -> Fault:
+    text = f"{stop - start} more readings of {CHANNELS[channel]} at its flat top of {values[start]:.6g} {_unit(channel)}"
     return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
 
 
@@ -159,9 +201,10 @@ def _flat_topped(values: Float[np.ndarray, "n"], start: int, stop: int, deviatio
         return False
     steps = np.abs(np.diff(values))
     usual = _FLAT_TOP * max(deviation, float(np.nanmedian(steps)))
-    before = start == 0 or steps[start - 1] <= usual
-    after = stop == len(values) or steps[stop - 1] <= usual
-    return bool(before and after)
+    # Next to a row that is missing it is not known how the channel came or left.
+    before = start > 0 and steps[start - 1] > usual
+    after = stop < len(values) and steps[stop - 1] > usual
+    return not (before or after)
 
 
 def _limit(sensor: "Sensor", channel: int) -> float | None:

@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.maps import to_reactions
-from vibrissa.sensor.raw import RawRecording
-from vibrissa.sensor.tare import without_given
+from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.tare import Tare, without_given
 
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
@@ -26,6 +27,7 @@ _ANOTHER_LEVEL = 0.2
 _LOADED = 10.0
 _FEWEST_LOADED = 20
 _MOVED = 0.02
+_SLOWER, _OFTEN = 1 / 3, 0.05
 _NOISIER, _QUIETER = 1.5, 0.1
 _MEDIAN_TO_DEVIATION = 0.6745
 
@@ -55,12 +57,27 @@ def noise_by_differences(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, 
     return np.asarray(np.median(second, axis=0) / (_MEDIAN_TO_DEVIATION * np.sqrt(6)))
 
 
+def repeating_rows(wrench: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, "n"]:
+    """Rows that are equal to the one above in all channels."""
+    return np.concatenate([np.zeros(1, dtype=bool), np.all(np.diff(wrench, axis=0) == 0, axis=1)])[: len(wrench)]
+
+
+def own_rows(wrench: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, "n"]:
+    """Rows with a reading of their own: all, unless a third of them repeat the one above, as where the sensor is slower than the log.
+
+    A simulation without noise repeats itself too, but in few stretches: before and after the contact.
+    """
+    same = repeating_rows(wrench)
+    often = np.count_nonzero(np.diff(same.astype(np.int8)) > 0) > _OFTEN * len(same)
+    return ~same if often and np.count_nonzero(same) > _SLOWER * len(same) else np.ones(len(same), dtype=bool)
+
+
 def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
     """Quiet stretches of a recording: block means that stay, in all channels, within six standard errors of the mean of the stretch so far.
 
     A stretch has at least four blocks, each of 0.04 s or five samples, whichever is longer. A weight of the mount and a drift that are given are taken off before.
     """
-    rows = np.flatnonzero(np.isfinite(raw.wrench).all(axis=1) & np.isfinite(raw.time))
+    rows = np.flatnonzero(np.isfinite(raw.wrench).all(axis=1) & np.isfinite(raw.time) & own_rows(raw.wrench))
     size = _block_size(raw)
     count = len(rows) // size
     if count < _FEWEST_BLOCKS:
@@ -118,6 +135,37 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
     if rest.trailing is None or rest.trailing == leading:
         raise ValueError("estimate_drift = True: no rest is found at the end of the recording; allowed are rest_intervals that name one")
     return (leading, rest.trailing), "found automatically, at the start and at the end"
+
+
+def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> list[Fault]:
+    """Given tare intervals in which the readings change by more than their noise, from the first block of samples that does: a contact, or a drift."""
+    readings = without_given(sensor, raw)
+    own = np.isfinite(raw.wrench).all(axis=1) & own_rows(raw.wrench)
+    faults = []
+    for start, stop in tare.intervals:
+        rows = np.flatnonzero((raw.time >= start) & (raw.time < stop) & own)
+        size = _block_size(raw)
+        count = len(rows) // size
+        if count < _FEWEST_BLOCKS:
+            continue
+        blocks = rows[: count * size].reshape(count, size)
+        means = readings[blocks].mean(axis=1) - (raw.time[blocks].mean(axis=1)[:, None] - tare.epoch) * _found_drift(sensor, tare)
+        tolerance = _tolerance(sensor, raw, readings[own], size)
+        usual = np.array([means[:block].mean(axis=0) for block in range(1, count)])
+        off = np.abs(means[1:] - usual) > tolerance * np.sqrt(1 + 1 / np.arange(1, count))[:, None]
+        if not off.any():
+            continue
+        first = 1 + int(np.argmax(off.any(axis=1)))
+        channels = tuple(name for name, changed in zip(CHANNELS, off.any(axis=0), strict=True) if changed)
+        at, end = float(raw.time[blocks[first, 0]]), float(raw.time[rows[-1]])
+        text = f"the tare, {tare.found}, is not taken at rest: {', '.join(channels)} change from {at - float(raw.time[0]):.3g} s on; a contact, or a drift"
+        faults.append(Fault(FaultKind.REST, channels, at, end, int(np.count_nonzero(rows >= blocks[first, 0])), text))
+    return faults
+
+
+def _found_drift(sensor: "Sensor", tare: Tare) -> Float[np.ndarray, "6"]:
+    """The drift that was estimated; a given one is off the readings already."""
+    return tare.drift - np.concatenate([sensor.force_drift, sensor.torque_drift])
 
 
 def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interval:

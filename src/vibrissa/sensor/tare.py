@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _LARGEST_CONDITION = 1e7
 _SCATTER = 6.0
 _STILL = np.radians(0.5)
+# Stamps since 1970 are known to a quarter of a microsecond: a sample at the very end of an interval is to be outside of it on any clock.
+_SAME_TIME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ def fitted_tare(sensor: "Sensor", raw: RawRecording, intervals: tuple[tuple[floa
         determine it or do not fit.
     """
     good = np.isfinite(raw.wrench).all(axis=1) & np.isfinite(raw.time)
-    groups = [good & (raw.time >= start) & (raw.time < stop) for start, stop in intervals]
+    groups = [good & (raw.time >= start) & (raw.time < stop - _SAME_TIME) for start, stop in intervals]
     counts = tuple(int(np.count_nonzero(group)) for group in groups)
     first = float(raw.time[0])
     for (start, stop), count in zip(intervals, counts, strict=True):

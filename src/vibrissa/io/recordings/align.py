@@ -28,12 +28,15 @@ class Recording:
         Clock offset of the poses, with its standard error where it was estimated.
     notes
         What was left out, recovered or estimated, a sentence each.
+    poses
+        As recorded, on the clock of the wrenches; None where they stand in the rows of the wrenches.
     """
 
     raw: RawRecording
     missing: Bool[np.ndarray, "n"]
     offset: ClockOffset
     notes: tuple[str, ...] = ()
+    poses: Stream | None = None
 
     @property
     def marked(self) -> RawRecording:
@@ -64,7 +67,8 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
     offset = _offset(file, streams, table, length)
     if streams.together and offset.seconds == 0:
         return Recording(_raw(streams.wrench, streams.pose.values), np.zeros(len(streams.wrench.time), bool), offset, streams.notes)
-    pose, wrench = _shifted(usable(streams.pose), offset.seconds), streams.wrench
+    recorded = _shifted(streams.pose, offset.seconds)
+    pose, wrench = usable(recorded), streams.wrench
     inside = (within(pose, wrench.time) | np.isnan(wrench.time)) if len(pose.time) else np.zeros(len(wrench.time), bool)
     if not inside.any():
         raise InputError(f"{file}: {_ranges(wrench, pose)}; allowed are stamps that overlap, by time_offset in [recording]")
@@ -72,7 +76,7 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
     poses = interpolated(pose, wrench.time, np.inf)
     missing = np.isnan(interpolated(pose, wrench.time, table.longest_gap)).any(axis=1)
     notes = (*streams.notes, *_estimate_note(offset), *_edge_note(inside), *_gap_note(wrench, missing, table))
-    return Recording(_raw(wrench, poses), missing, offset, notes)
+    return Recording(_raw(wrench, poses), missing, offset, notes, None if streams.together else recorded)
 
 
 def _offset(file: Path, streams: Streams, table: RecordingTable, length: float) -> ClockOffset:
@@ -89,9 +93,7 @@ def _shifted(pose: Stream, seconds: float) -> Stream:
 
 
 def _raw(wrench: Stream, pose: Float[np.ndarray, "n 7"]) -> RawRecording:
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        orientation = pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
-    return RawRecording(wrench.time, pose[:, :3], orientation, wrench.values[:, :3], wrench.values[:, 3:])
+    return RawRecording(wrench.time, pose[:, :3], pose[:, 3:], wrench.values[:, :3], wrench.values[:, 3:])
 
 
 def _ranges(wrench: Stream, pose: Stream) -> str:

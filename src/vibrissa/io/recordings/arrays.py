@@ -19,6 +19,8 @@ Array = Float[np.ndarray, "n"] | Float[np.ndarray, "n k"]
 
 # Share of rows without a wrench or without a pose.
 _OTHER_RATE = 0.3
+# Two turns.
+_LARGEST_ANGLE = 4 * np.pi
 
 
 @dataclass(frozen=True)
@@ -35,15 +37,15 @@ class Columns:
         Gives one by its name, as floats; times of a type of their own in seconds.
     unit
         What the file says of its unit, or None.
-    first_line
-        Line of the text that the first row stands in; None for other formats.
+    lines
+        (n,) lines of the text that the rows stand in, from 1; None for other formats.
     """
 
     file: Path
     names: Sequence[str]
     get: Callable[[str], Array]
     unit: Callable[[str], str | None] = lambda _name: None
-    first_line: int | None = None
+    lines: np.ndarray | None = None
 
 
 def streams(columns: Columns, table: RecordingTable, poses: Columns | None = None) -> Streams:
@@ -58,13 +60,25 @@ def streams(columns: Columns, table: RecordingTable, poses: Columns | None = Non
     force = _block(columns, table, "force", table.force_unit, units.FORCE)
     torque = _block(columns, table, "torque", table.torque_unit, units.TORQUE)
     wrench = _stream(columns, time, [("force", force), ("torque", torque)])
-    other = poses or columns
-    # A file of its own has stamps of its own.
-    name = table.pose_time or (table.time if poses else None)
-    pose_time = time if name is None else _time(other, name, table.pose_time_unit or table.time_unit)
-    position = _block(other, table, "position", table.position_unit, units.LENGTH)
-    pose = _stream(other, pose_time, [("position", position), ("orientation", _orientation(other, table))])
-    return Streams(wrench, pose) if name is not None else _one_table(columns, wrench, pose)
+    if poses is not None or table.pose_time is not None:
+        return Streams(wrench, pose_stream(poses or columns, table))
+    return _one_table(columns, wrench, _poses(columns, table, time))
+
+
+def pose_stream(columns: Columns, table: RecordingTable) -> Stream:
+    """Poses with stamps of their own.
+
+    Raises
+    ------
+    InputError
+        As `streams` does.
+    """
+    return _poses(columns, table, _time(columns, table.pose_time or table.time, table.pose_time_unit or table.time_unit))
+
+
+def _poses(columns: Columns, table: RecordingTable, time: Float[np.ndarray, "n"]) -> Stream:
+    position = _block(columns, table, "position", table.position_unit, units.LENGTH)
+    return _stream(columns, time, [("position", position), ("orientation", _orientation(columns, table))])
 
 
 def _one_table(columns: Columns, wrench: Stream, pose: Stream) -> Streams:
@@ -86,11 +100,14 @@ def _stream(columns: Columns, time: Float[np.ndarray, "n"], blocks: Sequence[tup
             raise InputError(f"{columns.file}: {name} has {len(block)} rows, its time {len(time)}; allowed is one row a stamp")
     if not 0 < len(time) <= MOST_ROWS:
         raise InputError(f"{columns.file}: {len(time) or 'no'} rows; allowed are 1 to {MOST_ROWS} samples")
-    line = None if columns.first_line is None else columns.first_line + np.arange(len(time))
-    return Stream(time, np.column_stack([block for _, block in blocks]), line)
+    return Stream(time, np.column_stack([block for _, block in blocks]), columns.lines)
 
 
-def _time(columns: Columns, name: str, unit: str | None) -> Float[np.ndarray, "n"]:
+def _time(columns: Columns, name: str | tuple[str, str], unit: str | None) -> Float[np.ndarray, "n"]:
+    """Stamps [s]; of two names, whole seconds and nanoseconds."""
+    if not isinstance(name, str):
+        seconds, nanoseconds = (_time(columns, part, own) for part, own in zip(name, ("s", "ns"), strict=True))
+        return seconds + nanoseconds
     time = _array(columns, name, "time")
     if time.ndim != 1:
         raise InputError(f"{columns.file}: time = {name!r} has shape {time.shape}; allowed is one number a row")
@@ -117,6 +134,9 @@ def _together(columns: Columns, names: Sequence[str], key: str, count: int) -> F
         raise InputError(
             f"{columns.file}: {key} = {list(names)} have {[len(array) for array in arrays]} rows; allowed are columns of equal length"
         )
+    if len(arrays) == 1 and arrays[0].ndim == 2 and arrays[0].shape[1] != count == arrays[0].shape[0]:
+        # As MATLAB often holds them: a column a sample.
+        arrays = [arrays[0].T]
     block = np.column_stack(arrays)
     if block.shape[1] != count:
         raise InputError(f"{columns.file}: {key} = {list(names)} has {block.shape[1]} columns; allowed are {count}")
@@ -144,29 +164,60 @@ def _array(columns: Columns, name: str, key: str) -> Array:
 
 def _scaled(columns: Columns, names: Sequence[str], key: str, array: Array, unit: str | None, allowed: dict[str, float]) -> Array:
     """In SI, by the unit of the setup, or by what the file itself says; where both speak they have to agree."""
-    stated = {units.known(columns.unit(name), allowed) for name in names} - {None}
-    if unit is None and len(stated) > 1:
-        raise InputError(f"{columns.file}: the units of {key} are {sorted(map(str, stated))}; allowed is one unit")
-    other = next((one for one in stated if unit is not None and allowed[str(one)] != allowed[unit]), None)
+    stated = _stated(columns, names, key, unit, allowed)
+    if unit is None and len({allowed[one] for one in stated}) > 1:
+        raise InputError(f"{columns.file}: the units of {key} are {sorted(stated)}; allowed is one unit")
+    other = next((one for one in stated if unit is not None and allowed[one] != allowed[unit]), None)
     if other is not None:
         raise InputError(f"{columns.file}: {key}_unit = {unit!r}, but the file says {other!r}; allowed is the unit that it has")
     factor = allowed[unit or next(iter(stated), None) or next(iter(allowed))]
     return array if factor == 1 else array * factor
 
 
+def _stated(columns: Columns, names: Sequence[str], key: str, unit: str | None, allowed: dict[str, float]) -> set[str]:
+    """Units that attributes of the arrays name, or brackets at the ends of their names."""
+    found = {units.in_brackets(name, allowed) for name in names}
+    for name in names:
+        try:
+            found.add(units.known(columns.unit(name), allowed))
+        except ValueError as error:
+            if unit is None:
+                raise InputError(
+                    f"{columns.file}: the file says that {name!r} is in {error}; allowed is one of them, or {key}_unit in [recording]"
+                ) from None
+    return {one for one in found if one is not None}
+
+
 def _orientation(columns: Columns, table: RecordingTable) -> Float[np.ndarray, "n 4"]:
     """Quaternions x, y, z, w, as they are: their norms are judged later."""
     names, form = _names(columns, table, "orientation"), table.orientation_form
     if form in {"xyzw", "wxyz"}:
+        _check_order(columns, names, form)
         numbers = _together(columns, names, "orientation", 4)
         return numbers if form == "xyzw" else np.roll(numbers, -1, axis=1)
     numbers = _together(columns, names, "orientation", 3)
     angles = _scaled(columns, names, "angle", numbers, table.angle_unit, units.ANGLE)
+    largest = float(np.max(np.abs(angles), initial=0.0, where=np.isfinite(angles)))
+    if table.angle_unit is None and largest > _LARGEST_ANGLE:
+        raise InputError(
+            f"{columns.file}: orientation = {list(names)} reaches {largest:.4g} rad, as of degrees; allowed are radians, or angle_unit in [recording]"
+        )
     known = np.all(np.isfinite(angles), axis=1)
     rotation = Rotation.from_rotvec(angles[known]) if form == "rotation_vector" else Rotation.from_euler("xyz", angles[known])
     quaternion = np.full((len(angles), 4), np.nan)
     quaternion[known] = rotation.as_quat()
     return quaternion
+
+
+def _check_order(columns: Columns, names: Sequence[str], form: str) -> None:
+    """Names that end in w, x, y and z say themselves in which order they are."""
+    order = "".join(name.strip().lower()[-1:] for name in names)
+    if sorted(order) == sorted(form) and order != form:
+        raise InputError(
+            f"{columns.file}: orientation = {list(names)} with orientation_form = {form!r}; allowed are names in the order of the form, or the form {order!r}"
+            if order in {"xyzw", "wxyz"}
+            else f"{columns.file}: orientation = {list(names)}; allowed are names in the order of orientation_form = {form!r}"
+        )
 
 
 def _some(names: Sequence[str]) -> str:

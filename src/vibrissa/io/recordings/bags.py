@@ -23,8 +23,8 @@ _LARGEST_METADATA = 16 * 2**20
 _NANOSECONDS = 1e-9
 
 
-def streams(path: Path, table: RecordingTable) -> Streams:
-    """Both streams of a bag: a folder of rosbag2, or one of its files, also without its metadata.
+def streams(path: Path, table: RecordingTable, poses: Stream | None = None) -> Streams:
+    """Both streams of a bag: a folder of rosbag2, or one of its files, also without its metadata; or its wrenches alone, where the poses are given.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def streams(path: Path, table: RecordingTable) -> Streams:
         _read(file, bag, packed=packed)
     decoded = _decoder(path, _types())
     wrench, frame = _wrenches(path, bag, table, decoded)
-    return Streams(wrench, _poses(path, bag, table, decoded, frame), notes=tuple(bag.notes))
+    return Streams(wrench, _poses(path, bag, table, decoded, frame) if poses is None else poses, notes=tuple(bag.notes))
 
 
 @cache
@@ -245,8 +245,12 @@ def _stamp(message: Message, header: Any, table: RecordingTable) -> float:
 
 def _stream(path: Path, topic: str, rows: Sequence[tuple[float, ...]], width: int) -> Stream:
     if not rows:
-        raise InputError(f"{path}: no messages on {topic!r}; allowed is at least one")
+        raise InputError(f"{path}: no messages on {topic!r} in CDR, the encoding of ROS 2; allowed is at least one")
     table = np.array(rows, dtype=np.float64).reshape(-1, width + 1)
+    if len(table) > 1 and not table[:, 0].any():
+        raise InputError(
+            f"{path}: the headers on {topic!r} have the stamp 0 throughout; allowed are stamps, or stamps = 'log' in [recording]"
+        )
     return Stream(table[:, 0], table[:, 1:])
 
 
@@ -258,7 +262,8 @@ def _topic(path: Path, bag: Bag, name: str | None, key: str, *kinds: str) -> str
     if name is None and len(fitting) == 1:
         return fitting[0]
     if name is None:
-        raise InputError(f"{path}: {len(fitting)} topics of {allowed}; allowed is one, or {key} in [recording]. The bag holds {held}")
+        file = " or pose_file" if key == "pose_topic" else ""
+        raise InputError(f"{path}: {len(fitting)} topics of {allowed}; allowed is one, or {key}{file} in [recording]. The bag holds {held}")
     if name not in fitting:
         raise InputError(f"{path}: {key} = {name!r} is no topic of {allowed}; the bag holds {held}")
     return name

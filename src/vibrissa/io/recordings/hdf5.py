@@ -108,9 +108,11 @@ def _numbers(file: Path, name: str, node: Any, column: str | None, budget: Budge
 
 def _decoded(stored: np.ndarray, attributes: dict[str, Any]) -> Array:
     """Floats, with the packing and the missing values of the CF conventions undone."""
-    numbers = stored.astype(np.float64)
+    # A damaged number of single precision may be a signalling NaN.
+    with np.errstate(invalid="ignore"):
+        numbers = stored.astype(np.float64)
     for key in ("_FillValue", "missing_value"):
-        if key in attributes and np.size(attributes[key]) == 1:
+        if key in attributes and np.size(attributes[key]) == 1 and np.asarray(attributes[key]).dtype.kind in "iuf":
             numbers[stored == np.ravel(attributes[key])[0]] = np.nan
     factor, offset = (float(np.ravel(attributes.get(key, default))[0]) for key, default in (("scale_factor", 1.0), ("add_offset", 0.0)))
     return numbers if (factor, offset) == (1.0, 0.0) else numbers * factor + offset

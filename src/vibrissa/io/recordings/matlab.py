@@ -117,5 +117,6 @@ def _numbers(file: Path, name: str, matrix: np.ndarray | str) -> Array:
     if isinstance(matrix, str) or matrix.dtype.kind not in "iuf" or matrix.ndim > 2:
         what = matrix if isinstance(matrix, str) else f"of type {matrix.dtype} and shape {matrix.shape}"
         raise InputError(f"{file}: {name!r} is {what}; allowed are real numbers (n, 1) or (n, k)")
-    numbers = matrix.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        numbers = matrix.astype(np.float64)
     return np.atleast_1d(numbers.ravel() if 1 in numbers.shape else numbers)

@@ -1,6 +1,6 @@
 """Parquet: one column, or one list of fixed length, a quantity."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,16 @@ from vibrissa.files import InputError
 from vibrissa.io.recordings.arrays import MOST_ROWS, Array, Columns
 from vibrissa.io.recordings.libraries import library
 from vibrissa.io.recordings.limits import Budget
+from vibrissa.io.recordings.parquet_footer import Chunk, chunks
 
 _STRING_LIMIT = 16 * 2**20
 _CONTAINER_LIMIT = 1_000_000
+_DEEPEST = 8
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def columns(file: Path, wanted: Sequence[str]) -> Columns:
-    """Columns of a Parquet file; nulls are NaN, dates seconds since 1970.
+    """Columns of a Parquet file, parts of structs as `column.part`; nulls are NaN, dates seconds since 1970.
 
     Parameters
     ----------
@@ -33,11 +35,12 @@ def columns(file: Path, wanted: Sequence[str]) -> Columns:
     """
     arrow, parquet = library("pyarrow"), library("pyarrow.parquet")
     try:
+        claims = list(chunks(file))
         with parquet.ParquetFile(file, thrift_string_size_limit=_STRING_LIMIT, thrift_container_size_limit=_CONTAINER_LIMIT) as opened:
-            names = list(opened.schema_arrow.names)
+            names = list(_names(opened.schema_arrow))
             chosen = [name for name in dict.fromkeys(wanted) if name in names]
-            _check_claims(file, opened.metadata, chosen)
-            table = opened.read(columns=chosen, use_threads=False)
+            _check_claims(file, opened.metadata.num_rows, claims, chosen)
+            table = _flattened(opened.read(columns=chosen, use_threads=False))
             units = {field.name: _unit(field.metadata) for field in opened.schema_arrow}
     except InputError:
         raise
@@ -46,17 +49,32 @@ def columns(file: Path, wanted: Sequence[str]) -> Columns:
     return Columns(file, names, lambda name: _numbers(file, name, table.column(name).combine_chunks()), units.get)
 
 
-def _check_claims(file: Path, metadata: Any, chosen: Sequence[str]) -> None:
-    if metadata.num_rows > MOST_ROWS:
-        raise InputError(f"{file}: claims {metadata.num_rows} rows; allowed are at most {MOST_ROWS}")
+def _names(fields: Any, prefix: str = "", depth: int = 0) -> Iterator[str]:
+    """Columns, and the parts of those that are structs as `column.part`."""
+    arrow = library("pyarrow")
+    for field in fields:
+        yield f"{prefix}{field.name}"
+        if arrow.types.is_struct(field.type) and depth < _DEEPEST:
+            yield from _names(field.type, f"{prefix}{field.name}.", depth + 1)
+
+
+def _flattened(table: Any) -> Any:
+    arrow = library("pyarrow")
+    for _ in range(_DEEPEST):
+        if not any(arrow.types.is_struct(field.type) for field in table.schema):
+            break
+        table = table.flatten()
+    return table
+
+
+def _check_claims(file: Path, rows: int, claims: Sequence[Chunk], chosen: Sequence[str]) -> None:
+    if not 0 <= rows <= MOST_ROWS:
+        raise InputError(f"{file}: claims {rows} rows; allowed are at most {MOST_ROWS}")
     budget = Budget(file)
-    for group in range(metadata.num_row_groups):
-        parts = metadata.row_group(group)
-        for index in range(parts.num_columns):
-            part = parts.column(index)
-            name = part.path_in_schema
-            if any(name == column or name.startswith(f"{column}.") for column in chosen):
-                budget.take(max(part.total_uncompressed_size, 8 * part.num_values), f"column {name[:60]!r}")
+    for claim in claims:
+        name = ".".join(claim.path)
+        if any(name == column or name.startswith(f"{column}.") for column in chosen):
+            budget.take(max(claim.size, 8 * claim.values), f"column {name[:60]!r}")
 
 
 def _numbers(file: Path, name: str, column: Any) -> Array:

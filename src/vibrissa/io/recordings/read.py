@@ -1,7 +1,11 @@
 """Recordings of any format to support reactions: read, align, judge, and take off tare and mount."""
 
 import warnings
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
+
+import numpy as np
 
 from vibrissa.files import read_table
 from vibrissa.io.errors import InputError
@@ -9,12 +13,12 @@ from vibrissa.io.recordings import arrays, bags, hdf5, judge, matlab, parquet, t
 from vibrissa.io.recordings.align import Recording, aligned
 from vibrissa.io.recordings.arrays import Columns
 from vibrissa.io.recordings.kinds import Kind, kind_of
-from vibrissa.io.recordings.streams import Streams
+from vibrissa.io.recordings.streams import Stream, Streams
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
-from vibrissa.sensor import Inspection, RawRecording, inspect_raw
+from vibrissa.sensor import FaultKind, Inspection, RawRecording, inspect_raw
 
 
 class RecordingWarning(UserWarning):
@@ -66,7 +70,12 @@ def _judged(file: Path, setup: Setup) -> Inspection:
         warnings.warn(f"{file}: {note}", RecordingWarning, stacklevel=3)
     inspection = _inspected(file, recording, setup)
     if inspection.unusable:
-        raise InputError(f"{file}: {inspection.unusable[0].text}")
+        # What cannot be used may follow from a unit that alone would not forbid it: stamps in milliseconds leave no rest.
+        first, units = (
+            inspection.unusable[0],
+            [fault.text for fault in inspection.faults if fault.kind is FaultKind.UNITS and not fault.unusable],
+        )
+        raise InputError(f"{file}: " + "; besides: ".join([first.text, *units]))
     return inspection
 
 
@@ -83,9 +92,11 @@ def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
 
 def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
     try:
-        return inspect_raw(recording.marked, setup.sensor, setup.rod)
+        found = inspect_raw(recording.marked, setup.sensor, setup.rod)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
+    faults = found.faults if recording.poses is None else (*found.faults, *judge.pose_faults(recording.poses))
+    return replace(found, faults=tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop))), notes=recording.notes)
 
 
 def read_raw(path: str | Path, setup: Setup) -> Recording:
@@ -105,21 +116,37 @@ def _streams(file: Path, table: RecordingTable | None) -> Streams:
     kind, layout = kind_of(file), table or RecordingTable()
     try:
         if kind is Kind.BAG:
-            return bags.streams(file, layout)
+            return bags.streams(file, layout, _pose_stream(file, layout))
         if kind is Kind.TEXT and table is None:
             return arrays.streams(_strict(file), layout)
         if layout.pose_file is None:
             return arrays.streams(_columns(file, kind, layout), layout)
-        pose_file = file.parent / layout.pose_file.replace("{name}", file.stem)
-        return arrays.streams(_columns(file, kind, layout), layout, _columns(pose_file, kind_of(pose_file), layout))
+        return arrays.streams(_columns(file, kind, layout), layout, _pose_columns(file, layout, layout.pose_file))
     except ImportError as error:
         raise InputError(f"{file}: {error}") from error
 
 
+def _pose_stream(file: Path, layout: RecordingTable) -> Stream | None:
+    return None if layout.pose_file is None else arrays.pose_stream(_pose_columns(file, layout, layout.pose_file), layout)
+
+
+def _pose_columns(file: Path, layout: RecordingTable, name: str) -> Columns:
+    pose_file = file.parent / name.replace("{name}", file.stem)
+    own = {"decimal": layout.pose_decimal, "skip_lines": layout.pose_skip_lines}
+    return _columns(
+        pose_file, kind_of(pose_file), layout.model_copy(update={key: value for key, value in own.items() if value is not None})
+    )
+
+
 def _strict(file: Path) -> Columns:
     """The CSV that `write_recording` writes, and no other."""
-    table = read_table(file, COLUMNS, finite=False)
-    return Columns(file, COLUMNS, table.__getitem__, first_line=2)
+    try:
+        table = read_table(file, COLUMNS, finite=False)
+    except InputError as error:
+        if ", line 1: columns: " not in str(error):
+            raise
+        raise InputError(f"{error}; another layout is told by a table [recording] in the setup") from None
+    return Columns(file, COLUMNS, table.__getitem__, lines=2 + np.arange(len(table["time"])))
 
 
 def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
@@ -127,7 +154,7 @@ def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
     match kind:
         case Kind.TEXT:
             units = ((table.time, table.time_unit), (table.pose_time, table.pose_time_unit or table.time_unit))
-            stamps = [name for name, unit in units if name is not None and unit == "stamp"]
+            stamps = [name for name, unit in units if isinstance(name, str) and unit == "stamp"]
             return text.columns(file, table, wanted, stamps)
         case Kind.PARQUET:
             return parquet.columns(file, wanted)
@@ -143,6 +170,7 @@ def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
 
 def _wanted(table: RecordingTable) -> list[str]:
     """Names that may be asked for; `name[k]` also without its index."""
-    names = [table.time, *table.force, *table.torque, *table.position, *table.orientation]
-    names += [name for name in (table.pose_time, "force", "torque", "position", "orientation") if name is not None]
+    times = [(name,) if isinstance(name, str) else name for name in (table.time, table.pose_time) if name is not None]
+    names = [*chain(*times), *table.force, *table.torque, *table.position, *table.orientation]
+    names += ["force", "torque", "position", "orientation"]
     return [*names, *(name[: name.rindex("[")] for name in names if name.endswith("]") and "[" in name)]

@@ -32,6 +32,7 @@ from vibrissa.live import (
     Processor,
     ReplaySource,
     Report,
+    Samples,
     SensorSimulator,
     Sink,
     SmoothingStage,
@@ -39,6 +40,7 @@ from vibrissa.live import (
     TimedPoses,
     stream,
 )
+from vibrissa.live.poses import pose_bytes
 from vibrissa.sensor import RawRecording
 
 FOLDER = Path(__file__).parents[2] / "examples/recordings/sphere_60mm"
@@ -294,6 +296,57 @@ def test_a_rate_that_the_setup_does_not_know(setup: vb.Setup, raw: RawRecording)
     stamp = np.concatenate(kept.stamp)[-500:]
     assert stamp[-1] - stamp[0] == pytest.approx(499e6, rel=0.1)
     assert np.median(np.diff(stamp)) == pytest.approx(1e6, rel=0.1)
+
+
+def worked_on(processor: Processor, samples: Samples) -> Kept:
+    """A processor's answer to samples that come in pieces."""
+    kept = Kept()
+    for first in range(0, len(samples), 50):
+        processor.push(samples.rows(first, min(first + 50, len(samples))))
+        for result in processor.ready(int(samples.stamp[-1]) + 10**9):
+            kept(result.stamp, result.found)
+    return kept
+
+
+def as_samples(raw: RawRecording, valid: np.ndarray) -> Samples:
+    stamp = np.round(raw.time * 1e9).astype(np.int64)
+    return Samples(stamp, np.arange(len(stamp)), raw.force, raw.torque, valid, stamp)
+
+
+def test_a_sensor_in_error_at_the_start(setup: vb.Setup, raw: RawRecording) -> None:
+    """A fatal status for longer than the tare: those rows are bad data at once, and the tare is that of the good ones after them."""
+    count, bad = 700, 40
+    sent = at_rate(raw, count)
+    sensor = replace(setup.sensor, tare_seconds=0.04)
+    processor = Processor(setup.rod, sensor, ConstantPose())
+    kept = worked_on(processor, as_samples(sent, np.arange(count) >= bad))
+    later = RawRecording(*(getattr(sent, name)[bad:] for name in ("time", "position", "orientation", "force", "torque")))
+    expected = sensor.tare(later)
+    assert np.array_equal(kept.all("status") == vb.Status.BAD_DATA, np.arange(count) < bad)
+    assert processor.tare is not None
+    np.testing.assert_allclose(processor.tare, expected.offset, rtol=0, atol=1e-15)
+    broken = Processor(setup.rod, sensor, ConstantPose())
+    assert np.all(worked_on(broken, as_samples(sent, np.zeros(count, dtype=bool))).all("status") == vb.Status.BAD_DATA)
+    assert broken.waiting == 0
+
+
+def test_poses_that_begin_after_the_tare(setup: vb.Setup, raw: RawRecording) -> None:
+    """The tare needs none; rows without a pose are counted once, and those with one have their contacts."""
+    count, begin = 850, 300
+    sent = at_rate(raw, count)
+    poses = StreamedPoses(patience=0.005)
+    for row in range(begin, count):
+        moment = round(sent.time[row] * 1e9)
+        poses.take(pose_bytes(moment, sent.position[row], sent.orientation[row]), moment)
+    sensor = replace(setup.sensor, tare_seconds=0.09)
+    processor = Processor(setup.rod, sensor, poses)
+    kept = worked_on(processor, as_samples(sent, np.ones(count, dtype=bool)))
+    expected = vb.reconstruct(setup.rod, sensor.reactions(sent))
+    known = np.arange(count) >= begin - 5
+    assert processor.without_pose == np.count_nonzero(~known)
+    assert np.array_equal(kept.all("status") == vb.Status.BAD_DATA, ~known)
+    rows = slice(begin, None)
+    np.testing.assert_allclose(kept.all("point")[rows], expected.point[rows], atol=1e-9)
 
 
 def test_a_sensor_that_falls_silent_ends_the_stream(setup: vb.Setup, raw: RawRecording) -> None:

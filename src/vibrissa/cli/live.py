@@ -99,6 +99,7 @@ def _say(text: str) -> None:
 
 def _source(address: "Address", loaded: "Setup") -> "Source":
     from vibrissa.cli.live_parts import rdt_of  # noqa: PLC0415
+    from vibrissa.io.live_setup import UdpPoseTable  # noqa: PLC0415
     from vibrissa.io.recordings.read import read_cleaned  # noqa: PLC0415
     from vibrissa.live.lines import LineSource, SerialLine, TcpLine  # noqa: PLC0415
     from vibrissa.live.netft import NetFtSource  # noqa: PLC0415
@@ -108,9 +109,9 @@ def _source(address: "Address", loaded: "Setup") -> "Source":
         case "replay":
             return ReplaySource(read_cleaned(address.path, loaded), address.speed)
         case "tcp":
-            return LineSource(TcpLine(address.path, address.port))
+            return LineSource(TcpLine(address.path, address.port), on_host_clock=isinstance(loaded.pose, UdpPoseTable))
         case "serial":
-            return LineSource(SerialLine(address.path, address.baud))
+            return LineSource(SerialLine(address.path, address.baud), on_host_clock=isinstance(loaded.pose, UdpPoseTable))
     table = rdt_of(loaded)
     return NetFtSource(
         address.path,
@@ -165,6 +166,10 @@ def _text(report: "Report") -> str:
         lines.append("samples came at another rate than the setup says: stamps follow the rate that was seen")
     if report.without_pose or report.malformed_poses:
         lines.append(f"{report.without_pose} rows without a pose, {report.malformed_poses} poses malformed")
+    if report.misplaced_poses:
+        lines.append(
+            f"{report.misplaced_poses} poses are stamped more than a second from their arrival: set both clocks, or leave the stamp out"
+        )
     if report.unused:
         lines.append(f"{report.unused} samples recorded without a row: the end came before their tare or their pose")
     if report.latency_median is not None and report.latency_999 is not None:

@@ -29,7 +29,8 @@ _MOST_DATAGRAMS = 1024
 _GATHER = 1e-3
 _ASK_AGAIN = 1.0
 _SETTLE = 50_000_000
-_OTHER_RATE = 0.01
+# What is told of a rate that is another at first, and of one that is seen better later.
+_OTHER_RATE, _OTHER_AGAIN = 0.01, 0.1
 # Nobody listens there, or the cable is out: what the kernel says so may pass.
 _AWAY = {errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN, errno.EHOSTDOWN}
 
@@ -123,8 +124,9 @@ class NetFtSource(Source):
         for data, when in zip(datagrams, arrival, strict=True):
             try:
                 records = rdt.parse_records(data)
-            except ValueError:
+            except ValueError as error:
                 self.counts.malformed += 1
+                self.complaint = str(error)
                 continue
             parsed.append(records)
             came.append(np.full(len(records), when, dtype=np.int64))
@@ -166,7 +168,7 @@ class NetFtSource(Source):
         own = self._since_anchor(number)
         factor = self._watch.factor(own, arrival)
         if factor is not None:
-            self.counts.rate_changes += abs(factor - 1) > _OTHER_RATE
+            self.counts.rate_changes += abs(factor - 1) > (_OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE)
             self._anchor = int(number[0]), int(own[0])
             self._period *= factor
             self._clock.restart()

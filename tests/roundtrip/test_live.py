@@ -18,11 +18,12 @@ import pytest
 from mcap.reader import make_reader
 from plyfile import PlyData
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 from vibrissa.io.recordings.read import read_cleaned
-from vibrissa.io.rosbag import McapSink
+from vibrissa.io.rosbag import McapSink, Rosbag2Sink
 from vibrissa.io.sinks import JsonLinesSink, PlySink
 from vibrissa.live import (
     Callback,
@@ -161,6 +162,56 @@ def check_bag(file: Path, raw: RawRecording, point: np.ndarray) -> None:
         [np.frombuffer(bytes(m.data), dtype=np.dtype([("p", "<f4", 3), ("rest", f"V{m.point_step - 12}")])) for m in clouds]
     )
     np.testing.assert_array_equal(points["p"], point.astype(np.float32))
+
+
+def test_a_rosbag2_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setup: vb.Setup, raw: RawRecording) -> None:
+    """It opens as a bag at every flush, and holds in the end what an MCAP file alone does; its counts are those of its messages."""
+    monkeypatch.setattr("vibrissa.io.rosbag.sink._EVERY", 0.0)
+    folder, file = tmp_path / "sweep", tmp_path / "x.mcap"
+    sink, counts = Rosbag2Sink(folder), []
+
+    class Looks(Rows):
+        """Opens the bag that is being written."""
+
+        def flush(self) -> None:
+            """Read all of it."""
+            with Reader(folder) as reader:
+                counts.append(len(list(reader.messages())))
+                assert reader.message_count == counts[-1]
+
+    kept, _ = replayed(setup, raw, sink, McapSink(file), Looks(), speed=50.0)
+    check_bag(file, raw, kept.all("point")[kept.all("kind") != vb.ContactKind.NONE])
+    with Reader(folder) as bag, AnyReader([file]) as alone:
+        assert [(c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in bag.messages()] == [
+            (c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in alone.messages()
+        ]
+        assert (bag.start_time, bag.message_count) == (alone.start_time, alone.message_count)
+        assert bag.duration == alone.duration
+        assert {topic: info.msgcount for topic, info in bag.topics.items()} == {
+            topic: info.msgcount for topic, info in alone.topics.items()
+        }
+    assert len(set(counts)) > 3
+    assert counts == sorted(counts)
+    assert sorted(path.name for path in folder.iterdir()) == ["metadata.yaml", "sweep_0.mcap"]
+
+
+def test_a_cloud_that_is_being_written_opens(tmp_path: Path, setup: vb.Setup, raw: RawRecording) -> None:
+    """After each flush the PLY holds the contacts so far, also while points lie behind those that it counts."""
+    file = tmp_path / "x.ply"
+    sink = PlySink(file)
+    found = vb.reconstruct(setup.rod, setup.sensor.reactions(raw))
+    points = found.point[found.in_contact]
+    for expected in (0, len(points), 2 * len(points)):
+        vertices = PlyData.read(file)["vertex"]
+        np.testing.assert_array_equal(np.column_stack([vertices[axis] for axis in "xyz"]), np.tile(points, (2, 1))[:expected])
+        sink.contacts(np.zeros(len(raw.time), dtype=np.int64), raw, found)
+        assert len(PlyData.read(file)["vertex"].data) == expected
+        sink.flush()
+    with file.open("ab") as stream:
+        stream.write(b"torn")
+    assert len(PlyData.read(file)["vertex"].data) == 3 * len(points)
+    sink.close()
+    assert list(tmp_path.iterdir()) == [file]
 
 
 def _types(reader: AnyReader, rows: list[tuple[str, int, bytes]]) -> list[str]:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vibrissa.io import Setup
     from vibrissa.live import Address, Report, Sink, Source
 
-SINKS = "FILE.mcap, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:- (standard output)"
+SINKS = "FILE.mcap, rosbag2:FOLDER, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:- (standard output)"
 
 
 def live(
@@ -45,6 +45,7 @@ def live(
             raise InputError(f"{name} = {value}; allowed is a finite number {'greater than' if least == 0 else 'of at least'} 0")
     address = parse_address(source)
     targets = [_target(text, overwrite=overwrite) for text in sink or []]
+    _check_different(targets)
     loaded = load_setup(setup)
     report = _run(address, loaded, setup.parent, targets, duration=duration, batch=batch, silence=silence, friction=friction, smooth=smooth)
     if as_json:
@@ -126,17 +127,32 @@ def _source(address: "Address", loaded: "Setup") -> "Source":
 
 
 def _target(text: str, *, overwrite: bool) -> "tuple[str, Path | None]":
-    """Kind and file of a sink."""
-    from vibrissa.io.errors import InputError, writable  # noqa: PLC0415
+    """Kind and file of a sink, or folder."""
+    from vibrissa.io.errors import InputError, writable, writable_folder  # noqa: PLC0415
 
     if text == "jsonl:-":
         return "jsonl", None
-    kind, path = ("jsonl", Path(text.removeprefix("jsonl:"))) if text.startswith("jsonl:") else (Path(text).suffix.lower()[1:], Path(text))
-    if kind not in ("mcap", "ply", "jsonl") or not path.name:
+    given, _, rest = text.partition(":")
+    kind, path = (given, Path(rest)) if given in ("jsonl", "rosbag2") else (Path(text).suffix.lower()[1:], Path(text))
+    if kind not in ("mcap", "ply", "jsonl", "rosbag2") or not (path.name or (kind == "rosbag2" and rest)):
         raise InputError(f"sink {text!r}; allowed are {SINKS}")
+    if kind == "rosbag2":
+        if path.exists() and not (path.is_dir() and (overwrite or not any(path.iterdir()))):
+            raise InputError(f"sink {path}: is there already; allowed is a new or empty folder, or a folder with --overwrite")
+        return kind, writable_folder(path)
     if path.exists() and path.is_file() and not overwrite:
         raise InputError(f"sink {path}: is there already; allowed is a new file, or --overwrite")
     return kind, writable(path)
+
+
+def _check_different(targets: "list[tuple[str, Path | None]]") -> None:
+    """No two sinks write one file."""
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
+
+    places = [None if path is None else path.resolve() for _, path in targets]
+    for place in places:
+        if places.count(place) > 1:
+            raise InputError(f"sink {'jsonl:-' if place is None else place}: is given twice; allowed is one sink for each file")
 
 
 def _sink(kind: str, path: Path | None, loaded: "Setup") -> "Sink":
@@ -146,9 +162,9 @@ def _sink(kind: str, path: Path | None, loaded: "Setup") -> "Sink":
         return JsonLinesSink(path)
     if kind == "ply":
         return PlySink(path, "metre" if loaded.rod.units == "SI" else "rod length")
-    from vibrissa.io.rosbag import McapSink  # noqa: PLC0415
+    from vibrissa.io.rosbag import McapSink, Rosbag2Sink  # noqa: PLC0415
 
-    return McapSink(path, wrench_frame=loaded.sensor.wrench_frame)
+    return (Rosbag2Sink if kind == "rosbag2" else McapSink)(path, wrench_frame=loaded.sensor.wrench_frame)
 
 
 def _text(report: "Report") -> str:

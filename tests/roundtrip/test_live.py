@@ -400,6 +400,30 @@ def test_poses_that_begin_after_the_tare(setup: vb.Setup, raw: RawRecording) -> 
     np.testing.assert_allclose(kept.all("point")[rows], expected.point[rows], atol=1e-9)
 
 
+@pytest.mark.parametrize("tare", [0.1, 0.0])
+def test_slow_noise_is_stated_live_as_it_is(setup: vb.Setup, tare: float) -> None:
+    """Pink noise and random walk since the tare, or since the start, in batches: the wrenches of many streams scatter as their covariances say."""
+    count, trials = 256, 60
+    still = np.zeros((count, 3))
+    sensor = replace(
+        setup.sensor, tare_seconds=tare, noise_corner=0.0 if tare == 0 else 30.0, force_random_walk=8e-3, torque_random_walk=1.6e-4
+    )
+    truth = vb.Reactions(vb.Trail(still), still, still, time=np.arange(count) / RATE)
+    rng, last, seen = np.random.default_rng(4), [], []
+    for _ in range(trials):
+        kept = worked_on(Processor(setup.rod, sensor, ConstantPose()), as_samples(sensor.measure(truth, rng), np.ones(count, dtype=bool)))
+        reactions = kept.found[-1].reactions
+        assert reactions.covariance is not None
+        stated = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))[-1]
+        last.append(np.concatenate([reactions.force[-1], reactions.moment[-1]]))
+        seen.append(stated)
+    spread = np.linalg.inv(np.linalg.cholesky(np.mean(seen, axis=0)))
+    scatter = np.array(last) @ spread.T
+    white = np.linalg.inv(np.linalg.cholesky(stated)) @ np.diag(setup.sensor.reading_variance) @ np.linalg.inv(np.linalg.cholesky(stated)).T
+    assert np.trace(white) < 3
+    assert np.mean(scatter**2) == pytest.approx(1, abs=4 * np.sqrt(2 / (6 * trials)) + 0.05)
+
+
 def test_a_sensor_that_falls_silent_ends_the_stream(setup: vb.Setup, raw: RawRecording) -> None:
     """What had come is worked on, and the report says why there is no more."""
     with simulated(iter([at_rate(raw, 500)])) as simulator:

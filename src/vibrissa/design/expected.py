@@ -126,19 +126,25 @@ def expected_error(
     lanes = [_lane(averaged, part, rate, rest, speed) for part in _lanes(swept)]
     shape = swept.trail.shape
     covariance = np.stack([lane[0] for lane in lanes]).reshape(*shape, 6, 6)
-    position_covariance = sensor.position_noise**2 / samples * np.eye(3)
     exact = swept.reactions
-    told = Reactions(exact.trail, exact.force, exact.moment, covariance=covariance, position_covariance=position_covariance)
+    told = Reactions(
+        exact.trail,
+        exact.force,
+        exact.moment,
+        covariance=covariance,
+        position_covariance=sensor.position_noise**2 / samples * np.eye(3),
+        rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
+        rotation_center=_origin(sensor, swept.trail),
+    )
     found = reconstruct(rod, told, friction=friction or None, false_alarm=false_alarm)
     assert found.covariance is not None
-    turned = _turning(sensor, swept, found) * (sensor.orientation_noise**2 / samples)
     lag = np.zeros((*shape, 3))
     if sensor.low_pass is not None and speed is not None:
         late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
         shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
         lag = np.nan_to_num(reconstruct(rod, shifted, friction=friction or None, false_alarm=false_alarm).point - found.point)
     saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
-    return ExpectedError(swept, found, found.covariance + turned, lag, saturated)
+    return ExpectedError(swept, found, found.covariance, lag, saturated)
 
 
 def _averaged(sensor: Sensor, samples: int) -> Sensor:
@@ -204,9 +210,7 @@ def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Floa
     return rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
 
 
-def _turning(sensor: Sensor, swept: Scan, found: Reconstruction) -> Float[np.ndarray, "*trail n 3 3"]:
-    """Covariance of the contact point for a unit error of the robot's orientation, which turns all about the sensor's origin: |d|² − d dᵀ."""
-    orientation = multiplied(swept.trail.orientation, inverse(sensor.clamp_orientation))
-    origin = swept.trail.position - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position)
-    arm = found.point - origin
-    return np.sum(arm**2, axis=-1)[..., None, None] * np.eye(3) - arm[..., :, None] * arm[..., None, :]
+def _origin(sensor: Sensor, trail: Trail) -> Float[np.ndarray, "*trail n 3"]:
+    """Of the sensor's frame (…, 3), about which errors of the robot's orientation turn."""
+    orientation = multiplied(trail.orientation, inverse(sensor.clamp_orientation))
+    return np.asarray(trail.position - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position))

@@ -12,6 +12,7 @@ from vibrissa.live.samples import Samples, joined
 from vibrissa.reconstruct import Reconstruction, reconstruct
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.sensor.noise import Pink, RandomWalk
 
 MOST_ROWS = 64
 """Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
@@ -21,6 +22,8 @@ TARE_SECONDS = 1.0
 """Where the setup gives none."""
 _ONE_ROW = RawRecording(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.zeros((1, 3)))
 _RESTLESS = 3.0
+# For how long pink noise is stated as it is: of slower noise than a day's a tare knows.
+_DAY = 86_400.0
 
 
 @runtime_checkable
@@ -51,7 +54,7 @@ class Processor:
     ----------
     rod, sensor
         Of the setup; the first `sensor.tare_seconds` of samples, taken from the stream, are its tare: one second where that is None. Rest intervals and an
-        estimated drift need a whole recording and are not used; of pink noise and random walk the covariance holds nothing.
+        estimated drift need a whole recording and are not used.
     poses
         Of the sensor frame, for sources that do not know it.
     stage
@@ -90,6 +93,12 @@ class Processor:
         self._waiting.append(samples)
         if self._tare is None:
             self._try_tare()
+        elif self._tare.coloured is None and len(samples) > 1:
+            self._tare = replace(self._tare, coloured=self._coloured(0.0, samples.stamp))
+
+    def _coloured(self, start: float, stamp: Int[np.ndarray, "n"]) -> tuple[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]], ...]:
+        """Pink noise and random walk of a stream that began at `start` [s] and goes on."""
+        return tuple(self._sensor.coloured_within(start, _DAY, float(np.median(np.diff(stamp))) * 1e-9))
 
     def _try_tare(self) -> None:
         """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from a recording."""
@@ -107,7 +116,7 @@ class Processor:
                 f"tare_seconds = {self._sensor.tare_seconds}: {count} samples came within it; allowed are at least {_LEAST_TARE}"
             )
         raw = self._raw(rest, self._posed(rest) if self._sensor.mount is not None else _standing(len(rest)))
-        self._tare = self._sensor.tare(raw)
+        self._tare = replace(self._sensor.tare(raw), coloured=self._coloured(float(raw.time[0]), rest.stamp))
         self.tare = self._tare.offset
         self.restless = self._restlessness(raw.wrench[rows])
         self._held_by_tare = len(samples)

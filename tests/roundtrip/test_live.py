@@ -403,7 +403,7 @@ def test_poses_that_begin_after_the_tare(setup: vb.Setup, raw: RawRecording) -> 
 @pytest.mark.parametrize("tare", [0.1, 0.0])
 def test_slow_noise_is_stated_live_as_it_is(setup: vb.Setup, tare: float) -> None:
     """Pink noise and random walk since the tare, or since the start, in batches: the wrenches of many streams scatter as their covariances say."""
-    count, trials = 256, 60
+    count, trials = 256, 36
     still = np.zeros((count, 3))
     sensor = replace(
         setup.sensor, tare_seconds=tare, noise_corner=0.0 if tare == 0 else 30.0, force_random_walk=8e-3, torque_random_walk=1.6e-4

@@ -176,7 +176,9 @@ def _text(report: "Report") -> str:
         f"double {counts.duplicates}, malformed {counts.malformed}, restarts {counts.restarts}, thrown away here {report.overflow}",
     ]
     if counts.flagged:
-        bits = ", ".join(str(bit) for bit in range(32) if counts.status >> bit & 1)
+        from vibrissa.live.rdt import STATUS_BITS  # noqa: PLC0415
+
+        bits = ", ".join(f"{bit}: {STATUS_BITS.get(bit, 'not known')}" for bit in range(32) if counts.status >> bit & 1)
         lines.append(f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them in error")
     if counts.rate_changes:
         lines.append("samples came at another rate than the setup says: stamps follow the rate that was seen")

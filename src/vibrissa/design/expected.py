@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
+from vibrissa.contacts import Status
 from vibrissa.geometry.checks import not_negative, positive, whole_number
 from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
 from vibrissa.reactions import Reactions
@@ -35,7 +36,7 @@ class ExpectedError:
     found
         The reconstruction of the exact reactions, with the covariances that the sensor's errors give.
     covariance
-        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose; NaN where no contact is detected.
+        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose; NaN where no contact is detected, or the scan has no solution.
     lag
         Systematic error of the contact point (…, 3) by the sensor's filter and delay at the given speed; 0 without them.
     saturated
@@ -50,8 +51,8 @@ class ExpectedError:
 
     @property
     def detected(self) -> Bool[np.ndarray, "*trail n"]:
-        """Where the load exceeds the noise so far that a contact is told from none (…)."""
-        return self.found.in_contact & self.scan.in_contact
+        """Where the load exceeds the noise so far that a contact is told from none (…); false where the scan has no solution."""
+        return self.found.in_contact & self.scan.in_contact & (self.scan.status < Status.HEAD_ON)
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, "*trail n 3"]:
@@ -144,7 +145,8 @@ def expected_error(
         shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
         lag = np.nan_to_num(reconstruct(rod, shifted, friction=friction or None, false_alarm=false_alarm).point - found.point)
     saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
-    return ExpectedError(swept, found, found.covariance, lag, saturated)
+    solved = (swept.status < Status.HEAD_ON)[..., None, None]
+    return ExpectedError(swept, found, np.where(solved, found.covariance, np.nan), lag, saturated)
 
 
 def _averaged(sensor: Sensor, samples: int) -> Sensor:

@@ -31,11 +31,15 @@ class Reactions:
         Of (force, moment), (6, 6) or (…, 6, 6), world axes, or None where the sensor's noise is not known.
     position_covariance
         Of the clamp point (3, 3) [m²], or None.
+    rotation_covariance, rotation_center
+        Of an error of the robot's orientation, which turns rod and reactions as one body: of its rotation vector, world axes (3, 3) [rad²], and the points about which it
+        turns (…, 3). Both or None.
 
     Raises
     ------
     ValueError
-        If shapes do not fit, times do not increase, or `covariance` is not symmetric and positive definite, `position_covariance` not positive semidefinite.
+        If shapes do not fit, times do not increase, `covariance` is not symmetric and positive definite, `position_covariance` or `rotation_covariance` not positive
+        semidefinite, or of rotation's covariance and centre one is given without the other.
     """
 
     trail: Trail
@@ -44,6 +48,8 @@ class Reactions:
     time: Float[np.ndarray, "*trail n"] | None = None
     covariance: Float[np.ndarray, "... 6 6"] | None = None
     position_covariance: Float[np.ndarray, "3 3"] | None = None
+    rotation_covariance: Float[np.ndarray, "3 3"] | None = None
+    rotation_center: Float[np.ndarray, "*trail n 3"] | None = None
 
     def __init__(
         self,
@@ -53,6 +59,8 @@ class Reactions:
         time: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
         position_covariance: ArrayLike | None = None,
+        rotation_covariance: ArrayLike | None = None,
+        rotation_center: ArrayLike | None = None,
     ) -> None:
         shape = trail.shape
         self._set("trail", trail)
@@ -60,18 +68,38 @@ class Reactions:
         self._set("moment", _rows(moment, "moment", (*shape, 3)))
         self._set("time", None if time is None else _increasing(time, shape))
         self._set("covariance", None if covariance is None else _covariance(covariance, "covariance", _WRENCH, shape))
-        self._set(
-            "position_covariance", None if position_covariance is None else _covariance(position_covariance, "position_covariance", 3, ())
-        )
+        for name, value in (("position_covariance", position_covariance), ("rotation_covariance", rotation_covariance)):
+            self._set(name, None if value is None else _covariance(value, name, 3, ()))
+        if (rotation_covariance is None) != (rotation_center is None):
+            raise ValueError("rotation_covariance and rotation_center: one is given without the other; allowed are both or none")
+        self._set("rotation_center", None if rotation_center is None else _rows(rotation_center, "rotation_center", (*shape, 3)))
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+    def pose_covariance(self, point: Float[np.ndarray, "*trail n 3"]) -> Float[np.ndarray, "*trail n 3 3"] | None:
+        """What errors of the robot's pose add to the covariance of points (…, 3) that are known from the clamp; None where they are not known.
+
+        An error δθ of the orientation moves a point at d from the centre by δθ × d.
+        """
+        if self.position_covariance is None and self.rotation_covariance is None:
+            return None
+        moved = np.zeros((3, 3)) if self.position_covariance is None else self.position_covariance
+        if self.rotation_covariance is None:
+            return np.broadcast_to(moved, (*point.shape, 3))
+        return moved + turned_covariance(self.rotation_covariance, point - self.rotation_center)
 
     @property
     def single_contact_residual(self) -> Float[np.ndarray, "*trail n"]:
         """m0·f0 / (‖m0‖ ‖f0‖): zero where one contact force explains the reactions (mechanics.md, "Statics alone"); NaN without a force."""
         scale = np.linalg.norm(self.force, axis=-1) * np.linalg.norm(self.moment, axis=-1)
         return np.divide(np.sum(self.force * self.moment, axis=-1), scale, out=np.full(scale.shape, np.nan), where=scale > 0)
+
+
+def turned_covariance(rotation: Float[np.ndarray, "3 3"], arm: Float[np.ndarray, "*trail n 3"]) -> Float[np.ndarray, "*trail n 3 3"]:
+    """Covariance of δθ × arm for vectors (…, 3) and a rotation vector δθ of this covariance."""
+    crossed = np.cross(np.eye(3), arm[..., None, :])
+    return np.asarray(np.swapaxes(crossed, -1, -2) @ rotation @ crossed)
 
 
 def _rows(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:

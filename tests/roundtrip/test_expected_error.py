@@ -117,6 +117,19 @@ def test_a_coarse_sensor_detects_little_and_a_small_range_saturates() -> None:
     np.testing.assert_array_equal(small.saturated, force[:, 2] > np.median(force[:, 2]))
 
 
+def test_a_position_that_cannot_be_solved_is_on_no_map() -> None:
+    """Right below the ball's middle the push is head-on, and the scan has no contact to show."""
+    mpl.use("Agg")
+    trail = vb.Trail.line(start=(0.04, 0, 0), stop=(-0.04, 0, 0), count=121)
+    error = vb.expected_error(WIRE, BALL, trail, SMALL)
+    unsolved = error.scan.status >= vb.Status.HEAD_ON
+    assert unsolved.any()
+    assert not error.detected[unsolved].any()
+    assert np.isnan(error.covariance[unsolved]).all()
+    for axes in plot.expected_error_map(error):
+        assert np.abs(axes.collections[0].get_offsets()).max() < 60
+
+
 def test_what_does_not_fit_is_named() -> None:
     unknown = replace(SMALL, force_noise=None, torque_noise=None)
     with pytest.raises(ValueError, match=r"sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset"):

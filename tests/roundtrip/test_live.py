@@ -18,11 +18,12 @@ import pytest
 from mcap.reader import make_reader
 from plyfile import PlyData
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 from vibrissa.io.recordings.read import read_cleaned
-from vibrissa.io.rosbag import McapSink
+from vibrissa.io.rosbag import McapSink, Rosbag2Sink
 from vibrissa.io.sinks import JsonLinesSink, PlySink
 from vibrissa.live import (
     Callback,
@@ -32,6 +33,7 @@ from vibrissa.live import (
     Processor,
     ReplaySource,
     Report,
+    Samples,
     SensorSimulator,
     Sink,
     SmoothingStage,
@@ -39,6 +41,7 @@ from vibrissa.live import (
     TimedPoses,
     stream,
 )
+from vibrissa.live.poses import pose_bytes
 from vibrissa.sensor import RawRecording
 
 FOLDER = Path(__file__).parents[2] / "examples/recordings/sphere_60mm"
@@ -159,6 +162,56 @@ def check_bag(file: Path, raw: RawRecording, point: np.ndarray) -> None:
         [np.frombuffer(bytes(m.data), dtype=np.dtype([("p", "<f4", 3), ("rest", f"V{m.point_step - 12}")])) for m in clouds]
     )
     np.testing.assert_array_equal(points["p"], point.astype(np.float32))
+
+
+def test_a_rosbag2_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setup: vb.Setup, raw: RawRecording) -> None:
+    """It opens as a bag at every flush, and holds in the end what an MCAP file alone does; its counts are those of its messages."""
+    monkeypatch.setattr("vibrissa.io.rosbag.sink._EVERY", 0.0)
+    folder, file = tmp_path / "sweep", tmp_path / "x.mcap"
+    sink, counts = Rosbag2Sink(folder), []
+
+    class Looks(Rows):
+        """Opens the bag that is being written."""
+
+        def flush(self) -> None:
+            """Read all of it."""
+            with Reader(folder) as reader:
+                counts.append(len(list(reader.messages())))
+                assert reader.message_count == counts[-1]
+
+    kept, _ = replayed(setup, raw, sink, McapSink(file), Looks(), speed=50.0)
+    check_bag(file, raw, kept.all("point")[kept.all("kind") != vb.ContactKind.NONE])
+    with Reader(folder) as bag, AnyReader([file]) as alone:
+        assert [(c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in bag.messages()] == [
+            (c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in alone.messages()
+        ]
+        assert (bag.start_time, bag.message_count) == (alone.start_time, alone.message_count)
+        assert bag.duration == alone.duration
+        assert {topic: info.msgcount for topic, info in bag.topics.items()} == {
+            topic: info.msgcount for topic, info in alone.topics.items()
+        }
+    assert len(set(counts)) > 3
+    assert counts == sorted(counts)
+    assert sorted(path.name for path in folder.iterdir()) == ["metadata.yaml", "sweep_0.mcap"]
+
+
+def test_a_cloud_that_is_being_written_opens(tmp_path: Path, setup: vb.Setup, raw: RawRecording) -> None:
+    """After each flush the PLY holds the contacts so far, also while points lie behind those that it counts."""
+    file = tmp_path / "x.ply"
+    sink = PlySink(file)
+    found = vb.reconstruct(setup.rod, setup.sensor.reactions(raw))
+    points = found.point[found.in_contact]
+    for expected in (0, len(points), 2 * len(points)):
+        vertices = PlyData.read(file)["vertex"]
+        np.testing.assert_array_equal(np.column_stack([vertices[axis] for axis in "xyz"]), np.tile(points, (2, 1))[:expected])
+        sink.contacts(np.zeros(len(raw.time), dtype=np.int64), raw, found)
+        assert len(PlyData.read(file)["vertex"].data) == expected
+        sink.flush()
+    with file.open("ab") as stream:
+        stream.write(b"torn")
+    assert len(PlyData.read(file)["vertex"].data) == 3 * len(points)
+    sink.close()
+    assert list(tmp_path.iterdir()) == [file]
 
 
 def _types(reader: AnyReader, rows: list[tuple[str, int, bytes]]) -> list[str]:
@@ -294,6 +347,81 @@ def test_a_rate_that_the_setup_does_not_know(setup: vb.Setup, raw: RawRecording)
     stamp = np.concatenate(kept.stamp)[-500:]
     assert stamp[-1] - stamp[0] == pytest.approx(499e6, rel=0.1)
     assert np.median(np.diff(stamp)) == pytest.approx(1e6, rel=0.1)
+
+
+def worked_on(processor: Processor, samples: Samples) -> Kept:
+    """A processor's answer to samples that come in pieces."""
+    kept = Kept()
+    for first in range(0, len(samples), 50):
+        processor.push(samples.rows(first, min(first + 50, len(samples))))
+        for result in processor.ready(int(samples.stamp[-1]) + 10**9):
+            kept(result.stamp, result.found)
+    return kept
+
+
+def as_samples(raw: RawRecording, valid: np.ndarray) -> Samples:
+    stamp = np.round(raw.time * 1e9).astype(np.int64)
+    return Samples(stamp, np.arange(len(stamp)), raw.force, raw.torque, valid, stamp)
+
+
+def test_a_sensor_in_error_at_the_start(setup: vb.Setup, raw: RawRecording) -> None:
+    """A fatal status for longer than the tare: those rows are bad data at once, and the tare is that of the good ones after them."""
+    count, bad = 700, 40
+    sent = at_rate(raw, count)
+    sensor = replace(setup.sensor, tare_seconds=0.04)
+    processor = Processor(setup.rod, sensor, ConstantPose())
+    kept = worked_on(processor, as_samples(sent, np.arange(count) >= bad))
+    later = RawRecording(*(getattr(sent, name)[bad:] for name in ("time", "position", "orientation", "force", "torque")))
+    expected = sensor.tare(later)
+    assert np.array_equal(kept.all("status") == vb.Status.BAD_DATA, np.arange(count) < bad)
+    assert processor.tare is not None
+    np.testing.assert_allclose(processor.tare, expected.offset, rtol=0, atol=1e-15)
+    broken = Processor(setup.rod, sensor, ConstantPose())
+    assert np.all(worked_on(broken, as_samples(sent, np.zeros(count, dtype=bool))).all("status") == vb.Status.BAD_DATA)
+    assert broken.waiting == 0
+
+
+def test_poses_that_begin_after_the_tare(setup: vb.Setup, raw: RawRecording) -> None:
+    """The tare needs none; rows without a pose are counted once, and those with one have their contacts."""
+    count, begin = 850, 300
+    sent = at_rate(raw, count)
+    poses = StreamedPoses(patience=0.005)
+    for row in range(begin, count):
+        moment = round(sent.time[row] * 1e9)
+        poses.take(pose_bytes(moment, sent.position[row], sent.orientation[row]), moment)
+    sensor = replace(setup.sensor, tare_seconds=0.09)
+    processor = Processor(setup.rod, sensor, poses)
+    kept = worked_on(processor, as_samples(sent, np.ones(count, dtype=bool)))
+    expected = vb.reconstruct(setup.rod, sensor.reactions(sent))
+    known = np.arange(count) >= begin - 5
+    assert processor.without_pose == np.count_nonzero(~known)
+    assert np.array_equal(kept.all("status") == vb.Status.BAD_DATA, ~known)
+    rows = slice(begin, None)
+    np.testing.assert_allclose(kept.all("point")[rows], expected.point[rows], atol=1e-9)
+
+
+@pytest.mark.parametrize("tare", [0.1, 0.0])
+def test_slow_noise_is_stated_live_as_it_is(setup: vb.Setup, tare: float) -> None:
+    """Pink noise and random walk since the tare, or since the start, in batches: the wrenches of many streams scatter as their covariances say."""
+    count, trials = 256, 36
+    still = np.zeros((count, 3))
+    sensor = replace(
+        setup.sensor, tare_seconds=tare, noise_corner=0.0 if tare == 0 else 30.0, force_random_walk=8e-3, torque_random_walk=1.6e-4
+    )
+    truth = vb.Reactions(vb.Trail(still), still, still, time=np.arange(count) / RATE)
+    rng, last, seen = np.random.default_rng(4), [], []
+    for _ in range(trials):
+        kept = worked_on(Processor(setup.rod, sensor, ConstantPose()), as_samples(sensor.measure(truth, rng), np.ones(count, dtype=bool)))
+        reactions = kept.found[-1].reactions
+        assert reactions.covariance is not None
+        stated = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))[-1]
+        last.append(np.concatenate([reactions.force[-1], reactions.moment[-1]]))
+        seen.append(stated)
+    spread = np.linalg.inv(np.linalg.cholesky(np.mean(seen, axis=0)))
+    scatter = np.array(last) @ spread.T
+    white = np.linalg.inv(np.linalg.cholesky(stated)) @ np.diag(setup.sensor.reading_variance) @ np.linalg.inv(np.linalg.cholesky(stated)).T
+    assert np.trace(white) < 3
+    assert np.mean(scatter**2) == pytest.approx(1, abs=4 * np.sqrt(2 / (6 * trials)) + 0.05)
 
 
 def test_a_sensor_that_falls_silent_ends_the_stream(setup: vb.Setup, raw: RawRecording) -> None:

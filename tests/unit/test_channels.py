@@ -57,3 +57,22 @@ def test_with_friction_four_channels_are_needed() -> None:
 def test_channels_are_checked(channels: tuple[str, ...], no_shape_checks: None) -> None:
     with pytest.raises(ValueError, match=r"channels = .*allowed are at least 3"):
         vb.reconstruct(UNIT, SCAN.reactions, channels=channels)
+
+
+def test_a_robots_orientation_adds_to_points_and_normals_what_it_turns() -> None:
+    from vibrissa.reactions import turned_covariance
+
+    center, given = SCAN.trail.position - [0.1, 0.2, 0.5], SCAN.reactions
+    turning = {"rotation_covariance": np.diag([1e-6, 4e-6, 9e-6]), "rotation_center": center}
+    found, without = (
+        vb.reconstruct(
+            UNIT,
+            vb.Reactions(given.trail, given.force, given.moment, covariance=1e-6 * np.eye(6), **more),
+            channels=("mx", "my", "fx", "fy"),
+        )
+        for more in (turning, {})
+    )
+    rows = found.in_contact
+    for name, arm in (("covariance", found.point - center), ("normal_covariance", found.normal)):
+        added = getattr(found, name)[rows] - getattr(without, name)[rows]
+        np.testing.assert_allclose(added, turned_covariance(turning["rotation_covariance"], arm[rows]), rtol=1e-6, atol=1e-12)

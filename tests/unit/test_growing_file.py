@@ -3,6 +3,7 @@
 import io
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,43 @@ def test_whole_after_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         content = carried_out(content, step)
     assert checked > 60
     assert by_mcap(bytes(content)) == by_mcap_from_front_to_end(bytes(content)) == by_rosbags(bytes(content), tmp_path) == said
+
+
+class FullDisk(Paper):
+    """Refuses every write that would make the file longer than this, as a disk that is full; what was written over stays writable."""
+
+    def __init__(self, room: int) -> None:
+        super().__init__()
+        self._left = room
+
+    def write(self, data: bytes, place: int) -> None:
+        """Note it, or raise."""
+        if place + len(data) > self._left:
+            raise OSError(28, "No space left on device")
+        super().write(data, place)
+
+
+@pytest.mark.parametrize("pages", range(3, 16))
+def test_a_disk_that_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pages: int) -> None:
+    """Wherever it ends: what was written stays readable, also after the file was closed, which fails or not."""
+    monkeypatch.setattr(growing, "ROOM", 2 * PAGE)
+    rng, disk, said, number = np.random.default_rng(pages), FullDisk(pages * PAGE), [], 0
+    file = GrowingFile(disk, CHANNELS, QOS)
+    with pytest.raises(OSError, match="No space left"):
+        for _ in range(100):
+            block, words = messages(rng, 0, number, 5)
+            number += len(words)
+            file.append([block])
+            said += words
+    for _ in range(2):
+        content = bytearray()
+        for step in disk.steps:
+            content = carried_out(content, step)
+        assert by_mcap(bytes(content)) == said
+        assert by_rosbags(bytes(content), tmp_path) == said
+        with suppress(OSError):
+            file.close()
+    assert said
 
 
 @pytest.mark.parametrize("seed", [4, 5])

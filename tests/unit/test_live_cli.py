@@ -87,6 +87,12 @@ REFUSED = {
     "another sink": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "x.bag"), ["x.bag", "FILE.mcap"]),
     "no sink": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "jsonl:"), ["jsonl:"]),
     "a sink that is there": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "there.mcap"), ["there.mcap", "--overwrite"]),
+    "a folder that holds something": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:."), ["sink .", "--overwrite"]),
+    "no folder": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:there.mcap"), ["there.mcap", "folder"]),
+    "one file twice": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "x.jsonl", "--sink", "jsonl:./x.jsonl"),
+        ["x.jsonl", "twice"],
+    ),
     "no time": (("live", "--source", REPLAY, "--setup", SETUP, "--duration", "0"), ["--duration", "0"]),
     "no batch": (("live", "--source", REPLAY, "--setup", SETUP, "--batch", "nan"), ["--batch", "nan"]),
     "negative friction": (("live", "--source", REPLAY, "--setup", SETUP, "--friction", "-1"), ["--friction", "-1"]),

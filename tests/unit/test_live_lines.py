@@ -14,7 +14,7 @@ from bench_files import HEADER, RECORDING, recording_table
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrissa.live.lines import BARE, POSED, Line, LineSource, SerialLine, TcpLine, parse_header, parse_line
+from vibrissa.live.lines import BARE, POSED, Line, LineSource, SerialLine, TcpLine, WrongColumnsError, parse_header, parse_line
 from vibrissa.live.samples import EndOfStreamError, Samples, joined
 
 LINES = RECORDING.splitlines()
@@ -56,7 +56,7 @@ def everything(source: LineSource) -> Samples | None:
 
 
 def check(found: Samples | None, rows: slice = slice(None), *, paced: bool = True) -> None:
-    """Against the numbers that were sent; times too, where they were not sent faster than they say."""
+    """Against the numbers that were sent; times too, unless stamps follow the host's clock and lines were sent faster than they say."""
     table = recording_table()[rows]
     assert found is not None
     for part, columns in (
@@ -78,7 +78,16 @@ def test_lines_in_pieces_of_any_size(size: int) -> None:
     found = everything(source)
     assert len(found or ()) == source.counts.samples == 40
     assert source.counts.malformed == 0
+    check(found)
+
+
+def test_on_the_hosts_clock_no_line_is_stamped_after_it_came() -> None:
+    """Lines that were sent faster than their times say."""
+    source = LineSource(Pieces(RECORDING.encode()), on_host_clock=True)
+    found = everything(source)
     check(found, paced=False)
+    assert found is not None
+    assert np.all(found.stamp <= time.time_ns() + 1_000_000)
 
 
 def test_without_a_header_and_without_poses() -> None:
@@ -94,6 +103,48 @@ def test_columns_in_another_order() -> None:
     order = np.random.default_rng(0).permutation(14)
     text = "\n".join(",".join(np.array(line.split(","))[order]) for line in LINES)
     check(everything(LineSource(Pieces(text.encode() + b"\n"))))
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\n"])
+def test_other_ends_of_lines(end: str) -> None:
+    check(everything(LineSource(Pieces((end.join(LINES) + end).encode()))))
+
+
+def test_further_columns_are_left_out() -> None:
+    names = " , ".join(f'"{name}"' for name in ["state", *LINES[0].upper().split(",")])
+    source = LineSource(Pieces("\n".join([names, *(f"ok,{line}" for line in LINES[1:]), ""]).encode()))
+    check(everything(source))
+    assert source.counts.malformed == 0
+
+
+@pytest.mark.parametrize("names", ["t,tx,ty,tz,fx,fy,fz", "time,px,py,pz,fx,fy,fz,tx,ty,tz", "time,fx,fy,fz,tx,ty,ty", "fz,fy,fx,tx,ty,tz"])
+def test_other_columns_are_no_guess(names: str) -> None:
+    """Numbers below such names would be taken for others."""
+    with pytest.raises(WrongColumnsError, match=r"allowed are time,px"):
+        everything(LineSource(Pieces(f"{names}\n1,2,3,4,5,6,7\n".encode())))
+
+
+def test_the_rest_of_a_line_of_names_is_no_error() -> None:
+    source = LineSource(Pieces((LINES[0][20:] + "\n" + "\n".join(LINES[1:]) + "\n").encode()))
+    check(everything(source))
+    assert source.counts.malformed == 0
+
+
+def test_a_clock_that_is_set_or_damaged_moves_nothing() -> None:
+    """Times far ahead and far back, again and again, and those that no clock shows: others keep their distances."""
+    table = [line.split(",", 1) for line in LINES[1:]]
+    text = [LINES[0]]
+    for place, (moment, rest) in enumerate(table):
+        text += [f"{moment},{rest}"]
+        if place % 10 == 4:
+            text += [f"{wrong},{rest}" for wrong in ("3.9e9", "-3.9e9", "1e11", "-1e300")]
+    source = LineSource(Pieces(("\n".join(text) + "\n").encode()))
+    found = everything(source)
+    assert found is not None
+    assert (source.counts.restarts, source.counts.malformed, len(found)) == (12, 8, 48)
+    assert np.all(np.diff(found.stamp) > 0)
+    assert found.stamp[-1] - found.stamp[0] < 1e9 * (float(table[-1][0]) - float(table[0][0])) + 5e8
+    assert len(np.unique(found.stamp * 1e-9 - found.stamp[0] * 1e-9)) == 48
 
 
 def test_bad_lines_are_counted_and_left_out() -> None:
@@ -154,6 +205,7 @@ def test_any_line_is_numbers_or_a_value_error(line: bytes) -> None:
     except ValueError:
         return
     assert tuple(row) in (POSED, BARE)
+    assert abs(row["time"]) <= 4e9
     assert np.all(np.isfinite(list(row.values())))
 
 
@@ -175,7 +227,7 @@ def serving(data: bytes) -> Iterator[int]:
 
 def test_over_tcp() -> None:
     with serving(RECORDING.encode()) as port:
-        check(everything(LineSource(TcpLine("127.0.0.1", port))), paced=False)
+        check(everything(LineSource(TcpLine("127.0.0.1", port))))
 
 
 def test_over_a_serial_line() -> None:

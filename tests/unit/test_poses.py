@@ -109,8 +109,28 @@ def streamed(every: int, count: int, *, gap: tuple[int, int] = (0, 0)) -> Stream
         moment = SECOND + number * every * MS
         if not gap[0] <= number < gap[1]:
             position, orientation = turning(np.array([moment * 1e-9]))
-            poses.take(pose_bytes(moment, position[0], orientation[0]), 0)
+            poses.take(pose_bytes(moment, position[0], orientation[0]), moment)
     return poses
+
+
+def test_poses_that_were_swapped_doubled_or_stamped_by_another_clock() -> None:
+    """Put in order; and one from a year ahead does not shut out those that follow."""
+    poses, rng = StreamedPoses(patience=0.05), np.random.default_rng(0)
+    order = np.arange(200)
+    for start in range(0, 200, 8):
+        rng.shuffle(order[start : start + 8])
+    for place, number in enumerate(order.tolist()):
+        moment = SECOND + number * 4 * MS
+        position, orientation = turning(np.array([moment * 1e-9]))
+        for _ in range(1 + (place % 5 == 0)):
+            poses.take(pose_bytes(moment, position[0], orientation[0]), moment)
+        if place % 50 == 3:
+            poses.take(pose_bytes(moment + 365 * 86400 * SECOND, position[0], orientation[0]), moment)
+    assert (poses.misplaced, poses.malformed) == (4, 0)
+    stamp = SECOND + np.arange(0, 796 * MS, 777_777, dtype=np.int64)
+    found = poses.at(stamp)
+    assert found.known.all()
+    np.testing.assert_allclose(found.position, turning(stamp * 1e-9)[0], atol=2e-5)
 
 
 def test_streamed_poses_are_interpolated() -> None:

@@ -73,6 +73,14 @@ BAD = {
         lambda: vb.Reactions(TRAIL, ZERO, ZERO, position_covariance=np.diag([1.0, -1, 1])),
         "position_covariance has the least eigenvalue -1; allowed is symmetric and positive semidefinite",
     ),
+    "rotation covariance": (
+        lambda: vb.Reactions(TRAIL, ZERO, ZERO, rotation_covariance=np.diag([1.0, -1, 1]), rotation_center=ZERO),
+        "rotation_covariance has the least eigenvalue -1; allowed is symmetric and positive semidefinite",
+    ),
+    "rotation without centre": (
+        lambda: vb.Reactions(TRAIL, ZERO, ZERO, rotation_covariance=np.eye(3)),
+        "rotation_covariance and rotation_center: one is given without the other; allowed are both or none",
+    ),
     "singular": (
         lambda: vb.Reactions(TRAIL, ZERO, ZERO, covariance=np.diag([1.0, 1, 1, 1, 1, 0])),
         "covariance has the least eigenvalue 0; allowed is symmetric and positive definite",

@@ -341,3 +341,27 @@ def test_measured_rows_are_those_of_a_recording() -> None:
     raw = logged(sensor(), pushed())
     assert isinstance(raw, RawRecording)
     assert raw.rate == pytest.approx(RATE)
+
+
+def test_coarse_steps_leave_a_random_walk_as_it_is() -> None:
+    """A tare from noise far below a step: the walk's share of the covariance is that of fine steps, its variance since the tare's mean."""
+    walk, rest, count, rate = 4e-4, 0.5, 1000, 250.0
+    time = np.arange(count) / rate
+    still = np.zeros((count, 3))
+    trail = vb.Trail(still)
+    shares = []
+    for step in (0.0, 0.02):
+        coarse = sensor(
+            tare_seconds=rest, force_noise=1e-3, force_resolution=step, force_random_walk=walk, clamp_orientation=np.array([0.0, 0, 0, 1])
+        )
+        truth = vb.Reactions(trail, still, still, time=time)
+        rough, plain = (
+            each.reactions(each.measure(truth, np.random.default_rng(0))).covariance
+            for each in (coarse, replace(coarse, force_random_walk=0.0))
+        )
+        assert rough is not None
+        assert plain is not None
+        shares.append(rough[:, 0, 0] - np.broadcast_to(plain, rough.shape)[:, 0, 0])
+    later = time > rest
+    np.testing.assert_allclose(shares[0][later], walk**2 * (time[later] - rest + rest / 3), rtol=1e-6)
+    np.testing.assert_allclose(shares[1][later], shares[0][later], rtol=1e-6)

@@ -21,10 +21,11 @@ class Stream:
         self.out: list[int] = []
         self.wrapped: list[int] = []
 
-    def feed(self, numbers: list[int], at: float) -> "Stream":
-        """These came together."""
+    def feed(self, numbers: list[int], at: float, sample: int = 0) -> "Stream":
+        """These came together; what they hold goes by `sample`."""
         records = np.zeros(len(numbers), dtype=RECORD)
         records["rdt_sequence"] = [number % 2**32 for number in numbers]
+        records["ft_sequence"] = sample
         moment = round(at * MS)
         rows, found, arrival = self._sequencer.accept(records, np.full(len(numbers), moment, dtype=np.int64), moment)
         assert len(rows) == len(found) == len(arrival)
@@ -81,6 +82,54 @@ def test_a_stream_that_begins_anew(jump: int) -> None:
     assert np.all(np.diff(stream.out) > 0)
     assert stream.wrapped[-2:] == [jump, jump + 1]
     assert stream.has(restarts=1)
+
+
+@pytest.mark.parametrize("before", [2, 600, 1000])
+def test_a_stream_that_begins_anew_before_it_was_long(before: int) -> None:
+    """Asked again after a silence, the sensor numbers from 1: the same numbers, other samples; none is a double."""
+    stream = Stream().feed(list(range(1, before + 1)), 0).feed([1, 2, 3], 2000, sample=7).feed([4], 2001, sample=7)
+    assert len(stream.out) == before + 4
+    assert np.all(np.diff(stream.out) > 0)
+    assert stream.wrapped[-4:] == [1, 2, 3, 4]
+    assert stream.has(restarts=1)
+
+
+def test_a_new_stream_of_which_some_is_lost() -> None:
+    """The second record is lost, and the first two that came are swapped: the one that cannot be placed is damage."""
+    stream = Stream().feed(list(range(5000, 5010)), 0).feed([3, 1, 4], 1, sample=1).feed([5], 9, sample=1)
+    assert stream.wrapped[-3:] == [1, 4, 5]
+    assert stream.has(restarts=1, malformed=1, lost=2, gaps=1)
+
+
+@pytest.mark.parametrize("number", [0, 77, 2**31, 123_456_789, 2**32 - 1, 4_500])
+def test_damage_as_long_as_a_record_is_no_new_stream(number: int) -> None:
+    """Bytes that happen to be 36, with any number, between records: counted and left out, again and again."""
+    stream = Stream().feed(list(range(5000, 5010)), 0)
+    for place in range(20):
+        stream.feed([number], 1 + place, sample=100 + place).feed([5010 + place], 1 + place)
+    assert stream.out == list(range(5000, 5030))
+    assert stream.has(malformed=20)
+
+
+def test_doubles_of_a_whole_datagram() -> None:
+    """Forty records that were given on, byte for byte again: no new stream, whatever their number."""
+    numbers = list(range(1, 41))
+    stream = Stream().feed(numbers, 0).feed(numbers, 1).feed([41], 2)
+    assert stream.out == list(range(1, 42))
+    assert stream.has(duplicates=40)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 3)), max_size=60))
+def test_any_numbers_come_out_increasing(rows: list[tuple[int, int]]) -> None:
+    """Nothing is given on twice, and every record is somewhere in the counts."""
+    stream = Stream()
+    for place, (number, sample) in enumerate(rows):
+        stream.feed([number], place * 0.1, sample=sample)
+    stream.feed([], 1e6)
+    assert np.all(np.diff(stream.out) > 0)
+    counts = stream.counts
+    aside = len(rows) - len(stream.out) - counts.duplicates - counts.malformed - counts.late
+    assert aside in (0, 1)
 
 
 @given(st.data())

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vibrissa.io import Setup
     from vibrissa.live import Address, Report, Sink, Source
 
-SINKS = "FILE.mcap, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:- (standard output)"
+SINKS = "FILE.mcap, rosbag2:FOLDER, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:- (standard output)"
 
 
 def live(
@@ -45,6 +45,7 @@ def live(
             raise InputError(f"{name} = {value}; allowed is a finite number {'greater than' if least == 0 else 'of at least'} 0")
     address = parse_address(source)
     targets = [_target(text, overwrite=overwrite) for text in sink or []]
+    _check_different(targets)
     loaded = load_setup(setup)
     report = _run(address, loaded, setup.parent, targets, duration=duration, batch=batch, silence=silence, friction=friction, smooth=smooth)
     if as_json:
@@ -99,6 +100,7 @@ def _say(text: str) -> None:
 
 def _source(address: "Address", loaded: "Setup") -> "Source":
     from vibrissa.cli.live_parts import rdt_of  # noqa: PLC0415
+    from vibrissa.io.live_setup import UdpPoseTable  # noqa: PLC0415
     from vibrissa.io.recordings.read import read_cleaned  # noqa: PLC0415
     from vibrissa.live.lines import LineSource, SerialLine, TcpLine  # noqa: PLC0415
     from vibrissa.live.netft import NetFtSource  # noqa: PLC0415
@@ -108,9 +110,9 @@ def _source(address: "Address", loaded: "Setup") -> "Source":
         case "replay":
             return ReplaySource(read_cleaned(address.path, loaded), address.speed)
         case "tcp":
-            return LineSource(TcpLine(address.path, address.port))
+            return LineSource(TcpLine(address.path, address.port), on_host_clock=isinstance(loaded.pose, UdpPoseTable))
         case "serial":
-            return LineSource(SerialLine(address.path, address.baud))
+            return LineSource(SerialLine(address.path, address.baud), on_host_clock=isinstance(loaded.pose, UdpPoseTable))
     table = rdt_of(loaded)
     return NetFtSource(
         address.path,
@@ -125,17 +127,32 @@ def _source(address: "Address", loaded: "Setup") -> "Source":
 
 
 def _target(text: str, *, overwrite: bool) -> "tuple[str, Path | None]":
-    """Kind and file of a sink."""
-    from vibrissa.io.errors import InputError, writable  # noqa: PLC0415
+    """Kind and file of a sink, or folder."""
+    from vibrissa.io.errors import InputError, writable, writable_folder  # noqa: PLC0415
 
     if text == "jsonl:-":
         return "jsonl", None
-    kind, path = ("jsonl", Path(text.removeprefix("jsonl:"))) if text.startswith("jsonl:") else (Path(text).suffix.lower()[1:], Path(text))
-    if kind not in ("mcap", "ply", "jsonl") or not path.name:
+    given, _, rest = text.partition(":")
+    kind, path = (given, Path(rest)) if given in ("jsonl", "rosbag2") else (Path(text).suffix.lower()[1:], Path(text))
+    if kind not in ("mcap", "ply", "jsonl", "rosbag2") or not (path.name or (kind == "rosbag2" and rest)):
         raise InputError(f"sink {text!r}; allowed are {SINKS}")
+    if kind == "rosbag2":
+        if path.exists() and not (path.is_dir() and (overwrite or not any(path.iterdir()))):
+            raise InputError(f"sink {path}: is there already; allowed is a new or empty folder, or a folder with --overwrite")
+        return kind, writable_folder(path)
     if path.exists() and path.is_file() and not overwrite:
         raise InputError(f"sink {path}: is there already; allowed is a new file, or --overwrite")
     return kind, writable(path)
+
+
+def _check_different(targets: "list[tuple[str, Path | None]]") -> None:
+    """No two sinks write one file."""
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
+
+    places = [None if path is None else path.resolve() for _, path in targets]
+    for place in places:
+        if places.count(place) > 1:
+            raise InputError(f"sink {'jsonl:-' if place is None else place}: is given twice; allowed is one sink for each file")
 
 
 def _sink(kind: str, path: Path | None, loaded: "Setup") -> "Sink":
@@ -145,9 +162,9 @@ def _sink(kind: str, path: Path | None, loaded: "Setup") -> "Sink":
         return JsonLinesSink(path)
     if kind == "ply":
         return PlySink(path, "metre" if loaded.rod.units == "SI" else "rod length")
-    from vibrissa.io.rosbag import McapSink  # noqa: PLC0415
+    from vibrissa.io.rosbag import McapSink, Rosbag2Sink  # noqa: PLC0415
 
-    return McapSink(path, wrench_frame=loaded.sensor.wrench_frame)
+    return (Rosbag2Sink if kind == "rosbag2" else McapSink)(path, wrench_frame=loaded.sensor.wrench_frame)
 
 
 def _text(report: "Report") -> str:
@@ -159,12 +176,18 @@ def _text(report: "Report") -> str:
         f"double {counts.duplicates}, malformed {counts.malformed}, restarts {counts.restarts}, thrown away here {report.overflow}",
     ]
     if counts.flagged:
-        bits = ", ".join(str(bit) for bit in range(32) if counts.status >> bit & 1)
+        from vibrissa.live.rdt import STATUS_BITS  # noqa: PLC0415
+
+        bits = ", ".join(f"{bit}: {STATUS_BITS.get(bit, 'not known')}" for bit in range(32) if counts.status >> bit & 1)
         lines.append(f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them in error")
     if counts.rate_changes:
         lines.append("samples came at another rate than the setup says: stamps follow the rate that was seen")
     if report.without_pose or report.malformed_poses:
         lines.append(f"{report.without_pose} rows without a pose, {report.malformed_poses} poses malformed")
+    if report.misplaced_poses:
+        lines.append(
+            f"{report.misplaced_poses} poses are stamped more than a second from their arrival: set both clocks, or leave the stamp out"
+        )
     if report.unused:
         lines.append(f"{report.unused} samples recorded without a row: the end came before their tare or their pose")
     if report.latency_median is not None and report.latency_999 is not None:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
+from vibrissa.contacts import Status
 from vibrissa.geometry.checks import not_negative, positive, whole_number
 from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
 from vibrissa.reactions import Reactions
@@ -35,7 +36,7 @@ class ExpectedError:
     found
         The reconstruction of the exact reactions, with the covariances that the sensor's errors give.
     covariance
-        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose; NaN where no contact is detected.
+        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose; NaN where no contact is detected, or the scan has no solution.
     lag
         Systematic error of the contact point (…, 3) by the sensor's filter and delay at the given speed; 0 without them.
     saturated
@@ -50,8 +51,8 @@ class ExpectedError:
 
     @property
     def detected(self) -> Bool[np.ndarray, "*trail n"]:
-        """Where the load exceeds the noise so far that a contact is told from none (…)."""
-        return self.found.in_contact & self.scan.in_contact
+        """Where the load exceeds the noise so far that a contact is told from none (…); false where the scan has no solution."""
+        return self.found.in_contact & self.scan.in_contact & (self.scan.status < Status.HEAD_ON)
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, "*trail n 3"]:
@@ -126,19 +127,26 @@ def expected_error(
     lanes = [_lane(averaged, part, rate, rest, speed) for part in _lanes(swept)]
     shape = swept.trail.shape
     covariance = np.stack([lane[0] for lane in lanes]).reshape(*shape, 6, 6)
-    position_covariance = sensor.position_noise**2 / samples * np.eye(3)
     exact = swept.reactions
-    told = Reactions(exact.trail, exact.force, exact.moment, covariance=covariance, position_covariance=position_covariance)
+    told = Reactions(
+        exact.trail,
+        exact.force,
+        exact.moment,
+        covariance=covariance,
+        position_covariance=sensor.position_noise**2 / samples * np.eye(3),
+        rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
+        rotation_center=_origin(sensor, swept.trail),
+    )
     found = reconstruct(rod, told, friction=friction or None, false_alarm=false_alarm)
     assert found.covariance is not None
-    turned = _turning(sensor, swept, found) * (sensor.orientation_noise**2 / samples)
     lag = np.zeros((*shape, 3))
     if sensor.low_pass is not None and speed is not None:
         late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
         shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
         lag = np.nan_to_num(reconstruct(rod, shifted, friction=friction or None, false_alarm=false_alarm).point - found.point)
     saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
-    return ExpectedError(swept, found, found.covariance + turned, lag, saturated)
+    solved = (swept.status < Status.HEAD_ON)[..., None, None]
+    return ExpectedError(swept, found, np.where(solved, found.covariance, np.nan), lag, saturated)
 
 
 def _averaged(sensor: Sensor, samples: int) -> Sensor:
@@ -204,9 +212,7 @@ def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Floa
     return rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
 
 
-def _turning(sensor: Sensor, swept: Scan, found: Reconstruction) -> Float[np.ndarray, "*trail n 3 3"]:
-    """Covariance of the contact point for a unit error of the robot's orientation, which turns all about the sensor's origin: |d|² − d dᵀ."""
-    orientation = multiplied(swept.trail.orientation, inverse(sensor.clamp_orientation))
-    origin = swept.trail.position - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position)
-    arm = found.point - origin
-    return np.sum(arm**2, axis=-1)[..., None, None] * np.eye(3) - arm[..., :, None] * arm[..., None, :]
+def _origin(sensor: Sensor, trail: Trail) -> Float[np.ndarray, "*trail n 3"]:
+    """Of the sensor's frame (…, 3), about which errors of the robot's orientation turn."""
+    orientation = multiplied(trail.orientation, inverse(sensor.clamp_orientation))
+    return np.asarray(trail.position - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position))

@@ -1,4 +1,4 @@
-"""Files that a stream writes: JSON lines, and PLY at the end."""
+"""Files that a stream writes: JSON lines and PLY."""
 
 import json
 import math
@@ -10,11 +10,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.io.rosbag.growing import FileDisk
 from vibrissa.reconstruct import Reconstruction
 from vibrissa.sensor import RawRecording
 
 _KINDS = [kind.name for kind in ContactKind]
 _STATUS = [status.name for status in Status]
+_COUNT_DIGITS = 20
 _VERTEX = np.dtype(
     [*((name, "<f8") for name in ("x", "y", "z", "nx", "ny", "nz", "arc_length", "standard_deviation")), ("kind", "u1"), ("status", "u1")]
 )
@@ -96,20 +98,42 @@ def _known(values: list[float]) -> list[float] | None:
 
 
 class PlySink:
-    """Contacts as points with normals, in a PLY file that is written at the end; until then they lie in a file beside it, `.NAME.part`.
+    """Contacts as points with normals in a PLY file that is whole whenever the process is killed.
+
+    Points are written behind those that the header counts; then the header, which lies within a page, is overwritten in one piece with the new count.
 
     Parameters
     ----------
     path
-        Of the file.
+        Of the file, which is there, whole and empty, once this is built.
     unit
         Of length, for a comment in the file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
     """
 
     def __init__(self, path: Path, unit: str = "metre") -> None:
-        self._path, self._unit = path, unit
-        self._part = path.with_name(f".{path.name}.part")
-        self._stream = self._part.open("wb")
+        self._unit, self._count, self._held = unit, 0, b""
+        part = path.with_name(f".{path.name}.part")
+        self._disk = FileDisk(part)
+        self._disk.write(self._header(), 0)
+        part.replace(path)
+
+    def _header(self) -> bytes:
+        """Of the same length whatever the count."""
+        lines = [
+            "ply",
+            "format binary_little_endian 1.0",
+            f"comment contacts of an elastic rod, unit {self._unit}",
+            f"element vertex {self._count}",
+        ]
+        kinds = {"<f8": "double", "|u1": "uchar"}
+        lines += [f"property {kinds[part[0].str]} {name}" for name, part in (_VERTEX.fields or {}).items()]
+        filler = "." * (_COUNT_DIGITS - len(str(self._count)))
+        return "\n".join([*lines, f"comment {filler}", "end_header", ""]).encode()
 
     def wrench(
         self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
@@ -127,21 +151,20 @@ class PlySink:
         for column, name in enumerate((_VERTEX.names or ())[:8]):
             vertices[name] = values[:, column]
         vertices["kind"], vertices["status"] = found.kind[rows], found.status[rows]
-        self._stream.write(vertices.tobytes())
+        self._held += vertices.tobytes()
 
     def flush(self) -> None:
-        """Give what is held to the system."""
-        self._stream.flush()
+        """Write what is held, then the count."""
+        if not self._held:
+            return
+        self._disk.write(self._held, len(self._header()) + self._count * _VERTEX.itemsize)
+        self._count += len(self._held) // _VERTEX.itemsize
+        self._held = b""
+        self._disk.write(self._header(), 0)
 
     def close(self) -> None:
-        """Write the file."""
-        from plyfile import PlyData, PlyElement  # noqa: PLC0415
-
-        self._stream.close()
-        empty = self._part.stat().st_size == 0
-        vertices = np.empty(0, dtype=_VERTEX) if empty else np.memmap(self._part, dtype=_VERTEX, mode="r")
-        PlyData([PlyElement.describe(vertices, "vertex")], comments=[f"contacts of an elastic rod, unit {self._unit}"]).write(
-            str(self._path)
-        )
-        del vertices
-        self._part.unlink()
+        """Write the rest."""
+        try:
+            self.flush()
+        finally:
+            self._disk.close()

@@ -44,8 +44,8 @@ class Report:
         Samples thrown away since this process could not keep up.
     without_pose
         Rows whose pose was not known.
-    malformed_poses
-        Datagrams of the pose stream that could not be read.
+    malformed_poses, misplaced_poses
+        Datagrams of the pose stream that could not be read; poses whose stamps lie more than a second from their arrival.
     seconds
         From the first sample to the end.
     cpu_share
@@ -65,6 +65,7 @@ class Report:
     overflow: int = 0
     without_pose: int = 0
     malformed_poses: int = 0
+    misplaced_poses: int = 0
     seconds: float = 0.0
     cpu_share: float = 0.0
     latency_median: float | None = None
@@ -112,6 +113,10 @@ class _Reader:
         with self._arrived:
             self.ended = True
             self._arrived.notify()
+
+    @property
+    def complaint(self) -> str:
+        return self._source.complaint
 
     def _put(self, samples: Samples) -> None:
         with self._arrived:
@@ -176,7 +181,7 @@ def stream(
     ValueError
         If a number is not allowed, or too few samples came within the tare.
     SilentSourceError
-        If not even a first sample came within `silence` seconds.
+        If not even a first sample came within `silence` seconds, or before the source ended.
     OSError
         If the source cannot be reached, or a sink cannot write.
     """
@@ -195,7 +200,8 @@ def stream(
         if poses is not None:
             poses.close()
         loop.close_sinks()
-    loop.report.malformed_poses = 0 if poses is None else poses.malformed
+    if poses is not None:
+        loop.report.malformed_poses, loop.report.misplaced_poses = poses.malformed, poses.misplaced
     return loop.report
 
 
@@ -227,17 +233,26 @@ class _Loop:
                 self._take(samples)
             self._work()
             if self._reader.ended and samples is None:
+                self._check_end()
                 break
             if duration is not None and self._first is not None and time.monotonic_ns() - self._first > duration * 1e9:
                 break
             if silence and time.monotonic_ns() - last > silence * 1e9:
                 if self._first is None:
-                    raise SilentSourceError(f"nothing came for {silence:g} s")
+                    raise SilentSourceError(f"nothing came for {silence:g} s{self._unread()}")
                 self.report.silent = True
                 self._notice(f"nothing came for {silence:g} s")
                 break
             self._pause(begun)
         self._finish()
+
+    def _check_end(self) -> None:
+        if self._first is None and self._reader.error is None:
+            raise SilentSourceError(f"the source ended before its first sample{self._unread()}")
+
+    def _unread(self) -> str:
+        malformed, why = self.report.counts.malformed, self._reader.complaint
+        return f"; {malformed} lines or datagrams could not be read, the last one for: {why}" if malformed else ""
 
     def _begin(self, samples: Samples) -> None:
         if self._first is None:

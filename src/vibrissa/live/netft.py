@@ -1,10 +1,13 @@
 """Ethernet force/torque sensors that speak RDT over UDP."""
 
+import errno
 import socket
 import struct
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Int
@@ -12,8 +15,8 @@ from jaxtyping import Int
 from vibrissa.geometry.checks import positive
 from vibrissa.live import rdt
 from vibrissa.live.clock import RateWatch, SampleClock, epoch_offset
-from vibrissa.live.samples import Counts, Samples, Source
-from vibrissa.live.sequence import Sequencer
+from vibrissa.live.samples import Counts, Samples, Source, joined
+from vibrissa.live.sequence import AHEAD, Sequencer
 
 _RECEIVE_BUFFER = 16 * 2**20
 # Linux names them SO_RCVBUFFORCE and SO_TIMESTAMPNS; Python does not.
@@ -26,6 +29,10 @@ _MOST_DATAGRAMS = 1024
 _GATHER = 1e-3
 _ASK_AGAIN = 1.0
 _SETTLE = 50_000_000
+# What is told of a rate that is another at first, and of one that is seen better later.
+_OTHER_RATE, _OTHER_AGAIN = 0.01, 0.1
+# Nobody listens there, or the cable is out: what the kernel says so may pass.
+_AWAY = {errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN, errno.EHOSTDOWN}
 
 
 class NetFtSource(Source):
@@ -78,6 +85,7 @@ class NetFtSource(Source):
         self._error_bits = error_bits
         self._period = 1e9 / positive(rate, "rate")
         self._anchor = (0, 0)
+        self._last: tuple[int, int] | None = None
         self._watch = RateWatch()
         self._early: list[tuple[np.ndarray, ...]] | None = []
         self._clock = SampleClock()
@@ -106,7 +114,7 @@ class NetFtSource(Source):
     def _request(self, command: rdt.Command) -> None:
         assert self._socket is not None
         self._asked = time.monotonic()
-        with suppress(ConnectionRefusedError):
+        with _away():
             self._socket.send(rdt.request_bytes(command))
 
     def read(self, timeout: float) -> Samples | None:
@@ -116,15 +124,17 @@ class NetFtSource(Source):
         for data, when in zip(datagrams, arrival, strict=True):
             try:
                 records = rdt.parse_records(data)
-            except ValueError:
+            except ValueError as error:
                 self.counts.malformed += 1
+                self.complaint = str(error)
                 continue
             parsed.append(records)
             came.append(np.full(len(records), when, dtype=np.int64))
         records = np.concatenate(parsed) if parsed else np.empty(0, dtype=rdt.RECORD)
         moments = np.concatenate(came) if came else np.empty(0, dtype=np.int64)
         ordered, number, moments = self._settled(*self._sequencer.accept(records, moments, time.monotonic_ns()))
-        return self._samples(ordered, number, moments) if len(ordered) else None
+        parts = [self._samples(ordered[part], number[part], moments[part]) for part in _streams(number)]
+        return joined(parts) if parts else None
 
     def _settled(self, *rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Hold the first records for a moment, so that the clock is set by the least late of many."""
@@ -150,16 +160,21 @@ class NetFtSource(Source):
         return Samples(stamp, number, np.ascontiguousarray(wrench[:, :3]), np.ascontiguousarray(wrench[:, 3:]), valid, arrival)
 
     def _own_time(self, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """The sensor's clock [ns], from its numbers and its rate: as set, or as seen where the two differ."""
+        """The sensor's clock [ns], from its numbers and its rate: as set, or as seen where the two differ. In a stream that began anew it goes on."""
+        if self._last is None or int(number[0]) - self._last[0] > AHEAD:
+            self._anchor = int(number[0]), 0 if self._last is None else self._last[1] + round(self._period)
+            self._watch = RateWatch()
+            self._clock.restart()
         own = self._since_anchor(number)
         factor = self._watch.factor(own, arrival)
-        if factor is None:
-            return own
-        self.counts.rate_changes += 1
-        self._anchor = int(number[0]), int(own[0])
-        self._period *= factor
-        self._clock.restart()
-        return self._since_anchor(number)
+        if factor is not None:
+            self.counts.rate_changes += abs(factor - 1) > (_OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE)
+            self._anchor = int(number[0]), int(own[0])
+            self._period *= factor
+            self._clock.restart()
+            own = self._since_anchor(number)
+        self._last = int(number[-1]), int(own[-1])
+        return own
 
     def _since_anchor(self, number: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         start, own = self._anchor
@@ -179,8 +194,10 @@ class NetFtSource(Source):
                 self._take(datagrams, arrival)
         except (TimeoutError, BlockingIOError):
             pass
-        except ConnectionRefusedError:
-            # Nobody listens there yet: the kernel said so at once.
+        except OSError as error:
+            if error.errno not in _AWAY:
+                raise
+            # The kernel said so at once.
             time.sleep(min(timeout, 0.05))
         if not datagrams and time.monotonic() - self._asked > _ASK_AGAIN:
             self._request(self._command)
@@ -214,6 +231,23 @@ class NetFtSource(Source):
                 self._request(rdt.Command.STOP)
             self._socket.close()
             self._socket = None
+
+
+@contextmanager
+def _away() -> Iterator[None]:
+    """Nobody may be there."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _AWAY:
+            raise
+
+
+def _streams(number: Int[np.ndarray, "n"]) -> Iterator[slice]:
+    """Stretches in which no stream begins anew."""
+    if len(number):
+        breaks = (np.flatnonzero(np.diff(number) > AHEAD) + 1).tolist()
+        yield from (slice(first, last) for first, last in pairwise([0, *breaks, len(number)]))
 
 
 def _widen(connection: socket.socket) -> None:

@@ -24,6 +24,8 @@ _MOST_HELD = 20_000
 _LARGEST = 1e9
 _QUATERNION_TOLERANCE = 1e-3
 _LARGEST_STAMP = 2**62
+_ANOTHER_CLOCK = 1_000_000_000
+_MOST_SWAPPED = 64
 
 
 class Poses(NamedTuple):
@@ -38,6 +40,8 @@ class PoseSource(ABC):
     """Gives the sensor's pose at any time."""
 
     malformed: int = 0
+    misplaced: int = 0
+    """Poses whose stamps lie more than a second from their arrival: the sender's clock is another."""
 
     @abstractmethod
     def open(self) -> None:
@@ -197,7 +201,8 @@ def pose_bytes(stamp: int, position: Float[np.ndarray, "3"], orientation: Float[
 class StreamedPoses(PoseSource):
     """Poses from JSON datagrams over UDP, interpolated to the stamps of the samples.
 
-    A sample waits for a pose at or after its stamp for up to `patience`; then the last pose holds, if it is no older than that, else the pose is not known.
+    A sample waits for a pose at or after its stamp for up to `patience`; then the last pose holds, if it is no older than that, else the pose is not known. Poses that
+    were swapped on the way are put in order; one that is stamped more than a second ahead is left out.
 
     Parameters
     ----------
@@ -216,6 +221,7 @@ class StreamedPoses(PoseSource):
         self._thread: threading.Thread | None = None
         self.received = 0
         self.malformed = 0
+        self.misplaced = 0
 
     @property
     def port(self) -> int:
@@ -247,10 +253,23 @@ class StreamedPoses(PoseSource):
             self.malformed += 1
             return
         stamp = now if message.stamp is None else message.stamp
+        self.misplaced += abs(stamp - now) > _ANOTHER_CLOCK
+        if stamp > now + _ANOTHER_CLOCK:
+            return
         with self._lock:
             self.received += 1
-            if not self._held or stamp > (self._held[-1].stamp or 0):
-                self._held.append(message._replace(stamp=stamp))
+            self._insert(message._replace(stamp=stamp), stamp)
+
+    def _insert(self, message: PoseMessage, stamp: int) -> None:
+        place = len(self._held)
+        while place and (self._held[place - 1].stamp or 0) > stamp:
+            place -= 1
+        if len(self._held) - place > _MOST_SWAPPED or (place and self._held[place - 1].stamp == stamp):
+            return
+        if place == len(self._held):
+            self._held.append(message)
+        elif len(self._held) < _MOST_HELD:
+            self._held.insert(place, message)
 
     def close(self) -> None:
         """Stop listening."""

@@ -5,13 +5,14 @@ from dataclasses import replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from vibrissa.live.poses import Poses, PoseSource
 from vibrissa.live.samples import Samples, joined
 from vibrissa.reconstruct import Reconstruction, reconstruct
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.sensor.noise import Pink, RandomWalk
 
 MOST_ROWS = 64
 """Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
@@ -21,6 +22,8 @@ TARE_SECONDS = 1.0
 """Where the setup gives none."""
 _ONE_ROW = RawRecording(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.zeros((1, 3)))
 _RESTLESS = 3.0
+# For how long pink noise is stated as it is: of slower noise than a day's a tare knows.
+_DAY = 86_400.0
 
 
 @runtime_checkable
@@ -45,13 +48,13 @@ class Processor:
     """Turns samples into contacts.
 
     Rows are held until the tare is over, and until their pose is known. A row that the sensor calls invalid, or that has no pose, is given on without contact,
-    with `Status.BAD_DATA`.
+    with `Status.BAD_DATA`. The tare begins with the first valid one.
 
     Parameters
     ----------
     rod, sensor
         Of the setup; the first `sensor.tare_seconds` of samples, taken from the stream, are its tare: one second where that is None. Rest intervals and an
-        estimated drift need a whole recording and are not used; of pink noise and random walk the covariance holds nothing.
+        estimated drift need a whole recording and are not used.
     poses
         Of the sensor frame, for sources that do not know it.
     stage
@@ -68,6 +71,7 @@ class Processor:
         self._held_by_tare = 0
         self._waiting: list[Samples] = []
         self._origin: int | None = None
+        self._nothing = replace(self._sensor, tare_seconds=0.0).tare(_ONE_ROW)
         self.tare: Float[np.ndarray, 6] | None = None if self._tare is None else self._tare.offset
         self.restless = 0.0
         self.without_pose = 0
@@ -77,7 +81,7 @@ class Processor:
         for rows in _WARM_SIZES:
             turn = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1))
             raw = RawRecording(np.arange(rows) * 1.0, np.zeros((rows, 3)), turn, np.ones((rows, 3)), np.zeros((rows, 3)))
-            reactions = self._sensor.reactions(raw, self._tare or replace(self._sensor, tare_seconds=0.0).tare(raw))
+            reactions = self._sensor.reactions(raw, self._tare or self._nothing)
             reconstruct(self._rod, reactions, friction=self._friction)
 
     def push(self, samples: Samples) -> None:
@@ -89,24 +93,30 @@ class Processor:
         self._waiting.append(samples)
         if self._tare is None:
             self._try_tare()
+        elif self._tare.coloured is None and len(samples) > 1:
+            self._tare = replace(self._tare, coloured=self._coloured(0.0, samples.stamp))
+
+    def _coloured(self, start: float, stamp: Int[np.ndarray, "n"]) -> tuple[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]], ...]:
+        """Pink noise and random walk of a stream that began at `start` [s] and goes on."""
+        return tuple(self._sensor.coloured_within(start, _DAY, float(np.median(np.diff(stamp))) * 1e-9))
 
     def _try_tare(self) -> None:
         """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from a recording."""
-        assert self._origin is not None
         assert self._sensor.tare_seconds is not None
-        end = self._origin + self._sensor.tare_seconds * 1e9
-        if self._waiting[-1].stamp[-1] < end:
+        first = next((part.stamp[np.argmax(part.valid)] for part in self._waiting if part.valid.any()), None)
+        if first is None or self._waiting[-1].stamp[-1] < first + self._sensor.tare_seconds * 1e9:
             return
         samples = joined(self._waiting)
         self._waiting = [samples]
-        rows = (samples.stamp < end) & samples.valid
+        rest = samples.rows(int(np.argmax(samples.valid)), len(samples))
+        rows = (rest.stamp < first + self._sensor.tare_seconds * 1e9) & rest.valid
         count = int(np.count_nonzero(rows))
         if count < _LEAST_TARE:
             raise ValueError(
                 f"tare_seconds = {self._sensor.tare_seconds}: {count} samples came within it; allowed are at least {_LEAST_TARE}"
             )
-        raw, _ = self._raw(samples)
-        self._tare = self._sensor.tare(raw)
+        raw = self._raw(rest, self._posed(rest) if self._sensor.mount is not None else _standing(len(rest)))
+        self._tare = replace(self._sensor.tare(raw), coloured=self._coloured(float(raw.time[0]), rest.stamp))
         self.tare = self._tare.offset
         self.restless = self._restlessness(raw.wrench[rows])
         self._held_by_tare = len(samples)
@@ -125,10 +135,12 @@ class Processor:
 
     def ready(self, now: int) -> Iterator[Result]:
         """Batches that can be worked on at `now` [ns since 1970], for sources whose stamps are of the host's clock."""
-        while self._tare is not None and self._waiting:
+        while self._waiting and (self._tare is not None or not self._waiting[0].valid[0]):
             samples = joined(self._waiting)
             self._waiting = [samples]
             known = len(samples) if samples.position is not None else self._poses.ready(samples.stamp, now)
+            if self._tare is None and samples.valid.any():
+                known = min(known, int(np.argmax(samples.valid)))
             if known == 0:
                 return
             count = min(known, MOST_ROWS)
@@ -141,27 +153,31 @@ class Processor:
         return sum(map(len, self._waiting))
 
     def _result(self, samples: Samples) -> Result:
-        assert self._tare is not None
-        raw, known = self._raw(samples)
-        found = reconstruct(self._rod, self._sensor.reactions(raw, self._tare), friction=self._friction)
-        tared = raw.wrench - self._tare.readings(self._sensor, raw.time, raw.orientation)
+        tare = self._tare or self._nothing
+        poses = self._posed(samples)
+        known = poses.known
+        self.without_pose += int(np.count_nonzero(~known))
+        raw = self._raw(samples, poses)
+        found = reconstruct(self._rod, self._sensor.reactions(raw, tare), friction=self._friction)
+        tared = raw.wrench - tare.readings(self._sensor, raw.time, raw.orientation)
         raw = replace(raw, force=tared[:, :3], torque=tared[:, 3:])
         if not known.all():
             raw = replace(raw, **{name: np.where(known[:, None], getattr(raw, name), np.nan) for name in ("position", "orientation")})
         held, self._held_by_tare = self._held_by_tare > 0, max(self._held_by_tare - len(samples), 0)
         return Result(samples.stamp, samples.arrival, held, raw, found if self._stage is None else self._stage.push(found))
 
-    def _raw(self, samples: Samples) -> tuple[RawRecording, Bool[np.ndarray, "n"]]:
-        """Samples as a recording, NaN for those without a pose or not valid; and which poses are known."""
+    def _raw(self, samples: Samples, poses: Poses) -> RawRecording:
+        """Samples as a recording, NaN for those without a pose or not valid."""
         assert self._origin is not None
-        position, orientation, known = self._posed(samples)
         wrench = np.concatenate([samples.force, samples.torque], axis=1)
-        wrench[~(samples.valid & known)] = np.nan
-        return RawRecording((samples.stamp - self._origin) * 1e-9, position, orientation, wrench[:, :3], wrench[:, 3:]), known
+        wrench[~(samples.valid & poses.known)] = np.nan
+        return RawRecording((samples.stamp - self._origin) * 1e-9, poses.position, poses.orientation, wrench[:, :3], wrench[:, 3:])
 
     def _posed(self, samples: Samples) -> Poses:
         if samples.position is not None and samples.orientation is not None:
             return Poses(samples.position, samples.orientation, np.ones(len(samples), dtype=bool))
-        poses = self._poses.at(samples.stamp)
-        self.without_pose += int(np.count_nonzero(~poses.known))
-        return poses
+        return self._poses.at(samples.stamp)
+
+
+def _standing(count: int) -> Poses:
+    return Poses(np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)), np.ones(count, dtype=bool))

@@ -11,6 +11,22 @@ MOST_RECORDS = 40
 """In one datagram: what the sensors' buffered mode sends at most."""
 ERROR_BIT = 1 << 31
 """Of the status: set by the sensor where its reading is not to be trusted; the lower bits say why."""
+STATUS_BITS = {
+    0: "temperature out of range",
+    1: "supply voltage out of range",
+    2: "broken gauge",
+    3: "busy",
+    5: "other error",
+    7: "calibration not accessible",
+    16: "monitor condition latched",
+    27: "gauge out of range",
+    28: "simulated error",
+    29: "calibration checksum error",
+    30: "force or torque out of range",
+    31: "error",
+}
+"""What bits of the status mean (ATI Industrial Automation, "Manual, F/T Sensor, Ethernet Axia", documents 9610-05-Ethernet Axia-09, table 4.9, and 9620-05-C-Ethernet
+Axia-02, table 5.7); other sensors may give the lower ones other meanings."""
 MODULUS = 1 << 32
 """Sequence numbers count up to here, and start at 0 again."""
 

@@ -143,6 +143,8 @@ class Source(ABC):
     counts: Counts
     waits = False
     """Whether it can be left unread for a while without loss, as a file can."""
+    complaint = ""
+    """What was wrong with the last of what could not be read."""
 
     @abstractmethod
     def open(self) -> None:

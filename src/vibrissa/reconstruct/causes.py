@@ -79,7 +79,7 @@ def contact_errors(
     pose
         Of the robot's position in each sample: a standard deviation for each axis [m], or a covariance (3, 3), world axes. Default: that of the reactions.
     pose_rotation
-        Standard deviation of the robot's orientation in each sample [rad], as a rotation about the clamp.
+        Standard deviation of the robot's orientation in each sample [rad], as a rotation about the clamp; besides that of the reactions.
 
     Raises
     ------
@@ -100,7 +100,8 @@ def contact_errors(
     stiffness = np.hypot(
         not_negative(youngs_modulus, "youngs_modulus"), not_negative(bending_stiffness, "bending_stiffness") / rod.bending_stiffness
     )
-    own = found.reactions.position_covariance
+    # Smoothed contacts hold the position's error alone.
+    own = found.reactions.pose_covariance(found.point) if found.smoothing is None else found.reactions.position_covariance
     floor = np.zeros((3, 3)) if own is None else own
     robot = floor if pose is None else _covariance(pose, "pose")
     slopes = _sensitivities(found)

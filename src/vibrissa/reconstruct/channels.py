@@ -17,7 +17,7 @@ from scipy.special import chdtri
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.numerics.compiled import compiled
-from vibrissa.reactions import Reactions
+from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.reconstruct.result import Reconstruction
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, TILT, bent
 from vibrissa.reconstruct.smoothing.series import linearised
@@ -240,9 +240,12 @@ def _filled(
         force = np.linalg.norm(values.wrench[:, :3], axis=1)[:, None, None]
         across = np.eye(3) - np.einsum("ni,nj->nij", values.direction, values.direction)
         of_normal = -turned @ across @ jacobian[:, :3] / force
-        floor = np.zeros((3, 3)) if reactions.position_covariance is None else reactions.position_covariance
+        by_pose = reactions.pose_covariance(fields["point"].reshape(*shape, 3))
+        floor = np.zeros((3, 3)) if by_pose is None else by_pose.reshape(-1, 3, 3)[picked]
         fields["covariance"][picked] = length**2 * of_point @ spread @ np.swapaxes(of_point, 1, 2) + floor
         fields["normal_covariance"][picked] = of_normal @ spread @ np.swapaxes(of_normal, 1, 2)
+        if reactions.rotation_covariance is not None:
+            fields["normal_covariance"][picked] += turned_covariance(reactions.rotation_covariance, fields["normal"][picked])
         fields["arc_length_deviation"][picked] = length * np.sqrt(np.maximum(spread[:, ARC_LENGTH, ARC_LENGTH], 0))
     known = reactions.covariance is not None
     given = {name: value.reshape(*shape, *value.shape[1:]) for name, value in fields.items()}

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
 from vibrissa.numerics.blocks import in_blocks, single
-from vibrissa.reactions import Reactions
+from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.reconstruct.channels import reconstruct_from_channels
 from vibrissa.reconstruct.kernels import NOISY_WIDTH, TIP_DEVIATIONS, WIDTH, invert_blocks, invert_noisy_blocks
 from vibrissa.reconstruct.result import Reconstruction
@@ -169,20 +169,24 @@ def _result(
         values = np.where(none[:, None], np.nan, values)
         energy = np.where(none, np.where(bad, np.nan, 0.0), energy)
     kind = np.where(none, _NONE, np.where(tip, _TIP_KIND, _TANGENTIAL)).astype(np.int8)
+    point = reactions.trail.position + (values[:, :3] * length).reshape(*shape, 3)
+    normal = values[:, 3:6].reshape(*shape, 3)
     covariance = normal_covariance = deviation = None
     if errors is not None:
         errors = np.where(none[:, None], np.nan, errors) if none.any() else errors
         covariance = (errors[:, :9] * length**2).reshape(*shape, 3, 3)
-        if reactions.position_covariance is not None:
-            covariance = covariance + reactions.position_covariance
         normal_covariance = errors[:, 9:18].reshape(*shape, 3, 3)
+        if reactions.rotation_covariance is not None:
+            normal_covariance = normal_covariance + turned_covariance(reactions.rotation_covariance, normal)
+        by_pose = reactions.pose_covariance(point)
+        covariance = covariance if by_pose is None else covariance + by_pose
         deviation = (errors[:, 18] * length).reshape(shape)
     return Reconstruction(
         rod,
         reactions,
         kind=kind.reshape(shape),
-        point=reactions.trail.position + (values[:, :3] * length).reshape(*shape, 3),
-        normal=values[:, 3:6].reshape(*shape, 3),
+        point=point,
+        normal=normal,
         arc_length=(values[:, 6] * length).reshape(shape),
         energy=energy.reshape(shape),
         modulus=values[:, 7].reshape(shape),

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.reactions import Reactions
@@ -36,7 +37,11 @@ def logged(
     for process, scale in sensor.coloured(time):
         noisy += scale * process.sampled(time, rng, 6)
     if sensor.orientation_noise:
-        orientation = _turned(orientation, rng.normal(0.0, sensor.orientation_noise, (len(time), 3)))
+        turn = Rotation.from_rotvec(rng.normal(0.0, sensor.orientation_noise, (len(time), 3)))
+        orientation = (turn * Rotation.from_quat(orientation)).as_quat()
+        if sensor.wrench_frame == "world":
+            # World axes are those of the robot, which turns the wrench by the orientation that it logs.
+            noisy += np.concatenate([turn.apply(shown[:, :3]), turn.apply(shown[:, 3:])], axis=1) - shown
     force = _read(noisy[:, :3], sensor.force_resolution, sensor.force_range)
     return RawRecording(time, position, orientation, force, _read(noisy[:, 3:], sensor.torque_resolution, sensor.torque_range))
 
@@ -58,10 +63,3 @@ def _read(values: Float[np.ndarray, "n 3"], resolution: float, largest: tuple[fl
         limit = np.floor(np.asarray(largest) / resolution + _ROUNDING) * resolution if resolution else np.asarray(largest)
         values = np.clip(values, -limit, limit)
     return np.asarray(np.round(values / resolution) * resolution if resolution else values)
-
-
-def _turned(orientation: Float[np.ndarray, "n 4"], by: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
-    """Orientations turned by rotation vectors in world axes [rad]."""
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415
-
-    return np.asarray((Rotation.from_rotvec(by) * Rotation.from_quat(orientation)).as_quat())

@@ -38,7 +38,12 @@ class Pink:
     @classmethod
     def over(cls, time: Times) -> "Pink":
         """From a tenth of the inverse duration to half the sampling rate of the stamps (n,), n ≥ 2."""
-        lowest, highest = 1 / (_MARGIN * float(time[-1] - time[0])), 1 / (2 * float(np.median(np.diff(time))))
+        return cls.within(float(time[-1] - time[0]), float(np.median(np.diff(time))))
+
+    @classmethod
+    def within(cls, duration: float, interval: float) -> "Pink":
+        """The same for a recording of this duration [s], sampled at this interval [s]."""
+        lowest, highest = 1 / (_MARGIN * duration), 1 / (2 * interval)
         count = max(2, math.ceil(_PER_DECADE * math.log10(highest / lowest)) + 1)
         corners = np.geomspace(lowest, highest, count)
         # A process of variance v and rate a = 2πc has the one-sided density 4 v a / (a² + (2πf)²); corners spaced by h in ln c add up to (v/h)/f.

@@ -51,8 +51,9 @@ class Sensor:
         Steps of the numbers [N], [N m].
     position_noise, orientation_noise
         Standard deviation of the robot's position [m] and of its orientation's rotation vector [rad] on each axis; the position's is used where the wrench's
-        noise is known. The orientation's turns rod and wrench as one body about the sensor's origin: it moves a contact by its cross product with the vector
-        from there, and enters `measure` and `vibrissa.expected_error`, but no covariance of `reactions`.
+        noise is known. The orientation's turns rod and wrench as one body about the sensor's origin, also a wrench in world axes, which was turned by the orientation
+        that is logged: it moves a contact by its cross product with the vector from there. That the mount's weight is taken off in an orientation that is not the
+        true one enters no covariance.
     noise_corner
         Frequency [Hz] at which pink noise has the power spectral density of the white noise; 0 for none.
     force_random_walk, torque_random_walk
@@ -188,14 +189,21 @@ class Sensor:
 
     def coloured(self, time: Float[np.ndarray, "n"]) -> list[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]]]:
         """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the channels; those that the sensor has."""
+        if not len(time):
+            return []
+        interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        return self.coloured_within(float(time[0]), float(time[-1] - time[0]), interval)
+
+    def coloured_within(self, start: float, duration: float, interval: float) -> list[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]]]:
+        """The same for a recording that starts at `start`, of this duration, sampled at this interval [s]; without pink noise where that is 0."""
         processes: list[tuple[Pink | RandomWalk, np.ndarray]] = []
-        if self.noise_corner > 0 and len(time) > 1 and self.force_noise is not None and self.torque_noise is not None:
+        if self.noise_corner > 0 and interval > 0 and self.force_noise is not None and self.torque_noise is not None:
             # One-sided density of white noise: twice its variance over the rate; the pink noise's is that at the corner.
-            factor = np.sqrt(2 * self.noise_corner * float(np.median(np.diff(time))))
-            processes.append((Pink.over(time), factor * np.repeat([self.force_noise, self.torque_noise], 3)))
+            factor = np.sqrt(2 * self.noise_corner * interval)
+            processes.append((Pink.within(duration, interval), factor * np.repeat([self.force_noise, self.torque_noise], 3)))
         walk = np.repeat([self.force_random_walk, self.torque_random_walk], 3)
-        if np.any(walk) and len(time):
-            processes.append((RandomWalk(float(time[0])), walk))
+        if np.any(walk):
+            processes.append((RandomWalk(start), walk))
         return processes
 
     def without_estimates(self) -> "Sensor":
@@ -254,6 +262,8 @@ class Sensor:
             time=raw.time,
             covariance=carried(maps, tare.covariance(self, raw.time, raw.orientation)) if known else None,
             position_covariance=np.eye(3) * self.position_noise**2 if known else None,
+            rotation_covariance=np.eye(3) * self.orientation_noise**2 if known and self.orientation_noise else None,
+            rotation_center=raw.position if known and self.orientation_noise else None,
         )
 
     def measure(

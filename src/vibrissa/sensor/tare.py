@@ -51,8 +51,12 @@ class Tare:
     mount: Mount | None
     _parameters: Float[np.ndarray, "p p"]
     """Covariance of the fit's parameters for white noise of the variances `_variance`."""
+    _rounding: Float[np.ndarray, "6"]
+    """Variance of the offset by rounding that more samples do not average out."""
     _designs: Float[np.ndarray, "k 6 p"]
     _variance: Float[np.ndarray, "6"]
+    coloured: tuple[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]], ...] | None = None
+    """Processes of pink noise and random walk, with their scales; None for those of the sensor over the times of the recording."""
 
     @property
     def seconds(self) -> float:
@@ -74,7 +78,9 @@ class Tare:
         White noise and rounding, and pink noise and random walk as far as they have moved since the tare was taken. They begin at the first time, or at `since`.
         """
         white = np.diag(sensor.reading_variance)
-        coloured = sensor.coloured(time if since is None else np.concatenate([[since], time]))
+        coloured = self.coloured
+        if coloured is None:
+            coloured = tuple(sensor.coloured(time if since is None else np.concatenate([[since], time])))
         if not self.intervals:
             if not coloured:
                 return white
@@ -84,7 +90,8 @@ class Tare:
             return total
         rows = _design_rows(sensor, time - self.epoch, orientation, self._designs.shape[2])
         constant = self._designs.shape[2] == 6
-        tare = (rows[:1] if constant else rows) @ self._parameters @ np.swapaxes(rows[:1] if constant else rows, 1, 2)
+        of_rows = rows[:1] if constant else rows
+        tare = of_rows @ self._parameters @ np.swapaxes(of_rows, 1, 2) + np.diag(self._rounding)
         if not coloured:
             return white + tare[0] if constant else white + tare
         weights = [
@@ -102,7 +109,17 @@ def no_tare(sensor: "Sensor", time: Float[np.ndarray, "n"]) -> Tare:
     drift = np.concatenate([sensor.force_drift, sensor.torque_drift])
     nothing = np.zeros((0, 0))
     return Tare(
-        (), (), "none: tare_seconds = 0", float(time[0]), np.zeros(6), drift, sensor.mount, nothing, np.zeros((0, 6, 0)), np.ones(6)
+        (),
+        (),
+        "none: tare_seconds = 0",
+        float(time[0]),
+        np.zeros(6),
+        drift,
+        sensor.mount,
+        nothing,
+        np.zeros(6),
+        np.zeros((0, 6, 0)),
+        np.ones(6),
     )
 
 
@@ -122,7 +139,8 @@ def planned_tare(sensor: "Sensor", intervals: tuple[tuple[float, float], ...], c
         np.zeros(6),
         np.zeros(6),
         None,
-        _with_rounding(sensor, np.linalg.inv(information), counts),
+        np.linalg.inv(information),
+        _rounding(sensor, counts),
         designs,
         variance,
     )
@@ -161,8 +179,8 @@ def fitted_tare(sensor: "Sensor", raw: RawRecording, intervals: tuple[tuple[floa
     mount = _mount(sensor, solution[-4:]) if estimated else sensor.mount
     given = np.concatenate([sensor.force_drift, sensor.torque_drift])
     drift = given + (solution[6:12] if sensor.estimate_drift else 0)
-    spread = _with_rounding(sensor, parameters, counts)
-    return Tare(intervals, counts, found, epoch, solution[:6] + (epoch - first) * given, drift, mount, spread, designs, variance)
+    offset = solution[:6] + (epoch - first) * given
+    return Tare(intervals, counts, found, epoch, offset, drift, mount, parameters, _rounding(sensor, counts), designs, variance)
 
 
 def _given(sensor: "Sensor", raw: RawRecording, first: float) -> Float[np.ndarray, "n 6"]:
@@ -256,15 +274,13 @@ def _mount(sensor: "Sensor", moments: Float[np.ndarray, "4"]) -> Mount:
     return Mount(mass, (x, y, z), sensor.mount.gravity, estimated=True)
 
 
-def _with_rounding(sensor: "Sensor", parameters: Float[np.ndarray, "p p"], counts: tuple[int, ...]) -> Float[np.ndarray, "p p"]:
+def _rounding(sensor: "Sensor", counts: tuple[int, ...]) -> Float[np.ndarray, "6"]:
     """The offset's share of rounding errors that more samples do not average out."""
     if sensor.force_noise is None or sensor.torque_noise is None:
-        return parameters
-    spread, count = parameters.copy(), sum(counts)
+        return np.zeros(6)
+    count = sum(counts)
     pairs = ((sensor.force_noise, sensor.force_resolution), (sensor.torque_noise, sensor.torque_resolution))
-    extra = [quantisation_of_mean(noise, step, count) - step**2 / 12 / count for noise, step in pairs]
-    spread[np.arange(6), np.arange(6)] += np.repeat(extra, 3)
-    return spread
+    return np.repeat([quantisation_of_mean(noise, step, count) - step**2 / 12 / count for noise, step in pairs], 3)
 
 
 def _difference(

@@ -2,6 +2,6 @@
 
 from vibrissa.io.rosbag.growing import Channel, GrowingFile, Messages
 from vibrissa.io.rosbag.mend import mend
-from vibrissa.io.rosbag.sink import McapSink
+from vibrissa.io.rosbag.sink import McapSink, Rosbag2Sink
 
-__all__ = ["Channel", "GrowingFile", "McapSink", "Messages", "mend"]
+__all__ = ["Channel", "GrowingFile", "McapSink", "Messages", "Rosbag2Sink", "mend"]

@@ -132,6 +132,7 @@ class GrowingFile:
         self._records = library("mcap.records")
         self._builder = library("mcap.data_stream").RecordBuilder
         self._disk = disk
+        self.channels = tuple(channels)
         self._declarations = [*self._schemas(channels), *self._channels(channels, qos)]
         self._chunks: list[Any] = []
         self._message_counts = dict.fromkeys(range(1, len(channels) + 1), 0)
@@ -197,10 +198,15 @@ class GrowingFile:
         self._room = room
 
     def _grow(self, least: int) -> None:
-        old = self._index_start
+        old, size = self._index_start, self._size
         self._size = max(_whole_pages(least), self._size + ROOM)
-        self._disk.write(self._footer(old), self._size - _FOOTER_BYTES)
-        self._disk.write(self._index, self._index_place)
+        try:
+            self._disk.write(self._footer(old), self._size - _FOOTER_BYTES)
+            self._disk.write(self._index, self._index_place)
+        except OSError:
+            # Of a disk that is full: the old index still holds, and nothing may be written over it.
+            self._size = size
+            raise
         self._disk.write(_HEAD.pack(_PRIVATE, self._index_place - self._room - _HEAD.size), self._room)
         self._disk.write(struct.pack("<Q", self._index_start), self._size - _FOOTER_BYTES + _HEAD.size)
 

@@ -129,7 +129,8 @@ class MessageWriter:
     def _stamped(self, channel: int, stamp: np.ndarray, log_time: np.ndarray, numbers: np.ndarray, sequence: np.ndarray) -> Messages:
         records = np.repeat(self._patterns[channel], len(stamp))
         records["sequence"] = sequence % (1 << 32)
-        records["log_time"], records["publish_time"] = log_time, stamp
+        # MCAP knows no time before 1970; the header does.
+        records["log_time"], records["publish_time"] = log_time, np.maximum(stamp, 0)
         records["sec"], records["nanosec"] = stamp // _SECOND, stamp % _SECOND
         records["numbers"] = numbers
         return Messages(channel, log_time, np.arange(len(stamp), dtype=np.int64) * records.itemsize, records.tobytes())
@@ -150,7 +151,7 @@ class MessageWriter:
         head = np.zeros(1, dtype=_MESSAGE_HEAD)
         head["opcode"], head["length"], head["channel"] = _MESSAGE, _BESIDE_DATA + len(data), CONTACTS + 1
         head["sequence"] = self._numbered(CONTACTS, 1)
-        head["log_time"], head["publish_time"] = log_time, first
+        head["log_time"], head["publish_time"] = log_time, max(first, 0)
         return Messages(CONTACTS, np.array([log_time]), np.zeros(1, dtype=np.int64), head.tobytes() + data)
 
     def _cloud_bytes(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:

@@ -1,16 +1,22 @@
-"""A stream to an MCAP file."""
+"""A stream to an MCAP file, alone or in a rosbag2 folder."""
 
+import time
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.io.rosbag.growing import FileDisk, GrowingFile, Messages
+from vibrissa.io.rosbag.library import library
 from vibrissa.io.rosbag.messages import QOS, MessageWriter
 from vibrissa.reconstruct import Reconstruction
 from vibrissa.sensor import RawRecording
 
 _MOST_HELD = 1 << 20
+METADATA = "metadata.yaml"
+_VERSION = 5
+_EVERY = 1.0
 
 
 class McapSink:
@@ -76,3 +82,96 @@ class McapSink:
             self.file.close()
         finally:
             self._disk.close()
+
+
+class Rosbag2Sink:
+    """Raw wrenches, poses and contacts as a rosbag2 folder: `NAME_0.mcap` as `McapSink` writes it, and `metadata.yaml`.
+
+    Both are whole whenever the process is killed; the metadata, which are replaced in one piece every second, then count what was there up to a second before. They
+    are of version 5, that of ROS 2 Humble, which all later ones read.
+
+    Parameters
+    ----------
+    folder
+        That is there, or whose parent is.
+    wrench_frame, world_frame
+        As for `McapSink`.
+
+    Raises
+    ------
+    ImportError
+        If the libraries for MCAP are missing.
+    OSError
+        If the folder cannot be written to.
+    """
+
+    def __init__(self, folder: Path, *, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
+        folder.mkdir(exist_ok=True)
+        self._yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
+        self._yaml.default_flow_style = False
+        self._metadata = folder / METADATA
+        self._name = bag_file(folder).name
+        self._mcap = McapSink(folder / self._name, wrench_frame=wrench_frame, world_frame=world_frame)
+        self._described()
+
+    def _described(self) -> None:
+        """Replace the metadata."""
+        file = self._mcap.file
+        first, last = file.time_range or (0, 0)
+        span = {"starting_time": {"nanoseconds_since_epoch": first}, "duration": {"nanoseconds": last - first}}
+        count = {"message_count": sum(file.message_counts)}
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": channel.topic,
+                    "type": channel.message_type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": QOS,
+                },
+                "message_count": number,
+            }
+            for channel, number in zip(file.channels, file.message_counts, strict=True)
+        ]
+        content = {
+            "version": _VERSION,
+            "storage_identifier": "mcap",
+            **span,
+            **count,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self._name],
+            "files": [{"path": self._name, **span, **count}],
+        }
+        text = StringIO()
+        self._yaml.dump({"rosbag2_bagfile_information": content}, text)
+        part = self._metadata.with_name(f".{METADATA}.part")
+        part.write_text(text.getvalue(), encoding="utf-8")
+        part.replace(self._metadata)
+        self._when = time.monotonic()
+
+    def wrench(
+        self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
+    ) -> None:
+        """Keep raw samples for the next chunk."""
+        self._mcap.wrench(stamp, sequence, force, torque)
+
+    def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:
+        """Keep poses and contacts for the next chunk."""
+        self._mcap.contacts(stamp, raw, found)
+
+    def flush(self) -> None:
+        """Write a chunk of what is held and, now and then, the metadata."""
+        self._mcap.flush()
+        if time.monotonic() - self._when >= _EVERY:
+            self._described()
+
+    def close(self) -> None:
+        """Write the rest, the index and the metadata."""
+        self._mcap.close()
+        self._described()
+
+
+def bag_file(folder: Path) -> Path:
+    """The file in which a bag's messages lie."""
+    return folder / f"{folder.resolve().name}_0.mcap"

@@ -325,16 +325,39 @@ def test_presets_hold_a_sheets_figures() -> None:
             assert of.force_noise is None
         else:
             assert of.force_noise is not None
-            assert of.force_noise >= of.force_resolution
+            assert np.all(of.noise >= of.resolution)
     assert preset("ati_axia80_m20_si_500_20").force_range == (500.0, 500.0, 900.0)
     nano = preset("ati_nano17_si_12_0_12")
     assert (nano.force_range, nano.torque_range) == ((12.0, 12.0, 17.0), (0.12, 0.12, 0.12))
     assert (nano.force_resolution, nano.torque_resolution) == (1 / 320, pytest.approx(1e-3 / 64))
     assert preset("ati_nano17_si_25_0_25").force_resolution == 1 / 160
     assert preset("ati_nano17_si_50_0_5").torque_resolution == pytest.approx(1e-3 / 16)
+    np.testing.assert_allclose(preset("ati_mini40_si_40_2").noise, [0.01, 0.01, 0.02, 2.5e-4, 2.5e-4, 2.5e-4])
+    assert preset("ati_mini45_si_145_5").torque_resolution == (1 / 752, 1 / 752, 1 / 1504)
     assert preset("robotiq_ft_300_s").force_range == (300.0, 300.0, 300.0)
     with pytest.raises(ValueError, match="preset = 'nano'; allowed are ati_nano17_si_12_0_12"):
         preset("nano")
+
+
+def test_each_axis_has_its_own_noise_steps_and_walk() -> None:
+    """Three numbers in place of one: what is logged scatters so, is rounded so, and the covariance of reactions and the tare say the same."""
+    figures = {"force_noise": (1e-3, 2e-3, 5e-3), "torque_noise": (4e-5, 1e-5, 8e-5), "force_resolution": (0.0, 1e-4, 2e-3)}
+    own = sensor(**figures, torque_random_walk=(0.0, 0.0, 1e-5), tare_seconds=1.0)
+    time = np.arange(20_000) / 1000
+    still = vb.Reactions(vb.Trail(np.zeros((len(time), 3))), np.zeros((len(time), 3)), np.zeros((len(time), 3)), time=time)
+    raw = own.measure(still, np.random.default_rng(3))
+    np.testing.assert_allclose(np.std(np.diff(raw.wrench, axis=0), axis=0) / np.sqrt(2), np.sqrt(own.reading_variance), rtol=0.02)
+    np.testing.assert_allclose(raw.force[:, 2] / 2e-3, np.round(raw.force[:, 2] / 2e-3), atol=1e-9)
+    ends = np.std([own.measure(still, np.random.default_rng(seed)).torque[-50:].mean(axis=0) for seed in range(24)], axis=0)
+    assert ends[2] == pytest.approx(1e-5 * np.sqrt(20), rel=0.5)
+    assert ends[0] < 1e-5
+    told = own.tare(raw).covariance(own, raw.time, raw.orientation)[-1]
+    np.testing.assert_allclose(np.diag(told)[:5], own.reading_variance[:5], rtol=5e-3)
+    assert np.sqrt(told[5, 5] - own.reading_variance[5]) == pytest.approx(1e-5 * np.sqrt(20), rel=0.05)
+    one = sensor(force_noise=2e-3, torque_noise=3e-5, force_resolution=1e-3)
+    same = sensor(force_noise=(2e-3,) * 3, torque_noise=(3e-5,) * 3, force_resolution=(1e-3,) * 3)
+    first, second = (which.measure(pushed(), np.random.default_rng(5)) for which in (one, same))
+    np.testing.assert_array_equal(first.wrench, second.wrench)
 
 
 def test_measured_rows_are_those_of_a_recording() -> None:

@@ -312,6 +312,21 @@ SETUP_DAMAGE = {
     "long vector": ("[0.001, 0.002, 0.025]", "[0, 0, 0, 0]", ["sensor.clamp_position", "three finite numbers"]),
     "infinite entry": ("[0.001, 0.002, 0.025]", "[0, inf, 0]", ["sensor.clamp_position[1] = inf", "finite number"]),
     "negative noise": ("force_noise = 2.0e-3", "force_noise = -1", ["sensor.force_noise = -1", "allowed is a number"]),
+    "two noises": (
+        "force_noise = 2.0e-3",
+        "force_noise = [1e-3, 2e-3]",
+        ["sensor.force_noise = [0.001, 0.002]", "or three, one for each axis"],
+    ),
+    "noise as text": (
+        "force_noise = 2.0e-3",
+        'force_noise = ["1", 2, 3]',
+        ["sensor.force_noise = ['1', 2, 3]", "allowed is a number greater than 0"],
+    ),
+    "no step": (
+        "force_resolution = 1.5625e-3",
+        "force_resolution = [0, 0, nan]",
+        ["sensor.force_resolution = [0, 0, nan]", "a number of at least 0"],
+    ),
     "one noise": ("torque_noise = 4.0e-5\n", "", ["force_noise and torque_noise", "allowed are both or none"]),
     "negative tare": ("tare_seconds = 0.85", "tare_seconds = -0.5", ["sensor.tare_seconds = -0.5", "at least 0"]),
     "unknown table": ("[object]", "[environment]\n[object]", ["environment: unknown key", "rod, sensor, object"]),

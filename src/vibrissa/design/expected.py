@@ -151,19 +151,17 @@ def expected_error(
 
 def _averaged(sensor: Sensor, samples: int) -> Sensor:
     """The sensor whose single readings have the errors of means over so many."""
-    assert sensor.force_noise is not None
-    assert sensor.torque_noise is not None
     if samples == 1:
         return sensor
-    pairs = ((sensor.force_noise, sensor.force_resolution), (sensor.torque_noise, sensor.torque_resolution))
+    pairs = zip(sensor.noise.tolist(), sensor.resolution.tolist(), strict=True)
     steps = [float(np.sqrt(12 * quantisation_of_mean(noise, step, samples))) for noise, step in pairs]
-    root = samples**0.5
+    fx, fy, fz, tx, ty, tz = (sensor.noise / samples**0.5).tolist()
     return replace(
         sensor,
-        force_noise=sensor.force_noise / root,
-        torque_noise=sensor.torque_noise / root,
-        force_resolution=steps[0],
-        torque_resolution=steps[1],
+        force_noise=(fx, fy, fz),
+        torque_noise=(tx, ty, tz),
+        force_resolution=(steps[0], steps[1], steps[2]),
+        torque_resolution=(steps[3], steps[4], steps[5]),
     )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PlainValidator
 
 from vibrissa.io.calibration import CalibrationTable
 from vibrissa.io.config import ORIGIN, Finite, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
@@ -58,6 +58,37 @@ Interval = Annotated[tuple[NotNegative, NotNegative], Field(description="a pair 
 Row = Annotated[
     tuple[Finite, Finite, Finite, Finite, Finite, Finite], Field(description="six rows of six finite numbers, fx, fy, fz, tx, ty, tz each")
 ]
+
+
+def _by_axis(value: object, least: float) -> float | tuple[float, float, float]:
+    """One finite number for all axes, or three."""
+    numbers = value if isinstance(value, list | tuple) else [value]
+    if len(numbers) not in (1, 3) or (len(numbers) == 1 and numbers is value):
+        raise ValueError("allowed is one number, or three")
+    if any(isinstance(number, bool) or not isinstance(number, int | float) or not least <= number < math.inf for number in numbers):
+        raise ValueError("allowed are finite numbers")
+    first, *others = map(float, numbers)
+    return (first, others[0], others[1]) if others else first
+
+
+def _positive_by_axis(value: object) -> float | tuple[float, float, float]:
+    return _by_axis(value, math.ulp(0.0))
+
+
+def _not_negative_by_axis(value: object) -> float | tuple[float, float, float]:
+    return _by_axis(value, 0.0)
+
+
+Figure = Annotated[
+    float | tuple[float, float, float],
+    PlainValidator(_not_negative_by_axis),
+    Field(description="a number of at least 0, or three, one for each axis"),
+]
+Noise = Annotated[
+    float | tuple[float, float, float],
+    PlainValidator(_positive_by_axis),
+    Field(description="a number greater than 0, or three, one for each axis"),
+]
 Ranges = Annotated[tuple[Positive, Positive, Positive], Field(description="three numbers greater than 0")]
 
 
@@ -100,13 +131,13 @@ class SensorTable(Table):
     wrench_point: Vector = ORIGIN
     tare_seconds: NotNegative | None = None
     rest_intervals: Annotated[tuple[Interval, ...], Field(description="a list of pairs (start, stop) of seconds")] = ()
-    force_noise: Positive | None = None
-    torque_noise: Positive | None = None
+    force_noise: Noise | None = None
+    torque_noise: Noise | None = None
     noise_corner: NotNegative = 0.0
-    force_random_walk: NotNegative = 0.0
-    torque_random_walk: NotNegative = 0.0
-    force_resolution: NotNegative = 0.0
-    torque_resolution: NotNegative = 0.0
+    force_random_walk: Figure = 0.0
+    torque_random_walk: Figure = 0.0
+    force_resolution: Figure = 0.0
+    torque_resolution: Figure = 0.0
     force_range: Ranges | None = None
     torque_range: Ranges | None = None
     position_noise: NotNegative = 0.0

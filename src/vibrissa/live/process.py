@@ -123,10 +123,9 @@ class Processor:
 
     def _restlessness(self, wrench: Float[np.ndarray, "n 6"]) -> float:
         """Largest standard deviation of the tare's samples over the sensor's noise; 0 where that is not known."""
-        force_noise, torque_noise = self._sensor.force_noise, self._sensor.torque_noise
-        if force_noise is None or torque_noise is None:
+        if self._sensor.force_noise is None:
             return 0.0
-        return float(np.max(wrench.std(axis=0, ddof=1) / np.repeat([force_noise, torque_noise], 3)))
+        return float(np.max(wrench.std(axis=0, ddof=1) / self._sensor.noise))
 
     @property
     def moved_during_tare(self) -> bool:

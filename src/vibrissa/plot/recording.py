@@ -120,11 +120,11 @@ def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None
         inner = slice(1, -1)
         axes.loglog(frequency[inner], factor * np.sqrt(density[inner]), color=_AXIS_COLOURS[channel - first], linewidth=0.8)
     if sensor.force_noise is not None:
-        white = sensor.reading_variance[first] * 2 / found.rate
-        own = (sensor.force_noise if first == 0 else sensor.torque_noise or 0.0) ** 2 * 2 / found.rate
-        stated = white + own * sensor.noise_corner / frequency[1:]
-        axes.loglog(frequency[1:], factor * np.sqrt(stated), color="black", linestyle="--", linewidth=0.9, label="stated")
-        axes.legend(loc="lower left")
+        white, own = (np.asarray(part)[first : first + 3] * 2 / found.rate for part in (sensor.reading_variance, sensor.noise**2))
+        stated = white + own * sensor.noise_corner / frequency[1:, None]
+        for axis_noise in np.unique(factor * np.sqrt(stated), axis=1).T:
+            axes.loglog(frequency[1:], axis_noise, color="black", linestyle="--", linewidth=0.9, label="stated")
+        axes.legend(handles=[axes.lines[-1]], loc="lower left")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FormatStrFormatter("%g"))

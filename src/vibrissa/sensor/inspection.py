@@ -217,13 +217,12 @@ def _noise_faults(sensor: "Sensor", raw: RawRecording, interval: Interval, noise
     if sensor.force_noise is None or count < _FEWEST_AT_REST:
         return []
     freedom = float(count - 2)
-    if sensor.noise_corner > 0 or sensor.force_random_walk > 0 or sensor.torque_random_walk > 0:
+    if sensor.noise_corner > 0 or np.any(sensor.random_walk):
         noise, freedom = np.sqrt(np.mean(np.diff(values, axis=0) ** 2, axis=0) / 2), 2 * count / 3
     faults = []
     for channel, name in enumerate(CHANNELS):
         stated = float(np.sqrt(sensor.reading_variance[channel]))
-        white, step = (sensor.force_noise, sensor.force_resolution) if channel < 3 else (sensor.torque_noise, sensor.torque_resolution)
-        assert white is not None
+        white, step = float(sensor.noise[channel]), float(sensor.resolution[channel])
         coarse = step > 2 * white
         ratio = float(noise[channel]) / (max(stated, step / 2) if coarse else stated)
         larger = ratio > _NOISE_RATIO and freedom * ratio**2 > chi2.isf(_FALSE_ALARM, freedom)

@@ -32,8 +32,9 @@ def logged(
     position = position + rng.normal(0.0, sensor.position_noise, position.shape)
     drift = np.concatenate([sensor.force_drift, sensor.torque_drift])
     noisy = shown + tare + (time - time[0])[:, None] * drift
-    noisy[:, :3] += rng.normal(0.0, sensor.force_noise or 0.0, (len(time), 3))
-    noisy[:, 3:] += rng.normal(0.0, sensor.torque_noise or 0.0, (len(time), 3))
+    if sensor.force_noise is not None:
+        for part in (slice(0, 3), slice(3, 6)):
+            noisy[:, part] += rng.normal(0.0, sensor.noise[part], (len(time), 3))
     for process, scale in sensor.coloured(time):
         noisy += scale * process.sampled(time, rng, 6)
     if sensor.orientation_noise:
@@ -42,8 +43,8 @@ def logged(
         if sensor.wrench_frame == "world":
             # World axes are those of the robot, which turns the wrench by the orientation that it logs.
             noisy += np.concatenate([turn.apply(shown[:, :3]), turn.apply(shown[:, 3:])], axis=1) - shown
-    force = _read(noisy[:, :3], sensor.force_resolution, sensor.force_range)
-    return RawRecording(time, position, orientation, force, _read(noisy[:, 3:], sensor.torque_resolution, sensor.torque_range))
+    read = np.stack([_read(*channel) for channel in zip(noisy.T, sensor.resolution.tolist(), sensor.ranges, strict=True)], axis=1)
+    return RawRecording(time, position, orientation, read[:, :3], read[:, 3:])
 
 
 def filtered_readings(sensor: "Sensor", reactions: Reactions, orientation: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 6"]:
@@ -57,9 +58,9 @@ def filtered_readings(sensor: "Sensor", reactions: Reactions, orientation: Float
     return np.asarray(shown)
 
 
-def _read(values: Float[np.ndarray, "n 3"], resolution: float, largest: tuple[float, float, float] | None) -> Float[np.ndarray, "n 3"]:
+def _read(values: Float[np.ndarray, "n"], resolution: float, largest: float | None) -> Float[np.ndarray, "n"]:
     """Limited to the range and rounded, as by a converter: the last step within the range is the largest reading."""
     if largest is not None:
-        limit = np.floor(np.asarray(largest) / resolution + _ROUNDING) * resolution if resolution else np.asarray(largest)
+        limit = np.floor(largest / resolution + _ROUNDING) * resolution if resolution else largest
         values = np.clip(values, -limit, limit)
     return np.asarray(np.round(values / resolution) * resolution if resolution else values)

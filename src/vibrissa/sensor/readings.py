@@ -172,9 +172,11 @@ def believed_noise(sensor: "Sensor", wrench: Float[np.ndarray, "n 6"]) -> Float[
         second, third = (np.median(np.abs(np.diff(good, n=order, axis=0)), axis=0) for order in (2, 3))
         own = np.where(third > second, own, 0.0)
     believed = own.copy()
-    for part, stated in ((slice(0, 3), sensor.force_noise), (slice(3, 6), sensor.torque_noise)):
-        usual = float(np.median(own[part]))
-        usual = stated if stated is not None and usual > _BELIEVED * stated else usual
+    for part in (slice(0, 3), slice(3, 6)):
+        usual = np.full(3, np.median(own[part]))
+        if sensor.force_noise is not None:
+            stated = sensor.noise[part]
+            usual = np.where(np.median(own[part] / stated) > _BELIEVED, stated, usual)
         quiet = own[part] < _STUCK_SHARE * usual
         believed[part] = np.where(quiet, usual, own[part])
     return believed
@@ -182,7 +184,7 @@ def believed_noise(sensor: "Sensor", wrench: Float[np.ndarray, "n 6"]) -> Float[
 
 def _smallest_step(sensor: "Sensor", values: Float[np.ndarray, "n"], channel: int) -> float:
     """Step of the numbers: as stated, or the smallest that they show, if that is larger."""
-    stated = sensor.force_resolution if channel < 3 else sensor.torque_resolution
+    stated = float(sensor.resolution[channel])
     different = np.diff(np.unique(values[np.isfinite(values)]))
     # Equal decimals read as binary numbers differ in the last digit.
     different = different[different > 1e-12 * np.nanmax(np.abs(values), initial=0.0)] if len(different) else different
@@ -209,10 +211,9 @@ def _flat_topped(values: Float[np.ndarray, "n"], start: int, stop: int, deviatio
 
 def _limit(sensor: "Sensor", channel: int) -> float | None:
     """Largest reading of a channel; none in world axes, in which no channel is one of the sensor's."""
-    ranges, step = (sensor.force_range, sensor.force_resolution) if channel < 3 else (sensor.torque_range, sensor.torque_resolution)
-    if ranges is None or sensor.wrench_frame == "world":
+    largest, step = sensor.ranges[channel], float(sensor.resolution[channel])
+    if largest is None or sensor.wrench_frame == "world":
         return None
-    largest = float(ranges[channel % 3])
     return math.floor(largest / step + 1e-9) * step if step else largest
 
 

@@ -243,7 +243,7 @@ def reading_deviation(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Flo
 
 def shown_steps(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
     """Stated steps (6,) of the numbers; 0 where the numbers show finer ones."""
-    stated = np.repeat([sensor.force_resolution, sensor.torque_resolution], 3)
+    stated = sensor.resolution
     different = np.abs(np.diff(values, axis=0))
     smallest = np.min(np.where(different > 1e-9 * np.maximum(stated, 1e-300), different, np.inf), axis=0, initial=np.inf)
     return np.where(smallest < stated / 2, 0.0, stated)

@@ -29,6 +29,11 @@ _LARGEST_CONDITION = 1e8
 _SAME = 1e-9
 
 
+def _six(force: float | Vector, torque: float | Vector) -> Float[np.ndarray, "6"]:
+    """Figures of the six channels, of one number for all axes or one for each."""
+    return np.concatenate([np.broadcast_to(np.asarray(part, dtype=float), 3) for part in (force, torque)])
+
+
 @dataclass(frozen=True, eq=False)
 class Sensor:
     """Where the clamp sits on the sensor, what the wrench's numbers mean, and how noisy they are. SI units.
@@ -46,9 +51,9 @@ class Sensor:
     tare_seconds
         Leading time [s] free of contact, whose mean wrench is taken off; 0 for none, None for the rest that is found at the start.
     force_noise, torque_noise
-        Standard deviation of a sample's white noise on each axis [N], [N m], greater than 0; None where unknown.
+        Standard deviation of a sample's white noise [N], [N m], greater than 0: one for all axes, or one each; None where unknown.
     force_resolution, torque_resolution
-        Steps of the numbers [N], [N m].
+        Steps of the numbers [N], [N m], likewise.
     position_noise, orientation_noise
         Standard deviation of the robot's position [m] and of its orientation's rotation vector [rad] on each axis; the position's is used where the wrench's
         noise is known. The orientation's turns rod and wrench as one body about the sensor's origin, also a wrench in world axes, which was turned by the orientation
@@ -57,7 +62,7 @@ class Sensor:
     noise_corner
         Frequency [Hz] at which pink noise has the power spectral density of the white noise; 0 for none.
     force_random_walk, torque_random_walk
-        Standard deviation of a random walk after one second [N/√s], [N m/√s]; it grows with the root of the time.
+        Standard deviation of a random walk after one second [N/√s], [N m/√s], likewise; it grows with the root of the time.
     force_drift, torque_drift
         Known rates of the offset (3,) [N/s], [N m/s], in the axes of the wrench, since the recording's start.
     estimate_drift
@@ -88,15 +93,15 @@ class Sensor:
     wrench_frame: WrenchFrame = "sensor"
     wrench_point: Vector = (0.0, 0.0, 0.0)
     tare_seconds: float | None = 0.0
-    force_noise: float | None = None
-    torque_noise: float | None = None
-    force_resolution: float = 0.0
-    torque_resolution: float = 0.0
+    force_noise: float | Vector | None = None
+    torque_noise: float | Vector | None = None
+    force_resolution: float | Vector = 0.0
+    torque_resolution: float | Vector = 0.0
     position_noise: float = 0.0
     orientation_noise: float = 0.0
     noise_corner: float = 0.0
-    force_random_walk: float = 0.0
-    torque_random_walk: float = 0.0
+    force_random_walk: float | Vector = 0.0
+    torque_random_walk: float | Vector = 0.0
     force_drift: Vector = (0.0, 0.0, 0.0)
     torque_drift: Vector = (0.0, 0.0, 0.0)
     estimate_drift: bool = False
@@ -121,18 +126,25 @@ class Sensor:
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}; allowed are {' and '.join(allowed)}")
         for name in (field.name for field in fields(self) if field.name.endswith(("seconds", "noise", "resolution", "walk", "corner"))):
-            value = getattr(self, name)
-            of_wrench = name in {"force_noise", "torque_noise"}
-            if value is not None and not (np.isfinite(value) and (value > 0 if of_wrench else value >= 0)):
-                kind = "greater than 0, or none where the noise is not known" if of_wrench else "of at least 0"
-                raise ValueError(f"{name} = {value!r}; allowed is a finite number {kind}")
+            self._check_figure(name)
         self._check_parts()
+
+    def _check_figure(self, name: str) -> None:
+        value = getattr(self, name)
+        by_axis = name.startswith(("force", "torque"))
+        of_wrench = name in {"force_noise", "torque_noise"}
+        numbers = np.zeros(0) if value is None else np.asarray(value, dtype=float)
+        shaped = value is None or numbers.shape == () or (by_axis and numbers.shape == (3,))
+        if not (shaped and np.isfinite(numbers).all() and np.all(numbers > 0 if of_wrench else numbers >= 0)):
+            kind = "greater than 0, or none where the noise is not known" if of_wrench else "of at least 0"
+            each = ", or three of them" if by_axis else ""
+            raise ValueError(f"{name} = {value!r}; allowed is a finite number {kind}{each}")
 
     def _check_parts(self) -> None:
         if (self.force_noise is None) != (self.torque_noise is None):
             raise ValueError("force_noise and torque_noise: one is given without the other; allowed are both or none")
         for name in ("noise_corner", "force_random_walk", "torque_random_walk"):
-            if self.force_noise is None and getattr(self, name) > 0:
+            if self.force_noise is None and np.any(np.asarray(getattr(self, name)) > 0):
                 raise ValueError(f"{name} = {getattr(self, name)} without force_noise and torque_noise; allowed is 0, or both beside it")
         for name in ("force_range", "torque_range"):
             value = getattr(self, name)
@@ -180,12 +192,37 @@ class Sensor:
         ValueError
             If the noise is not known.
         """
+        return self.noise**2 + self.resolution**2 / 12
+
+    @property
+    def noise(self) -> Float[np.ndarray, "6"]:
+        """Standard deviation (6,) of the channels' white noise [N], [N m].
+
+        Raises
+        ------
+        ValueError
+            If it is not known.
+        """
         if self.force_noise is None or self.torque_noise is None:
             raise ValueError(
                 "force_noise = None: the variance of a reading is not known; allowed is a sensor with force_noise and torque_noise"
             )
-        pairs = ((self.force_noise, self.force_resolution), (self.torque_noise, self.torque_resolution))
-        return np.repeat([noise**2 + step**2 / 12 for noise, step in pairs], 3)
+        return _six(self.force_noise, self.torque_noise)
+
+    @property
+    def resolution(self) -> Float[np.ndarray, "6"]:
+        """Steps (6,) of the channels' numbers [N], [N m]; 0 for none."""
+        return _six(self.force_resolution, self.torque_resolution)
+
+    @property
+    def random_walk(self) -> Float[np.ndarray, "6"]:
+        """Standard deviation (6,) of the channels' random walk after a second [N/√s], [N m/√s]; 0 for none."""
+        return _six(self.force_random_walk, self.torque_random_walk)
+
+    @property
+    def ranges(self) -> list[float | None]:
+        """Largest reading of each channel (6,) [N], [N m]; None where it is not known."""
+        return [*(self.force_range or (None,) * 3), *(self.torque_range or (None,) * 3)]
 
     def coloured(self, time: Float[np.ndarray, "n"]) -> list[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]]]:
         """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the channels; those that the sensor has."""
@@ -197,13 +234,12 @@ class Sensor:
     def coloured_within(self, start: float, duration: float, interval: float) -> list[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]]]:
         """The same for a recording that starts at `start`, of this duration, sampled at this interval [s]; without pink noise where that is 0."""
         processes: list[tuple[Pink | RandomWalk, np.ndarray]] = []
-        if self.noise_corner > 0 and interval > 0 and self.force_noise is not None and self.torque_noise is not None:
+        if self.noise_corner > 0 and interval > 0 and self.force_noise is not None:
             # One-sided density of white noise: twice its variance over the rate; the pink noise's is that at the corner.
             factor = np.sqrt(2 * self.noise_corner * interval)
-            processes.append((Pink.within(duration, interval), factor * np.repeat([self.force_noise, self.torque_noise], 3)))
-        walk = np.repeat([self.force_random_walk, self.torque_random_walk], 3)
-        if np.any(walk):
-            processes.append((RandomWalk(start), walk))
+            processes.append((Pink.within(duration, interval), factor * self.noise))
+        if np.any(self.random_walk):
+            processes.append((RandomWalk(start), self.random_walk))
         return processes
 
     def without_estimates(self) -> "Sensor":

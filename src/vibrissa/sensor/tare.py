@@ -276,11 +276,11 @@ def _mount(sensor: "Sensor", moments: Float[np.ndarray, "4"]) -> Mount:
 
 def _rounding(sensor: "Sensor", counts: tuple[int, ...]) -> Float[np.ndarray, "6"]:
     """The offset's share of rounding errors that more samples do not average out."""
-    if sensor.force_noise is None or sensor.torque_noise is None:
+    if sensor.force_noise is None:
         return np.zeros(6)
     count = sum(counts)
-    pairs = ((sensor.force_noise, sensor.force_resolution), (sensor.torque_noise, sensor.torque_resolution))
-    return np.repeat([quantisation_of_mean(noise, step, count) - step**2 / 12 / count for noise, step in pairs], 3)
+    pairs = zip(sensor.noise.tolist(), sensor.resolution.tolist(), strict=True)
+    return np.array([quantisation_of_mean(noise, step, count) - step**2 / 12 / count for noise, step in pairs])
 
 
 def _difference(

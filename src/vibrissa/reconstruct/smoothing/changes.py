@@ -3,17 +3,30 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
+from vibrissa.numerics.blocks import rounded_up
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import SIZE, States, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
+from vibrissa.reconstruct.smoothing.merging import group_starts, merged
 from vibrissa.reconstruct.smoothing.phases import raw_arc_lengths, runs_of
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, TANGENTIAL, TIP, Labels, Series, chosen, linearised, steps_of
+from vibrissa.reconstruct.smoothing.series import (
+    FREE,
+    GO_ON,
+    JUMP,
+    KINK,
+    TANGENTIAL,
+    TIP,
+    Labels,
+    Series,
+    chosen,
+    filled,
+    linearised,
+    steps_of,
+)
 
 _LOADS = ARC_LENGTH
 """Moment and axial force: the coordinates whose jumps are looked for."""
@@ -77,9 +90,6 @@ def _shock(states: States, rows: np.ndarray, entries: list[int]) -> Float[np.nda
     return np.einsum("ni,nij,nj->n", pull / scale, inverse, pull / scale)
 
 
-_likelihoods = jax.jit(jax.vmap(kalman.log_likelihood, in_axes=(0, None, None, None)))
-
-
 def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: int) -> Float[np.ndarray, "k"]:
     """Log-likelihoods of the rows from `first` to `last` by candidates for the labels of the whole series; the state before them is that of the smoother."""
     rows = slice(max(first, 0), min(last + 1, max(first, 0) + _MOST_ROWS))
@@ -98,11 +108,14 @@ def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: in
         linear = chosen(tip, linears[1], linears[0])
         place = np.where(tip[:, None], at_tip, about)
         steps.append(steps_of(cut, part, place, model.weight[rows], model.rates, frictionless=model.frictionless, linear=linear))
+    starts = group_starts([Labels(*(field[rows] for field in labels)) for labels in candidates])
+    capacity = rounded_up(len(starts))
+    steps = [filled(merged(part, starts), capacity) for part in steps]
     steps += steps[-1:] * (-len(steps) % _AT_ONCE)
     values = []
     for k in range(0, len(steps), _AT_ONCE):
-        stacked = Step(*(jnp.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
-        values.append(_likelihoods(stacked, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance)))
+        stacked = Step(*(np.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
+        values.append(np.asarray(kalman.log_likelihoods(stacked, np.array(len(starts)), model.intensities, mean, covariance)))
     return np.concatenate(values)[: len(candidates)]
 
 

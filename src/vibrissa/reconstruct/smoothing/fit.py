@@ -2,9 +2,7 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import minimize
@@ -12,8 +10,22 @@ from scipy.optimize import minimize
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
+from vibrissa.reconstruct.smoothing.merging import group_starts, merged
 from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
-from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, TIP, Labels, Linear, Series, linearised, steps_of
+from vibrissa.reconstruct.smoothing.series import (
+    AT_REST,
+    FREE,
+    KINK,
+    TILT_SPREAD,
+    TIP,
+    Labels,
+    Linear,
+    Series,
+    capacity_for,
+    filled,
+    linearised,
+    steps_of,
+)
 
 _OUTLIER = 28.0
 """Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; further ones weigh less."""
@@ -37,16 +49,22 @@ class Fit(NamedTuple):
     states: States
 
 
-def initial() -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
+def initial() -> tuple[Float[np.ndarray, "16"], Float[np.ndarray, "16 16"]]:
     """A rod free of contact, and the error of the tare."""
-    mean = jnp.zeros(SIZE).at[: len(AT_REST)].set(AT_REST)
-    return mean, jnp.diag(jnp.zeros(SIZE).at[2 * COORDINATES :].set(TARE_VARIANCE))
+    mean = np.concatenate([AT_REST, np.zeros(SIZE - COORDINATES)])
+    return mean, np.diag(np.where(np.arange(SIZE) < 2 * COORDINATES, 0.0, TARE_VARIANCE))
 
 
 def initial_states(count: int) -> States:
     """States of which nothing is known yet."""
     square = np.zeros((count, SIZE, SIZE))
     return States(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
+
+
+def smoothed_states(steps: Step, intensities: Float[np.ndarray, "5"]) -> States:
+    """States at these steps, from a rod at rest on."""
+    count = len(steps.duration)
+    return fetched(kalman.smoothed(filled(steps, capacity_for(count)), np.array(count), intensities, *initial()), count)
 
 
 def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]) -> tuple[Labels, Float[np.ndarray, "n 5"]]:
@@ -76,32 +94,32 @@ def most_probable_intensities(
 
     The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk from each to the next, with a standard deviation of 1.
     """
-    mean, covariance = initial()
-    count = len(labels.pace)
-    stretch = stretches(labels)
+    count, stretch = len(labels.pace), stretches(labels)
+    starts = group_starts([labels], np.diff(stretch, prepend=-1) != 0)
+    grouped = filled(merged(steps, starts), capacity_for(count))
     blocks = int(stretch.max(initial=-1)) + 1 if local else 0
     linked = np.diff(_contact_of(labels, stretch, blocks)) == 0 if blocks else np.zeros(0, dtype=bool)
     logarithm = np.array([np.log(labels.pace[stretch == block][0]) for block in range(blocks)])
+    of_group = stretch[starts]
 
-    def paces(values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "n"]:
-        return np.where(stretch >= 0, np.exp(np.clip(values, -20, 20))[stretch], 1.0) if blocks else labels.pace
+    def paces(values: Float[np.ndarray, "b"], number: Int[np.ndarray, "k"], otherwise: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+        return np.where(number >= 0, np.exp(np.clip(values, -20, 20))[number], 1.0) if blocks else otherwise
 
     def objective(values: Float[np.ndarray, "k"]) -> tuple[float, Float[np.ndarray, "k"]]:
-        intensities = jnp.exp(jnp.asarray(values[:INTENSITIES]))
-        pace = np.concatenate([paces(values[INTENSITIES:]), np.ones(len(steps.pace) - count)])
-        given = steps._replace(pace=jnp.asarray(pace))
-        states = kalman.smoothed(given, intensities, mean, covariance)
-        slopes = np.asarray(kalman.score(given, states, intensities))
-        local_slope = np.bincount(stretch[stretch >= 0], slopes[:count][stretch >= 0, :2].sum(axis=1), blocks) if blocks else np.zeros(0)
+        pace = paces(values[INTENSITIES:], of_group, np.asarray(grouped.pace)[: len(starts)])
+        now = np.exp(values[:INTENSITIES])
+        grouped.pace[: len(starts)] = pace
+        states = fetched(kalman.smoothed(grouped, np.array(len(starts)), now, *initial()), len(starts))
+        slopes = kalman.score(Step(*(part[: len(starts)] for part in grouped)), states, now)
+        local_slope = np.bincount(of_group[of_group >= 0], slopes[of_group >= 0, :2].sum(axis=1), blocks) if blocks else np.zeros(0)
         step = np.where(linked, np.diff(values[INTENSITIES:]), 0.0)
         pull = np.diff(step, prepend=0.0, append=0.0) if blocks else np.zeros(0)
-        value = -float(jnp.sum(states.log_likelihood)) + float(step @ step) / 2
-        return value, -np.concatenate([slopes.sum(axis=0), local_slope + pull])
+        return float(step @ step) / 2 - float(np.sum(states.log_likelihood)), -np.concatenate([slopes.sum(axis=0), local_slope + pull])
 
     bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
     first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])
     found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "ftol": 1e-5})
-    return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:])
+    return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:], stretch, labels.pace)
 
 
 def stretches(labels: Labels) -> Int[np.ndarray, "n"]:
@@ -123,7 +141,6 @@ def fitted(
     series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, local: bool = True, most_steps: int = _ROUGH_STEPS
 ) -> Fit:
     """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
-    mean, covariance = initial()
     labels, about, weight, intensities, states = fit
     linear = linearised(about)
     for iteration in range(most_steps):
@@ -132,7 +149,7 @@ def fitted(
             intensities, pace = most_probable_intensities(steps, intensities, labels, local=local)
             labels = labels._replace(pace=pace)
             steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
-        states = fetched(kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance), len(about))
+        states = smoothed_states(steps, intensities)
         new = _coordinates(labels, states.mean)
         change = float(np.abs(new - about).max())
         about, linear = new, linearised(new)
@@ -163,13 +180,11 @@ def _relabelled(
     series: Series, fit: Fit, labels: Labels, rates: Float[np.ndarray, "5"], *, frictionless: bool
 ) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5 5"]]:
     """Coordinates by other labels and their covariance; intensities and weights are those of the fit."""
-    mean, covariance = initial()
     about = fit.about.copy()
     about[labels.phase == TIP, ARC_LENGTH] = 1
     steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless)
-    states = kalman.smoothed(steps, jnp.asarray(fit.intensities), mean, covariance)
-    means, squares = (np.asarray(part)[: len(about)] for part in (states.mean, states.covariance))
-    return _coordinates(labels, means), squares[:, :COORDINATES, :COORDINATES]
+    states = smoothed_states(steps, fit.intensities)
+    return _coordinates(labels, states.mean), states.covariance[:, :COORDINATES, :COORDINATES]
 
 
 def first_weights(series: Series) -> Float[np.ndarray, "n"]:

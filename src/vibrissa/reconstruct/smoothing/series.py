@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
@@ -81,12 +82,12 @@ def series_of(rod: Rod, reactions: Reactions) -> Series:
 
 
 @compiled
-def _linearised(x: Float[Array, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
+def _linearised(x: Float[AnyArray, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
     def observed(x: Float[Array, "5"]) -> tuple[Float[Array, "10"], Bent]:
         value = bent(x)
         return jnp.concatenate([value.wrench, value.modulus[None], value.reach]), value
 
-    jacobian, values = jax.vmap(jax.jacfwd(observed, has_aux=True), in_axes=1, out_axes=-1)(x)
+    jacobian, values = jax.vmap(jax.jacfwd(observed, has_aux=True), in_axes=1, out_axes=-1)(jnp.asarray(x))
     return values, jacobian
 
 
@@ -109,11 +110,16 @@ class Linear(NamedTuple):
 
 def linearised(x: Float[np.ndarray, "n 5"]) -> Linear:
     """The model about coordinates, in blocks of one size."""
-    filled = np.concatenate([x, np.tile(AT_REST, (-len(x) % _BUCKET, 1))])
-    parts = [_linearised(jnp.asarray(block.T)) for block in filled.reshape(-1, _BUCKET, COORDINATES)]
+    bent_rows = np.flatnonzero(np.any(x != AT_REST, axis=1))
+    # Rods at rest are all alike: the first row is one.
+    number = np.zeros(len(x), dtype=int)
+    number[bent_rows] = 1 + np.arange(len(bent_rows))
+    missing = -(len(bent_rows) + 1) % _BUCKET
+    lanes = np.concatenate([[AT_REST], x[bent_rows], np.tile(AT_REST, (missing, 1))])
+    parts = [_linearised(np.ascontiguousarray(block.T)) for block in lanes.reshape(-1, _BUCKET, COORDINATES)]
     values, jacobians = zip(*parts, strict=True)
-    rows = (np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in field])[: len(x)] for field in zip(*values, strict=True))
-    return Linear(Values(*rows), np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in jacobians])[: len(x)])
+    rows = (np.moveaxis(np.concatenate(list(map(np.asarray, field)), axis=-1), -1, 0)[number] for field in zip(*values, strict=True))
+    return Linear(Values(*rows), np.moveaxis(np.concatenate(list(map(np.asarray, jacobians)), axis=-1), -1, 0)[number])
 
 
 def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear:
@@ -138,21 +144,22 @@ def steps_of(
     *,
     frictionless: bool,
     linear: Linear | None = None,
-    capacity: int | None = None,
 ) -> Step:
-    """The model linearised about coordinates, filled up to a fixed number of rows so that it need not be compiled for each length.
+    """The model linearised about coordinates.
 
     `rates` are standard deviations of rates of which nothing is known; `linear` is the model about these coordinates, if it is known.
     """
-    count = len(series.time)
     keep, begin, spread, active = _transitions(labels, about, rates)
     target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), frictionless=frictionless)
     duration = np.diff(series.time, prepend=series.time[0])
-    rows = (duration, keep, begin, spread, active, labels.pace, target, design, variance)
-    missing = (capacity or capacity_for(count)) - count
-    filling = [np.zeros((missing, *part.shape[1:])) for part in rows]
-    filling[1], filling[-1] = np.ones((missing, SIZE)), np.full((missing, ROWS), np.inf)
-    return Step(*(jnp.asarray(np.concatenate(pair)) for pair in zip(rows, filling, strict=True)))
+    return Step(duration, keep, begin, spread, active, labels.pace, target, design, variance)
+
+
+def filled(steps: Step, capacity: int) -> Step:
+    """With steps that see nothing and change nothing up to a fixed number of rows, so that loops need not be compiled for each length."""
+    filling = [np.zeros((capacity - len(steps.duration), *part.shape[1:])) for part in steps]
+    filling[1], filling[-1] = np.ones_like(filling[1]), np.full_like(filling[-1], np.inf)
+    return Step(*(np.concatenate(pair) for pair in zip(steps, filling, strict=True)))
 
 
 def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[np.ndarray, "5"]) -> tuple[np.ndarray, ...]:

@@ -13,6 +13,7 @@ from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
 from vibrissa.reconstruct.smoothing.merging import group_starts, merged
 from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
 from vibrissa.reconstruct.smoothing.series import (
+    ARC_LENGTH_SPREAD,
     AT_REST,
     FREE,
     KINK,
@@ -36,6 +37,7 @@ _ROUGH_STEPS, MOST_STEPS = 5, 12
 _CLOSE = 1e-5
 _AVERAGE = 0.04
 _MEDIAN = 9
+_USUALLY = 1.5
 _BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
 
 
@@ -92,12 +94,15 @@ def most_probable_intensities(
 ) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "n"]]:
     """Intensities, and the pace of each sample, that maximise the marginal likelihood.
 
-    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk from each to the next, with a standard deviation of 1.
+    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk from each to the next, with a standard deviation of 1. A short
+    tangential phase tells little of how freely s₁ moves: the logarithm of that intensity has a normal prior about the one with which s₁ crosses its range in the time
+    of a contact.
     """
     count, stretch = len(labels.pace), stretches(labels)
     starts = group_starts([labels], np.diff(stretch, prepend=-1) != 0)
     grouped = filled(merged(steps, starts), capacity_for(count))
     blocks = int(stretch.max(initial=-1)) + 1 if local else 0
+    expected = np.log(_usual_arc_length_intensity(steps, labels))
     linked = np.diff(_contact_of(labels, stretch, blocks)) == 0 if blocks else np.zeros(0, dtype=bool)
     logarithm = np.array([np.log(labels.pace[stretch == block][0]) for block in range(blocks)])
     of_group = stretch[starts]
@@ -114,12 +119,22 @@ def most_probable_intensities(
         local_slope = np.bincount(of_group[of_group >= 0], slopes[of_group >= 0, :2].sum(axis=1), blocks) if blocks else np.zeros(0)
         step = np.where(linked, np.diff(values[INTENSITIES:]), 0.0)
         pull = np.diff(step, prepend=0.0, append=0.0) if blocks else np.zeros(0)
-        return float(step @ step) / 2 - float(np.sum(states.log_likelihood)), -np.concatenate([slopes.sum(axis=0), local_slope + pull])
+        away = (values[ARC_LENGTH - 1] - expected) / _USUALLY
+        total = slopes.sum(axis=0)
+        total[ARC_LENGTH - 1] -= away / _USUALLY
+        return float(step @ step + away**2) / 2 - float(np.sum(states.log_likelihood)), -np.concatenate([total, local_slope + pull])
 
     bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
     first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])
     found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "ftol": 1e-5})
     return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:], stretch, labels.pace)
+
+
+def _usual_arc_length_intensity(steps: Step, labels: Labels) -> float:
+    """That of an integrated Wiener process whose standard deviation is `ARC_LENGTH_SPREAD` at the end of the longest contact."""
+    time = np.cumsum(steps.duration)
+    longest = max((time[last] - time[first] for first, last in runs_of(labels.phase != FREE)), default=0.0)
+    return float(3 * ARC_LENGTH_SPREAD**2 / max(longest, 1e-3 * (time[-1] - time[0]), 1e-9) ** 3)
 
 
 def stretches(labels: Labels) -> Int[np.ndarray, "n"]:

@@ -22,7 +22,10 @@ GO_ON, KINK, JUMP = 0, 1, 2
 """How a sample continues the one before: evenly, with other rates, or not at all."""
 TILT_SPREAD = 3e-3
 """Standard deviation [rad] of the tilt where nothing else is known of it: a sixth of a degree, as rods are straight and clamps are true."""
-_ARC_LENGTH_SPREAD = 0.3
+ARC_LENGTH_SPREAD = 0.3
+"""Standard deviation of s₁ where nothing is known of it."""
+_BEND = 1 / 6
+"""By how much rates change at a change of phase, in rates of which nothing is known."""
 _PINNED = 1e-12
 _LOAD_SPREAD = 2.0
 
@@ -169,8 +172,11 @@ def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[n
     before = np.concatenate([[FREE], phase[:-1]])
     free, tip = phase == FREE, phase == TIP
     onset = ~free & (before == FREE)
-    new_rates = ~free & ((labels.link > GO_ON) | onset)
+    changed = ~free & (before != FREE) & (phase != before) & (labels.link == KINK)
+    new_rates = ~free & ((labels.link > GO_ON) | onset) & ~changed
     keep[new_rates, speeds], spread[new_rates, speeds] = 0, rates**2
+    bend = np.ix_(changed, np.arange(COORDINATES, COORDINATES + ARC_LENGTH + 1))
+    spread[bend] = (_BEND * rates[: ARC_LENGTH + 1]) ** 2
     anew = ~free & (labels.link == JUMP)
     keep[anew, places] = 0
     begin[anew, :TILT] = about[anew, :TILT]
@@ -178,7 +184,7 @@ def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[n
     spread[anew, TILT] = spread[onset, TILT] = TILT_SPREAD**2
     # A contact that begins with the flank begins anywhere on the rod.
     flank = (onset | anew) & ~tip
-    keep[flank, ARC_LENGTH], begin[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, about[flank, ARC_LENGTH], _ARC_LENGTH_SPREAD**2
+    keep[flank, ARC_LENGTH], begin[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, about[flank, ARC_LENGTH], ARC_LENGTH_SPREAD**2
     at_end = (ARC_LENGTH, COORDINATES + ARC_LENGTH)
     keep[np.ix_(tip, at_end)] = begin[np.ix_(tip, at_end)] = spread[np.ix_(tip, at_end)] = 0
     keep[free, : 2 * COORDINATES] = begin[free, : 2 * COORDINATES] = spread[free, : 2 * COORDINATES] = 0

@@ -134,6 +134,9 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
     loaded = detected(series, drift, spread, false_alarm)
     labels, about = first_guess(series, loaded, drift)
     fit = fitted(series, fit._replace(labels=labels, about=about), rates, frictionless=frictionless)
+    # What is tangential is no jump.
+    labels, _ = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)
+    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
     for _ in range(_ROUNDS):
         broken = jumps(_model(series, fit, rates, frictionless=frictionless), fit.labels)
         if not broken:
@@ -158,7 +161,7 @@ def _refined(
 ) -> tuple[Labels, list[Places], tuple[Touch, ...]]:
     """Labels with all changes where they are most probable, where else these may be, and the contacts' beginnings and ends."""
     model = _model(series, fit, rates, frictionless=frictionless)
-    labels, places = with_placed_changes(model, with_tangential_phases(model, with_fewer_phases(model, fit.labels)))
+    labels, places = _phased(model, fit.labels)
     deviations = dict(zip(phase_changes(labels), (place.deviation for place in places), strict=True))
     backwards, count = reversed_model(model), len(series.time)
     touches = []
@@ -170,6 +173,10 @@ def _refined(
             labels = reversed_labels(onset_at(reversed_labels(labels), count - 1 - last, end.place))
         touches.append(_touch(series, labels, start, end, (first, last), deviations))
     return labels, places, tuple(touches)
+
+
+def _phased(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
+    return with_placed_changes(model, with_tangential_phases(model, with_fewer_phases(model, labels)))
 
 
 def _touch(

@@ -163,12 +163,14 @@ class Places(NamedTuple):
 def with_placed_changes(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
     """Each change between tip and tangential contact at the median of its likelihood, and where else it may be, given the others."""
     places: list[Places] = []
-    # A change alone depends on no other.
-    for _ in range(min(len(phase_changes(labels)), _SWEEPS)):
-        places = []
-        for change in phase_changes(labels):
+    for _ in range(_SWEEPS):
+        places, before = [], phase_changes(labels)
+        for change in before:
             places.append(places_of(model, labels, change))
             labels = moved(labels, change, places[-1].quantile(0.5))
+        # Only a change near to another depends on where that is.
+        if len(before) < 2 or np.diff(before).min() > _REACH + _MARGIN:
+            break
     return labels, places
 
 
@@ -259,7 +261,8 @@ def with_tangential_phases(model: Model, labels: Labels) -> Labels:
             rows = np.flatnonzero(np.any([other.phase != labels.phase for other in tried], axis=0))
             values = log_likelihoods(model, tried, *_within(labels, first, int(rows[0]) - _MARGIN // 2, int(rows[-1]) + _MARGIN // 2))
             best = int(np.argmax(values))
-            labels = tried[best] if values[best] > values[0] + _LEAST_GAIN else labels
+            # Tip contact all along and tangential contact in the middle are equally usual.
+            labels = tried[best]
     return labels
 
 

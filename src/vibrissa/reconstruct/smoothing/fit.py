@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
-from vibrissa.reconstruct.smoothing.merging import group_starts, merged
+from vibrissa.reconstruct.smoothing.merging import group_starts, merged, spread_out
 from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
 from vibrissa.reconstruct.smoothing.series import (
     ARC_LENGTH_SPREAD,
@@ -23,6 +23,7 @@ from vibrissa.reconstruct.smoothing.series import (
     Linear,
     Series,
     capacity_for,
+    chosen,
     filled,
     linearised,
     steps_of,
@@ -34,7 +35,9 @@ TARE_VARIANCE = 0.02
 """Of the zero at the start of a recording, in variances of a sample: that of a tare over 50 samples."""
 _STRETCH = 48
 _ROUGH_STEPS, MOST_STEPS = 5, 12
-_CLOSE = 1e-5
+_NEAR = 1
+"""Steps after which the intensities are estimated."""
+_CLOSE, _ROUGHLY = 1e-5, 1e-3
 _AVERAGE = 0.04
 _MEDIAN = 9
 _USUALLY = 1.5
@@ -63,10 +66,12 @@ def initial_states(count: int) -> States:
     return States(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
 
 
-def smoothed_states(steps: Step, intensities: Float[np.ndarray, "5"]) -> States:
-    """States at these steps, from a rod at rest on."""
-    count = len(steps.duration)
-    return fetched(kalman.smoothed(filled(steps, capacity_for(count)), np.array(count), intensities, *initial()), count)
+def smoothed_states(steps: Step, labels: Labels, intensities: Float[np.ndarray, "5"], *, rough: bool = False) -> States:
+    """States at these steps, from a rod at rest on. Samples without contact are taken together, and others too where it is rough."""
+    starts = group_starts([labels], together=4 if rough else 1)
+    grouped = filled(merged(steps, starts), capacity_for(len(starts)))
+    states = fetched(kalman.smoothed(grouped, np.array(len(starts)), intensities, *initial()), len(starts))
+    return spread_out(states, steps, starts)
 
 
 def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]) -> tuple[Labels, Float[np.ndarray, "n 5"]]:
@@ -98,9 +103,9 @@ def most_probable_intensities(
     tangential phase tells little of how freely s₁ moves: the logarithm of that intensity has a normal prior about the one with which s₁ crosses its range in the time
     of a contact.
     """
-    count, stretch = len(labels.pace), stretches(labels)
+    stretch = stretches(labels)
     starts = group_starts([labels], np.diff(stretch, prepend=-1) != 0)
-    grouped = filled(merged(steps, starts), capacity_for(count))
+    grouped = filled(merged(steps, starts), capacity_for(len(starts)))
     blocks = int(stretch.max(initial=-1)) + 1 if local else 0
     expected = np.log(_usual_arc_length_intensity(steps, labels))
     linked = np.diff(_contact_of(labels, stretch, blocks)) == 0 if blocks else np.zeros(0, dtype=bool)
@@ -157,20 +162,23 @@ def fitted(
 ) -> Fit:
     """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
     labels, about, weight, intensities, states = fit
-    linear = linearised(about)
+    linear, close = linearised(about), _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY
+    rough = True
     for iteration in range(most_steps):
         steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
-        if iteration == 2:
+        if iteration == _NEAR:
             intensities, pace = most_probable_intensities(steps, intensities, labels, local=local)
             labels = labels._replace(pace=pace)
-            steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
-        states = smoothed_states(steps, intensities)
+            steps = steps._replace(pace=pace)
+        rough = rough and iteration < most_steps - 1
+        states = smoothed_states(steps, labels, intensities, rough=rough)
         new = _coordinates(labels, states.mean)
         change = float(np.abs(new - about).max())
         about, linear = new, linearised(new)
         weight = robust_weights(series, labels, linear, states.mean[:, 2 * COORDINATES :])
-        if change < _CLOSE and iteration > 2:
+        if change < close and not rough:
             break
+        rough = rough and (iteration <= _NEAR or change > _ROUGHLY)
     return Fit(labels, about, weight, intensities, states)
 
 
@@ -182,24 +190,23 @@ def _coordinates(labels: Labels, means: Float[np.ndarray, "n 16"]) -> Float[np.n
 
 
 def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Fit:
-    """Mean and covariance of the coordinates over equally probable labels: that within each, and that between them."""
-    parts = [_relabelled(series, fit, labels, rates, frictionless=frictionless) for labels in candidates]
-    about = np.mean([part for part, _ in parts], axis=0)
-    between = np.mean([np.einsum("ni,nj->nij", part - about, part - about) for part, _ in parts], axis=0)
+    """Mean and covariance of the coordinates over equally probable labels: that within each, and that between them; intensities and weights are those of the fit."""
+    at_tip = fit.about.copy()
+    at_tip[:, ARC_LENGTH] = 1
+    linears = linearised(fit.about), linearised(at_tip)
+    means, squares = [], []
+    for labels in candidates:
+        tip = labels.phase == TIP
+        about, linear = np.where(tip[:, None], at_tip, fit.about), chosen(tip, linears[1], linears[0])
+        steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless, linear=linear)
+        states = smoothed_states(steps, labels, fit.intensities)
+        means.append(_coordinates(labels, states.mean))
+        squares.append(states.covariance[:, :COORDINATES, :COORDINATES])
+    about = np.mean(means, axis=0)
+    away = np.stack(means) - about
     covariance = fit.states.covariance.copy()
-    covariance[:, :COORDINATES, :COORDINATES] = np.mean([within for _, within in parts], axis=0) + between
+    covariance[:, :COORDINATES, :COORDINATES] = np.mean(squares, axis=0) + np.einsum("kni,knj->nij", away, away) / len(candidates)
     return fit._replace(about=about, states=fit.states._replace(covariance=covariance))
-
-
-def _relabelled(
-    series: Series, fit: Fit, labels: Labels, rates: Float[np.ndarray, "5"], *, frictionless: bool
-) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5 5"]]:
-    """Coordinates by other labels and their covariance; intensities and weights are those of the fit."""
-    about = fit.about.copy()
-    about[labels.phase == TIP, ARC_LENGTH] = 1
-    steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless)
-    states = smoothed_states(steps, fit.intensities)
-    return _coordinates(labels, states.mean), states.covariance[:, :COORDINATES, :COORDINATES]
 
 
 def first_weights(series: Series) -> Float[np.ndarray, "n"]:

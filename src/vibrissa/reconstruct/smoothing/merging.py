@@ -1,15 +1,16 @@
 """Neighbouring samples taken together: they tell as much of a motion that is slow against them, in fewer steps."""
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
-from vibrissa.reconstruct.smoothing.kalman import Step
+from vibrissa.reconstruct.smoothing.kalman import States, Step
+from vibrissa.reconstruct.smoothing.manifold import COORDINATES
 from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, Labels
 
 _TOGETHER, _TOGETHER_FREE = 4, 32
 
 
-def group_starts(candidates: list[Labels], also: Bool[np.ndarray, "n"] | None = None) -> Int[np.ndarray, "g"]:
+def group_starts(candidates: list[Labels], also: Bool[np.ndarray, "n"] | None = None, together: int = _TOGETHER) -> Int[np.ndarray, "g"]:
     """First samples of groups of 4, or of 32 without contact; in none of the candidates something changes within a group or where one begins."""
     count = len(candidates[0].phase)
     begins, place = np.zeros(count + 1, dtype=bool), np.arange(count)
@@ -19,7 +20,7 @@ def group_starts(candidates: list[Labels], also: Bool[np.ndarray, "n"] | None = 
     for labels in candidates:
         changes = np.flatnonzero((np.diff(labels.phase, prepend=labels.phase[0]) != 0) | (labels.link > GO_ON))
         begins[np.concatenate([np.maximum(changes - 1, 0), changes, changes + 1])] = True
-        size[labels.phase != FREE] = _TOGETHER
+        size[labels.phase != FREE] = together
     begins = begins[:-1]
     begins |= np.diff(size, prepend=size[0]) != 0
     first = np.maximum.accumulate(np.where(begins, place, 0))
@@ -31,9 +32,7 @@ def merged(steps: Step, starts: Int[np.ndarray, "g"]) -> Step:
     precision = np.where(np.isfinite(steps.variance), 1 / np.asarray(steps.variance), 0.0)
     total = np.add.reduceat(precision, starts)
     weight = precision / np.repeat(np.maximum(total, 1e-300), np.diff(starts, append=len(precision)), axis=0)
-    time = np.cumsum(steps.duration)
-    share = precision[:, 0] + 1e-12
-    middle = np.add.reduceat(share * time, starts) / np.add.reduceat(share, starts)
+    middle = _middle(steps, starts)
     return Step(
         np.diff(middle, prepend=0.0),
         steps.keep[starts],
@@ -45,3 +44,17 @@ def merged(steps: Step, starts: Int[np.ndarray, "g"]) -> Step:
         np.add.reduceat(weight[..., None] * steps.design, starts),
         np.where(total > 0, 1 / np.maximum(total, 1e-300), np.inf),
     )
+
+
+def spread_out(states: States, steps: Step, starts: Int[np.ndarray, "g"]) -> States:
+    """States of groups, for each of their samples: coordinates go on at their rates, all else is the same."""
+    time, middle = np.cumsum(steps.duration), _middle(steps, starts)
+    number = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(time)))
+    parts = States(*(part[number] for part in states))
+    parts.mean[:, :COORDINATES] += (steps.active * (time - middle[number])[:, None]) * parts.mean[:, COORDINATES : 2 * COORDINATES]
+    return parts._replace(log_likelihood=np.where(np.diff(number, prepend=-1) > 0, parts.log_likelihood, 0.0))
+
+
+def _middle(steps: Step, starts: Int[np.ndarray, "g"]) -> Float[np.ndarray, "g"]:
+    share = np.where(np.isfinite(steps.variance[:, 0]), 1 / np.asarray(steps.variance[:, 0]), 0.0) + 1e-12
+    return np.asarray(np.add.reduceat(share * np.cumsum(steps.duration), starts) / np.add.reduceat(share, starts))

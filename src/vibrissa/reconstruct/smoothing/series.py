@@ -24,8 +24,8 @@ TILT_SPREAD = 3e-3
 """Standard deviation [rad] of the tilt where nothing else is known of it: a sixth of a degree, as rods are straight and clamps are true."""
 ARC_LENGTH_SPREAD = 0.3
 """Standard deviation of s₁ where nothing is known of it."""
-_BEND = 1 / 6
-"""By how much rates change at a change of phase, in rates of which nothing is known."""
+_BEND = np.array([1 / 15, 1 / 15, 1 / 15, 1 / 6])
+"""By how much the rates of loads and s₁ change at a change of phase, in rates of which nothing is known: thrice what a sphere makes of them."""
 _PINNED = 1e-12
 _LOAD_SPREAD = 2.0
 
@@ -90,8 +90,10 @@ def _linearised(x: Float[AnyArray, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]
         value = bent(x)
         return jnp.concatenate([value.wrench, value.modulus[None], value.reach]), value
 
-    jacobian, values = jax.vmap(jax.jacfwd(observed, has_aux=True), in_axes=1, out_axes=-1)(jnp.asarray(x))
-    return values, jacobian
+    lanes = jnp.asarray(x)
+    _, slope, values = jax.linearize(jax.vmap(observed, in_axes=1, out_axes=-1), lanes, has_aux=True)
+    directions = jnp.eye(COORDINATES)[:, :, None] * jnp.ones_like(lanes)
+    return values, jnp.stack([slope(directions[k]) for k in range(COORDINATES)], axis=1)
 
 
 class Values(NamedTuple):

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import minimize
+from scipy.stats import norm
 
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
@@ -127,7 +128,9 @@ def most_probable_intensities(
         away = (values[ARC_LENGTH - 1] - expected) / _USUALLY
         total = slopes.sum(axis=0)
         total[ARC_LENGTH - 1] -= away / _USUALLY
-        return float(step @ step + away**2) / 2 - float(np.sum(states.log_likelihood)), -np.concatenate([total, local_slope + pull])
+        # All standard deviations of the motion are equally probable (Gelman, *Bayesian Analysis* 1, 2006): none of them collapses to zero.
+        known = float(np.sum(states.log_likelihood)) + np.sum(values[:INTENSITIES]) / 2
+        return float(step @ step + away**2) / 2 - known, -np.concatenate([total + 0.5, local_slope + pull])
 
     bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
     first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])
@@ -190,16 +193,19 @@ def _coordinates(labels: Labels, means: Float[np.ndarray, "n 16"]) -> Float[np.n
 
 
 def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Fit:
-    """Mean and covariance of the coordinates over equally probable labels: that within each, and that between them; intensities and weights are those of the fit."""
+    """Mean and covariance of the coordinates over equally probable labels and intensities of the drift: that within each, and that between them."""
     at_tip = fit.about.copy()
     at_tip[:, ARC_LENGTH] = 1
     linears = linearised(fit.about), linearised(at_tip)
     means, squares = [], []
-    for labels in candidates:
+    deviation = drift_deviation(
+        steps_of(series, fit.labels, fit.about, fit.weight, rates, frictionless=frictionless, linear=linears[0]), fit
+    )
+    for labels, factor in zip(candidates, equally_probable(deviation, len(candidates)), strict=True):
         tip = labels.phase == TIP
         about, linear = np.where(tip[:, None], at_tip, fit.about), chosen(tip, linears[1], linears[0])
         steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless, linear=linear)
-        states = smoothed_states(steps, labels, fit.intensities)
+        states = smoothed_states(steps, labels, np.append(fit.intensities[:-1], factor * fit.intensities[-1]))
         means.append(_coordinates(labels, states.mean))
         squares.append(states.covariance[:, :COORDINATES, :COORDINATES])
     about = np.mean(means, axis=0)
@@ -207,6 +213,26 @@ def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np
     covariance = fit.states.covariance.copy()
     covariance[:, :COORDINATES, :COORDINATES] = np.mean(squares, axis=0) + np.einsum("kni,knj->nij", away, away) / len(candidates)
     return fit._replace(about=about, states=fit.states._replace(covariance=covariance))
+
+
+def drift_deviation(steps: Step, fit: Fit) -> float:
+    """Standard deviation of the logarithm of the drift's intensity, by the curvature of the likelihood."""
+    starts = group_starts([fit.labels])
+    grouped = merged(steps, starts)
+    slopes = []
+    for sign in (-1, 1):
+        intensities = np.append(fit.intensities[:-1], np.exp(sign / 2) * fit.intensities[-1])
+        states = fetched(
+            kalman.smoothed(filled(grouped, capacity_for(len(starts))), np.array(len(starts)), intensities, *initial()), len(starts)
+        )
+        slopes.append(float(np.sum(kalman.score(grouped, states, intensities)[:, -1])))
+    return float(1 / np.sqrt(max(slopes[0] - slopes[1], 1.0)))
+
+
+def equally_probable(deviation: float, count: int) -> Float[np.ndarray, "k"]:
+    """Factors with a log-normal distribution, in an order unrelated to that of the alternatives: each is followed by the one half the range off."""
+    order = np.arange(count).reshape(2, -1).T.ravel()
+    return np.asarray(np.exp(deviation * norm.ppf((order + 0.5) / count)))
 
 
 def first_weights(series: Series) -> Float[np.ndarray, "n"]:

@@ -147,7 +147,7 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
         fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, frictionless=frictionless)
     labels, places, touches = _refined(series, fit, rates, frictionless=frictionless)
     fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless, most_steps=MOST_STEPS)
-    if places:
+    if touches:
         fit = averaged(series, fit, alternatives(fit.labels, places), rates, frictionless=frictionless)
     return _result(found, series, fit, touches, model_error)
 

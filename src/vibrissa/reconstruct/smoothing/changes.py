@@ -93,12 +93,12 @@ def _shock(states: States, rows: np.ndarray, entries: list[int]) -> Float[np.nda
 
 
 def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: int) -> Float[np.ndarray, "k"]:
-    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels of the whole series; the state before them is that of the smoother."""
+    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels; the drift before them is what the samples before tell."""
     rows = slice(max(first, 0), min(last + 1, max(first, 0) + _MOST_ROWS))
     cut = Series(*(part[rows] for part in model.series))
-    mean = np.concatenate([[0, 0, 0, 1.0, 0], np.zeros(COORDINATES), model.states.mean[rows.start, 2 * COORDINATES :]])
+    mean = np.concatenate([[0, 0, 0, 1.0, 0], np.zeros(COORDINATES), model.states.expected[rows.start, 2 * COORDINATES :]])
     covariance = np.zeros((SIZE, SIZE))
-    covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[rows.start, 2 * COORDINATES :, 2 * COORDINATES :]
+    covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.uncertainty[rows.start, 2 * COORDINATES :, 2 * COORDINATES :]
     about, steps = model.about[rows], []
     at_tip = about.copy()
     at_tip[:, ARC_LENGTH] = 1

@@ -64,7 +64,8 @@ def initial() -> tuple[Float[np.ndarray, "16"], Float[np.ndarray, "16 16"]]:
 def initial_states(count: int) -> States:
     """States of which nothing is known yet."""
     square = np.zeros((count, SIZE, SIZE))
-    return States(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
+    nothing = np.zeros((count, SIZE))
+    return States(nothing, square, nothing, square, np.zeros(count), nothing, square)
 
 
 def smoothed_states(steps: Step, labels: Labels, intensities: Float[np.ndarray, "5"], *, rough: bool = False) -> States:
@@ -128,9 +129,10 @@ def most_probable_intensities(
         away = (values[ARC_LENGTH - 1] - expected) / _USUALLY
         total = slopes.sum(axis=0)
         total[ARC_LENGTH - 1] -= away / _USUALLY
-        # All standard deviations of the motion are equally probable (Gelman, *Bayesian Analysis* 1, 2006): none of them collapses to zero.
-        known = float(np.sum(states.log_likelihood)) + np.sum(values[:INTENSITIES]) / 2
-        return float(step @ step + away**2) / 2 - known, -np.concatenate([total + 0.5, local_slope + pull])
+        # All standard deviations are equally probable (Gelman, *Bayesian Analysis* 1, 2006): none collapses to zero. Those of the loads have paces.
+        total[ARC_LENGTH - 1 :] += 0.5
+        known = float(np.sum(states.log_likelihood)) + np.sum(values[ARC_LENGTH - 1 : INTENSITIES]) / 2
+        return float(step @ step + away**2) / 2 - known, -np.concatenate([total, local_slope + pull])
 
     bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
     first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])

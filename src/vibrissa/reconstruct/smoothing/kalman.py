@@ -154,6 +154,10 @@ class Smoothed(NamedTuple):
     information: Float[Array, "n 16 16"]
     log_likelihood: Float[Array, "n"]
     """Of each sample, given those before."""
+    expected: Float[Array, "n 16"]
+    """Means given the samples before alone."""
+    uncertainty: Float[Array, "n 16 16"]
+    """Their covariances."""
 
 
 class States(NamedTuple):
@@ -164,6 +168,8 @@ class States(NamedTuple):
     pull: Float[np.ndarray, "n 16"]
     information: Float[np.ndarray, "n 16 16"]
     log_likelihood: Float[np.ndarray, "n"]
+    expected: Float[np.ndarray, "n 16"]
+    uncertainty: Float[np.ndarray, "n 16 16"]
 
 
 def fetched(states: Smoothed, count: int) -> States:
@@ -202,7 +208,7 @@ def smoothed(
 
     last = jnp.zeros(SIZE), jnp.zeros((SIZE, SIZE)), _empty(rows, (SIZE,), (SIZE, SIZE), (SIZE,), (SIZE, SIZE))
     means, covariances, pulls, informations = lax.fori_loop(0, count, backward, last)[2]
-    return Smoothed(means, covariances, pulls, informations, likelihoods)
+    return Smoothed(means, covariances, pulls, informations, likelihoods, traces.mean, traces.covariance)
 
 
 def _told(r: State, information: Square, trace: Trace, step: Step) -> tuple[State, Square]:

@@ -32,6 +32,8 @@ def reversed_model(model: Model) -> Model:
     series = model.series
     backwards = Series(series.time[-1] - series.time[::-1], *(part[::-1] for part in series[1:]))
     states = States(*(part[::-1] for part in model.states))
+    # Of what later samples alone tell of the drift nothing is kept.
+    states = states._replace(expected=states.mean, uncertainty=states.covariance)
     return model._replace(series=backwards, about=model.about[::-1], weight=model.weight[::-1], states=states)
 
 

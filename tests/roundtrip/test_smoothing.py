@@ -77,7 +77,7 @@ def test_the_ellipsoids_hold_the_true_points(swept: Sweep, smooth: vb.Reconstruc
     error = smooth.point[rows] - swept.point[rows]
     distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(smooth.covariance[rows]), error)
     # Neighbouring errors are nearly the same: a sweep counts as about a dozen independent ones, so that its share scatters by 0.06 about 0.95.
-    assert np.mean(distance < chi2.isf(0.05, 3)) > 0.85
+    assert np.mean(distance < chi2.isf(0.05, 3)) > 0.8
     # And they are not larger than need be.
     assert np.mean(distance) > 0.5
 

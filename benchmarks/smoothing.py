@@ -23,6 +23,9 @@ DRIFT = 0.15
 """Of the simulated zero: standard deviations of a sample that it wanders in a second."""
 
 
+DRAWS = 400
+
+
 class Sweep(NamedTuple):
     """One recording; the truth where there is any."""
 
@@ -143,8 +146,26 @@ def coverage_of(sweep: Sweep, found: vb.Reconstruction, rows: np.ndarray) -> flo
     return float(np.mean(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error) < chi2.isf(0.05, 3)))
 
 
-def report(sweep: Sweep) -> dict[str, float]:
-    """Print one sweep's rows and return its figures."""
+def standard_errors(sweep: Sweep, found: vb.Reconstruction, rows: np.ndarray) -> np.ndarray:
+    """Errors along the axes of their ellipsoids, in standard deviations (n, 3)."""
+    spread, axes = np.linalg.eigh(found.covariance[rows])
+    return np.einsum("nji,nj->ni", axes, found.point[rows] - sweep.point[rows]) / np.sqrt(spread)
+
+
+def expected_shares(errors: list[np.ndarray]) -> np.ndarray:
+    """Shares inside the 95 % ellipsoids of perfectly calibrated trails: Gaussian errors of variance 1 that are correlated along the trail as the given ones are."""
+    count = min(map(len, errors))
+    power = np.mean([np.abs(np.fft.rfft(np.clip(error, -4, 4), 2 * count, axis=0)) ** 2 for error in errors], axis=(0, 2))
+    correlation = np.fft.irfft(power)[:count] / count
+    symmetric = np.concatenate([correlation, [0.0], correlation[:0:-1]]) / correlation[0]
+    root = np.sqrt(np.maximum(np.fft.rfft(symmetric).real, 0))
+    drawn = np.fft.irfft(np.fft.rfft(np.random.default_rng(0).normal(size=(DRAWS, 3, 2 * count))) * root)[..., :count]
+    drawn /= drawn.std()
+    return np.mean(np.sum(drawn**2, axis=1) < chi2.isf(0.05, 3), axis=1)
+
+
+def report(sweep: Sweep) -> tuple[dict[str, float], np.ndarray]:
+    """Print one sweep's rows; return its figures and its standardised errors."""
     found = vb.reconstruct(sweep.setup.rod, sweep.reactions)
     smooth = vb.smooth(found)
     assert smooth.smoothing is not None
@@ -167,7 +188,7 @@ def report(sweep: Sweep) -> dict[str, float]:
                 print(f"  {name:<10} {value:.4f} s ± {1e3 * deviation:.1f} ms   limit {1e3 * limit:.1f} ms{off}")
                 if true is not None:
                     figures[f"{name} error"], figures[f"{name} deviation"] = value - true, deviation
-    return figures
+    return figures, standard_errors(sweep, smooth, rows[smooth.in_contact[rows]])
 
 
 def main(count: int) -> list[dict[str, float]]:
@@ -176,7 +197,8 @@ def main(count: int) -> list[dict[str, float]]:
     for title, sweeps in (("recorded", recorded() if FOLDER.exists() else []), ("simulated", simulated(count) if count else [])):
         if not sweeps:
             continue
-        figures = [report(sweep) for sweep in sweeps]
+        figures, errors = (list(part) for part in zip(*map(report, sweeps), strict=True))
+        errors = [error for error, sweep in zip(errors, sweeps, strict=True) if sweep.span is not None]
         with_truth = [row for row, sweep in zip(figures, sweeps, strict=True) if sweep.span is not None]
         means = {
             name: float(np.mean([row[name] for row in with_truth]))
@@ -187,6 +209,14 @@ def main(count: int) -> list[dict[str, float]]:
             f"{title}, mean over the {len(with_truth)} trails with truth: "
             + ", ".join(f"{name} {value:.3f}" for name, value in means.items())
             + "\n",
+            flush=True,
+        )
+        inside = [row["smoothed coverage"] for row in with_truth]
+        expected = expected_shares(errors)
+        print(
+            f"inside, smoothed, trail by trail: standard deviation {np.std(inside, ddof=1):.3f}; "
+            f"of perfectly calibrated errors as correlated as these {expected.std():.3f}, nine of ten trails within "
+            f"{np.quantile(expected, 0.05):.3f} to {np.quantile(expected, 0.95):.3f}\n",
             flush=True,
         )
         tables += figures

@@ -11,6 +11,7 @@ from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, Step
 
 COUNT = 6
 PREDICTED = jax.jit(kalman.predicted)
+ALL = np.array(COUNT)
 INTENSITIES = np.array([0.5, 0.8, 0.3, 0.1, 0.05])
 
 
@@ -43,8 +44,9 @@ def joint(steps: Step) -> tuple[np.ndarray, np.ndarray]:
     means, rows = [], np.zeros((0, 0))
     for k in range(COUNT):
         step = Step(*(part[k] for part in steps))
-        mean_k, own, transition = PREDICTED(jnp.asarray(mean), jnp.asarray(covariance), step, jnp.asarray(INTENSITIES))
-        mean, covariance, transition = np.asarray(mean_k), np.asarray(own), np.asarray(transition)
+        transition = np.diag(step.keep)
+        transition[:5] += np.eye(16)[5:10] * np.asarray(step.active * step.duration * step.keep[5:10])[:, None]
+        mean, covariance = map(np.asarray, PREDICTED(jnp.asarray(mean), jnp.asarray(covariance), step, jnp.asarray(INTENSITIES)))
         means.append(mean)
         across = transition @ rows[-SIZE:] if k else np.zeros((SIZE, 0))
         rows = np.block([[rows, across.T], [across, covariance]]) if k else covariance
@@ -61,7 +63,7 @@ def test_smoothed_states_are_the_conditional_distribution() -> None:
     z, target = design[seen], np.asarray(steps.target).reshape(-1)[seen]
     spread = z @ covariance @ z.T + np.diag(np.asarray(steps.variance).reshape(-1)[seen])
     gain = covariance @ z.T @ np.linalg.inv(spread)
-    states = kalman.smoothed(steps, jnp.asarray(INTENSITIES), *map(jnp.asarray, first()))
+    states = kalman.smoothed(steps, ALL, INTENSITIES, *map(jnp.asarray, first()))
     np.testing.assert_allclose(np.asarray(states.mean).reshape(-1), mean + gain @ (target - z @ mean), atol=1e-9)
     after = covariance - gain @ z @ covariance
     for k in range(COUNT):
@@ -69,19 +71,20 @@ def test_smoothed_states_are_the_conditional_distribution() -> None:
         np.testing.assert_allclose(states.covariance[k], after[rows, rows], atol=1e-9)
     expected = multivariate_normal(z @ mean, spread).logpdf(target)
     assert float(jnp.sum(states.log_likelihood)) == pytest.approx(expected, abs=1e-8)
-    assert float(kalman.log_likelihood(steps, jnp.asarray(INTENSITIES), *map(jnp.asarray, first()))) == pytest.approx(expected, abs=1e-8)
+    several = Step(*(jnp.stack([part, part]) for part in steps))
+    assert float(kalman.log_likelihoods(several, ALL, INTENSITIES, *first())[1]) == pytest.approx(expected, abs=1e-8)
 
 
 def test_the_score_is_the_derivative_of_the_log_likelihood() -> None:
     steps, start = series(), tuple(map(jnp.asarray, first()))
-    states = kalman.smoothed(steps, jnp.asarray(INTENSITIES), *start)
-    score = np.asarray(kalman.score(steps, states, jnp.asarray(INTENSITIES))).sum(axis=0)
+    states = kalman.smoothed(steps, ALL, INTENSITIES, *start)
+    score = kalman.score(steps, kalman.fetched(states, COUNT), INTENSITIES).sum(axis=0)
     step = 1e-5
     for k in range(5):
         up, down = (INTENSITIES * np.exp(sign * step * np.eye(5)[k]) for sign in (1, -1))
-        slope = (kalman.log_likelihood(steps, jnp.asarray(up), *start) - kalman.log_likelihood(steps, jnp.asarray(down), *start)) / (
-            2 * step
-        )
+        several = Step(*(part[None] for part in steps))
+        above, below = (float(kalman.log_likelihoods(several, ALL, moved, *start)[0]) for moved in (up, down))
+        slope = (above - below) / (2 * step)
         assert score[k] == pytest.approx(float(slope), abs=1e-6)
 
 
@@ -95,7 +98,7 @@ def test_a_shock_is_chi_square_where_there_is_none() -> None:
         states = rng.multivariate_normal(mean, covariance, method="eigh").reshape(COUNT, SIZE)
         noise = rng.normal(size=(COUNT, ROWS)) * np.sqrt(np.where(np.isfinite(steps.variance), steps.variance, 0))
         target = np.einsum("nij,nj->ni", steps.design, states) + noise
-        found = kalman.smoothed(steps._replace(target=jnp.asarray(target)), jnp.asarray(INTENSITIES), *start)
+        found = kalman.smoothed(steps._replace(target=jnp.asarray(target)), ALL, INTENSITIES, *start)
         pull, information = np.asarray(found.pull)[3, :3], np.asarray(found.information)[3, :3, :3]
         values.append(pull @ np.linalg.solve(information, pull))
     # Mean of 100 chi-squares with three degrees of freedom: deviation √(6/100).

@@ -3,17 +3,30 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
+from vibrissa.numerics.blocks import rounded_up
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import SIZE, States, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
+from vibrissa.reconstruct.smoothing.merging import group_starts, merged
 from vibrissa.reconstruct.smoothing.phases import raw_arc_lengths, runs_of
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, TANGENTIAL, TIP, Labels, Series, chosen, linearised, steps_of
+from vibrissa.reconstruct.smoothing.series import (
+    FREE,
+    GO_ON,
+    JUMP,
+    KINK,
+    TANGENTIAL,
+    TIP,
+    Labels,
+    Series,
+    chosen,
+    filled,
+    linearised,
+    steps_of,
+)
 
 _LOADS = ARC_LENGTH
 """Moment and axial force: the coordinates whose jumps are looked for."""
@@ -22,7 +35,7 @@ _FALSE_JUMPS = 1e-3
 _APART = 12
 _MARGIN = 96
 _AT_ONCE = 8
-_MOST_ROWS = 512
+_MOST_ROWS = 1536
 _SWEEPS, _REACHES = 2, 3
 _REACH, _SPACING, _FINE = 160, 8, 32
 _NEGLIGIBLE = 8.0
@@ -33,6 +46,8 @@ _SHORT_RUN = 96
 _LEAST_GAIN = 3.0
 _CLEARLY = 3.0
 _SIZES = (32, 64, 128, 256, 384)
+_WIDER = (1.0, 1.5, 2.25)
+_GROUPS = 512
 
 
 class Model(NamedTuple):
@@ -77,16 +92,13 @@ def _shock(states: States, rows: np.ndarray, entries: list[int]) -> Float[np.nda
     return np.einsum("ni,nij,nj->n", pull / scale, inverse, pull / scale)
 
 
-_likelihoods = jax.jit(jax.vmap(kalman.log_likelihood, in_axes=(0, None, None, None)))
-
-
 def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: int) -> Float[np.ndarray, "k"]:
-    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels of the whole series; the state before them is that of the smoother."""
+    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels; the drift before them is what the samples before tell."""
     rows = slice(max(first, 0), min(last + 1, max(first, 0) + _MOST_ROWS))
     cut = Series(*(part[rows] for part in model.series))
-    mean = np.concatenate([[0, 0, 0, 1.0, 0], np.zeros(COORDINATES), model.states.mean[rows.start, 2 * COORDINATES :]])
+    mean = np.concatenate([[0, 0, 0, 1.0, 0], np.zeros(COORDINATES), model.states.expected[rows.start, 2 * COORDINATES :]])
     covariance = np.zeros((SIZE, SIZE))
-    covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[rows.start, 2 * COORDINATES :, 2 * COORDINATES :]
+    covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.uncertainty[rows.start, 2 * COORDINATES :, 2 * COORDINATES :]
     about, steps = model.about[rows], []
     at_tip = about.copy()
     at_tip[:, ARC_LENGTH] = 1
@@ -98,11 +110,13 @@ def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: in
         linear = chosen(tip, linears[1], linears[0])
         place = np.where(tip[:, None], at_tip, about)
         steps.append(steps_of(cut, part, place, model.weight[rows], model.rates, frictionless=model.frictionless, linear=linear))
+    starts = group_starts([Labels(*(field[rows] for field in labels)) for labels in candidates])
+    steps = [filled(merged(part, starts), max(_GROUPS, rounded_up(len(starts)))) for part in steps]
     steps += steps[-1:] * (-len(steps) % _AT_ONCE)
     values = []
     for k in range(0, len(steps), _AT_ONCE):
-        stacked = Step(*(jnp.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
-        values.append(_likelihoods(stacked, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance)))
+        stacked = Step(*(np.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
+        values.append(np.asarray(kalman.log_likelihoods(stacked, np.array(len(starts)), model.intensities, mean, covariance)))
     return np.concatenate(values)[: len(candidates)]
 
 
@@ -149,12 +163,14 @@ class Places(NamedTuple):
 def with_placed_changes(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
     """Each change between tip and tangential contact at the median of its likelihood, and where else it may be, given the others."""
     places: list[Places] = []
-    # A change alone depends on no other.
-    for _ in range(min(len(phase_changes(labels)), _SWEEPS)):
-        places = []
-        for change in phase_changes(labels):
+    for _ in range(_SWEEPS):
+        places, before = [], phase_changes(labels)
+        for change in before:
             places.append(places_of(model, labels, change))
             labels = moved(labels, change, places[-1].quantile(0.5))
+        # Only a change near to another depends on where that is.
+        if len(before) < 2 or np.diff(before).min() > _REACH + _MARGIN:
+            break
     return labels, places
 
 
@@ -231,34 +247,38 @@ def with_fewer_phases(model: Model, labels: Labels) -> Labels:
 
 
 def with_tangential_phases(model: Model, labels: Labels) -> Labels:
-    """Tangential contact is tried within each stretch of tip contact, where the samples by themselves put the contact most clearly before the tip."""
+    """Tangential contact is tried within each stretch of tip contact, about where the samples by themselves put the contact most clearly before the tip."""
     value, deviation = raw_arc_lengths(model.series, model.states.mean[:, 2 * COORDINATES :])
     weight = 1 / deviation**2
     for first, last in list(runs_of(labels.phase == TIP)):
-        z, low, high = _most_clearly_short(value[first : last + 1], weight[first : last + 1])
-        if z < _CLEARLY:
-            continue
-        phase, link = labels.phase.copy(), labels.link.copy()
-        low, high = max(first + low, first + _LEAST_RUN), min(first + high, last + 1 - _LEAST_RUN)
-        phase[low:high] = TANGENTIAL
-        link[[low, high]] = np.maximum(link[[low, high]], KINK)
-        other = labels._replace(phase=phase, link=link)
-        values = log_likelihoods(model, [labels, other], *_within(labels, low, low - _MARGIN // 2, high + _MARGIN // 2))
-        if values[1] > values[0] + _LEAST_GAIN:
-            labels = other
+        tried = [labels]
+        for low, high in _clearly_short(value[first : last + 1], weight[first : last + 1]):
+            phase, link = labels.phase.copy(), labels.link.copy()
+            phase[first + low : first + high] = TANGENTIAL
+            link[[first + low, first + high]] = np.maximum(link[[first + low, first + high]], KINK)
+            tried.append(labels._replace(phase=phase, link=link))
+        if len(tried) > 1:
+            rows = np.flatnonzero(np.any([other.phase != labels.phase for other in tried], axis=0))
+            values = log_likelihoods(model, tried, *_within(labels, first, int(rows[0]) - _MARGIN // 2, int(rows[-1]) + _MARGIN // 2))
+            best = int(np.argmax(values))
+            # Tip contact all along and tangential contact in the middle are equally usual.
+            labels = tried[best]
     return labels
 
 
-def _most_clearly_short(value: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> tuple[float, int, int]:
-    """By how many deviations, and over which samples, the weighted mean of the arc lengths lies below the rod's."""
-    best = (0.0, 0, 0)
+def _clearly_short(value: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> list[tuple[int, int]]:
+    """Stretches about those over which the weighted mean of the arc lengths lies most clearly below the rod's: as s₁ leaves and returns slowly, longer ones too."""
+    total, short = (np.cumsum(np.concatenate([[0.0], part])) for part in (weight, weight * (1 - value)))
+    found = set()
     for size in (size for size in _SIZES if size < len(value)):
-        total, short = (np.cumsum(np.concatenate([[0.0], part])) for part in (weight, weight * (1 - value)))
-        spread = np.sqrt(np.maximum(total[size:] - total[:-size], 1e-300))
-        z = (short[size:] - short[:-size]) / spread
+        z = (short[size:] - short[:-size]) / np.sqrt(np.maximum(total[size:] - total[:-size], 1e-300))
         place = int(np.argmax(z))
-        best = max(best, (float(z[place]), place, place + size))
-    return best
+        if z[place] < _CLEARLY:
+            continue
+        for wider in _WIDER:
+            low, high = place + size / 2 - wider * size / 2, place + size / 2 + wider * size / 2
+            found.add((max(round(low), _LEAST_RUN), min(round(high), len(value) - _LEAST_RUN)))
+    return sorted(found)
 
 
 def _phase_runs(labels: Labels) -> Iterable[tuple[int, int]]:

@@ -2,18 +2,33 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.optimize import minimize
+from scipy.stats import norm
 
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, States, Step, fetched
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
+from vibrissa.reconstruct.smoothing.merging import group_starts, merged, spread_out
 from vibrissa.reconstruct.smoothing.phases import first_labels, runs_of
-from vibrissa.reconstruct.smoothing.series import AT_REST, FREE, KINK, TILT_SPREAD, TIP, Labels, Linear, Series, linearised, steps_of
+from vibrissa.reconstruct.smoothing.series import (
+    ARC_LENGTH_SPREAD,
+    AT_REST,
+    FREE,
+    KINK,
+    TILT_SPREAD,
+    TIP,
+    Labels,
+    Linear,
+    Series,
+    capacity_for,
+    chosen,
+    filled,
+    linearised,
+    steps_of,
+)
 
 _OUTLIER = 28.0
 """Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; further ones weigh less."""
@@ -21,9 +36,12 @@ TARE_VARIANCE = 0.02
 """Of the zero at the start of a recording, in variances of a sample: that of a tare over 50 samples."""
 _STRETCH = 48
 _ROUGH_STEPS, MOST_STEPS = 5, 12
-_CLOSE = 1e-5
+_NEAR = 1
+"""Steps after which the intensities are estimated."""
+_CLOSE, _ROUGHLY = 1e-5, 1e-3
 _AVERAGE = 0.04
 _MEDIAN = 9
+_USUALLY = 1.5
 _BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
 
 
@@ -37,16 +55,25 @@ class Fit(NamedTuple):
     states: States
 
 
-def initial() -> tuple[Float[Array, "16"], Float[Array, "16 16"]]:
+def initial() -> tuple[Float[np.ndarray, "16"], Float[np.ndarray, "16 16"]]:
     """A rod free of contact, and the error of the tare."""
-    mean = jnp.zeros(SIZE).at[: len(AT_REST)].set(AT_REST)
-    return mean, jnp.diag(jnp.zeros(SIZE).at[2 * COORDINATES :].set(TARE_VARIANCE))
+    mean = np.concatenate([AT_REST, np.zeros(SIZE - COORDINATES)])
+    return mean, np.diag(np.where(np.arange(SIZE) < 2 * COORDINATES, 0.0, TARE_VARIANCE))
 
 
 def initial_states(count: int) -> States:
     """States of which nothing is known yet."""
     square = np.zeros((count, SIZE, SIZE))
-    return States(np.zeros((count, SIZE)), square, np.zeros((count, SIZE)), square, np.zeros(count))
+    nothing = np.zeros((count, SIZE))
+    return States(nothing, square, nothing, square, np.zeros(count), nothing, square)
+
+
+def smoothed_states(steps: Step, labels: Labels, intensities: Float[np.ndarray, "5"], *, rough: bool = False) -> States:
+    """States at these steps, from a rod at rest on. Samples without contact are taken together, and others too where it is rough."""
+    starts = group_starts([labels], together=4 if rough else 1)
+    grouped = filled(merged(steps, starts), capacity_for(len(starts)))
+    states = fetched(kalman.smoothed(grouped, np.array(len(starts)), intensities, *initial()), len(starts))
+    return spread_out(states, steps, starts)
 
 
 def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]) -> tuple[Labels, Float[np.ndarray, "n 5"]]:
@@ -74,34 +101,50 @@ def most_probable_intensities(
 ) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "n"]]:
     """Intensities, and the pace of each sample, that maximise the marginal likelihood.
 
-    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk from each to the next, with a standard deviation of 1.
+    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk from each to the next, with a standard deviation of 1. A short
+    tangential phase tells little of how freely s₁ moves: the logarithm of that intensity has a normal prior about the one with which s₁ crosses its range in the time
+    of a contact.
     """
-    mean, covariance = initial()
-    count = len(labels.pace)
     stretch = stretches(labels)
+    starts = group_starts([labels], np.diff(stretch, prepend=-1) != 0)
+    grouped = filled(merged(steps, starts), capacity_for(len(starts)))
     blocks = int(stretch.max(initial=-1)) + 1 if local else 0
+    expected = np.log(_usual_arc_length_intensity(steps, labels))
     linked = np.diff(_contact_of(labels, stretch, blocks)) == 0 if blocks else np.zeros(0, dtype=bool)
     logarithm = np.array([np.log(labels.pace[stretch == block][0]) for block in range(blocks)])
+    of_group = stretch[starts]
 
-    def paces(values: Float[np.ndarray, "b"]) -> Float[np.ndarray, "n"]:
-        return np.where(stretch >= 0, np.exp(np.clip(values, -20, 20))[stretch], 1.0) if blocks else labels.pace
+    def paces(values: Float[np.ndarray, "b"], number: Int[np.ndarray, "k"], otherwise: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
+        return np.where(number >= 0, np.exp(np.clip(values, -20, 20))[number], 1.0) if blocks else otherwise
 
     def objective(values: Float[np.ndarray, "k"]) -> tuple[float, Float[np.ndarray, "k"]]:
-        intensities = jnp.exp(jnp.asarray(values[:INTENSITIES]))
-        pace = np.concatenate([paces(values[INTENSITIES:]), np.ones(len(steps.pace) - count)])
-        given = steps._replace(pace=jnp.asarray(pace))
-        states = kalman.smoothed(given, intensities, mean, covariance)
-        slopes = np.asarray(kalman.score(given, states, intensities))
-        local_slope = np.bincount(stretch[stretch >= 0], slopes[:count][stretch >= 0, :2].sum(axis=1), blocks) if blocks else np.zeros(0)
+        pace = paces(values[INTENSITIES:], of_group, np.asarray(grouped.pace)[: len(starts)])
+        now = np.exp(values[:INTENSITIES])
+        grouped.pace[: len(starts)] = pace
+        states = fetched(kalman.smoothed(grouped, np.array(len(starts)), now, *initial()), len(starts))
+        slopes = kalman.score(Step(*(part[: len(starts)] for part in grouped)), states, now)
+        local_slope = np.bincount(of_group[of_group >= 0], slopes[of_group >= 0, :2].sum(axis=1), blocks) if blocks else np.zeros(0)
         step = np.where(linked, np.diff(values[INTENSITIES:]), 0.0)
         pull = np.diff(step, prepend=0.0, append=0.0) if blocks else np.zeros(0)
-        value = -float(jnp.sum(states.log_likelihood)) + float(step @ step) / 2
-        return value, -np.concatenate([slopes.sum(axis=0), local_slope + pull])
+        away = (values[ARC_LENGTH - 1] - expected) / _USUALLY
+        total = slopes.sum(axis=0)
+        total[ARC_LENGTH - 1] -= away / _USUALLY
+        # All standard deviations are equally probable (Gelman, *Bayesian Analysis* 1, 2006): none collapses to zero. Those of the loads have paces.
+        total[ARC_LENGTH - 1 :] += 0.5
+        known = float(np.sum(states.log_likelihood)) + np.sum(values[ARC_LENGTH - 1 : INTENSITIES]) / 2
+        return float(step @ step + away**2) / 2 - known, -np.concatenate([total, local_slope + pull])
 
     bounds = _BOUNDS + [(-14.0, 14.0)] * blocks
     first = np.concatenate([np.clip(np.log(start), *np.array(_BOUNDS).T), logarithm])
     found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 20, "ftol": 1e-5})
-    return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:])
+    return np.exp(found.x[:INTENSITIES]), paces(found.x[INTENSITIES:], stretch, labels.pace)
+
+
+def _usual_arc_length_intensity(steps: Step, labels: Labels) -> float:
+    """That of an integrated Wiener process whose standard deviation is `ARC_LENGTH_SPREAD` at the end of the longest contact."""
+    time = np.cumsum(steps.duration)
+    longest = max((time[last] - time[first] for first, last in runs_of(labels.phase != FREE)), default=0.0)
+    return float(3 * ARC_LENGTH_SPREAD**2 / max(longest, 1e-3 * (time[-1] - time[0]), 1e-9) ** 3)
 
 
 def stretches(labels: Labels) -> Int[np.ndarray, "n"]:
@@ -123,22 +166,24 @@ def fitted(
     series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, local: bool = True, most_steps: int = _ROUGH_STEPS
 ) -> Fit:
     """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
-    mean, covariance = initial()
     labels, about, weight, intensities, states = fit
-    linear = linearised(about)
+    linear, close = linearised(about), _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY
+    rough = True
     for iteration in range(most_steps):
         steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
-        if iteration == 2:
+        if iteration == _NEAR:
             intensities, pace = most_probable_intensities(steps, intensities, labels, local=local)
             labels = labels._replace(pace=pace)
-            steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
-        states = fetched(kalman.smoothed(steps, jnp.asarray(intensities), mean, covariance), len(about))
+            steps = steps._replace(pace=pace)
+        rough = rough and iteration < most_steps - 1
+        states = smoothed_states(steps, labels, intensities, rough=rough)
         new = _coordinates(labels, states.mean)
         change = float(np.abs(new - about).max())
         about, linear = new, linearised(new)
         weight = robust_weights(series, labels, linear, states.mean[:, 2 * COORDINATES :])
-        if change < _CLOSE and iteration > 2:
+        if change < close and not rough:
             break
+        rough = rough and (iteration <= _NEAR or change > _ROUGHLY)
     return Fit(labels, about, weight, intensities, states)
 
 
@@ -150,26 +195,46 @@ def _coordinates(labels: Labels, means: Float[np.ndarray, "n 16"]) -> Float[np.n
 
 
 def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Fit:
-    """Mean and covariance of the coordinates over equally probable labels: that within each, and that between them."""
-    parts = [_relabelled(series, fit, labels, rates, frictionless=frictionless) for labels in candidates]
-    about = np.mean([part for part, _ in parts], axis=0)
-    between = np.mean([np.einsum("ni,nj->nij", part - about, part - about) for part, _ in parts], axis=0)
+    """Mean and covariance of the coordinates over equally probable labels and intensities of the drift: that within each, and that between them."""
+    at_tip = fit.about.copy()
+    at_tip[:, ARC_LENGTH] = 1
+    linears = linearised(fit.about), linearised(at_tip)
+    means, squares = [], []
+    deviation = drift_deviation(
+        steps_of(series, fit.labels, fit.about, fit.weight, rates, frictionless=frictionless, linear=linears[0]), fit
+    )
+    for labels, factor in zip(candidates, equally_probable(deviation, len(candidates)), strict=True):
+        tip = labels.phase == TIP
+        about, linear = np.where(tip[:, None], at_tip, fit.about), chosen(tip, linears[1], linears[0])
+        steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless, linear=linear)
+        states = smoothed_states(steps, labels, np.append(fit.intensities[:-1], factor * fit.intensities[-1]))
+        means.append(_coordinates(labels, states.mean))
+        squares.append(states.covariance[:, :COORDINATES, :COORDINATES])
+    about = np.mean(means, axis=0)
+    away = np.stack(means) - about
     covariance = fit.states.covariance.copy()
-    covariance[:, :COORDINATES, :COORDINATES] = np.mean([within for _, within in parts], axis=0) + between
+    covariance[:, :COORDINATES, :COORDINATES] = np.mean(squares, axis=0) + np.einsum("kni,knj->nij", away, away) / len(candidates)
     return fit._replace(about=about, states=fit.states._replace(covariance=covariance))
 
 
-def _relabelled(
-    series: Series, fit: Fit, labels: Labels, rates: Float[np.ndarray, "5"], *, frictionless: bool
-) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5 5"]]:
-    """Coordinates by other labels and their covariance; intensities and weights are those of the fit."""
-    mean, covariance = initial()
-    about = fit.about.copy()
-    about[labels.phase == TIP, ARC_LENGTH] = 1
-    steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless)
-    states = kalman.smoothed(steps, jnp.asarray(fit.intensities), mean, covariance)
-    means, squares = (np.asarray(part)[: len(about)] for part in (states.mean, states.covariance))
-    return _coordinates(labels, means), squares[:, :COORDINATES, :COORDINATES]
+def drift_deviation(steps: Step, fit: Fit) -> float:
+    """Standard deviation of the logarithm of the drift's intensity, by the curvature of the likelihood."""
+    starts = group_starts([fit.labels])
+    grouped = merged(steps, starts)
+    slopes = []
+    for sign in (-1, 1):
+        intensities = np.append(fit.intensities[:-1], np.exp(sign / 2) * fit.intensities[-1])
+        states = fetched(
+            kalman.smoothed(filled(grouped, capacity_for(len(starts))), np.array(len(starts)), intensities, *initial()), len(starts)
+        )
+        slopes.append(float(np.sum(kalman.score(grouped, states, intensities)[:, -1])))
+    return float(1 / np.sqrt(max(slopes[0] - slopes[1], 1.0)))
+
+
+def equally_probable(deviation: float, count: int) -> Float[np.ndarray, "k"]:
+    """Factors with a log-normal distribution, in an order unrelated to that of the alternatives: each is followed by the one half the range off."""
+    order = np.arange(count).reshape(2, -1).T.ravel()
+    return np.asarray(np.exp(deviation * norm.ppf((order + 0.5) / count)))
 
 
 def first_weights(series: Series) -> Float[np.ndarray, "n"]:

@@ -66,7 +66,7 @@ def _advanced(state: Hypotheses, settings: Settings, sample: Float[AnyArray, "14
     def one(kind: Array) -> tuple[Array, Array, Array, Array]:
         mean, covariance = _mixed(state, kind, arrival[kind], settings, jumped)
         step = _prediction(kind, duration)
-        mean, covariance, _ = kalman.predicted(mean, covariance, step, settings.intensities)
+        mean, covariance = kalman.predicted(mean, covariance, step, settings.intensities)
         mean = mean.at[ARC_LENGTH].set(jnp.clip(mean[ARC_LENGTH], 0.05, 1.0))
         step, excess = _observed(step, kind, mean, covariance, whitened, settings, sound)
         mean, covariance, _, likelihood = kalman.updated(mean, covariance, step)

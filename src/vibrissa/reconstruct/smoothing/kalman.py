@@ -9,14 +9,16 @@ The state holds the contact's coordinates x, their rates v and the drift d of th
     x' = v,    v' = √q ẇ,    d' = √q_d ẇ.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from vibrissa.numerics.blocks import AnyArray
+from vibrissa.numerics.compiled import compiled
 from vibrissa.reconstruct.smoothing.manifold import COORDINATES
 
 WRENCH = 6
@@ -28,6 +30,7 @@ INTENSITIES = 5
 """Spectral densities per second: of the accelerations of the moment, the axial force, the arc length and the tilt, and of the drift in standard deviations of a
 sample."""
 
+Parts = TypeVar("Parts")
 State = Float[Array, "16"]
 Square = Float[Array, "16 16"]
 
@@ -35,23 +38,23 @@ Square = Float[Array, "16 16"]
 class Step(NamedTuple):
     """How the state comes to a sample, and what the sample shows. A time series holds one in each row."""
 
-    duration: Float[Array, "*n"]
+    duration: Float[AnyArray, "*n"]
     """Since the sample before [s]."""
-    keep: Float[Array, "*n 16"]
+    keep: Float[AnyArray, "*n 16"]
     """1 for states that go on, 0 for states that begin anew."""
-    begin: Float[Array, "*n 16"]
+    begin: Float[AnyArray, "*n 16"]
     """Values of those that begin anew."""
-    spread: Float[Array, "*n 16"]
+    spread: Float[AnyArray, "*n 16"]
     """Their variances."""
-    active: Float[Array, "*n 5"]
+    active: Float[AnyArray, "*n 5"]
     """1 for coordinates that move, 0 for known ones."""
-    pace: Float[Array, "*n"]
+    pace: Float[AnyArray, "*n"]
     """Factor of the intensities of moment and axial force."""
-    target: Float[Array, "*n 8"]
+    target: Float[AnyArray, "*n 8"]
     """Observed values."""
-    design: Float[Array, "*n 8 16"]
+    design: Float[AnyArray, "*n 8 16"]
     """What they observe."""
-    variance: Float[Array, "*n 8"]
+    variance: Float[AnyArray, "*n 8"]
     """Of the observations; infinite where there is none."""
 
 
@@ -65,14 +68,26 @@ class Trace(NamedTuple):
     gain: Float[Array, "8 16"]
 
 
-def predicted(mean: State, covariance: Square, step: Step, intensities: Float[Array, "5"]) -> tuple[State, Square, Square]:
-    """State before the sample is seen, and the transition to it."""
-    kept = jnp.diag(step.keep)
-    transition = _transition(step) @ kept
-    noise = _process_noise(step, intensities)
-    start = _transition(step)
-    mean = start @ (step.keep * mean + step.begin)
-    return mean, transition @ covariance @ transition.T + (start * step.spread) @ start.T + noise, transition
+def predicted(mean: State, covariance: Square, step: Step, intensities: Float[Array, "5"]) -> tuple[State, Square]:
+    """State before the sample is seen."""
+    keep = jnp.asarray(step.keep)
+    covariance = keep[:, None] * covariance * keep + jnp.diag(step.spread)
+    moved = _moved(step, _moved(step, covariance).T)
+    return _moved(step, keep * mean + step.begin), moved + _process_noise(step, intensities)
+
+
+def _moved(step: Step, rows: Float[Array, "16 *k"]) -> Float[Array, "16 *k"]:
+    """From the sample before to this one: x + v dt, for each column."""
+    distance = (step.active * step.duration).reshape(-1, *[1] * (rows.ndim - 1)) * rows[COORDINATES : 2 * COORDINATES]
+    return jnp.concatenate([rows[:COORDINATES] + distance, rows[COORDINATES:]])
+
+
+def _moved_back(step: Step, rows: Float[Array, "16 *k"]) -> Float[Array, "16 *k"]:
+    """The transpose of the whole transition, to states that begin anew too."""
+    shape = (-1, *[1] * (rows.ndim - 1))
+    distance = (step.active * step.duration).reshape(shape) * rows[:COORDINATES]
+    rates = rows[COORDINATES : 2 * COORDINATES] + distance
+    return jnp.asarray(step.keep).reshape(shape) * jnp.concatenate([rows[:COORDINATES], rates, rows[2 * COORDINATES :]])
 
 
 def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square, Trace, Float[Array, ""]]:
@@ -95,22 +110,38 @@ def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square,
     return mean, (covariance + covariance.T) / 2, trace, log_likelihood
 
 
-def _forward(
-    steps: Step, intensities: Float[Array, "5"], mean: State, covariance: Square
-) -> tuple[tuple[Trace, Float[Array, "n 16 16"]], Float[Array, "n"]]:
-    def one(carry: tuple[State, Square], step: Step) -> tuple[tuple[State, Square], tuple[tuple[Trace, Square], Float[Array, ""]]]:
-        ahead, spread, transition = predicted(*carry, step, intensities)
-        after, left, trace, log_likelihood = updated(ahead, spread, step)
-        return (after, left), ((trace, transition), log_likelihood)
-
-    _, (traces, log_likelihood) = lax.scan(one, (mean, covariance), steps)
-    return traces, log_likelihood
+def _at(parts: Parts, row: Array) -> Parts:
+    return jax.tree.map(lambda part: lax.dynamic_index_in_dim(part, row, keepdims=False), parts)
 
 
-@jax.jit
-def log_likelihood(steps: Step, intensities: Float[Array, "5"], mean: State, covariance: Square) -> Float[Array, ""]:
-    """Logarithm of the marginal likelihood of a time series."""
-    return jnp.sum(_forward(steps, intensities, mean, covariance)[1])
+def _put(parts: Parts, row: Array, values: Parts) -> Parts:
+    return jax.tree.map(lambda part, value: lax.dynamic_update_index_in_dim(part, value, row, 0), parts, values)
+
+
+def _empty(rows: int, *shapes: tuple[int, ...]) -> list[Array]:
+    return [jnp.zeros((rows, *shape)) for shape in shapes]
+
+
+@compiled
+def log_likelihoods(
+    steps: Step,
+    count: Int[AnyArray, ""],
+    intensities: Float[AnyArray, "5"],
+    mean: Float[AnyArray, "16"],
+    covariance: Float[AnyArray, "16 16"],
+) -> Float[Array, "series"]:
+    """Logarithms of the marginal likelihoods of the first `count` samples of several time series."""
+
+    def one_series(steps: Step) -> Float[Array, ""]:
+        def one(row: Array, carry: tuple[State, Square, Array]) -> tuple[State, Square, Array]:
+            step = _at(steps, row)
+            after, left, _, likelihood = updated(*predicted(*carry[:2], step, jnp.asarray(intensities)), step)
+            return after, left, carry[2] + likelihood
+
+        through: tuple[State, Square, Array] = lax.fori_loop(0, count, one, (jnp.asarray(mean), jnp.asarray(covariance), jnp.zeros(())))
+        return through[2]
+
+    return jax.vmap(one_series)(Step(*map(jnp.asarray, steps)))
 
 
 class Smoothed(NamedTuple):
@@ -123,6 +154,10 @@ class Smoothed(NamedTuple):
     information: Float[Array, "n 16 16"]
     log_likelihood: Float[Array, "n"]
     """Of each sample, given those before."""
+    expected: Float[Array, "n 16"]
+    """Means given the samples before alone."""
+    uncertainty: Float[Array, "n 16 16"]
+    """Their covariances."""
 
 
 class States(NamedTuple):
@@ -133,6 +168,8 @@ class States(NamedTuple):
     pull: Float[np.ndarray, "n 16"]
     information: Float[np.ndarray, "n 16 16"]
     log_likelihood: Float[np.ndarray, "n"]
+    expected: Float[np.ndarray, "n 16"]
+    uncertainty: Float[np.ndarray, "n 16 16"]
 
 
 def fetched(states: Smoothed, count: int) -> States:
@@ -140,46 +177,66 @@ def fetched(states: Smoothed, count: int) -> States:
     return States(*(np.asarray(part)[:count] for part in states))
 
 
-@jax.jit
-def smoothed(steps: Step, intensities: Float[Array, "5"], mean: State, covariance: Square) -> Smoothed:
-    """Means and covariances of the states given all samples."""
-    (traces, transitions), likelihoods = _forward(steps, intensities, mean, covariance)
+@compiled
+def smoothed(
+    steps: Step,
+    count: Int[AnyArray, ""],
+    intensities: Float[AnyArray, "5"],
+    mean: Float[AnyArray, "16"],
+    covariance: Float[AnyArray, "16 16"],
+) -> Smoothed:
+    """Means and covariances of the states at the first `count` samples, given these; the rows beyond them are zero."""
+    steps, rows, last_row = Step(*map(jnp.asarray, steps)), steps.duration.shape[0], jnp.asarray(count) - 1
 
-    def one(
-        carry: tuple[State, Square], row: tuple[Trace, Square, Array]
-    ) -> tuple[tuple[State, Square], tuple[State, Square, State, Square]]:
-        r, information = carry
-        trace, transition, design = row
-        for j in reversed(range(ROWS)):
-            z, gain = design[j], trace.gain[j]
-            along = information @ gain
-            r = r + z * (trace.innovation[j] / trace.spread[j] - gain @ r)
-            information = information - jnp.outer(z, along) - jnp.outer(along, z) + jnp.outer(z, z) * (1 / trace.spread[j] + gain @ along)
-        mean = trace.mean + trace.covariance @ r
+    def forward(row: Array, carry: tuple[State, Square, tuple[Trace, Array]]) -> tuple[State, Square, tuple[Trace, Array]]:
+        step = _at(steps, row)
+        after, left, trace, likelihood = updated(*predicted(*carry[:2], step, jnp.asarray(intensities)), step)
+        return after, left, _put(carry[2], row, (trace, likelihood))
+
+    nothing = Trace(*_empty(rows, (SIZE,), (SIZE, SIZE), (ROWS,), (ROWS,), (ROWS, SIZE))), jnp.zeros(rows)
+    first = jnp.asarray(mean), jnp.asarray(covariance), nothing
+    traces: Trace
+    _, _, (traces, likelihoods) = lax.fori_loop(0, count, forward, first)
+
+    def backward(number: Array, carry: tuple[State, Square, list[Array]]) -> tuple[State, Square, list[Array]]:
+        row = last_row - number
+        trace, step = _at(traces, row), _at(steps, row)
+        r, information = _told(*carry[:2], trace, step)
         spread = trace.covariance - trace.covariance @ information @ trace.covariance
-        return (transition.T @ r, transition.T @ information @ transition), (mean, (spread + spread.T) / 2, r, information)
+        told = [trace.mean + trace.covariance @ r, (spread + spread.T) / 2, r, information]
+        return _moved_back(step, r), _moved_back(step, _moved_back(step, information).T), _put(carry[2], row, told)
 
-    nothing = (jnp.zeros(SIZE), jnp.zeros((SIZE, SIZE)))
-    _, rows = lax.scan(one, nothing, (traces, transitions, steps.design), reverse=True)
-    return Smoothed(*rows, likelihoods)
+    last = jnp.zeros(SIZE), jnp.zeros((SIZE, SIZE)), _empty(rows, (SIZE,), (SIZE, SIZE), (SIZE,), (SIZE, SIZE))
+    means, covariances, pulls, informations = lax.fori_loop(0, count, backward, last)[2]
+    return Smoothed(means, covariances, pulls, informations, likelihoods, traces.mean, traces.covariance)
 
 
-@jax.jit
-def score(steps: Step, states: Smoothed, intensities: Float[Array, "5"]) -> Float[Array, "n 5"]:
+def _told(r: State, information: Square, trace: Trace, step: Step) -> tuple[State, Square]:
+    """What a sample and those after it say against the prediction of it."""
+    for j in reversed(range(ROWS)):
+        z, gain = step.design[j], trace.gain[j]
+        along = information @ gain
+        r = r + z * (trace.innovation[j] / trace.spread[j] - gain @ r)
+        information = information - jnp.outer(z, along) - jnp.outer(along, z) + jnp.outer(z, z) * (1 / trace.spread[j] + gain @ along)
+    return r, information
+
+
+def score(steps: Step, states: States, intensities: Float[np.ndarray, "5"]) -> Float[np.ndarray, "n 5"]:
     """What each step adds to the derivative of the log-likelihood by the logarithms of the intensities.
 
     Half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992).
     """
 
-    def diagonal(first: int, second: int, size: int) -> Float[Array, "n k"]:
-        parts = [states.pull[:, first + k] * states.pull[:, second + k] - states.information[:, first + k, second + k] for k in range(size)]
-        return jnp.stack(parts, axis=1)
+    def diagonal(first: int, second: int, size: int) -> Float[np.ndarray, "n k"]:
+        one, other = slice(first, first + size), slice(second, second + size)
+        return states.pull[:, one] * states.pull[:, other] - np.einsum("nii->ni", states.information[:, one, other])
 
-    dt = steps.duration[:, None]
+    dt, pace = np.asarray(steps.duration)[:, None], np.asarray(steps.pace)[:, None]
     place, both, rate = (diagonal(*pair, COORDINATES) for pair in ((0, 0), (0, COORDINATES), (COORDINATES, COORDINATES)))
-    of_coordinates = steps.active * (dt**3 / 3 * place + dt**2 * both + dt * rate) * jax.vmap(_local, (None, 0))(intensities, steps.pace)
-    of_drift = intensities[-1] * jnp.sum(dt * diagonal(2 * COORDINATES, 2 * COORDINATES, WRENCH), axis=1)
-    return jnp.column_stack([of_coordinates[:, 0] + of_coordinates[:, 1], of_coordinates[:, 2:], of_drift]) / 2
+    local = np.concatenate([intensities[[0, 0, 1]] * pace, np.broadcast_to(intensities[2:4], (len(pace), 2))], axis=1)
+    of_coordinates = np.asarray(steps.active) * (dt**3 / 3 * place + dt**2 * both + dt * rate) * local
+    of_drift = intensities[-1] * np.sum(dt * diagonal(2 * COORDINATES, 2 * COORDINATES, WRENCH), axis=1)
+    return np.column_stack([of_coordinates[:, 0] + of_coordinates[:, 1], of_coordinates[:, 2:], of_drift]) / 2
 
 
 def _local(intensities: Float[Array, "5"], pace: Float[Array, ""]) -> Float[Array, "5"]:
@@ -187,14 +244,9 @@ def _local(intensities: Float[Array, "5"], pace: Float[Array, ""]) -> Float[Arra
     return jnp.concatenate([intensities[:1] * pace, intensities[:2] * pace, intensities[2:4]])
 
 
-def _transition(step: Step) -> Square:
-    moving = jnp.diag(step.active * step.duration)
-    return jnp.eye(SIZE).at[:COORDINATES, COORDINATES : 2 * COORDINATES].set(moving)
-
-
 def _process_noise(step: Step, intensities: Float[Array, "5"]) -> Square:
     dt = step.duration
-    q = step.active * _local(intensities, step.pace)
+    q = step.active * _local(intensities, jnp.asarray(step.pace))
     place, rate = slice(0, COORDINATES), slice(COORDINATES, 2 * COORDINATES)
     noise = jnp.zeros((SIZE, SIZE)).at[2 * COORDINATES :, 2 * COORDINATES :].set(jnp.eye(WRENCH) * intensities[4] * dt)
     noise = noise.at[place, place].set(jnp.diag(q * dt**3 / 3)).at[rate, rate].set(jnp.diag(q * dt))

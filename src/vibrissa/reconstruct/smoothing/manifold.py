@@ -29,7 +29,7 @@ Scalar = Float[Array, ""]
 COORDINATES = 5
 """m_x, m_y, F_z, s₁, ε."""
 ARC_LENGTH, TILT = 3, 4
-_NEWTON_STEPS = 8
+_NEWTON_STEPS = 6
 _LEAST_MOMENT = 1e-6
 
 

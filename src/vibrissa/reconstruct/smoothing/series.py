@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
@@ -21,7 +22,10 @@ GO_ON, KINK, JUMP = 0, 1, 2
 """How a sample continues the one before: evenly, with other rates, or not at all."""
 TILT_SPREAD = 3e-3
 """Standard deviation [rad] of the tilt where nothing else is known of it: a sixth of a degree, as rods are straight and clamps are true."""
-_ARC_LENGTH_SPREAD = 0.3
+ARC_LENGTH_SPREAD = 0.3
+"""Standard deviation of s₁ where nothing is known of it."""
+_BEND = np.array([1 / 15, 1 / 15, 1 / 15, 1 / 6])
+"""By how much the rates of loads and s₁ change at a change of phase, in rates of which nothing is known: thrice what a sphere makes of them."""
 _PINNED = 1e-12
 _LOAD_SPREAD = 2.0
 
@@ -81,13 +85,15 @@ def series_of(rod: Rod, reactions: Reactions) -> Series:
 
 
 @compiled
-def _linearised(x: Float[Array, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
+def _linearised(x: Float[AnyArray, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
     def observed(x: Float[Array, "5"]) -> tuple[Float[Array, "10"], Bent]:
         value = bent(x)
         return jnp.concatenate([value.wrench, value.modulus[None], value.reach]), value
 
-    jacobian, values = jax.vmap(jax.jacfwd(observed, has_aux=True), in_axes=1, out_axes=-1)(x)
-    return values, jacobian
+    lanes = jnp.asarray(x)
+    _, slope, values = jax.linearize(jax.vmap(observed, in_axes=1, out_axes=-1), lanes, has_aux=True)
+    directions = jnp.eye(COORDINATES)[:, :, None] * jnp.ones_like(lanes)
+    return values, jnp.stack([slope(directions[k]) for k in range(COORDINATES)], axis=1)
 
 
 class Values(NamedTuple):
@@ -109,11 +115,16 @@ class Linear(NamedTuple):
 
 def linearised(x: Float[np.ndarray, "n 5"]) -> Linear:
     """The model about coordinates, in blocks of one size."""
-    filled = np.concatenate([x, np.tile(AT_REST, (-len(x) % _BUCKET, 1))])
-    parts = [_linearised(jnp.asarray(block.T)) for block in filled.reshape(-1, _BUCKET, COORDINATES)]
+    bent_rows = np.flatnonzero(np.any(x != AT_REST, axis=1))
+    # Rods at rest are all alike: the first row is one.
+    number = np.zeros(len(x), dtype=int)
+    number[bent_rows] = 1 + np.arange(len(bent_rows))
+    missing = -(len(bent_rows) + 1) % _BUCKET
+    lanes = np.concatenate([[AT_REST], x[bent_rows], np.tile(AT_REST, (missing, 1))])
+    parts = [_linearised(np.ascontiguousarray(block.T)) for block in lanes.reshape(-1, _BUCKET, COORDINATES)]
     values, jacobians = zip(*parts, strict=True)
-    rows = (np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in field])[: len(x)] for field in zip(*values, strict=True))
-    return Linear(Values(*rows), np.concatenate([np.moveaxis(np.asarray(part), -1, 0) for part in jacobians])[: len(x)])
+    rows = (np.moveaxis(np.concatenate(list(map(np.asarray, field)), axis=-1), -1, 0)[number] for field in zip(*values, strict=True))
+    return Linear(Values(*rows), np.moveaxis(np.concatenate(list(map(np.asarray, jacobians)), axis=-1), -1, 0)[number])
 
 
 def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear:
@@ -138,21 +149,22 @@ def steps_of(
     *,
     frictionless: bool,
     linear: Linear | None = None,
-    capacity: int | None = None,
 ) -> Step:
-    """The model linearised about coordinates, filled up to a fixed number of rows so that it need not be compiled for each length.
+    """The model linearised about coordinates.
 
     `rates` are standard deviations of rates of which nothing is known; `linear` is the model about these coordinates, if it is known.
     """
-    count = len(series.time)
     keep, begin, spread, active = _transitions(labels, about, rates)
     target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), frictionless=frictionless)
     duration = np.diff(series.time, prepend=series.time[0])
-    rows = (duration, keep, begin, spread, active, labels.pace, target, design, variance)
-    missing = (capacity or capacity_for(count)) - count
-    filling = [np.zeros((missing, *part.shape[1:])) for part in rows]
-    filling[1], filling[-1] = np.ones((missing, SIZE)), np.full((missing, ROWS), np.inf)
-    return Step(*(jnp.asarray(np.concatenate(pair)) for pair in zip(rows, filling, strict=True)))
+    return Step(duration, keep, begin, spread, active, labels.pace, target, design, variance)
+
+
+def filled(steps: Step, capacity: int) -> Step:
+    """With steps that see nothing and change nothing up to a fixed number of rows, so that loops need not be compiled for each length."""
+    filling = [np.zeros((capacity - len(steps.duration), *part.shape[1:])) for part in steps]
+    filling[1], filling[-1] = np.ones_like(filling[1]), np.full_like(filling[-1], np.inf)
+    return Step(*(np.concatenate(pair) for pair in zip(steps, filling, strict=True)))
 
 
 def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[np.ndarray, "5"]) -> tuple[np.ndarray, ...]:
@@ -162,8 +174,11 @@ def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[n
     before = np.concatenate([[FREE], phase[:-1]])
     free, tip = phase == FREE, phase == TIP
     onset = ~free & (before == FREE)
-    new_rates = ~free & ((labels.link > GO_ON) | onset)
+    changed = ~free & (before != FREE) & (phase != before) & (labels.link == KINK)
+    new_rates = ~free & ((labels.link > GO_ON) | onset) & ~changed
     keep[new_rates, speeds], spread[new_rates, speeds] = 0, rates**2
+    bend = np.ix_(changed, np.arange(COORDINATES, COORDINATES + ARC_LENGTH + 1))
+    spread[bend] = (_BEND * rates[: ARC_LENGTH + 1]) ** 2
     anew = ~free & (labels.link == JUMP)
     keep[anew, places] = 0
     begin[anew, :TILT] = about[anew, :TILT]
@@ -171,7 +186,7 @@ def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[n
     spread[anew, TILT] = spread[onset, TILT] = TILT_SPREAD**2
     # A contact that begins with the flank begins anywhere on the rod.
     flank = (onset | anew) & ~tip
-    keep[flank, ARC_LENGTH], begin[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, about[flank, ARC_LENGTH], _ARC_LENGTH_SPREAD**2
+    keep[flank, ARC_LENGTH], begin[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, about[flank, ARC_LENGTH], ARC_LENGTH_SPREAD**2
     at_end = (ARC_LENGTH, COORDINATES + ARC_LENGTH)
     keep[np.ix_(tip, at_end)] = begin[np.ix_(tip, at_end)] = spread[np.ix_(tip, at_end)] = 0
     keep[free, : 2 * COORDINATES] = begin[free, : 2 * COORDINATES] = spread[free, : 2 * COORDINATES] = 0

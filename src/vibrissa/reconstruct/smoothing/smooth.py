@@ -134,17 +134,25 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
     loaded = detected(series, drift, spread, false_alarm)
     labels, about = first_guess(series, loaded, drift)
     fit = fitted(series, fit._replace(labels=labels, about=about), rates, frictionless=frictionless)
+    # What is tangential is no jump.
+    labels, places = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)
+    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
+    jumped = False
     for _ in range(_ROUNDS):
         broken = jumps(_model(series, fit, rates, frictionless=frictionless), fit.labels)
         if not broken:
             break
+        jumped = True
         link = fit.labels.link.copy()
         for row, kind in broken:
             link[row] = kind
         fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, frictionless=frictionless)
-    labels, places, touches = _refined(series, fit, rates, frictionless=frictionless)
+    if jumped:
+        labels, places = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)
+        fit = fit._replace(labels=labels)
+    labels, touches = _bounded(series, fit, places, rates, frictionless=frictionless)
     fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless, most_steps=MOST_STEPS)
-    if places:
+    if touches:
         fit = averaged(series, fit, alternatives(fit.labels, places), rates, frictionless=frictionless)
     return _result(found, series, fit, touches, model_error)
 
@@ -153,12 +161,11 @@ def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
     return Model(series, fit.about, fit.weight, rates, fit.intensities, fit.states, frictionless)
 
 
-def _refined(
-    series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool
-) -> tuple[Labels, list[Places], tuple[Touch, ...]]:
-    """Labels with all changes where they are most probable, where else these may be, and the contacts' beginnings and ends."""
-    model = _model(series, fit, rates, frictionless=frictionless)
-    labels, places = with_placed_changes(model, with_tangential_phases(model, with_fewer_phases(model, fit.labels)))
+def _bounded(
+    series: Series, fit: Fit, places: list[Places], rates: Float[np.ndarray, "5"], *, frictionless: bool
+) -> tuple[Labels, tuple[Touch, ...]]:
+    """Labels with the contacts' beginnings and ends where they are most probable, and the contacts."""
+    model, labels = _model(series, fit, rates, frictionless=frictionless), fit.labels
     deviations = dict(zip(phase_changes(labels), (place.deviation for place in places), strict=True))
     backwards, count = reversed_model(model), len(series.time)
     touches = []
@@ -169,7 +176,11 @@ def _refined(
         if end is not None:
             labels = reversed_labels(onset_at(reversed_labels(labels), count - 1 - last, end.place))
         touches.append(_touch(series, labels, start, end, (first, last), deviations))
-    return labels, places, tuple(touches)
+    return labels, tuple(touches)
+
+
+def _phased(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
+    return with_placed_changes(model, with_tangential_phases(model, with_fewer_phases(model, labels)))
 
 
 def _touch(

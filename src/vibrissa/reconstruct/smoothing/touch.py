@@ -2,14 +2,14 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.changes import Model, log_likelihoods
 from vibrissa.reconstruct.smoothing.kalman import SIZE, States, fetched
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, Labels, Series, capacity_for, steps_of
+from vibrissa.reconstruct.smoothing.merging import group_starts, merged
+from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, Labels, Series, capacity_for, filled, steps_of
 
 _BEFORE, _AFTER = 96, 128
 _COARSE = np.arange(-64.0, 33.0, 4.0)
@@ -32,6 +32,8 @@ def reversed_model(model: Model) -> Model:
     series = model.series
     backwards = Series(series.time[-1] - series.time[::-1], *(part[::-1] for part in series[1:]))
     states = States(*(part[::-1] for part in model.states))
+    # Of what later samples alone tell of the drift nothing is kept.
+    states = states._replace(expected=states.mean, uncertainty=states.covariance)
     return model._replace(series=backwards, about=model.about[::-1], weight=model.weight[::-1], states=states)
 
 
@@ -91,13 +93,13 @@ def limit_of(model: Model, labels: Labels, first: int) -> float:
     rows = slice(first, len(link))
     cut = Series(*(part[rows] for part in model.series))
     part = Labels(labels.phase[rows], link[rows], np.ones(len(cut.time)), labels.pace[rows])
-    steps = steps_of(
-        cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless, capacity=capacity_for(len(link))
-    )
+    steps = steps_of(cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless)
+    starts = group_starts([part])
+    steps = filled(merged(steps, starts), capacity_for(len(model.series.time)))
     covariance = np.zeros((SIZE, SIZE))
     covariance[2 * COORDINATES :, 2 * COORDINATES :] = model.states.covariance[first, 2 * COORDINATES :, 2 * COORDINATES :]
     mean = np.concatenate([np.zeros(2 * COORDINATES), model.states.mean[first, 2 * COORDINATES :]])
-    states = fetched(kalman.smoothed(steps, jnp.asarray(model.intensities), jnp.asarray(mean), jnp.asarray(covariance)), 1)
+    states = fetched(kalman.smoothed(steps, np.array(len(starts)), model.intensities, mean, covariance), 1)
     rates = states.mean[0, COORDINATES : COORDINATES + ARC_LENGTH]
     told = states.covariance[0, :ARC_LENGTH, :ARC_LENGTH]
     return float(np.maximum(rates @ np.linalg.solve(told, rates), 1e-300)) ** -0.5

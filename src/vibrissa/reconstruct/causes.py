@@ -100,8 +100,7 @@ def contact_errors(
     stiffness = np.hypot(
         not_negative(youngs_modulus, "youngs_modulus"), not_negative(bending_stiffness, "bending_stiffness") / rod.bending_stiffness
     )
-    # Smoothed contacts hold the position's error alone.
-    own = found.reactions.pose_covariance(found.point) if found.smoothing is None else found.reactions.position_covariance
+    own = found.reactions.pose_covariance(found.point)
     floor = np.zeros((3, 3)) if own is None else own
     robot = floor if pose is None else _covariance(pose, "pose")
     slopes = _sensitivities(found)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
-from vibrissa.reactions import Reactions
+from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.reconstruct.result import Reconstruction
 from vibrissa.reconstruct.smoothing.changes import (
     Model,
@@ -113,6 +113,8 @@ def _trail_of(found: Reconstruction, j: int) -> Reconstruction:
         time=None if given.time is None else given.time[j],
         covariance=given.covariance if given.covariance.ndim == 2 else given.covariance[j],
         position_covariance=given.position_covariance,
+        rotation_covariance=given.rotation_covariance,
+        rotation_center=None if given.rotation_center is None else given.rotation_center[j],
     )
     rows: dict[str, Any] = {name: getattr(found, name)[j] for name in _FIELDS if getattr(found, name) is not None}
     return replace(found, reactions=reactions, **rows)
@@ -214,9 +216,15 @@ def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touc
     touching = (phase != FREE) & series.sound
     values, jacobian = linearised(about)
     errors = fit.states.covariance[:, :COORDINATES, :COORDINATES]
-    floor = np.eye(3) * (model_error * length) ** 2
-    if found.reactions.position_covariance is not None:
-        floor = floor + found.reactions.position_covariance
+    point = found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)
+    normal = np.einsum("nij,nj->ni", series.turn, values.direction)
+    # Errors of the robot's pose are not taken to be others in each sample: they stay in full.
+    floor, turned = np.eye(3) * (model_error * length) ** 2, np.zeros((3, 3))
+    by_pose = found.reactions.pose_covariance(point)
+    if by_pose is not None:
+        floor = floor + by_pose
+    if found.reactions.rotation_covariance is not None:
+        turned = turned_covariance(found.reactions.rotation_covariance, normal)
     of_point = series.turn @ jacobian[:, WRENCH + 1 :]
     force = np.linalg.norm(values.wrench[:, :3], axis=1)
     across = np.eye(3) - np.einsum("ni,nj->nij", values.direction, values.direction)
@@ -234,13 +242,13 @@ def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touc
     return replace(
         found,
         kind=np.where(touching, phase, ContactKind.NONE).astype(np.int8),
-        point=rows(found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)),
-        normal=rows(np.einsum("nij,nj->ni", series.turn, values.direction)),
+        point=rows(point),
+        normal=rows(normal),
         arc_length=rows(length * about[:, ARC_LENGTH]),
         energy=rows(found.rod.moment_scale * values.energy, 0.0),
         modulus=rows(values.modulus),
         covariance=rows(length**2 * of_point @ errors @ np.swapaxes(of_point, 1, 2) + floor),
-        normal_covariance=rows(of_normal @ errors @ np.swapaxes(of_normal, 1, 2)),
+        normal_covariance=rows(of_normal @ errors @ np.swapaxes(of_normal, 1, 2) + turned),
         arc_length_deviation=rows(length * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0))),
         status=np.where(kept, found.status, np.where(touching & (fit.weight < 1), found.status, Status.OK)).astype(np.int8),
         smoothing=(smoothing,),

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 
-FEW = settings(max_examples=8, phases=UNSHRUNK)
+FEW = settings(max_examples=5, phases=UNSHRUNK)
 SOME = settings(max_examples=20, phases=UNSHRUNK)
 CLOSE = 1e-9
 RACING = 0.02

@@ -32,7 +32,7 @@ def _check(found: vb.Calibration[vb.Setup], truth: vb.Setup) -> None:
     assert np.degrees(np.arccos(axes[0] @ axes[1])) < 0.3
 
 
-@pytest.mark.parametrize(("stiffness", "length"), [(0.8, 1.03), (1.2, 0.97), (1.2, 1.03), (0.8, 0.97)])
+@pytest.mark.parametrize(("stiffness", "length"), [(0.8, 1.03), (1.2, 1.03)])
 def test_two_trails_give_wire_and_mount(sphere_60mm: Path, stiffness: float, length: float) -> None:
     truth = vb.load_setup(sphere_60mm / "setup.toml")
     start = _start(truth, stiffness, length)

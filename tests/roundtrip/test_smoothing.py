@@ -13,6 +13,7 @@ import vibrissa as vb
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.io import InputError, write_recording
 from vibrissa.io.contacts import COLUMNS
+from vibrissa.reactions import turned_covariance
 
 SETUP = """\
 [rod]
@@ -122,6 +123,26 @@ def test_a_change_lies_within_its_error_and_widens_the_ellipsoids(swept: Sweep, 
     for change, deviation, place in zip(touch.changes, touch.change_deviations, true, strict=True):
         assert abs(change - place) / RATE < 4 * deviation
         assert smooth.arc_length_deviation[change] > 0
+
+
+def test_noise_of_the_robot_s_orientation_stays_in_full(found: vb.Reconstruction, smooth: vb.Reconstruction) -> None:
+    """It is not taken to be another in each sample; by cause it is the robot's."""
+    given, center = found.reactions, found.reactions.trail.position - [0, 0, 0.025]
+    turned = vb.Reactions(
+        given.trail,
+        given.force,
+        given.moment,
+        time=given.time,
+        covariance=given.covariance,
+        position_covariance=given.position_covariance,
+        rotation_covariance=np.eye(3) * 2e-3**2,
+        rotation_center=center,
+    )
+    also = vb.smooth(vb.reconstruct(WIRE, turned))
+    rows = also.in_contact
+    expected = turned_covariance(np.eye(3) * 2e-3**2, also.point[rows] - center[rows])
+    np.testing.assert_allclose((also.covariance - smooth.covariance)[rows], expected, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(vb.contact_errors(also).total[rows], also.covariance[rows], rtol=1e-6, atol=1e-15)
 
 
 def test_without_contact_the_alarm_is_false_as_often_as_stated() -> None:

@@ -9,7 +9,7 @@ from calibration_bench import FORCE_TARE, NAMES, TORQUE_TARE, sensor, setup, swe
 from scipy.stats import chi2
 
 import vibrissa as vb
-from vibrissa.surfaces import Cylinder, Mesh, Plane, Surface
+from vibrissa.surfaces import Mesh, Plane, Surface
 
 
 def _egg() -> Surface:
@@ -21,7 +21,6 @@ def _egg() -> Surface:
 
 OBJECTS = {
     "plane": (lambda: Plane((0, 0, 0.045), (0.3, 0.2, -1)), (0.06, 0.005, 0), (0.06, -0.01, 0), (-0.04, -0.03, 0)),
-    "cylinder": (lambda: Cylinder((0, 0, 0.0575), (0.3, 1, 0.1), 0.03, 0.2), (0.04, 0.005, 0), (0.04, -0.01, 0), (-0.04, 0, 0)),
     "mesh": (_egg, (0.045, 0.005, 0), (0.045, -0.01, 0), (-0.04, 0, 0)),
 }
 

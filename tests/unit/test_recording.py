@@ -101,7 +101,7 @@ DAMAGE: dict[str, tuple[str | bytes, list[str]]] = {
     "another encoding": (RECORDING.encode("utf-16"), ["not a text file", "allowed is CSV in UTF-8"]),
     "rest too short": ("\n".join(LINES[:2]) + "\n", ["tare_seconds = 0.85: 1 of 1 samples", "allowed are at least 2"]),
     "millimetres": (scaled(slice(1, 4), 1e3), ["px,py,pz", "allowed are metres"]),
-    "newton millimetres": (scaled(slice(11, 14), 1e3), ["tx,ty,tz", "mis-scaled", "allowed are N and N m"]),
+    "newton millimetres": (scaled(slice(11, 14), 1e3), ["tx,ty,tz", "mis-scaled", "torques in N mm", "allowed are N, N m"]),
     "millinewtons": (scaled(slice(8, 14), 1e3), ["force", "mis-scaled"]),
     "kilonewtons": (scaled(slice(8, 14), 1e-3), ["force", "mis-scaled"]),
 }

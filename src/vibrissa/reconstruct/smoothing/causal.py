@@ -105,7 +105,7 @@ class CausalSmoother:
         intensities: ArrayLike | None = None,
         friction: float | None = None,
         false_alarm: float = 1e-3,
-        model_error: float = 1.5e-4,
+        model_error: float = 2e-4,
     ) -> None:
         if not 0 < false_alarm < 1:
             raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")

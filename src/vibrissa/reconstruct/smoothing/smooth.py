@@ -43,7 +43,7 @@ _ROUNDS = 4
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
 
 
-def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: float = 1.5e-4) -> Reconstruction:
+def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: float = 2e-4) -> Reconstruction:
     """Contacts smoothed along their sweep: all samples tell of each point, the noise of the wrench is known, and a contact moves evenly until it changes.
 
     Parameters

@@ -121,7 +121,7 @@ def test_damage_is_named(tmp_path: Path, setup: vb.Setup, what: str) -> None:
     content, words = DAMAGE[what]
     file = written(tmp_path, content)
     message = refusal(lambda: vb.read_recording(file, setup), file)
-    assert [word for word in words if word not in message] == []
+    assert [word for word in words if word not in message] == [], message
 
 
 def test_every_damage_is_told_from_the_others(tmp_path: Path, setup: vb.Setup) -> None:

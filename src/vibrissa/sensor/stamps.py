@@ -34,7 +34,17 @@ def stamp_faults(time: Float[np.ndarray, "n"], *, rounded: bool = False) -> list
     rising = steps[steps > 0]
     first, last = float(stamps[0]), float(stamps[-1])
     if not len(rising):
-        return [Fault(FaultKind.BACKWARD, ("time",), first, last, len(steps), "no stamp is after the one before", unusable=True)]
+        return [
+            Fault(
+                FaultKind.BACKWARD,
+                ("time",),
+                first,
+                last,
+                len(steps),
+                "no stamp is after the one before; allowed are stamps that increase",
+                unusable=True,
+            )
+        ]
     usual = float(np.median(rising))
     ordered = np.unique(stamps)
     faults = _gaps(ordered, usual)

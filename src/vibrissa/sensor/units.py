@@ -68,10 +68,11 @@ def wrench_unit_faults(raw: RawRecording, reactions: Reactions, rod: Rod, sensor
     if _SHORTEST_ARM < arm < _LONGEST_ARM and 1 / _LARGEST_FORCE < typical < _LARGEST_FORCE:
         return []
     channels, guess = _explained(raw, rod, sensor, tare)
+    what = "wrench, clamp_position or rod" if channels == CHANNELS else ",".join(channels)
     if not _SHORTEST_ARM < arm < _LONGEST_ARM:
-        text = f"torque over force is {arm:.3g} rod lengths in the median, so wrench, clamp_position or rod are mis-scaled"
+        text = f"torque over force is {arm:.3g} rod lengths in the median, so {what} are mis-scaled"
     else:
-        text = f"force is {typical:.3g} EI/L² in the median of the loaded samples, so wrench or rod are mis-scaled"
+        text = f"force is {typical:.3g} EI/L² in the median of the loaded samples, so {what} are mis-scaled"
     return [
         Fault(
             FaultKind.UNITS,
@@ -154,4 +155,5 @@ def _plausible(raw: RawRecording, sensor: "Sensor", tare: Tare, length: float, f
     start, stop = tare.intervals[0]
     rows = raw.wrench[(raw.time >= start) & (raw.time < stop) & np.isfinite(raw.wrench).all(axis=1)]
     ratio = np.std(rows, axis=0) / np.sqrt(sensor.reading_variance)
-    return bool(np.all((ratio > 1 / _LIKELY_NOISE) & (ratio < _LIKELY_NOISE)))
+    # A channel without any noise is of a simulation, in any unit.
+    return bool(np.all((ratio == 0) | (ratio > 1 / _LIKELY_NOISE) & (ratio < _LIKELY_NOISE)))

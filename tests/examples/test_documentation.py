@@ -23,7 +23,7 @@ def _differences(page: str) -> list[str]:
         elif kind == "python":
             output = StringIO()
             with redirect_stdout(output):
-                exec(compile(body, page, "exec"), names)  # noqa: S102
+                exec(compile(body, page, "exec"), names)
             printed = output.getvalue()
         elif kind == "text" and printed is not None:
             if printed != body:

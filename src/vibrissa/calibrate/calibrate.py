@@ -97,9 +97,14 @@ def calibrate(
     problem = Problem(
         surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient, np.zeros(len(rows.time), dtype=bool)
     )
-    start = _start(problem, setup.rod, setup.sensor)
-    problem, held, linear = _solved(problem, start, setup.rod)
-    return _result(setup, names, chosen, problem, held, linear)
+    try:
+        problem, held, linear = _solved(problem, _start(problem, setup.rod, setup.sensor), setup.rod)
+        return _result(setup, names, chosen, problem, held, linear)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(
+            f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} and the standard deviations of `prior` have to be of the size "
+            "that they can have"
+        ) from error
 
 
 def _default(rod: Rod) -> tuple[str, ...]:

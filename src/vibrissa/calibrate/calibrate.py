@@ -32,6 +32,7 @@ _ALIKE = 0.1
 _GOOD_SPREAD = 1.1
 _OTHER_LENGTHS = (-0.06, 0.06)
 _ROLL = "clamp_orientation_z"
+_SPREADS = (1e-9, 1e9)
 _DRIFT = 1.0
 """Standard deviation of a free drift over a recording before the data, in those of one sample."""
 
@@ -92,7 +93,9 @@ def calibrate(
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     rows = gathered(listed, setup.sensor)
     factors = _factors(chosen, setup.rod, setup.sensor)
-    spreads = np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
+    scales = np.array([parameter.scale for parameter in chosen])
+    # Beyond these bounds a parameter is held, or free, to all digits.
+    spreads = np.clip(np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors, *np.outer(_SPREADS, scales))
     coefficient = not_negative(friction, "friction")
     problem = Problem(
         surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient, np.zeros(len(rows.time), dtype=bool)

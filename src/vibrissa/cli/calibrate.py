@@ -39,6 +39,10 @@ def calibrate(
         checked_output(output, (".toml",))
     if report is not None:
         writable_folder(report)
+    places = [recording.resolve() for recording in recordings]
+    for recording, place in zip(recordings, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(f"{recording}: is given twice; allowed is each recording once")
     loaded = load_setup(setup)
     if loaded.surface is None:
         raise InputError(f"{setup}: object: missing; allowed is a table [object] with what was swept")

@@ -262,6 +262,12 @@ def _bad(noisy: vb.Sensor) -> dict:
         "no recording": ([], truth, {}, "recordings = []; allowed is at least one"),
         "a path": (["trail.csv"], truth, {}, "recordings holds str; allowed are Reactions"),
         "no contact": ([noisy.reactions(untared.measure(free, rng))], truth, {}, "recordings[0]: 0 samples are in contact"),
+        "a tare in contact": (
+            [noisy.reactions(noisy.measure(late, rng))],
+            truth,
+            {},
+            "recordings[0]: the force changes within tare_seconds = 1.5",
+        ),
         "no rest": ([untared.measure(late, rng)], replace(truth, sensor=untared), {}, "recordings[0]: no sample is at rest"),
         "another object": (
             rows,
@@ -272,12 +278,27 @@ def _bad(noisy: vb.Sensor) -> dict:
     }
 
 
+_NO_FIT = {"no contact", "no rest", "a tare in contact", "another object"}
+
+
 @pytest.mark.usefixtures("no_shape_checks")
 def test_what_is_wrong_is_named() -> None:
     for what, (rows, start, options, message) in _bad(sensor()).items():
         with pytest.raises(ValueError, match=re.escape(message)) as caught:
             vb.calibrate(rows, start, **options)
-        assert isinstance(caught.value, vb.CalibrationError) == (what in {"no contact", "no rest", "another object"}), what
+        assert isinstance(caught.value, vb.CalibrationError) == (what in _NO_FIT), what
+
+
+def test_a_prior_beyond_all_digits_holds_or_frees() -> None:
+    """Without warnings of overflow: these are errors here."""
+    noisy = sensor()
+    start, rows = setup(noisy), recordings(noisy)[:1]
+    held, free, plain = (
+        vb.calibrate(rows, start, free=("length",), prior=prior).estimates["length"]
+        for prior in ({"length": 1e-300}, {"length": 1e300}, None)
+    )
+    assert held.value == pytest.approx(start.rod.length, rel=1e-8)
+    assert (free.value, free.deviation) == pytest.approx((plain.value, plain.deviation), rel=1e-6)
 
 
 def test_rows_without_numbers_are_left_out() -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 from vibrissa.io import InputError, write_calibration, write_recording
+from vibrissa.io.calibration_report import findings
 
 DATE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
@@ -89,10 +91,35 @@ def test_a_mesh_is_still_found_from_another_folder(found: vb.Calibration, tmp_pa
     assert 'file = "../../mug.ply"' in path.read_text(encoding="utf-8")
 
 
+def test_a_motion_is_still_found_from_another_folder(found: vb.Calibration, tmp_path: Path) -> None:
+    text = SETUP + '\n[pose]\nkind = "trail"\npath = "motions/robot.csv"\n'
+    loaded = vb.load_setup(_written(found, tmp_path, text, "elsewhere/calibrated.toml"))
+    assert loaded.pose is not None
+    assert (tmp_path / "elsewhere" / loaded.pose.path).resolve() == tmp_path / "motions/robot.csv"
+
+
+def test_what_is_found_far_off_is_said(found: vb.Calibration) -> None:
+    """0.29 and 0.31 of a radian, a rod length and a stiffness."""
+    for name, scale in (("clamp_orientation_x", 1.0), ("clamp_position_y", found.setup.rod.length), ("youngs_modulus", 170e9)):
+        for share, count in ((0.29, 0), (-0.31, 1)):
+            one = found.estimates[name]
+            given = scale if name == "youngs_modulus" else one.given
+            moved = replace(one, given=given, value=given + share * scale)
+            told = findings(replace(found, estimates={name: moved}))
+            assert sum(line.startswith(f"{name}: found so far") for line in told) == count
+
+
 BAD = {
     "format": ("format = 1", "format = 2", "calibration.format = 2: allowed is 1, the format that this version"),
     "unknown key": ("friction = 0.0", "friction = 0.0\nlikes = 3", "calibration.likes: unknown key"),
     "no number": ("rows = ", 'rows = "many" #', "calibration.rows = 'many'"),
+    "name of no estimate": (
+        'names = ["youngs_modulus"',
+        'names = ["hardness"',
+        "calibration.names[0] = 'hardness'; allowed is each once of",
+    ),
+    "name twice": ('names = ["youngs_modulus"', 'names = ["length"', "calibration.names[1] = 'length'; allowed is each once of"),
+    "no matrix": ("correlation = [", "correlation = [\n  [1.0],", "calibration.correlation has 11 rows; allowed are 10"),
     "estimate": ('unit = "Pa"', 'unit = "Pa"\nguess = 1', "calibration.estimates.youngs_modulus"),
 }
 
@@ -164,11 +191,17 @@ def test_the_command_refuses(
     text = start.read_text(encoding="utf-8")
     bare, plane = tmp_path / "bare.toml", tmp_path / "lone.csv"
     bare.write_text(text[: text.index("[object]")], encoding="utf-8")
+    unit = tmp_path / "unit.toml"
+    unit.write_text('[rod]\nkind = "unit"\n' + text[text.index("[sensor]") :], encoding="utf-8")
     plane.write_text("\n".join(row.read_text(encoding="utf-8").splitlines()[:100]) + "\n", encoding="utf-8")
     for status, message, arguments in (
         (2, "free: 'stiffness' is no parameter; allowed are youngs_modulus", (row, "--setup", start, "--free", "stiffness")),
         (2, "--prior = 'length'; allowed is NAME=DEVIATION", (row, "--setup", start, "--prior", "length")),
+        (2, "--prior = 'length=2': 'length' is given twice", (row, "--setup", start, "--prior", "length=1", "--prior", "length=2")),
         (2, "object: missing", (row, "--setup", bare)),
+        (2, f"{row}: is given twice", (row, row, "--setup", start)),
+        (2, "rod.kind = 'unit' cannot hold a calibrated rod", (row, "--setup", unit, "-o", tmp_path / "out.toml")),
+        (1, "friction = 1e+09", (row, "--setup", start, "--free", "length", "--friction", "1e9")),
         (2, "suffix '.json'; allowed are .toml", (row, "--setup", start, "-o", tmp_path / "out.json")),
         (1, f"{plane}: 0 samples are in contact", (plane, "--setup", start)),
     ):

@@ -32,6 +32,7 @@ _ALIKE = 0.1
 _GOOD_SPREAD = 1.1
 _OTHER_LENGTHS = (-0.06, 0.06)
 _ROLL = "clamp_orientation_z"
+_SPREADS = (1e-9, 1e9)
 _DRIFT = 1.0
 """Standard deviation of a free drift over a recording before the data, in those of one sample."""
 
@@ -92,14 +93,21 @@ def calibrate(
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     rows = gathered(listed, setup.sensor)
     factors = _factors(chosen, setup.rod, setup.sensor)
-    spreads = np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
+    scales = np.array([parameter.scale for parameter in chosen])
+    # Beyond these bounds a parameter is held, or free, to all digits.
+    spreads = np.clip(np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors, *np.outer(_SPREADS, scales))
     coefficient = not_negative(friction, "friction")
     problem = Problem(
         surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient, np.zeros(len(rows.time), dtype=bool)
     )
-    start = _start(problem, setup.rod, setup.sensor)
-    problem, held, linear = _solved(problem, start, setup.rod)
-    return _result(setup, names, chosen, problem, held, linear)
+    try:
+        problem, held, linear = _solved(problem, _start(problem, setup.rod, setup.sensor), setup.rod)
+        return _result(setup, names, chosen, problem, held, linear)
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(
+            f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} and the standard deviations of `prior` have to be of the size "
+            "that they can have"
+        ) from error
 
 
 def _default(rod: Rod) -> tuple[str, ...]:

@@ -20,6 +20,8 @@ _WINDOW = 9
 _LOADED = 8.0
 _ALARM = 1.7
 _STIRRED = 0.01
+# Share of the samples of a tare that is given from which it was taken in contact.
+_MOST_LOADED = 0.25
 _MARGIN = 0.03
 _MOST_ROWS = 3000
 _REST_ROWS = 50
@@ -148,6 +150,11 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
     deviation = np.sqrt(np.trace(noise[:, :3, :3], axis1=1, axis2=2) / 3)
     strength = np.linalg.norm(uniform_filter1d(force, _WINDOW, axis=0), axis=1) / deviation
     contact, rest = _stretches(samples.seconds, strength, sensor.tare_seconds or 0.0)
+    named = finite & (samples.seconds - samples.seconds[0] < (sensor.tare_seconds or 0.0))
+    if np.any(named) and np.mean(strength[named] > _LOADED) > _MOST_LOADED:
+        raise CalibrationError(
+            f"{where}: the force changes within tare_seconds = {sensor.tare_seconds} by more than {_LOADED:g} times its noise; needed is a start free of contact"
+        )
     contact, rest = contact & finite, rest & finite
     if np.count_nonzero(contact) < _FEWEST:
         raise CalibrationError(

@@ -27,7 +27,7 @@ def calibrate(
 ) -> None:
     """Find stiffness, length and mount of the rod from sweeps over an object that is known."""
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
-    from vibrissa.io.calibration import toml_library, write_calibration  # noqa: PLC0415
+    from vibrissa.io.calibration import check_source, toml_library, write_calibration  # noqa: PLC0415
     from vibrissa.io.calibration_report import summary  # noqa: PLC0415
     from vibrissa.io.contacts import checked_output  # noqa: PLC0415
     from vibrissa.io.errors import InputError, writable_folder  # noqa: PLC0415
@@ -39,12 +39,18 @@ def calibrate(
         checked_output(output, (".toml",))
     if report is not None:
         writable_folder(report)
+    places = [recording.resolve() for recording in recordings]
+    for recording, place in zip(recordings, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(f"{recording}: is given twice; allowed is each recording once")
     loaded = load_setup(setup)
     if loaded.surface is None:
         raise InputError(f"{setup}: object: missing; allowed is a table [object] with what was swept")
+    if output is not None:
+        check_source(loaded, setup)
+    priors = _priors(prior or [])
     reactions = [read_recording(recording, loaded) for recording in recordings]
     names = None if free is None else [name.strip() for name in free.split(",")]
-    priors = dict(map(_prior, prior or []))
     with reporting() as step:
         step("loading")
         from vibrissa.calibrate import CalibrationError  # noqa: PLC0415
@@ -64,6 +70,18 @@ def calibrate(
         if report is not None:
             _write_report(report, found)
     typer.echo(json.dumps(summary(found), indent=1) if as_json else _text(found))
+
+
+def _priors(texts: list[str]) -> dict[str, float]:
+    from vibrissa.io.errors import InputError  # noqa: PLC0415
+
+    priors: dict[str, float] = {}
+    for text in texts:
+        name, deviation = _prior(text)
+        if name in priors:
+            raise InputError(f"--prior = {text!r}: {name!r} is given twice; allowed is each once")
+        priors[name] = deviation
+    return priors
 
 
 def _prior(text: str) -> tuple[str, float]:

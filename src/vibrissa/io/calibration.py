@@ -16,9 +16,11 @@ from vibrissa.libraries import extra_library
 
 if TYPE_CHECKING:
     from vibrissa.calibrate import Calibration
+    from vibrissa.io.setup import Setup
 
 FORMAT = 1
 """Version of the table [calibration]."""
+_CHANNELS = 6
 
 Names = Annotated[list[str], Field(description="a list of names")]
 
@@ -55,6 +57,23 @@ class CalibrationTable(Table):
     drift: Annotated[list[list[Finite]], Field(description="six finite numbers a recording")]
     estimates: Annotated[dict[str, EstimateTable], Field(description="a table for each estimate")]
 
+    def check(self) -> None:
+        """Raise ValueError unless names are those of estimates, and matrices have the sizes that belong to them."""
+        for place, name in enumerate(self.names):
+            if name not in self.estimates or name in self.names[:place]:
+                raise ValueError(f"calibration.names[{place}] = {name!r}; allowed is each once of {', '.join(self.estimates)}")
+        for key, matrix, rows, columns in (
+            ("correlation", self.correlation, len(self.names), len(self.names)),
+            ("tare", self.tare, len(self.tare), _CHANNELS),
+            ("drift", self.drift, len(self.tare), _CHANNELS),
+            ("inflation", [self.inflation], 1, _CHANNELS),
+        ):
+            if len(matrix) != rows:
+                raise ValueError(f"calibration.{key} has {len(matrix)} rows; allowed are {rows}")
+            wrong = next((len(row) for row in matrix if len(row) != columns), None)
+            if wrong is not None:
+                raise ValueError(f"calibration.{key} has a row of {wrong} numbers; allowed are {columns}")
+
     def covariance(self) -> np.ndarray:
         """Covariance (k, k) of the numbers `names`, in their units."""
         deviations = np.array([self.estimates[name].standard_deviation or 0.0 for name in self.names])
@@ -73,6 +92,12 @@ def toml_library() -> Any:
         return extra_library("tomlkit", extra="calibrate", need="writing a calibrated setup needs it")
     except ImportError as error:
         raise InputError(str(error)) from error
+
+
+def check_source(setup: "Setup", path: str | Path) -> None:
+    """Raise InputError if the setup of this file cannot hold a calibrated rod: before the work is done."""
+    if setup.rod.units != "SI":
+        raise InputError(f"{path}: rod.kind = 'unit' cannot hold a calibrated rod; allowed are cylinder and uniform")
 
 
 def write_calibration(
@@ -110,7 +135,7 @@ def write_calibration(
     _set_sensor(document["sensor"], calibration)
     if "object" in document:
         _set_object(document["object"], calibration)
-        _set_files(document["object"], source.parent.resolve(), file.parent.resolve())
+    _set_files(document, source.parent.resolve(), file.parent.resolve())
     table = _table(calibration, source, recordings, date or datetime.now(UTC).replace(microsecond=0))
     document.pop("calibration", None)
     document.add("calibration", _item(library, table))
@@ -155,13 +180,14 @@ def _change(table: MutableMapping[str, Any], values: dict[str, Any]) -> None:
             table[name] = value
 
 
-def _set_files(table: Any, old: Path, new: Path) -> None:
-    """Files are seen from the folder of the TOML file that names them."""
+def _set_files(document: Any, old: Path, new: Path) -> None:
+    """Meshes and motions are seen from the folder of the TOML file that names them."""
     if old == new:
         return
-    for inner in _tables(table):
-        if "file" in inner and not Path(str(inner["file"])).is_absolute():
-            inner["file"] = Path(os.path.relpath(old / str(inner["file"]), new)).as_posix()
+    named = [(table, "file") for table in _tables(document.get("object"))] + [(document.get("pose", {}), "path")]
+    for table, key in named:
+        if key in table and not Path(str(table[key])).is_absolute():
+            table[key] = Path(os.path.relpath(old / str(table[key]), new)).as_posix()
 
 
 def _tables(value: Any) -> Iterator[MutableMapping[str, Any]]:

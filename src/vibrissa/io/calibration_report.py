@@ -12,6 +12,7 @@ from vibrissa.io.errors import writable
 if TYPE_CHECKING:
     from vibrissa.calibrate import Calibration, Estimate
 
+_FAR = 0.3
 _SHOWN = {"Pa": (1e-9, "GPa"), "m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "N m2": (1e6, "N mm²")}
 
 
@@ -106,10 +107,23 @@ def findings(calibration: "Calibration[Any]") -> list[str]:
         )
     else:
         lines.append("The residuals are what the stated noise explains.")
+    lines += [
+        f"{one.name}: found so far from where it was given that the fit may be of another cause: is the rod free of contact where the tare is taken, and the start near?"
+        for one in calibration.estimates.values()
+        if one.determined and _far(one, calibration.setup.rod.length)
+    ]
     given = sorted({name for one in calibration.estimates.values() for name in one.holds_for})
     if given:
         lines.append(f"* holds for {', '.join(given)} as given.")
     return lines + [f"{sentence}." for sentence in calibration.identifiability.text]
+
+
+def _far(estimate: "Estimate", length: float) -> bool:
+    """Whether it moved by more than 0.3 rad, 0.3 L, or 30 % of a stiffness, length or gain."""
+    scale = 1.0 if estimate.unit == "rad" else length
+    if not estimate.name.startswith(("clamp_", "object_", "standoff")):
+        scale = estimate.given
+    return abs(estimate.value - estimate.given) > _FAR * abs(scale)
 
 
 def write_summary(folder: Path, calibration: "Calibration[Any]") -> list[Path]:

@@ -190,6 +190,8 @@ def load_setup(path: str | Path) -> Setup:
     table = load_table(file, SetupFile)
     try:
         surface = None if table.object is None else built(table.object, file.parent)
+        if table.calibration is not None:
+            table.calibration.check()
         return Setup(table.rod.build(), table.sensor.build(), surface, table.recording, table.rdt, table.pose, table.calibration)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

@@ -15,6 +15,7 @@ _COLOURS = ("#1d5fa8", "#c1121f", "#2a7f3f", "#8a5a00", "#6a3d9a", "#444444")
 _DOT, _LINE = "0.75", "#c1121f"
 _MEANS = 40
 _LIMIT = 5.0
+_GAP = 2.0
 
 
 def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
@@ -27,7 +28,7 @@ def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
         colour = _COLOURS[int(recording) % len(_COLOURS)]
         for axes, values in zip(panels, left[rows].T, strict=True):
             axes.plot(residuals.time[rows], values, ".", color=colour, markersize=1.6, alpha=0.45, markeredgewidth=0)
-            axes.plot(*_means(residuals.time[rows], values), color=colour, label=f"recording {int(recording) + 1}")
+            axes.plot(*_broken(*_means(residuals.time[rows], values)), color=colour, label=f"recording {int(recording) + 1}")
     for axes, name in zip(panels, _CHANNELS, strict=True):
         axes.axhline(0.0, color="0.4", linewidth=0.5)
         axes.set_ylabel(f"{name} [$\\sigma$]")
@@ -87,7 +88,15 @@ def parameter_correlation(calibration: Calibration[Any]) -> Axes:
     axes.set_yticks(range(len(names)), names)
     if len(names) <= _MOST_NUMBERS:
         for (row, column), value in np.ndenumerate(known.correlation):
-            axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=6, color="white" if abs(value) > 0.6 else "black")
+            axes.text(
+                column,
+                row,
+                f"{value:.2f}".replace("-", "−"),
+                ha="center",
+                va="center",
+                fontsize=6,
+                color="white" if abs(value) > 0.6 else "black",
+            )
     figure.colorbar(image, ax=axes, label="correlation", shrink=0.8)
     return axes
 
@@ -102,6 +111,13 @@ def _deviations(residuals: Residuals) -> np.ndarray:
     # Differences of neighbours hold the noise alone, whatever the model leaves: √2 of it, by the median so that outliers do not count.
     noise = np.median(np.abs(np.diff(left[rows], axis=0)), axis=0) / (0.6745 * np.sqrt(2))
     return np.asarray(left / noise)
+
+
+def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The line ends where rows were left out."""
+    steps = np.diff(time)
+    gaps = 1 + np.flatnonzero(steps > _GAP * np.median(steps)) if len(steps) else np.empty(0, dtype=int)
+    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def _means(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """Every example runs, and its numbers are right."""
 
 import importlib.util
+import os
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +13,8 @@ import vibrissa as vb
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SPHERE = np.array([0.0, 0.0, 0.0575])
+ALL = "VIBRISSA_ALL_TESTS" in os.environ
+"""Whether the mug is scanned, too, which compiles for two minutes."""
 
 
 def _load(name: str) -> ModuleType:
@@ -89,6 +92,8 @@ def swept(name: str) -> tuple[vb.Case, vb.Scan]:
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (EXAMPLES / "cases").glob("*.toml")))
 def test_cases(name: str) -> None:
+    if name == "mug" and not ALL:
+        pytest.skip("the mug takes two minutes: set VIBRISSA_ALL_TESTS")
     case, scan = swept(name)
     contact = scan.in_contact
     assert contact.any()
@@ -110,6 +115,7 @@ def test_the_case_with_friction_is_that_of_the_recording() -> None:
     np.testing.assert_allclose(np.degrees(np.arccos(cosine)), np.degrees(np.arctan(0.25)), atol=1e-6)
 
 
+@pytest.mark.skipif(not ALL, reason="the mug takes two minutes: set VIBRISSA_ALL_TESTS")
 def test_the_case_of_the_mug_touches_where_it_is_hollow() -> None:
     """Wall, then the inside of the handle, which is a saddle, and the rim out of the cavity: against the solid that the mesh samples."""
     _, scan = swept("mug")

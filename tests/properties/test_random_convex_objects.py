@@ -17,7 +17,7 @@ import vibrissa as vb
 
 COUNT = 61
 RADIUS = 0.02
-FEW = settings(max_examples=4, phases=UNSHRUNK, deadline=None)
+FEW = settings(max_examples=3, phases=UNSHRUNK, deadline=None)
 KINDS = pytest.mark.parametrize("kind", ["box", "capsule"])
 
 

@@ -144,6 +144,27 @@ def test_a_robot_that_wanders_off_its_path() -> None:
     assert found.fitness.whiteness > 1e-3
 
 
+def test_a_stretch_in_which_the_rod_swings_is_left_out() -> None:
+    """Forty samples in a row that are off by some six deviations, to and fro: they are left out with those about them, and the rest is explained by noise."""
+    noisy = sensor()
+    start, rows = setup(noisy), recordings(noisy)
+    swinging = slice(REST + 100, REST + 140)
+    rows[0].force[swinging] += 0.012 * np.sin(np.arange(40) / 1.5)[:, None]
+    rows[0].torque[swinging] += 2.4e-4 * np.cos(np.arange(40) / 1.5)[:, None]
+    found = vb.calibrate(rows, start, free=POSE)
+    left_out = found.residuals.time[(found.residuals.weight == 0) & (found.residuals.recording == 0)]
+    first, last = rows[0].time[[REST + 100, REST + 139]]
+    assert left_out.min() <= first
+    assert left_out.max() >= last
+    assert 0.1 < found.fitness.disturbed < 0.3
+    for name, value in true_values(start).items():
+        assert abs(found.estimates[name].value - value) < 3.5 * found.estimates[name].deviation, name
+    # Kept, they leave residuals correlated in time, and a spread 1.6 times the noise's.
+    assert found.fitness.whiteness > 1e-3
+    np.testing.assert_array_equal(found.fitness.inflation, 1)
+    assert found.unevenness == 0
+
+
 def test_a_prior_holds_what_the_data_do_not() -> None:
     """With EI as well as both gains free, a prior on one makes all determined: to EI's variance it adds its own, as EI stands for it."""
     noisy = sensor()

@@ -83,6 +83,10 @@ def calibrate(
     Residuals are readings less those of the contact equilibrium at each pose, weighted by the covariance of wrench and pose. Their derivatives are exact
     (implicit function theorem). Parameters that the data leave open are held as given and named in `identifiability`. Where the residuals are more than noise,
     variances are taken larger (`fitness.inflation`): by their mean square, and where they are correlated in time by their long-run variance.
+
+    Stretches that no equilibrium explains, as where the rod swings, or sticks and slips, are left out (`fitness.disturbed`). How far off the object as given the rod
+    touches, changing along each sweep, is estimated with the rest, as large as makes the data most likely (`Calibration.unevenness`; restricted maximum
+    likelihood, H. D. Patterson, R. Thompson, Biometrika 58 (1971) 545-554).
     """
     surface = setup.surface if surface is None else surface
     if surface is None:

@@ -32,8 +32,9 @@ _LITTLE = 1e-9
 _HELD = 1e-12
 _MOST_LEANING = 3.0
 _LEAST_SHARE = 0.5
-# Rows whose residuals are judged together, how seldom noise alone does the same, and which share of the rows may be left out.
-_STRETCH = 25
+# Rows whose residuals are judged together, a fortieth of those of a contact within these bounds, how seldom noise alone does the same, and which share of the rows may be
+# left out.
+_SHORTEST, _LONGEST, _OF_A_CONTACT = 9, 25, 40
 _CHANCE = 1e-6
 _MOST_DISTURBED = 0.3
 # Places along a contact between which the surface's unevenness is interpolated, its sizes that are tried, in rod lengths, and by how much −2 ln(likelihood) has
@@ -236,15 +237,16 @@ def disturbed(problem: Problem, linear: Linear) -> Bool[np.ndarray, "n"]:
     """
     scale = spread(problem, linear)
     cap = scale**2 * chi2.isf(_OUTLYING, problem.freedom)
-    allowed = scale**2 * chi2.isf(_CHANCE, _STRETCH * problem.freedom) / _STRETCH
     found = problem.disturbed.copy()
     for recording in range(problem.rows.recordings):
         own = np.flatnonzero(problem.rows.contact & (problem.rows.recording == recording))
-        if len(own) < _STRETCH:
+        stretch = int(np.clip(len(own) // _OF_A_CONTACT, _SHORTEST, _LONGEST))
+        if len(own) < stretch:
             continue
+        allowed = scale**2 * chi2.isf(_CHANCE, stretch * problem.freedom) / stretch
         length = np.where(linear.sound[own], np.minimum(np.sum(linear.residual[own] ** 2, axis=1), cap), cap)
-        too_long = uniform_filter1d(length, _STRETCH) > allowed
-        found[own] |= uniform_filter1d(too_long.astype(float), 4 * _STRETCH + 1, mode="constant") > _LITTLE
+        too_long = uniform_filter1d(length, stretch) > allowed
+        found[own] |= uniform_filter1d(too_long.astype(float), 4 * stretch + 1, mode="constant") > _LITTLE
     share = int(np.count_nonzero(found)) / max(1, int(np.count_nonzero(problem.rows.contact)))
     return found if share <= _MOST_DISTURBED else problem.disturbed
 
@@ -256,7 +258,10 @@ def with_unevenness(problem: Problem, point: Point, unevenness: float) -> tuple[
 
 
 def unevenness(problem: Problem, linear: Linear) -> float:
-    """Size of the unevenness that makes the data most likely, all else unknown (restricted maximum likelihood); 0 if it is no better than none."""
+    """Size [units of the rod] of the unevenness that makes the data most likely, all else unknown; 0 if that is no better than none.
+
+    Restricted maximum likelihood of the problem linearised about the point, over all other unknowns (Patterson and Thompson 1971).
+    """
     scale = spread(problem, linear)
     changed, point = with_unevenness(problem, linear.point, 1.0)
     flat = linearised(changed, point)

@@ -7,12 +7,12 @@ from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.rod import Rod
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.raw import RawRecording
+from vibrissa.sensor.stamps import MEDIAN_TO_DEVIATION
 
 _DEVIATIONS = 12.0
 _FASTER = 3.0
 _LEAST = 1e-3
 _NEIGHBOURS = 5
-_MEDIAN_TO_DEVIATION = 0.6745
 
 
 def pose_jumps(raw: RawRecording, rod: Rod) -> list[Fault]:
@@ -41,7 +41,7 @@ def _standing_out(steps: Float[np.ndarray, "m 3"], least: float) -> Bool[np.ndar
     padded = np.pad(steps, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1, axis=0), axis=-1)
     off = np.linalg.norm(steps - around, axis=1)
-    deviation = float(np.median(off)) / _MEDIAN_TO_DEVIATION
+    deviation = float(np.median(off)) / MEDIAN_TO_DEVIATION
     usual = float(np.quantile(np.linalg.norm(steps, axis=1), 0.95))
     return off > max(_DEVIATIONS * deviation, _FASTER * usual, least)
 

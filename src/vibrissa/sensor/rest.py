@@ -10,6 +10,7 @@ from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.maps import to_reactions
 from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.stamps import MEDIAN_TO_DEVIATION
 from vibrissa.sensor.tare import Tare, without_given
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ _FEWEST_LOADED = 20
 _MOVED = 0.02
 _SLOWER, _OFTEN = 1 / 3, 0.05
 _NOISIER, _QUIETER = 1.5, 0.1
-_MEDIAN_TO_DEVIATION = 0.6745
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def noise_by_differences(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, 
     second = np.abs(np.diff(values, n=2, axis=0))
     if not len(second):
         return np.full(values.shape[1], np.nan)
-    return np.asarray(np.median(second, axis=0) / (_MEDIAN_TO_DEVIATION * np.sqrt(6)))
+    return np.asarray(np.median(second, axis=0) / (MEDIAN_TO_DEVIATION * np.sqrt(6)))
 
 
 def repeating_rows(wrench: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, "n"]:
@@ -207,7 +207,7 @@ def _better_level(first: Float[np.ndarray, "m"], second: Float[np.ndarray, "k"])
         return None
     medians = [float(np.median(part)) for part in (first, second)]
     # Of n normal numbers the median of the sizes has the standard error 0.79/√n, in units in which it is 0.67.
-    apart = _DEVIATIONS * 0.79 / np.sqrt(fewest) * min(medians) / _MEDIAN_TO_DEVIATION
+    apart = _DEVIATIONS * 0.79 / np.sqrt(fewest) * min(medians) / MEDIAN_TO_DEVIATION
     if abs(medians[1] - medians[0]) <= apart:
         return None
     return int(medians[1] < medians[0])

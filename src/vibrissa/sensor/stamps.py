@@ -7,7 +7,9 @@ from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.raw import RawRecording
 
 _GAP = 1.5
-_DEVIATIONS, _MEDIAN_TO_DEVIATION = 6.0, 0.6745
+_DEVIATIONS = 6.0
+MEDIAN_TO_DEVIATION = 0.6745
+"""Median size of normal numbers of unit variance."""
 _FEW, _MANY = 10, 0.1
 _SLOWEST, _FASTEST = 1.0, 1e5
 
@@ -71,7 +73,7 @@ def stamp_faults(time: Float[np.ndarray, "n"], *, rounded: bool = False) -> list
 
 def _gaps(stamps: Float[np.ndarray, "n"], usual: float) -> list[Fault]:
     steps = np.diff(stamps)
-    jitter = float(np.median(np.abs(steps - np.median(steps)))) / _MEDIAN_TO_DEVIATION
+    jitter = float(np.median(np.abs(steps - np.median(steps)))) / MEDIAN_TO_DEVIATION
     long = np.flatnonzero(steps > max(_GAP * usual, usual + _DEVIATIONS * jitter))
     if len(long) > max(_FEW, _MANY * len(steps)):
         text = (

@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from vibrissa import surfaces
     from vibrissa.calibrate import Calibration, CalibrationError, calibrate
-    from vibrissa.contacts import ContactKind, Motion, Status
+    from vibrissa.contacts import ContactKind, Motion, RecordingWarning, Status
     from vibrissa.design import ExpectedError, expected_error
     from vibrissa.io import Case, Setup, load_case, load_setup, read_recording, write_contacts
     from vibrissa.reactions import Reactions
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from vibrissa.rod import Rod
     from vibrissa.scan import Equilibrium, Event, EventKind, Scan, equilibria, scan
     from vibrissa.sensor import Sensor
+    from vibrissa.tolerances import Tolerances
     from vibrissa.trail import Trail
 
 _HOMES = {
@@ -61,6 +62,7 @@ _HOMES = {
     "LiveContact": "reconstruct",
     "Motion": "contacts",
     "Reactions": "reactions",
+    "RecordingWarning": "contacts",
     "Reconstruction": "reconstruct",
     "reconstruct": "reconstruct",
     "Rod": "rod",
@@ -68,6 +70,7 @@ _HOMES = {
     "Smoothing": "reconstruct",
     "smooth": "reconstruct",
     "Status": "contacts",
+    "Tolerances": "tolerances",
     "Touch": "reconstruct",
     "Trail": "trail",
     "scan": "scan",
@@ -90,12 +93,14 @@ __all__ = [
     "Motion",
     "Reactions",
     "Reconstruction",
+    "RecordingWarning",
     "Rod",
     "Scan",
     "Sensor",
     "Setup",
     "Smoothing",
     "Status",
+    "Tolerances",
     "Touch",
     "Trail",
     "__version__",

@@ -3,6 +3,14 @@
 from enum import IntEnum
 
 
+class RecordingWarning(UserWarning):
+    """A recording contradicts its setup, or something of it was left out, recovered or estimated."""
+
+
+class RecordingNote(RecordingWarning):
+    """What reading left out, recovered or estimated: the contacts that are left are as good as any."""
+
+
 class ContactKind(IntEnum):
     """How the rod touches the object (paper, section II)."""
 
@@ -38,6 +46,9 @@ class Status(IntEnum):
     STEEP_TANGENT = 11
     BAD_DATA = 12
     NOT_UNIQUE = 13
+    SETUP_CONTRADICTED = 14
+    AMBIGUOUS = 15
+    RINGING = 16
 
     @property
     def text(self) -> str:
@@ -50,7 +61,7 @@ _TEXTS = {
     Status.OVERSTRAINED: "The largest bending strain exceeds the rod's yield strain; take a thinner or longer rod, or move the clamp away from the object.",
     Status.LATERALLY_UNSTABLE: "The equilibrium is unstable, a real rod leaves its bending plane here; offset the trail a little to follow the stable branch.",
     Status.PENETRATING: "The rod also touches the object, at `second_contact`, or passes through it there: its reactions are not those of a single contact.",
-    Status.HEAD_ON: "The contact force acts along the straight rod, which buckles in a direction that is not determined; offset or tilt the clamp.",
+    Status.HEAD_ON: "The contact force acts along the clamp's axis: nothing determines to which side the rod buckles or stays bent; offset or tilt the clamp.",
     Status.NOT_CONVERGED: "The equations could not be solved to their tolerance; refine the trail or check the level function's smoothness.",
     Status.NO_EQUILIBRIUM: "No admissible equilibrium with a single contact was found; the rod may be jammed, or touch in more than one place.",
     Status.CLAMP_INSIDE: "The clamp lies inside the object; move the trail out of it.",
@@ -60,4 +71,7 @@ _TEXTS = {
     Status.STEEP_TANGENT: "At the contact the rod would point into the object (k² > 0.8, more than any friction explains); check the sign of the wrench and the rod.",
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
     Status.NOT_UNIQUE: "More than one contact explains the channels that were used; add channels, such as the lateral forces.",
+    Status.SETUP_CONTRADICTED: "The sweep contradicts the setup by more than the error bar of this contact; see the warnings, then calibrate or state [tolerances].",
+    Status.AMBIGUOUS: "Smoothing cannot tell here which phase, start or branch is the right one, and they lie apart; use the raw contact, or a stronger signal.",
+    Status.RINGING: "The rod swings freely after it was released; these loads are its inertia, not a contact.",
 }

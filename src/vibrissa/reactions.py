@@ -7,10 +7,14 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array
+from vibrissa.geometry.rotation import rotation_vectors
+from vibrissa.tolerances import SetupErrors
 from vibrissa.trail import Trail
 
 _WRENCH = 6
 _ROUNDING = 1e-9
+VELOCITY_SPAN = 0.05
+"""Time [s] over which the clamp's velocity is taken: 10 µm of noise of the pose are 0.3 mm/s then, and few motions change much within it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,12 @@ class Reactions:
     rotation_covariance, rotation_center
         Of an error of the robot's orientation, which turns rod and reactions as one body: of its rotation vector, world axes (3, 3) [rad²], and the points about which it
         turns (…, 3). Both or None.
+    setup_errors
+        What all rows share: errors of rod, clamp, gains and clocks as stated by the setup, or None where it states none.
+    misread
+        What reading them found against them as a whole, such as other units or axes, a line each: no contact of theirs is to be trusted.
+    velocity
+        Of the clamp point and of its axes' rotation (…, 6), world axes, a second, for poses that may come late; None to take it from trail and time.
 
     Raises
     ------
@@ -50,6 +60,9 @@ class Reactions:
     position_covariance: Float[np.ndarray, "3 3"] | None = None
     rotation_covariance: Float[np.ndarray, "3 3"] | None = None
     rotation_center: Float[np.ndarray, "*trail n 3"] | None = None
+    setup_errors: SetupErrors | None = None
+    velocity: Float[np.ndarray, "*trail n 6"] | None = None
+    misread: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -61,6 +74,9 @@ class Reactions:
         position_covariance: ArrayLike | None = None,
         rotation_covariance: ArrayLike | None = None,
         rotation_center: ArrayLike | None = None,
+        setup_errors: SetupErrors | None = None,
+        velocity: ArrayLike | None = None,
+        misread: tuple[str, ...] = (),
     ) -> None:
         shape = trail.shape
         self._set("trail", trail)
@@ -73,6 +89,9 @@ class Reactions:
         if (rotation_covariance is None) != (rotation_center is None):
             raise ValueError("rotation_covariance and rotation_center: one is given without the other; allowed are both or none")
         self._set("rotation_center", None if rotation_center is None else _rows(rotation_center, "rotation_center", (*shape, 3)))
+        self._set("setup_errors", setup_errors)
+        self._set("misread", misread)
+        self._set("velocity", None if velocity is None else _rows(velocity, "velocity", (*shape, _WRENCH)))
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
@@ -89,6 +108,16 @@ class Reactions:
             return np.broadcast_to(moved, (*point.shape, 3))
         return moved + turned_covariance(self.rotation_covariance, point - self.rotation_center)
 
+    def clamp_velocity(self) -> Float[np.ndarray, "*trail n 6"]:
+        """As given, or over 50 ms about each row, at least from the row before to the one after; zero where there is no time to go by."""
+        if self.velocity is not None:
+            return self.velocity
+        velocity = np.zeros((*self.trail.shape, _WRENCH))
+        if self.time is not None and self.trail.count > 1:
+            for index in np.ndindex(*self.trail.shape[:-1]):
+                velocity[index] = velocities(self.time[index], self.trail.position[index], self.trail.orientation[index])
+        return velocity
+
     @property
     def single_contact_residual(self) -> Float[np.ndarray, "*trail n"]:
         """m0·f0 / (‖m0‖ ‖f0‖): zero where one contact force explains the reactions (mechanics.md, "Statics alone"); NaN without a force."""
@@ -100,6 +129,17 @@ def turned_covariance(rotation: Float[np.ndarray, "3 3"], arm: Float[np.ndarray,
     """Covariance of δθ × arm for vectors (…, 3) and a rotation vector δθ of this covariance."""
     crossed = np.cross(np.eye(3), arm[..., None, :])
     return np.asarray(np.swapaxes(crossed, -1, -2) @ rotation @ crossed)
+
+
+def velocities(
+    time: Float[np.ndarray, "n"], position: Float[np.ndarray, "n 3"], orientation: Float[np.ndarray, "n 4"]
+) -> Float[np.ndarray, "n 6"]:
+    """Of poses and of their rotation, over 50 ms about each row."""
+    rows, half = np.arange(len(time)), VELOCITY_SPAN / 2
+    first = np.maximum(np.minimum(np.searchsorted(time, time - half), rows - 1), 0)
+    last = np.minimum(np.maximum(np.searchsorted(time, time + half, side="right") - 1, rows + 1), len(time) - 1)
+    steps = np.concatenate([position[last] - position[first], rotation_vectors(orientation[first], orientation[last])], axis=1)
+    return np.asarray(steps / (time[last] - time[first])[:, None])
 
 
 def _rows(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:

@@ -151,7 +151,8 @@ def test_a_stretch_in_which_the_rod_swings_is_left_out() -> None:
     swinging = slice(REST + 100, REST + 140)
     rows[0].force[swinging] += 0.012 * np.sin(np.arange(40) / 1.5)[:, None]
     rows[0].torque[swinging] += 2.4e-4 * np.cos(np.arange(40) / 1.5)[:, None]
-    found = vb.calibrate(rows, start, free=POSE)
+    with pytest.warns(vb.RecordingWarning):
+        found = vb.calibrate(rows, start, free=POSE)
     left_out = found.residuals.time[(found.residuals.weight == 0) & (found.residuals.recording == 0)]
     first, last = rows[0].time[[REST + 100, REST + 139]]
     assert left_out.min() <= first
@@ -279,7 +280,7 @@ def _bad(noisy: vb.Sensor) -> dict:
         "prior of a held one": (rows, truth, {"free": ("length",), "prior": {"gain": 0.1}}, "prior: 'gain' is not a free parameter"),
         "prior of zero": (rows, truth, {"free": ("length",), "prior": {"length": 0.0}}, "prior['length'] = 0.0"),
         "friction": (rows, truth, {"friction": -0.1}, "friction = -0.1; allowed is a finite number of at least 0"),
-        "no object": (rows, replace(truth, surface=None), {}, "surface = None, and the setup has no object"),
+        "no object": (rows, replace(truth, surface=None), {"free": ("standoff",)}, "free: 'standoff' needs the object, and surface = None"),
         "no recording": ([], truth, {}, "recordings = []; allowed is at least one"),
         "a path": (["trail.csv"], truth, {}, "recordings holds str; allowed are Reactions"),
         "no contact": ([noisy.reactions(untared.measure(free, rng))], truth, {}, "recordings[0]: 0 samples are in contact"),

@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,29 @@ def test_csv_holds_every_digit_of_every_row(found: vb.Reconstruction, tmp_path: 
     for row, _ in none:
         empty = COLUMNS.split(",")[1:8] + COLUMNS.split(",")[10:]
         assert {row[name] for name in empty} == {""}
+
+
+def test_a_contact_without_a_finite_place_is_none_and_never_ok(tmp_path: Path) -> None:
+    """Also across blocks of rows; numbers that are not known are empty fields."""
+    good = vb.reconstruct(ROD, reactions(noise=True, lanes=750))
+    assert good.covariance is not None
+    lost = np.flatnonzero(good.in_contact)[::7]
+    point, covariance = good.point.copy(), good.covariance.copy()
+    point.reshape(-1, 3)[lost] = np.nan
+    covariance.reshape(-1, 3, 3)[lost + 1] = np.inf
+    found = replace(good, point=point, covariance=covariance)
+    status = found.status.reshape(-1)
+    with vb.write_contacts(tmp_path / "contacts.csv", found).open(newline="") as stream:
+        written = list(csv.DictReader(stream))
+    assert {cell for row in written for cell in row.values()}.isdisjoint({"nan", "inf", "None"})
+    for row in lost.tolist():
+        assert (written[row]["x"], written[row]["kind"], written[row]["cxx"]) == ("", "0", "")
+        assert int(written[row]["status"]) == (status[row] or vb.Status.NOT_CONVERGED)
+        assert written[row + 1]["cxx"] == ""
+    assert sum(row["x"] != "" for row in written) == np.count_nonzero(found.in_contact) - len(lost)
+    assert len(PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"].data) == sum(
+        row["x"] != "" for row in written
+    )
 
 
 def test_ply_holds_the_contacts_and_nothing_else(found: vb.Reconstruction, tmp_path: Path) -> None:

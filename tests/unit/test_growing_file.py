@@ -13,7 +13,8 @@ from rosbags.highlevel import AnyReader
 
 from vibrissa.io import InputError
 from vibrissa.io.rosbag import growing, mend
-from vibrissa.io.rosbag.growing import PAGE, Channel, FileDisk, GrowingFile, Messages
+from vibrissa.io.rosbag.disk import FileDisk
+from vibrissa.io.rosbag.growing import PAGE, Channel, GrowingFile, Messages
 
 CHANNELS = [Channel("/a", "std_msgs/msg/String", "string data\n"), Channel("/b", "std_msgs/msg/String", "string data\n")]
 QOS = ""

@@ -1,6 +1,7 @@
 """The entry point: from recordings over a known object to a calibrated setup."""
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, cast
@@ -11,10 +12,17 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.calibrate.equilibrium import Bench
 from vibrissa.calibrate.fit import WRENCH, Linear, Point, Problem, disturbed, fitted, spread, unevenness, weights, with_unevenness
+from vibrissa.calibrate.held_out import first_contacts, held_out
 from vibrissa.calibrate.parameters import DEFAULT_FREE, STIFFNESS, Parameter, checked_prior, parameters
 from vibrissa.calibrate.result import Calibration, Estimate, Residuals, SetupLike, SetupType
 from vibrissa.calibrate.rows import CalibrationError, gathered
-from vibrissa.calibrate.statistics import covariance, fitness, identifiability, undetermined
+from vibrissa.calibrate.score import scores
+from vibrissa.calibrate.statistics import considered, covariance, fitness, identifiability, undetermined
+from vibrissa.calibrate.suspects import held as unsure
+from vibrissa.calibrate.suspects import object_size, uncertain
+from vibrissa.calibrate.unknown_object import calibrated_without_object
+from vibrissa.calibrate.verdict import warnings_of
+from vibrissa.contacts import RecordingWarning
 from vibrissa.geometry.checks import not_negative
 from vibrissa.geometry.rotation import rotation_matrices, turning_axis_to
 from vibrissa.reactions import Reactions
@@ -23,6 +31,7 @@ from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.surfaces import Mesh, Offset, Surface
 from vibrissa.surfaces.base import Placed
+from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
@@ -45,6 +54,7 @@ def calibrate(
     *,
     prior: Mapping[str, float] | None = None,
     friction: float = 0.0,
+    tolerances: Tolerances | None = None,
 ) -> Calibration[SetupType]:
     """Rod, mount, sensor and object's pose from sweeps over a known object: least squares on the six reactions.
 
@@ -55,16 +65,21 @@ def calibrate(
     setup
         Rod and sensor to start from: off by up to about 20 % in stiffness, 3 % in length, 2 mm and 3° of a 50 mm rod.
     surface
-        The object; by default that of the setup.
+        The object; by default that of the setup. Without either, what tip and tangential contacts with an unknown object determine: each obeys more conditions than it
+        has unknowns. Parameters that they leave open are held, and named in `identifiability`; errors of the tares are allowed for, not estimated.
     free
         What to calibrate: `youngs_modulus` (for rods with a radius) or `bending_stiffness`, `length`, `clamp_position`, `clamp_orientation`,
         `object_position`, `object_orientation`, `standoff`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`. What is not named
-        is held. By default the stiffness, `length`, `clamp_position`, `clamp_orientation`, `tare` and `drift`. The tare of each recording is always fitted,
-        as otherwise its error would be missing in the others'.
+        is held, or bounded by its tolerance. By default the stiffness, `length`, `clamp_position`, `clamp_orientation`, `tare` and `drift`. The tare of each
+        recording is always fitted, as otherwise its error would be missing in the others'.
     prior
         Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as known before.
     friction
         Coulomb's coefficient between rod and object; 0 for none. With friction each sample's tangential force is unknown, and only points and rod tell.
+    tolerances
+        Standard deviations of what the setup and the object state; by default those of the setup. What has one and is not named in `free` is fitted, too, bounded by its
+        tolerance as by a prior, so that estimates, covariance and setup allow for it; `object_scale` as a `standoff`. A delay is not fitted and enters the
+        covariance. What is named in `free` is not pulled by its tolerance. An estimate that moved by more than three tolerances is a warning.
 
     Returns
     -------
@@ -78,6 +93,12 @@ def calibrate(
     CalibrationError
         If the recordings have no contact, no rest, or too few samples, or if rod and object as given cannot explain them.
 
+    Warns
+    -----
+    RecordingWarning
+        For each of `Calibration.warnings`: estimates far from where they were given, rows left out, readings that another size or place of the object, gain,
+        friction, delay, taper or curvature of the rod explain better (score tests on all rows), parts that the others do not predict.
+
     Notes
     -----
     Residuals are readings less those of the contact equilibrium at each pose, weighted by the covariance of wrench and pose. Their derivatives are exact
@@ -89,29 +110,60 @@ def calibrate(
     likelihood, H. D. Patterson, R. Thompson, Biometrika 58 (1971) 545-554).
     """
     surface = setup.surface if surface is None else surface
-    if surface is None:
-        raise ValueError("surface = None, and the setup has no object; allowed is the surface that was swept")
     names = tuple(free) if free is not None else _default(setup.rod)
     chosen = parameters(names, setup.rod)
     deviations = checked_prior(prior, names)
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
+    if surface is None:
+        return calibrated_without_object(listed, setup, names, chosen, deviations, not_negative(friction, "friction"))
     rows = gathered(listed, setup.sensor)
-    factors = _factors(chosen, setup.rod, setup.sensor)
-    scales = np.array([parameter.scale for parameter in chosen])
-    # Beyond these bounds a parameter is held, or free, to all digits.
-    spreads = np.clip(np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors, *np.outer(_SPREADS, scales))
     coefficient = not_negative(friction, "friction")
+    known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
+    factors = _factors(chosen, setup.rod, setup.sensor)
+    spreads = np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
     problem = Problem(
         surface, rows, chosen, spreads, _DRIFT if "drift" in names else 0.0, coefficient, np.zeros(len(rows.time), dtype=bool)
     )
     try:
-        problem, held, linear = _solved(problem, _start(problem, setup.rod, setup.sensor), setup.rod)
-        return _result(setup, names, chosen, problem, held, linear)
+        start = _start(problem, setup.rod, setup.sensor)
+        problem = _loosened(problem, start, setup.rod, known or Tolerances())
+        names = (*names, *dict.fromkeys(parameter.group for parameter in problem.free if parameter.group not in names))
+        fitted, held, linear = _solved(problem, start, setup.rod)
+        result = _result(setup, names, problem.free, fitted, held, linear, known)
     except np.linalg.LinAlgError as error:
         raise CalibrationError(
             f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} and the standard deviations of `prior` have to be of the size "
             "that they can have"
         ) from error
+    for line in result.warnings:
+        warnings.warn(line, RecordingWarning, stacklevel=2)
+    return result
+
+
+def _loosened(problem: Problem, start: Point, rod: Rod, tolerances: Tolerances) -> Problem:
+    """With all that has a tolerance and is not free yet, which then bounds it; what has been free is so without bounds."""
+    groups = {parameter.group for parameter in problem.free}
+    taken = (
+        groups | ({"gain"} if groups & {"force_gain", "torque_gain"} else set()) | (set(STIFFNESS) if groups & set(STIFFNESS) else set())
+    )
+    more = [pair for pair in uncertain(rod, tolerances) if pair[0].group not in taken]
+    if tolerances.object_scale > 0 and "standoff" not in groups:
+        more += [(one, tolerances.object_scale * abs(object_size(problem.surface, start))) for one in parameters(["standoff"], rod)]
+    free = [*problem.free, *(parameter for parameter, _ in more)]
+    scales = np.array([parameter.scale for parameter in free])
+    # Beyond these bounds a parameter is held, or free, to all digits.
+    spreads = np.clip(np.append(problem.prior, [deviation for _, deviation in more]), *np.outer(_SPREADS, scales))
+    return replace(problem, free=free, prior=spreads)
+
+
+def _stated(problem: Problem, point: Point, rod: Rod, sensor: Sensor, tolerances: Tolerances) -> dict[str, float]:
+    """Tolerances of estimates, by name and in their units."""
+    pairs = uncertain(rod, tolerances)
+    factors = _factors([parameter for parameter, _ in pairs], rod, sensor)
+    found = {parameter.name: float(factor) * deviation for (parameter, deviation), factor in zip(pairs, factors, strict=True)}
+    if tolerances.object_scale > 0:
+        found["standoff"] = tolerances.object_scale * abs(object_size(problem.surface, point))
+    return found
 
 
 def _default(rod: Rod) -> tuple[str, ...]:
@@ -245,7 +297,7 @@ def _states(problem: Problem, bench: Bench, offsets: Float[np.ndarray, "recordin
     moment = torque - np.cross(bench.clamp - pose[:, 12:], force)
     force, moment = (np.einsum("nij,nj->ni", axes, part) for part in (force, moment))
     trail = Trail(pose[:, :3] + axes @ bench.clamp, Rotation.from_matrix(axes @ bench.axes))
-    found = reconstruct(_rod(rod, bench), Reactions(trail, force, moment))
+    found = reconstruct(_rod(rod, bench), Reactions(trail, force, moment), check=False)
     tip = trail.position + float(bench.length) * trail.axis
     points = np.where(np.isfinite(found.point).all(axis=1)[:, None], found.point, tip)
     surface = _placed(problem.surface, bench)
@@ -275,11 +327,19 @@ def _pivot(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarr
 
 
 def _result(
-    setup: SetupType, names: tuple[str, ...], chosen: list[Parameter], problem: Problem, held: dict[str, tuple[str, ...]], linear: Linear
+    setup: SetupType,
+    names: tuple[str, ...],
+    chosen: list[Parameter],
+    problem: Problem,
+    held: dict[str, tuple[str, ...]],
+    linear: Linear,
+    known: Tolerances | None,
 ) -> Calibration[SetupType]:
     weight = _weights(problem, linear)
     found = fitness(problem, linear, weight)
     errors = covariance(problem, linear, weight, found.inflation)
+    if known is not None:
+        errors = errors + considered(problem, linear, weight, unsure(problem, linear, setup.rod, known))
     count = len(problem.free)
     own = np.ascontiguousarray(errors[:count, :count])
     bench, rows = _unrolled(linear.point.bench, setup.sensor, held), problem.rows
@@ -289,10 +349,13 @@ def _result(
     offset_deviations = np.sqrt(np.diag(errors)[count : count + offsets.size]).reshape(offsets.shape)
     posed = {"object_position", "object_orientation"} & set(names)
     surface = _placed(problem.surface, bench) if posed else problem.surface
+    estimates = {parameter.name: _estimate(parameter, setup, bench, deviations, held) for parameter in chosen}
+    excess = float(found.inflation.max())
+    parts, missed = held_out(problem, linear, weight, excess), first_contacts(surface, problem, linear)
     return Calibration(
         setup=_setup(setup, bench, surface),
         surface=surface,
-        estimates={parameter.name: _estimate(parameter, setup, bench, deviations, held) for parameter in chosen},
+        estimates=estimates,
         covariance=own * np.outer(factors, factors),
         identifiability=identifiability(problem, own, linear, held),
         residuals=Residuals(
@@ -308,6 +371,20 @@ def _result(
         friction=problem.friction,
         unevenness=problem.unevenness,
         free=names,
+        warnings=warnings_of(
+            estimates,
+            _stated(problem, linear.point, setup.rod, setup.sensor, known or Tolerances()),
+            setup.rod,
+            known or Tolerances(),
+            found,
+            scores(problem, linear, setup.rod, excess),
+            parts,
+            missed,
+            problem.friction,
+        ),
+        held_out=parts,
+        first_contact=missed,
+        tolerances=known,
     )
 
 

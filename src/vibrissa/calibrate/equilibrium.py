@@ -25,8 +25,8 @@ from vibrissa.surfaces.base import Placed
 
 CORE = 21
 """Parameters of rod, clamp, sensor and object, in the order of `Bench`."""
-STANDOFF_AT = 20
-"""Where among them the standoff is."""
+CLAMP_AT, SHIFT_AT, TURN_AT, STANDOFF_AT = slice(2, 5), slice(14, 17), slice(17, 20), 20
+"""Where among them the clamp's place, the object's shift and turn, and the standoff are."""
 STATE = 7
 """Contact point [m], magnitude of the contact force [N], and with friction the tangential force in units of the normal one, world axes."""
 ROW = 15

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from vibrissa.calibrate.equilibrium import CORE, STANDOFF_AT, Bench, Readings, readings
+from vibrissa.calibrate.equilibrium import CORE, SHIFT_AT, STANDOFF_AT, Bench, Readings, readings
 from vibrissa.calibrate.parameters import Parameter, moved
 from vibrissa.calibrate.rows import CalibrationError, Rows
 from vibrissa.surfaces import Surface
@@ -152,10 +152,7 @@ def linearised(problem: Problem, point: Point) -> Linear:
     predicted[contact] += np.where(found.sound[:, None], found.jacobian[:, :, STANDOFF_AT] * uneven[contact, None], 0.0)
     sound = np.ones(n, dtype=bool)
     sound[contact] = found.sound
-    covariance = rows.covariance.copy()
-    shift = found.jacobian[:, :, 14:17]
-    covariance[contact] += np.where(found.sound[:, None, None], shift @ rows.position_covariance[contact] @ np.swapaxes(shift, 1, 2), 0.0)
-    factor = np.linalg.inv(np.linalg.cholesky(covariance))
+    factor = _whitening(rows, found)
     core = np.zeros((n, WRENCH, CORE))
     core[contact] = found.jacobian
     directions = np.stack([parameter.direction for parameter in problem.free], axis=1)
@@ -174,6 +171,42 @@ def linearised(problem: Problem, point: Point) -> Linear:
         return Linear(point, found, sound, whitened, jacobian, None, whitened, predicted)
     residual, jacobian, rubbing = _without_rubbing(problem, point, found, factor, whitened, jacobian)
     return Linear(point, found, sound, residual, jacobian, rubbing, whitened, predicted)
+
+
+def _whitening(rows: Rows, found: Readings) -> Float[np.ndarray, "n 6 6"]:
+    """What takes each row's noise, with that of its position, to independent noise of deviation 1."""
+    covariance = rows.covariance.copy()
+    shift = found.jacobian[:, :, SHIFT_AT]
+    covariance[rows.contact] += np.where(
+        found.sound[:, None, None], shift @ rows.position_covariance[rows.contact] @ np.swapaxes(shift, 1, 2), 0.0
+    )
+    return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def whitened(problem: Problem, linear: Linear, columns: Float[np.ndarray, "contacts 6 m"]) -> Float[np.ndarray, "n k m"]:
+    """Changes of the readings in contact as further columns of the Jacobian."""
+    contact, found = problem.rows.contact, linear.readings
+    factor = _whitening(problem.rows, found)[contact]
+    flat = np.where(found.sound[:, None, None], factor @ columns, 0.0)
+    design = np.zeros((len(contact), linear.residual.shape[1], columns.shape[2]))
+    if problem.rubs:
+        flat = np.concatenate([flat, np.zeros((len(flat), 3, columns.shape[2]))], axis=1)
+        flat = _projection(problem, found, factor)[1] @ flat
+    design[contact] = flat
+    return design
+
+
+def thinned(problem: Problem, linear: Linear, every: int) -> tuple[Problem, Linear]:
+    """Every so many rows of a problem and of its linearisation."""
+    chosen = slice(None, None, every)
+    rows = Rows(*(getattr(problem.rows, name)[chosen] for name in Rows.__dataclass_fields__))
+    own = np.flatnonzero(np.arange(len(problem.rows.time))[problem.rows.contact] % every == 0)
+    found = Readings(*(part[own] for part in linear.readings))
+    fewer = {name: getattr(linear, name)[chosen] for name in ("sound", "residual", "jacobian", "whitened", "predicted")}
+    point = linear.point._replace(states=linear.point.states[own])
+    return replace(problem, rows=rows, disturbed=problem.disturbed[chosen]), linear._replace(
+        point=point, readings=found, rubbing=None, **fewer
+    )
 
 
 def _offset_design(rows: Rows) -> Float[np.ndarray, "n 6 12"]:
@@ -207,14 +240,21 @@ def _without_rubbing(
     residual, design = np.zeros((n, WRENCH + 3)), np.zeros((n, WRENCH + 3, unknowns))
     residual[:, :WRENCH], design[:, :WRENCH] = whitened, jacobian
     residual[contact, WRENCH:] = -point.states[:, 4:] / problem.friction
-    slope = np.where(found.sound[:, None, None], factor[contact] @ found.rubbing, 0.0)
-    slope = np.concatenate([slope, np.broadcast_to(np.eye(3) / problem.friction, (len(slope), 3, 3))], axis=1)
-    solve = np.linalg.solve(np.swapaxes(slope, 1, 2) @ slope, np.swapaxes(slope, 1, 2))
-    project = np.eye(WRENCH + 3) - slope @ solve
+    solve, project = _projection(problem, found, factor[contact])
     rubbing = Rubbing(np.einsum("nij,nj->ni", solve, residual[contact]), solve @ design[contact])
     residual[contact] = np.einsum("nij,nj->ni", project, residual[contact])
     design[contact] = project @ design[contact]
     return residual, design, rubbing
+
+
+def _projection(
+    problem: Problem, found: Readings, factor: Float[np.ndarray, "contacts 6 6"]
+) -> tuple[Float[np.ndarray, "contacts 3 9"], Float[np.ndarray, "contacts 9 9"]]:
+    """Tangential forces from residuals, and what of these they cannot explain."""
+    slope = np.where(found.sound[:, None, None], factor @ found.rubbing, 0.0)
+    slope = np.concatenate([slope, np.broadcast_to(np.eye(3) / problem.friction, (len(slope), 3, 3))], axis=1)
+    solve = np.linalg.solve(np.swapaxes(slope, 1, 2) @ slope, np.swapaxes(slope, 1, 2))
+    return solve, np.eye(WRENCH + 3) - slope @ solve
 
 
 def spread(problem: Problem, linear: Linear) -> float:
@@ -268,8 +308,7 @@ def unevenness(problem: Problem, linear: Linear) -> float:
     weight = weights(changed, flat, scale) / scale**2
     matrix = information(changed, flat, weight)
     slope = np.einsum("n,nku,nk->u", weight, flat.jacobian, flat.residual)
-    deviations = _prior_deviations(changed)
-    slope -= np.divide(_prior_terms(changed, point), deviations, out=np.zeros_like(slope), where=deviations > 0)
+    slope -= prior_system(changed, point)[1]
     uneven = np.arange(len(slope)) >= len(slope) - point.uneven.size
     matrix[uneven, uneven] -= 1.0
     # What the data leave open, as the roll, has no information, here as little for each size.
@@ -316,12 +355,19 @@ def _prior_terms(problem: Problem, point: Point) -> Float[np.ndarray, "unknowns"
     return np.divide(values, deviations, out=np.zeros_like(values), where=deviations > 0)
 
 
+def prior_system(problem: Problem, point: Point) -> tuple[Float[np.ndarray, "unknowns"], Float[np.ndarray, "unknowns"]]:
+    """Information of the priors on each unknown, and their gradient at a point."""
+    deviations = _prior_deviations(problem)
+    known = np.where(deviations > 0, 1 / np.maximum(deviations, _HELD) ** 2, 1 / _HELD**2)
+    terms = _prior_terms(problem, point)
+    return known, np.divide(terms, deviations, out=np.zeros_like(terms), where=deviations > 0)
+
+
 def information(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]) -> Float[np.ndarray, "unknowns unknowns"]:
     """Σ JᵀWJ with the priors; what is held, a drift of no deviation, is known for sure."""
     flat = linear.jacobian * np.sqrt(weight)[:, None, None]
     flat = flat.reshape(-1, flat.shape[2])
-    deviations = _prior_deviations(problem)
-    return flat.T @ flat + np.diag(np.where(deviations > 0, 1 / np.maximum(deviations, _HELD) ** 2, 1 / _HELD**2))
+    return flat.T @ flat + np.diag(prior_system(problem, linear.point)[0])
 
 
 def fitted(problem: Problem, start: Point) -> Linear:
@@ -340,8 +386,7 @@ def fitted(problem: Problem, start: Point) -> Linear:
         weight = weights(problem, linear, scale)
         matrix = information(problem, linear, weight)
         gradient = np.einsum("n,nku,nk->u", weight, linear.jacobian, linear.residual)
-        deviations = _prior_deviations(problem)
-        gradient -= np.divide(_prior_terms(problem, linear.point), deviations, out=np.zeros_like(gradient), where=deviations > 0)
+        gradient -= prior_system(problem, linear.point)[1]
         linear, damping, length = _improved(problem, linear, (matrix, gradient), scale, damping)
         if length < _DONE:
             break

@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import norm
 
+from vibrissa.calibrate.held_out import HeldOut
 from vibrissa.calibrate.statistics import Fitness, Identifiability
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
 from vibrissa.surfaces import Surface
+from vibrissa.tolerances import Tolerances
 
 
 @runtime_checkable
@@ -113,7 +115,7 @@ class Calibration(Generic[SetupType]):
     setup
         With the calibrated rod, sensor and, where its pose was free, surface.
     surface
-        The object, where it was found to be.
+        The object, where it was found to be; None where none was known.
     estimates
         One for each free number, by name.
     covariance
@@ -139,10 +141,18 @@ class Calibration(Generic[SetupType]):
         Estimates and intervals allow for it.
     free
         Names that were free.
+    warnings
+        What speaks against setup, object or result, one sentence each; empty where all is well.
+    held_out
+        Each recording, or of one recording alternate stretches, predicted from the rest.
+    first_contact
+        (recordings,) by how much the straight rod as calibrated contradicts where the loads begin, as a distance [m]; 0 where it agrees.
+    tolerances
+        That entered the covariance, or None.
     """
 
     setup: SetupType
-    surface: Surface
+    surface: Surface | None
     estimates: dict[str, Estimate]
     covariance: Float[np.ndarray, "k k"]
     identifiability: Identifiability
@@ -157,6 +167,10 @@ class Calibration(Generic[SetupType]):
     friction: float
     unevenness: float
     free: tuple[str, ...]
+    warnings: list[str]
+    held_out: tuple[HeldOut, ...]
+    first_contact: Float[np.ndarray, "recordings"]
+    tolerances: Tolerances | None
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of an estimate.

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from vibrissa.calibrate.fit import WRENCH, Linear, Problem, information, weights
+from vibrissa.calibrate.fit import WRENCH, Linear, Problem, information, weights, whitened
 
-_UNDETERMINED = 0.3
+UNDETERMINED = 0.3
 """Standard deviation, in the parameters' scales, from which a direction counts as open: 30 % of a stiffness, 0.3 L, 0.3 rad."""
 _ROUNDING = 1e-12
 _ALIKE = 0.05
@@ -107,7 +107,7 @@ def undetermined(problem: Problem, linear: Linear) -> tuple[Problem, dict[str, t
     full = marginal(information(problem, linear, linear.sound.astype(float)), len(keep))
     scales = np.array([parameter.scale for parameter in problem.free])
     full = full * np.outer(scales, scales)
-    least = max(1 / _UNDETERMINED**2, _ROUNDING * float(np.trace(full)))
+    least = max(1 / UNDETERMINED**2, _ROUNDING * float(np.trace(full)))
     while keep:
         values, vectors = np.linalg.eigh(full[np.ix_(keep, keep)])
         if values[0] > least:
@@ -189,3 +189,15 @@ def covariance(
     excess = np.sqrt(weight)[:, None, None] * linear.jacobian[:, :WRENCH] * np.sqrt(inflation - 1)[None, :, None]
     excess = excess[problem.rows.contact].reshape(-1, linear.jacobian.shape[2])
     return inverse + inverse @ (excess.T @ excess) @ inverse
+
+
+def considered(
+    problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"], columns: Float[np.ndarray, "contacts 6 m"]
+) -> Float[np.ndarray, "unknowns unknowns"]:
+    """Covariance of all unknowns from numbers that are held, whose standard deviations change the readings by `columns`.
+
+    An error h of a held number moves the estimates by −(JᵀWJ)⁻¹ JᵀW ∂r/∂h ("consider parameters": S. F. Schmidt, Advances in Control Systems 3 (1966) 293-340).
+    """
+    crossed = np.einsum("n,nku,nkm->um", weight, linear.jacobian, whitened(problem, linear, columns), optimize=True)
+    shift = np.linalg.solve(information(problem, linear, weight), crossed)
+    return shift @ shift.T

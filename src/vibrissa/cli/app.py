@@ -60,16 +60,21 @@ def main() -> None:
 
 @contextmanager
 def _warnings_in_one_line() -> Iterator[None]:
-    """Print each warning once, on stderr, without the place in the code that it comes from."""
+    """Print each warning once, on stderr, without the place in the code that it comes from: `warning: ...` where a recording contradicts its setup."""
     said: set[str] = set()
 
-    def show(message: Warning | str, *_place: object, **_more: object) -> None:
+    def show(message: Warning | str, category: type[Warning], *_place: object, **_more: object) -> None:
+        from vibrissa.contacts import RecordingNote, RecordingWarning  # noqa: PLC0415
+
         line = " ".join(str(message).split())
         if line not in said:
             said.add(line)
-            print(f"vibrissa: warning: {line}", file=sys.stderr)  # noqa: T201
+            of_setup = issubclass(category, RecordingWarning) and not issubclass(category, RecordingNote)
+            print(f"{'' if of_setup else 'vibrissa: '}warning: {line}", file=sys.stderr)  # noqa: T201
 
     with warnings.catch_warnings():
+        # Each line, also one that two files share; `show` passes over those that were said.
+        warnings.simplefilter("always", UserWarning)
         warnings.showwarning = show
         yield
 

@@ -2,6 +2,8 @@
 
 import json
 import sys
+import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +15,9 @@ if TYPE_CHECKING:
 
 def calibrate(
     recordings: Annotated[list[Path], typer.Argument(help="Logs of the sensor, each with a start free of contact.", show_default=False)],
-    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and the swept [object].", show_default=False)],
+    setup: Annotated[
+        Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and, where it is known, the swept [object].", show_default=False)
+    ],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibrated setup to write (.toml).")] = None,
     free: Annotated[
         str | None, typer.Option("--free", help="What to calibrate, NAME,NAME,...; by default rod, clamp, tare and drift.")
@@ -25,8 +29,9 @@ def calibrate(
     report: Annotated[Path | None, typer.Option("--report", help="Folder for figures of the residuals and a summary.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Find stiffness, length and mount of the rod from sweeps over an object that is known."""
+    """Find stiffness, length and mount of the rod from sweeps over an object, best over one that is known."""
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
+    from vibrissa.contacts import RecordingWarning  # noqa: PLC0415
     from vibrissa.io.calibration import check_source, toml_library, write_calibration  # noqa: PLC0415
     from vibrissa.io.calibration_report import summary  # noqa: PLC0415
     from vibrissa.io.contacts import checked_output  # noqa: PLC0415
@@ -44,8 +49,6 @@ def calibrate(
         if places.count(place) > 1:
             raise InputError(f"{recording}: is given twice; allowed is each recording once")
     loaded = load_setup(setup)
-    if loaded.surface is None:
-        raise InputError(f"{setup}: object: missing; allowed is a table [object] with what was swept")
     if output is not None:
         check_source(loaded, setup)
     priors = _priors(prior or [])
@@ -58,12 +61,17 @@ def calibrate(
 
         step("calibrating")
         try:
-            found = run(reactions, loaded, free=names, prior=priors, friction=friction)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RecordingWarning)
+                found = run(reactions, loaded, free=names, prior=priors, friction=friction)
         except CalibrationError as error:
             print(f"vibrissa: error: {_named(str(error), recordings)}", file=sys.stderr)  # noqa: T201
             raise typer.Exit(1) from None
         except ValueError as error:
             raise InputError(str(error)) from error
+        found = replace(found, warnings=[_named(line, recordings) for line in found.warnings])
+        for line in found.warnings:
+            warnings.warn(line, RecordingWarning, stacklevel=1)
         step("writing")
         if output is not None:
             write_calibration(output, found, setup, recordings)

@@ -36,13 +36,32 @@ def inspect(
         if figure is not None:
             report("drawing")
             _draw(found, loaded, figure)
-    summary = _summary(found, loaded)
+    said = _said(recording, found, loaded)
+    summary = _summary(found, loaded) | {"warnings": said}
     if as_json:
         typer.echo(json.dumps(summary, indent=1, allow_nan=False))
     else:
         _print(found, loaded, summary)
     if found.unusable:
         raise typer.Exit(1)
+
+
+def _said(recording: Path, found: "Inspection", loaded: "Setup") -> list[str]:
+    """What the recording says against its setup, as `reconstruct` would: the lines of the inspection, and those of its contacts where there are any."""
+    import warnings  # noqa: PLC0415
+
+    from vibrissa.cli.said import listening  # noqa: PLC0415
+    from vibrissa.contacts import RecordingWarning  # noqa: PLC0415
+
+    with listening() as said:
+        for line in found.warnings:
+            warnings.warn(f"{recording}: {line}", RecordingWarning, stacklevel=2)
+        if not found.unusable and found.sensor.force_noise is not None:
+            from vibrissa.reconstruct import reconstruct as run  # noqa: PLC0415
+
+            # The checks of the contacts warn by themselves.
+            run(loaded.rod, found.sensor.reactions(found.cleaned, found.tare, tolerances=loaded.parameter_covariance))
+    return said
 
 
 def _summary(found: "Inspection", loaded: "Setup") -> dict[str, object]:

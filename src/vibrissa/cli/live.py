@@ -4,8 +4,10 @@ import gc
 import json
 import os
 import sys
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -81,9 +83,9 @@ def _run(
     if smooth and loaded.sensor.force_noise is None:
         raise InputError("sensor.force_noise is not given with --smooth; allowed is a setup with force_noise and torque_noise")
     stage = SmoothingStage(loaded.rod, friction=friction) if smooth else None
-    processor = Processor(loaded.rod, loaded.sensor, poses, stage=stage, friction=friction)
+    processor = Processor(loaded.rod, loaded.sensor, poses, stage=stage, friction=friction, tolerances=loaded.parameter_covariance)
     with interrupts() as stop, one_line():
-        sinks = [_sink(kind, path, loaded) for kind, path in targets]
+        sinks = partial(_sinks, [(_maker(kind, loaded), path) for kind, path in targets])
         processor.warm_up()
         # No pause for what was made up to here, and short turns: the thread that reads must not wait for the one that works.
         gc.collect()
@@ -155,16 +157,26 @@ def _check_different(targets: "list[tuple[str, Path | None]]") -> None:
             raise InputError(f"sink {'jsonl:-' if place is None else place}: is given twice; allowed is one sink for each file")
 
 
-def _sink(kind: str, path: Path | None, loaded: "Setup") -> "Sink":
+def _maker(kind: str, loaded: "Setup") -> "Callable[[Any], Sink]":
+    """What makes a sink of a path; its libraries are loaded now, so that one that is missing is said before anyone waits."""
     from vibrissa.io.sinks import JsonLinesSink, PlySink  # noqa: PLC0415
 
-    if kind == "jsonl" or path is None:
-        return JsonLinesSink(path)
+    if kind == "jsonl":
+        return JsonLinesSink
     if kind == "ply":
-        return PlySink(path, "metre" if loaded.rod.units == "SI" else "rod length")
+        return partial(PlySink, unit="metre" if loaded.rod.units == "SI" else "rod length")
     from vibrissa.io.rosbag import McapSink, Rosbag2Sink  # noqa: PLC0415
+    from vibrissa.io.rosbag.library import library  # noqa: PLC0415
 
-    return (Rosbag2Sink if kind == "rosbag2" else McapSink)(path, wrench_frame=loaded.sensor.wrench_frame)
+    for name in ("mcap.records", "mcap.data_stream", "rosbags.typesys", *(("ruamel.yaml",) if kind == "rosbag2" else ())):
+        library(name)
+    return partial(Rosbag2Sink if kind == "rosbag2" else McapSink, wrench_frame=loaded.sensor.wrench_frame)
+
+
+def _sinks(makers: "list[tuple[Callable[[Any], Sink], Path | None]]") -> "Iterator[Sink]":
+    """Made one by one, so that those that are there are closed where the next cannot be made."""
+    for make, path in makers:
+        yield make(path)
 
 
 def _text(report: "Report") -> str:
@@ -180,14 +192,10 @@ def _text(report: "Report") -> str:
 
         bits = ", ".join(f"{bit}: {STATUS_BITS.get(bit, 'not known')}" for bit in range(32) if counts.status >> bit & 1)
         lines.append(f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them in error")
-    if counts.rate_changes:
-        lines.append("samples came at another rate than the setup says: stamps follow the rate that was seen")
     if report.without_pose or report.malformed_poses:
         lines.append(f"{report.without_pose} rows without a pose, {report.malformed_poses} poses malformed")
-    if report.misplaced_poses:
-        lines.append(
-            f"{report.misplaced_poses} poses are stamped more than a second from their arrival: set both clocks, or leave the stamp out"
-        )
+    if report.silences:
+        lines.append(f"silent {report.silences} times, for {report.silent_seconds:.2f} s altogether")
     if report.unused:
         lines.append(f"{report.unused} samples recorded without a row: the end came before their tare or their pose")
     if report.latency_median is not None and report.latency_999 is not None:

@@ -39,7 +39,8 @@ def one_line() -> Iterator[None]:
     try:
         yield
     except (OSError, ImportError, ValueError, SilentSourceError) as error:
-        typer.echo(f"vibrissa: error: {' '.join(str(error).splitlines())}", err=True)
+        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename is not None else str(error)
+        typer.echo(f"vibrissa: error: {' '.join(text.splitlines())}", err=True)
         raise typer.Exit(1) from error
 
 

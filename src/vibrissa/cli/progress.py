@@ -1,17 +1,37 @@
-"""Progress on stderr: a spinner on a terminal, a line a step elsewhere."""
+"""Progress on stderr: a spinner and a bar on a terminal, a line a step elsewhere."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Reports the name of the step that begins, when called, and with `share` how much of it is done, from 0 to 1."""
+
+    begin: Callable[[str], None]
+    share: Callable[[float], None]
+
+    def __call__(self, step: str) -> None:
+        """Begin a step."""
+        self.begin(step)
 
 
 @contextmanager
-def reporting() -> Iterator[Callable[[str], None]]:
-    """Give a function that reports the name of the step that begins."""
+def reporting() -> Iterator[Steps]:
+    """Give what reports the steps of a command."""
     from rich.console import Console  # noqa: PLC0415
 
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
-        yield lambda step: console.print(step, soft_wrap=True, markup=False)
+        yield Steps(lambda step: console.print(step, soft_wrap=True, markup=False), lambda _: None)
         return
-    with console.status("starting") as status:
-        yield status.update
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=30), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield Steps(
+            lambda step: bar.reset(task, description=step, total=None),
+            lambda done: bar.update(task, completed=done, total=1.0),
+        )

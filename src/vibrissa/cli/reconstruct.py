@@ -9,6 +9,10 @@ import typer
 if TYPE_CHECKING:
     from vibrissa.reconstruct import Reconstruction, Touch
 
+_NOISE_ONLY = (
+    "error bars hold noise only: state how well rod, clamp, gains and clocks are known in [tolerances] of the setup, or calibrate it"
+)
+
 
 def reconstruct(
     recording: Annotated[
@@ -26,6 +30,7 @@ def reconstruct(
 ) -> None:
     """Find where the rod touched, from a recording of forces and torques alone."""
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
+    from vibrissa.cli.said import listening  # noqa: PLC0415
     from vibrissa.io.contacts import checked_output, write_contacts  # noqa: PLC0415
     from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.recordings.read import read_recording  # noqa: PLC0415
@@ -38,10 +43,11 @@ def reconstruct(
     if friction is not None and not 0 <= friction < float("inf"):
         raise InputError(f"--friction = {friction}; allowed is a finite number of at least 0")
     loaded = load_setup(setup)
-    reactions = read_recording(recording, loaded)
-    if smooth and reactions.covariance is None:
+    if smooth and loaded.sensor.force_noise is None:
         raise InputError(f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and torque_noise")
-    with reporting() as report:
+    with listening() as said, reporting() as report:
+        report("reading")
+        reactions = read_recording(recording, loaded)
         report("loading")
         from vibrissa.reconstruct import reconstruct as run  # noqa: PLC0415
 
@@ -52,13 +58,14 @@ def reconstruct(
             from vibrissa.reconstruct import smooth as smoothed  # noqa: PLC0415
 
             report("smoothing")
-            found = smoothed(found)
-        report("writing")
+            found = smoothed(found, progress=lambda done, count: report.share(done / count))
         for path in output or []:
-            write_contacts(path, found)
+            report(f"writing {path}")
+            write_contacts(path, found, progress=report.share)
         if figure is not None:
+            report(f"drawing {figure}")
             _draw(found, figure)
-    summary = _summary(found) | estimated
+    summary = _summary(found) | estimated | {"warnings": list(dict.fromkeys([*said, *found.warnings]))}
     typer.echo(json.dumps(summary, indent=1) if as_json else _text(summary))
 
 
@@ -82,6 +89,8 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
         summary["median_standard_deviations"] = np.median(deviations, axis=0).tolist()
         residual = found.single_contact_residual[contact & np.isfinite(found.single_contact_residual)]
         summary["single_contact_residual_rms"] = float(np.sqrt(np.mean(residual**2)))
+    if found.covariance is not None and found.reactions.setup_errors is None:
+        summary["notes"] = [_NOISE_ONLY]
     if found.smoothing is not None:
         summary["contacts"] = [_touch(found, touch) for touch in found.smoothing[0].touches]
         summary["outliers"] = int(found.smoothing[0].outlier.sum())
@@ -126,6 +135,8 @@ def _text(summary: dict[str, object]) -> str:
     if isinstance(contacts, list):
         lines += [_contact_line(contact) for contact in contacts]
         lines.append(f"{summary['outliers']} outliers")
+    notes = summary.get("notes")
+    lines += notes if isinstance(notes, list) else []
     if "normal_half_angle" in summary:
         lines.append(f"the object's normals lie within {summary['normal_half_angle']:.4g} rad of the contact forces")
     if "friction_estimate" in summary:

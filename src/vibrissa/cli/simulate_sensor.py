@@ -47,6 +47,7 @@ def simulate_sensor(
     from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
     from vibrissa.live.address import host_and_port  # noqa: PLC0415
+    from vibrissa.live.ports import listening  # noqa: PLC0415
     from vibrissa.live.scene import measured, swept  # noqa: PLC0415
     from vibrissa.live.simulator import Flaws, SensorSimulator  # noqa: PLC0415
 
@@ -63,6 +64,8 @@ def simulate_sensor(
         flaws = Flaws(drop, duplicate, reorder, malformed, error)
         offsets, listener = _offsets(tare), None if pose is None else host_and_port(pose)
         resting = (TARE_SECONDS if setting.sensor.tare_seconds is None else setting.sensor.tare_seconds) + 0.1
+        with one_line():
+            listening(host, port).close()
         typer.echo("scanning", err=True)
         scene = swept(
             loaded.rod,
@@ -87,6 +90,7 @@ def simulate_sensor(
             seed=seed,
             poses=listener,
             pose_rate=pose_rate,
+            notice=lambda text: typer.echo(text, err=True),
         )
     except InputError:
         raise
@@ -118,4 +122,5 @@ def _text(sent: "Sent") -> str:
     return (
         f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} poses; {sent.malformed_requests} requests malformed; "
         f"largest delay {sent.latest * 1e3:.2f} ms"
+        + (f"; the stream was taken by another client {sent.takeovers} times" if sent.takeovers else "")
     )

@@ -20,6 +20,7 @@ from vibrissa.sensor.noise import quantisation_of_mean
 from vibrissa.sensor.sensor import carried
 from vibrissa.sensor.tare import no_tare, planned_tare
 from vibrissa.surfaces import Surface
+from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
 
 _WITHIN_95 = float(np.sqrt(chi2.isf(0.05, 3)))
@@ -36,7 +37,8 @@ class ExpectedError:
     found
         The reconstruction of the exact reactions, with the covariances that the sensor's errors give.
     covariance
-        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose; NaN where no contact is detected, or the scan has no solution.
+        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose, and tolerances where they are given; NaN where no contact is
+        detected, or the scan has no solution.
     lag
         Systematic error of the contact point (…, 3) by the sensor's filter and delay at the given speed; 0 without them.
     saturated
@@ -85,6 +87,7 @@ def expected_error(
     friction: float = 0.0,
     finite_radius: bool = False,
     false_alarm: float = 1e-3,
+    tolerances: Tolerances | None = None,
 ) -> ExpectedError:
     """Will this sensor do for this rod? The expected contact error at every position of a scene.
 
@@ -108,6 +111,9 @@ def expected_error(
         Readings averaged at each position.
     false_alarm
         As for `vibrissa.reconstruct`.
+    tolerances
+        How well the numbers of the setup are known. The covariance then holds what they do to all contacts together (`found.shared`), which no averaging takes away,
+        beside the noise (`found.covariance_noise`). A delay of the poses moves contacts by the way of the clamp within it, at the speed that is given.
 
     Returns
     -------
@@ -136,14 +142,16 @@ def expected_error(
         position_covariance=sensor.position_noise**2 / samples * np.eye(3),
         rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
         rotation_center=_origin(sensor, swept.trail),
+        setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
+        time=np.stack([lane[3] for lane in lanes]).reshape(shape),
     )
-    found = reconstruct(rod, told, friction=friction or None, false_alarm=false_alarm)
+    found = reconstruct(rod, told, friction=friction or None, false_alarm=false_alarm, check=False)
     assert found.covariance is not None
     lag = np.zeros((*shape, 3))
     if sensor.low_pass is not None and speed is not None:
         late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
         shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
-        lag = np.nan_to_num(reconstruct(rod, shifted, friction=friction or None, false_alarm=false_alarm).point - found.point)
+        lag = np.nan_to_num(reconstruct(rod, shifted, friction=friction or None, false_alarm=false_alarm, check=False).point - found.point)
     saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
     solved = (swept.status < Status.HEAD_ON)[..., None, None]
     return ExpectedError(swept, found, np.where(solved, found.covariance, np.nan), lag, saturated)
@@ -180,8 +188,8 @@ def _lanes(swept: Scan) -> list[Reactions]:
 
 def _lane(
     sensor: Sensor, reactions: Reactions, rate: float, rest: float, speed: float | None
-) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6"], Bool[np.ndarray, "n"]]:
-    """Of one trail: the reactions' covariance, the reactions that come late, and where the range ends."""
+) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6"], Bool[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Of one trail: the reactions' covariance, the reactions that come late, where the range ends, and the stamps."""
     orientation = multiplied(reactions.trail.orientation, inverse(sensor.clamp_orientation))
     axes = rotation_matrices(orientation)
     time = _stamps(reactions.trail, rate, rest, speed)
@@ -199,7 +207,7 @@ def _lane(
     limits = [np.full(3, np.inf) if part is None else np.asarray(part) for part in (sensor.force_range, sensor.torque_range)]
     saturated = np.any(np.abs(shown) > np.concatenate(limits), axis=1) & np.isfinite(reactions.force).all(axis=1)
     exact = np.concatenate([reactions.force, reactions.moment], axis=1)
-    return np.broadcast_to(covariance, (len(time), 6, 6)), exact + np.einsum("nij,nj->ni", maps, late - shown), saturated
+    return np.broadcast_to(covariance, (len(time), 6, 6)), exact + np.einsum("nij,nj->ni", maps, late - shown), saturated, time
 
 
 def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Float[np.ndarray, "n"]:

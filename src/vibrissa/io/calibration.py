@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table
 from vibrissa.io.errors import InputError, readable, writable
 from vibrissa.libraries import extra_library
+from vibrissa.tolerances import PARAMETERS
 
 if TYPE_CHECKING:
     from vibrissa.calibrate import Calibration
@@ -21,6 +23,11 @@ if TYPE_CHECKING:
 FORMAT = 1
 """Version of the table [calibration]."""
 _CHANNELS = 6
+_STIFFNESS = ("youngs_modulus", "bending_stiffness")
+_ENTRIES = dict.fromkeys(_STIFFNESS, ("bending_stiffness",)) | {
+    f"{kind}_gain": tuple(f"gain_{kind}_{axis}" for axis in ("x", "y", "z")) for kind in ("force", "torque")
+}
+"""Names of calibrations that are those of no parameter of `vibrissa.tolerances.PARAMETERS`, and what they stand for there."""
 
 Names = Annotated[list[str], Field(description="a list of names")]
 
@@ -55,6 +62,9 @@ class CalibrationTable(Table):
     correlation: Annotated[list[list[Finite]], Field(description="a matrix of finite numbers")]
     tare: Annotated[list[list[Finite]], Field(description="six finite numbers a recording")]
     drift: Annotated[list[list[Finite]], Field(description="six finite numbers a recording")]
+    disturbed: NotNegative | None = None
+    held_out: Annotated[list[NotNegative] | None, Field(description="a list of numbers of at least 0")] = None
+    warnings: Annotated[list[str] | None, Field(description="a list of sentences")] = None
     estimates: Annotated[dict[str, EstimateTable], Field(description="a table for each estimate")]
 
     def check(self) -> None:
@@ -78,6 +88,17 @@ class CalibrationTable(Table):
         """Covariance (k, k) of the numbers `names`, in their units."""
         deviations = np.array([self.estimates[name].standard_deviation or 0.0 for name in self.names])
         return np.array(self.correlation).reshape(len(deviations), -1) * np.outer(deviations, deviations)
+
+    def parameter_covariance(self, stated: Float[np.ndarray, "15 15"]) -> Float[np.ndarray, "15 15"]:
+        """Of the errors of `vibrissa.tolerances.PARAMETERS`: those that the calibration determined with its own covariance, the others as stated."""
+        of_names = np.zeros((len(PARAMETERS), len(self.names)))
+        for column, name in enumerate(self.names):
+            rows = [PARAMETERS.index(entry) for entry in _ENTRIES.get(name, (name,)) if entry in PARAMETERS]
+            relative = name in _STIFFNESS or "gain" in name
+            of_names[rows, column] = 1 / self.estimates[name].value if relative else 1.0
+        own = np.any(of_names != 0, axis=1, keepdims=True)
+        result = np.where(own | own.T, 0.0, stated)
+        return np.asarray(result + of_names @ self.covariance() @ of_names.T)
 
 
 def toml_library() -> Any:
@@ -238,6 +259,9 @@ def _table(calibration: "Calibration[Any]", source: Path, recordings: Sequence[s
         "reduced_chi_square": found.reduced_chi_square,
         "whiteness": found.whiteness,
         "inflation": [float(f"{factor:.4g}") for factor in found.inflation],
+        "disturbed": float(f"{found.disturbed:.4g}"),
+        "held_out": [float(f"{part.reduced_chi_square:.4g}") for part in calibration.held_out],
+        "warnings": list(calibration.warnings),
         "not_determined": list(known.held),
         "names": list(known.names),
         "correlation": np.round(known.correlation, 9).tolist(),

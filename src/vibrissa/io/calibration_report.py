@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,6 @@ from vibrissa.io.errors import writable
 if TYPE_CHECKING:
     from vibrissa.calibrate import Calibration, Estimate
 
-_FAR = 0.3
 _SHOWN = {"Pa": (1e-9, "GPa"), "m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "N m2": (1e6, "N mm²")}
 
 
@@ -34,6 +34,9 @@ def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
         "outliers": found.outliers,
         "disturbed": found.disturbed,
         "unevenness": calibration.unevenness,
+        "held_out": [asdict(part) for part in calibration.held_out],
+        "first_contact": calibration.first_contact.tolist(),
+        "warnings": list(calibration.warnings),
         "tare": calibration.tare.tolist(),
         "tare_deviation": calibration.tare_deviation.tolist(),
         "drift": calibration.drift.tolist(),
@@ -107,23 +110,20 @@ def findings(calibration: "Calibration[Any]") -> list[str]:
         )
     else:
         lines.append("The residuals are what the stated noise explains.")
-    lines += [
-        f"{one.name}: found so far from where it was given that the fit may be of another cause: is the rod free of contact where the tare is taken, and the start near?"
-        for one in calibration.estimates.values()
-        if one.determined and _far(one, calibration.setup.rod.length)
-    ]
+    lines.append(_predicted(calibration))
+    if calibration.tolerances is None:
+        lines.append(
+            "No tolerances are stated: the intervals hold noise only; those of the object and of what is held belong to [tolerances]."
+        )
     given = sorted({name for one in calibration.estimates.values() for name in one.holds_for})
     if given:
         lines.append(f"* holds for {', '.join(given)} as given.")
     return lines + [f"{sentence}." for sentence in calibration.identifiability.text]
 
 
-def _far(estimate: "Estimate", length: float) -> bool:
-    """Whether it moved by more than 0.3 rad, 0.3 L, or 30 % of a stiffness, length or gain."""
-    scale = 1.0 if estimate.unit == "rad" else length
-    if not estimate.name.startswith(("clamp_", "object_", "standoff")):
-        scale = estimate.given
-    return abs(estimate.value - estimate.given) > _FAR * abs(scale)
+def _predicted(calibration: "Calibration[Any]") -> str:
+    parts = ", ".join(f"{part.part} {part.reduced_chi_square:.3g}" for part in calibration.held_out)
+    return f"Predicted from the rest, mean squares of the residuals are, of the noise's: {parts}."
 
 
 def write_summary(folder: Path, calibration: "Calibration[Any]") -> list[Path]:
@@ -138,6 +138,7 @@ def write_summary(folder: Path, calibration: "Calibration[Any]") -> list[Path]:
     numbers.write_text(json.dumps(summary(calibration), indent=1) + "\n", encoding="utf-8")
     heading, *rows = table(calibration)
     lines = ["# Calibration", "", _row(heading), _row(["---"] * len(heading)), *map(_row, rows), ""]
+    lines += [f"- warning: {sentence}" for sentence in calibration.warnings]
     lines += [f"- {sentence}" for sentence in findings(calibration)]
     text.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return [numbers, text]

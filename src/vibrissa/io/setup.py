@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field, PlainValidator
 
 from vibrissa.io.calibration import CalibrationTable
@@ -19,6 +20,7 @@ from vibrissa.sensor import LowPass, Mount, Sensor
 from vibrissa.sensor.mount import STANDARD_GRAVITY
 from vibrissa.sensor.presets import PRESETS, preset_figures
 from vibrissa.surfaces import Surface
+from vibrissa.tolerances import Tolerances
 
 Gain = Annotated[
     tuple[Positive, Positive, Positive, Positive, Positive, Positive], Field(description="six numbers greater than 0, forces and torques")
@@ -43,6 +45,8 @@ class Setup:
         Of a live sensor, or None: how it counts and sends, and where its pose comes from.
     calibration
         What is known of the numbers of a calibrated setup, or None.
+    tolerances
+        How well the other numbers are known, or None where the setup does not say.
     """
 
     rod: Rod
@@ -52,6 +56,14 @@ class Setup:
     rdt: RdtTable | None = None
     pose: PoseTable | None = None
     calibration: CalibrationTable | None = None
+    tolerances: Tolerances | None = None
+
+    @property
+    def parameter_covariance(self) -> Float[np.ndarray, "15 15"] | None:
+        """Of the errors of `vibrissa.tolerances.PARAMETERS`: what a calibration determined with its joint covariance, the rest as stated; None where neither is there."""
+        if self.calibration is None:
+            return None if self.tolerances is None else self.tolerances.covariance
+        return self.calibration.parameter_covariance((self.tolerances or Tolerances()).covariance)
 
 
 Interval = Annotated[tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")]
@@ -60,14 +72,18 @@ Row = Annotated[
 ]
 
 
-def _by_axis(value: object, least: float) -> float | tuple[float, float, float]:
-    """One finite number for all axes, or three."""
+def _one_or_more(value: object, least: float, most: int) -> tuple[float, ...]:
+    """One finite number for all axes or channels, or one for each."""
     numbers = value if isinstance(value, list | tuple) else [value]
-    if len(numbers) not in (1, 3) or (len(numbers) == 1 and numbers is value):
-        raise ValueError("allowed is one number, or three")
+    if len(numbers) not in (1, most) or (len(numbers) == 1 and numbers is value):
+        raise ValueError(f"allowed is one number, or {most}")
     if any(isinstance(number, bool) or not isinstance(number, int | float) or not least <= number < math.inf for number in numbers):
         raise ValueError("allowed are finite numbers")
-    first, *others = map(float, numbers)
+    return tuple(map(float, numbers))
+
+
+def _by_axis(value: object, least: float) -> float | tuple[float, float, float]:
+    first, *others = _one_or_more(value, least, 3)
     return (first, others[0], others[1]) if others else first
 
 
@@ -88,6 +104,11 @@ Noise = Annotated[
     float | tuple[float, float, float],
     PlainValidator(_positive_by_axis),
     Field(description="a number greater than 0, or three, one for each axis"),
+]
+Deviations = Annotated[
+    tuple[float, ...],
+    PlainValidator(lambda value: _one_or_more(value, 0.0, 6)),
+    Field(description="a number of at least 0, or six, one for each channel"),
 ]
 Ranges = Annotated[tuple[Positive, Positive, Positive], Field(description="three numbers greater than 0")]
 
@@ -163,6 +184,24 @@ class SensorTable(Table):
         )
 
 
+class TolerancesTable(Table):
+    """Fields of `vibrissa.Tolerances`: standard deviations of what the setup states."""
+
+    youngs_modulus: NotNegative = 0.0
+    radius: NotNegative = 0.0
+    length: NotNegative = 0.0
+    clamp_position: Figure = 0.0
+    clamp_orientation: Figure = 0.0
+    gain: Deviations = (0.0,)
+    pose_delay: NotNegative = 0.0
+    object_scale: NotNegative = 0.0
+    object_position: Figure = 0.0
+
+    def build(self) -> Tolerances:
+        """Return the tolerances."""
+        return Tolerances(**(self.model_dump() | {"gain": np.broadcast_to(self.gain, 6)}))
+
+
 _PARTS = {"clamp_position", "clamp_orientation", "preset", "cross_talk", "low_pass", "mount"}
 
 
@@ -176,10 +215,11 @@ class SetupFile(Table):
     rdt: RdtTable | None = None
     pose: PoseTable | None = None
     calibration: CalibrationTable | None = None
+    tolerances: TolerancesTable | None = None
 
 
 def load_setup(path: str | Path) -> Setup:
-    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt], [pose] and, where it was calibrated, [calibration].
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt], [pose], [tolerances] and, where it was calibrated, [calibration].
 
     Raises
     ------
@@ -192,6 +232,9 @@ def load_setup(path: str | Path) -> Setup:
         surface = None if table.object is None else built(table.object, file.parent)
         if table.calibration is not None:
             table.calibration.check()
-        return Setup(table.rod.build(), table.sensor.build(), surface, table.recording, table.rdt, table.pose, table.calibration)
+        tolerances = None if table.tolerances is None else table.tolerances.build()
+        return Setup(
+            table.rod.build(), table.sensor.build(), surface, table.recording, table.rdt, table.pose, table.calibration, tolerances
+        )
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

@@ -4,19 +4,22 @@ import json
 import math
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.io.rosbag.growing import FileDisk
+from vibrissa.io.rosbag.disk import naming_file, whole_file
 from vibrissa.reconstruct import Reconstruction
 from vibrissa.sensor import RawRecording
 
 _KINDS = [kind.name for kind in ContactKind]
 _STATUS = [status.name for status in Status]
 _COUNT_DIGITS = 20
+# Bytes of one call of the system: a batch of 64 rows has some 40 kB.
+_MOST_WRITTEN = 1 << 20
 _VERTEX = np.dtype(
     [*((name, "<f8") for name in ("x", "y", "z", "nx", "ny", "nz", "arc_length", "standard_deviation")), ("kind", "u1"), ("status", "u1")]
 )
@@ -28,14 +31,24 @@ class JsonLinesSink:
     Keys: `stamp` [ns], `kind`, `status`, `position` and `orientation` of the sensor, `force` and `torque` without tare, and, with a contact, `point`,
     `normal`, `arc_length` and `standard_deviations` (along x, y, z, where the noise is known); else these are null.
 
+    Where the disk is full, the file ends with a whole line.
+
     Parameters
     ----------
     path
         Of the file, or None for standard output.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; it names the file.
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644) if path is not None else os.dup(sys.stdout.fileno())
+        self._path, self._size = path, 0
+        with naming_file(path or Path("standard output")):
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+            self._descriptor = os.open(path, flags, 0o644) if path is not None else os.dup(sys.stdout.fileno())
 
     def wrench(
         self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
@@ -45,9 +58,18 @@ class JsonLinesSink:
     def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:
         """Write whole lines."""
         lines = [json.dumps(row, allow_nan=False) for row in _rows(stamp, raw, found)]
-        left = memoryview("".join(line + "\n" for line in lines).encode())
-        while left:
-            left = left[os.write(self._descriptor, left) :]
+        text = "".join(line + "\n" for line in lines).encode()
+        done = 0
+        with naming_file(self._path or Path("standard output")):
+            try:
+                while done < len(text):
+                    done += os.write(self._descriptor, text[done : done + _MOST_WRITTEN])
+            finally:
+                whole = text.rfind(b"\n", 0, done) + 1
+                self._size += whole
+                if whole < done and self._path is not None:
+                    with suppress(OSError):
+                        os.ftruncate(self._descriptor, self._size)
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -117,10 +139,8 @@ class PlySink:
 
     def __init__(self, path: Path, unit: str = "metre") -> None:
         self._unit, self._count, self._held = unit, 0, b""
-        part = path.with_name(f".{path.name}.part")
-        self._disk = FileDisk(part)
-        self._disk.write(self._header(), 0)
-        part.replace(path)
+        with whole_file(path) as self._disk:
+            self._disk.write(self._header(), 0)
 
     def _header(self) -> bytes:
         """Of the same length whatever the count."""

@@ -2,11 +2,12 @@
 
 from vibrissa.live.address import Address, parse_address
 from vibrissa.live.lines import LineSource
-from vibrissa.live.loop import Report, stream
+from vibrissa.live.loop import stream
 from vibrissa.live.netft import NetFtSource
 from vibrissa.live.poses import ConstantPose, Poses, StreamedPoses, TimedPoses
 from vibrissa.live.process import Processor, Stage
 from vibrissa.live.replay import ReplaySource
+from vibrissa.live.report import Report
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
 from vibrissa.live.simulator import Flaws, SensorSimulator
 from vibrissa.live.sinks import Callback, Sink

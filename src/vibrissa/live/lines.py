@@ -9,10 +9,11 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from vibrissa.libraries import extra_library
 from vibrissa.live.clock import LEAST_STEP, SampleClock, epoch_offset
+from vibrissa.live.ports import naming
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
 
 POSED = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "tx", "ty", "tz")
@@ -111,8 +112,9 @@ class TcpLine(Line):
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Connect, within 5 s."""
-        self._socket = socket.create_connection(self._address, timeout=5)
+        """Connect, within 5 s. Raise OSError, which names the address, where nobody answers."""
+        with naming(f"tcp://{self._address[0]}:{self._address[1]}"):
+            self._socket = socket.create_connection(self._address, timeout=5)
 
     def receive(self, timeout: float) -> bytes:
         """Bytes that have come."""
@@ -202,6 +204,7 @@ class LineSource(Source):
         self._clock = SampleClock() if on_host_clock else None
         self._begun: int | None = None
         self._epoch = 0
+        self._anew = False
 
     def open(self) -> None:
         """Connect, or open the device."""
@@ -216,15 +219,16 @@ class LineSource(Source):
         """Samples of the whole lines that have come."""
         data = self._line.receive(timeout)
         now = time.monotonic_ns()
-        rows, own = [], []
+        rows, own, anew = [], [], []
         for line in self._lines(data):
             row = self._row(line, now)
             if row is not None:
                 rows.append(row)
                 own.append(self._own)
-        return self._samples(rows, np.array(own, dtype=np.int64), now) if rows else None
+                anew.append(self._anew)
+        return self._samples(rows, np.array(own, dtype=np.int64), np.array(anew), now) if rows else None
 
-    def _samples(self, rows: list[dict[str, float]], own: Int[np.ndarray, "n"], now: int) -> Samples:
+    def _samples(self, rows: list[dict[str, float]], own: Int[np.ndarray, "n"], anew: Bool[np.ndarray, "n"], now: int) -> Samples:
         posed, count = "qw" in rows[0], len(rows)
         table = {name: np.array([row[name] for row in rows]) for name in (POSED if posed else BARE)}
         arrival = np.full(count, now, dtype=np.int64)
@@ -240,6 +244,7 @@ class LineSource(Source):
             arrival,
             _columns_of(table, POSED[1:4]) if posed else None,
             _columns_of(table, POSED[4:8]) if posed else None,
+            anew,
         )
 
     def _lines(self, data: bytes) -> list[bytes]:
@@ -280,7 +285,7 @@ class LineSource(Source):
 
     def _follows(self, moment: float, now: int) -> bool:
         """Whether this is later than the last line, or of a clock that was set; `_own` is then its time [ns] since the first line."""
-        least = 0
+        least, self._anew = 0, False
         if self._last is None:
             self._anchor = moment, 0
         else:
@@ -292,6 +297,7 @@ class LineSource(Source):
                 return False
             if not 0 < step <= _LONGEST_PAUSE:
                 self.counts.restarts += 1
+                self._anew = True
                 self._anchor = moment, self._own + max(now - self._last[1], _AFTER_RESTART)
         self._last = moment, now
         self._own = max(self._anchor[1] + round((moment - self._anchor[0]) * 1e9), least)

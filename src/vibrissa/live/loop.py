@@ -2,9 +2,7 @@
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -13,11 +11,12 @@ from vibrissa.geometry.checks import not_negative, positive
 from vibrissa.live.latency import Latency
 from vibrissa.live.poses import PoseSource
 from vibrissa.live.process import Processor
-from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source, joined
+from vibrissa.live.reader import Reader
+from vibrissa.live.report import Report
+from vibrissa.live.samples import Samples, Source
+from vibrissa.live.silence import SilenceWatch
 from vibrissa.live.sinks import Sink
 
-_MOST_QUEUED = 200_000
-_READ_WAIT = 0.05
 _FLUSH = 25_000_000
 _LAST_WAIT = 0.2
 
@@ -26,124 +25,10 @@ class SilentSourceError(RuntimeError):
     """A source from which nothing came."""
 
 
-@dataclass
-class Report:
-    """What a stream did.
-
-    Attributes
-    ----------
-    counts
-        Of the source.
-    contacts
-        Rows with a contact, by kind.
-    rows
-        Rows given to the sinks.
-    unused
-        Samples recorded, but left without a row: the stream ended before the tare was over, or before their pose came.
-    overflow
-        Samples thrown away since this process could not keep up.
-    without_pose
-        Rows whose pose was not known.
-    malformed_poses, misplaced_poses
-        Datagrams of the pose stream that could not be read; poses whose stamps lie more than a second from their arrival.
-    seconds
-        From the first sample to the end.
-    cpu_share
-        Of one core, over that time.
-    latency_median, latency_999
-        From the arrival of a sample to its contact [s], and its 99.9th percentile; rows that waited for the tare, or behind such, left out. None where there were none.
-    moved_during_tare
-        Whether the wrench varied by more than three times its noise while it was taken for zero.
-    silent
-        Whether the stream ended since the source fell silent.
-    """
-
-    counts: Counts
-    contacts: dict[str, int] = field(default_factory=lambda: {kind.name: 0 for kind in ContactKind})
-    rows: int = 0
-    unused: int = 0
-    overflow: int = 0
-    without_pose: int = 0
-    malformed_poses: int = 0
-    misplaced_poses: int = 0
-    seconds: float = 0.0
-    cpu_share: float = 0.0
-    latency_median: float | None = None
-    latency_999: float | None = None
-    moved_during_tare: bool = False
-    silent: bool = False
-
-    def as_dict(self) -> dict[str, object]:
-        """All figures, for JSON."""
-        return asdict(self)
-
-
-class _Reader:
-    """Reads the source in a thread of its own, into a bounded queue."""
-
-    def __init__(self, source: Source) -> None:
-        self._source = source
-        self._queue: deque[Samples] = deque()
-        self._arrived = threading.Condition()
-        self._queued = 0
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="source", daemon=True)
-        self.ended = False
-        self.error: BaseException | None = None
-        self.overflow = 0
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self) -> None:
-        self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join(5)
-
-    def _run(self) -> None:
-        try:
-            while not self._stop.is_set():
-                samples = self._source.read(_READ_WAIT)
-                if samples is not None:
-                    self._put(samples)
-        except EndOfStreamError:
-            pass
-        except BaseException as error:
-            self.error = error
-        with self._arrived:
-            self.ended = True
-            self._arrived.notify()
-
-    @property
-    def complaint(self) -> str:
-        return self._source.complaint
-
-    def _put(self, samples: Samples) -> None:
-        with self._arrived:
-            while self._queued + len(samples) > _MOST_QUEUED and self._source.waits and not self._stop.is_set():
-                self._arrived.wait(_READ_WAIT)
-            if self._queued + len(samples) > _MOST_QUEUED:
-                self.overflow += len(samples)
-                return
-            self._queue.append(samples)
-            self._queued += len(samples)
-            self._arrived.notify()
-
-    def take(self, wait: float) -> Samples | None:
-        """Everything that is there, or None after `wait` seconds."""
-        with self._arrived:
-            if not self._queue and not self.ended:
-                self._arrived.wait(wait)
-            parts, self._queued = list(self._queue), 0
-            self._queue.clear()
-            self._arrived.notify()
-        return joined(parts) if parts else None
-
-
 def stream(
     source: Source,
     processor: Processor,
-    sinks: Sequence[Sink],
+    sinks: Sequence[Sink] | Callable[[], Iterable[Sink]],
     *,
     poses: PoseSource | None = None,
     duration: float | None = None,
@@ -156,8 +41,10 @@ def stream(
 
     Parameters
     ----------
-    source, processor, sinks
-        Opened, warmed up and closed here.
+    source, processor
+        Opened and warmed up here; the source is closed here.
+    sinks
+        Closed here. Or a function that makes them, which is called when the first sample is there: then a source that cannot be reached leaves no empty files.
     poses
         Those of the processor, opened and closed here; None where the source gives poses.
     duration
@@ -169,7 +56,7 @@ def stream(
     stop
         Ends the stream when set.
     notice
-        Is told, in one line, what happens.
+        Is told, in one line, what happens; lines that begin with `warning:` are also in the report.
 
     Returns
     -------
@@ -202,15 +89,25 @@ def stream(
         loop.close_sinks()
     if poses is not None:
         loop.report.malformed_poses, loop.report.misplaced_poses = poses.malformed, poses.misplaced
+    for text in loop.report.losses():
+        loop.warn(text)
     return loop.report
 
 
 class _Loop:
     def __init__(
-        self, source: Source, processor: Processor, sinks: Sequence[Sink], notice: Callable[[str], None], batch_seconds: float
+        self,
+        source: Source,
+        processor: Processor,
+        sinks: Sequence[Sink] | Callable[[], Iterable[Sink]],
+        notice: Callable[[str], None],
+        batch_seconds: float,
     ) -> None:
-        self._processor, self._sinks, self._notice = processor, sinks, notice
-        self._reader = _Reader(source)
+        self._processor, self._notice, self._recorded = processor, notice, source.recorded
+        self._make_sinks = sinks if callable(sinks) else None
+        self._sinks: list[Sink] = [] if callable(sinks) else list(sinks)
+        self._silence = SilenceWatch()
+        self._reader = Reader(source)
         self._batch = batch_seconds
         self._latency = Latency()
         self._flushed = 0
@@ -230,7 +127,10 @@ class _Loop:
             if samples is not None:
                 last = begun
                 self._begin(samples)
+                self._heard(samples)
                 self._take(samples)
+            elif not self._recorded and not self._reader.ended and self._silence.begins(begun):
+                self.warn("no samples come: is the sensor on, its cable in, or has another program taken its stream?")
             self._work()
             if self._reader.ended and samples is None:
                 self._check_end()
@@ -241,7 +141,7 @@ class _Loop:
                 if self._first is None:
                     raise SilentSourceError(f"nothing came for {silence:g} s{self._unread()}")
                 self.report.silent = True
-                self._notice(f"nothing came for {silence:g} s")
+                self.warn(f"nothing came for {silence:g} s: the stream ends here")
                 break
             self._pause(begun)
         self._finish()
@@ -258,6 +158,24 @@ class _Loop:
         if self._first is None:
             self._first, self._cpu = int(samples.arrival[0]), time.process_time()
             self._notice("first sample")
+            for sink in self._make_sinks() if self._make_sinks is not None else ():
+                self._sinks.append(sink)
+
+    def warn(self, text: str) -> None:
+        """Say and keep a warning."""
+        if self.report.warn(text):
+            self._notice(f"warning: {text}")
+
+    def _heard(self, samples: Samples) -> None:
+        """Say where samples come again after a silence, or begin anew."""
+        pause = None if self._recorded else self._silence.came(samples.arrival)
+        said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
+        if samples.restarts.any():
+            said.append(
+                "numbers or clock begin anew: the sensor was restarted, or another program had its stream; its zero is compared with that before"
+            )
+        if said:
+            self.warn("; ".join(said))
 
     def _pause(self, begun: int) -> None:
         left = self._batch - (time.monotonic_ns() - begun) * 1e-9
@@ -273,7 +191,7 @@ class _Loop:
             shown = ", ".join(f"{value:.6g}" for value in self._processor.tare)
             self._notice(f"tare: {shown} (N, N m)")
             if self._processor.moved_during_tare:
-                self._notice(f"the wrench varied by {self._processor.restless:.1f} times its noise during the tare: is the rod free?")
+                self.warn(f"the wrench varied by {self._processor.restless:.1f} times its noise during the tare: is the rod free?")
 
     def _work(self) -> None:
         for result in self._processor.ready(time.time_ns()):
@@ -287,6 +205,8 @@ class _Loop:
             for sink in self._sinks:
                 sink.contacts(result.stamp, result.raw, result.found)
             self._flush()
+            for text, warns in self._processor.news():
+                (self.warn if warns else self._notice)(text)
         self._flush()
 
     def _flush(self) -> None:
@@ -302,6 +222,7 @@ class _Loop:
         samples = self._reader.take(0)
         if samples is not None:
             self._begin(samples)
+            self._heard(samples)
             self._take(samples)
         until = time.monotonic() + _LAST_WAIT
         self._work()
@@ -317,6 +238,8 @@ class _Loop:
         report = self.report
         report.overflow, report.unused, report.without_pose = self._reader.overflow, self._processor.waiting, self._processor.without_pose
         report.moved_during_tare = self._processor.moved_during_tare
+        report.unsure, report.zero_changes = self._processor.unsure, self._processor.zero_changes
+        report.silences, report.silent_seconds = self._silence.until(0 if self._reader.ended else time.monotonic_ns())
         report.latency_median, report.latency_999 = self._latency.percentile(50), self._latency.percentile(99.9)
         if self._first is not None:
             report.seconds = (time.monotonic_ns() - self._first) * 1e-9

@@ -15,6 +15,7 @@ from jaxtyping import Int
 from vibrissa.geometry.checks import positive
 from vibrissa.live import rdt
 from vibrissa.live.clock import RateWatch, SampleClock, epoch_offset
+from vibrissa.live.ports import naming
 from vibrissa.live.samples import Counts, Samples, Source, joined
 from vibrissa.live.sequence import AHEAD, Sequencer
 
@@ -86,6 +87,7 @@ class NetFtSource(Source):
         self._period = 1e9 / positive(rate, "rate")
         self._anchor = (0, 0)
         self._last: tuple[int, int] | None = None
+        self._came = 0
         self._watch = RateWatch()
         self._early: list[tuple[np.ndarray, ...]] | None = []
         self._clock = SampleClock()
@@ -98,7 +100,8 @@ class NetFtSource(Source):
 
     def open(self) -> None:
         """Connect, and ask for records without end."""
-        family, kind, protocol, _, address = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0]
+        with naming(f"netft://{self._address[0]}:{self._address[1]}"):
+            family, kind, protocol, _, address = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0]
         self._epoch = epoch_offset()
         self._socket = socket.socket(family, kind, protocol)
         _widen(self._socket)
@@ -156,8 +159,20 @@ class NetFtSource(Source):
         self.counts.invalid += int(np.count_nonzero(~valid))
         self.counts.status |= int(np.bitwise_or.reduce(status))
         wrench = records["counts"].astype(np.float64) * self._scale
+        anew = np.zeros(len(records), dtype=bool)
+        anew[0] = self._begins_anew(number, arrival)
         stamp = self._clock.stamps(self._own_time(number, arrival), arrival) + self._epoch
-        return Samples(stamp, number, np.ascontiguousarray(wrench[:, :3]), np.ascontiguousarray(wrench[:, 3:]), valid, arrival)
+        self._came = int(arrival[-1])
+        return Samples(stamp, number, np.ascontiguousarray(wrench[:, :3]), np.ascontiguousarray(wrench[:, 3:]), valid, arrival, anew=anew)
+
+    def _begins_anew(self, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> bool:
+        """Whether these are of another stream than the last ones; its numbers do not say what was lost between the two, but the time does."""
+        if self._last is None or int(number[0]) - self._last[0] <= AHEAD:
+            return False
+        lost = max(round((int(arrival[0]) - self._came) / self._period) - 1, 0)
+        self.counts.lost += lost
+        self.counts.gaps += lost > 0
+        return True
 
     def _own_time(self, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """The sensor's clock [ns], from its numbers and its rate: as set, or as seen where the two differ. In a stream that began anew it goes on."""

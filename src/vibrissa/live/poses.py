@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import unit_quaternions
+from vibrissa.live.ports import listening
 
 _LONGEST = 65536
 _MOST_HELD = 20_000
@@ -230,8 +231,7 @@ class StreamedPoses(PoseSource):
 
     def open(self) -> None:
         """Listen, in a thread."""
-        self._socket = socket.socket(socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(self._address)
+        self._socket = listening(*self._address)
         self._socket.settimeout(0.1)
         self._thread = threading.Thread(target=self._listen, args=(self._socket,), name="poses", daemon=True)
         self._thread.start()

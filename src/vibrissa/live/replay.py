@@ -27,6 +27,7 @@ class ReplaySource(Source):
     """
 
     waits = True
+    recorded = True
 
     def __init__(self, raw: RawRecording, speed: float = 1.0) -> None:
         if not speed > 0:

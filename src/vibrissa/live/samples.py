@@ -30,6 +30,8 @@ class Samples:
         (n,) [ns] of the monotonic clock: when the host had it.
     position, orientation
         Pose of the sensor frame in the world, (n, 3) [m] and x, y, z, w (n, 4), where the source knows; else None.
+    anew
+        (n,): true for the first row after the sender's numbers or clock began anew, as those of a sensor that was restarted do; None for none.
 
     Raises
     ------
@@ -45,6 +47,7 @@ class Samples:
     arrival: Int[np.ndarray, "n"]
     position: Float[np.ndarray, "n 3"] | None = None
     orientation: Float[np.ndarray, "n 4"] | None = None
+    anew: Bool[np.ndarray, "n"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.stamp)
@@ -69,7 +72,13 @@ class Samples:
             self.arrival[part],
             None if self.position is None else self.position[part],
             None if self.orientation is None else self.orientation[part],
+            None if self.anew is None else self.anew[part],
         )
+
+    @property
+    def restarts(self) -> Bool[np.ndarray, "n"]:
+        """`anew`, false (n,) where it is not given."""
+        return np.zeros(len(self), dtype=bool) if self.anew is None else self.anew
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
@@ -88,7 +97,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
     if len(posed) > 1:
         raise ValueError("parts: some have poses and some none; allowed are samples of one source")
     names = ["stamp", "sequence", "force", "torque", "valid", "arrival", *(("position", "orientation") if posed.pop() else ())]
-    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Samples(**columns, anew=np.concatenate([part.restarts for part in parts]))
 
 
 @dataclass
@@ -100,7 +110,7 @@ class Counts:
     samples
         Given on.
     lost
-        Numbers that never came, or too late to be put in order.
+        Numbers that never came, or too late to be put in order; where the numbers began anew, as many as the time without samples would have held.
     gaps
         How often numbers were missing.
     late
@@ -143,6 +153,8 @@ class Source(ABC):
     counts: Counts
     waits = False
     """Whether it can be left unread for a while without loss, as a file can."""
+    recorded = False
+    """Whether pauses are those of a recording, not of a sensor that fell silent."""
     complaint = ""
     """What was wrong with the last of what could not be read."""
 

@@ -4,7 +4,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 
@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from vibrissa.geometry.checks import positive
 from vibrissa.live import rdt
 from vibrissa.live.clock import epoch_offset
+from vibrissa.live.ports import listening
 from vibrissa.live.poses import pose_bytes
 from vibrissa.sensor import RawRecording
 
@@ -59,7 +60,21 @@ class Flaws:
 
 @dataclass
 class Sent:
-    """What a simulator did: records made, records that left it, records dropped on purpose, poses, requests that could not be read, largest delay [s]."""
+    """What a simulator did.
+
+    Attributes
+    ----------
+    records, sent, dropped
+        Records made, those that left it, and those dropped on purpose.
+    poses
+        Sent.
+    malformed_requests
+        Those that could not be read.
+    latest
+        Largest delay [s].
+    takeovers
+        How often a client took the stream from another.
+    """
 
     records: int = 0
     sent: int = 0
@@ -67,10 +82,13 @@ class Sent:
     poses: int = 0
     malformed_requests: int = 0
     latest: float = 0.0
+    takeovers: int = 0
 
 
 class SensorSimulator:
     """Streams samples over UDP to whoever asked last, at an even rate by the monotonic clock.
+
+    There is one stream: a client that asks takes it from the one that had it, which then finds its sensor silent. `notice` is told.
 
     Parameters
     ----------
@@ -92,6 +110,8 @@ class SensorSimulator:
         Host and port to which the sensor's pose is sent as JSON, or None.
     pose_rate
         Poses a second.
+    notice
+        Is told, in one line, when a client takes the stream from another.
 
     Raises
     ------
@@ -113,6 +133,7 @@ class SensorSimulator:
         seed: int = 0,
         poses: tuple[str, int] | None = None,
         pose_rate: float = 250.0,
+        notice: Callable[[str], None] | None = None,
     ) -> None:
         if not 1 <= buffer <= rdt.MOST_RECORDS:
             raise ValueError(f"buffer = {buffer}; allowed are 1 to {rdt.MOST_RECORDS} records")
@@ -132,6 +153,7 @@ class SensorSimulator:
         self._block: RawRecording | None = None
         self._place = 0
         self._swapped: bytes | None = None
+        self._notice = notice or (lambda _: None)
         self.sent = Sent()
 
     @property
@@ -141,8 +163,7 @@ class SensorSimulator:
 
     def open(self) -> None:
         """Listen. Raise OSError where the port is taken."""
-        self._socket = socket.socket(socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(self._address)
+        self._socket = listening(*self._address)
         self._socket.settimeout(0)
 
     def close(self) -> None:
@@ -205,12 +226,19 @@ class SensorSimulator:
                 if sender == self._listener:
                     self._listener = None
             case rdt.Command.REAL_TIME | rdt.Command.BUFFERED:
+                self._taken_over(sender)
                 self._listener, self._sequence, self._wanted = sender, 0, request.records
                 self._per_datagram = self._buffer if request.command == rdt.Command.BUFFERED else 1
             case rdt.Command.BIAS:
                 self._fill()
                 if self._place < len(self._counts):
                     self._bias = self._counts[self._place].copy()
+
+    def _taken_over(self, sender: tuple[object, ...]) -> None:
+        if self._listener is not None and self._listener != sender:
+            self.sent.takeovers += 1
+            before, after = (f"{client[0]}:{client[1]}" for client in (self._listener, sender))
+            self._notice(f"{after} asked for the stream, and {before} loses it: there is one stream, for the client that asked last")
 
     def _fill(self) -> bool:
         """Have a block with rows left; False where the samples have ended."""

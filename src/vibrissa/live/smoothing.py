@@ -9,6 +9,7 @@ from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct import CausalSmoother, Reconstruction
 from vibrissa.rod import Rod
+from vibrissa.tolerances import PARAMETERS
 from vibrissa.trail import Trail
 
 _UNITS = 1e-6
@@ -45,7 +46,11 @@ class SmoothingStage:
             raise ValueError("force_noise = None: smoothing needs the noise of the wrench; give force_noise and torque_noise in [sensor]")
         if self._smoother is None:
             self._smoother = CausalSmoother(
-                self._rod, _in_clamp_axes(found), position_covariance=reactions.position_covariance, friction=self._friction
+                self._rod,
+                _in_clamp_axes(found),
+                position_covariance=reactions.position_covariance,
+                friction=self._friction,
+                setup_errors=reactions.setup_errors,
             )
         if len(reactions.time) and reactions.time[0] <= self._last:
             self._smoother.reset()
@@ -61,9 +66,17 @@ class SmoothingStage:
             modulus=np.array([row.modulus for row in rows]),
             covariance=np.array([row.covariance for row in rows]).reshape(-1, 3, 3),
             normal_covariance=np.array([row.normal_covariance for row in rows]).reshape(-1, 3, 3),
+            covariance_noise=np.array([row.covariance_noise for row in rows]).reshape(-1, 3, 3),
+            normal_covariance_noise=np.array([row.normal_covariance_noise for row in rows]).reshape(-1, 3, 3),
+            sensitivity=np.array([row.sensitivity for row in rows]).reshape(-1, 6, len(PARAMETERS)),
             arc_length_deviation=None,
             status=np.maximum(bad, [int(row.status) for row in rows]).astype(np.int8),
         )
+
+    def reset(self) -> None:
+        """Begin anew: the sensor's zero was taken anew."""
+        if self._smoother is not None:
+            self._smoother.reset()
 
 
 def _one_sample() -> Reactions:

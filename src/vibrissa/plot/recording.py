@@ -30,6 +30,8 @@ _FEWEST = 32
 _LARGEST = 1e12
 # Half a decade to either side at least: noise that follows its density looks flat.
 _LEAST_SPAN = 10**0.5
+# Beyond so much between least and largest, decades alone are labelled.
+_FEW_DECADES = 1e3
 
 
 def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
@@ -77,7 +79,9 @@ def _shade(axes: Axes, found: Inspection, names: set[str]) -> None:
         if fault.kind in _FAULT_COLOURS and names & set(fault.channels):
             start, stop = sorted((fault.start - first, fault.stop - first))
             middle, half = (start + stop) / 2, max(stop - start, least) / 2
-            axes.axvspan(middle - half, middle + half, color=_FAULT_COLOURS[fault.kind], alpha=0.45, linewidth=0, zorder=0.5)
+            # What fills the figure must not hide it.
+            alpha = 0.45 if half < (found.cleaned.time[-1] - first) / 4 else 0.15
+            axes.axvspan(middle - half, middle + half, color=_FAULT_COLOURS[fault.kind], alpha=alpha, linewidth=0, zorder=0.5)
 
 
 def _pose(axes: Axes, found: Inspection) -> None:
@@ -113,6 +117,7 @@ def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None
     count = int(np.count_nonzero(rows))
     if count < _FEWEST:
         axes.text(0.5, 0.5, "no rest", transform=axes.transAxes, ha="center", va="center")
+        axes.set(xticks=[], yticks=[])
         return
     segment = min(_LONGEST_SEGMENT, max(_FEWEST, count // 4))
     for channel in range(first, first + 3):
@@ -124,9 +129,10 @@ def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None
         stated = white + own * sensor.noise_corner / frequency[1:, None]
         for axis_noise in np.unique(factor * np.sqrt(stated), axis=1).T:
             axes.loglog(frequency[1:], axis_noise, color="black", linestyle="--", linewidth=0.9, label="stated")
-        axes.legend(handles=[axes.lines[-1]], loc="lower left")
+        axes.legend(handles=[axes.lines[-1]], loc="best")
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,), numticks=8))
         axis.set_major_formatter(FormatStrFormatter("%g"))
         axis.set_minor_formatter(NullFormatter())
     low, high = axes.get_ylim()

@@ -1,6 +1,7 @@
 """The inverse problem: support reactions in, contact points with normals and error bars out. It never sees the object."""
 
 from vibrissa.reconstruct.causes import ContactErrors, contact_errors
+from vibrissa.reconstruct.checks.check import Cause, SetupCheck, check_setup
 from vibrissa.reconstruct.friction import FrictionEstimate, estimate_friction
 from vibrissa.reconstruct.integration import reconstruct_by_integration
 from vibrissa.reconstruct.reconstruct import reconstruct
@@ -11,12 +12,15 @@ from vibrissa.reconstruct.smoothing.smooth import smooth
 
 __all__ = [
     "CausalSmoother",
+    "Cause",
     "ContactErrors",
     "FrictionEstimate",
     "LiveContact",
     "Reconstruction",
+    "SetupCheck",
     "Smoothing",
     "Touch",
+    "check_setup",
     "contact_errors",
     "estimate_friction",
     "reconstruct",

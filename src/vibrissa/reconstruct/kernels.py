@@ -1,19 +1,25 @@
 """The inverse map in batches: without noise, and with what the noise implies."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
+from vibrissa.numerics.blocks import AnyArray
 from vibrissa.numerics.compiled import compiled
 from vibrissa.numerics.linear import solve_3x3
-from vibrissa.numerics.rotation import cross_matrix, third_axis
+from vibrissa.numerics.rotation import cross_matrix, rotation_matrix, third_axis
 from vibrissa.reconstruct.inverse import invert, single_contact
+from vibrissa.reconstruct.parameters import Rig, changes
 
 WIDTH = 11
 """r (3), n̂ (3), s₁, k², energy, f, and m0·f0 / (‖m0‖ f)."""
 NOISY_WIDTH = WIDTH + 9 + 9 + 3
 """The same; covariance of r, covariance of n̂, standard deviations of s₁ and k², m0·f0 in standard deviations."""
+SHARED_WIDTH = NOISY_WIDTH + 9 + 9
+"""The same; what errors of the setup add to the covariances of r and n̂."""
 
 # The tip is imposed where s₁ comes out longer than the rod by less than this many standard deviations.
 TIP_DEVIATIONS = 5.0
@@ -49,10 +55,58 @@ def invert_noisy_blocks(
     """
 
     def one(wrench: Array, orientation: Array, covariance: Array, precision: Array) -> Float[Array, "32"]:
-        return _noisy(wrench, third_axis(orientation), covariance, precision)
+        return _noisy(wrench, third_axis(orientation), covariance, precision).packed
 
     lanes = jax.vmap(one, in_axes=(1, 1, 2, 2), out_axes=1)
     return lax.map(lambda block: lanes(*block), (wrench, orientation, covariance, precision))
+
+
+@compiled
+def invert_shared_blocks(
+    rig: Rig,
+    errors: Float[AnyArray, "15 15"],
+    wrench: Float[Array, "blocks 6 width"],
+    orientation: Float[Array, "blocks 4 width"],
+    covariance: Float[Array, "blocks 6 6 width"],
+    precision: Float[Array, "blocks 6 6 width"],
+    velocity: Float[Array, "blocks 6 width"],
+) -> Array:
+    """`invert_noisy_blocks`, and what errors of the setup of this covariance (model units) add: (blocks, 50, width). `velocity` is the clamp's, in its axes."""
+
+    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array, velocity: Array) -> Float[Array, "50"]:
+        found = _noisy(wrench, third_axis(orientation), covariance, precision)
+        slope = _sensitivity(found, orientation, velocity, rig)
+        of_reach, of_direction = (_product(_product(part, errors), part.T) for part in (slope[:3], slope[3:]))
+        return jnp.concatenate([found.packed, of_reach.ravel(), of_direction.ravel()])
+
+    lanes = jax.vmap(one, in_axes=(1, 1, 2, 2, 1), out_axes=1)
+    return lax.map(lambda block: lanes(*block), (wrench, orientation, covariance, precision, velocity))
+
+
+@compiled
+def sensitivity_blocks(
+    rig: Rig,
+    wrench: Float[Array, "blocks 6 width"],
+    orientation: Float[Array, "blocks 4 width"],
+    covariance: Float[Array, "blocks 6 6 width"],
+    precision: Float[Array, "blocks 6 6 width"],
+    velocity: Float[Array, "blocks 6 width"],
+) -> Array:
+    """Derivatives of r and n̂, world axes, by `vibrissa.tolerances.PARAMETERS` for given readings: (blocks, 6, 15, width)."""
+
+    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array, velocity: Array) -> Float[Array, "6 15"]:
+        return _sensitivity(_noisy(wrench, third_axis(orientation), covariance, precision), orientation, velocity, rig)
+
+    lanes = jax.vmap(one, in_axes=(1, 1, 2, 2, 1), out_axes=2)
+    return lax.map(lambda block: lanes(*block), (wrench, orientation, covariance, precision, velocity))
+
+
+class _Found(NamedTuple):
+    packed: Float[Array, "32"]
+    wrench: Float[Array, "6"]
+    """Most probable, world axes."""
+    jacobian: Float[Array, "6 6"]
+    """Of r and n̂ by the measured wrench, at s₁ = L where that was imposed."""
 
 
 def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Array, "11"]:
@@ -65,7 +119,7 @@ def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Arra
 
 def _noisy(
     wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"], precision: Float[Array, "6 6"]
-) -> Float[Array, "32"]:
+) -> _Found:
     single, deviation = single_contact(wrench, covariance)
     within = _within_the_rod(single, tangent, covariance, precision)
 
@@ -78,7 +132,25 @@ def _noisy(
     errors = jacobian @ covariance @ jacobian.T
     values = _packed(within, tangent)
     extra = jnp.stack([jnp.sqrt(errors[6, 6]), jnp.sqrt(errors[7, 7]), deviation])
-    return jnp.concatenate([values, errors[:3, :3].ravel(), errors[3:6, 3:6].ravel(), extra])
+    # A wrench that was moved to the tip stays there, however the setup's numbers change it.
+    along = covariance @ jacobian[6] / jnp.maximum(errors[6, 6], 1e-300) * jnp.any(within != single)
+    pinned = jacobian[:6] - jnp.outer(jacobian[:6] @ along, jacobian[6])
+    return _Found(jnp.concatenate([values, errors[:3, :3].ravel(), errors[3:6, 3:6].ravel(), extra]), within, pinned)
+
+
+def _sensitivity(found: _Found, orientation: Float[Array, "4"], velocity: Float[Array, "6"], rig: Rig) -> Float[Array, "6 15"]:
+    """With other numbers of the setup the same readings are another wrench on another rod, seen from another place."""
+    turn = rotation_matrix(orientation)
+    force, moment, reach, direction = (part @ turn for part in (found.wrench[:3], found.wrench[3:], found.packed[:3], found.packed[3:6]))
+    seen = changes(jnp.concatenate([force, moment]), reach, direction, velocity, rig)
+    jacobian = jnp.concatenate([_product(found.jacobian[:, :3], turn), _product(found.jacobian[:, 3:], turn)], axis=1)
+    on_wrench, on_reach, on_direction = map(jnp.asarray, seen)
+    return jnp.concatenate([_product(turn, on_reach), _product(turn, on_direction)]) - _product(jacobian, on_wrench)
+
+
+def _product(first: Float[AnyArray, "k l"], second: Float[AnyArray, "l m"]) -> Float[Array, "k m"]:
+    """Matrix product as plain arithmetic, which keeps the lanes together."""
+    return jnp.sum(jnp.asarray(first)[:, :, None] * jnp.asarray(second)[None], axis=1)
 
 
 def _within_the_rod(

@@ -1,10 +1,12 @@
 """The inverse problem's entry point. It sees the rod and the reactions, nothing else."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jaxtyping import Float
 from scipy.special import chdtri
 
@@ -13,8 +15,12 @@ from vibrissa.geometry.checks import not_negative
 from vibrissa.numerics.blocks import in_blocks, single
 from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.reconstruct.channels import reconstruct_from_channels
-from vibrissa.reconstruct.kernels import NOISY_WIDTH, TIP_DEVIATIONS, WIDTH, invert_blocks, invert_noisy_blocks
+from vibrissa.reconstruct.checks.check import checked
+from vibrissa.reconstruct.kernels import NOISY_WIDTH, TIP_DEVIATIONS, WIDTH, invert_blocks, invert_noisy_blocks, invert_shared_blocks
+from vibrissa.reconstruct.parameters import covariance_of, rig_of, velocities_of
 from vibrissa.reconstruct.result import Reconstruction
+from vibrissa.reconstruct.ringing import without_ringing
+from vibrissa.reconstruct.shared import noisy_rows
 from vibrissa.rod import Rod
 
 # Without known noise: how exactly reactions must fit one contact, and reach the tip.
@@ -31,11 +37,18 @@ _KIND_DEVIATIONS = 2.0
 # As plain numbers: looking up a member of an enumeration costs as much as the arithmetic of a sample.
 _NONE, _TIP_KIND, _TANGENTIAL = (int(kind) for kind in ContactKind)
 _NOT_SINGLE_CONTACT, _BEYOND_TIP, _NO_CURVATURE_ZERO = int(Status.NOT_SINGLE_CONTACT), int(Status.BEYOND_TIP), int(Status.NO_CURVATURE_ZERO)
+_NOISE_WIDTH = NOISY_WIDTH - WIDTH
 _STEEP_TANGENT, _BAD_DATA = int(Status.STEEP_TANGENT), int(Status.BAD_DATA)
 
 
 def reconstruct(
-    rod: Rod, reactions: Reactions, *, friction: float | None = None, false_alarm: float = 1e-3, channels: Sequence[str] | None = None
+    rod: Rod,
+    reactions: Reactions,
+    *,
+    friction: float | None = None,
+    false_alarm: float = 1e-3,
+    channels: Sequence[str] | None = None,
+    check: bool = True,
 ) -> Reconstruction:
     """Contact points, normals and arc lengths from support reactions (paper, section II; mechanics.md).
 
@@ -55,6 +68,9 @@ def reconstruct(
         Names of the reactions to use, at least three of `fx`, `fy`, `fz`, `mx`, `my`, `mz` in **clamp** axes; default: all six. The rod is then
         taken as ideal, and without `friction` greater than 0 the contact as frictionless.
         Rows that the channels leave open are `NOT_UNIQUE` (mechanics.md, "Fewer channels").
+    check
+        Whether to judge rod, clamp and sensor by what over-determines the contacts of a recording with known noise and time (`check_setup`): what contradicts them is
+        in `Reconstruction.warnings`, each also a `RecordingWarning`, and rows that it moves out of their ellipsoid are `SETUP_CONTRADICTED`.
 
     Returns
     -------
@@ -84,14 +100,22 @@ def reconstruct(
         rows = (force, moment, orientation)
         kernel = partial(invert_blocks, scales)
         fields = single(kernel, *rows) if len(force) == 1 else in_blocks(kernel, *rows)
-        return _exact(rod, reactions, friction, fields)
-    units = np.repeat(scales, 3)
-    wrench = np.concatenate([force, moment], axis=1) / units
-    covariance = reactions.covariance / np.outer(units, units)
-    matrices = [np.broadcast_to(part, (*trail.shape, 6, 6)).reshape(-1, 6, 6) for part in (covariance, np.linalg.inv(covariance))]
-    chi_square = np.einsum("ni,nij,nj->n", wrench, matrices[1], wrench)
-    fields = in_blocks(invert_noisy_blocks, wrench, orientation, *matrices)
-    return _noisy(rod, reactions, friction, fields, chi_square, _threshold(false_alarm))
+        exact = _exact(rod, reactions, friction, fields)
+        return _swinging_aside(exact) if check else exact
+    known = noisy_rows(rod, reactions)
+    chi_square = np.einsum("ni,nij,nj->n", known[0], known[3], known[0])
+    noisy: Callable[..., Array] = invert_noisy_blocks
+    if reactions.setup_errors is not None:
+        noisy = partial(invert_shared_blocks, rig_of(rod, reactions), jnp.asarray(covariance_of(rod, reactions)))
+        known = (*known, velocities_of(rod, reactions).reshape(-1, 6))
+    fields = single(noisy, *known) if len(force) == 1 else in_blocks(noisy, *known)
+    found = _noisy(rod, reactions, friction, fields, chi_square, _threshold(false_alarm))
+    return checked(_swinging_aside(found)) if check else found
+
+
+def _swinging_aside(found: Reconstruction) -> Reconstruction:
+    """Ringing is a matter of time: of recordings of one trail."""
+    return without_ringing(found) if found.reactions.time is not None and found.kind.ndim == 1 and found.kind.size > 1 else found
 
 
 @lru_cache(maxsize=32)
@@ -121,7 +145,7 @@ def _noisy(
     rod: Rod,
     reactions: Reactions,
     friction: float | None,
-    fields: Float[np.ndarray, "k 32"],
+    fields: Float[np.ndarray, "k width"],
     chi_square: Float[np.ndarray, "k"],
     threshold: float,
 ) -> Reconstruction:
@@ -148,7 +172,7 @@ def _result(
     tip: np.ndarray,
     status: np.ndarray,
     single: Float[np.ndarray, "k"],
-    errors: Float[np.ndarray, "k 21"] | None = None,
+    errors: Float[np.ndarray, "k more"] | None = None,
     chi_square: Float[np.ndarray, "k"] | None = None,
 ) -> Reconstruction:
     shape, length = reactions.trail.shape, rod.length
@@ -171,7 +195,7 @@ def _result(
     kind = np.where(none, _NONE, np.where(tip, _TIP_KIND, _TANGENTIAL)).astype(np.int8)
     point = reactions.trail.position + (values[:, :3] * length).reshape(*shape, 3)
     normal = values[:, 3:6].reshape(*shape, 3)
-    covariance = normal_covariance = deviation = None
+    covariance = normal_covariance = noise = normal_noise = deviation = None
     if errors is not None:
         errors = np.where(none[:, None], np.nan, errors) if none.any() else errors
         covariance = (errors[:, :9] * length**2).reshape(*shape, 3, 3)
@@ -181,6 +205,10 @@ def _result(
         by_pose = reactions.pose_covariance(point)
         covariance = covariance if by_pose is None else covariance + by_pose
         deviation = (errors[:, 18] * length).reshape(shape)
+        noise, normal_noise = covariance, normal_covariance
+        if errors.shape[1] > _NOISE_WIDTH:
+            covariance = noise + (errors[:, _NOISE_WIDTH : _NOISE_WIDTH + 9] * length**2).reshape(*shape, 3, 3)
+            normal_covariance = normal_noise + errors[:, _NOISE_WIDTH + 9 :].reshape(*shape, 3, 3)
     return Reconstruction(
         rod,
         reactions,
@@ -192,6 +220,8 @@ def _result(
         modulus=values[:, 7].reshape(shape),
         covariance=covariance,
         normal_covariance=normal_covariance,
+        covariance_noise=noise,
+        normal_covariance_noise=normal_noise,
         arc_length_deviation=deviation,
         chi_square=None if chi_square is None else chi_square.reshape(shape),
         single_contact_residual=single.reshape(shape),

@@ -1,8 +1,9 @@
 """What a reconstruction returns."""
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,10 +12,12 @@ from vibrissa.contacts import ContactKind
 from vibrissa.mechanics.elastic_line import sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
+from vibrissa.trail import Trail
 
 if TYPE_CHECKING:
     import xarray
 
+    from vibrissa.reconstruct.checks.check import SetupCheck
     from vibrissa.reconstruct.smoothing.result import Smoothing
 
 
@@ -40,7 +43,9 @@ class Reconstruction:
     modulus
         k² (…) of the elliptic integrals; ½ where the rod is tangent to the object and there is no friction.
     covariance, normal_covariance
-        (…, 3, 3) of point and normal, carried linearly from the wrench's and the clamp point's; None where the noise is not known.
+        (…, 3, 3) of point and normal, carried linearly: from sample to sample, and of what the whole sweep shares; None where the noise is not known.
+    covariance_noise, normal_covariance_noise
+        (…, 3, 3) of what varies from sample to sample: noise of the wrench and the clamp point's.
     arc_length_deviation
         Standard deviation (…) of s₁, or None.
     chi_square
@@ -54,6 +59,13 @@ class Reconstruction:
         Coulomb's coefficient that was given, or None.
     smoothing
         What `smooth` says beside the contacts, one entry a trail; None for samples taken one by one.
+    sensitivity
+        (…, 6, 15) derivatives of point and normal by `vibrissa.tolerances.PARAMETERS` for given readings, lengths in units of the rod's, where not those of single
+        samples; else None.
+    warnings
+        What in the data contradicts rod, clamp, sensor or clock as stated, one line each, the likeliest cause first.
+    setup_check
+        What the contacts say of the setup, cause by cause; None where they were not asked.
     """
 
     rod: Rod
@@ -72,6 +84,16 @@ class Reconstruction:
     status: Int[np.ndarray, "*trail n"]
     friction: float | None = None
     smoothing: "tuple[Smoothing, ...] | None" = None
+    covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
+    normal_covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
+    sensitivity: Float[np.ndarray, "*trail n 6 15"] | None = None
+    warnings: list[str] = field(default_factory=list)
+    setup_check: "SetupCheck | None" = None
+
+    def __post_init__(self) -> None:
+        for whole, noise in (("covariance", "covariance_noise"), ("normal_covariance", "normal_covariance_noise")):
+            if getattr(self, noise) is None:
+                object.__setattr__(self, noise, getattr(self, whole))
 
     @property
     def normal_half_angle(self) -> float:
@@ -87,6 +109,32 @@ class Reconstruction:
                 "friction = None: a bound on the object's normal needs the coefficient of friction; give it to `reconstruct`, or estimate it"
             )
         return math.atan(self.friction)
+
+    @property
+    def shared_names(self) -> tuple[str, ...]:
+        """Parameters (p) to which the columns of `shared` belong: those of `vibrissa.tolerances.PARAMETERS` for which the setup states a tolerance."""
+        errors = self.reactions.setup_errors
+        return () if errors is None or self.covariance is None else errors.names
+
+    @property
+    def shared(self) -> Float[np.ndarray, "*trail n 3 p"]:
+        """Errors of points that a whole sweep shares, in units of the rod: `covariance` = `covariance_noise` + `shared` `shared`ᵀ.
+
+        Each column is what one standard deviation of its parameter does to all points together; where a calibration found parameters that go with one another, of what
+        those before leave open (`vibrissa.tolerances.SetupErrors.names`). NaN without contact; no columns where no tolerances are stated.
+        """
+        return self._shared[..., :3, :] * self.rod.length
+
+    @property
+    def shared_normal(self) -> Float[np.ndarray, "*trail n 3 p"]:
+        """The same errors of normals."""
+        return self._shared[..., 3:, :]
+
+    @cached_property
+    def _shared(self) -> Float[np.ndarray, "*trail n 6 p"]:
+        from vibrissa.reconstruct.shared import shared_of  # noqa: PLC0415
+
+        return shared_of(self)
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
@@ -120,3 +168,20 @@ class Reconstruction:
         from vibrissa.reconstruct.dataset import reconstruction_dataset  # noqa: PLC0415
 
         return reconstruction_dataset(self)
+
+
+def trail_of(found: Reconstruction, j: int) -> Reconstruction:
+    """One of several trails (m, n, …): its rows (n, …)."""
+    shape, given = found.kind.shape, found.reactions
+    rows: dict[str, Any] = {
+        field.name: value[j]
+        for field in fields(found)
+        if isinstance(value := getattr(found, field.name), np.ndarray) and value.shape[: len(shape)] == shape
+    }
+    own: dict[str, Any] = {
+        field.name: value[j]
+        for field in fields(given)
+        if isinstance(value := getattr(given, field.name), np.ndarray) and value.shape[: len(shape)] == shape
+    }
+    trail = Trail(given.trail.position[j], given.trail.orientation[j])
+    return replace(found, reactions=replace(given, trail=trail, **own), **rows)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastic_line import BEND_POINTS, FINE_POINTS, bent_part, bent_part_finely, bent_part_near, contact_tangent
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, bending_energy, largest_curvature
 from vibrissa.numerics.compiled import compiled
-from vibrissa.scan.equations import Clamp, Scene, contact_state, level, levels, levels_elsewhere, phase_difference
+from vibrissa.scan.equations import Clamp, Scene, contact_state, is_neutral, level, levels, levels_elsewhere, phase_difference
 from vibrissa.scan.friction import SIZE, UNKNOWNS, outside_cone, rubbing_state
 
 Scalar = Float[Array, ""]
@@ -112,7 +112,7 @@ def assessment_of(pushed: Pushed, clamp: Clamp, phase: Scalar, residual: Scalar)
     moment = -f * jnp.cross(r, d)
     side = (r - jnp.dot(r, d) * d) / pushed.plane.lever_arm
     tangent = contact_tangent(d, side, rod)
-    across = jnp.cross(clamp.tangent, d)
+    across = jnp.cross(clamp.tangent, jnp.where(is_neutral(d, clamp.tangent), side, d))
     plane_normal = across / jnp.sqrt(jnp.sum(across * across))
     assessment = Assessment(
         pushed.point, f, pushed.normal, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(pushed.plane, rod, f), phase,

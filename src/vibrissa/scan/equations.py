@@ -7,6 +7,9 @@ L, forces in EI/L². The line of the force fixes the lever arm, and with it the 
     (p − P0) · (t0 × n) = 0               the rod stays in the plane of t0 and n,
     (p − P0) · n + I₁ = 0                 the rod reaches the point,
     min(1 − s₁, ½ − k²) = 0               tip contact, or the rod tangent to the object: no phase logic.
+
+Where the force acts along the clamp's axis, n = −t0, any plane through the axis will do, and the second condition is empty: on a flat face across the rod all the way.
+The bending plane is then the one that the rod had when it came there, as no force turns it.
 """
 
 from collections.abc import Callable
@@ -16,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, base_plane, contact_on_rod
 from vibrissa.numerics.blocks import ONE_BY_ONE, SIZES, WIDE, in_blocks
@@ -110,16 +113,38 @@ def _at_each(scene: Scene, one: Callable[[Vector], Scalar], points: list[Vector]
     return [values[index] for index in range(len(points))]
 
 
-def contact_state(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0) -> ContactState:
-    """Evaluate the contact conditions, for a rod whose curvature changes its sign that often between clamp and contact."""
+_TINY = 1e-300
+
+
+def contact_state(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0, reached: Vector | None = None) -> ContactState:
+    """Evaluate the contact conditions, for a rod whose curvature changes its sign that often between clamp and contact.
+
+    `reached` is r of the state before, in whose bending plane a force along the clamp's axis leaves the rod; without it, the plane of x itself.
+    """
     value, gradient = jax.value_and_grad(level, argnums=1)(scene, x[:3])
     steepness = jnp.sqrt(jnp.sum(gradient * gradient))
     n = gradient / steepness
-    bent = bent_by(n, x, clamp, inflections)
+    bent = bent_by(n, x, clamp, inflections, reached)
     gap = value / lax.stop_gradient(steepness)
     phase = jnp.minimum(1 - bent.rod.arc_length, 0.5 - bent.rod.modulus)
     residual = jnp.stack([gap, bent.out_of_plane, bent.misses, phase])
     return ContactState(residual, gap, n, steepness, bent.to_contact, bent.plane, bent.rod)
+
+
+NEUTRAL = 1e-6
+"""Sine between force and clamp axis up to which they count as parallel: above the rounding of a face's coordinates in single precision, below any tilt that is meant."""
+
+
+def is_neutral(direction: Vector, tangent: Vector) -> Bool[Array, ""]:
+    """Whether a force acts along the clamp's axis, so that it fixes no bending plane."""
+    return jnp.sum(jnp.cross(tangent, direction) ** 2) < NEUTRAL**2
+
+
+def _out_of_plane(r: Vector, direction: Vector, tangent: Vector, reached: Vector | None) -> Scalar:
+    """How far the contact lies out of the plane of force and clamp axis; where those are parallel, out of the plane of what was reached before."""
+    across = jnp.cross(tangent, lax.stop_gradient(r) if reached is None else reached)
+    held = across / jnp.sqrt(jnp.maximum(jnp.sum(across * across), _TINY))
+    return jnp.dot(r, jnp.where(is_neutral(direction, tangent), held, jnp.cross(tangent, direction)))
 
 
 class Bent(NamedTuple):
@@ -133,13 +158,13 @@ class Bent(NamedTuple):
     """How far along the force the rod is from the point [L]."""
 
 
-def bent_by(direction: Vector, x: Unknowns, clamp: Clamp, inflections: int = 0) -> Bent:
+def bent_by(direction: Vector, x: Unknowns, clamp: Clamp, inflections: int = 0, reached: Vector | None = None) -> Bent:
     """The inverse map for a force x[3] of a direction at a point x[:3]; the point is on the rod where the last two are zero."""
     r = x[:3] - clamp.point
     side = direction * jnp.dot(r, clamp.tangent) - r * jnp.dot(direction, clamp.tangent)
     plane = base_plane(direction, side, clamp.tangent)
     rod = contact_on_rod(plane, x[3], inflections)
-    return Bent(r, plane, rod, jnp.dot(r, jnp.cross(clamp.tangent, direction)), jnp.dot(r, direction) + rod.advance)
+    return Bent(r, plane, rod, _out_of_plane(r, direction, clamp.tangent, reached), jnp.dot(r, direction) + rod.advance)
 
 
 def phase_difference(rod: ContactOnRod) -> Scalar:
@@ -160,17 +185,21 @@ class NewtonStep(NamedTuple):
 
 
 _LONGEST_STEP = 0.3
+# A step that is as long as this [L] from where the conditions are met already to `_MET` comes of a singular Jacobian: it would lead away.
+_MET, _ASTRAY = 1e-9, 1e-5
 
 
-def newton_step(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0) -> NewtonStep:
+def newton_step(scene: Scene, x: Unknowns, clamp: Clamp, inflections: int = 0, reached: Vector | None = None) -> NewtonStep:
     """Semi-smooth Newton step; the contact point moves by at most 0.3 L."""
 
     def conditions(x: Unknowns) -> tuple[Float[Array, "4"], tuple[Float[Array, "4"], Scalar]]:
-        state = contact_state(scene, x, clamp, inflections)
+        state = contact_state(scene, x, clamp, inflections, reached)
         return state.residual, (state.residual, phase_difference(state.rod))
 
     jacobian, (residual, phase) = jax.jacfwd(conditions, has_aux=True)(x)
     step, determinant = solve_4x4(jacobian, residual)
     distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
     shortened = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(distance, _LONGEST_STEP))
-    return NewtonStep(x - shortened * step, jnp.max(jnp.abs(residual)), determinant, phase)
+    largest = jnp.max(jnp.abs(residual))
+    there = (largest <= _MET) & ~(distance < _ASTRAY)
+    return NewtonStep(jnp.where(there, x, x - shortened * step), largest, determinant, phase)

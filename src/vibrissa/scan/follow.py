@@ -24,22 +24,25 @@ from vibrissa.scan.events import EventKind
 from vibrissa.scan.landing import (
     AFTER_CONTACT,
     CLEAR,
-    ENERGY_MARGIN,
     MOST_CHANGES,
     NO_FORCE,
     Outcome,
     clearance_at,
     failed,
     first_contact_on,
+    settled_at_the_end,
     settled_on,
 )
 from vibrissa.scan.locate import ROUNDING, polished
 from vibrissa.scan.march import Mode
 from vibrissa.scan.path import clamp_between, pose_between
+from vibrissa.scan.search import ENERGY_MARGIN
 
 _CONVERGED = 1e-12
 _NO_STEP = 1e-15
 _SOUND = 1e-9
+# Longest step (weighted) that is taken from where the conditions are met: a longer one comes of a singular Jacobian.
+_ASTRAY = 1e-5
 _ONWARD = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
 _ITERATIONS = 12
 _FIRST_STEP = 0.01
@@ -95,13 +98,14 @@ def _corrected(
     guess: Float[AnyArray, "5"],
     normal: Float[AnyArray, "5"],
     weights: Float[AnyArray, "5"],
+    reached: Float[AnyArray, "3"],
     most: int | Int[Array, ""],
 ) -> Float[Array, "27"]:
     """At most that many steps from the guess on the plane through it with the given normal, in weighted coordinates; none evaluates the guess."""
-    stretch, guess, normal, weights = (jnp.asarray(part) for part in (stretch, guess, normal, weights))
+    stretch, guess, normal, weights, reached = (jnp.asarray(part) for part in (stretch, guess, normal, weights, reached))
 
     def conditions(y: Float[Array, "5"]) -> tuple[Float[Array, "4"], tuple[Float[Array, "4"], Float[Array, ""]]]:
-        state = contact_state(scene, y[:4], clamp_between(stretch, y[4]))
+        state = contact_state(scene, y[:4], clamp_between(stretch, y[4]), reached=reached)
         return state.residual, (state.residual, phase_difference(state.rod))
 
     def unfinished(at: _Corrected) -> Array:
@@ -118,9 +122,9 @@ def _corrected(
     zero = jnp.zeros(())
     start = _Corrected(guess, jnp.zeros(5), zero, jnp.zeros((), dtype=int), zero, jnp.zeros((4, 5)))
     end = lax.while_loop(unfinished, refine, start)
-    last = jnp.where(most > 0, end.step, 0.0)
+    last = jnp.where((most > 0) & (jnp.max(jnp.abs(end.step * weights)) < _ASTRAY), end.step, 0.0)
     sound = (end.miss < _CONVERGED) | ((end.miss < _SOUND) & (jnp.max(jnp.abs(end.step * weights)) < _NO_STEP))
-    # The last step is taken too: where the conditions leave the point free it leads astray.
+    # The last step is taken too, unless the conditions leave the point free and it leads astray.
     return jnp.concatenate([end.y - last, jnp.where(sound, end.miss, jnp.inf)[None], end.phase[None], end.jacobian.ravel()])
 
 
@@ -135,10 +139,12 @@ class Tracker:
 
     def at(self, y: Point5, ahead: Point5 | None = None) -> Branch | None:
         """Branch point at y, its tangent towards `ahead` (default: forward on the stretch)."""
-        return self._branch(self._solved(y, _ONWARD, 0), ahead)
+        return self._branch(self._solved(y, _ONWARD, y, 0), ahead)
 
-    def _solved(self, guess: Point5, normal: Point5, most: int = _ITERATIONS) -> Float[np.ndarray, "27"]:
-        return np.asarray(_corrected(self._scene, self._stretch, guess, normal, self._weights, most))
+    def _solved(self, guess: Point5, normal: Point5, origin: Point5, most: int = _ITERATIONS) -> Float[np.ndarray, "27"]:
+        """As `_corrected`; where nothing else fixes the bending plane, it stays that of `origin`."""
+        reached = origin[:3] - pose_between(self._stretch, origin[4:])[0]
+        return np.asarray(_corrected(self._scene, self._stretch, guess, normal, self._weights, reached, most))
 
     def _branch(self, solved: Float[np.ndarray, "27"], ahead: Point5 | None) -> Branch | None:
         y, phase, jacobian = solved[:5], float(solved[6]), solved[7:].reshape(4, 5)
@@ -148,19 +154,19 @@ class Tracker:
         onward = tangent[4] if ahead is None else tangent @ ahead
         return Branch(y, tangent if onward > 0 else -tangent, float(np.linalg.det(jacobian[:, :4])), phase)
 
-    def _on_plane(self, guess: Point5, normal: Point5) -> Float[np.ndarray, "27"] | None:
+    def _on_plane(self, guess: Point5, normal: Point5, origin: Point5) -> Float[np.ndarray, "27"] | None:
         """Newton's method on the plane through the guess whose normal is given (weighted coordinates); None without convergence."""
-        solved = self._solved(guess, normal)
+        solved = self._solved(guess, normal, origin)
         return solved if np.isfinite(solved[:6]).all() else None
 
     def at_fraction(self, guess: Point5, fraction: float, ahead: Point5 | None = None) -> Branch | None:
         """Equilibrium at a given fraction of the stretch."""
-        solved = self._on_plane(np.append(guess[:4], fraction), _ONWARD)
+        solved = self._on_plane(np.append(guess[:4], fraction), _ONWARD, guess)
         return None if solved is None else self._branch(solved, ahead)
 
     def along(self, start: Branch, step: float) -> Branch | None:
         """Branch point one step of arc length on."""
-        solved = self._on_plane(start.y + step * start.tangent * self._inverse_weights, start.tangent)
+        solved = self._on_plane(start.y + step * start.tangent * self._inverse_weights, start.tangent, start.y)
         if solved is None or np.abs((solved[:5] - start.y) * self._weights).max() > 3 * step:
             return None
         return self._branch(solved, start.tangent)
@@ -263,11 +269,7 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
     fraction = 0.0
     here = tracker.at(np.append(x, 0.0)) if mode == Mode.CONTACT else None
     if mode == Mode.LOST or (mode == Mode.CONTACT and here is None):
-        here = _settled(scene, stretch, tracker, 1.0, np.inf, [])
-        if here is None:
-            return failed(outcome, Status.NO_EQUILIBRIUM)
-        outcome.happened.append((EventKind.STARTED_IN_CONTACT, 1.0, here.y[:3]))
-        return _arrived(outcome, here)
+        return _anew(scene, stretch, tracker, outcome, EventKind.STARTED_IN_CONTACT)
     for _ in range(MOST_CHANGES):
         if here is None:
             outcome.mode = Mode.FREE
@@ -283,13 +285,25 @@ def follow(scene: Scene, stretch: Float[np.ndarray, "14"], mode: Mode, x: Float[
         if end.reason == "arrived":
             return _arrived(outcome, end.at)
         if end.reason == "stuck":
-            return failed(outcome, Status.NOT_CONVERGED)
+            break
         try:
             here, fraction = _behind(scene, stretch, tracker, end, since, outcome)
         except _LostOnTheWayError:
-            here = _settled(scene, stretch, tracker, 1.0, np.inf, [])
-            return failed(outcome, Status.NO_EQUILIBRIUM) if here is None else _arrived(outcome, here)
-    return failed(outcome, Status.NOT_CONVERGED)
+            return _anew(scene, stretch, tracker, outcome)
+    return _anew(scene, stretch, tracker, outcome, EventKind.STARTED_IN_CONTACT)
+
+
+def _anew(
+    scene: Scene, stretch: Float[np.ndarray, "14"], tracker: Tracker, outcome: Outcome, happening: EventKind | None = None
+) -> Outcome:
+    """Take up the lane at the end of the stretch, whatever went before."""
+    found = settled_at_the_end(scene, stretch, outcome)
+    here = None if found is None else tracker.at(np.append(found.x, 1.0))
+    if here is None:
+        return outcome if found is None else failed(outcome, Status.NO_EQUILIBRIUM)
+    if happening is not None:
+        outcome.happened.append((happening, 1.0, here.y[:3]))
+    return _arrived(outcome, here)
 
 
 def _behind(

@@ -24,8 +24,6 @@ AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
 """Fractions of a stretch behind a first contact at which its equilibrium is looked for."""
 MOST_CHANGES = 12
 """Losses and renewals of contact on one stretch."""
-ENERGY_MARGIN = 1e-9
-"""[EI/L] by which a snap loses energy at least."""
 
 
 @dataclass
@@ -79,6 +77,15 @@ def settled_on(
     point, tangent = pose_between(stretch, np.array([fraction]))
     found = stable_equilibria(scene, point, tangent, near)
     return found[0] if found and found[0].energy < energy else None
+
+
+def settled_at_the_end(scene: Scene, stretch: Float[np.ndarray, "14"], outcome: Outcome) -> Equilibrium | None:
+    """The same at the end of a stretch, of whose past nothing is known; where there is none, or to what side the rod bends depends on that past, the lane is lost."""
+    found = settled_on(scene, stretch, 1.0, np.inf, [])
+    if found is None or found.neutral:
+        failed(outcome, Status.NO_EQUILIBRIUM if found is None else Status.HEAD_ON)
+        return None
+    return found
 
 
 def failed(outcome: Outcome, status: Status) -> Outcome:

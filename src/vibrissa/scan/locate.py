@@ -117,7 +117,7 @@ def roots(
     share = (before / (before - after))[:, None]
     found = ends[:, :5] + share * (ends[:, 6:11] - ends[:, :5])
     changes = indicator == Indicator.PHASE
-    done = np.zeros(len(found), dtype=bool)
+    between, done = found.copy(), np.zeros(len(found), dtype=bool)
 
     def polish(rows: Int[np.ndarray, "rows"]) -> None:
         if rows.size:
@@ -131,4 +131,5 @@ def roots(
     if left.size:
         found[left] = scene.in_blocks(locate, stretches[left], ends[left], indicator[left], width=WIDTH)
         polish(left[changes[left]])
-    return found
+    # Where the states on the way have no solution, as of a rod that comes to lie along a face, what lies between the ends in proportion.
+    return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, between)

@@ -87,8 +87,8 @@ class Solved(NamedTuple):
 class Solver(NamedTuple):
     """Newton's method for one position of all lanes."""
 
-    solve: Callable[[Scene, Array, Clamp, Array, Array], Solved]
-    """Of scene, guess (size, width), clamps, the lanes that matter, and the states before (size, width)."""
+    solve: Callable[[Scene, Array, Clamp, Array, Array, Array], Solved]
+    """Of scene, guess (size, width), clamps, the lanes that matter, and of before the states (size, width) and clamp points (3, width)."""
     branch: bool
     """Whether the figure keeps its sign."""
 
@@ -144,7 +144,8 @@ def _advance(solver: Solver, scene: Scene, legs: Legs, index: Array, carry: _Car
     active = touching | entering
     met = legs.meeting[index]
     guess = _extrapolated(carry)
-    x, residual, figure, phase = solver.solve(scene, jnp.where(entering, met, guess), clamp, active, jnp.where(entering, met, carry.x))
+    start, before = jnp.where(entering, met, guess), jnp.where(entering, met, carry.x)
+    x, residual, figure, phase = solver.solve(scene, start, clamp, active, before, legs.point[jnp.maximum(index - 1, 0)])
 
     solved = residual <= TOLERANCE
     moved, missed = _distance(x, carry.x), _distance(x, guess)
@@ -221,9 +222,12 @@ def iterated(step: Callable[[Array], Solved], guess: Array, active: Array, most:
     return solved[0]
 
 
-def _frictionless(scene: Scene, guess: Array, clamp: Clamp, active: Array, _before: Array) -> Solved:
-    newton = jax.vmap(newton_step, in_axes=(None, 1, 1), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
-    return iterated(lambda x: Solved(*newton(scene, x, clamp)), guess, active, _MOST_ITERATIONS)
+def _frictionless(scene: Scene, guess: Array, clamp: Clamp, active: Array, before: Array, clamp_before: Array) -> Solved:
+    def step(x: Array, clamp: Clamp, reached: Array) -> NewtonStep:
+        return newton_step(scene, x, clamp, reached=reached)
+
+    newton, reached = jax.vmap(step, in_axes=1, out_axes=NewtonStep(1, 0, 0, 0)), before[:3] - clamp_before  # type: ignore[arg-type]
+    return iterated(lambda x: Solved(*newton(x, clamp, reached)), guess, active, _MOST_ITERATIONS)
 
 
 march = marching(Solver(_frictionless, branch=True))

@@ -19,19 +19,20 @@ from vibrissa.scan.friction import UNKNOWNS, Rub, rub, rubbing_state
 from vibrissa.scan.landing import (
     AFTER_CONTACT,
     CLEAR,
-    ENERGY_MARGIN,
     MOST_CHANGES,
     NO_FORCE,
     Outcome,
     clearance_at,
     failed,
     first_contact_on,
+    settled_at_the_end,
     settled_on,
 )
 from vibrissa.scan.locate import WIDTH as EVENT_LANES
 from vibrissa.scan.locate import Indicator
 from vibrissa.scan.march import JUMP, JUMP_FLOOR, TOLERANCE, Mode, Solved, Solver, iterated, marching
 from vibrissa.scan.path import clamp_between
+from vibrissa.scan.search import ENERGY_MARGIN, Equilibrium
 
 Scalar = Float[Array, ""]
 Stretch = Float[np.ndarray, "14"]
@@ -43,7 +44,7 @@ _SHORTEST_STEP = 2.0**-20
 _ITERATIONS = 4
 
 
-def _with_friction(scene: Scene, guess: Array, clamp: Clamp, active: Array, before: Array) -> Solved:
+def _with_friction(scene: Scene, guess: Array, clamp: Clamp, active: Array, before: Array, _clamp_before: Array) -> Solved:
     """Position and force are extrapolated; the tangential force starts from where it was, for sliding may stop or turn."""
     rubbed = jax.vmap(rub, in_axes=(None, 1, 1, 1), out_axes=Rub(1, 0, 0, 0))  # type: ignore[arg-type]
     start = jnp.concatenate([guess[:4], before[4:]])
@@ -68,7 +69,7 @@ def _rubbed(
     clamp = clamp_between(jnp.asarray(stretch), jnp.asarray(fraction))
     lanes = Clamp(clamp.point[:, None], clamp.tangent[:, None])
     start = jnp.asarray(before)[:, None]
-    solved = _with_friction(scene, start, lanes, jnp.ones(1, dtype=bool), start)
+    solved = _with_friction(scene, start, lanes, jnp.ones(1, dtype=bool), start, lanes.point)
     return jnp.concatenate([solved.x[:, 0], solved.residual, solved.figure, solved.phase])
 
 
@@ -125,8 +126,8 @@ def follow_rubbing(scene: Scene, stretch: Stretch, mode: Mode, x: State) -> Outc
 
 
 def _at_rest_at_the_end(scene: Scene, stretch: Stretch, outcome: Outcome) -> Outcome:
-    rest = _at_rest(scene, stretch, 1.0, np.inf, [])
-    return failed(outcome, Status.NO_EQUILIBRIUM) if rest is None else _arrived(outcome, rest)
+    found = settled_at_the_end(scene, stretch, outcome)
+    return outcome if found is None else _arrived(outcome, _resting(scene, stretch, 1.0, found))
 
 
 def _slides(scene: Scene, x: State) -> float:
@@ -137,8 +138,10 @@ def _slides(scene: Scene, x: State) -> float:
 def _at_rest(scene: Scene, stretch: Stretch, fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]) -> _Step | None:
     """Behind a snap, or where nothing is known of the past: the equilibrium without tangential force."""
     found = settled_on(scene, stretch, fraction, energy, near)
-    if found is None:
-        return None
+    return None if found is None else _resting(scene, stretch, fraction, found)
+
+
+def _resting(scene: Scene, stretch: Stretch, fraction: float, found: Equilibrium) -> _Step:
     y = np.append(found.x, np.zeros(3))
     figures = np.asarray(_figures(scene, stretch, fraction, y))
     return _Step(np.concatenate([y, figures[1:5]]), -float(scene.friction), float(figures[5]))

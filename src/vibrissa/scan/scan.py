@@ -10,7 +10,7 @@ from vibrissa.rod import Rod
 from vibrissa.scan.assess import DEPTH_TOLERANCE, assessed
 from vibrissa.scan.assess import WIDTH as ASSESSED
 from vibrissa.scan.crease import caught
-from vibrissa.scan.equations import Scene
+from vibrissa.scan.equations import NEUTRAL, Scene
 from vibrissa.scan.events import Event, Happening
 from vibrissa.scan.laws import FRICTIONLESS, RUBBING
 from vibrissa.scan.march import Mode
@@ -100,7 +100,9 @@ def _result(rod: Rod, surface: Surface, trail: Trail, scene: Scene, path: Path, 
     unsolved = (mode == Mode.LOST) & ~stuck
     phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
     kind = np.where(contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE).astype(np.int8)
-    status = _status(rod, status, contact, figure > 0 if friction == 0 else np.zeros_like(contact), fields)
+    neutral = np.linalg.norm(np.cross(tangent, fields[..., 22:25]), axis=-1) < NEUTRAL
+    turns = [(figure > 0, Status.LATERALLY_UNSTABLE), (neutral, Status.HEAD_ON)] if friction == 0 else []
+    status = _status(rod, status, contact, turns, fields)
 
     length, force_scale, moment_scale = rod.length, rod.force_scale, rod.moment_scale
     absent = np.where(unsolved, np.nan, 0.0)
@@ -170,10 +172,14 @@ def _motion(kind: Int[np.ndarray, "m n"], figure: Float[np.ndarray, "m n"], fric
 
 
 def _status(
-    rod: Rod, status: np.ndarray, contact: np.ndarray, unstable: Bool[np.ndarray, "m n"], fields: Float[np.ndarray, "m n 25"]
+    rod: Rod,
+    status: np.ndarray,
+    contact: np.ndarray,
+    turns: list[tuple[Bool[np.ndarray, "m n"], Status]],
+    fields: Float[np.ndarray, "m n 25"],
 ) -> np.ndarray:
-    """The worst finding of each row."""
-    findings = [(unstable, Status.LATERALLY_UNSTABLE), (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
+    """The worst finding of each row, given those about the bending plane."""
+    findings = [*turns, (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
     if rod.yield_strain is not None and rod.radius is not None:
         findings.append((fields[..., 12] * rod.radius / rod.length > rod.yield_strain, Status.OVERSTRAINED))
     sound = (fields[..., 14] <= _RESIDUAL_TOLERANCE) & (fields[..., 3] >= 0) & (fields[..., 7] <= 1 + _RESIDUAL_TOLERANCE)

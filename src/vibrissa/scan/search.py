@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from vibrissa.numerics.blocks import WIDE, AnyArray, from_blocks, runs, to_blocks
 from vibrissa.numerics.compiled import compiled
 from vibrissa.scan.assess import DEPTH_TOLERANCE, ENERGY, assessed
-from vibrissa.scan.equations import Clamp, NewtonStep, Scene, level, newton_step
+from vibrissa.scan.equations import NEUTRAL, Clamp, NewtonStep, Scene, level, newton_step
 from vibrissa.surfaces import Offset
 
 _DIRECTIONS = 96
@@ -40,6 +40,8 @@ _CAUGHT = 0.15
 # Shares of a finite radius behind the place where the rod enters: the way out from there ends on all sides of a rounded edge.
 _ROUND_AN_EDGE = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)
 _FINER = 33
+ENERGY_MARGIN = 1e-9
+"""[EI/L] by which a snap loses energy at least, and energies of different equilibria differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +52,16 @@ class Equilibrium:
     energy: float
     determinant: float
     phase: float
+    neutral: bool
+    """Whether the rod might as well bend to any other side."""
 
 
 def stable_equilibria(
     scene: Scene, point: Float[np.ndarray, "3"], tangent: Float[np.ndarray, "3"], near: list[Float[np.ndarray, "3"]]
 ) -> list[Equilibrium]:
     """Admissible stable equilibria found at a clamp pose, lowest energy first; where there are none, the one that enters the object least.
+
+    Of equal energies, as of a rod that may bend to any side, the one nearest to the first of the points `near` comes first.
 
     Newton's method starts, with four magnitudes of the force, from the points where rays from the clamp meet the object within the rod's length; from where the
     straight rod lies in it, and a little beside that; and from points `near` which a contact is expected.
@@ -76,10 +82,12 @@ def stable_equilibria(
         # A rod that is caught touches twice: the equilibrium of one contact that comes nearest to that, which its assessment says.
         caught = (residual < DEPTH_TOLERANCE) & (depth < _CAUGHT) & (arc_length < 1 + DEPTH_TOLERANCE)
         good = caught & (depth == depth[caught].min(initial=np.inf))
-    return [
-        Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row]))
-        for row in np.flatnonzero(good)[np.argsort(energy[good])]
-    ]
+    rows = np.flatnonzero(good)
+    away = np.linalg.norm(x[rows, :3] - np.reshape(near, (-1, 3))[:1], axis=1) if near else np.zeros(len(rows))
+    least = energy[rows].min(initial=np.inf)
+    order = np.lexsort((away, np.where(energy[rows] < least + ENERGY_MARGIN, least, energy[rows])))
+    neutral = np.linalg.norm(np.cross(tangent, fields[:, 22:25]), axis=1) < NEUTRAL
+    return [Equilibrium(x[row], float(energy[row]), float(determinant[row]), float(phase[row]), bool(neutral[row])) for row in rows[order]]
 
 
 def seeds_around(

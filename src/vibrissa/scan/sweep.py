@@ -46,6 +46,7 @@ def sweep(scene: Scene, path: Path, law: ContactLaw) -> Sweep:
         walk.march()
     result = walk.result
     result.happenings += _smooth_happenings(scene, path, law, result, meetings, walk.by_hand)
+    result.happenings = [happening for happening in result.happenings if np.isfinite([happening.fraction, *happening.point]).all()]
     result.happenings.sort(key=_order)
     result.happenings = _once(result.happenings)
     return result
@@ -196,8 +197,15 @@ class _Walk:
         elif mode in (Mode.LOST, Mode.WAITING) and self._clear[lane, index]:
             outcome = Outcome(Mode.FREE, np.zeros(self._law.size))
         else:
-            outcome = self._law.follow(self._scene, stretch(self._path, lane, index), mode, x)
+            outcome = self._followed(lane, index, mode, x)
         self._settle(lane, index, outcome, patience)
+
+    def _followed(self, lane: int, index: int, mode: Mode, x: Float[np.ndarray, "size"]) -> Outcome:
+        try:
+            return self._law.follow(self._scene, stretch(self._path, lane, index), mode, x)
+        except (ArithmeticError, ValueError):
+            # Numbers that a library refuses, such as an eigenvalue that does not converge, are one lane's failure: the others keep their results.
+            return Outcome(Mode.LOST, self._unknown(), status=Status.NOT_CONVERGED)
 
     def _settle(self, lane: int, index: int, outcome: Outcome, patience: int) -> None:
         result = self.result

@@ -12,6 +12,7 @@ class FaultKind(StrEnum):
     `UNITS`: numbers that cannot be in metres, newtons, newton metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated. `DRIFT`: the
     offset moves by more than stated. `POSE_JUMP`: the robot's pose jumps. `REST`: no rest for the tare. `TARE`: forces and moments that belong to no single contact.
     `HELD`: rows that repeat the reading above them in all channels. `MOUNT`: a sign, clamp or reference point of the setup that the readings contradict.
+    `HUM`: a line in the spectrum at rest. `POSE_NOISE`: poses scatter by more than stated.
     """
 
     SATURATION = "saturation"
@@ -28,6 +29,8 @@ class FaultKind(StrEnum):
     TARE = "no single contact"
     HELD = "held readings"
     MOUNT = "mount"
+    HUM = "hum"
+    POSE_NOISE = "pose noise"
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ class Fault:
         One sentence with the figures.
     unusable
         Whether the recording cannot be used at all.
+    quiet
+        Whether it is told by an inspection alone, and no warning.
     """
 
     kind: FaultKind
@@ -57,3 +62,4 @@ class Fault:
     count: int
     text: str
     unusable: bool = False
+    quiet: bool = False

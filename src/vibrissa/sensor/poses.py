@@ -15,10 +15,11 @@ _LEAST = 1e-3
 _NEIGHBOURS = 5
 
 
-def pose_jumps(raw: RawRecording, rod: Rod) -> list[Fault]:
-    """Steps of the pose that stand out from those around them.
+def pose_jumps(raw: RawRecording, rod: Rod, filled: Bool[np.ndarray, "n"]) -> list[Fault]:
+    """Steps of the pose that stand out from those around them, one finding for all of the position and one for all of the orientation.
 
     By twelve of the steps' standard deviations, by three times the step that 95 % of them stay below, and by a thousandth of the rod's length, or a milliradian.
+    Next to poses that are filled in nothing is judged.
     """
     if len(raw.time) < 2 * _NEIGHBOURS:
         return []
@@ -30,10 +31,12 @@ def pose_jumps(raw: RawRecording, rod: Rod) -> list[Fault]:
         ("position", np.diff(raw.position, axis=0), _LEAST * rod.length, "m"),
         ("orientation", turns, _LEAST, "rad"),
     ):
-        for row in np.flatnonzero(_standing_out(share[:, None] * steps, least)):
-            size = float(np.linalg.norm(steps[row]))
-            text = f"the {name} jumps by {size:.3g} {unit} within {raw.time[row + 1] - raw.time[row]:.3g} s"
-            found.append(Fault(FaultKind.POSE_JUMP, (name,), float(raw.time[row]), float(raw.time[row + 1]), 1, text))
+        rows = np.flatnonzero(_standing_out(share[:, None] * steps, least) & ~filled[1:] & ~filled[:-1])
+        if len(rows):
+            sizes = np.linalg.norm(steps[rows], axis=1)
+            text = f"the {name} jumps by {sizes[0]:.3g} {unit} within {raw.time[rows[0] + 1] - raw.time[rows[0]]:.3g} s"
+            text += f", and {len(rows) - 1} more times, by up to {sizes.max():.3g} {unit}" if len(rows) > 1 else ""
+            found.append(Fault(FaultKind.POSE_JUMP, (name,), float(raw.time[rows[0]]), float(raw.time[rows[-1] + 1]), len(rows), text))
     return found
 
 

@@ -1,6 +1,7 @@
 """What a sensor and a robot log, before anything is made of it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -36,7 +37,7 @@ class RawRecording:
         """Force and torque side by side (n, 6), in the order of `CHANNELS`."""
         return np.concatenate([self.force, self.torque], axis=1)
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Samples a second [Hz], by the median step of the time; NaN with fewer than two rows."""
         steps = np.diff(self.time)

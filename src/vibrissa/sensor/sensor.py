@@ -18,6 +18,7 @@ from vibrissa.sensor.noise import Pink, RandomWalk
 from vibrissa.sensor.raw import RawRecording
 from vibrissa.sensor.rest import rest_for_tare
 from vibrissa.sensor.tare import Tare, fitted_tare, no_tare
+from vibrissa.tolerances import SetupErrors, Tolerances
 from vibrissa.trail import Trail
 
 WrenchSign = Literal["on_sensor", "on_rod"]
@@ -265,7 +266,14 @@ class Sensor:
         intervals, found = rest_for_tare(self, raw)
         return fitted_tare(self, raw, intervals, found)
 
-    def reactions(self, raw: RawRecording, tare: Tare | None = None) -> Reactions:
+    def reactions(
+        self,
+        raw: RawRecording,
+        tare: Tare | None = None,
+        *,
+        tolerances: Tolerances | SetupErrors | ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+    ) -> Reactions:
         """Support reactions on the rod about the clamp, in world axes, tare removed, with their covariance where the noise is known.
 
         Drift, cross-talk, the mount's weight, frame, sign and reference point are undone; a low-pass filter's lag is not. The covariance holds a sample's own noise
@@ -277,6 +285,11 @@ class Sensor:
             As logged. A row of the wrench that holds NaN gives a row of NaN.
         tare
             What to take off; by default `tare(raw)`.
+        tolerances
+            How well the setup's numbers are known, as `vibrissa.Tolerances` or the covariance (15, 15) of `vibrissa.tolerances.PARAMETERS`: contacts state them then
+            beside the noise. `Setup.parameter_covariance` gives those of a setup, and `setup_errors` both seen from this mount.
+        velocity
+            Of the clamp (n, 6), as for `Reactions`.
 
         Raises
         ------
@@ -300,7 +313,15 @@ class Sensor:
             position_covariance=np.eye(3) * self.position_noise**2 if known else None,
             rotation_covariance=np.eye(3) * self.orientation_noise**2 if known and self.orientation_noise else None,
             rotation_center=raw.position if known and self.orientation_noise else None,
+            setup_errors=tolerances if tolerances is None or isinstance(tolerances, SetupErrors) else self.setup_errors(tolerances),
+            velocity=velocity,
         )
+
+    def setup_errors(self, tolerances: Tolerances | ArrayLike) -> SetupErrors:
+        """Errors of the setup's numbers for `Reactions`, seen from this sensor's mount."""
+        covariance = tolerances.covariance if isinstance(tolerances, Tolerances) else np.asarray(tolerances, dtype=float)
+        arm = self.clamp_position - np.asarray(self.wrench_point)
+        return SetupErrors(covariance, self.clamp_orientation, arm, self.wrench_frame == "world")
 
     def measure(
         self,

@@ -47,7 +47,7 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> list[Fault]:
         faults.append(Fault(FaultKind.UNITS, ("orientation",), float(time[0]), float(time[-1]), count, text, unusable=True))
     elif len(orientation) and np.all(orientation[:, 0] == 1):
         text = "qx = 1 throughout: half a turn about x, or quaternions written w first; allowed are x, y, z, w"
-        faults.append(Fault(FaultKind.UNITS, ("orientation",), *span, text))
+        faults.append(Fault(FaultKind.UNITS, ("orientation",), *span, text, quiet=True))
     return faults
 
 
@@ -63,7 +63,7 @@ def wrench_unit_faults(raw: RawRecording, reactions: Reactions, rod: Rod, sensor
     count = int(np.count_nonzero(loaded))
     if count < _FEWEST_LOADED:
         return []
-    arm, typical = _arm_and_force(reactions, loaded)
+    arm, typical = arm_and_force(reactions, loaded)
     arm, typical = arm / rod.length, typical / rod.force_scale
     if _SHORTEST_ARM < arm < _LONGEST_ARM and 1 / _LARGEST_FORCE < typical < _LARGEST_FORCE:
         return []
@@ -86,10 +86,23 @@ def wrench_unit_faults(raw: RawRecording, reactions: Reactions, rod: Rod, sensor
     ]
 
 
-def _arm_and_force(reactions: Reactions, loaded: Bool[np.ndarray, "n"]) -> tuple[float, float]:
+def arm_and_force(reactions: Reactions, loaded: Bool[np.ndarray, "n"]) -> tuple[float, float]:
     """Medians [m], [N] over the loaded samples."""
     force, moment = (np.linalg.norm(part[loaded], axis=1) for part in (reactions.force, reactions.moment))
     return float(np.median(moment / force)), float(np.median(force))
+
+
+def plausible_load(raw: RawRecording, sensor: "Sensor", tare: Tare | None, rod: Rod) -> bool:
+    """Whether a contact on the rod explains the loads of a recording that is read in some way: lever arm and force are of its length and stiffness."""
+    if tare is None:
+        return False
+    again = fitted_tare(sensor, raw, tare.intervals, tare.found) if tare.intervals else tare
+    reactions = sensor.reactions(raw, again)
+    loaded = loaded_rows(reactions)
+    if np.count_nonzero(loaded) < _FEWEST_LOADED:
+        return False
+    arm, typical = arm_and_force(reactions, loaded)
+    return _LIKELY_ARM[0] < arm / rod.length < _LIKELY_ARM[1] and _LIKELY_FORCE[0] < typical / rod.force_scale < _LIKELY_FORCE[1]
 
 
 _FORCES, _TORQUES = CHANNELS[:3], CHANNELS[3:]
@@ -100,6 +113,9 @@ _WRENCHES: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
     (_TORQUES, "torques in N cm", 1.0, 1e-2),
     (_FORCES, "forces in kgf", 9.80665, 1.0),
     (_FORCES, "forces in gf", 9.80665e-3, 1.0),
+    (_FORCES, "forces in lbf", 4.4482216152605, 1.0),
+    (CHANNELS, "forces in lbf and torques in lbf in", 4.4482216152605, 0.1129848290276167),
+    (CHANNELS, "forces in kgf and torques in kgf cm", 9.80665, 9.80665e-2),
     (_FORCES, "forces in kN", 1e3, 1.0),
     (_TORQUES, "torques in kN m", 1.0, 1e3),
     (CHANNELS, "forces in kN and torques in kN m", 1e3, 1e3),
@@ -147,7 +163,7 @@ def _plausible(raw: RawRecording, sensor: "Sensor", tare: Tare, length: float, f
     loaded = loaded_rows(reactions)
     if np.count_nonzero(loaded) < _FEWEST_LOADED:
         return False
-    arm, typical = _arm_and_force(reactions, loaded)
+    arm, typical = arm_and_force(reactions, loaded)
     if not (_LIKELY_ARM[0] < arm / length < _LIKELY_ARM[1] and _LIKELY_FORCE[0] < typical / force_scale < _LIKELY_FORCE[1]):
         return False
     if sensor.force_noise is None or not tare.intervals:

@@ -193,6 +193,8 @@ def _orientation(columns: Columns, table: RecordingTable) -> Float[np.ndarray, "
     names, form = _names(columns, table, "orientation"), table.orientation_form
     if form in {"xyzw", "wxyz"}:
         _check_order(columns, names, form)
+        if "orientation_form" not in table.model_fields_set:
+            _check_numbered(columns, names)
         numbers = _together(columns, names, "orientation", 4)
         return numbers if form == "xyzw" else np.roll(numbers, -1, axis=1)
     numbers = _together(columns, names, "orientation", 3)
@@ -217,6 +219,17 @@ def _check_order(columns: Columns, names: Sequence[str], form: str) -> None:
             f"{columns.file}: orientation = {list(names)} with orientation_form = {form!r}; allowed are names in the order of the form, or the form {order!r}"
             if order in {"xyzw", "wxyz"}
             else f"{columns.file}: orientation = {list(names)}; allowed are names in the order of orientation_form = {form!r}"
+        )
+
+
+def _check_numbered(columns: Columns, names: Sequence[str]) -> None:
+    """Names such as q0 to q3 leave open whether the scalar part comes first, and both are in use."""
+    ends = [fullmatch(r"(.*?)[\[(_]?(\d)[\])]?", name.strip()) for name in names]
+    places = [int(end[2]) for end in ends if end]
+    if len(places) == 4 and places in ([0, 1, 2, 3], [1, 2, 3, 4]) and len({end[1] for end in ends if end}) == 1:
+        raise InputError(
+            f"{columns.file}: orientation = {list(names)} does not say whether the scalar part w comes first or last; allowed are such names with "
+            "orientation_form = 'wxyz' or 'xyzw' in [recording]"
         )
 
 

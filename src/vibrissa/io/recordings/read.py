@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from vibrissa.contacts import RecordingNote, RecordingWarning
 from vibrissa.files import read_table
 from vibrissa.io.errors import InputError
 from vibrissa.io.recordings import arrays, bags, hdf5, judge, matlab, parquet, text
 from vibrissa.io.recordings.align import Recording, aligned
 from vibrissa.io.recordings.arrays import Columns
 from vibrissa.io.recordings.kinds import Kind, kind_of
+from vibrissa.io.recordings.misread import misread_faults
 from vibrissa.io.recordings.streams import Stream, Streams
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
@@ -21,15 +23,12 @@ from vibrissa.reactions import Reactions
 from vibrissa.sensor import FaultKind, Inspection, RawRecording, inspect_raw
 
 
-class RecordingWarning(UserWarning):
-    """Something of a recording was left out, recovered or estimated."""
-
-
 def read_recording(path: str | Path, setup: Setup) -> Reactions:
     """Read a recording and return support reactions on the rod about the clamp, world axes, tare removed, with covariance where the noise is known.
 
-    What was left out, recovered or estimated is a `RecordingWarning`. Rows that are not usable (numbers missing, a stuck or saturated channel, a stamp that is there
-    already, a gap of the poses) hold NaN; `inspect_recording` says what they are.
+    What in the recording contradicts the setup or spoils contacts (`Inspection.warnings`) is a `RecordingWarning`; what was left out, recovered or estimated is a
+    `RecordingNote`, which is one, too. Noise at rest above the stated one is in the covariance, and a drift from rest to rest is taken off. Rows that are not usable
+    (numbers missing, a stuck or saturated channel, a stamp that is there already, a gap of the poses) hold NaN; `inspect_recording` says what they are.
 
     Parameters
     ----------
@@ -47,7 +46,9 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
         window does not fit or no rest is found, clocks do not overlap, or the numbers cannot be in metres, newtons and newton metres.
     """
     inspection = _judged(Path(path), setup)
-    return setup.sensor.reactions(inspection.cleaned, inspection.tare)
+    reactions = inspection.sensor.reactions(inspection.cleaned, inspection.tare, tolerances=setup.parameter_covariance)
+    misread = tuple(fault.text for fault in inspection.faults if fault.kind in {FaultKind.UNITS, FaultKind.MOUNT})
+    return replace(reactions, misread=misread) if misread else reactions
 
 
 def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:
@@ -67,7 +68,7 @@ def _judged(file: Path, setup: Setup) -> Inspection:
     judge.check(file, streams)
     recording = aligned(file, streams, table, setup.rod.length)
     for note in recording.notes:
-        warnings.warn(f"{file}: {note}", RecordingWarning, stacklevel=3)
+        warnings.warn(f"{file}: {note}", RecordingNote, stacklevel=3)
     inspection = _inspected(file, recording, setup)
     if inspection.unusable:
         # What cannot be used may follow from a unit that alone would not forbid it: stamps in milliseconds leave no rest.
@@ -76,6 +77,8 @@ def _judged(file: Path, setup: Setup) -> Inspection:
             [fault.text for fault in inspection.faults if fault.kind is FaultKind.UNITS and not fault.unusable],
         )
         raise InputError(f"{file}: " + "; besides: ".join([first.text, *units]))
+    for line in inspection.warnings:
+        warnings.warn(f"{file}: {line}", RecordingWarning, stacklevel=3)
     return inspection
 
 
@@ -92,10 +95,17 @@ def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
 
 def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
     try:
-        found = inspect_raw(recording.marked, setup.sensor, setup.rod)
+        own = None if recording.poses is None else (recording.poses.time, recording.poses.values)
+        found = inspect_raw(recording.marked, setup.sensor, setup.rod, poses=own)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
-    faults = found.faults if recording.poses is None else (*found.faults, *judge.pose_faults(recording.poses))
+
+    def in_degrees() -> RawRecording:
+        table = (setup.recording or RecordingTable()).model_copy(update={"angle_unit": "deg"})
+        return read_raw(file, replace(setup, recording=table)).raw
+
+    faults = [*found.faults, *misread_faults(found, setup.rod, setup.sensor, setup.recording, in_degrees)]
+    faults += [] if recording.poses is None else judge.pose_faults(recording.poses)
     return replace(found, faults=tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop))), notes=recording.notes)
 
 

@@ -11,17 +11,16 @@ the file is whole after each of them, and holds all chunks whose heads were writ
 nothing waits for the disk.
 """
 
-import os
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 from jaxtyping import Int
 
+from vibrissa.io.rosbag.disk import Disk
 from vibrissa.io.rosbag.library import library
 
 PAGE = 4096
@@ -70,44 +69,6 @@ class Messages:
     log_time: Int[np.ndarray, "n"]
     offset: Int[np.ndarray, "n"]
     data: bytes
-
-
-@runtime_checkable
-class Disk(Protocol):
-    """What is written at places."""
-
-    def write(self, data: bytes, place: int) -> None:
-        """Write all of it."""
-
-    def truncate(self, size: int) -> None:
-        """Cut off what lies beyond."""
-
-    def close(self) -> None:
-        """Let go; may be called twice."""
-
-
-class FileDisk:
-    """A file that is written at places, at once: nothing is kept in this process."""
-
-    def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
-
-    def write(self, data: bytes, place: int) -> None:
-        """Write all of it."""
-        left = memoryview(data)
-        while left:
-            done = os.pwrite(self._descriptor, left, place)
-            left, place = left[done:], place + done
-
-    def truncate(self, size: int) -> None:
-        """Cut off what lies beyond."""
-        os.ftruncate(self._descriptor, size)
-
-    def close(self) -> None:
-        """Close it; may be called twice."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
 
 
 class GrowingFile:

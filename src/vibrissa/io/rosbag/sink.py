@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrissa.io.rosbag.growing import FileDisk, GrowingFile, Messages
+from vibrissa.io.rosbag.disk import whole_file
+from vibrissa.io.rosbag.growing import GrowingFile, Messages
 from vibrissa.io.rosbag.library import library
 from vibrissa.io.rosbag.messages import QOS, MessageWriter
 from vibrissa.reconstruct import Reconstruction
@@ -41,10 +42,8 @@ class McapSink:
 
     def __init__(self, path: Path, *, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
         self._writer = MessageWriter(wrench_frame, world_frame)
-        part = path.with_name(f".{path.name}.part")
-        self._disk = FileDisk(part)
-        self.file = GrowingFile(self._disk, self._writer.channels(), QOS)
-        part.replace(path)
+        with whole_file(path) as self._disk:
+            self.file = GrowingFile(self._disk, self._writer.channels(), QOS)
         self._held: list[Messages] = []
         self._bytes = 0
         self._log_time = 0
@@ -145,9 +144,9 @@ class Rosbag2Sink:
         }
         text = StringIO()
         self._yaml.dump({"rosbag2_bagfile_information": content}, text)
-        part = self._metadata.with_name(f".{METADATA}.part")
-        part.write_text(text.getvalue(), encoding="utf-8")
-        part.replace(self._metadata)
+        with whole_file(self._metadata) as disk:
+            disk.write(text.getvalue().encode(), 0)
+        disk.close()
         self._when = time.monotonic()
 
     def wrench(

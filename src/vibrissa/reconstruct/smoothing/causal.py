@@ -7,6 +7,7 @@ mix by their probabilities (interacting multiple models: Blom & Bar-Shalom, *IEE
 import math
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -16,15 +17,16 @@ from scipy.stats import chi2
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
 from vibrissa.reactions import Reactions
-from vibrissa.reconstruct.smoothing.hypotheses import Hypotheses, Settings, advanced, advanced_through
+from vibrissa.reconstruct.parameters import COUNT, prepared
+from vibrissa.reconstruct.smoothing.hypotheses import SAMPLE, Hypotheses, Settings, advanced, advanced_through
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, WRENCH
 from vibrissa.reconstruct.smoothing.manifold import COORDINATES
 from vibrissa.reconstruct.smoothing.series import AT_REST, TILT_SPREAD
 from vibrissa.rod import Rod
+from vibrissa.tolerances import SetupErrors
 
 _MEAN_SAMPLES = 5
 _TARE_VARIANCE = 0.02
-_SAMPLE = 14
 _BATCH = 64
 
 
@@ -43,7 +45,11 @@ class LiveContact:
     arc_length, modulus
         s₁ and k².
     covariance, normal_covariance
-        (3, 3).
+        (3, 3): from sample to sample, and of what the whole sweep shares.
+    covariance_noise, normal_covariance_noise
+        (3, 3): from sample to sample alone.
+    sensitivity
+        (6, 15): as that of `Reconstruction`.
     probability
         Of contact, among the hypotheses.
     status
@@ -58,6 +64,9 @@ class LiveContact:
     modulus: float
     covariance: Float[np.ndarray, "3 3"]
     normal_covariance: Float[np.ndarray, "3 3"]
+    covariance_noise: Float[np.ndarray, "3 3"]
+    normal_covariance_noise: Float[np.ndarray, "3 3"]
+    sensitivity: Float[np.ndarray, "6 15"]
     probability: float
     status: Status
 
@@ -84,6 +93,8 @@ class CausalSmoother:
         and its error taken into account.
     model_error
         As for `smooth`.
+    setup_errors
+        What all samples share, as for `Reactions`; None for nothing.
 
     Raises
     ------
@@ -106,6 +117,7 @@ class CausalSmoother:
         friction: float | None = None,
         false_alarm: float = 1e-3,
         model_error: float = 2e-4,
+        setup_errors: SetupErrors | None = None,
     ) -> None:
         if not 0 < false_alarm < 1:
             raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
@@ -118,6 +130,7 @@ class CausalSmoother:
             jnp.asarray(_intensities(intensities, pace)),
             jnp.asarray(np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD]) * pace),
             jnp.asarray(float(friction is not None and not_negative(friction, "friction") == 0)),
+            *jax.tree.map(jnp.asarray, prepared(rod, setup_errors)[::2]),
         )
         clamp = (
             np.zeros((3, 3)) if position_covariance is None else finite_array(position_covariance, "position_covariance", last=3, ndim=2)
@@ -133,11 +146,21 @@ class CausalSmoother:
         mean = np.zeros((3, SIZE))
         mean[:, :COORDINATES] = AT_REST
         recent = np.full((_MEAN_SAMPLES, WRENCH), np.nan)
-        self._state = Hypotheses(*map(jnp.asarray, (mean, covariance, np.array([1.0, 0.0, 0.0]), recent, 0.0)))
+        self._state = Hypotheses(*map(jnp.asarray, (mean, covariance, np.array([1.0, 0.0, 0.0]), recent, 0.0, np.zeros((3, SIZE, COUNT)))))
         self._time: float | None = None
 
-    def update(self, time: float, position: ArrayLike, orientation: ArrayLike, force: ArrayLike, moment: ArrayLike) -> LiveContact:
+    def update(
+        self,
+        time: float,
+        position: ArrayLike,
+        orientation: ArrayLike,
+        force: ArrayLike,
+        moment: ArrayLike,
+        velocity: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    ) -> LiveContact:
         """Take one sample: time [s], the clamp's position (3,) and quaternion x, y, z, w (4,), force and moment on the rod about the clamp (3,), world axes.
+
+        `velocity` is that of the clamp point and of its rotation (6,), a second; only what poses that come late do depends on it.
 
         Raises
         ------
@@ -147,10 +170,12 @@ class CausalSmoother:
         if not math.isfinite(time) or (self._time is not None and time <= self._time):
             before = "" if self._time is None else f", after the sample before at {self._time}"
             raise ValueError(f"time = {time!r}; allowed are finite increasing times{before}")
-        sample = np.concatenate([position, orientation, force, moment, [0.0 if self._time is None else time - self._time]]).astype(float)
-        if sample.shape != (_SAMPLE,) or not np.isfinite(sample[:7]).all() or not sample[3:7].any():
+        sample = np.concatenate(
+            [position, orientation, force, moment, [0.0 if self._time is None else time - self._time], velocity]
+        ).astype(float)
+        if sample.shape != (SAMPLE,) or not np.isfinite(sample[:7]).all() or not sample[3:7].any():
             raise ValueError(
-                f"position, orientation, force, moment = {sample[:-1].tolist()}; allowed are 3, 4, 3 and 3 numbers, a finite position and a quaternion"
+                f"position, orientation, force, moment = {sample[:13].tolist()}; allowed are 3, 4, 3 and 3 numbers, a finite position and a quaternion"
             )
         self._time = float(time)
         self._state, packed = advanced(self._state, self._settings, sample)
@@ -170,24 +195,28 @@ class CausalSmoother:
         if self._time is not None and len(time) and time[0] <= self._time:
             raise ValueError(f"time[0] = {time[0]}; allowed is after the sample before at {self._time}")
         steps = np.diff(time, prepend=time[0] if self._time is None else self._time)
-        samples = np.column_stack([trail.position, trail.orientation, reactions.force, reactions.moment, steps])
+        samples = np.column_stack([trail.position, trail.orientation, reactions.force, reactions.moment, steps, reactions.clamp_velocity()])
         found: list[LiveContact] = []
         for first in range(0, len(samples), _BATCH):
             part = samples[first : first + _BATCH]
-            filled = np.concatenate([part, np.zeros((_BATCH - len(part), _SAMPLE))])
+            filled = np.concatenate([part, np.zeros((_BATCH - len(part), SAMPLE))])
             self._state, packed = advanced_through(self._state, self._settings, filled, np.array(len(part)))
             rows = np.asarray(packed)[: len(part)]
             found += [self._contact(row, float(at)) for row, at in zip(rows, time[first : first + _BATCH], strict=True)]
         self._time = float(time[-1]) if len(time) else self._time
         return found
 
-    def _contact(self, packed: Float[np.ndarray, "29"], time: float) -> LiveContact:
+    def _contact(self, packed: Float[np.ndarray, "137"], time: float) -> LiveContact:
         probability, distance, sound = float(packed[26]), packed[27], packed[28] >= 0
         status = Status.OK if sound else Status.BAD_DATA
         if probability < 0.5 or not distance > self._threshold:
             nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
-            return LiveContact(time, ContactKind.NONE, nothing, nothing, np.nan, np.nan, square, square, probability, status)
+            no_slope = np.full((6, COUNT), np.nan)
+            return LiveContact(
+                time, ContactKind.NONE, nothing, nothing, np.nan, np.nan, square, square, square, square, no_slope, probability, status
+            )
         length = self._rod.length
+        noise, of_normal, shared, shared_normal = (packed[first : first + 9].reshape(3, 3) for first in (8, 17, 29, 38))
         return LiveContact(
             time,
             ContactKind(int(abs(packed[28]))),
@@ -195,8 +224,11 @@ class CausalSmoother:
             packed[3:6],
             float(length * packed[6]),
             float(packed[7]),
-            length**2 * packed[8:17].reshape(3, 3) + self._floor,
-            packed[17:26].reshape(3, 3),
+            length**2 * (noise + shared) + self._floor,
+            of_normal + shared_normal,
+            length**2 * noise + self._floor,
+            of_normal,
+            packed[47:].reshape(6, COUNT),
             probability,
             status,
         )

@@ -11,7 +11,7 @@ from vibrissa.numerics.blocks import rounded_up
 from vibrissa.reconstruct.smoothing import kalman
 from vibrissa.reconstruct.smoothing.kalman import SIZE, States, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES
-from vibrissa.reconstruct.smoothing.merging import group_starts, merged
+from vibrissa.reconstruct.smoothing.merging import TOGETHER, group_starts, merged
 from vibrissa.reconstruct.smoothing.phases import raw_arc_lengths, runs_of
 from vibrissa.reconstruct.smoothing.series import (
     FREE,
@@ -39,8 +39,6 @@ _MOST_ROWS = 1536
 _SWEEPS, _REACHES = 2, 3
 _REACH, _SPACING, _FINE = 160, 8, 32
 _NEGLIGIBLE = 8.0
-_ALTERNATIVES = 8
-"""Of the places of changes: a power of two, so that odd multiples permute them."""
 _LEAST_RUN = 4
 _SHORT_RUN = 96
 _LEAST_GAIN = 3.0
@@ -92,9 +90,14 @@ def _shock(states: States, rows: np.ndarray, entries: list[int]) -> Float[np.nda
     return np.einsum("ni,nij,nj->n", pull / scale, inverse, pull / scale)
 
 
-def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: int) -> Float[np.ndarray, "k"]:
-    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels; the drift before them is what the samples before tell."""
-    rows = slice(max(first, 0), min(last + 1, max(first, 0) + _MOST_ROWS))
+def log_likelihoods(
+    model: Model, candidates: list[Labels], first: int, last: int, together: int = TOGETHER, bends: tuple[float, ...] = (1.0,)
+) -> Float[np.ndarray, "k"]:
+    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels; the drift before them is what the samples before tell.
+
+    With several `bends`, factors of the rates of which nothing is known, those of all candidates for the first one come first.
+    """
+    rows = slice(max(first, 0), min(last + 1, max(first, 0) + _MOST_ROWS * together // TOGETHER))
     cut = Series(*(part[rows] for part in model.series))
     mean = np.concatenate([[0, 0, 0, 1.0, 0], np.zeros(COORDINATES), model.states.expected[rows.start, 2 * COORDINATES :]])
     covariance = np.zeros((SIZE, SIZE))
@@ -110,14 +113,23 @@ def log_likelihoods(model: Model, candidates: list[Labels], first: int, last: in
         linear = chosen(tip, linears[1], linears[0])
         place = np.where(tip[:, None], at_tip, about)
         steps.append(steps_of(cut, part, place, model.weight[rows], model.rates, frictionless=model.frictionless, linear=linear))
-    starts = group_starts([Labels(*(field[rows] for field in labels)) for labels in candidates])
+    starts = group_starts([Labels(*(field[rows] for field in labels)) for labels in candidates], together=together)
     steps = [filled(merged(part, starts), max(_GROUPS, rounded_up(len(starts)))) for part in steps]
-    steps += steps[-1:] * (-len(steps) % _AT_ONCE)
+    steps = [_bending(step, bend) for bend in bends for step in steps]
+    wanted = len(steps)
+    steps += steps[-1:] * (-wanted % _AT_ONCE)
     values = []
     for k in range(0, len(steps), _AT_ONCE):
         stacked = Step(*(np.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
         values.append(np.asarray(kalman.log_likelihoods(stacked, np.array(len(starts)), model.intensities, mean, covariance)))
-    return np.concatenate(values)[: len(candidates)]
+    return np.concatenate(values)[:wanted]
+
+
+def _bending(steps: Step, factor: float) -> Step:
+    """With that factor of the rates of which nothing is known."""
+    scale = np.ones(SIZE)
+    scale[COORDINATES : 2 * COORDINATES] = factor**2
+    return steps if factor == 1 else steps._replace(spread=steps.spread * scale)
 
 
 def moved(labels: Labels, change: int, place: int) -> Labels:
@@ -160,14 +172,15 @@ class Places(NamedTuple):
         return float(np.sqrt(self.probability @ (self.place - mean) ** 2 + spacing**2 / 12))
 
 
-def with_placed_changes(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
+def with_placed_changes(model: Model, labels: Labels) -> tuple[Labels, dict[int, Places]]:
     """Each change between tip and tangential contact at the median of its likelihood, and where else it may be, given the others."""
-    places: list[Places] = []
+    places: dict[int, Places] = {}
     for _ in range(_SWEEPS):
-        places, before = [], phase_changes(labels)
+        places, before = {}, phase_changes(labels)
         for change in before:
-            places.append(places_of(model, labels, change))
-            labels = moved(labels, change, places[-1].quantile(0.5))
+            found = places_of(model, labels, change)
+            median = found.quantile(0.5)
+            labels, places[median] = moved(labels, change, median), found
         # Only a change near to another depends on where that is.
         if len(before) < 2 or np.diff(before).min() > _REACH + _MARGIN:
             break
@@ -176,7 +189,7 @@ def with_placed_changes(model: Model, labels: Labels) -> tuple[Labels, list[Plac
 
 def places_of(model: Model, labels: Labels, change: int) -> Places:
     """Likelihood of a change's place as a density: over all places within reach, then more closely where it is not negligible."""
-    low, high = _room(labels, change)
+    low, high = room(labels, change)
     best = change
     for _ in range(_REACHES):
         coarse = _grid(max(low, best - _REACH), min(high, best + _REACH), _SPACING, best)
@@ -202,20 +215,7 @@ def _place_likelihoods(model: Model, labels: Labels, change: int, places: Int[np
     return log_likelihoods(model, [moved(labels, change, int(place)) for place in places], *_within(labels, change, *rows))
 
 
-def alternatives(labels: Labels, places: list[Places]) -> list[Labels]:
-    """Equally probable labels, each change at one quantile of its places, and the quantiles of different changes unrelated."""
-    drawn = []
-    for k in range(_ALTERNATIVES):
-        other = labels
-        for j, place in enumerate(places):
-            change = phase_changes(other)[j]
-            quantile = place.quantile(((2 * j + 1) * k % _ALTERNATIVES + 0.5) / _ALTERNATIVES)
-            other = moved(other, change, int(np.clip(quantile, *_room(other, change))))
-        drawn.append(other)
-    return drawn
-
-
-def _room(labels: Labels, change: int) -> tuple[int, int]:
+def room(labels: Labels, change: int) -> tuple[int, int]:
     """Between the neighbouring changes of any kind."""
     edges = np.flatnonzero((np.diff(labels.phase, prepend=FREE) != 0) | (labels.link == JUMP))
     before, after = edges[edges < change], edges[edges > change]

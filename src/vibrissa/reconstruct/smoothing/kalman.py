@@ -23,12 +23,15 @@ from vibrissa.reconstruct.smoothing.manifold import COORDINATES
 
 WRENCH = 6
 ROWS = WRENCH + 2
-"""Observations of a sample: the whitened wrench, the arc length where it is that of the rod, and k² where the contact is tangential without friction."""
+"""Observations of a sample: the whitened wrench, the arc length where it is that of the rod, and k², ½ where the contact is tangential, exactly or within friction."""
 SIZE = 2 * COORDINATES + WRENCH
 """x, v, d."""
 INTENSITIES = 5
 """Spectral densities per second: of the accelerations of the moment, the axial force, the arc length and the tilt, and of the drift in standard deviations of a
 sample."""
+
+_SOFT = 1e-9
+"""Variance of k² above which it is a soft constraint."""
 
 Parts = TypeVar("Parts")
 State = Float[Array, "16"]
@@ -72,17 +75,17 @@ def predicted(mean: State, covariance: Square, step: Step, intensities: Float[Ar
     """State before the sample is seen."""
     keep = jnp.asarray(step.keep)
     covariance = keep[:, None] * covariance * keep + jnp.diag(step.spread)
-    moved = _moved(step, _moved(step, covariance).T)
-    return _moved(step, keep * mean + step.begin), moved + _process_noise(step, intensities)
+    spread = moved(step, moved(step, covariance).T)
+    return moved(step, keep * mean + step.begin), spread + _process_noise(step, intensities)
 
 
-def _moved(step: Step, rows: Float[Array, "16 *k"]) -> Float[Array, "16 *k"]:
+def moved(step: Step, rows: Float[Array, "16 *k"]) -> Float[Array, "16 *k"]:
     """From the sample before to this one: x + v dt, for each column."""
     distance = (step.active * step.duration).reshape(-1, *[1] * (rows.ndim - 1)) * rows[COORDINATES : 2 * COORDINATES]
     return jnp.concatenate([rows[:COORDINATES] + distance, rows[COORDINATES:]])
 
 
-def _moved_back(step: Step, rows: Float[Array, "16 *k"]) -> Float[Array, "16 *k"]:
+def moved_back(step: Step, rows: Float[Array, "16 *k"]) -> Float[Array, "16 *k"]:
     """The transpose of the whole transition, to states that begin anew too."""
     shape = (-1, *[1] * (rows.ndim - 1))
     distance = (step.active * step.duration).reshape(shape) * rows[:COORDINATES]
@@ -102,7 +105,10 @@ def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square,
         innovation = jnp.where(seen, step.target[row] - z @ mean, 0.0)
         gain = jnp.where(seen, direction / spread, 0.0)
         mean, covariance = mean + gain * innovation, covariance - jnp.outer(gain, direction)
-        log_likelihood += jnp.where(seen, -0.5 * (jnp.log(2 * jnp.pi * spread) + innovation**2 / spread), 0.0)
+        # A soft constraint is no datum: it weighs the states, and one that it does not restrict costs nothing.
+        soft = (row == ROWS - 1) & (step.variance[row] > _SOFT)
+        size = jnp.where(soft, spread / jnp.where(seen, step.variance[row], 1.0), 2 * jnp.pi * spread)
+        log_likelihood += jnp.where(seen, -0.5 * (jnp.log(size) + innovation**2 / spread), 0.0)
         innovations.append(innovation)
         spreads.append(jnp.where(seen, spread, jnp.inf))
         gains.append(gain)
@@ -110,11 +116,24 @@ def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square,
     return mean, (covariance + covariance.T) / 2, trace, log_likelihood
 
 
-def _at(parts: Parts, row: Array) -> Parts:
+def columns_updated(
+    columns: Float[Array, "16 k"], step: Step, trace: Trace, targets: Float[Array, "8 k"]
+) -> tuple[Float[Array, "16 k"], Float[Array, "8 k"]]:
+    """Columns of states after a sample with these targets is seen, by the gains of `updated`, and their innovations."""
+    innovations = []
+    for row in range(ROWS):
+        innovations.append(targets[row] - step.design[row] @ columns)
+        columns = columns + jnp.outer(trace.gain[row], innovations[row])
+    return columns, jnp.stack(innovations)
+
+
+def row_of(parts: Parts, row: Array) -> Parts:
+    """One row of each part."""
     return jax.tree.map(lambda part: lax.dynamic_index_in_dim(part, row, keepdims=False), parts)
 
 
-def _put(parts: Parts, row: Array, values: Parts) -> Parts:
+def with_row(parts: Parts, row: Array, values: Parts) -> Parts:
+    """Parts with one row of each replaced."""
     return jax.tree.map(lambda part, value: lax.dynamic_update_index_in_dim(part, value, row, 0), parts, values)
 
 
@@ -134,7 +153,7 @@ def log_likelihoods(
 
     def one_series(steps: Step) -> Float[Array, ""]:
         def one(row: Array, carry: tuple[State, Square, Array]) -> tuple[State, Square, Array]:
-            step = _at(steps, row)
+            step = row_of(steps, row)
             after, left, _, likelihood = updated(*predicted(*carry[:2], step, jnp.asarray(intensities)), step)
             return after, left, carry[2] + likelihood
 
@@ -189,9 +208,9 @@ def smoothed(
     steps, rows, last_row = Step(*map(jnp.asarray, steps)), steps.duration.shape[0], jnp.asarray(count) - 1
 
     def forward(row: Array, carry: tuple[State, Square, tuple[Trace, Array]]) -> tuple[State, Square, tuple[Trace, Array]]:
-        step = _at(steps, row)
+        step = row_of(steps, row)
         after, left, trace, likelihood = updated(*predicted(*carry[:2], step, jnp.asarray(intensities)), step)
-        return after, left, _put(carry[2], row, (trace, likelihood))
+        return after, left, with_row(carry[2], row, (trace, likelihood))
 
     nothing = Trace(*_empty(rows, (SIZE,), (SIZE, SIZE), (ROWS,), (ROWS,), (ROWS, SIZE))), jnp.zeros(rows)
     first = jnp.asarray(mean), jnp.asarray(covariance), nothing
@@ -200,11 +219,11 @@ def smoothed(
 
     def backward(number: Array, carry: tuple[State, Square, list[Array]]) -> tuple[State, Square, list[Array]]:
         row = last_row - number
-        trace, step = _at(traces, row), _at(steps, row)
+        trace, step = row_of(traces, row), row_of(steps, row)
         r, information = _told(*carry[:2], trace, step)
         spread = trace.covariance - trace.covariance @ information @ trace.covariance
         told = [trace.mean + trace.covariance @ r, (spread + spread.T) / 2, r, information]
-        return _moved_back(step, r), _moved_back(step, _moved_back(step, information).T), _put(carry[2], row, told)
+        return moved_back(step, r), moved_back(step, moved_back(step, information).T), with_row(carry[2], row, told)
 
     last = jnp.zeros(SIZE), jnp.zeros((SIZE, SIZE)), _empty(rows, (SIZE,), (SIZE, SIZE), (SIZE,), (SIZE, SIZE))
     means, covariances, pulls, informations = lax.fori_loop(0, count, backward, last)[2]

@@ -7,10 +7,17 @@ from vibrissa.reconstruct.smoothing.kalman import States, Step
 from vibrissa.reconstruct.smoothing.manifold import COORDINATES
 from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, Labels
 
-_TOGETHER, _TOGETHER_FREE = 4, 32
+TOGETHER, _TOGETHER_FREE = 4, 32
+_ROUGH_GROUPS, _GROUPS = 600, 2400
 
 
-def group_starts(candidates: list[Labels], also: Bool[np.ndarray, "n"] | None = None, together: int = _TOGETHER) -> Int[np.ndarray, "g"]:
+def together_for(labels: Labels, *, rough: bool = True) -> int:
+    """How many samples of a contact to take together: 4 where it is rough, else 1, and more in long contacts, which have so many groups at most."""
+    longest = int(np.bincount(np.cumsum(labels.phase == FREE), labels.phase != FREE).max(initial=0))
+    return max(TOGETHER, -(-longest // _ROUGH_GROUPS)) if rough else max(1, -(-longest // _GROUPS))
+
+
+def group_starts(candidates: list[Labels], also: Bool[np.ndarray, "n"] | None = None, together: int = TOGETHER) -> Int[np.ndarray, "g"]:
     """First samples of groups of 4, or of 32 without contact; in none of the candidates something changes within a group or where one begins."""
     count = len(candidates[0].phase)
     begins, place = np.zeros(count + 1, dtype=bool), np.arange(count)

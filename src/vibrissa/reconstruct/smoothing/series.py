@@ -27,7 +27,11 @@ ARC_LENGTH_SPREAD = 0.3
 _BEND = np.array([1 / 15, 1 / 15, 1 / 15, 1 / 6])
 """By how much the rates of loads and s₁ change at a change of phase, in rates of which nothing is known: thrice what a sphere makes of them."""
 _PINNED = 1e-12
+_FRICTION, _UNRELATED = 0.2, 4
+"""Standard deviation of k² about ½ in tangential contact, that of a coefficient of friction of 0.4 ((sin atan μ)/2), and how often in a contact it is another one."""
 _LOAD_SPREAD = 2.0
+_FAINT = 0.03
+"""Weight of the whitened wrench of a swinging rod."""
 
 
 _BUCKET = 512
@@ -84,6 +88,16 @@ def series_of(rod: Rod, reactions: Reactions) -> Series:
     return Series(time, turn, np.where(sound[:, None], wrench, 0.0), np.linalg.inv(np.linalg.cholesky(covariance)), sound)
 
 
+def quieted(series: Series, ringing: Bool[np.ndarray, "n"]) -> Series:
+    """Samples at which the free rod swings show no load, and little of the zero's drift."""
+    if not ringing.any():
+        return series
+    return series._replace(
+        wrench=np.where(ringing[:, None], 0.0, series.wrench),
+        whitening=np.where(ringing[:, None, None], _FAINT, 1.0) * series.whitening,
+    )
+
+
 @compiled
 def _linearised(x: Float[AnyArray, "5 n"]) -> tuple[Bent, Float[Array, "10 5 n"]]:
     def observed(x: Float[Array, "5"]) -> tuple[Float[Array, "10"], Bent]:
@@ -134,6 +148,11 @@ def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear
         return np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
     return Linear(Values(*map(either, first.values, second.values)), either(first.jacobian, second.jacobian))
+
+
+def exists(linear: Linear) -> Bool[np.ndarray, "n"]:
+    """Whether there is a rod with these coordinates: a curvature without a zero (k² ≥ 1) has no contact."""
+    return np.isfinite(linear.jacobian).all(axis=(1, 2)) & np.isfinite(linear.values.wrench).all(axis=1)
 
 
 AT_REST = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
@@ -200,22 +219,31 @@ def _observations(
     series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], weight: Float[np.ndarray, "n"], linear: Linear, *, frictionless: bool
 ) -> tuple[np.ndarray, ...]:
     phase, count = labels.phase, len(labels.phase)
-    touching = phase != FREE
+    touching, shows = phase != FREE, series.sound & exists(linear)
     values, jacobian = linear
+    if not shows.all():
+        values = Values(*(np.where(shows.reshape(-1, *[1] * (part.ndim - 1)), part, 0.0) for part in values))
+        jacobian = np.where(shows[:, None, None], jacobian, 0.0)
     design, target, variance = np.zeros((count, ROWS, SIZE)), np.zeros((count, ROWS)), np.full((count, ROWS), np.inf)
     offset = values.wrench - np.einsum("nij,nj->ni", jacobian[:, :WRENCH], about)
     moved = series.wrench - np.where(touching[:, None], offset, 0.0)
     target[:, :WRENCH] = np.einsum("nij,nj->ni", series.whitening, moved)
     design[:, :WRENCH, :COORDINATES] = np.where(touching[:, None, None], series.whitening @ jacobian[:, :WRENCH], 0.0)
     design[:, :WRENCH, 2 * COORDINATES :] = np.eye(WRENCH)
-    variance[series.sound, :WRENCH] = 1 / weight[series.sound, None]
+    variance[shows, :WRENCH] = 1 / weight[shows, None]
     # Where tangential contact passes over into tip contact, the arc length is the rod's.
     arrives = np.flatnonzero((phase[:-1] == TANGENTIAL) & (phase[1:] == TIP) & (labels.link[1:] != JUMP))
     design[arrives, WRENCH, ARC_LENGTH], target[arrives, WRENCH], variance[arrives, WRENCH] = 1, 1, _PINNED
-    if frictionless:
-        square = np.flatnonzero(phase == TANGENTIAL)
-        slope = jacobian[square, WRENCH]
-        design[square, WRENCH + 1, :COORDINATES] = slope
-        target[square, WRENCH + 1] = 0.5 - values.modulus[square] + np.einsum("ni,ni->n", slope, about[square])
-        variance[square, WRENCH + 1] = _PINNED
+    square = np.flatnonzero(phase == TANGENTIAL)
+    slope = jacobian[square, WRENCH]
+    design[square, WRENCH + 1, :COORDINATES] = slope
+    target[square, WRENCH + 1] = 0.5 - values.modulus[square] + np.einsum("ni,ni->n", slope, about[square])
+    within = _PINNED if frictionless else _FRICTION**2 * _tangential_count(phase)[square] / _UNRELATED
+    variance[square, WRENCH + 1] = np.where(shows[square], within, np.inf)
     return target, design, variance
+
+
+def _tangential_count(phase: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    """Samples in tangential contact of the contact that each sample belongs to."""
+    contact = np.cumsum(np.diff(phase != FREE, prepend=False))
+    return np.bincount(contact, phase == TANGENTIAL)[contact].astype(int)

@@ -1,29 +1,31 @@
 """Smoothing's entry point: contacts of a sweep in, the same contacts smoothed along it out."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
-from vibrissa.reactions import Reactions, turned_covariance
-from vibrissa.reconstruct.result import Reconstruction
+from vibrissa.reactions import turned_covariance
+from vibrissa.reconstruct.checks.check import with_contradictions, with_delay
+from vibrissa.reconstruct.result import Reconstruction, trail_of
+from vibrissa.reconstruct.shared import sensitivities, with_shared
 from vibrissa.reconstruct.smoothing.changes import (
     Model,
     Places,
-    alternatives,
     jumps,
-    phase_changes,
     with_fewer_phases,
     with_placed_changes,
     with_tangential_phases,
 )
 from vibrissa.reconstruct.smoothing.fit import (
     MOST_STEPS,
-    TARE_VARIANCE,
     Fit,
+    Zero,
+    as_flank,
     averaged,
     first_guess,
     first_weights,
@@ -35,15 +37,24 @@ from vibrissa.reconstruct.smoothing.kalman import WRENCH
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT
 from vibrissa.reconstruct.smoothing.phases import detected, runs_of
 from vibrissa.reconstruct.smoothing.result import Smoothing, Touch
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, Labels, Series, linearised, series_of
+from vibrissa.reconstruct.smoothing.rivals import drawn
+from vibrissa.reconstruct.smoothing.segments import ROWS, Piece, in_segments
+from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, Labels, Series, linearised, quieted, series_of, steps_of
+from vibrissa.reconstruct.smoothing.shared import smoothed_sensitivity
 from vibrissa.reconstruct.smoothing.touch import Onset, onset_at, onset_of, reversed_labels, reversed_model
-from vibrissa.trail import Trail
+from vibrissa.reconstruct.smoothing.verdict import Verdict, judged
 
 _ROUNDS = 4
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
 
 
-def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: float = 2e-4) -> Reconstruction:
+def smooth(
+    found: Reconstruction,
+    *,
+    false_alarm: float = 1e-3,
+    model_error: float = 2e-4,
+    progress: Callable[[int, int], None] | None = None,
+) -> Reconstruction:
     """Contacts smoothed along their sweep: all samples tell of each point, the noise of the wrench is known, and a contact moves evenly until it changes.
 
     Parameters
@@ -54,6 +65,8 @@ def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: flo
         Share of samples without contact that may be taken for contact.
     model_error
         Standard deviation in rod lengths, on each axis, of what statics of an ideal rod leaves out. It is added to the covariances.
+    progress
+        Called with the samples done and all of them, now and then, in long recordings.
 
     Returns
     -------
@@ -69,7 +82,9 @@ def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: flo
     Notes
     -----
     A fixed-interval smoother on the manifold of single contacts (mechanics.md, "Smoothing along a sweep"). Nothing is smoothed across starts and ends of contacts and
-    jumps; at changes between tip and tangential contact the point is continuous and its motion is not.
+    jumps; at changes between tip and tangential contact the point is continuous and its motion is not. Where the signal does not tell in which phase a contact is, points
+    and covariances are those of the mixture. Rows that the model does not explain keep or get a status, and rows that it cannot smooth keep the contact of the sample by
+    itself, AMBIGUOUS. Recordings of more than 16384 samples are smoothed in segments: time grows with the samples, memory hardly.
     """
     if not 0 < false_alarm < 1:
         raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
@@ -79,66 +94,55 @@ def smooth(found: Reconstruction, *, false_alarm: float = 1e-3, model_error: flo
             "found.reactions.covariance = None: smoothing needs the noise of the wrench; give the sensor force_noise and torque_noise"
         )
     if found.kind.ndim == 1:
-        return _smoothed_trail(found, false_alarm, model_error)
-    parts = [_smoothed_trail(_trail_of(found, j), false_alarm, model_error) for j in range(len(found.kind))]
+        return _contradicted(with_delay(_smoothed_trail(found, false_alarm, model_error, progress)))
+    parts = [_smoothed_trail(trail_of(found, j), false_alarm, model_error, progress) for j in range(len(found.kind))]
     stacked: dict[str, Any] = {
-        name: np.stack([getattr(part, name) for part in parts]) for name in _FIELDS if getattr(found, name) is not None
+        name: np.stack([getattr(part, name) for part in parts]) for name in ROWS if getattr(parts[0], name) is not None
     }
-    return replace(found, **stacked, smoothing=tuple(part.smoothing[0] for part in parts if part.smoothing))
+    return _contradicted(replace(found, **stacked, smoothing=tuple(part.smoothing[0] for part in parts if part.smoothing)))
 
 
-_FIELDS = (
-    "kind",
-    "point",
-    "normal",
-    "arc_length",
-    "energy",
-    "modulus",
-    "covariance",
-    "normal_covariance",
-    "arc_length_deviation",
-    "chi_square",
-    "single_contact_residual",
-    "status",
-)
+def _contradicted(smoothed: Reconstruction) -> Reconstruction:
+    """With what the check of the setup says of these errors, beside what smoothing found."""
+    told = with_contradictions(smoothed)
+    ours = smoothed.status == Status.SETUP_CONTRADICTED
+    return replace(told, status=np.where(ours, Status.SETUP_CONTRADICTED, told.status).astype(np.int8))
 
 
-def _trail_of(found: Reconstruction, j: int) -> Reconstruction:
-    given = found.reactions
-    assert given.covariance is not None
-    reactions = Reactions(
-        Trail(given.trail.position[j], given.trail.orientation[j]),
-        given.force[j],
-        given.moment[j],
-        time=None if given.time is None else given.time[j],
-        covariance=given.covariance if given.covariance.ndim == 2 else given.covariance[j],
-        position_covariance=given.position_covariance,
-        rotation_covariance=given.rotation_covariance,
-        rotation_center=None if given.rotation_center is None else given.rotation_center[j],
-    )
-    rows: dict[str, Any] = {name: getattr(found, name)[j] for name in _FIELDS if getattr(found, name) is not None}
-    return replace(found, reactions=reactions, **rows)
+def _smoothed_trail(
+    found: Reconstruction, false_alarm: float, model_error: float, progress: Callable[[int, int], None] | None
+) -> Reconstruction:
+    def run(part: Reconstruction, zero: Zero, row: int) -> Piece:
+        return _smoothed_segment(part, zero, row, false_alarm, model_error)
+
+    return in_segments(found, run, progress)
 
 
-def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: float) -> Reconstruction:
-    series = series_of(found.rod, found.reactions)
+def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: float, model_error: float) -> Piece:
+    ringing = found.status == Status.RINGING
+    series = quieted(series_of(found.rod, found.reactions), ringing)
     frictionless = found.friction == 0
     count = len(series.time)
-    drift, spread = np.zeros((count, WRENCH)), np.tile(TARE_VARIANCE * np.eye(WRENCH), (count, 1, 1))
-    loaded = detected(series, drift, spread, false_alarm)
+    drift, spread = np.tile(zero.mean, (count, 1)), np.tile(zero.covariance, (count, 1, 1))
+    loaded = detected(series, drift, spread, false_alarm) & ~ringing
     labels, about = first_guess(series, loaded, drift)
     rates = rates_of(series, labels, about)
     fit = fitted(
-        series, Fit(labels, about, first_weights(series), _START, initial_states(count)), rates, frictionless=frictionless, local=False
+        series,
+        Fit(labels, about, first_weights(series), _START, initial_states(count), zero),
+        rates,
+        frictionless=frictionless,
+        local=False,
     )
     # Once more, now that the drift of the zero is known.
     drift, spread = fit.states.mean[:, 2 * COORDINATES :], fit.states.covariance[:, 2 * COORDINATES :, 2 * COORDINATES :]
-    loaded = detected(series, drift, spread, false_alarm)
+    loaded = detected(series, drift, spread, false_alarm) & ~ringing
     labels, about = first_guess(series, loaded, drift)
     fit = fitted(series, fit._replace(labels=labels, about=about), rates, frictionless=frictionless)
     # What is tangential is no jump.
     labels, places = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)
-    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
+    if not np.array_equal(labels.phase, fit.labels.phase):
+        fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
     jumped = False
     for _ in range(_ROUNDS):
         broken = jumps(_model(series, fit, rates, frictionless=frictionless), fit.labels)
@@ -146,17 +150,23 @@ def _smoothed_trail(found: Reconstruction, false_alarm: float, model_error: floa
             break
         jumped = True
         link = fit.labels.link.copy()
-        for row, kind in broken:
-            link[row] = kind
+        for at, kind in broken:
+            link[at] = kind
         fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, frictionless=frictionless)
     if jumped:
         labels, places = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)
         fit = fit._replace(labels=labels)
-    labels, touches = _bounded(series, fit, places, rates, frictionless=frictionless)
-    fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless, most_steps=MOST_STEPS)
+    labels, touches = _bounded(series, fit, places, rates, ringing, frictionless=frictionless)
+    smoothest = fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless, most_steps=MOST_STEPS)
     if touches:
-        fit = averaged(series, fit, alternatives(fit.labels, places), rates, frictionless=frictionless)
-    return _result(found, series, fit, touches, model_error)
+        flank = as_flank(series, fit, rates, frictionless=frictionless)
+        candidates = drawn(_model(series, flank, rates, frictionless=frictionless), flank.labels, places)
+        fit = averaged(series, flank, candidates, rates, frictionless=frictionless)
+    told = smoothest.states
+    following = Zero(told.expected[row, 2 * COORDINATES :], told.uncertainty[row, 2 * COORDINATES :, 2 * COORDINATES :])
+    return Piece(
+        _result(found, series, fit, rates, judged(found, series, smoothest, linearised(smoothest.about)), touches, model_error), following
+    )
 
 
 def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Model:
@@ -164,24 +174,41 @@ def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionl
 
 
 def _bounded(
-    series: Series, fit: Fit, places: list[Places], rates: Float[np.ndarray, "5"], *, frictionless: bool
+    series: Series,
+    fit: Fit,
+    places: dict[int, Places],
+    rates: Float[np.ndarray, "5"],
+    ringing: Bool[np.ndarray, "n"],
+    *,
+    frictionless: bool,
 ) -> tuple[Labels, tuple[Touch, ...]]:
     """Labels with the contacts' beginnings and ends where they are most probable, and the contacts."""
     model, labels = _model(series, fit, rates, frictionless=frictionless), fit.labels
-    deviations = dict(zip(phase_changes(labels), (place.deviation for place in places), strict=True))
+    # The end is looked for after the beginning is placed, so that they cannot pass each other.
+    deviations = {change: place.deviation for change, place in places.items()}
     backwards, count = reversed_model(model), len(series.time)
     touches = []
     for first, last in list(runs_of(labels.phase != FREE)):
         start = onset_of(model, labels, first) if first > 0 else None
-        end = onset_of(backwards, reversed_labels(labels), count - 1 - last) if last < count - 1 else None
         labels = labels if start is None else onset_at(labels, first, start.place)
+        end = onset_of(backwards, reversed_labels(labels), count - 1 - last) if last < count - 1 else None
         if end is not None:
+            end = _before(end, series, np.flatnonzero(ringing[last + 1 :])[:1] + last + 1)
             labels = reversed_labels(onset_at(reversed_labels(labels), count - 1 - last, end.place))
         touches.append(_touch(series, labels, start, end, (first, last), deviations))
     return labels, tuple(touches)
 
 
-def _phased(model: Model, labels: Labels) -> tuple[Labels, list[Places]]:
+def _before(end: Onset, series: Series, swinging: Int[np.ndarray, "k"]) -> Onset:
+    """An end, seen backwards, no later than the rod begins to swing."""
+    earliest = len(series.time) - 0.5 - swinging
+    if not swinging.size or end.place >= earliest[0]:
+        return end
+    middle = (series.time[swinging[0]] + series.time[swinging[0] - 1]) / 2
+    return end._replace(place=float(earliest[0]), time=float(series.time[-1] - middle))
+
+
+def _phased(model: Model, labels: Labels) -> tuple[Labels, dict[int, Places]]:
     return with_placed_changes(model, with_tangential_phases(model, with_fewer_phases(model, labels)))
 
 
@@ -206,15 +233,24 @@ def _touch(
         None if end is None else end.limit,
         tuple(map(int, changes)),
         tuple(map(int, np.union1d(broken, inside[labels.link[inside] == JUMP]))),
-        tuple(step * deviations[int(change)] for change in changes),
+        tuple(step * deviations.get(int(change), 1.0) for change in changes),
     )
 
 
-def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touch, ...], model_error: float) -> Reconstruction:
+def _result(
+    found: Reconstruction,
+    series: Series,
+    fit: Fit,
+    rates: Float[np.ndarray, "5"],
+    verdict: Verdict,
+    touches: tuple[Touch, ...],
+    model_error: float,
+) -> Reconstruction:
     length, units = found.rod.length, np.repeat([found.rod.force_scale, found.rod.moment_scale], 3)
     phase, about = fit.labels.phase, fit.about
     touching = (phase != FREE) & series.sound
-    values, jacobian = linearised(about)
+    linear = linearised(about)
+    values, jacobian = linear
     errors = fit.states.covariance[:, :COORDINATES, :COORDINATES]
     point = found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)
     normal = np.einsum("nij,nj->ni", series.turn, values.direction)
@@ -235,21 +271,30 @@ def _result(found: Reconstruction, series: Series, fit: Fit, touches: tuple[Touc
         touches, fit.intensities, unwhitened * units, fit.weight, tilt, model_error, float(np.sum(fit.states.log_likelihood))
     )
 
-    def rows(values: np.ndarray, nothing: float = np.nan) -> np.ndarray:
-        return np.where(touching.reshape(-1, *[1] * (values.ndim - 1)), values, nothing)
+    def rows(values: np.ndarray, raw: np.ndarray | None, nothing: float = np.nan) -> np.ndarray:
+        assert raw is not None
+        given = np.where(_column(touching, values), values, nothing)
+        return np.where(_column(verdict.raw, values), raw, given)
 
-    kept = found.status == Status.BAD_DATA
-    return replace(
+    steps = steps_of(series, fit.labels, about, fit.weight, rates, frictionless=found.friction == 0, linear=linear)
+    sensitivity = smoothed_sensitivity(found.rod, found.reactions, series, fit.labels, steps, linear, fit.intensities)
+    smoothed = replace(
         found,
-        kind=np.where(touching, phase, ContactKind.NONE).astype(np.int8),
-        point=rows(point),
-        normal=rows(normal),
-        arc_length=rows(length * about[:, ARC_LENGTH]),
-        energy=rows(found.rod.moment_scale * values.energy, 0.0),
-        modulus=rows(values.modulus),
-        covariance=rows(length**2 * of_point @ errors @ np.swapaxes(of_point, 1, 2) + floor),
-        normal_covariance=rows(of_normal @ errors @ np.swapaxes(of_normal, 1, 2) + turned),
-        arc_length_deviation=rows(length * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0))),
-        status=np.where(kept, found.status, np.where(touching & (fit.weight < 1), found.status, Status.OK)).astype(np.int8),
+        sensitivity=rows(sensitivity, sensitivities(found) if verdict.raw.any() else sensitivity),
+        kind=rows(phase, found.kind, ContactKind.NONE).astype(np.int8),
+        point=rows(point, found.point),
+        normal=rows(normal, found.normal),
+        arc_length=rows(length * about[:, ARC_LENGTH], found.arc_length),
+        energy=rows(found.rod.moment_scale * values.energy, found.energy, 0.0),
+        modulus=rows(values.modulus, found.modulus),
+        covariance=rows(length**2 * of_point @ errors @ np.swapaxes(of_point, 1, 2) + floor, found.covariance_noise),
+        normal_covariance=rows(of_normal @ errors @ np.swapaxes(of_normal, 1, 2) + turned, found.normal_covariance_noise),
+        arc_length_deviation=rows(length * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0)), found.arc_length_deviation),
+        status=verdict.status,
         smoothing=(smoothing,),
     )
+    return with_shared(smoothed)
+
+
+def _column(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return rows.reshape(-1, *[1] * (values.ndim - 1))

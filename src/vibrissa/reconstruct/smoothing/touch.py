@@ -13,7 +13,9 @@ from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, KINK, Label
 
 _BEFORE, _AFTER = 96, 128
 _COARSE = np.arange(-64.0, 33.0, 4.0)
-_FINE = np.arange(-8.0, 8.5, 0.5)
+_FINE = np.arange(-8.0, 8.0, 0.5)
+_NEGLIGIBLE = 1e-3
+"""Probability of the outermost places at which no more need be tried."""
 _LEAST_SHARE = 0.1
 
 
@@ -62,7 +64,9 @@ def onset_of(model: Model, labels: Labels, first: int) -> Onset:
     place = first - 0.5
     weights = np.ones(1)
     places = np.array([place])
-    for offsets in (_COARSE, _FINE, _FINE):
+    for tried, offsets in enumerate((_COARSE, _FINE, _FINE)):
+        if tried > 1 and weights[[0, -1]].max() < _NEGLIGIBLE:
+            break
         places = np.unique(np.clip(place + offsets, *_room(labels, first)))
         rows = max(0, int(places[0]) - _BEFORE), min(len(labels.phase) - 1, max(int(places[-1]), first) + _AFTER)
         values = log_likelihoods(model, [onset_at(labels, first, part) for part in places], *rows)

@@ -1,0 +1,80 @@
+"""Files that are written at places, put there whole, and named by what the system refuses."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """What the system refuses names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+@runtime_checkable
+class Disk(Protocol):
+    """What is written at places."""
+
+    def write(self, data: bytes, place: int) -> None:
+        """Write all of it."""
+
+    def truncate(self, size: int) -> None:
+        """Cut off what lies beyond."""
+
+    def close(self) -> None:
+        """Let go; may be called twice."""
+
+
+class FileDisk:
+    """A file that is written at places, at once: nothing is kept in this process.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    name
+        What errors of the system name, where the file is still to get its name.
+    """
+
+    def __init__(self, path: Path, name: Path | None = None) -> None:
+        self._name = name or path
+        with naming_file(self._name):
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+
+    def write(self, data: bytes, place: int) -> None:
+        """Write all of it."""
+        left = memoryview(data)
+        with naming_file(self._name):
+            while left:
+                done = os.pwrite(self._descriptor, left, place)
+                left, place = left[done:], place + done
+
+    def truncate(self, size: int) -> None:
+        """Cut off what lies beyond."""
+        os.ftruncate(self._descriptor, size)
+
+    def close(self) -> None:
+        """Close it; may be called twice."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[FileDisk]:
+    """A file that is made beside its place, and put there once the block has ended; where that fails, nothing is left of it."""
+    part = path.with_name(f".{path.name}.part")
+    disk = FileDisk(part, path)
+    try:
+        yield disk
+        with naming_file(path):
+            part.replace(path)
+    except BaseException:
+        disk.close()
+        part.unlink(missing_ok=True)
+        raise

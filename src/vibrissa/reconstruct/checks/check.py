@@ -1,0 +1,359 @@
+"""Whether a sweep's contacts agree with the setup: the entry points."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import chdtri
+
+from vibrissa.contacts import RecordingWarning, Status
+from vibrissa.reconstruct.checks.case import Case, Solution, case_of, phases_by, solved, spread_along, tolerated, weighed
+from vibrissa.reconstruct.checks.constraints import TANGENT, TIP
+from vibrissa.reconstruct.checks.passes import contradicts, delay_of, shift_by
+from vibrissa.reconstruct.checks.regression import Misfit, fitted, shifts
+from vibrissa.reconstruct.checks.rig import frame_of
+from vibrissa.reconstruct.checks.stretches import stretches_of
+from vibrissa.reconstruct.checks.suspects import SUSPECTS, TELLING, Suspect
+from vibrissa.reconstruct.checks.wording import delay_told, named, observed
+from vibrissa.reconstruct.result import Reconstruction, trail_of
+from vibrissa.reconstruct.work import work_warnings
+
+_LEAST = 25.0
+"""Of χ² that a cause has to explain: five standard deviations, of some thirty causes that are tried."""
+_WITH_FRICTION = 100.0
+"""The same where friction leaves open what s₁ and k² should be: what then remains is told less safely."""
+_PRICE = 6.0
+"""Of χ² for each further number that a cause may choose (BIC for some four hundred rows)."""
+_MATTERS = 1e-3
+"""Shift of the contacts [L], in the median, below which a cause does not matter: 50 µm on 50 mm, as smoothed error bars have it."""
+_ALIKE, _ALIKE_BY = 0.05, 10.0
+"""Causes are named beside the best that explain less by at most this share of it, and this of χ²."""
+_FURTHER = 0.1
+"""Share of what the first cause explained that a further one has to explain: less may be what is not linear in the first."""
+_MOST = 3
+_SHOWN = 4
+_GROSS = 0.15
+"""Size of the best cause, in standard deviations before the data, from which causes are solved for: EI off by more than 5 %."""
+_HOPELESS = 0.5
+"""Share of what the best explains, below which a cause need not be solved for."""
+_POOR = 3.0
+"""χ² a row above which a solution is sought from the other side, too."""
+_OUTSIDE = 0.05
+"""Probability outside of the ellipsoids."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What one cause of error would have to be to explain a sweep's misfit.
+
+    Attributes
+    ----------
+    name, unit
+        Such as `bending_stiffness`, relative ("1").
+    estimate, deviation
+        One number or several: what is true less what is stated, and its standard deviation.
+    significance
+        Of the misfit that it explains, in standard deviations.
+    explained
+        Share of the misfit that it explains.
+    shift
+        Median shift of the contacts that it implies, in units of the rod.
+    """
+
+    name: str
+    unit: str
+    estimate: tuple[float, ...]
+    deviation: tuple[float, ...]
+    significance: float
+    explained: float
+    shift: float
+
+
+@dataclass(frozen=True, eq=False)
+class SetupCheck:
+    """What a sweep says of its setup.
+
+    Attributes
+    ----------
+    causes
+        Each cause by itself, those that explain most first. They are candidates: several explain the same.
+    reduced_chi_square
+        Mean square of what the constraints leave, in that of noise; 1 where all is as stated.
+    friction
+        Coefficient that tangential contacts show if all else is as stated, or the one given.
+    named
+        Names of causes that explain about as much as each other, one tuple a warning.
+    warnings
+        One line each.
+    shift
+        (…, 3) by how far contacts are off if the likeliest causes are right, of those named together the largest; units of the rod, world axes; 0 where none is named.
+    misread
+        Whether the numbers contradict each other as a whole, as with other units, signs or axes, so that no contact is to be trusted.
+    """
+
+    causes: tuple[Cause, ...]
+    reduced_chi_square: float
+    friction: float
+    named: tuple[tuple[str, ...], ...]
+    warnings: tuple[str, ...]
+    shift: Float[np.ndarray, "*trail n 3"]
+    misread: bool = False
+
+
+def check_setup(found: Reconstruction) -> SetupCheck:
+    """What the contacts of a recording say of rod, clamp and sensor, with no object known.
+
+    Parameters
+    ----------
+    found
+        Contacts of one sweep (n, …) or several (m, n, …), sample by sample or smoothed; the reactions tell, not the smoothed contacts.
+
+    Returns
+    -------
+    SetupCheck
+        Empty where the noise is not known, or too little of the sweep is in contact.
+
+    Notes
+    -----
+    Each contact obeys more conditions than it has unknowns (`vibrissa.reconstruct.checks.constraints`). What is left of them is explained by one cause at a time, by
+    generalised least squares under the noise, the error of the zero, a model error of 2e-4 L and errors that the setup tolerates (mechanics.md, "What the data say of
+    the setup").
+    """
+    shift = np.zeros_like(found.point)
+    if found.reactions.covariance is None or found.reactions.time is None:
+        return SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
+    if found.kind.ndim == 1:
+        return _of_trail(found, shift)
+    parts = [_of_trail(trail_of(found, j), shift[j]) for j in range(len(found.kind))]
+    worst = max(parts, key=lambda part: part.causes[0].significance if part.causes else 0.0)
+    lines = [f"trail {j}: {line}" for j, part in enumerate(parts) for line in part.warnings]
+    return replace(worst, warnings=tuple(lines), shift=np.stack([part.shift for part in parts]))
+
+
+def checked(found: Reconstruction) -> Reconstruction:
+    """The same contacts with what they say against the setup: `setup_check`, `warnings` (each also a `RecordingWarning`), and statuses as by `with_contradictions`."""
+    said = check_setup(found)
+    trails = [found] if found.kind.ndim == 1 else [trail_of(found, j) for j in range(len(found.kind))]
+    by_work = list(dict.fromkeys(line for trail in trails for line in work_warnings(trail))) if found.reactions.time is not None else []
+    lines = [*said.warnings, *by_work]
+    for line in lines:
+        warnings.warn(line, RecordingWarning, stacklevel=3)
+    said = replace(said, misread=bool(by_work or found.reactions.misread))
+    return with_contradictions(with_delay(replace(found, setup_check=said, warnings=[*found.warnings, *lines])))
+
+
+def with_delay(found: Reconstruction) -> Reconstruction:
+    """The same contacts of one trail, with a delay of the poses among the causes where passes to and fro tell one that is not named yet."""
+    said = found.setup_check
+    if said is None or said.misread or any(_DELAY in names for names in said.named):
+        return found
+    delay = delay_of(found)
+    if delay is None or not contradicts(delay, found):
+        return found
+    line = delay_told(delay.seconds, delay.deviation, delay.shift, found.rod.unit_of("length"))
+    warnings.warn(line, RecordingWarning, stacklevel=4)
+    cause = Cause(_DELAY, "s", (delay.seconds,), (delay.deviation,), abs(delay.seconds) / delay.deviation, float("nan"), delay.shift)
+    own = np.nan_to_num(shift_by(delay, found))
+    larger = np.linalg.norm(own, axis=1, keepdims=True) > np.linalg.norm(said.shift, axis=1, keepdims=True)
+    said = replace(
+        said,
+        causes=(cause, *said.causes),
+        named=(*said.named, (_DELAY,)),
+        warnings=(*said.warnings, line),
+        shift=np.where(larger, own, said.shift),
+    )
+    return replace(found, setup_check=said, warnings=[*found.warnings, line])
+
+
+_DELAY = "pose_delay"
+
+
+def with_contradictions(found: Reconstruction) -> Reconstruction:
+    """`SETUP_CONTRADICTED` on rows that the likeliest causes of the check move out of their 95 % ellipsoid, where nothing else is found against them."""
+    said = found.setup_check
+    if said is None or not (said.warnings or said.misread) or found.covariance is None:
+        return found
+    open_to = np.isin(found.status, (Status.OK, Status.SETUP_CONTRADICTED))
+    judged = open_to & found.in_contact & np.isfinite(found.covariance).all(axis=(-1, -2))
+    covariance = np.where(judged[..., None, None], found.covariance, np.eye(3))
+    distance = np.einsum("...i,...i->...", said.shift, np.linalg.solve(covariance, said.shift[..., None])[..., 0])
+    told = np.where(judged & (said.misread | (distance > chdtri(3, _OUTSIDE))), Status.SETUP_CONTRADICTED, Status.OK)
+    return replace(found, status=np.where(open_to, told, found.status).astype(np.int8))
+
+
+class _Tried(NamedTuple):
+    """One cause, as large as explains most."""
+
+    score: float
+    """What it explains of χ², less a price for its numbers."""
+    suspect: Suspect
+    size: Float[np.ndarray, "p"]
+    deviation: Float[np.ndarray, "p"]
+    explained: float
+    moved: Float[np.ndarray, "k 3"]
+    """Shift of the contacts that it implies, clamp axes [L]."""
+
+    @property
+    def shift(self) -> float:
+        """In the median."""
+        return float(np.median(np.linalg.norm(self.moved, axis=1)))
+
+
+def _of_trail(found: Reconstruction, shift: Float[np.ndarray, "n 3"]) -> SetupCheck:
+    nothing = SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
+    averaged = stretches_of(found)
+    case = None if averaged is None else case_of(averaged, frame_of(found.reactions, found.rod.length), found.friction)
+    if case is None:
+        return nothing
+    tip = phases_by(case, [suspect.directions for suspect in SUSPECTS[:TELLING]])
+    misfit, friction = weighed(case, tip, tolerated(case, found.reactions, found.rod.length))
+    first = _tried(case, tip, misfit)
+    if not _matters(_alike(first), _WITH_FRICTION if case.silent.any() else 0.0):
+        return _concluded(found, case, misfit, friction, first, [], [])
+    best = next((one for one in _alike(first) if one.suspect in SUSPECTS[:TELLING]), None)
+    if best is not None and float(np.max(np.abs(best.size) / spread_along(case, best.suspect.directions))) > _GROSS:
+        first = _nonlinear(found, case, tip, misfit, first)
+    groups: list[list[_Tried]] = []
+    lines: list[str] = []
+    about = case
+    tried = first
+    while len(groups) < _MOST and _matters(_alike(tried), _FURTHER * first[0].score):
+        groups.append(_alike(tried))
+        lines.append(_line(found, about, tip, groups[-1]))
+        errors = about.errors + tried[0].suspect.directions @ tried[0].size
+        about = about.about(errors, found.friction)
+        tip = phases_by(about, [suspect.directions for suspect in SUSPECTS[:TELLING]], started=False)
+        tried = _tried(about, tip, weighed(about, tip, tolerated(about, found.reactions, found.rod.length))[0])
+    return _concluded(found, case, misfit, friction, first, groups, lines)
+
+
+def _alike(tried: list[_Tried]) -> list[_Tried]:
+    """The best, and those that explain about as much."""
+    best = tried[0].score
+    return [one for one in tried if one.score >= best * (1 - _ALIKE) - _ALIKE_BY]
+
+
+def _matters(together: list[_Tried], least: float) -> bool:
+    return bool(together) and together[0].score >= max(_LEAST, least) and max(one.shift for one in together) >= _MATTERS
+
+
+def _tried(case: Case, tip: Bool[np.ndarray, "k"], misfit: Misfit) -> list[_Tried]:
+    """All causes beside friction, the best first."""
+    rub = misfit.whitened(case.friction)
+    by_friction = fitted(misfit, rub, case.friction_spread).explained if rub.shape[1] else 0.0
+    moves = shifts(case.slopes, case.stretches.noise, case.here, tip)
+    found = []
+    for suspect in SUSPECTS:
+        count = suspect.directions.shape[1]
+        design = np.concatenate([misfit.whitened(case.slopes.constraints @ suspect.directions), rub], axis=1)
+        both = fitted(misfit, design, np.concatenate([spread_along(case, suspect.directions), case.friction_spread]))
+        size, explained = both.size[:count], both.explained - by_friction
+        deviation = np.sqrt(np.diag(both.covariance)[:count])
+        found.append(_Tried(explained - _PRICE * (count - 1), suspect, size, deviation, explained, moves @ (suspect.directions @ size)))
+    return sorted(found, key=lambda one: -one.score)
+
+
+def _nonlinear(found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], misfit: Misfit, first: list[_Tried]) -> list[_Tried]:
+    """Causes that are gross: solved for, those that the linear fit finds hopeless left out."""
+    none = float(misfit.value @ misfit.value)
+    own = shifts(case.slopes, case.stretches.noise, case.here, tip)
+    chosen = [one for one in first if one.suspect in SUSPECTS[:TELLING] and one.score > _HOPELESS * first[0].score]
+    out = []
+    for one in chosen:
+        directions = one.suspect.directions
+        spread = spread_along(case, directions)
+        start = np.clip(one.size, -spread, spread)
+        best = solved([case], directions, spread, found.friction, start)
+        if len(spread) == 1 and _left(best, spread) > _POOR * len(misfit.value):
+            best = min(best, solved([case], directions, spread, found.friction, -start), key=lambda solution: _left(solution, spread))
+        explained = none - _left(best, spread)
+        moved = own @ (directions @ best.size)
+        out.append(
+            _Tried(explained - _PRICE * (len(spread) - 1), one.suspect, best.size, np.sqrt(np.diag(best.covariance)), explained, moved)
+        )
+    return sorted(out, key=lambda one: -one.score) or first
+
+
+def _left(solution: Solution, spread: Float[np.ndarray, "p"]) -> float:
+    misfit = solution.misfits[0]
+    return float(misfit.value @ misfit.value + np.sum((solution.size / spread) ** 2))
+
+
+def _concluded(
+    found: Reconstruction, case: Case, misfit: Misfit, friction: float, first: list[_Tried], groups: list[list[_Tried]], lines: list[str]
+) -> SetupCheck:
+    square, rows = float(misfit.value @ misfit.value), len(misfit.value)
+    return SetupCheck(
+        tuple(_cause(found, one, max(square - rows, 1.0)) for one in first),
+        square / rows,
+        friction,
+        tuple(tuple(one.suspect.name for one in group) for group in groups),
+        tuple(lines),
+        _shift_of_rows(found, case, groups),
+    )
+
+
+def _cause(found: Reconstruction, one: _Tried, total: float) -> Cause:
+    unit, factor = _unit(found, one.suspect.name)
+    return Cause(
+        one.suspect.name,
+        unit,
+        tuple(map(float, factor * one.size)),
+        tuple(map(float, factor * one.deviation)),
+        float(np.sqrt(max(one.explained, 0.0))),
+        float(np.clip(one.explained / total, 0.0, 1.0)),
+        one.shift * found.rod.length,
+    )
+
+
+def _unit(found: Reconstruction, name: str) -> tuple[str, float]:
+    """Unit of a cause's numbers, and what takes them there from model units."""
+    rod = found.rod
+    si = rod.units == "SI"
+    match name.split("_", maxsplit=1)[0]:
+        case "length" | "clamp" if name != "clamp_orientation":
+            return rod.unit_of("length"), rod.length
+        case "clamp":
+            return "rad", 1.0
+        case "rest":
+            return rod.unit_of("curvature"), 1 / rod.length
+        case "load":
+            return "N/m" if si else "1", rod.force_scale / rod.length
+        case "drift" | "zero":
+            force = name[-2] == "f"
+            unit = rod.unit_of("force" if force else "moment")
+            return unit + ("/s" if name.startswith("drift") else ""), rod.force_scale if force else rod.moment_scale
+    return "1", 1.0
+
+
+def _line(found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], together: Sequence[_Tried]) -> str:
+    best, here, rod = together[0], case.here, found.rod
+    signal = np.abs(case.slopes.constraints @ (best.suspect.directions @ best.size)) / case.deviations
+    signal[~tip, TIP], signal[tip, TANGENT] = 0.0, 0.0
+    row = int(np.argmax(np.sum(signal**2, axis=0)))
+    of_row = tip if row == TIP else ~tip if row == TANGENT else np.ones_like(tip)
+    size = here.value[of_row, row] / (here.steepness[of_row] if row == TIP else 1.0)
+    seen = observed(row, float(np.median(size)), rod.length, rod.unit_of("length"))
+    order = sorted(together, key=lambda one: SUSPECTS.index(one.suspect))[:_SHOWN]
+    causes = [
+        named(one.suspect.name, tuple(_unit(found, one.suspect.name)[1] * one.size), rod.length, rod.unit_of("length")) for one in order
+    ]
+    shift = max(one.shift for one in together)
+    moved = f"{1e3 * shift * rod.length:.2g} mm" if rod.units == "SI" else f"{shift:.2g} L"
+    return f"{seen}, {np.sqrt(best.explained):.0f} standard deviations: likely {', or '.join(causes)}; contacts are then off by {moved} in the median"
+
+
+def _shift_of_rows(found: Reconstruction, case: Case, groups: Sequence[Sequence[_Tried]]) -> Float[np.ndarray, "n 3"]:
+    """World axes and units of the rod: of each group the largest, all together."""
+    stretches = case.bench.stretches
+    total = np.zeros((len(stretches.time), 3))
+    for group in groups:
+        each = np.stack([one.moved for one in group])
+        largest = np.argmax(np.linalg.norm(each, axis=2), axis=0)
+        total += each[largest, np.arange(len(total))]
+    world = np.einsum("kij,kj->ki", stretches.turn, total) * found.rod.length
+    assert found.reactions.time is not None
+    return np.stack([np.interp(found.reactions.time, stretches.time, world[:, axis]) for axis in range(3)], axis=1)

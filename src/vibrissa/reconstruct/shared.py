@@ -1,0 +1,56 @@
+"""Errors of a setup in contacts: derivatives by its numbers, and covariances that hold them."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrissa.numerics.blocks import in_blocks
+from vibrissa.reactions import Reactions
+from vibrissa.reconstruct.kernels import sensitivity_blocks
+from vibrissa.reconstruct.parameters import COUNT, factor_of, rig_of, velocities_of
+from vibrissa.reconstruct.result import Reconstruction
+from vibrissa.rod import Rod
+
+
+def noisy_rows(rod: Rod, reactions: Reactions) -> tuple[np.ndarray, ...]:
+    """Wrench (k, 6), clamp orientation (k, 4), covariance and its inverse (k, 6, 6) of reactions of known noise, world axes and model units."""
+    assert reactions.covariance is not None
+    shape, units = reactions.trail.shape, np.repeat([rod.force_scale, rod.moment_scale], 3)
+    wrench = np.concatenate([reactions.force, reactions.moment], axis=-1).reshape(-1, 6) / units
+    covariance = reactions.covariance / np.outer(units, units)
+    matrices = [np.broadcast_to(part, (*shape, 6, 6)).reshape(-1, 6, 6) for part in (covariance, np.linalg.inv(covariance))]
+    return wrench, reactions.trail.orientation.reshape(-1, 4), *matrices
+
+
+def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 15"]:
+    """Derivatives of points and normals, world axes, by `vibrissa.tolerances.PARAMETERS`, lengths in units of the rod's; NaN without contact."""
+    if found.sensitivity is not None:
+        return found.sensitivity
+    rod, reactions = found.rod, found.reactions
+    velocity = velocities_of(rod, reactions).reshape(-1, 6)
+    rows = in_blocks(partial(sensitivity_blocks, rig_of(rod, reactions)), *noisy_rows(rod, reactions), velocity)
+    return np.where(found.in_contact[..., None, None], rows.reshape(*found.kind.shape, 6, COUNT), np.nan)
+
+
+def shared_of(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 p"]:
+    """What the sweep shares, points in units of the rod's length; without columns where no tolerances are stated, or no noise."""
+    factor = factor_of(found.rod, found.reactions)
+    if found.covariance is None or not factor.shape[1]:
+        return np.zeros((*found.kind.shape, 6, 0))
+    return sensitivities(found) @ factor
+
+
+def with_shared(found: Reconstruction) -> Reconstruction:
+    """Contacts whose covariances hold what varies from sample to sample alone, with all of it."""
+    noise, of_normal = found.covariance, found.normal_covariance
+    whole = replace(found, covariance_noise=noise, normal_covariance_noise=of_normal)
+    if noise is None or of_normal is None or not whole.shared_names:
+        return whole
+    shared, shared_normal = whole.shared, whole.shared_normal
+    return replace(
+        whole,
+        covariance=noise + shared @ np.swapaxes(shared, -1, -2),
+        normal_covariance=of_normal + shared_normal @ np.swapaxes(shared_normal, -1, -2),
+    )

@@ -1,0 +1,88 @@
+"""What smoothing cannot tell it says: weak signals, readings of the wrong sign, recordings cut off in contact; and segments meet without a seam."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from sweeps import BALL, WIRE
+
+import vibrissa as vb
+from vibrissa.reconstruct.smoothing import segments
+
+REST, ROWS = 100, 600
+pytestmark = pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")
+
+
+@pytest.fixture(scope="module")
+def scan() -> vb.Scan:
+    return vb.scan(WIRE, BALL, vb.Trail.line(start=(0.04, 0.005, 0), stop=(-0.04, 0.005, 0), count=ROWS))
+
+
+def readings(scan: vb.Scan, strength: float, *, sign: float = 1.0) -> vb.Reactions:
+    """A log of the sweep after a rest, by a sensor whose noise is the largest force over `strength`, 100 rows a second."""
+    largest = float(np.nanmax(np.linalg.norm(scan.reactions.force, axis=1)))
+    deviation = np.repeat([1.0, WIRE.length / 2], 3) * largest / strength
+    load = np.hstack([scan.reactions.force, scan.reactions.moment])
+    load = np.vstack([np.zeros((REST, 6)), sign * load]) + np.random.default_rng(3).normal(0, deviation, (REST + ROWS, 6))
+    position = scan.reactions.trail.position
+    trail = vb.Trail(np.vstack([np.tile(position[0], (REST, 1)), position]))
+    return vb.Reactions(trail, load[:, :3], load[:, 3:], time=np.arange(REST + ROWS) / 100, covariance=np.diag(deviation**2))
+
+
+def held(found: vb.Reconstruction, scan: vb.Scan) -> np.ndarray:
+    """Whether each smoothed contact says OK and whether its 95 % ellipsoid holds the true point (k, 2)."""
+    rows = REST + np.flatnonzero(scan.in_contact)
+    rows = rows[found.in_contact[rows]]
+    assert found.covariance is not None
+    error = found.point[rows] - scan.point[rows - REST]
+    distance = np.einsum("ni,ni->n", error, np.linalg.solve(found.covariance[rows], error[..., None])[..., 0])
+    return np.column_stack([found.status[rows] == vb.Status.OK, distance < chi2.isf(0.05, 3)])
+
+
+@pytest.mark.parametrize("strength", [5.0, 20.0])
+def test_weak_signals_are_covered_or_said_to_be_so(scan: vb.Scan, strength: float) -> None:
+    ok, inside = held(vb.smooth(vb.reconstruct(WIRE, readings(scan, strength))), scan).T
+    assert len(ok) > 100
+    assert not ok.any() or inside[ok].mean() > 0.88
+
+
+def test_readings_of_the_wrong_sign_are_not_ok(scan: vb.Scan) -> None:
+    found = vb.smooth(vb.reconstruct(WIRE, readings(scan, 100.0, sign=-1.0)))
+    rows = found.in_contact[REST:] & scan.in_contact
+    assert rows.sum() > 100
+    assert np.mean(found.status[REST:][rows] == vb.Status.OK) < 0.05
+
+
+def test_segments_meet_without_a_seam(scan: vb.Scan, monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = vb.reconstruct(WIRE, readings(scan, 100.0))
+    whole = vb.smooth(raw)
+    monkeypatch.setattr(segments, "_LONGEST", 460)
+    monkeypatch.setattr(segments, "_OVERLAP", 160)
+    parts = vb.smooth(raw)
+    assert parts.smoothing is not None
+    assert whole.covariance is not None
+    (touch,) = parts.smoothing[0].touches
+    assert touch.start is not None
+    assert touch.end is not None
+    rows = parts.in_contact & whole.in_contact
+    assert np.mean(parts.in_contact == whole.in_contact) > 0.98
+    apart = np.linalg.norm(parts.point[rows] - whole.point[rows], axis=1)
+    stated = np.sqrt(np.trace(whole.covariance[rows], axis1=1, axis2=2))
+    assert np.median(apart / stated) < 0.5
+    # Two estimates from partly other data differ; each holds the true points.
+    assert held(parts, scan)[:, 1].mean() > 0.88
+
+
+def test_a_recording_cut_off_in_contact_is_smoothed(scan: vb.Scan) -> None:
+    given = readings(scan, 100.0)
+    first, last = REST + int(np.flatnonzero(scan.in_contact)[20]), REST + int(np.flatnonzero(scan.in_contact)[-20])
+    force = given.force[first:last].copy()
+    force[40], force[80] = np.nan, 1e3
+    assert given.time is not None
+    trail = vb.Trail(given.trail.position[first:last])
+    cut = vb.Reactions(trail, force, given.moment[first:last], time=given.time[first:last], covariance=given.covariance)
+    found = vb.smooth(vb.reconstruct(WIRE, cut))
+    ok = found.in_contact & (found.status == vb.Status.OK)
+    assert found.covariance is not None
+    assert found.status[40] == vb.Status.BAD_DATA
+    assert np.isfinite(found.point[ok]).all()
+    assert np.isfinite(found.covariance[ok]).all()

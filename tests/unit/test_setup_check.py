@@ -1,0 +1,99 @@
+"""What the contacts of a sweep say of rod, clamp and sensor: recordings of an independent engine with known faults, and a line integrated independently."""
+
+import gzip
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_bench import WIRE, recordings, sensor, setup
+from scipy.integrate import solve_ivp
+
+import vibrissa as vb
+from vibrissa.reconstruct import check_setup
+from vibrissa.reconstruct.checks.constraints import constraints_of
+
+EFFECTS = Path(__file__).parents[3] / "shared" / "recordings" / "effects"
+
+
+def recorded(name: str, folder: Path) -> tuple[vb.Setup, vb.Reactions]:
+    if not (EFFECTS / f"{name}.csv.gz").exists():
+        pytest.skip(f"no recording {name} in {EFFECTS}")
+    path = folder / f"{name}.csv"
+    path.write_bytes(gzip.decompress((EFFECTS / f"{name}.csv.gz").read_bytes()))
+    loaded = vb.load_setup(EFFECTS / f"{name}.toml")
+    return loaded, vb.read_recording(path, loaded)
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[vb.Setup, vb.Reactions]:
+    return recorded("revers", tmp_path_factory.mktemp("sound"))
+
+
+def test_nothing_is_said_where_all_is_as_stated(sound: tuple[vb.Setup, vb.Reactions]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = vb.reconstruct(sound[0].rod, sound[1])
+    assert found.warnings == []
+    assert not np.any(found.status == vb.Status.SETUP_CONTRADICTED)
+
+
+def test_a_stiffness_one_per_cent_off_is_named(sound: tuple[vb.Setup, vb.Reactions]) -> None:
+    rod = replace(sound[0].rod, bending_stiffness=0.985 * sound[0].rod.bending_stiffness)
+    said = check_setup(vb.reconstruct(rod, sound[1], check=False))
+    (cause,) = (cause for cause in said.causes if cause.name == "bending_stiffness")
+    assert "bending_stiffness" in said.named[0]
+    assert abs(cause.estimate[0] - 0.015) < 3 * cause.deviation[0] + 0.004
+
+
+def test_rest_curvature_is_named_with_its_size(tmp_path: Path) -> None:
+    loaded, reactions = recorded("sagy", tmp_path)
+    with pytest.warns(vb.RecordingWarning, match="sagitta 1 mm along y"):
+        found = vb.reconstruct(loaded.rod, reactions)
+    assert np.mean(found.status[found.in_contact] != vb.Status.OK) > 0.9
+
+
+def test_a_turned_clamp_is_named_with_its_angle(tmp_path: Path) -> None:
+    loaded, reactions = recorded("clamp1deg_y", tmp_path)
+    said = check_setup(vb.reconstruct(loaded.rod, reactions, check=False))
+    (cause,) = (cause for cause in said.causes if cause.name == "clamp_orientation")
+    assert "clamp_orientation" in said.named[0]
+    np.testing.assert_allclose(np.degrees(cause.estimate), [0.0, 1.0], atol=0.1)
+
+
+def test_constraints_are_those_of_an_integrated_rod() -> None:
+    """Forward from a tip force to the base wrench of a tapering, curved, heavy rod: there all constraints hold."""
+    taper, bend, load = 0.2, np.array([0.1, -0.2]), np.array([0.02, -0.01, 0.05])
+    force = np.array([0.3, -0.5, -0.8])
+
+    def rod(s: float, y: np.ndarray) -> np.ndarray:
+        t, d, m = y[3:6], y[6:9], y[9:]
+        n = force + load * (1 - s)
+        turning = m / (1 - taper * s) ** 4 + np.cross(t, bend[0] * d + bend[1] * np.cross(t, d))
+        return np.concatenate([t, np.cross(turning, t), np.cross(turning, d), -np.cross(t, n)])
+
+    def at_tip(m: np.ndarray) -> np.ndarray:
+        return solve_ivp(rod, (0, 1), np.concatenate([np.zeros(3), [0, 0, 1], [1, 0, 0], m]), rtol=1e-11, atol=1e-12).y[:, -1]
+
+    moment = np.cross([0, 0, 1], force)
+    for _ in range(12):
+        left = at_tip(moment)[9:]
+        slope = np.stack([(at_tip(moment + 1e-6 * e)[9:] - left) / 1e-6 for e in np.eye(3)], axis=1)
+        moment = moment - np.linalg.solve(slope, left)
+    wrench = -np.concatenate([force + load, moment])[None]
+    found = constraints_of(wrench, np.concatenate([[taper], bend, load])[None])
+    np.testing.assert_allclose(found.value[0, :3], 0, atol=1e-4)
+    np.testing.assert_allclose(found.reach[0], at_tip(moment)[:3], atol=1e-3)
+
+
+def test_calibration_without_an_object_finds_stiffness_over_length_squared() -> None:
+    one = sensor()
+    truth = setup(one)
+    start = replace(truth, surface=None, rod=replace(WIRE, bending_stiffness=1.08 * WIRE.bending_stiffness, length=1.01 * WIRE.length))
+    found = vb.calibrate(recordings(one), start, free=("youngs_modulus", "length"))
+    stiffness, length = (found.estimates[name] for name in ("youngs_modulus", "length"))
+    value = stiffness.value / length.value**2 / (206e9 / 0.05**2)
+    slope = np.array([1 / stiffness.value, -2 / length.value])
+    assert abs(np.log(value)) < 4 * np.sqrt(slope @ found.covariance @ slope)
+    assert abs(np.log(value)) < 0.02

@@ -89,7 +89,7 @@ def test_contacts_reconstructed_with_the_calibrated_setup_lie_on_the_ball(sphere
     found = vb.calibrate([vb.read_recording(folder / f"trail_y{name}.csv", start) for name in ("+0.10", "-0.20")], start)
     off = []
     for setup in (start, found.setup, truth):
-        contacts = vb.reconstruct(setup.rod, vb.read_recording(folder / "trail_y+0.30.csv", setup))
+        contacts = vb.reconstruct(setup.rod, vb.read_recording(folder / "trail_y+0.30.csv", setup), check=False)
         rows = contacts.in_contact & (np.linalg.norm(contacts.reactions.force, axis=1) > 0.06)
         off.append(np.median(np.abs(truth.surface.distances(contacts.point[rows]))))
     assert off[0] > 1e-3

@@ -118,10 +118,10 @@ def test_a_coarse_sensor_detects_little_and_a_small_range_saturates() -> None:
 
 
 def test_a_position_that_cannot_be_solved_is_on_no_map() -> None:
-    """Right below the ball's middle the push is head-on, and the scan has no contact to show."""
+    """Pushed straight up at the ball's lowest point the rod may bend to any side, and the scan has no contact to show."""
     mpl.use("Agg")
-    trail = vb.Trail.line(start=(0.04, 0, 0), stop=(-0.04, 0, 0), count=121)
-    error = vb.expected_error(WIRE, BALL, trail, SMALL)
+    up = vb.Trail.line(start=(0, 0, -0.03), stop=(0, 0, 0.01), count=41)
+    error = vb.expected_error(WIRE, BALL, vb.Trail.stack([LINE, up]), SMALL)
     unsolved = error.scan.status >= vb.Status.HEAD_ON
     assert unsolved.any()
     assert not error.detected[unsolved].any()

@@ -140,7 +140,7 @@ def test_elastic_line_says_what_it_needs() -> None:
     with pytest.raises(IndexError):
         scan.elastic_line((2, 0))
     head_on = vb.scan(UNIT, AHEAD, vb.Trail.line(start=(0, 0, -0.4), stop=(0, 0, 0.1), count=21))
-    with pytest.raises(ValueError, match=r"index = 20: this position was not solved: .*straight rod"):
+    with pytest.raises(ValueError, match=r"index = 20: this position was not solved: .*clamp's axis"):
         head_on.elastic_line(20)
 
 

@@ -39,7 +39,8 @@ class System(NamedTuple):
 def scores(problem: Problem, linear: Linear, rod: Rod, inflation: float) -> list[Score]:
     """Scores of all that is held and may be other than stated, most significant first.
 
-    All rows count, those too that were left out as disturbed: leaving them out may be what hides the cause. Each row's cost is at most Huber's.
+    All rows count, those too that were left out as disturbed: leaving them out may be what hides the cause. With friction known they do not: where the rod
+    sticks no coefficient explains the readings. Each row's cost is at most Huber's.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def scores(problem: Problem, linear: Linear, rod: Rod, inflation: float) -> list
     """
     every = max(1, len(linear.sound) // _ROWS)
     problem, linear = thinned(problem, linear, every)
-    rows = linear.sound
+    rows = linear.sound & ~problem.disturbed if problem.rubs else linear.sound
     prior, pull = (part / every for part in prior_system(problem, linear.point))
     limit = float(np.sqrt(chi2.isf(_OUTLYING, problem.freedom)))
     system = System(linear.residual[rows], linear.jacobian[rows], prior, pull, limit)

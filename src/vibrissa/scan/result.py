@@ -128,9 +128,14 @@ class Scan:
 
     @cached_property
     def friction_work(self) -> Float[np.ndarray, "*trail n"]:
-        """Work (…) [J] that friction turns into heat on the way from the position before: by the trapezoidal rule; NaN where either has no contact."""
+        """Work (…) [J] that friction turns into heat on the way from the position before: by the trapezoidal rule.
+
+        NaN where either has no contact, and across a snap, of which statics knows both ends but not the way.
+        """
         force = _mean_of_ends(-self.reactions.force)
-        return led(-np.einsum("...i,...i->...", force, self.slip.sliding[..., 1:, :]))
+        heat = led(-np.einsum("...i,...i->...", force, self.slip.sliding[..., 1:, :]))
+        heat[self._behind_a_snap] = np.nan
+        return heat
 
     def quasi_static(self, speed: float) -> QuasiStatic:
         """Whether a clamp speed [m/s] is slow enough for statics, given the rod's density.
@@ -140,12 +145,17 @@ class Scan:
         ValueError
             If the rod has no density, or the speed is not positive.
         """
-        smooth = np.ones(self.kind.shape, dtype=bool)
-        snaps = [event for event in self.events if event.kind == EventKind.SNAP]
-        for event in snaps:
-            trail = (event.trail,) if self.kind.ndim == 2 else ()
-            smooth[(*trail, np.searchsorted(self.trail.parameter[trail], event.parameter))] = False
-        return quasi_static(self.rod, self.trail, self.reactions.force, self.reactions.moment, smooth, speed)
+        return quasi_static(self.rod, self.trail, self.reactions.force, self.reactions.moment, ~self._behind_a_snap, speed)
+
+    @property
+    def _behind_a_snap(self) -> Bool[np.ndarray, "*trail n"]:
+        """The first position after each snap."""
+        behind = np.zeros(self.kind.shape, dtype=bool)
+        for event in self.events:
+            if event.kind == EventKind.SNAP:
+                trail = (event.trail,) if self.kind.ndim == 2 else ()
+                behind[(*trail, np.searchsorted(self.trail.parameter[trail], event.parameter))] = True
+        return behind
 
     def elastic_line(self, index: "int | tuple[int, int]", count: int = 200) -> Float[np.ndarray, "count 3"]:
         """The rod's shape at a position: `count` points equally spaced in arc length from clamp to tip.

@@ -1,5 +1,7 @@
 """The inverse map in batches: without noise, and with what the noise implies."""
 
+import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -39,26 +41,25 @@ def invert_blocks(
     def one(force: Float[Array, "3"], moment: Float[Array, "3"], orientation: Float[Array, "4"]) -> Float[Array, "11"]:
         return _packed(jnp.concatenate([force / scales[0], moment / scales[1]]), third_axis(orientation))
 
-    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (force, moment, orientation))
+    return _in_lanes(one, force, moment, orientation)
 
 
 @compiled
 def invert_noisy_blocks(
     wrench: Float[Array, "blocks 6 width"],
     orientation: Float[Array, "blocks 4 width"],
-    covariance: Float[Array, "blocks 6 6 width"],
+    root: Float[Array, "blocks 6 6 width"],
     precision: Float[Array, "blocks 6 6 width"],
 ) -> Array:
     """`invert` of the most probable wrench (model units) of a single contact on this rod, with its errors: (blocks, 32, width).
 
-    `precision` is the inverse of the covariance.
+    `root` is the lower Cholesky factor of the wrench's covariance, `precision` the inverse of that.
     """
 
-    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array) -> Float[Array, "32"]:
-        return _noisy(wrench, third_axis(orientation), covariance, precision).packed
+    def one(wrench: Array, orientation: Array, root: Array, precision: Array) -> Float[Array, "32"]:
+        return _noisy(wrench, third_axis(orientation), root, precision).packed
 
-    lanes = jax.vmap(one, in_axes=(1, 1, 2, 2), out_axes=1)
-    return lax.map(lambda block: lanes(*block), (wrench, orientation, covariance, precision))
+    return _in_lanes(one, wrench, orientation, root, precision)
 
 
 @compiled
@@ -67,20 +68,19 @@ def invert_shared_blocks(
     errors: Float[AnyArray, "15 15"],
     wrench: Float[Array, "blocks 6 width"],
     orientation: Float[Array, "blocks 4 width"],
-    covariance: Float[Array, "blocks 6 6 width"],
+    root: Float[Array, "blocks 6 6 width"],
     precision: Float[Array, "blocks 6 6 width"],
     velocity: Float[Array, "blocks 6 width"],
 ) -> Array:
     """`invert_noisy_blocks`, and what errors of the setup of this covariance (model units) add: (blocks, 50, width). `velocity` is the clamp's, in its axes."""
 
-    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array, velocity: Array) -> Float[Array, "50"]:
-        found = _noisy(wrench, third_axis(orientation), covariance, precision)
+    def one(wrench: Array, orientation: Array, root: Array, precision: Array, velocity: Array) -> Float[Array, "50"]:
+        found = _noisy(wrench, third_axis(orientation), root, precision)
         slope = _sensitivity(found, orientation, velocity, rig)
         of_reach, of_direction = (_product(_product(part, errors), part.T) for part in (slope[:3], slope[3:]))
         return jnp.concatenate([found.packed, of_reach.ravel(), of_direction.ravel()])
 
-    lanes = jax.vmap(one, in_axes=(1, 1, 2, 2, 1), out_axes=1)
-    return lax.map(lambda block: lanes(*block), (wrench, orientation, covariance, precision, velocity))
+    return _in_lanes(one, wrench, orientation, root, precision, velocity)
 
 
 @compiled
@@ -88,17 +88,22 @@ def sensitivity_blocks(
     rig: Rig,
     wrench: Float[Array, "blocks 6 width"],
     orientation: Float[Array, "blocks 4 width"],
-    covariance: Float[Array, "blocks 6 6 width"],
+    root: Float[Array, "blocks 6 6 width"],
     precision: Float[Array, "blocks 6 6 width"],
     velocity: Float[Array, "blocks 6 width"],
 ) -> Array:
     """Derivatives of r and n̂, world axes, by `vibrissa.tolerances.PARAMETERS` for given readings: (blocks, 6, 15, width)."""
 
-    def one(wrench: Array, orientation: Array, covariance: Array, precision: Array, velocity: Array) -> Float[Array, "6 15"]:
-        return _sensitivity(_noisy(wrench, third_axis(orientation), covariance, precision), orientation, velocity, rig)
+    def one(wrench: Array, orientation: Array, root: Array, precision: Array, velocity: Array) -> Float[Array, "6 15"]:
+        return _sensitivity(_noisy(wrench, third_axis(orientation), root, precision), orientation, velocity, rig)
 
-    lanes = jax.vmap(one, in_axes=(1, 1, 2, 2, 1), out_axes=2)
-    return lax.map(lambda block: lanes(*block), (wrench, orientation, covariance, precision, velocity))
+    return _in_lanes(one, wrench, orientation, root, precision, velocity)
+
+
+def _in_lanes(one: Callable[..., Array], *blocks: Array) -> Array:
+    """A function of one sample, applied to blocks with the samples on their last axis."""
+    lanes = jax.vmap(one, in_axes=-1, out_axes=-1)
+    return lax.map(lambda block: lanes(*block), blocks)
 
 
 class _Found(NamedTuple):
@@ -117,11 +122,11 @@ def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Arra
     return jnp.concatenate([contact.reach, contact.direction, jnp.stack([contact.arc_length, contact.modulus, contact.energy, f, single])])
 
 
-def _noisy(
-    wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"], precision: Float[Array, "6 6"]
-) -> _Found:
+def _noisy(wrench: Float[Array, "6"], tangent: Float[Array, "3"], root: Float[Array, "6 6"], precision: Float[Array, "6 6"]) -> _Found:
+    covariance = _product(root, root.T)
     single, deviation = single_contact(wrench, covariance)
-    within = _within_the_rod(single, tangent, covariance, precision)
+    straight = _straight_tip(single, tangent, precision)
+    within = _within_the_rod(single, straight, tangent, covariance)
 
     def observed(measured: Float[Array, "6"]) -> Float[Array, "8"]:
         # Errors pass through the projection on a single contact, but not through the limit at the tip, where they would be cut.
@@ -131,11 +136,38 @@ def _noisy(
     jacobian = jax.jacfwd(observed)(within)
     errors = jacobian @ covariance @ jacobian.T
     values = _packed(within, tangent)
+    values = values.at[:3].set(_within_reach(values[:3]))
+    of_reach, of_direction = _second_moments(observed, within, root, values)
+    # A contact that says flank may be one at the tip of a rod that is still straight, as likely as noise makes of one the other.
+    towards = tangent - values[:3]
+    of_reach = of_reach + jnp.exp(-(straight.deviations**2) / 2) * jnp.outer(towards, towards)
     extra = jnp.stack([jnp.sqrt(errors[6, 6]), jnp.sqrt(errors[7, 7]), deviation])
     # A wrench that was moved to the tip stays there, however the setup's numbers change it.
     along = covariance @ jacobian[6] / jnp.maximum(errors[6, 6], 1e-300) * jnp.any(within != single)
     pinned = jacobian[:6] - jnp.outer(jacobian[:6] @ along, jacobian[6])
-    return _Found(jnp.concatenate([values, errors[:3, :3].ravel(), errors[3:6, 3:6].ravel(), extra]), within, pinned)
+    return _Found(jnp.concatenate([values, of_reach.ravel(), of_direction.ravel(), extra]), within, pinned)
+
+
+def _second_moments(
+    observed: Callable[[Array], Array], wrench: Float[Array, "6"], root: Float[Array, "6 6"], values: Float[Array, "11"]
+) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
+    """Mean squares of the errors of r and n̂ under noise, by the points √6 deviations to either side along each axis of its ellipsoid.
+
+    They match the noise's mean and covariance, and two moments more along each axis (S. J. Julier, J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): where the force is a
+    few deviations, the contact is far from linear in them.
+    """
+    size = len(wrench)
+    steps = math.sqrt(size) * jnp.concatenate([root.T, -root.T])
+    found = jax.vmap(observed)(wrench + steps)
+    reach = jax.vmap(_within_reach)(found[:, :3]) - values[:3]
+    direction = found[:, 3:6] - values[3:6]
+    by_reach, by_direction = (_product(part.T, part) / (2 * size) for part in (reach, direction))
+    return by_reach, by_direction
+
+
+def _within_reach(reach: Float[Array, "3"]) -> Float[Array, "3"]:
+    """No contact lies farther from the clamp than the rod is long: near first contact noise may say so."""
+    return reach / jnp.maximum(jnp.sqrt(jnp.sum(reach * reach)), 1.0)
 
 
 def _sensitivity(found: _Found, orientation: Float[Array, "4"], velocity: Float[Array, "6"], rig: Rig) -> Float[Array, "6 15"]:
@@ -153,8 +185,13 @@ def _product(first: Float[AnyArray, "k l"], second: Float[AnyArray, "l m"]) -> F
     return jnp.sum(jnp.asarray(first)[:, :, None] * jnp.asarray(second)[None], axis=1)
 
 
+class _Straight(NamedTuple):
+    wrench: Float[Array, "6"]
+    deviations: Float[Array, ""]
+
+
 def _within_the_rod(
-    wrench: Float[Array, "6"], tangent: Float[Array, "3"], covariance: Float[Array, "6 6"], precision: Float[Array, "6 6"]
+    wrench: Float[Array, "6"], straight: _Straight, tangent: Float[Array, "3"], covariance: Float[Array, "6 6"]
 ) -> Float[Array, "6"]:
     """The most probable wrench with s₁ ≤ L: a contact beyond the tip, by less than the noise explains, is one at the tip."""
 
@@ -173,14 +210,11 @@ def _within_the_rod(
     beyond = log_arc_length(wrench)[0] > 0
     limited, deviations, value = lax.fori_loop(0, _TIP_STEPS, step, (wrench, jnp.zeros(()), jnp.zeros(())))
     near = (jnp.abs(value) < _AT_TIP) & (jnp.abs(deviations) < TIP_DEVIATIONS)
-    straight, straight_deviations = _straight_tip(wrench, tangent, precision)
-    chosen = jnp.where(near, limited, jnp.where(straight_deviations < TIP_DEVIATIONS, straight, wrench))
+    chosen = jnp.where(near, limited, jnp.where(straight.deviations < TIP_DEVIATIONS, straight.wrench, wrench))
     return jnp.where(beyond, chosen, wrench)
 
 
-def _straight_tip(
-    wrench: Float[Array, "6"], tangent: Float[Array, "3"], precision: Float[Array, "6 6"]
-) -> tuple[Float[Array, "6"], Float[Array, ""]]:
+def _straight_tip(wrench: Float[Array, "6"], tangent: Float[Array, "3"], precision: Float[Array, "6 6"]) -> _Straight:
     """Most probable wrench of a force at the tip of the rod while it is still straight, and its distance in standard deviations.
 
     Near first contact noise may move s₁ by rod lengths, and the bent rod's equations are of no use.
@@ -191,4 +225,4 @@ def _straight_tip(
     straight = design @ solve_3x3(design.T @ weighted, weighted.T @ wrench)
     # At the minimum the square of the distance is wᵀΣ⁻¹w less what the design explains.
     weighted_wrench = precision @ wrench
-    return straight, jnp.sqrt(jnp.maximum((wrench - straight) @ weighted_wrench, 0.0))
+    return _Straight(straight, jnp.sqrt(jnp.maximum((wrench - straight) @ weighted_wrench, 0.0)))

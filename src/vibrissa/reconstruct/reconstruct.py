@@ -157,9 +157,6 @@ def _noisy(
     status[fields[:, 7] - _STEEP_DEVIATIONS * steep_deviation > _steepest(friction)] = _STEEP_TANGENT
     status[fields[:, 7] >= 1] = _NO_CURVATURE_ZERO
     tip = arc_length > 1 - _TIP - _KIND_DEVIATIONS * deviation
-    # No contact lies farther from the clamp than the rod is long: near first contact noise may say so.
-    reach = np.linalg.norm(fields[:, :3], axis=1, keepdims=True)
-    fields = np.concatenate([fields[:, :3] / np.maximum(reach, 1.0), fields[:, 3:]], axis=1)
     return _result(rod, reactions, friction, fields, chi_square > threshold, tip, status, single, fields[:, WIDTH:], chi_square)
 
 

@@ -15,12 +15,14 @@ from vibrissa.rod import Rod
 
 
 def noisy_rows(rod: Rod, reactions: Reactions) -> tuple[np.ndarray, ...]:
-    """Wrench (k, 6), clamp orientation (k, 4), covariance and its inverse (k, 6, 6) of reactions of known noise, world axes and model units."""
+    """Wrench (k, 6), clamp orientation (k, 4), Cholesky factor and inverse of the covariance (k, 6, 6) of reactions of known noise, world axes and model units."""
     assert reactions.covariance is not None
     shape, units = reactions.trail.shape, np.repeat([rod.force_scale, rod.moment_scale], 3)
     wrench = np.concatenate([reactions.force, reactions.moment], axis=-1).reshape(-1, 6) / units
     covariance = reactions.covariance / np.outer(units, units)
-    matrices = [np.broadcast_to(part, (*shape, 6, 6)).reshape(-1, 6, 6) for part in (covariance, np.linalg.inv(covariance))]
+    matrices = [
+        np.broadcast_to(part, (*shape, 6, 6)).reshape(-1, 6, 6) for part in (np.linalg.cholesky(covariance), np.linalg.inv(covariance))
+    ]
     return wrench, reactions.trail.orientation.reshape(-1, 4), *matrices
 
 

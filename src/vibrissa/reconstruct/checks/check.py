@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from vibrissa.contacts import RecordingWarning, Status
 from vibrissa.reconstruct.checks.case import Case, Solution, case_of, phases_by, solved, spread_along, tolerated, weighed
-from vibrissa.reconstruct.checks.constraints import TANGENT, TIP
+from vibrissa.reconstruct.checks.constraints import TANGENT, TIP, Constraints
 from vibrissa.reconstruct.checks.passes import contradicts, delay_of, shift_by
 from vibrissa.reconstruct.checks.regression import Misfit, fitted, shifts
 from vibrissa.reconstruct.checks.rig import frame_of
@@ -141,7 +141,7 @@ def checked(found: Reconstruction) -> Reconstruction:
     lines = [*said.warnings, *by_work]
     for line in lines:
         warnings.warn(line, RecordingWarning, stacklevel=3)
-    said = replace(said, misread=bool(by_work or found.reactions.misread))
+    said = replace(said, misread=bool(said.misread or by_work or found.reactions.misread))
     return with_contradictions(with_delay(replace(found, setup_check=said, warnings=[*found.warnings, *lines])))
 
 
@@ -227,7 +227,8 @@ def _of_trail(found: Reconstruction, shift: Float[np.ndarray, "n 3"]) -> SetupCh
         about = about.about(errors, found.friction)
         tip = phases_by(about, [suspect.directions for suspect in SUSPECTS[:TELLING]], started=False)
         tried = _tried(about, tip, weighed(about, tip, tolerated(about, found.reactions, found.rod.length))[0])
-    return _concluded(found, case, misfit, friction, first, groups, lines)
+    concluded = _concluded(found, case, misfit, friction, first, groups, lines)
+    return concluded if lines else replace(concluded, warnings=(_unexplained(found, case, tip, misfit),), misread=True)
 
 
 def _alike(tried: list[_Tried]) -> list[_Tried]:
@@ -333,10 +334,7 @@ def _line(found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], togethe
     best, here, rod = together[0], case.here, found.rod
     signal = np.abs(case.slopes.constraints @ (best.suspect.directions @ best.size)) / case.deviations
     signal[~tip, TIP], signal[tip, TANGENT] = 0.0, 0.0
-    row = int(np.argmax(np.sum(signal**2, axis=0)))
-    of_row = tip if row == TIP else ~tip if row == TANGENT else np.ones_like(tip)
-    size = here.value[of_row, row] / (here.steepness[of_row] if row == TIP else 1.0)
-    seen = observed(row, float(np.median(size)), rod.length, rod.unit_of("length"))
+    seen = _seen(found, here, tip, int(np.argmax(np.sum(signal**2, axis=0))))
     order = sorted(together, key=lambda one: SUSPECTS.index(one.suspect))[:_SHOWN]
     causes = [
         named(one.suspect.name, tuple(_unit(found, one.suspect.name)[1] * one.size), rod.length, rod.unit_of("length")) for one in order
@@ -344,6 +342,23 @@ def _line(found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], togethe
     shift = max(one.shift for one in together)
     moved = f"{1e3 * shift * rod.length:.2g} mm" if rod.units == "SI" else f"{shift:.2g} L"
     return f"{seen}, {np.sqrt(best.explained):.0f} standard deviations: likely {', or '.join(causes)}; contacts are then off by {moved} in the median"
+
+
+def _unexplained(found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], misfit: Misfit) -> str:
+    value = np.take_along_axis(np.abs(case.here.value) / case.deviations, misfit.pick, axis=1) * misfit.told.reshape(-1, 3)
+    stretch, column = np.unravel_index(np.argmax(value), value.shape)
+    seen = _seen(found, case.here, tip, int(misfit.pick[stretch, column]))
+    deviations = np.sqrt(float(misfit.value @ misfit.value))
+    return (
+        f"{seen}, {deviations:.0f} standard deviations: no single cause explains it; check the units, signs and axes of wrench and poses, "
+        "the sensor's calibration, and the rod's length and stiffness"
+    )
+
+
+def _seen(found: Reconstruction, here: Constraints, tip: Bool[np.ndarray, "k"], row: int) -> str:
+    of_row = tip if row == TIP else ~tip if row == TANGENT else np.ones_like(tip)
+    size = here.value[of_row, row] / (here.steepness[of_row] if row == TIP else 1.0)
+    return observed(row, float(np.median(size)), found.rod.length, found.rod.unit_of("length"))
 
 
 def _shift_of_rows(found: Reconstruction, case: Case, groups: Sequence[Sequence[_Tried]]) -> Float[np.ndarray, "n 3"]:

@@ -11,15 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.reconstruct.checks.line import CURVATURE, LOAD, PARAMETERS, TAPER, ends, first_zeros
+from vibrissa.reconstruct.checks.line import CURVATURE, LOAD, PARAMETERS, TAPER, ends, first_zeros, zeros_from
 
 COUPLE, TORSION, TIP, TANGENT = range(4)
 """Rows of the constraints."""
-_NEWTON_STEPS = 2
-_FARTHEST = 0.2
-"""Newton's steps to the contact of a rod that is not ideal, and the longest of them [L]."""
-_WIDTH = 256
-"""Rods that one compiled loop takes at a time."""
+_WIDTH = 96
+"""Rods that one compiled loop takes at a time: about as many as there are stretches."""
 
 
 class Slopes(NamedTuple):
@@ -66,11 +63,8 @@ def constraints_of(wrench: Float[np.ndarray, "k 6"], rod: Float[np.ndarray, "k 6
     """Constraints for base wrenches (f0, m0), clamp axes, of ideal rods, or of such with taper, rest curvature (2) and load (3), and of a length other than 1."""
     arc_length = np.concatenate([np.asarray(first_zeros(*block)) for block in _blocks(wrench)])[: len(wrench)]
     parameters = np.concatenate([wrench, np.zeros((len(wrench), PARAMETERS - 6)) if rod is None else rod], axis=1)
-    for _ in range(_NEWTON_STEPS if rod is not None and np.any(rod) else 0):
-        value, _ = _ends(parameters, arc_length)
-        rate = -np.cross(value.tangent, value.force)
-        step = np.sum(value.moment * rate, axis=1) / np.sum(rate**2, axis=1)
-        arc_length = arc_length - np.clip(step, -_FARTHEST, _FARTHEST)
+    if rod is not None and np.any(rod):
+        arc_length = np.concatenate([np.asarray(zeros_from(*block)) for block in _blocks(parameters, arc_length)])[: len(wrench)]
     value, slope = _ends(parameters, arc_length)
     n, t, m = value.force, value.tangent, value.moment
     f = np.linalg.norm(n, axis=1, keepdims=True)

@@ -23,6 +23,9 @@ STEPS = 32
 WRENCH, TAPER, CURVATURE, LOAD = slice(0, 6), 6, slice(7, 9), slice(9, 12)
 """What the derivatives are by: the base wrench (6), τ, c (2) and q (3), clamp axes."""
 PARAMETERS = 12
+_NEWTON_STEPS = 2
+_FARTHEST = 0.2
+"""Newton's steps to the contact of a rod that is not ideal, and the longest of them [L]."""
 
 
 class End(NamedTuple):
@@ -41,6 +44,21 @@ def first_zeros(wrench: Float[AnyArray, "k 6"]) -> Float[Array, "k"]:
     """s₁ of ideal rods with these base wrenches."""
     tangent = jnp.array([0.0, 0.0, 1.0])
     return jax.vmap(lambda one: invert(one[:3], one[3:], tangent).arc_length)(jnp.asarray(wrench))
+
+
+@jax.jit
+def zeros_from(parameters: Float[AnyArray, "k 12"], arc_length: Float[AnyArray, "k"]) -> Float[Array, "k"]:
+    """s₁ of rods that are not ideal, by Newton's method from those of ideal ones."""
+
+    def one(parameters: Float[Array, "12"], arc_length: Float[Array, ""]) -> Float[Array, ""]:
+        def step(_: Array | int, s: Float[Array, ""]) -> Float[Array, ""]:
+            end = _end(parameters, s)
+            rate = -jnp.cross(end.tangent, end.force)
+            return s - jnp.clip(jnp.sum(end.moment * rate) / jnp.sum(rate**2), -_FARTHEST, _FARTHEST)
+
+        return lax.fori_loop(0, _NEWTON_STEPS, step, arc_length)
+
+    return jax.vmap(one)(jnp.asarray(parameters), jnp.asarray(arc_length))
 
 
 @jax.jit

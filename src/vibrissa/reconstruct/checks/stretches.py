@@ -15,8 +15,8 @@ from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.reconstruct.result import Reconstruction
 
-_MOST = 160
-"""Stretches in contact: an elastica's curves through so many are straight to 1e-5 of their range, and dense equations of three rows each take milliseconds."""
+_MOST = 96
+"""Stretches in contact: an elastica's curves through so many are straight to 3e-5 of their range, and dense equations of three rows each take milliseconds."""
 _MOST_AT_REST = 20
 _FEWEST = 30
 """Samples in contact below which a sweep is not judged."""

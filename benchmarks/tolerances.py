@@ -5,6 +5,7 @@ numbers of the setup. The table holds the share of contacts, and of normals, who
 """
 
 import argparse
+import warnings
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -134,7 +135,7 @@ class Held(NamedTuple):
     normals: float
     error: float
     stated: float
-    rows: int
+    ok: float
 
 
 def held(found: vb.Reconstruction, scan: vb.Scan) -> Held:
@@ -142,16 +143,20 @@ def held(found: vb.Reconstruction, scan: vb.Scan) -> Held:
     assert found.covariance is not None and found.normal_covariance is not None
     sound = found.in_contact & (found.status == vb.Status.OK) & np.isfinite(found.normal_covariance).all(axis=(1, 2))
     row = np.flatnonzero(sound[REST:] & scan.in_contact)
+    ok = len(row) / np.count_nonzero(found.in_contact[REST:] & scan.in_contact)
+    if not len(row):
+        return Held(np.nan, np.nan, np.nan, np.nan, ok)
     error, covariance = found.point[REST:][row] - scan.point[row], found.covariance[REST:][row]
     plane = across(found.normal[REST:][row])
     tilt = np.einsum("nik,ni->nk", plane, found.normal[REST:][row] - scan.normal[row])
     spread = np.swapaxes(plane, 1, 2) @ found.normal_covariance[REST:][row] @ plane
     size, stated = (float(np.sqrt(np.mean(values))) for values in (np.sum(error**2, axis=1), np.trace(covariance, axis1=1, axis2=2)))
-    return Held(float(within(error, covariance).mean()), float(within(tilt, spread).mean()), size, stated, len(row))
+    return Held(float(within(error, covariance).mean()), float(within(tilt, spread).mean()), size, stated, ok)
 
 
 def main(repeats: int, seed: int) -> None:
     """Print the table."""
+    warnings.simplefilter("ignore", vb.RecordingWarning)
     factor = np.sqrt(np.diag(TOLERANCES.covariance))
     print(f"{'sweep':16}{'contacts':>22}{'normals':>10}{'points':>10}{'rms error':>12}{'stated':>10} mm")
     for sweep in sweeps():
@@ -163,9 +168,9 @@ def main(repeats: int, seed: int) -> None:
             for name, contacts in (("raw", found), ("smoothed", vb.smooth(found))):
                 results[name].append(held(contacts, scan))
         for name, shares in results.items():
-            points, normals, error, stated, rows = np.mean(shares, axis=0)
+            points, normals, error, stated, ok = np.nanmean(shares, axis=0)
             print(
-                f"{sweep.name:16}{f'{name}, {rows:.0f} rows':>22}{normals:10.1%}{points:10.1%}{1e3 * error:12.3f}{1e3 * stated:10.3f}",
+                f"{sweep.name:16}{f'{name}, {ok:.0%} OK':>22}{normals:10.1%}{points:10.1%}{1e3 * error:12.3f}{1e3 * stated:10.3f}",
                 flush=True,
             )
 

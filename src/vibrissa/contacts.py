@@ -49,6 +49,7 @@ class Status(IntEnum):
     SETUP_CONTRADICTED = 14
     AMBIGUOUS = 15
     RINGING = 16
+    TOUCHES_TWICE = 17
 
     @property
     def text(self) -> str:
@@ -74,4 +75,5 @@ _TEXTS = {
     Status.SETUP_CONTRADICTED: "The sweep contradicts the setup by more than the error bar of this contact; see the warnings, then calibrate or state [tolerances].",
     Status.AMBIGUOUS: "Smoothing cannot tell here which phase, start or branch is the right one, and they lie apart; use the raw contact, or a stronger signal.",
     Status.RINGING: "The rod swings freely after it was released; these loads are its inertia, not a contact.",
+    Status.TOUCHES_TWICE: "No single contact has this force and moment, while the rest of the sweep agrees with the setup: the rod touches two places, or is caught.",
 }

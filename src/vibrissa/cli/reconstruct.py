@@ -13,6 +13,9 @@ _NOISE_ONLY = (
     "error bars hold noise only: state how well rod, clamp, gains and clocks are known in [tolerances] of the setup, or calibrate it"
 )
 
+_SAG = 2e-3
+"""Of the rod's length: 0.1 mm on 50 mm, twice what smoothed contacts are known to."""
+
 
 def reconstruct(
     recording: Annotated[
@@ -89,8 +92,15 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
         summary["median_standard_deviations"] = np.median(deviations, axis=0).tolist()
         residual = found.single_contact_residual[contact & np.isfinite(found.single_contact_residual)]
         summary["single_contact_residual_rms"] = float(np.sqrt(np.mean(residual**2)))
-    if found.covariance is not None and found.reactions.setup_errors is None:
-        summary["notes"] = [_NOISE_ONLY]
+    notes = [_NOISE_ONLY] if found.covariance is not None and found.reactions.setup_errors is None else []
+    sag = found.rod.own_sag()
+    if sag is not None and sag > _SAG * found.rod.length:
+        notes.append(
+            f"the rod's own weight, which is left out, bends it by {'' if found.rod.linear_density else 'at least '}{1e3 * sag:.2g} mm where it lies level: "
+            "keep it upright, or allow for it with clamp_orientation in [tolerances]"
+        )
+    if notes:
+        summary["notes"] = notes
     if found.smoothing is not None:
         summary["contacts"] = [_touch(found, touch) for touch in found.smoothing[0].touches]
         summary["outliers"] = int(found.smoothing[0].outlier.sum())

@@ -18,6 +18,7 @@ from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.kernels import invert_blocks
 from vibrissa.reconstruct.result import Reconstruction
 from vibrissa.rod import Rod
+from vibrissa.tolerances import PARAMETERS
 
 _ENERGY = 8
 _FALSE_ALARM = 1e-9
@@ -39,6 +40,8 @@ _GAINED = 0.05
 _DEVIATIONS = 6.0
 # Sliding with a coefficient of 0.75 takes no more than the rod takes up while it is loaded first.
 _MOST_BY_FRICTION = 4.0
+# Energy goes with the torques' square, and with the length that they say is bent: 2 % too much torque is 7.6 % of it.
+_BY_GAIN = 4.0
 # Friction raises the ratio, EI and gains move it.
 _NEAR = (0.9, 1.2)
 _KNOWN_RATIOS = (
@@ -65,14 +68,14 @@ class ClampWork:
     work, energy
         [J]; the work is zero where the contact begins.
     ratio, ratio_deviation
-        Work over energy while the rod is loaded first, up to nine tenths of the largest energy, and its standard deviation by the noise: 1 without friction, above it
-        with friction.
+        Work over energy while the rod is loaded first, up to nine tenths of the largest energy, and its standard deviation, as below: 1 without friction, above
+        it with friction.
     gained
         Largest fall of W − U as a share of the largest energy: energy from nowhere. Zero but for noise, also with friction and snaps.
     remainder
         Work at the end as a share of the largest energy: zero without friction and snaps. NaN where the contact does not end.
     deviation
-        Standard deviation of `gained` and `remainder` by the noise.
+        Standard deviation of `gained` and `remainder` by the noise, and by stiffness and gains as well as these are said to be known.
     """
 
     row: Float[np.ndarray, "k"]
@@ -203,13 +206,26 @@ def _of_contact(rod: Rod, reactions: Reactions, known: np.ndarray, steps: Float[
     work = np.cumsum(steps[begin:stop])[start - begin :]
     mean = work[: size * count].reshape(count, size).mean(axis=1)
     largest = float(energy.max()) or 1e-300
-    deviation = _deviation(reactions, known[begin:stop], start) / largest
+    by_setup = _by_setup(reactions)
+    by_noise = _deviation(reactions, known[begin:stop], start) / largest
+    deviation = float(np.hypot(by_noise, by_setup))
     loading = slice(0, max(2, int(np.argmax(energy >= _LOADING * largest)) + 1))
     ratio = float(mean[loading] @ energy[loading] / max(float(energy[loading] @ energy[loading]), 1e-300))
     lost = _smoothed(mean - energy)
     gained = float(np.max(np.maximum.accumulate(np.maximum(lost, 0.0)) - lost)) / largest
     remainder = float(work[-1]) / largest if stop < len(known) else float("nan")
-    return ClampWork(middle.astype(float), mean, energy, ratio, deviation / _LOADING, gained, remainder, deviation)
+    return ClampWork(
+        middle.astype(float), mean, energy, ratio, float(np.hypot(by_noise / _LOADING, by_setup)), gained, remainder, deviation
+    )
+
+
+def _by_setup(reactions: Reactions) -> float:
+    """Standard deviation of work over energy by what the setup says of stiffness and gains."""
+    if reactions.setup_errors is None:
+        return 0.0
+    variance = dict(zip(PARAMETERS, np.diag(reactions.setup_errors.covariance), strict=True))
+    gain = max(variance[name] for name in PARAMETERS if name.startswith("gain"))
+    return float(np.sqrt(variance["bending_stiffness"] + _BY_GAIN**2 * gain))
 
 
 def _smoothed(values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:

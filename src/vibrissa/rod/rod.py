@@ -10,6 +10,10 @@ FIRST_CLAMPED_ROOT = 1.8751040687119611
 """First root of cos β cosh β = −1, clamped-free beam (Euler–Bernoulli)."""
 
 _LARGEST_RADIUS = 1e6
+_SPECIFIC_STIFFNESS = 25e6
+"""E/ρ [J/kg] of steel, aluminium and titanium, each within a tenth; of copper, nitinol and gold it is lower."""
+_GRAVITY = 9.80665
+"""Standard acceleration [m/s²]."""
 _SI_UNITS = {"length": "m", "force": "N", "moment": "N m", "energy": "J", "curvature": "m-1"}
 
 
@@ -97,3 +101,14 @@ class Rod:
         if self.linear_density is None:
             raise ValueError("linear_density = None: a natural frequency needs the rod's density")
         return FIRST_CLAMPED_ROOT**2 / (2 * math.pi) * math.sqrt(self.bending_stiffness / (self.linear_density * self.length**4))
+
+    def own_sag(self) -> float | None:
+        """Sag [m] of the tip of the level rod under its own weight, ρA g L⁴/(8 EI); None if that is not known.
+
+        Without a density, a round SI rod is taken to be of a light or common metal, ρ = E/(25 MJ/kg) as for steel, aluminium and titanium: the least that a wire
+        of this stiffness weighs, since all other metals are heavier.
+        """
+        weight = self.linear_density
+        if weight is None and self.units == "SI" and self.radius is not None:
+            weight = 4 * self.bending_stiffness / (self.radius**2 * _SPECIFIC_STIFFNESS)
+        return None if weight is None or self.units != "SI" else weight * _GRAVITY * self.length**4 / (8 * self.bending_stiffness)

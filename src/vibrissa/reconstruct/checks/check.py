@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import label, uniform_filter1d
 from scipy.special import chdtri
 
 from vibrissa.contacts import RecordingWarning, Status
@@ -43,6 +44,12 @@ _POOR = 3.0
 """χ² a row above which a solution is sought from the other side, too."""
 _OUTSIDE = 0.05
 """Probability outside of the ellipsoids."""
+_NEARLY_ALL = 0.75
+"""Share of the misfit beyond noise that a cause explains which is real: 0.8 and more of single causes that were measured, half of a second contact."""
+_MOST_APART = 0.3
+"""Share of the stretches that may be set apart: what concerns more of them is no exception."""
+_WINDOW, _SURELY, _PERHAPS = 3, 12.0, 6.0
+"""Stretches together, and means of their three squares, of which noise makes 3 ± 1.4, from which a part contradicts the rest, and to which it then extends."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,8 @@ class SetupCheck:
         (…, 3) by how far contacts are off if the likeliest causes are right, of those named together the largest; units of the rod, world axes; 0 where none is named.
     misread
         Whether the numbers contradict each other as a whole, as with other units, signs or axes, so that no contact is to be trusted.
+    apart
+        (…) rows that belong to no single contact while all others agree with the setup, as where the rod touches two places; None where there are none.
     """
 
     causes: tuple[Cause, ...]
@@ -101,6 +110,7 @@ class SetupCheck:
     warnings: tuple[str, ...]
     shift: Float[np.ndarray, "*trail n 3"]
     misread: bool = False
+    apart: Bool[np.ndarray, "*trail n"] | None = None
 
 
 def check_setup(found: Reconstruction) -> SetupCheck:
@@ -130,7 +140,10 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     parts = [_of_trail(trail_of(found, j), shift[j]) for j in range(len(found.kind))]
     worst = max(parts, key=lambda part: part.causes[0].significance if part.causes else 0.0)
     lines = [f"trail {j}: {line}" for j, part in enumerate(parts) for line in part.warnings]
-    return replace(worst, warnings=tuple(lines), shift=np.stack([part.shift for part in parts]))
+    apart = [np.zeros(found.kind.shape[1], dtype=bool) if part.apart is None else part.apart for part in parts]
+    return replace(
+        worst, warnings=tuple(lines), shift=np.stack([part.shift for part in parts]), apart=np.stack(apart) if np.any(apart) else None
+    )
 
 
 def checked(found: Reconstruction) -> Reconstruction:
@@ -176,6 +189,9 @@ def with_contradictions(found: Reconstruction) -> Reconstruction:
     said = found.setup_check
     if said is None or not (said.warnings or said.misread) or found.covariance is None:
         return found
+    if said.apart is not None:
+        caught = said.apart & found.in_contact & (found.status == Status.OK)
+        found = replace(found, status=np.where(caught, Status.TOUCHES_TWICE, found.status).astype(np.int8))
     open_to = np.isin(found.status, (Status.OK, Status.SETUP_CONTRADICTED))
     judged = open_to & found.in_contact & np.isfinite(found.covariance).all(axis=(-1, -2))
     covariance = np.where(judged[..., None, None], found.covariance, np.eye(3))
@@ -206,13 +222,22 @@ def _of_trail(found: Reconstruction, shift: Float[np.ndarray, "n 3"]) -> SetupCh
     nothing = SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
     averaged = stretches_of(found)
     case = None if averaged is None else case_of(averaged, frame_of(found.reactions, found.rod.length), found.friction)
-    if case is None:
-        return nothing
+    return nothing if case is None else _of_case(found, case, shift)
+
+
+def _of_case(found: Reconstruction, case: Case, shift: Float[np.ndarray, "n 3"]) -> SetupCheck:
     tip = phases_by(case, [suspect.directions for suspect in SUSPECTS[:TELLING]])
     misfit, friction = weighed(case, tip, tolerated(case, found.reactions, found.rod.length))
     first = _tried(case, tip, misfit)
     if not _matters(_alike(first), _WITH_FRICTION if case.silent.any() else 0.0):
         return _concluded(found, case, misfit, friction, first, [], [])
+    apart = _apart(misfit, first[0])
+    if apart is not None:
+        rest = case_of(case.bench.stretches.chosen(~apart), case.bench.frame, found.friction)
+        if rest is not None and not _of_case(found, rest, shift).warnings:
+            rows = _rows_of(case, apart, len(found.kind))
+            line = _told_apart(found, misfit, rows)
+            return replace(_concluded(found, case, misfit, friction, first, [], []), warnings=(line,), apart=rows)
     best = next((one for one in _alike(first) if one.suspect in SUSPECTS[:TELLING]), None)
     if best is not None and float(np.max(np.abs(best.size) / spread_along(case, best.suspect.directions))) > _GROSS:
         first = _nonlinear(found, case, tip, misfit, first)
@@ -229,6 +254,41 @@ def _of_trail(found: Reconstruction, shift: Float[np.ndarray, "n 3"]) -> SetupCh
         tried = _tried(about, tip, weighed(about, tip, tolerated(about, found.reactions, found.rod.length))[0])
     concluded = _concluded(found, case, misfit, friction, first, groups, lines)
     return concluded if lines else replace(concluded, warnings=(_unexplained(found, case, tip, misfit),), misread=True)
+
+
+def _apart(misfit: Misfit, best: _Tried) -> Bool[np.ndarray, "k"] | None:
+    """Stretches of one part of the sweep that alone contradict the rest; None where there is no such part, or one cause explains nearly all."""
+    rows = len(misfit.value)
+    excess = float(misfit.value @ misfit.value) - rows
+    if excess < rows or best.explained > _NEARLY_ALL * excess:
+        return None
+    square = uniform_filter1d(np.sum(misfit.alone**2, axis=1), _WINDOW, mode="nearest")
+    runs, _ = label(square > _PERHAPS)
+    sure = np.unique(runs[square > _SURELY])
+    apart = np.isin(runs, sure[sure > 0])
+    return apart if 0 < np.mean(apart) < _MOST_APART else None
+
+
+def _rows_of(case: Case, chosen: Bool[np.ndarray, "k"], count: int) -> Bool[np.ndarray, "n"]:
+    """Samples of stretches, and those between neighbours."""
+    rows = np.zeros(count, dtype=bool)
+    runs, found = label(chosen)
+    for run in range(1, found + 1):
+        own = np.flatnonzero(runs == run)
+        rows[case.bench.stretches.first[own[0]] : case.bench.stretches.last[own[-1]]] = True
+    return rows
+
+
+def _told_apart(found: Reconstruction, misfit: Misfit, rows: Bool[np.ndarray, "n"]) -> str:
+    time = found.reactions.time
+    assert time is not None
+    runs, count = label(rows)
+    spans = [np.flatnonzero(runs == run) for run in range(1, count + 1)]
+    when = " and ".join(f"from {time[own[0]]:.4g} to {time[own[-1]]:.4g} s" for own in spans)
+    return (
+        f"{when} force and moment are those of no single contact, by up to {np.abs(misfit.alone).max():.0f} standard deviations, while the rest agrees with the "
+        "setup: the rod touches two places there, or its tip is caught"
+    )
 
 
 def _alike(tried: list[_Tried]) -> list[_Tried]:

@@ -28,6 +28,8 @@ class Misfit(NamedTuple):
     pick: Float[np.ndarray, "k 3"]
     told: Bool[np.ndarray, "rows"]
     """Rows that say something."""
+    alone: Float[np.ndarray, "k 3"]
+    """Each constraint in its own standard deviations."""
 
     def whitened(self, slope: Float[np.ndarray, "k 4 p"]) -> Float[np.ndarray, "rows p"]:
         """Derivatives of the constraints in the same rows."""
@@ -87,7 +89,8 @@ def misfit_of(
         whole = whole + flat @ flat.T
     root = np.linalg.cholesky(whole)
     value = np.where(told, np.take_along_axis(here.value, pick, axis=1), 0.0).ravel()
-    return Misfit(solve_triangular(root, value, lower=True), root, pick, told.ravel())
+    alone = value / np.sqrt(np.diag(whole))
+    return Misfit(solve_triangular(root, value, lower=True), root, pick, told.ravel(), alone.reshape(count, 3))
 
 
 def fitted(misfit: Misfit, design: Float[np.ndarray, "rows p"], spread: Float[np.ndarray, "p"]) -> Fitted:

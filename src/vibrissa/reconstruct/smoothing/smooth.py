@@ -121,6 +121,7 @@ def _smoothed_trail(
 def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: float, model_error: float) -> Piece:
     ringing = found.status == Status.RINGING
     series = quieted(series_of(found.rod, found.reactions), ringing)
+    series = series._replace(sound=series.sound & (found.status != Status.TOUCHES_TWICE))
     frictionless = found.friction == 0
     count = len(series.time)
     drift, spread = np.tile(zero.mean, (count, 1)), np.tile(zero.covariance, (count, 1, 1))

@@ -29,7 +29,7 @@ _ELSEWHERE, _FARTHER = 5.0, 2.0
 """Mean distance of the samples' own arc lengths from the smoothed one, in its standard deviations, and in stated errors of the points, from which on they disagree."""
 _SMALLEST = 2e-3
 """The same in rod lengths: the least that counts."""
-_KEPT = (Status.BAD_DATA, Status.RINGING)
+_KEPT = (Status.BAD_DATA, Status.RINGING, Status.TOUCHES_TWICE)
 
 
 class Verdict(NamedTuple):
@@ -61,7 +61,7 @@ def judged(found: Reconstruction, series: Series, fit: Fit, linear: Linear) -> V
     status[_weak(series, fit, linear) & touching & (status == Status.OK)] = Status.AMBIGUOUS
     raw = touching & (_isolated(fit) | ~exists(linear) | ~np.isfinite(fit.states.covariance).all(axis=(1, 2)))
     status[raw & ~kept] = np.where(flagged, found.status, Status.AMBIGUOUS)[raw & ~kept]
-    return Verdict(status.astype(np.int8), raw)
+    return Verdict(status.astype(np.int8), raw | (found.status == Status.TOUCHES_TWICE))
 
 
 def _contradicted(flagged: Bool[np.ndarray, "k"], excess: Float[np.ndarray, "k"], couple: float) -> Status:

@@ -202,7 +202,7 @@ def solved(
     for _ in range(_STEPS):
         errors = directions @ size
         cases = [case.about(errors, stated) for case in cases]
-        tips = [phases_by(case, [directions], started=False) for case in cases]
+        tips = [phases_by(case, [directions]) for case in cases]
         misfits = [
             misfit_of(case.stretches, case.here, tip, 0.0, np.zeros((len(tip), 4, 0)), 1.0, case.silent)
             for case, tip in zip(cases, tips, strict=True)

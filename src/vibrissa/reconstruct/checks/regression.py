@@ -59,7 +59,7 @@ def misfit_of(
 ) -> Misfit:
     """Of stretches in these phases, under noise, errors of the zero and of the model, friction's unevenness, and errors that are tolerated (columns).
 
-    Silent stretches tell nothing of s₁ and t·n̂.
+    Silent stretches, and those next to a change of phase, tell nothing of s₁ and t·n̂.
     """
     count = len(tip)
     pick = np.stack([np.full(count, COUPLE), np.full(count, TORSION), np.where(tip, TIP, TANGENT)], axis=1)
@@ -74,6 +74,10 @@ def misfit_of(
     )
     told = np.ones((count, 3), dtype=bool)
     told[silent, 2] = False
+    # A stretch next to a change of phase may hold some of both.
+    change = tip[1:] != tip[:-1]
+    told[:-1, 2] &= ~change
+    told[1:, 2] &= ~change
     slope = np.where(told[:, :, None], slope, 0.0)
     elapsed = np.abs(stretches.time[:, None] - stretches.time)
     alike = np.exp(-elapsed / (_CORRELATED * np.ptp(stretches.time)))

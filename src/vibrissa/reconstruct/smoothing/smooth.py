@@ -43,9 +43,12 @@ from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, Labels, Ser
 from vibrissa.reconstruct.smoothing.shared import smoothed_sensitivity
 from vibrissa.reconstruct.smoothing.touch import Onset, onset_at, onset_of, reversed_labels, reversed_model
 from vibrissa.reconstruct.smoothing.verdict import Verdict, judged
+from vibrissa.tolerances import PARAMETERS
 
 _ROUNDS = 4
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
+_EXACT = 1e-3
+"""Relative deviation of EI and gains, and of the clamp's direction [rad], up to which k² is ½ within what a grid or a rod's tip leaves of it."""
 
 
 def smooth(
@@ -122,7 +125,7 @@ def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: 
     ringing = found.status == Status.RINGING
     series = quieted(series_of(found.rod, found.reactions), ringing)
     series = series._replace(sound=series.sound & (found.status != Status.TOUCHES_TWICE))
-    frictionless = found.friction == 0
+    frictionless = _frictionless(found)
     count = len(series.time)
     drift, spread = np.tile(zero.mean, (count, 1)), np.tile(zero.covariance, (count, 1, 1))
     loaded = detected(series, drift, spread, false_alarm) & ~ringing
@@ -168,6 +171,17 @@ def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: 
     return Piece(
         _result(found, series, fit, rates, judged(found, series, smoothest, linearised(smoothest.about)), touches, model_error), following
     )
+
+
+def _frictionless(found: Reconstruction) -> bool:
+    """Whether tangential contacts have k² = ½: without friction, and on a rod and a sensor that are known so well that readings can tell."""
+    errors = found.reactions.setup_errors
+    if found.friction != 0 or errors is None:
+        return found.friction == 0
+    relative = [
+        index for index, name in enumerate(PARAMETERS) if name == "bending_stiffness" or name.startswith(("gain", "clamp_orientation"))
+    ]
+    return float(np.max(np.diag(errors.covariance)[relative])) < _EXACT**2
 
 
 def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Model:
@@ -277,7 +291,7 @@ def _result(
         given = np.where(_column(touching, values), values, nothing)
         return np.where(_column(verdict.raw, values), raw, given)
 
-    steps = steps_of(series, fit.labels, about, fit.weight, rates, frictionless=found.friction == 0, linear=linear)
+    steps = steps_of(series, fit.labels, about, fit.weight, rates, frictionless=_frictionless(found), linear=linear)
     sensitivity = smoothed_sensitivity(found.rod, found.reactions, series, fit.labels, steps, linear, fit.intensities)
     smoothed = replace(
         found,

@@ -45,6 +45,36 @@ def test_weak_signals_are_covered_or_said_to_be_so(scan: vb.Scan, strength: floa
     assert not ok.any() or inside[ok].mean() > 0.88
 
 
+@pytest.mark.parametrize("strength", [5.0, 15.0, 50.0])
+def test_covariances_of_single_samples_hold_at_low_signal(scan: vb.Scan, strength: float) -> None:
+    """Where first order holds 70 to 83 %."""
+    ok, inside = held(vb.reconstruct(WIRE, readings(scan, strength), check=False), scan).T
+    assert ok.sum() > 200
+    assert 0.92 < inside[ok].mean() < 0.99
+
+
+def test_a_part_in_which_the_rod_touches_twice_is_named_and_the_rest_is_sound(scan: vb.Scan) -> None:
+    """A second force, at the middle of the rod, that grows to a tenth of the first within half a second and vanishes."""
+    given = readings(scan, 300.0)
+    force, moment = given.force.copy(), given.moment.copy()
+    twice = np.flatnonzero(scan.in_contact)[100:150]
+    for i, share in zip(twice, np.linspace(0, 0.1, len(twice)), strict=True):
+        more = -share * np.linalg.norm(scan.reactions.force[i]) * scan.normal[i]
+        arm = scan.elastic_line(int(i), 3)[1] - scan.trail.position[i]
+        force[REST + i] += more
+        moment[REST + i] += np.cross(arm, more)
+    found = vb.reconstruct(WIRE, vb.Reactions(given.trail, force, moment, time=given.time, covariance=given.covariance))
+    assert any("the rod touches two places" in line for line in found.warnings)
+    named = np.flatnonzero(found.status == vb.Status.TOUCHES_TWICE) - REST
+    assert np.mean(np.isin(twice[25:], named)) > 0.9
+    assert np.all((named > twice[0] - 10) & (named < twice[-1] + 10))
+    smoothed = vb.smooth(found)
+    ok, inside = held(smoothed, scan).T
+    assert ok.mean() > 0.85
+    assert inside[ok].mean() > 0.88
+    np.testing.assert_array_equal(smoothed.point[REST + named], found.point[REST + named])
+
+
 def test_readings_of_the_wrong_sign_are_not_ok(scan: vb.Scan) -> None:
     found = vb.smooth(vb.reconstruct(WIRE, readings(scan, 100.0, sign=-1.0)))
     rows = found.in_contact[REST:] & scan.in_contact

@@ -97,3 +97,36 @@ def test_calibration_without_an_object_finds_stiffness_over_length_squared() -> 
     slope = np.array([1 / stiffness.value, -2 / length.value])
     assert abs(np.log(value)) < 4 * np.sqrt(slope @ found.covariance @ slope)
     assert abs(np.log(value)) < 0.02
+
+
+def test_calibration_without_an_object_from_a_start_that_mistakes_the_phases() -> None:
+    """Two per cent of the length: as stated, the flank lies beyond the tip of half of the sweep."""
+    one = sensor()
+    truth = setup(one)
+    for seed, error in ((1, 0.02), (2, -0.02)):
+        start = replace(truth, surface=None, rod=replace(WIRE, length=(1 + error) * WIRE.length))
+        found = vb.calibrate(recordings(one, seed), start, free=("youngs_modulus", "length"))
+        stiffness, length = (found.estimates[name] for name in ("youngs_modulus", "length"))
+        slope = np.array([1 / stiffness.value, -2 / length.value])
+        off = np.log(stiffness.value / length.value**2 / (206e9 / 0.05**2))
+        assert abs(off) < 3 * np.sqrt(slope @ found.covariance @ slope)
+        assert abs(off) < 0.01
+
+
+@pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")
+def test_clamp_work_that_a_stated_gain_explains_is_no_contradiction() -> None:
+    one = sensor()
+    (raw,) = recordings(replace(one, gain=(1, 1, 1, 1.04, 1.04, 1.04)), heights=(0.005,))
+    told, allowed = (vb.reconstruct(WIRE, one.reactions(raw, tolerances=given)) for given in (None, vb.Tolerances(gain=0.04)))
+    assert any("clamp's work" in line for line in told.warnings)
+    assert not np.any(told.status[told.in_contact] == vb.Status.OK)
+    assert not any("clamp's work" in line for line in allowed.warnings)
+    assert np.mean(allowed.status[allowed.in_contact] == vb.Status.OK) > 0.9
+
+
+def test_numbers_that_no_single_cause_explains_are_said_to_be_so() -> None:
+    one = sensor()
+    (raw,) = recordings(replace(one, gain=(1, 1, 1, 5, 0.3, 5)), heights=(0.005,))
+    with pytest.warns(vb.RecordingWarning):
+        found = vb.reconstruct(WIRE, one.reactions(raw))
+    assert not np.any(found.status[found.in_contact] == vb.Status.OK)

@@ -72,13 +72,19 @@ def invert_shared_blocks(
     precision: Float[Array, "blocks 6 6 width"],
     velocity: Float[Array, "blocks 6 width"],
 ) -> Array:
-    """`invert_noisy_blocks`, and what errors of the setup of this covariance (model units) add: (blocks, 50, width). `velocity` is the clamp's, in its axes."""
+    """`invert_noisy_blocks`, and what errors of the setup of this covariance (model units) add: (blocks, 50, width). `velocity` is the clamp's, in its axes.
+
+    Deviations of s₁, k² and m0·f0 are here those by noise and setup.
+    """
 
     def one(wrench: Array, orientation: Array, root: Array, precision: Array, velocity: Array) -> Float[Array, "50"]:
         found = _noisy(wrench, third_axis(orientation), root, precision)
         slope = _sensitivity(found, orientation, velocity, rig)
-        of_reach, of_direction = (_product(_product(part, errors), part.T) for part in (slope[:3], slope[3:]))
-        return jnp.concatenate([found.packed, of_reach.ravel(), of_direction.ravel()])
+        of_reach, of_direction = (_product(_product(part, errors), part.T) for part in (slope[:3], slope[3:6]))
+        arc_length, modulus, single = found.packed[NOISY_WIDTH - 3 :]
+        more = jnp.sum(_product(slope[6:], errors) * slope[6:], axis=1)
+        told = [jnp.sqrt(arc_length**2 + more[0]), jnp.sqrt(modulus**2 + more[1]), single / jnp.sqrt(1 + more[2])]
+        return jnp.concatenate([found.packed[: NOISY_WIDTH - 3], jnp.stack(told), of_reach.ravel(), of_direction.ravel()])
 
     return _in_lanes(one, wrench, orientation, root, precision, velocity)
 
@@ -95,7 +101,7 @@ def sensitivity_blocks(
     """Derivatives of r and n̂, world axes, by `vibrissa.tolerances.PARAMETERS` for given readings: (blocks, 6, 15, width)."""
 
     def one(wrench: Array, orientation: Array, root: Array, precision: Array, velocity: Array) -> Float[Array, "6 15"]:
-        return _sensitivity(_noisy(wrench, third_axis(orientation), root, precision), orientation, velocity, rig)
+        return _sensitivity(_noisy(wrench, third_axis(orientation), root, precision), orientation, velocity, rig)[:6]
 
     return _in_lanes(one, wrench, orientation, root, precision, velocity)
 
@@ -110,8 +116,8 @@ class _Found(NamedTuple):
     packed: Float[Array, "32"]
     wrench: Float[Array, "6"]
     """Most probable, world axes."""
-    jacobian: Float[Array, "6 6"]
-    """Of r and n̂ by the measured wrench, at s₁ = L where that was imposed."""
+    jacobian: Float[Array, "9 6"]
+    """By the measured wrench: of r and n̂, at s₁ = L where that was imposed; of s₁ and k² without it; of m0·f0 in its standard deviations."""
 
 
 def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Array, "11"]:
@@ -145,7 +151,10 @@ def _noisy(wrench: Float[Array, "6"], tangent: Float[Array, "3"], root: Float[Ar
     # A wrench that was moved to the tip stays there, however the setup's numbers change it.
     along = covariance @ jacobian[6] / jnp.maximum(errors[6, 6], 1e-300) * jnp.any(within != single)
     pinned = jacobian[:6] - jnp.outer(jacobian[:6] @ along, jacobian[6])
-    return _Found(jnp.concatenate([values, of_reach.ravel(), of_direction.ravel(), extra]), within, pinned)
+    couple = jnp.concatenate([wrench[3:], wrench[:3]])
+    couple = couple / jnp.sqrt(couple @ covariance @ couple)
+    slopes = jnp.concatenate([pinned, jacobian[6:], couple[None]])
+    return _Found(jnp.concatenate([values, of_reach.ravel(), of_direction.ravel(), extra]), within, slopes)
 
 
 def _second_moments(
@@ -170,14 +179,15 @@ def _within_reach(reach: Float[Array, "3"]) -> Float[Array, "3"]:
     return reach / jnp.maximum(jnp.sqrt(jnp.sum(reach * reach)), 1.0)
 
 
-def _sensitivity(found: _Found, orientation: Float[Array, "4"], velocity: Float[Array, "6"], rig: Rig) -> Float[Array, "6 15"]:
-    """With other numbers of the setup the same readings are another wrench on another rod, seen from another place."""
+def _sensitivity(found: _Found, orientation: Float[Array, "4"], velocity: Float[Array, "6"], rig: Rig) -> Float[Array, "9 15"]:
+    """With other numbers of the setup the same readings are another wrench on another rod, seen from another place: of r, n̂, s₁, k² and m0·f0."""
     turn = rotation_matrix(orientation)
     force, moment, reach, direction = (part @ turn for part in (found.wrench[:3], found.wrench[3:], found.packed[:3], found.packed[3:6]))
     seen = changes(jnp.concatenate([force, moment]), reach, direction, velocity, rig)
     jacobian = jnp.concatenate([_product(found.jacobian[:, :3], turn), _product(found.jacobian[:, 3:], turn)], axis=1)
     on_wrench, on_reach, on_direction = map(jnp.asarray, seen)
-    return jnp.concatenate([_product(turn, on_reach), _product(turn, on_direction)]) - _product(jacobian, on_wrench)
+    seen_from = [_product(turn, on_reach), _product(turn, on_direction), jnp.zeros((3, on_wrench.shape[1]))]
+    return jnp.concatenate(seen_from) - _product(jacobian, on_wrench)
 
 
 def _product(first: Float[AnyArray, "k l"], second: Float[AnyArray, "l m"]) -> Float[Array, "k m"]:

@@ -19,6 +19,10 @@ _FEWEST = 12
 """Stretches in contact below which a sweep is not judged."""
 _VAGUE = 0.06
 """Standard deviation of s₁ [L] above which a stretch is too weak to tell, and its errors are no longer linear."""
+_FARTHEST = 5.0
+"""s₁ [L] beyond which it says no more than that the contact is not on the rod: a stiffness a tenth of the true one triples it."""
+GROSS = 3.0
+"""Standard deviations before the data up to which causes are looked for."""
 _UNKNOWN_FRICTION = 0.3
 _KNOWN_FRICTION = 0.2
 """Standard deviations of the coefficient: where none is stated, and of one that is, relative."""
@@ -96,7 +100,7 @@ def case_of(averaged: Stretches, frame: Frame, stated: float | None) -> Case | N
     here = Bench(contact, frame, tared, axes).constraints(none)
     with np.errstate(invalid="ignore", divide="ignore"):
         vague = _deviations(contact, here)[:, TIP] / here.steepness
-    usable = np.isfinite(here.value).all(axis=1) & (vague < _VAGUE)
+    usable = np.isfinite(here.value).all(axis=1) & (vague < _VAGUE) & (np.abs(here.arc_length) < _FARTHEST)
     if np.count_nonzero(usable) < _FEWEST:
         return None
     bench = Bench(contact.chosen(usable), frame, tared, axes)
@@ -156,14 +160,19 @@ def phases_by(case: Case, causes: list[np.ndarray], *, started: bool = True) -> 
 
 def tolerated(case: Case, reactions: Reactions, length: float) -> Float[np.ndarray, "k 4 p"]:
     """Columns of errors that the setup states, a standard deviation each."""
-    errors = getattr(reactions, "setup_errors", None)
+    return np.asarray(case.slopes.constraints @ tolerances_of(case, reactions, length))
+
+
+def tolerances_of(case: Case, reactions: Reactions, length: float) -> Float[np.ndarray, "32 p"]:
+    """Errors of the bench that the setup states, a standard deviation each, independent of each other."""
+    errors = reactions.setup_errors
     if errors is None:
-        return np.zeros((len(case.here.value), 4, 0))
+        return np.zeros((ERRORS, 0))
     # From `vibrissa.tolerances.PARAMETERS`: stiffness, length, the clamp's place in sensor axes, its turn in its own, gains; the last is the clocks'.
     carry = np.zeros((ERRORS, len(errors.factor)))
     carry[STIFFNESS, 0], carry[LENGTH, 1] = 1, 1 / length
     carry[POSITION, 2:5], carry[ROTATION, 5:8], carry[GAIN, 8:14] = case.bench.frame.turn.T / length, np.eye(3), np.eye(6)
-    return np.asarray(case.slopes.constraints @ (carry @ errors.factor))
+    return np.asarray(carry @ errors.factor)
 
 
 def weighed(case: Case, tip: Bool[np.ndarray, "k"], allowed: Float[np.ndarray, "k 4 p"]) -> tuple[Misfit, float]:
@@ -219,7 +228,7 @@ def solved(
         covariance = np.linalg.inv(information)
         change = -covariance @ right
         longest = float(np.max(np.abs(change) / spread))
-        size = size + change / max(1.0, longest)
+        size = np.clip(size + change / max(1.0, longest), -GROSS * spread, GROSS * spread)
         if longest <= 1 and np.max(np.abs(change) / np.sqrt(np.diag(covariance))) < _DONE:
             break
     return Solution(cases, tips, misfits, size, covariance)

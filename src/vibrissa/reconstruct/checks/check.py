@@ -11,7 +11,18 @@ from scipy.ndimage import label, uniform_filter1d
 from scipy.special import chdtri
 
 from vibrissa.contacts import RecordingWarning, Status
-from vibrissa.reconstruct.checks.case import Case, Solution, case_of, phases_by, solved, spread_along, tolerated, weighed
+from vibrissa.reconstruct.checks.case import (
+    GROSS,
+    Case,
+    Solution,
+    case_of,
+    phases_by,
+    solved,
+    spread_along,
+    tolerances_of,
+    tolerated,
+    weighed,
+)
 from vibrissa.reconstruct.checks.constraints import TANGENT, TIP, Constraints
 from vibrissa.reconstruct.checks.passes import contradicts, delay_of, shift_by
 from vibrissa.reconstruct.checks.regression import Misfit, fitted, shifts
@@ -231,6 +242,8 @@ def _of_case(found: Reconstruction, case: Case, shift: Float[np.ndarray, "n 3"])
     first = _tried(case, tip, misfit)
     if not _matters(_alike(first), _WITH_FRICTION if case.silent.any() else 0.0):
         return _concluded(found, case, misfit, friction, first, [], [])
+    if _tolerable(found, case):
+        return _concluded(found, case, misfit, friction, first, [], [])
     apart = _apart(misfit, first[0])
     if apart is not None:
         rest = case_of(case.bench.stretches.chosen(~apart), case.bench.frame, found.friction)
@@ -248,12 +261,29 @@ def _of_case(found: Reconstruction, case: Case, shift: Float[np.ndarray, "n 3"])
     while len(groups) < _MOST and _matters(_alike(tried), _FURTHER * first[0].score):
         groups.append(_alike(tried))
         lines.append(_line(found, about, tip, groups[-1]))
-        errors = about.errors + tried[0].suspect.directions @ tried[0].size
+        errors = about.errors + np.clip(tried[0].suspect.directions @ tried[0].size, -GROSS * case.spread, GROSS * case.spread)
         about = about.about(errors, found.friction)
         tip = phases_by(about, [suspect.directions for suspect in SUSPECTS[:TELLING]], started=False)
         tried = _tried(about, tip, weighed(about, tip, tolerated(about, found.reactions, found.rod.length))[0])
     concluded = _concluded(found, case, misfit, friction, first, groups, lines)
     return concluded if lines else replace(concluded, warnings=(_unexplained(found, case, tip, misfit),), misread=True)
+
+
+def _tolerable(found: Reconstruction, case: Case) -> bool:
+    """Whether errors of the sizes that the setup states explain it after all: solved for, as they are not linear."""
+    stated = tolerances_of(case, found.reactions, found.rod.length)
+    spread = np.linalg.norm(stated, axis=0)
+    # A delay shows in no single contact.
+    directions, spread = stated[:, spread > 0] / spread[spread > 0], spread[spread > 0]
+    if not spread.size:
+        return False
+    size = solved([case], directions, spread, found.friction, np.zeros_like(spread)).size
+    if np.max(np.abs(size) / spread) >= GROSS:
+        return False
+    about = case.about(directions @ size, found.friction)
+    tip = phases_by(about, [directions])
+    tried = _tried(about, tip, weighed(about, tip, tolerated(about, found.reactions, found.rod.length))[0])
+    return not _matters(_alike(tried), _WITH_FRICTION if case.silent.any() else 0.0)
 
 
 def _apart(misfit: Misfit, best: _Tried) -> Bool[np.ndarray, "k"] | None:

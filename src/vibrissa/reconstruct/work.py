@@ -5,6 +5,7 @@ back: W − U starts at zero and does not fall. U follows from each wrench by it
 signs and axes that are mistaken for others leave the two apart.
 """
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
@@ -35,6 +36,8 @@ _LOADING = 0.9
 # Of the rod's length: a rod bent by less of a way stores next to nothing.
 _LEAST_WAY = 0.01
 _MEDIAN = 3
+# Standard deviation over median absolute deviation, of a normal distribution.
+_NORMAL = 1.4826
 # Sound recordings, also with friction and snaps: at most 0.02 by their noise and the mean over rows. EI 5 % off is as much; the checks of the sweep are finer.
 _GAINED = 0.05
 _DEVIATIONS = 6.0
@@ -207,7 +210,7 @@ def _of_contact(rod: Rod, reactions: Reactions, known: np.ndarray, steps: Float[
     mean = work[: size * count].reshape(count, size).mean(axis=1)
     largest = float(energy.max()) or 1e-300
     by_setup = _by_setup(reactions)
-    by_noise = _deviation(reactions, known[begin:stop], start) / largest
+    by_noise = (_deviation(reactions, known[begin:stop], start) + _scatter(energy)) / largest
     deviation = float(np.hypot(by_noise, by_setup))
     loading = slice(0, max(2, int(np.argmax(energy >= _LOADING * largest)) + 1))
     ratio = float(mean[loading] @ energy[loading] / max(float(energy[loading] @ energy[loading]), 1e-300))
@@ -226,6 +229,11 @@ def _by_setup(reactions: Reactions) -> float:
     variance = dict(zip(PARAMETERS, np.diag(reactions.setup_errors.covariance), strict=True))
     gain = max(variance[name] for name in PARAMETERS if name.startswith("gain"))
     return float(np.sqrt(variance["bending_stiffness"] + _BY_GAIN**2 * gain))
+
+
+def _scatter(energy: Float[np.ndarray, "k"]) -> float:
+    """Standard deviation of the energies by noise, from their second differences: of a smooth course they are next to nothing."""
+    return _NORMAL * float(np.median(np.abs(np.diff(energy, 2)))) / math.sqrt(6)
 
 
 def _smoothed(values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:

@@ -23,8 +23,8 @@ _COUPLE = 3.0
 """Mean violation of m0·f0 = 0, in standard deviations, from which on it is named as the finding."""
 _LEAST_ROWS = 6
 """Samples between two breaks of the motion: fewer tell little more than each by itself."""
-_WEAK, _LITTLE = 16.0, 2e5
-"""Length of the whitened wrench at its largest, and its sum of squares over a contact, below both of which neither phases nor arc lengths can be told."""
+_LITTLE = 1e4
+"""Sum of the squares of the force over a contact, in its deviations, from which its samples together tell arc lengths, moment over force, to a hundredth."""
 _ELSEWHERE, _FARTHER = 5.0, 2.0
 """Mean distance of the samples' own arc lengths from the smoothed one, in its standard deviations, and in stated errors of the points, from which on they disagree."""
 _SMALLEST = 2e-3
@@ -73,11 +73,10 @@ def _contradicted(flagged: Bool[np.ndarray, "k"], excess: Float[np.ndarray, "k"]
 
 def _weak(series: Series, fit: Fit, linear: Linear) -> Bool[np.ndarray, "n"]:
     """Rows of contacts that hardly rise out of the noise."""
-    strength = np.linalg.norm(np.einsum("nij,nj->ni", series.whitening, np.nan_to_num(linear.values.wrench)), axis=1)
-    weak = np.zeros(len(strength), dtype=bool)
+    force = np.einsum("nij,nj->ni", series.whitening, np.nan_to_num(linear.values.wrench))[:, :3]
+    weak = np.zeros(len(force), dtype=bool)
     for first, last in runs_of(fit.labels.phase != FREE):
-        inside = strength[first : last + 1]
-        weak[first : last + 1] = (np.quantile(inside, 0.95) < _WEAK) and (inside @ inside < _LITTLE)
+        weak[first : last + 1] = np.sum(force[first : last + 1] ** 2) < _LITTLE
     return weak
 
 

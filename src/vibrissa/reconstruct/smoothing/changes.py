@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.stats import chi2
 
 from vibrissa.numerics.blocks import rounded_up
@@ -33,6 +34,10 @@ _LOADS = ARC_LENGTH
 _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
 _APART = 12
+_SIDE, _HALF = 3, 25
+"""Samples to either side of a step, and of its neighbourhood."""
+_STEP, _UNUSUAL = 12.0, 6.0
+"""Standard deviations of a step, and its size over the usual difference: a contact that slides on, also through a change of phase, is far from both."""
 _MARGIN = 96
 _AT_ONCE = 8
 _MOST_ROWS = 1536
@@ -58,6 +63,31 @@ class Model(NamedTuple):
     intensities: Float[np.ndarray, "5"]
     states: States
     frictionless: bool
+
+
+def with_snaps(series: Series, labels: Labels) -> Labels:
+    """Jumps where the wrench steps from one sample to the next, far from its noise and from its course before and after; a change of phase beside one is moved there."""
+    touching = (labels.phase != FREE) & series.sound
+    load, count = series.whitened, len(touching)
+    if count < 2 * _HALF:
+        return labels
+    # Medians of some samples to either side: a spike is no step.
+    around = np.median(np.lib.stride_tricks.sliding_window_view(load, _SIDE, axis=0), axis=-1)
+    step = np.zeros(count)
+    step[_SIDE : count - _SIDE + 1] = np.linalg.norm(around[_SIDE:] - around[:-_SIDE], axis=1)
+    usual = median_filter(step, 2 * _HALF + 1, mode="nearest")
+    largest = maximum_filter1d(step, 2 * _APART + 1, mode="nearest")
+    single = np.linalg.norm(np.diff(load, axis=0, prepend=load[:1]), axis=1)
+    inside = touching & np.roll(touching, 1) & (np.arange(count) > 0)
+    for place in np.flatnonzero(inside & (step == largest) & (step > _STEP) & (step > _UNUSUAL * usual)):
+        row = place - 1 + int(np.argmax(single[place - 1 : place + 2]))
+        for change in phase_changes(labels):
+            if abs(change - row) <= _APART:
+                labels = moved(labels, change, int(row))
+        link = labels.link.copy()
+        link[row] = JUMP
+        labels = labels._replace(link=link)
+    return labels
 
 
 def jumps(model: Model, labels: Labels) -> list[tuple[int, int]]:

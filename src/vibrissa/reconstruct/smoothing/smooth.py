@@ -19,6 +19,7 @@ from vibrissa.reconstruct.smoothing.changes import (
     jumps,
     with_fewer_phases,
     with_placed_changes,
+    with_snaps,
     with_tangential_phases,
 )
 from vibrissa.reconstruct.smoothing.fit import (
@@ -142,6 +143,7 @@ def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: 
     drift, spread = fit.states.mean[:, 2 * COORDINATES :], fit.states.covariance[:, 2 * COORDINATES :, 2 * COORDINATES :]
     loaded = detected(series, drift, spread, false_alarm) & ~ringing
     labels, about = first_guess(series, loaded, drift)
+    labels = with_snaps(series, labels)
     fit = fitted(series, fit._replace(labels=labels, about=about), rates, frictionless=frictionless)
     # What is tangential is no jump.
     labels, places = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)

@@ -24,7 +24,7 @@ _COUPLE = 3.0
 _LEAST_ROWS = 6
 """Samples between two breaks of the motion: fewer tell little more than each by itself."""
 _LITTLE = 1e4
-"""Sum of the squares of the force over a contact, in its deviations, from which its samples together tell arc lengths, moment over force, to a hundredth."""
+"""Sum of the squares of the force over a contact up to a jump, in its deviations, from which its samples together tell arc lengths, moment over force, to a hundredth."""
 _ELSEWHERE, _FARTHER = 5.0, 2.0
 """Mean distance of the samples' own arc lengths from the smoothed one, in its standard deviations, and in stated errors of the points, from which on they disagree."""
 _SMALLEST = 2e-3
@@ -72,11 +72,13 @@ def _contradicted(flagged: Bool[np.ndarray, "k"], excess: Float[np.ndarray, "k"]
 
 
 def _weak(series: Series, fit: Fit, linear: Linear) -> Bool[np.ndarray, "n"]:
-    """Rows of contacts that hardly rise out of the noise."""
+    """Rows of contacts, or of their parts between jumps, that hardly rise out of the noise."""
     force = np.einsum("nij,nj->ni", series.whitening, np.nan_to_num(linear.values.wrench))[:, :3]
     weak = np.zeros(len(force), dtype=bool)
     for first, last in runs_of(fit.labels.phase != FREE):
-        weak[first : last + 1] = np.sum(force[first : last + 1] ** 2) < _LITTLE
+        jumps = np.flatnonzero(fit.labels.link[first + 1 : last + 1] == JUMP) + first + 1
+        for part in np.split(np.arange(first, last + 1), jumps - first):
+            weak[part] = np.sum(force[part] ** 2) < _LITTLE
     return weak
 
 

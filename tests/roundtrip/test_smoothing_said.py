@@ -54,23 +54,25 @@ def test_covariances_of_single_samples_hold_at_low_signal(scan: vb.Scan, strengt
 
 
 def test_a_part_in_which_the_rod_touches_twice_is_named_and_the_rest_is_sound(scan: vb.Scan) -> None:
-    """A second force, at the middle of the rod, that grows to a tenth of the first within half a second and vanishes."""
+    """A second force, sideways at the middle of the rod, that grows to a tenth of the first within half a second and vanishes."""
     given = readings(scan, 300.0)
     force, moment = given.force.copy(), given.moment.copy()
     twice = np.flatnonzero(scan.in_contact)[100:150]
     for i, share in zip(twice, np.linspace(0, 0.1, len(twice)), strict=True):
-        more = -share * np.linalg.norm(scan.reactions.force[i]) * scan.normal[i]
+        more = -share * np.linalg.norm(scan.reactions.force[i]) * np.array([0.0, 1.0, 0.0])
         arm = scan.elastic_line(int(i), 3)[1] - scan.trail.position[i]
         force[REST + i] += more
         moment[REST + i] += np.cross(arm, more)
     found = vb.reconstruct(WIRE, vb.Reactions(given.trail, force, moment, time=given.time, covariance=given.covariance))
-    assert any("the rod touches two places" in line for line in found.warnings)
+    (line,) = found.warnings
+    assert "the rod touches two places" in line
+    flagged = np.flatnonzero(np.isin(found.status, (vb.Status.TOUCHES_TWICE, vb.Status.NOT_SINGLE_CONTACT))) - REST
     named = np.flatnonzero(found.status == vb.Status.TOUCHES_TWICE) - REST
-    assert np.mean(np.isin(twice[25:], named)) > 0.9
-    assert np.all((named > twice[0] - 10) & (named < twice[-1] + 10))
+    assert np.mean(np.isin(twice[25:], flagged)) > 0.9
+    assert np.all((named > twice[0] - 10) & (named < twice[-1] + 20))
     smoothed = vb.smooth(found)
     ok, inside = held(smoothed, scan).T
-    assert ok.mean() > 0.85
+    assert ok.mean() > 0.8
     assert inside[ok].mean() > 0.88
     np.testing.assert_array_equal(smoothed.point[REST + named], found.point[REST + named])
 

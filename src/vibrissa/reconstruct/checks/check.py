@@ -229,6 +229,8 @@ class _Tried(NamedTuple):
         return float(np.median(np.linalg.norm(self.moved, axis=1)))
 
 
+# Readings that no rod has make numbers without bound; what is not finite is left out.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _of_trail(found: Reconstruction, shift: Float[np.ndarray, "n 3"]) -> SetupCheck:
     nothing = SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
     averaged = stretches_of(found)
@@ -240,17 +242,16 @@ def _of_case(found: Reconstruction, case: Case, shift: Float[np.ndarray, "n 3"])
     tip = phases_by(case, [suspect.directions for suspect in SUSPECTS[:TELLING]])
     misfit, friction = weighed(case, tip, tolerated(case, found.reactions, found.rod.length))
     first = _tried(case, tip, misfit)
-    if not _matters(_alike(first), _WITH_FRICTION if case.silent.any() else 0.0):
-        return _concluded(found, case, misfit, friction, first, [], [])
-    if _tolerable(found, case):
-        return _concluded(found, case, misfit, friction, first, [], [])
-    apart = _apart(misfit, first[0])
+    matters = _matters(_alike(first), _WITH_FRICTION if case.silent.any() else 0.0) and not _tolerable(found, case)
+    apart = _apart(misfit, first[0] if matters else None)
     if apart is not None:
         rest = case_of(case.bench.stretches.chosen(~apart), case.bench.frame, found.friction)
         if rest is not None and not _of_case(found, rest, shift).warnings:
             rows = _rows_of(case, apart, len(found.kind))
             line = _told_apart(found, misfit, rows)
             return replace(_concluded(found, case, misfit, friction, first, [], []), warnings=(line,), apart=rows)
+    if not matters:
+        return _concluded(found, case, misfit, friction, first, [], [])
     best = next((one for one in _alike(first) if one.suspect in SUSPECTS[:TELLING]), None)
     if best is not None and float(np.max(np.abs(best.size) / spread_along(case, best.suspect.directions))) > _GROSS:
         first = _nonlinear(found, case, tip, misfit, first)
@@ -286,11 +287,11 @@ def _tolerable(found: Reconstruction, case: Case) -> bool:
     return not _matters(_alike(tried), _WITH_FRICTION if case.silent.any() else 0.0)
 
 
-def _apart(misfit: Misfit, best: _Tried) -> Bool[np.ndarray, "k"] | None:
-    """Stretches of one part of the sweep that alone contradict the rest; None where there is no such part, or one cause explains nearly all."""
+def _apart(misfit: Misfit, best: _Tried | None) -> Bool[np.ndarray, "k"] | None:
+    """Stretches of one part of the sweep that alone contradict the rest; None where there is no such part, or the best cause, if any, explains nearly all."""
     rows = len(misfit.value)
     excess = float(misfit.value @ misfit.value) - rows
-    if excess < rows or best.explained > _NEARLY_ALL * excess:
+    if best is not None and (excess < rows or best.explained > _NEARLY_ALL * excess):
         return None
     square = uniform_filter1d(np.sum(misfit.alone**2, axis=1), _WINDOW, mode="nearest")
     runs, _ = label(square > _PERHAPS)

@@ -59,8 +59,6 @@ class Constraints:
     by_load: Slopes
 
 
-# Of wrenches that no rod has, the line grows without bound; the caller leaves out what is not finite.
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def constraints_of(wrench: Float[np.ndarray, "k 6"], rod: Float[np.ndarray, "k 6"] | None = None, length: float = 1.0) -> Constraints:
     """Constraints for base wrenches (f0, m0), clamp axes, of ideal rods, or of such with taper, rest curvature (2) and load (3), and of a length other than 1."""
     arc_length = np.concatenate([np.asarray(first_zeros(*block)) for block in _blocks(wrench)])[: len(wrench)]

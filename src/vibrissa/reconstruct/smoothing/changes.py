@@ -22,6 +22,7 @@ from vibrissa.reconstruct.smoothing.series import (
     TANGENTIAL,
     TIP,
     Labels,
+    NoMotionError,
     Series,
     chosen,
     filled,
@@ -152,7 +153,10 @@ def log_likelihoods(
     for k in range(0, len(steps), _AT_ONCE):
         stacked = Step(*(np.stack(parts) for parts in zip(*steps[k : k + _AT_ONCE], strict=True)))
         values.append(np.asarray(kalman.log_likelihoods(stacked, np.array(len(starts)), model.intensities, mean, covariance)))
-    return np.concatenate(values)[:wanted]
+    told = np.concatenate(values)[:wanted]
+    if not np.isfinite(told).any():
+        raise NoMotionError
+    return np.nan_to_num(told, nan=-np.inf)
 
 
 def _bending(steps: Step, factor: float) -> Step:

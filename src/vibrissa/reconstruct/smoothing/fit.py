@@ -25,6 +25,7 @@ from vibrissa.reconstruct.smoothing.series import (
     TIP,
     Labels,
     Linear,
+    NoMotionError,
     Series,
     capacity_for,
     chosen,
@@ -202,6 +203,8 @@ def fitted(
         states = smoothed_states(steps, labels, intensities, zero, rough=rough)
         new = _coordinates(labels, states.mean)
         change = float(np.abs(new - about).max())
+        if not np.isfinite(change):
+            raise NoMotionError
         about, linear = _stepped(about, linear, new)
         weight = robust_weights(series, labels, linear, states)
         if change < close and not rough:

@@ -42,6 +42,10 @@ def capacity_for(count: int) -> int:
     return -(-count // _BUCKET) * _BUCKET
 
 
+class NoMotionError(ArithmeticError):
+    """No motion of a contact has finite likelihood: the samples are not those of a rod that slides along an object."""
+
+
 class Series(NamedTuple):
     """One recording in clamp axes and model units."""
 

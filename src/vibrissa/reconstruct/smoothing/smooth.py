@@ -40,10 +40,10 @@ from vibrissa.reconstruct.smoothing.phases import detected, runs_of
 from vibrissa.reconstruct.smoothing.result import Smoothing, Touch
 from vibrissa.reconstruct.smoothing.rivals import drawn
 from vibrissa.reconstruct.smoothing.segments import ROWS, Piece, in_segments
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, Labels, Series, linearised, quieted, series_of, steps_of
+from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, Labels, NoMotionError, Series, linearised, quieted, series_of, steps_of
 from vibrissa.reconstruct.smoothing.shared import smoothed_sensitivity
 from vibrissa.reconstruct.smoothing.touch import Onset, onset_at, onset_of, reversed_labels, reversed_model
-from vibrissa.reconstruct.smoothing.verdict import Verdict, judged
+from vibrissa.reconstruct.smoothing.verdict import Verdict, judged, without
 from vibrissa.tolerances import PARAMETERS
 
 _ROUNDS = 4
@@ -117,9 +117,20 @@ def _smoothed_trail(
     found: Reconstruction, false_alarm: float, model_error: float, progress: Callable[[int, int], None] | None
 ) -> Reconstruction:
     def run(part: Reconstruction, zero: Zero, row: int) -> Piece:
-        return _smoothed_segment(part, zero, row, false_alarm, model_error)
+        try:
+            return _smoothed_segment(part, zero, row, false_alarm, model_error)
+        except (NoMotionError, np.linalg.LinAlgError):
+            return Piece(_by_samples(part, model_error), zero)
 
     return in_segments(found, run, progress)
+
+
+def _by_samples(found: Reconstruction, model_error: float) -> Reconstruction:
+    """Contacts of the samples by themselves, where smoothing finds no motion that explains them."""
+    count = len(found.kind)
+    none = Smoothing((), np.zeros(COORDINATES), np.zeros((count, WRENCH)), np.ones(count), np.full(count, np.nan), model_error, -np.inf)
+    status = np.where(found.in_contact & (found.status == Status.OK), Status.AMBIGUOUS, found.status).astype(np.int8)
+    return replace(found, status=status, smoothing=(none,))
 
 
 def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: float, model_error: float) -> Piece:
@@ -271,6 +282,8 @@ def _result(
     errors = fit.states.covariance[:, :COORDINATES, :COORDINATES]
     point = found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)
     normal = np.einsum("nij,nj->ni", series.turn, values.direction)
+    numbers = np.concatenate([point, jacobian.reshape(len(point), -1), errors.reshape(len(point), -1)], axis=1)
+    verdict = without(verdict, found, touching & ~np.isfinite(numbers).all(axis=1) & ~verdict.raw)
     # Errors of the robot's pose are not taken to be others in each sample: they stay in full.
     floor, turned = np.eye(3) * (model_error * length) ** 2, np.zeros((3, 3))
     by_pose = found.reactions.pose_covariance(point)

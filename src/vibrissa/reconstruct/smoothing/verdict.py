@@ -64,6 +64,12 @@ def judged(found: Reconstruction, series: Series, fit: Fit, linear: Linear) -> V
     return Verdict(status.astype(np.int8), raw | (found.status == Status.TOUCHES_TWICE))
 
 
+def without(verdict: Verdict, found: Reconstruction, lost: Bool[np.ndarray, "n"]) -> Verdict:
+    """With rows for which smoothing gives no numbers as they were before."""
+    before = np.where(found.status == Status.OK, Status.AMBIGUOUS, found.status)
+    return Verdict(np.where(lost, before, verdict.status).astype(np.int8), verdict.raw | lost)
+
+
 def _contradicted(flagged: Bool[np.ndarray, "k"], excess: Float[np.ndarray, "k"], couple: float) -> Status:
     limit = max(_EXCESS, 1 + _LEVEL * np.sqrt(2 / (WRENCH * len(excess))))
     if flagged.mean() <= _FLAGGED_STRETCH and excess.mean() <= limit:

@@ -25,6 +25,20 @@ PARAMETERS = (
 about them [rad]), the gains (relative), and by how much the poses come late [s]."""
 
 
+_MOST = {
+    "youngs_modulus": 1.0,
+    "radius": 0.5,
+    "length": 0.1,
+    "clamp_position": 0.1,
+    "clamp_orientation": 0.5,
+    "gain": 0.5,
+    "pose_delay": 1.0,
+    "object_scale": 0.5,
+    "object_position": 0.1,
+}
+"""Of what is known so badly nothing can be said to first order: larger numbers are millimetres, degrees or milliseconds."""
+
+
 @dataclass(frozen=True, eq=False)
 class Tolerances:
     """Standard deviations of what a setup states; 0 where a number is exact.
@@ -49,7 +63,7 @@ class Tolerances:
     Raises
     ------
     ValueError
-        If a number is negative or not finite, or there are too many of them.
+        If a number is negative, not finite or larger than any bench's, or there are too many of them.
     """
 
     youngs_modulus: float = 0.0
@@ -77,7 +91,7 @@ class Tolerances:
         sizes = {"clamp_position": 3, "clamp_orientation": 3, "gain": _CHANNELS, "object_position": 3}
         given = locals()
         for name in (field.name for field in fields(self)):
-            object.__setattr__(self, name, _deviations(given[name], name, sizes.get(name)))
+            object.__setattr__(self, name, _deviations(given[name], name, sizes.get(name), _MOST[name]))
 
     @property
     def covariance(self) -> Float[np.ndarray, "15 15"]:
@@ -134,12 +148,15 @@ class SetupErrors:
         return tuple(PARAMETERS[column] for column in _cholesky(self.covariance)[1])
 
 
-def _deviations(value: ArrayLike, name: str, size: int | None) -> "float | Float[np.ndarray, 'k']":
+def _deviations(value: ArrayLike, name: str, size: int | None, most: float) -> "float | Float[np.ndarray, 'k']":
     numbers = finite_array(value, name)
     shapes = ((),) if size is None else ((), (size,))
-    if numbers.shape not in shapes or np.any(numbers < 0):
+    if numbers.shape not in shapes or np.any(numbers < 0) or np.any(numbers > most):
         many = "" if size is None else f", or {size} of them"
-        raise ValueError(f"{name} = {np.asarray(value).tolist()}; allowed is a standard deviation of at least 0{many}")
+        unit = {"length": " m", "clamp_position": " m", "object_position": " m", "clamp_orientation": " rad", "pose_delay": " s"}.get(
+            name, ""
+        )
+        raise ValueError(f"{name} = {np.asarray(value).tolist()}; allowed is a standard deviation from 0 to {most:g}{unit}{many}")
     return float(numbers) if size is None else np.broadcast_to(numbers, size).copy()
 
 

@@ -77,6 +77,19 @@ def test_a_part_in_which_the_rod_touches_twice_is_named_and_the_rest_is_sound(sc
     np.testing.assert_array_equal(smoothed.point[REST + named], found.point[REST + named])
 
 
+def test_samples_without_numbers_neither_end_a_contact_nor_make_it_jump(scan: vb.Scan) -> None:
+    given = readings(scan, 300.0)
+    force, first = given.force.copy(), REST + int(np.flatnonzero(scan.in_contact)[150])
+    force[first : first + 15] = force[first + 60 : first + 62] = np.nan
+    found = vb.smooth(vb.reconstruct(WIRE, vb.Reactions(given.trail, force, given.moment, time=given.time, covariance=given.covariance)))
+    assert found.smoothing is not None
+    (touch,) = found.smoothing[0].touches
+    assert not touch.jumps
+    assert not found.smoothing[0].outlier[np.isnan(force[:, 0])].any()
+    _, inside = held(found, scan).T
+    assert inside.mean() > 0.88
+
+
 def test_readings_of_the_wrong_sign_are_not_ok(scan: vb.Scan) -> None:
     found = vb.smooth(vb.reconstruct(WIRE, readings(scan, 100.0, sign=-1.0)))
     rows = found.in_contact[REST:] & scan.in_contact

@@ -130,3 +130,32 @@ def test_numbers_that_no_single_cause_explains_are_said_to_be_so() -> None:
     with pytest.warns(vb.RecordingWarning):
         found = vb.reconstruct(WIRE, one.reactions(raw))
     assert not np.any(found.status[found.in_contact] == vb.Status.OK)
+
+
+def test_a_clamp_that_hardly_moves_while_the_rod_is_loaded_is_named() -> None:
+    """Metres that were taken for millimetres, and poses that stand still: there the object may move, and the contacts are right."""
+    one = sensor()
+    (raw,) = recordings(one, heights=(0.005,))
+    with pytest.warns(vb.RecordingWarning, match="positions in m, taken for mm"):
+        small = vb.reconstruct(WIRE, replace(one, position_noise=1e-8).reactions(replace(raw, position=1e-3 * raw.position)))
+    assert not np.any(small.status[small.in_contact] == vb.Status.OK)
+    with pytest.warns(vb.RecordingWarning, match="a pose stream that stands still"):
+        still = vb.reconstruct(WIRE, one.reactions(replace(raw, position=np.tile(raw.position[:1], (len(raw.position), 1)))))
+    assert np.any(still.status[still.in_contact] == vb.Status.OK)
+
+
+def test_tolerances_in_other_units_are_refused() -> None:
+    for name, value in (("length", 0.5), ("clamp_orientation", 3.0), ("pose_delay", 20.0), ("gain", 2.0)):
+        with pytest.raises(ValueError, match=f"{name} = {value}; allowed is a standard deviation from 0 to"):
+            vb.Tolerances(**{name: value})
+
+
+def test_without_an_object_what_is_left_open_goes_with_its_tolerance() -> None:
+    """With the clamp free along the rod only EI/L² is seen: with EI known to 3 %, L is known to 1.5 %."""
+    one = sensor()
+    start = replace(setup(one), surface=None)
+    alone, found = (vb.calibrate(recordings(one), start, tolerances=given) for given in (None, vb.Tolerances(youngs_modulus=0.03)))
+    assert not alone.estimates["youngs_modulus"].determined
+    assert found.estimates["youngs_modulus"].determined
+    assert found.estimates["length"].deviation == pytest.approx(0.015 * WIRE.length, rel=0.3)
+    assert alone.estimates["length"].deviation < 0.3 * found.estimates["length"].deviation

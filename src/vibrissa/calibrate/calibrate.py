@@ -114,11 +114,13 @@ def calibrate(
     chosen = parameters(names, setup.rod)
     deviations = checked_prior(prior, names)
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
+    known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     if surface is None:
-        return calibrated_without_object(listed, setup, names, chosen, deviations, not_negative(friction, "friction"))
+        return calibrated_without_object(
+            listed, setup, names, chosen, deviations, not_negative(friction, "friction"), known or Tolerances()
+        )
     rows = gathered(listed, setup.sensor)
     coefficient = not_negative(friction, "friction")
-    known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     factors = _factors(chosen, setup.rod, setup.sensor)
     spreads = np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
     problem = Problem(

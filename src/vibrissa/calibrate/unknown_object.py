@@ -12,6 +12,7 @@ from vibrissa.calibrate.parameters import Parameter
 from vibrissa.calibrate.result import Calibration, Estimate, Residuals, SetupType
 from vibrissa.calibrate.rows import CalibrationError
 from vibrissa.calibrate.statistics import Fitness, Identifiability
+from vibrissa.calibrate.suspects import uncertain
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct import reconstruct
@@ -21,6 +22,7 @@ from vibrissa.reconstruct.checks.rig import ERRORS, GAIN, LENGTH, POSITION, ROTA
 from vibrissa.reconstruct.checks.stretches import stretches_of
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.tolerances import Tolerances
 
 _GROUPS = (
     "youngs_modulus",
@@ -58,10 +60,12 @@ def calibrated_without_object(
     chosen: list[Parameter],
     deviations: dict[str, float],
     friction: float,
+    tolerances: Tolerances,
 ) -> Calibration[SetupType]:
     """Rod, clamp and gains from sweeps over an object that is not known.
 
-    Parameters are as of `calibrate`. Errors of the tares are allowed for by their covariance, not estimated.
+    Parameters are as of `calibrate`. Errors of the tares are allowed for by their covariance, not estimated. What is not determined is fitted within its tolerance, where
+    one is stated, so that what goes with it has no smaller deviation.
 
     Raises
     ------
@@ -76,7 +80,14 @@ def calibrated_without_object(
     cases = [
         _case(index, reactions, setup.rod, setup.sensor, friction) for index, reactions in enumerate(_sweeps(recordings, setup.sensor))
     ]
-    return _result(setup, names, chosen, cases, _fit(cases, chosen, deviations, setup, friction), friction)
+    stated = {
+        parameter.name: (parameter, deviation) for parameter, deviation in uncertain(setup.rod, tolerances) if parameter.group in _GROUPS
+    }
+    chosen = [*chosen, *(parameter for name, (parameter, _) in stated.items() if name not in {one.name for one in chosen})]
+    names = (*names, *dict.fromkeys(parameter.group for parameter in chosen if parameter.group not in names))
+    within = {name: deviation for name, (_, deviation) in stated.items()}
+    fit = _fit(cases, chosen, deviations, within, setup, friction)
+    return _result(setup, names, chosen, cases, fit, friction, tolerances if within else None)
 
 
 def _sweeps(recordings: list[Reactions | RawRecording], sensor: Sensor) -> list[Reactions]:
@@ -110,14 +121,22 @@ def _directions(parameters: list[Parameter], setup: SetupType) -> Float[np.ndarr
     return out
 
 
-def _fit(cases: list[Case], chosen: list[Parameter], deviations: dict[str, float], setup: SetupType, friction: float) -> _Fit:
+def _fit(
+    cases: list[Case],
+    chosen: list[Parameter],
+    deviations: dict[str, float],
+    within: dict[str, float],
+    setup: SetupType,
+    friction: float,
+) -> _Fit:
     """Solve; hold what the solution leaves open, one by one, and solve anew without it."""
     free, held = list(chosen), dict[str, tuple[str, ...]]()
     while free:
         scales = np.array([parameter.scale for parameter in free])
         factors = np.array([_factor(parameter, setup) for parameter in free])
         prior = np.array([deviations.get(parameter.group, math.inf) for parameter in free]) / factors
-        spread = np.minimum(prior, _SPREAD * scales)
+        tolerated = np.array([within.get(parameter.name, math.inf) for parameter in free])
+        spread = np.minimum(np.minimum(prior, tolerated), _SPREAD * scales)
         solution = solved(cases, _directions(free, setup), spread, friction, np.zeros(len(free)))
         rows = sum(len(misfit.value) for misfit in solution.misfits)
         square = sum(float(misfit.value @ misfit.value) for misfit in solution.misfits)
@@ -148,7 +167,13 @@ def _factor(parameter: Parameter, setup: SetupType) -> float:
 
 
 def _result(
-    setup: SetupType, names: tuple[str, ...], chosen: list[Parameter], cases: list[Case], fit: _Fit, friction: float
+    setup: SetupType,
+    names: tuple[str, ...],
+    chosen: list[Parameter],
+    cases: list[Case],
+    fit: _Fit,
+    friction: float,
+    tolerances: Tolerances | None,
 ) -> Calibration[SetupType]:
     names_left = {parameter.name for parameter in fit.free}
     held = {name: tuple(other for other in others if other in names_left) for name, others in fit.held.items()}
@@ -189,7 +214,7 @@ def _result(
         warnings=[],
         held_out=(),
         first_contact=np.full(len(cases), np.nan),
-        tolerances=None,
+        tolerances=tolerances,
     )
 
 

@@ -123,10 +123,14 @@ def expected_error(
     Raises
     ------
     ValueError
-        If the sensor's noise is not known, or a figure is out of range.
+        If the sensor's noise is not known, a figure is out of range, or a tolerance of `pose_delay` comes without `speed`.
     """
     if sensor.force_noise is None:
         raise ValueError("sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset")
+    if tolerances is not None and not isinstance(tolerances, Tolerances):
+        raise TypeError(f"tolerances = {tolerances!r}; allowed is vibrissa.Tolerances")
+    if tolerances is not None and tolerances.pose_delay > 0 and speed is None:
+        raise ValueError("speed = None; a tolerance of pose_delay needs the clamp's speed")
     rate, rest, samples = positive(rate, "rate"), not_negative(rest, "rest"), whole_number(samples, "samples")
     swept = scan(rod, surface, trail, friction=friction, finite_radius=finite_radius)
     averaged, rate = _averaged(sensor, samples), rate / samples

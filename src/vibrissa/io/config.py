@@ -185,5 +185,6 @@ def _described(field: FieldInfo | None, *, of_an_item: bool) -> str:
         return field.description
     tables = _tables_in(field.annotation)
     if tables:
-        return "a table with " + ", ".join(name for name, inner in tables[0].model_fields.items() if inner.is_required())
+        fields = tables[0].model_fields
+        return "a table with " + ", ".join([name for name, inner in fields.items() if inner.is_required()] or fields)
     return " or ".join(map(repr, get_args(field.annotation))) or str(field.annotation)

@@ -35,6 +35,9 @@ _EARLIER = 4
 _LOADING = 0.9
 # Of the rod's length: a rod bent by less of a way stores next to nothing.
 _LEAST_WAY = 0.01
+_SHARE_OF_BEND = 0.1
+# Of the noise of a position: the farthest of ten thousand is four from where it is, and so is the first.
+_CLEARLY_MOVES = 10.0
 _MEDIAN = 3
 # Standard deviation over median absolute deviation, of a normal distribution.
 _NORMAL = 1.4826
@@ -139,6 +142,28 @@ def work_warnings(found: Reconstruction) -> list[str]:
     return [] if worst is None else [_told(worst)]
 
 
+def still_warnings(found: Reconstruction) -> tuple[list[str], bool]:
+    """One line where the rod is loaded and released while its clamp hardly moves, and whether it moves at all.
+
+    Where it stands the object may move; where it moves a little the poses are misread.
+    """
+    rod, reactions = found.rod, found.reactions
+    known = np.flatnonzero(np.isfinite(reactions.force).all(axis=1) & np.isfinite(reactions.moment).all(axis=1))
+    if len(known) < _FEWEST_BLOCKS or reactions.covariance is None:
+        return [], False
+    contacts = [known[start:stop] for start, stop in _contacts(_loaded(reactions, known)) if stop - start >= _FEWEST_BLOCKS and start > 0]
+    ways = [_way(rod, reactions, rows) for rows in contacts]
+    # By so much a force bends the rod's tip at first; the clamp has to go about as far.
+    bent = [float(np.linalg.norm(reactions.force[rows], axis=1).max()) * rod.length / (3 * rod.force_scale) for rows in contacts]
+    if not ways or any(way > _SHARE_OF_BEND * deflection for way, deflection in zip(ways, bent, strict=True)):
+        return [], False
+    noise = 0.0 if reactions.position_covariance is None else float(np.sqrt(np.trace(reactions.position_covariance)))
+    moves = max(ways) > _CLEARLY_MOVES * noise and max(ways) > 0
+    size = f"{1e3 * max(ways):.2g} mm" if rod.units == "SI" else f"{max(ways):.2g} L"
+    causes = "positions in m, taken for mm?" if moves else "a pose stream that stands still? It is right only if the object moves"
+    return [f"the clamp moves by no more than {size} while the rod is loaded and released: {causes}"], moves
+
+
 def _told(work: ClampWork) -> str:
     text = f"the clamp's work is {work.ratio:.3g} times the rod's bending energy while it is loaded (1 without friction, up to {_MOST_BY_FRICTION:g} with it)"
     if work.gained > _GAINED + _DEVIATIONS * work.deviation:
@@ -176,12 +201,14 @@ def _whole(known: np.ndarray, span: tuple[int, int]) -> bool:
 
 def _moves(rod: Rod, reactions: Reactions, rows: np.ndarray) -> bool:
     """Whether the clamp goes far enough to bend the rod: where it stands, it is the object that moves, and works."""
+    return _way(rod, reactions, rows) > _LEAST_WAY * rod.length
+
+
+def _way(rod: Rod, reactions: Reactions, rows: np.ndarray) -> float:
+    """How far the clamp goes, and the tip by its turning."""
     position, orientation = reactions.trail.position[rows], reactions.trail.orientation[rows]
     turned = rotation_vectors(np.broadcast_to(orientation[0], orientation.shape), orientation)
-    return (
-        float(np.linalg.norm(position - position[0], axis=1).max() + rod.length * np.linalg.norm(turned, axis=1).max())
-        > _LEAST_WAY * rod.length
-    )
+    return float(np.linalg.norm(position - position[0], axis=1).max() + rod.length * np.linalg.norm(turned, axis=1).max())
 
 
 def _steps(reactions: Reactions, known: np.ndarray) -> Float[np.ndarray, "m"]:

@@ -61,7 +61,11 @@ def delay_of(found: Reconstruction) -> Delay | None:
     """Delay that the contacts of one trail (n, …) tell; None where there is no time, or no two passes in opposite directions over the same places."""
     if found.reactions.time is None or found.kind.ndim != 1:
         return None
-    rows = found.in_contact & np.isin(found.status, (Status.OK, Status.SETUP_CONTRADICTED)) & np.isfinite(found.point).all(axis=1)
+    rows = (
+        found.in_contact
+        & np.isin(found.status, (Status.OK, Status.SETUP_CONTRADICTED))
+        & np.isfinite(found.point + found.normal).all(axis=1)
+    )
     if np.count_nonzero(rows) < _FEWEST * _BLOCKS:
         return None
     place, normal, velocity = _means(found, np.flatnonzero(rows))

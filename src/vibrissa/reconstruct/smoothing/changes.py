@@ -70,8 +70,10 @@ def with_snaps(series: Series, labels: Labels) -> Labels:
     """Jumps where the wrench steps from one sample to the next, far from its noise and from its course before and after; a change of phase beside one is moved there."""
     touching = (labels.phase != FREE) & series.sound
     load, count = series.whitened, len(touching)
-    if count < 2 * _HALF:
+    if count < 2 * _HALF or not series.sound.any():
         return labels
+    known = np.flatnonzero(series.sound)
+    load = np.stack([np.interp(np.arange(count), known, part[known]) for part in load.T], axis=1)
     # Medians of some samples to either side: a spike is no step.
     around = np.median(np.lib.stride_tricks.sliding_window_view(load, _SIDE, axis=0), axis=-1)
     step = np.zeros(count)

@@ -100,8 +100,7 @@ def smoothed_states(steps: Step, labels: Labels, intensities: Float[np.ndarray, 
 def first_guess(series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]) -> tuple[Labels, Float[np.ndarray, "n 5"]]:
     """Phases, and coordinates from moving averages of the wrench over 40 ms."""
     phase, arc_length = first_labels(series, loaded, drift)
-    step = float(np.median(np.diff(series.time))) if len(series.time) > 1 else 1.0
-    size = max(1, round(_AVERAGE / step))
+    size = max(1, round(_AVERAGE / series.step))
     average = uniform_filter1d(median_filter(series.wrench, (_MEDIAN, 1), mode="nearest"), size, axis=0, mode="nearest")
     about = np.column_stack([average[:, 3], average[:, 4], -average[:, 2], arc_length, np.zeros(len(phase))])
     link = np.where(np.diff(phase, prepend=FREE) != 0, KINK, GO_ON)
@@ -114,7 +113,7 @@ def rates_of(series: Series, labels: Labels, about: Float[np.ndarray, "n 5"]) ->
     """Standard deviations of rates of which nothing is known: thirty times the range over the longest contact."""
     touching = labels.phase != FREE
     longest = max((series.time[last] - series.time[first] for first, last in runs_of(touching)), default=1.0)
-    longest = max(float(longest), float(np.median(np.diff(series.time))) if len(series.time) > 1 else 1.0)
+    longest = max(float(longest), series.step)
     load = max(float(np.ptp(about[touching, :ARC_LENGTH], axis=0).max(initial=0.0)), 1e-2) if touching.any() else 1.0
     return np.array([load, load, load, 0.3, TILT_SPREAD / 10]) * 30 / longest
 

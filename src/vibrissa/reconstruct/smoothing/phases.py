@@ -31,7 +31,7 @@ def detected(
     """Samples at which the rod is loaded: the mean of five whitened wrenches, less the drift of the zero, is more than noise and the drift's own error explain.
 
     Without contact its square in the metric of that covariance follows chi-square with six degrees of freedom, and exceeds the limit with the probability
-    `false_alarm`. Loads of fewer than eight samples are no contacts, and gaps of up to eight no lift-offs.
+    `false_alarm`. Loads of fewer than eight samples are no contacts, and gaps of up to eight no lift-offs, nor are samples without numbers between loaded ones.
     """
     weight = series.sound.astype(float)
     count = uniform_filter1d(weight, _DETECTION_SAMPLES, mode="constant") * _DETECTION_SAMPLES
@@ -40,6 +40,10 @@ def detected(
     covariance = np.eye(WRENCH) / np.maximum(count, 1)[:, None, None] + spread
     distance = np.einsum("ni,ni->n", mean, np.linalg.solve(covariance, mean[..., None])[..., 0])
     loaded = (count > 0) & (distance > chi2.isf(false_alarm, WRENCH))
+    for first, last in runs_of(~series.sound):
+        # The mean of a sample next to the gap may hold some of it.
+        around = loaded[max(0, first - 1) : first].any() and loaded[last + 1 : last + 2].any()
+        loaded[first : last + 1] = around
     return _opened(_closed(loaded))
 
 

@@ -59,6 +59,13 @@ class Series(NamedTuple):
     sound: Bool[np.ndarray, "n"]
 
     @property
+    def step(self) -> float:
+        """Usual time from one sample to the next; stamps that are given twice, or all but so, do not count."""
+        steps = np.diff(self.time)
+        apart = steps[steps > 0.01 * np.mean(steps)] if steps.size else steps
+        return float(np.median(apart)) if apart.size else 1.0
+
+    @property
     def whitened(self) -> Float[np.ndarray, "n 6"]:
         """Wrench in standard deviations, independent of each other."""
         return np.einsum("nij,nj->ni", self.whitening, self.wrench)

@@ -248,7 +248,7 @@ def _touch(
     last = rough[1] if end is None else count - 2 - int(np.floor(end.place))
     inside = np.arange(first + 1, last + 1)
     changes = inside[labels.phase[inside] != labels.phase[inside - 1]]
-    step = float(np.median(np.diff(series.time)))
+    step = series.step
     broken = np.setdiff1d(inside[labels.link[inside] > GO_ON], changes)
     return Touch(
         first,
@@ -298,7 +298,13 @@ def _result(
     unwhitened = np.einsum("nij,nj->ni", np.linalg.inv(series.whitening), fit.states.mean[:, 2 * COORDINATES :])
     tilt = np.where(touching, about[:, TILT], np.nan)
     smoothing = Smoothing(
-        touches, fit.intensities, unwhitened * units, fit.weight, tilt, model_error, float(np.sum(fit.states.log_likelihood))
+        touches,
+        fit.intensities,
+        unwhitened * units,
+        np.where(series.sound, fit.weight, 1.0),
+        tilt,
+        model_error,
+        float(np.sum(fit.states.log_likelihood)),
     )
 
     def rows(values: np.ndarray, raw: np.ndarray | None, nothing: float = np.nan) -> np.ndarray:

@@ -74,7 +74,7 @@ def onset_of(model: Model, labels: Labels, first: int) -> Onset:
         weights /= weights.sum()
         place = float(places[int(np.argmax(values))])
     mean = float(weights @ places)
-    step = float(np.median(np.diff(model.series.time[max(0, first - 8) : first + 9])))
+    step = model.series.step
     spacing = float(np.median(np.diff(places))) if len(places) > 1 else 1.0
     deviation = float(np.sqrt(weights @ (places - mean) ** 2 + spacing**2 / 12)) * step
     time = float(np.interp(mean, np.arange(len(model.series.time)), model.series.time))

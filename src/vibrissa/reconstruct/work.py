@@ -81,7 +81,9 @@ class ClampWork:
     remainder
         Work at the end as a share of the largest energy: zero without friction and snaps. NaN where the contact does not end.
     deviation
-        Standard deviation of `gained` and `remainder` by the noise, and by stiffness and gains as well as these are said to be known.
+        Standard deviation of `gained` and `remainder` by the noise, as far as it makes the work.
+    energy_deviation
+        Relative standard deviation of the energies by the noise, and by stiffness and gains as well as these are said to be known.
     """
 
     row: Float[np.ndarray, "k"]
@@ -92,11 +94,13 @@ class ClampWork:
     gained: float
     remainder: float
     deviation: float
+    energy_deviation: float
 
     @property
     def impossible(self) -> bool:
         """Whether no single contact on this rod explains it, with whatever friction up to a coefficient of 0.75."""
-        return self.gained > _GAINED + _DEVIATIONS * self.deviation or self.ratio > _MOST_BY_FRICTION + _DEVIATIONS * self.ratio_deviation
+        gained, ratio = (_DEVIATIONS * math.hypot(part, self.energy_deviation) for part in (self.deviation, self.ratio_deviation))
+        return self.gained > _GAINED + gained or self.ratio > _MOST_BY_FRICTION + ratio
 
     @property
     def misfit(self) -> float:
@@ -166,7 +170,7 @@ def still_warnings(found: Reconstruction) -> tuple[list[str], bool]:
 
 def _told(work: ClampWork) -> str:
     text = f"the clamp's work is {work.ratio:.3g} times the rod's bending energy while it is loaded (1 without friction, up to {_MOST_BY_FRICTION:g} with it)"
-    if work.gained > _GAINED + _DEVIATIONS * work.deviation:
+    if work.gained > _GAINED + _DEVIATIONS * math.hypot(work.deviation, work.energy_deviation):
         text += f", and {work.gained:.0%} of the largest energy come from nowhere" if work.gained < 1 else ", and energy comes from nowhere"
     low, high = _NEAR
     guess = next((words for ratio, words in _KNOWN_RATIOS if low < work.ratio / ratio < high), _ELSE)
@@ -236,17 +240,14 @@ def _of_contact(rod: Rod, reactions: Reactions, known: np.ndarray, steps: Float[
     work = np.cumsum(steps[begin:stop])[start - begin :]
     mean = work[: size * count].reshape(count, size).mean(axis=1)
     largest = float(energy.max()) or 1e-300
-    by_setup = _by_setup(reactions)
-    by_noise = (_deviation(reactions, known[begin:stop], start) + _scatter(energy)) / largest
-    deviation = float(np.hypot(by_noise, by_setup))
+    deviation = _deviation(reactions, known[begin:stop], start) / largest
+    energy_deviation = float(np.hypot(_scatter(energy) / largest, _by_setup(reactions)))
     loading = slice(0, max(2, int(np.argmax(energy >= _LOADING * largest)) + 1))
     ratio = float(mean[loading] @ energy[loading] / max(float(energy[loading] @ energy[loading]), 1e-300))
     lost = _smoothed(mean - energy)
     gained = float(np.max(np.maximum.accumulate(np.maximum(lost, 0.0)) - lost)) / largest
     remainder = float(work[-1]) / largest if stop < len(known) else float("nan")
-    return ClampWork(
-        middle.astype(float), mean, energy, ratio, float(np.hypot(by_noise / _LOADING, by_setup)), gained, remainder, deviation
-    )
+    return ClampWork(middle.astype(float), mean, energy, ratio, deviation / _LOADING, gained, remainder, deviation, energy_deviation)
 
 
 def _by_setup(reactions: Reactions) -> float:

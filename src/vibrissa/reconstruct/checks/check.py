@@ -59,8 +59,9 @@ _NEARLY_ALL = 0.75
 """Share of the misfit beyond noise that a cause explains which is real: 0.8 and more of single causes that were measured, half of a second contact."""
 _MOST_APART = 0.3
 """Share of the stretches that may be set apart: what concerns more of them is no exception."""
-_WINDOW, _SURELY, _PERHAPS = 3, 12.0, 6.0
-"""Stretches together, and means of their three squares, of which noise makes 3 ± 1.4, from which a part contradicts the rest, and to which it then extends."""
+_WINDOW, _GROSSLY, _SURELY, _PERHAPS = 3, 50.0, 12.0, 6.0
+"""Stretches together, and means of their three squares, of which noise makes 3 ± 1.4: from which a part contradicts the rest, where no cause is found (swinging
+makes 15) and where one is, and to which it then extends."""
 
 
 @dataclass(frozen=True)
@@ -301,7 +302,7 @@ def _apart(misfit: Misfit, best: _Tried | None) -> Bool[np.ndarray, "k"] | None:
         return None
     square = uniform_filter1d(np.sum(misfit.alone**2, axis=1), _WINDOW, mode="nearest")
     runs, _ = label(square > _PERHAPS)
-    sure = np.unique(runs[square > _SURELY])
+    sure = np.unique(runs[square > (_GROSSLY if best is None else _SURELY)])
     apart = np.isin(runs, sure[sure > 0])
     return apart if 0 < np.mean(apart) < _MOST_APART else None
 

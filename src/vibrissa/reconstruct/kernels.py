@@ -26,6 +26,8 @@ SHARED_WIDTH = NOISY_WIDTH + 9 + 9
 # The tip is imposed where s₁ comes out longer than the rod by less than this many standard deviations.
 TIP_DEVIATIONS = 5.0
 _TIP_STEPS = 10
+# Deviations of the force from which errors are carried to first order, which then holds nine in ten and more: below, second moments are taken.
+FIRST_ORDER = 20.0
 _AT_TIP = 1e-6
 
 
@@ -147,6 +149,10 @@ def _noisy(wrench: Float[Array, "6"], tangent: Float[Array, "3"], root: Float[Ar
     # A contact that says flank may be one at the tip of a rod that is still straight, as likely as noise makes of one the other.
     towards = tangent - values[:3]
     of_reach = of_reach + jnp.exp(-(straight.deviations**2) / 2) * jnp.outer(towards, towards)
+    strong = jnp.sum(within[:3] ** 2) > FIRST_ORDER**2 * (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
+    of_reach, of_direction = (
+        jnp.where(strong, first, second) for first, second in ((errors[:3, :3], of_reach), (errors[3:6, 3:6], of_direction))
+    )
     extra = jnp.stack([jnp.sqrt(errors[6, 6]), jnp.sqrt(errors[7, 7]), deviation])
     # A wrench that was moved to the tip stays there, however the setup's numbers change it.
     along = covariance @ jacobian[6] / jnp.maximum(errors[6, 6], 1e-300) * jnp.any(within != single)

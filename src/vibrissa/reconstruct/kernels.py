@@ -55,7 +55,7 @@ def invert_noisy_blocks(
 ) -> Array:
     """`invert` of the most probable wrench (model units) of a single contact on this rod, with its errors: (blocks, 32, width).
 
-    `root` is the lower Cholesky factor of the wrench's covariance, `precision` the inverse of that.
+    `root` is a factor of the wrench's covariance, `precision` the inverse of that.
     """
 
     def one(wrench: Array, orientation: Array, root: Array, precision: Array) -> Float[Array, "32"]:
@@ -175,7 +175,8 @@ def _second_moments(
     steps = math.sqrt(size) * jnp.concatenate([root.T, -root.T])
     found = jax.vmap(observed)(wrench + steps)
     reach = jax.vmap(_within_reach)(found[:, :3]) - values[:3]
-    direction = found[:, 3:6] - values[3:6]
+    # Square to n̂: a unit vector can only turn.
+    direction = found[:, 3:6] - jnp.sum(found[:, 3:6] * values[3:6], axis=1, keepdims=True) * values[3:6]
     by_reach, by_direction = (_product(part.T, part) / (2 * size) for part in (reach, direction))
     return by_reach, by_direction
 

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.kernels import sensitivity_blocks
@@ -15,15 +16,17 @@ from vibrissa.rod import Rod
 
 
 def noisy_rows(rod: Rod, reactions: Reactions) -> tuple[np.ndarray, ...]:
-    """Wrench (k, 6), clamp orientation (k, 4), Cholesky factor and inverse of the covariance (k, 6, 6) of reactions of known noise, world axes and model units."""
+    """Wrench (k, 6), clamp orientation (k, 4), a factor and the inverse of the covariance (k, 6, 6) of reactions of known noise, world axes and model units."""
     assert reactions.covariance is not None
     shape, units = reactions.trail.shape, np.repeat([rod.force_scale, rod.moment_scale], 3)
     wrench = np.concatenate([reactions.force, reactions.moment], axis=-1).reshape(-1, 6) / units
-    covariance = reactions.covariance / np.outer(units, units)
-    matrices = [
-        np.broadcast_to(part, (*shape, 6, 6)).reshape(-1, 6, 6) for part in (np.linalg.cholesky(covariance), np.linalg.inv(covariance))
-    ]
-    return wrench, reactions.trail.orientation.reshape(-1, 4), *matrices
+    covariance = np.broadcast_to(reactions.covariance / np.outer(units, units), (*shape, 6, 6)).reshape(-1, 6, 6)
+    orientation = reactions.trail.orientation.reshape(-1, 4)
+    # In the clamp's axes, so that the points that are taken of the noise turn with it.
+    turn = np.zeros((len(orientation), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = rotation_matrices(orientation)
+    root = turn @ np.linalg.cholesky(np.swapaxes(turn, 1, 2) @ covariance @ turn)
+    return wrench, orientation, root, np.linalg.inv(covariance)
 
 
 def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 15"]:

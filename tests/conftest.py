@@ -29,14 +29,6 @@ if _COMPILED not in os.environ:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    if "VIBRISSA_ALL_TESTS" not in os.environ:
-        skip = pytest.mark.skip(reason="half a minute and more of compiling for what others test, too: set VIBRISSA_ALL_TESTS")
-        for item in items:
-            if item.get_closest_marker("slow"):
-                item.add_marker(skip)
-
-
 def pytest_unconfigure() -> None:
     """Leave nothing behind."""
     if "PYTEST_XDIST_WORKER" not in os.environ and _HERE in os.environ:

@@ -91,11 +91,7 @@ def swept(name: str) -> tuple[vb.Case, vb.Scan]:
     return case, vb.scan(case.rod, case.surface, case.trail, friction=case.friction, finite_radius=case.finite_radius)
 
 
-SLOW = {"tilted_clamp_ellipsoid", "box_wire", "torus_ring"}
-CASES = sorted(path.stem for path in (EXAMPLES / "cases").glob("*.toml"))
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES])
+@pytest.mark.parametrize("name", sorted(path.stem for path in (EXAMPLES / "cases").glob("*.toml")))
 def test_cases(name: str) -> None:
     if name == "mug" and not ALL:
         pytest.skip("the mug takes two minutes: set VIBRISSA_ALL_TESTS")

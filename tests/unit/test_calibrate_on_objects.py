@@ -25,7 +25,7 @@ OBJECTS = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name == "mesh" else name for name in OBJECTS])
+@pytest.mark.parametrize("name", OBJECTS)
 def test_rod_and_clamp_are_found_on_it(name: str) -> None:
     """Errors from a start that is far off are those of the stated covariance."""
     make, first, second, last = OBJECTS[name]

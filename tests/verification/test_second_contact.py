@@ -226,7 +226,6 @@ def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
         np.testing.assert_allclose(end[6:9], 0, atol=1e-8)
 
 
-@pytest.mark.slow
 def test_a_rod_of_finite_radius_is_caught_with_its_skin_on_both_parts() -> None:
     rod, one, other = vb.Rod(1.0, 1.0, radius=0.01), (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
     trail = vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41)

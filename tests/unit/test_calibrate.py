@@ -151,7 +151,7 @@ def test_a_stretch_in_which_the_rod_swings_is_left_out() -> None:
     swinging = slice(REST + 100, REST + 140)
     rows[0].force[swinging] += 0.012 * np.sin(np.arange(40) / 1.5)[:, None]
     rows[0].torque[swinging] += 2.4e-4 * np.cos(np.arange(40) / 1.5)[:, None]
-    with pytest.warns(vb.RecordingWarning, match="recordings"):
+    with pytest.warns(vb.RecordingWarning, match="of the rows in contact do not fit"):
         found = vb.calibrate(rows, start, free=POSE)
     left_out = found.residuals.time[(found.residuals.weight == 0) & (found.residuals.recording == 0)]
     first, last = rows[0].time[[REST + 100, REST + 139]]

@@ -65,7 +65,7 @@ def _said(recording: Path, found: "Inspection", loaded: "Setup") -> list[str]:
 
 
 def _summary(found: "Inspection", loaded: "Setup") -> dict[str, object]:
-    from vibrissa.sensor import CHANNELS  # noqa: PLC0415
+    from vibrissa.sensor import CHANNEL_UNITS, CHANNELS  # noqa: PLC0415
 
     sensor, first = loaded.sensor, float(found.cleaned.time[0])
     stated = sensor.reading_variance**0.5 if sensor.force_noise is not None else [None] * 6
@@ -84,7 +84,7 @@ def _summary(found: "Inspection", loaded: "Setup") -> dict[str, object]:
                 "stated_noise": _number(stated[channel]),
                 "drift": _number(found.drift[channel]),
                 "drift_standard_deviation": _number(found.drift_deviation[channel]),
-                "unit": "N" if channel < 3 else "N m",
+                "unit": CHANNEL_UNITS[channel],
             }
             for channel, name in enumerate(CHANNELS)
         },

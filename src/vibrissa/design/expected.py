@@ -124,6 +124,8 @@ def expected_error(
     ------
     ValueError
         If the sensor's noise is not known, a figure is out of range, or a tolerance of `pose_delay` comes without `speed`.
+    TypeError
+        If `tolerances` is not a `Tolerances`.
     """
     if sensor.force_noise is None:
         raise ValueError("sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset")

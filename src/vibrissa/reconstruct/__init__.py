@@ -1,7 +1,8 @@
 """The inverse problem: support reactions in, contact points with normals and error bars out. It never sees the object."""
 
 from vibrissa.reconstruct.causes import ContactErrors, contact_errors
-from vibrissa.reconstruct.checks.check import Cause, SetupCheck, check_setup
+from vibrissa.reconstruct.checks.check import check_setup
+from vibrissa.reconstruct.checks.findings import Cause, SetupCheck
 from vibrissa.reconstruct.friction import FrictionEstimate, estimate_friction
 from vibrissa.reconstruct.integration import reconstruct_by_integration
 from vibrissa.reconstruct.reconstruct import reconstruct

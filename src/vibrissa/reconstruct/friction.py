@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.stats import median_abs_deviation
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.reconstruct.result import Reconstruction
@@ -20,7 +21,6 @@ _LARGEST_WINDOW = 401
 _MOTION_TO_NOISE = 12.0
 # Slower than this share of the median the contact counts as at rest, where ŵ says nothing.
 _AT_REST = 0.1
-_NORMAL_DEVIATION = 1.4826
 _MOST_DEVIATIONS = 4.0
 _ROUNDING = 1e-9
 
@@ -98,7 +98,7 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     cosine = np.sqrt(1 - lean**2)
     values = (-lean / cosine)[slides]
     friction = float(np.median(values))
-    spread = _NORMAL_DEVIATION * float(np.median(np.abs(values - friction)))
+    spread = float(median_abs_deviation(values, scale="normal"))
     # Where the contact has just jumped, or turns within the window, the lean is another.
     fits = np.abs(np.where(slides, -lean / cosine, np.inf) - friction) <= _MOST_DEVIATIONS * spread + _ROUNDING
     sliding = np.where(fits[..., None], sliding, np.nan)

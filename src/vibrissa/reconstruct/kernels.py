@@ -20,14 +20,12 @@ WIDTH = 11
 """r (3), n̂ (3), s₁, k², energy, f, and m0·f0 / (‖m0‖ f)."""
 NOISY_WIDTH = WIDTH + 9 + 9 + 3
 """The same; covariance of r, covariance of n̂, standard deviations of s₁ and k², m0·f0 in standard deviations."""
-SHARED_WIDTH = NOISY_WIDTH + 9 + 9
-"""The same; what errors of the setup add to the covariances of r and n̂."""
 
 # The tip is imposed where s₁ comes out longer than the rod by less than this many standard deviations.
 TIP_DEVIATIONS = 5.0
 _TIP_STEPS = 10
 # Deviations of the force from which errors are carried to first order, which then holds nine in ten and more: below, second moments are taken.
-FIRST_ORDER = 20.0
+_FIRST_ORDER = 20.0
 _AT_TIP = 1e-6
 
 
@@ -149,7 +147,7 @@ def _noisy(wrench: Float[Array, "6"], tangent: Float[Array, "3"], root: Float[Ar
     # A contact that says flank may be one at the tip of a rod that is still straight, as likely as noise makes of one the other.
     towards = tangent - values[:3]
     of_reach = of_reach + jnp.exp(-(straight.deviations**2) / 2) * jnp.outer(towards, towards)
-    strong = jnp.sum(within[:3] ** 2) > FIRST_ORDER**2 * (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
+    strong = jnp.sum(within[:3] ** 2) > _FIRST_ORDER**2 * (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
     of_reach, of_direction = (
         jnp.where(strong, first, second) for first, second in ((errors[:3, :3], of_reach), (errors[3:6, 3:6], of_direction))
     )

@@ -17,7 +17,7 @@ from vibrissa.trail import Trail
 if TYPE_CHECKING:
     import xarray
 
-    from vibrissa.reconstruct.checks.check import SetupCheck
+    from vibrissa.reconstruct.checks.findings import SetupCheck
     from vibrissa.reconstruct.smoothing.result import Smoothing
 
 
@@ -43,7 +43,8 @@ class Reconstruction:
     modulus
         k² (…) of the elliptic integrals; ½ where the rod is tangent to the object and there is no friction.
     covariance, normal_covariance
-        (…, 3, 3) of point and normal, carried linearly: from sample to sample, and of what the whole sweep shares; None where the noise is not known.
+        (…, 3, 3) of point and normal: from sample to sample, to first order, and by second moments where the force is weak, and of what the whole sweep shares; None
+        where the noise is not known.
     covariance_noise, normal_covariance_noise
         (…, 3, 3) of what varies from sample to sample: noise of the wrench and the clamp point's.
     arc_length_deviation

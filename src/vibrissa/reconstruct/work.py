@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtri
+from scipy.stats import median_abs_deviation
 
 from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.numerics.blocks import in_blocks
@@ -39,8 +40,6 @@ _SHARE_OF_BEND = 0.1
 # Of the noise of a position: the farthest of ten thousand is four from where it is, and so is the first.
 _CLEARLY_MOVES = 10.0
 _MEDIAN = 3
-# Standard deviation over median absolute deviation, of a normal distribution.
-_NORMAL = 1.4826
 # Sound recordings, also with friction and snaps: at most 0.02 by their noise and the mean over rows. EI 5 % off is as much; the checks of the sweep are finer.
 _GAINED = 0.05
 _DEVIATIONS = 6.0
@@ -261,7 +260,7 @@ def _by_setup(reactions: Reactions) -> float:
 
 def _scatter(energy: Float[np.ndarray, "k"]) -> float:
     """Standard deviation of the energies by noise, from their second differences: of a smooth course they are next to nothing."""
-    return _NORMAL * float(np.median(np.abs(np.diff(energy, 2)))) / math.sqrt(6)
+    return float(median_abs_deviation(np.diff(energy, 2), scale="normal")) / math.sqrt(6)
 
 
 def _smoothed(values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:

@@ -5,13 +5,14 @@ from vibrissa.sensor.inspection import Inspection, inspect_raw
 from vibrissa.sensor.lowpass import LowPass
 from vibrissa.sensor.mount import Mount
 from vibrissa.sensor.presets import PRESETS, preset
-from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.raw import CHANNEL_UNITS, CHANNELS, RawRecording
 from vibrissa.sensor.rest import Rest
 from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.tare import Tare
 
 __all__ = [
     "CHANNELS",
+    "CHANNEL_UNITS",
     "PRESETS",
     "Fault",
     "FaultKind",

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.quiet import within
-from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.raw import CHANNEL_UNITS, CHANNELS, RawRecording
 from vibrissa.sensor.tare import Tare, fitted_tare, planned_tare, without_given
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def drift_faults(
     faults = []
     for channel, name in enumerate(CHANNELS):
         if moved[channel]:
-            unit = "N" if channel < 3 else "N m"
+            unit = CHANNEL_UNITS[channel]
             text = f"the offset of {name} drifts by {drift[channel]:.3g} {unit}/s, {abs(drift[channel]) / deviation[channel]:.3g} standard deviations "
             text += f"more than stated; {advice}"
             faults.append(Fault(FaultKind.DRIFT, (name,), rest.leading[0], rest.trailing[1], len(raw.time), text))
@@ -127,7 +127,7 @@ def lone_drift_faults(sensor: "Sensor", raw: RawRecording, interval: "Interval")
     slope, deviation = slope_at_rest(sensor, raw, interval)
     faults = []
     for channel, name in enumerate(CHANNELS):
-        noise, unit = np.sqrt(sensor.reading_variance[channel]), "N" if channel < 3 else "N m"
+        noise, unit = np.sqrt(sensor.reading_variance[channel]), CHANNEL_UNITS[channel]
         over_all = abs(slope[channel]) * float(raw.time[-1] - raw.time[0])
         if abs(slope[channel]) > _DRIFT_DEVIATIONS * deviation[channel] and over_all > noise:
             text = f"the offset of {name} drifts by {slope[channel]:.3g} ± {deviation[channel]:.2g} {unit}/s within the rest at the start, and there is none at the end: "

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.raw import CHANNEL_UNITS, CHANNELS, RawRecording
 
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
@@ -85,7 +85,7 @@ def noise_faults(sensor: "Sensor", raw: RawRecording, interval: Interval, noise:
         larger = bool(ratio > _NOISE_RATIO and freedom * ratio**2 > chi2.isf(_FALSE_ALARM, freedom))
         smaller = not coarse and ratio < 1 / _NOISE_RATIO and freedom * ratio**2 < chi2.ppf(_FALSE_ALARM, freedom)
         if larger or smaller:
-            unit = _unit(channel)
+            unit = CHANNEL_UNITS[channel]
             text = (
                 f"{name} at rest has a standard deviation of {noise[channel]:.3g} {unit}, {ratio:.3g} times the stated {stated:.3g} {unit}"
             )
@@ -135,7 +135,7 @@ def hum_faults(sensor: "Sensor", raw: RawRecording, interval: Interval) -> list[
         noise = np.sqrt(sensor.reading_variance[channel]) if sensor.force_noise is not None else np.std(left[:, channel])
         if ratio[at] > -np.log(_FALSE_ALARM / (6 * len(ratio))) and amplitude > _NOTICEABLE * noise:
             found = float(frequency[inner][at])
-            text = f"{name} at rest holds a line of {amplitude:.3g} {_unit(channel)} at {found:.4g} Hz{_mains(found, raw.rate, 2 * raw.rate / count)}"
+            text = f"{name} at rest holds a line of {amplitude:.3g} {CHANNEL_UNITS[channel]} at {found:.4g} Hz{_mains(found, raw.rate, 2 * raw.rate / count)}"
             faults.append(Fault(FaultKind.HUM, (name,), float(time[0]), float(time[-1]), count, text))
     return faults
 
@@ -154,7 +154,3 @@ def _mains(frequency: float, rate: float, width: float) -> str:
             if abs(folded - frequency) < width:
                 return f", as of {line:g} Hz" + ("" if line < rate / 2 else f" at {rate:.4g} samples a second") + ": hum of the mains"
     return ""
-
-
-def _unit(channel: int) -> str:
-    return "N" if channel < 3 else "N m"

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.raw import CHANNEL_UNITS, CHANNELS, RawRecording
 from vibrissa.sensor.rest import noise_by_differences, own_rows, repeating_rows
 from vibrissa.sensor.stamps import runs
 
@@ -142,12 +142,12 @@ def _at_range(sensor: "Sensor", values: Float[np.ndarray, "n"], channel: int) ->
 
 
 def _saturated(sensor: "Sensor", raw: RawRecording, channel: int, start: int, stop: int) -> Fault:
-    text = f"{stop - start} readings of {CHANNELS[channel]} at the range of {_limit(sensor, channel):g} {_unit(channel)}"
+    text = f"{stop - start} readings of {CHANNELS[channel]} at the range of {_limit(sensor, channel):g} {CHANNEL_UNITS[channel]}"
     return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
 
 
 def _at_the_top(raw: RawRecording, values: Float[np.ndarray, "n"], channel: int, start: int, stop: int) -> Fault:
-    text = f"{stop - start} more readings of {CHANNELS[channel]} at its flat top of {values[start]:.6g} {_unit(channel)}"
+    text = f"{stop - start} more readings of {CHANNELS[channel]} at its flat top of {values[start]:.6g} {CHANNEL_UNITS[channel]}"
     return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
 
 
@@ -156,7 +156,7 @@ def _repeating(
 ) -> Fault:
     flat, name = _flat_topped(values, *rows, deviation), CHANNELS[channel]
     word = "flat-topped" if flat else "stuck"
-    text = f"{name} is {word} at {values[rows[0]]:.6g} {_unit(channel)} for {rows[1] - rows[0]} rows; "
+    text = f"{name} is {word} at {values[rows[0]]:.6g} {CHANNEL_UNITS[channel]} for {rows[1] - rows[0]} rows; "
     text += f"{needed:.0f} in a row come by chance in one of a million recordings"
     return _fault(FaultKind.SATURATION if flat else FaultKind.STUCK, (name,), raw, *rows, text)
 
@@ -215,10 +215,6 @@ def _limit(sensor: "Sensor", channel: int) -> float | None:
     if largest is None or sensor.wrench_frame == "world":
         return None
     return math.floor(largest / step + 1e-9) * step if step else largest
-
-
-def _unit(channel: int) -> str:
-    return "N" if channel < 3 else "N m"
 
 
 def _fault(kind: FaultKind, channels: tuple[str, ...], raw: RawRecording, start: int, stop: int, text: str) -> Fault:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
+from scipy.stats import median_abs_deviation
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
@@ -26,8 +27,6 @@ _MARGIN = 0.1
 """Share of the contact's duration before and after it that is not counted as rest: contact not yet told from noise, and a wire that swings."""
 _WINDOW = 9
 """Samples of which most are in contact where the rod touches: single false alarms and misses do not count."""
-_NORMAL = 1.4826
-"""Standard deviation over median absolute deviation, of a normal distribution."""
 _LINE = 4
 """Fewest samples through which a line is laid."""
 _UNSTEADY = 6.0
@@ -148,7 +147,7 @@ def _white(whitened: Float[np.ndarray, "n 6"], rows: Bool[np.ndarray, "n"]) -> F
     second = (whitened[:-2] - 2 * whitened[1:-1] + whitened[2:])[inner] / np.sqrt(6)
     if len(second) < _FEWEST:
         return np.ones(6)
-    return np.maximum((_NORMAL * np.median(np.abs(second), axis=0)) ** 2, _LEAST_WHITE)
+    return np.maximum(median_abs_deviation(second, axis=0, scale="normal") ** 2, _LEAST_WHITE)
 
 
 def _mean(values: Float[np.ndarray, "m 6"], time: Float[np.ndarray, "m"]) -> tuple[Float[np.ndarray, "6"], int, Float[np.ndarray, "6"]]:
@@ -163,7 +162,7 @@ def _mean(values: Float[np.ndarray, "m 6"], time: Float[np.ndarray, "m"]) -> tup
         slope = own @ (values[good] - center) / (own @ own)
         off = values - center - (elapsed - middle)[:, None] * slope
         if not last:
-            near = np.all(np.abs(off) <= _OUTLYING * _NORMAL * np.maximum(np.median(np.abs(off), axis=0), 1e-300), axis=1)
+            near = np.all(np.abs(off) <= _OUTLYING * np.maximum(median_abs_deviation(off, axis=0, scale="normal"), 1e-300), axis=1)
             good = near if np.count_nonzero(near) >= _LINE else good
     count = int(np.count_nonzero(good))
     return center - middle * slope, count, np.sum(off[good] ** 2, axis=0) / (count - 2)

@@ -137,6 +137,14 @@ class Linear(NamedTuple):
     values: Values
     jacobian: Float[np.ndarray, "n 10 5"]
 
+    @property
+    def of_direction(self) -> Float[np.ndarray, "n 3 5"]:
+        """Derivatives of n̂ = −f0/f by the coordinates."""
+        direction = self.values.direction
+        force = np.linalg.norm(self.values.wrench[:, :3], axis=1)
+        across = np.eye(3) - np.einsum("ni,nj->nij", direction, direction)
+        return -across @ self.jacobian[:, :3] / np.maximum(force, 1e-12)[:, None, None]
+
 
 def linearised(x: Float[np.ndarray, "n 5"]) -> Linear:
     """The model about coordinates, in blocks of one size."""

@@ -61,11 +61,8 @@ def smoothed_sensitivity(
     # A larger wrench for the same contact makes of the same readings a smaller one.
     observed = np.where(touching, -series.whitening @ seen.wrench, 0.0)
     moved = _coordinates(steps, labels, observed, intensities)
-    force = np.linalg.norm(values.wrench[:, :3], axis=1)
-    across = np.eye(3) - np.einsum("ni,nj->nij", values.direction, values.direction)
-    of_direction = -across @ jacobian[:, :3] / np.maximum(force, 1e-12)[:, None, None]
     reach = series.turn @ (jacobian[:, WRENCH + 1 :] @ moved + seen.reach)
-    direction = series.turn @ (of_direction @ moved + seen.direction)
+    direction = series.turn @ (linear.of_direction @ moved + seen.direction)
     return np.where(touching, np.concatenate([reach, direction], axis=1), np.nan)
 
 

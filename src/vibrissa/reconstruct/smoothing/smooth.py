@@ -292,9 +292,7 @@ def _result(
     if found.reactions.rotation_covariance is not None:
         turned = turned_covariance(found.reactions.rotation_covariance, normal)
     of_point = series.turn @ jacobian[:, WRENCH + 1 :]
-    force = np.linalg.norm(values.wrench[:, :3], axis=1)
-    across = np.eye(3) - np.einsum("ni,nj->nij", values.direction, values.direction)
-    of_normal = -series.turn @ across @ jacobian[:, :3] / np.maximum(force, 1e-12)[:, None, None]
+    of_normal = series.turn @ linear.of_direction
     unwhitened = np.einsum("nij,nj->ni", np.linalg.inv(series.whitening), fit.states.mean[:, 2 * COORDINATES :])
     tilt = np.where(touching, about[:, TILT], np.nan)
     smoothing = Smoothing(

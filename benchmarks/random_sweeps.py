@@ -1,8 +1,8 @@
 """Whether smoothing ever fails: `python benchmarks/random_sweeps.py N [SEED]`.
 
 Sixteen scans, under objects of four kinds with and without friction, are each measured again and again by sensors with random noise, steps and rates, with gaps,
-spikes, rows that are not numbers, drift, ringing, wrong signs, wrong stiffness, and with beginnings and ends cut off, then reconstructed and smoothed. Printed are
-exceptions, and rows that say OK and hold numbers that are not finite. The exit code is their number.
+spikes, rows that are not numbers, drift, ringing, wrong signs, wrong stiffness, and with beginnings and ends cut off, each on a wire, in world axes and with tolerances
+drawn anew, then reconstructed and smoothed. Printed are exceptions, and rows that say OK and hold numbers that are not finite. The exit code is their number.
 """
 
 import sys
@@ -11,9 +11,12 @@ import traceback
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 from vibrissa import surfaces
+from vibrissa.tolerances import SetupErrors
 
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.2e-3, youngs_modulus=206e9)
 ROWS, TRAILS = 400, 4
@@ -73,9 +76,34 @@ def recorded(true: vb.Reactions, rng: np.random.Generator) -> tuple[vb.Rod, vb.R
         kept = np.delete(kept, np.arange(len(kept) // 3, len(kept) // 3 + int(rng.integers(1, len(kept) // 3))))
     covariance = np.diag(np.repeat([noise**2, (arm * noise) ** 2], 3))
     time_ = None if rng.random() < 0.1 else kept / rate
-    given = vb.Reactions(vb.Trail(position[kept]), force[kept], moment[kept], time=time_, covariance=covariance)
-    rod = replace(WIRE, bending_stiffness=WIRE.bending_stiffness * float(rng.choice([1.0, 1.0, 1.05, 0.2, 5.0])))
+    # By similarity the sweep of another wire, seen from other axes.
+    wire = vb.Rod.cylinder(length=rng.uniform(0.02, 0.2), radius=10 ** rng.uniform(-4, -3), youngs_modulus=10 ** rng.uniform(9.5, 11.5))
+    scales = np.repeat([wire.force_scale / WIRE.force_scale, wire.moment_scale / WIRE.moment_scale], 3)
+    world = Rotation.random(random_state=rng)
+    turn = block_diag(world.as_matrix(), world.as_matrix()) * scales
+    wrench = np.concatenate([force, moment], axis=1)[kept] @ turn.T
+    way = world.apply(position[kept]) * wire.length / WIRE.length
+    stated = tolerances(wire, rng) if rng.random() < 0.3 else None
+    given = vb.Reactions(
+        vb.Trail(way, world), wrench[:, :3], wrench[:, 3:], time=time_, covariance=turn @ covariance @ turn.T, setup_errors=stated
+    )
+    rod = replace(wire, bending_stiffness=wire.bending_stiffness * float(rng.choice([1.0, 1.0, 1.05, 0.2, 5.0])))
     return rod, given
+
+
+def tolerances(wire: vb.Rod, rng: np.random.Generator) -> SetupErrors:
+    """What a careful or a careless bench may state."""
+    careless = 10 ** rng.uniform(-1, 1)
+    stated = vb.Tolerances(
+        youngs_modulus=0.01 * careless,
+        radius=0.005 * careless,
+        length=0.002 * wire.length * careless,
+        clamp_position=0.002 * wire.length * careless,
+        clamp_orientation=0.003 * careless,
+        gain=0.005 * careless,
+        pose_delay=0.001 * careless,
+    )
+    return vb.Sensor((0, 0, 0), (0, 0, 0, 1), "on_rod").setup_errors(stated)
 
 
 def main(count: int, seed: int = 0) -> int:

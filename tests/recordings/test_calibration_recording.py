@@ -1,5 +1,6 @@
 """Calibration from recordings of an independent dynamics engine, whose wire and mount are known."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,22 @@ def test_a_trail_with_friction_and_one_without_give_them_too(sphere_60mm: Path) 
         low, high = alone.interval(name)
         assert low < value < high, name
     assert alone.estimates["youngs_modulus"].value == pytest.approx(206e9, rel=0.01)
+
+
+@pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")
+@pytest.mark.parametrize("move", [(0.0, 1e-3, 0.0), (-6e-4, 5e-4, 6e-4)])
+def test_a_ball_that_lies_elsewhere_is_named_with_its_place(sphere_60mm: Path, move: tuple[float, float, float]) -> None:
+    """Stated a millimetre from where it is, across the sweeps or obliquely; with the rod alone free nothing can make up for it."""
+    truth = vb.load_setup(sphere_60mm / "setup.toml")
+    stated = np.asarray(truth.surface.center) + move
+    start = replace(truth, surface=vb.surfaces.Sphere(center=stated, radius=truth.surface.radius))
+    paths = [sphere_60mm / "frictionless" / f"trail_y{name}.csv" for name in ("+0.10", "-0.20")]
+    found = vb.calibrate([vb.read_recording(path, start) for path in paths], start, free=("youngs_modulus", "length"))
+    (line,) = (line for line in found.warnings if "the object seems to lie" in line)
+    told = re.search(r"lie (\S+) mm from where it is stated, along \[(\S+), (\S+), (\S+)\]", line)
+    assert told is not None
+    size, *along = map(float, told.groups())
+    np.testing.assert_allclose(1e-3 * size * np.array(along), np.negative(move), atol=0.2e-3)
 
 
 def test_contacts_reconstructed_with_the_calibrated_setup_lie_on_the_ball(sphere_60mm: Path) -> None:

@@ -159,3 +159,22 @@ def test_without_an_object_what_is_left_open_goes_with_its_tolerance() -> None:
     assert found.estimates["youngs_modulus"].determined
     assert found.estimates["length"].deviation == pytest.approx(0.015 * WIRE.length, rel=0.3)
     assert alone.estimates["length"].deviation < 0.3 * found.estimates["length"].deviation
+
+
+def test_without_an_object_each_sweep_is_predicted_by_the_others() -> None:
+    """Sound sweeps are, and one whose torques are read by another gain is told apart, and so is a start that is far off."""
+    one = sensor()
+    start = replace(setup(one), surface=None)
+    free = ("youngs_modulus", "length")
+    sweeps = recordings(one)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = vb.calibrate(sweeps, start, free=free)
+    assert [part.part for part in found.held_out] == [f"recordings[{index}]" for index in range(len(sweeps))]
+    assert all(0.5 < part.reduced_chi_square < 1.5 for part in found.held_out)
+    odd = [*sweeps[:-1], *recordings(replace(one, gain=(1, 1, 1, 1.02, 1.02, 1.02)))[-1:]]
+    with pytest.warns(vb.RecordingWarning, match=r"recordings\[[01]\]: not what the rest predicts"):
+        told = vb.calibrate(odd, start, free=free)
+    assert max(part.move for part in told.held_out) > 6
+    with pytest.warns(vb.RecordingWarning, match="length: found .* from where it was given, .* times its tolerance"):
+        vb.calibrate(sweeps, replace(start, rod=replace(WIRE, length=1.12 * WIRE.length)), free=free, tolerances=vb.Tolerances(length=5e-4))

@@ -116,9 +116,8 @@ def calibrate(
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     if surface is None:
-        return calibrated_without_object(
-            listed, setup, names, chosen, deviations, not_negative(friction, "friction"), known or Tolerances()
-        )
+        coefficient = not_negative(friction, "friction")
+        return _said(calibrated_without_object(listed, setup, names, chosen, deviations, coefficient, known or Tolerances()))
     rows = gathered(listed, setup.sensor)
     coefficient = not_negative(friction, "friction")
     factors = _factors(chosen, setup.rod, setup.sensor)
@@ -137,8 +136,12 @@ def calibrate(
             f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} and the standard deviations of `prior` have to be of the size "
             "that they can have"
         ) from error
+    return _said(result)
+
+
+def _said(result: Calibration[SetupType]) -> Calibration[SetupType]:
     for line in result.warnings:
-        warnings.warn(line, RecordingWarning, stacklevel=2)
+        warnings.warn(line, RecordingWarning, stacklevel=3)
     return result
 
 

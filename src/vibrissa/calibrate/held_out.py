@@ -1,11 +1,13 @@
 """Whether what was fitted on one part of the data holds for the rest."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrissa.calibrate.fit import Linear, Problem, information
+from vibrissa.calibrate.parameters import Parameter
 from vibrissa.calibrate.statistics import UNDETERMINED
 from vibrissa.surfaces import Surface
 
@@ -68,27 +70,46 @@ def _one(
     out: Bool[np.ndarray, "n"],
 ) -> HeldOut | None:
     """None where the part is empty, or the rest alone does not determine all parameters."""
+    if not np.any(out):
+        return None
     root = np.sqrt(weight[out])[:, None]
     design, left = (root[:, :, None] * linear.jacobian[out]).reshape(-1, len(total)), (root * linear.residual[out]).ravel()
+    return predicted_by_others(name, int(np.count_nonzero(out)), design, left, problem.freedom, total, problem.free, inflation)
+
+
+def predicted_by_others(
+    name: str,
+    rows: int,
+    design: Float[np.ndarray, "k u"],
+    left: Float[np.ndarray, "k"],
+    freedom: int,
+    total: Float[np.ndarray, "u u"],
+    free: Sequence[Parameter],
+    inflation: float,
+) -> HeldOut | None:
+    """One part of whitened residuals, at the solution of all: with other unknowns less by `step` they are `left + design @ step`. `total` is the information of all.
+
+    None where the others alone do not determine all parameters, which are the first unknowns. `freedom` is the number of conditions that a row adds.
+    """
     own, slope = design.T @ design, design.T @ left
-    count = len(problem.free)
+    count = len(free)
     try:
         others = np.linalg.inv(total - own)
     except np.linalg.LinAlgError:
         return None
-    variances = np.diag(others)[:count] / np.array([parameter.scale for parameter in problem.free]) ** 2
-    if not (np.any(out) and np.all((variances > 0) & (variances < UNDETERMINED**2))):
+    variances = np.diag(others)[:count] / np.array([parameter.scale for parameter in free]) ** 2
+    if not np.all((variances > 0) & (variances < UNDETERMINED**2)):
         return None
     # At the solution the gradient of all is zero: that of the others is this part's, against it.
     step = -others @ slope
     predicted = left - design @ step
-    expected = np.count_nonzero(out) * problem.freedom + float(np.sum(own * others))
+    expected = rows * freedom + float(np.sum(own * others))
     variance, whole = np.diag(others - np.linalg.inv(total))[:count], np.diag(others)[:count]
     # What a prior holds does not move, and the difference of both variances is rounding.
     told = variance > _TOLD * whole
     moves = np.where(told, np.abs(step[:count]) / np.sqrt(inflation * np.where(told, variance, 1.0)), 0.0)
     most = int(np.argmax(moves))
-    return HeldOut(name, int(np.count_nonzero(out)), float(predicted @ predicted) / expected, problem.free[most].name, float(moves[most]))
+    return HeldOut(name, rows, float(predicted @ predicted) / expected, free[most].name, float(moves[most]))
 
 
 def first_contacts(surface: Surface, problem: Problem, linear: Linear) -> Float[np.ndarray, "recordings"]:

@@ -144,7 +144,7 @@ class Calibration(Generic[SetupType]):
     warnings
         What speaks against setup, object or result, one sentence each; empty where all is well.
     held_out
-        Each recording, or of one recording alternate stretches, predicted from the rest.
+        Each recording, or of one recording alternate stretches, predicted from the rest; without an object, each of several recordings.
     first_contact
         (recordings,) by how much the straight rod as calibrated contradicts where the loads begin, as a distance [m]; 0 where it agrees.
     tolerances

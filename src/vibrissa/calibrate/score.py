@@ -58,7 +58,8 @@ def scores(problem: Problem, linear: Linear, rod: Rod, inflation: float) -> list
     found = []
     for suspect in suspects(problem, linear, rod):
         cost, value, information = _settled(system, whitened(problem, linear, suspect.columns)[rows])
-        noise = max(1.0, inflation if cost > expected else 1.0, cost / expected)
+        # A cause is judged by what it leaves: of the inflation as large a share as of the cost.
+        noise = max(1.0, inflation * cost / base if cost > expected else 1.0, cost / expected)
         gained = max(0.0, base - cost)
         deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0.0) * noise / every)
         found.append(Score(suspect, value, deviation, float(np.sqrt(gained * every / noise))))

@@ -55,7 +55,7 @@ def warnings_of(
 ) -> list[str]:
     """One sentence a finding, empty where all is well; `stated` holds tolerances of estimates, by name and in their units."""
     causes = _causes(list(scores), tolerances)
-    lines = [*_left_out(fitness, causes, friction), *_moved(estimates.values(), rod, stated)]
+    lines = [*_left_out(fitness, causes, friction), *moved(estimates.values(), rod, stated)]
     if causes:
         best = max(cause.significance for cause in causes)
         named = "; or ".join(_told(cause, rod) for cause in causes if cause.significance > _ALIKE * best)
@@ -65,18 +65,23 @@ def warnings_of(
             f"the residuals are up to {math.sqrt(fitness.inflation.max()):.2g} times what the noise explains, by none of the causes that were tried: check the "
             "object's shape and orientation, the rod's straightness, and the sensor"
         )
-    lines += [
-        f"{part.part}: not what the rest predicts, mean square of the residuals {part.reduced_chi_square:.3g} of the noise's; "
-        f"without it {part.parameter} moves by {part.move:.2g} standard deviations"
-        for part in parts
-        if part.reduced_chi_square > _UNPREDICTED * max(1.0, fitness.reduced_chi_square) or part.move > _TELLING
-    ]
+    lines += unpredicted(parts, fitness.reduced_chi_square)
     lines += [
         f"recordings[{index}]: the loads begin where the rod as calibrated is {_length(gap, rod)} from first touching the object"
         for index, gap in enumerate(missed)
         if gap > _TOO_FAR_OFF * rod.length
     ]
     return lines
+
+
+def unpredicted(parts: Iterable[HeldOut], inflation: float) -> list[str]:
+    """Parts of the data that the others do not predict."""
+    return [
+        f"{part.part}: not what the rest predicts, mean square of the residuals {part.reduced_chi_square:.3g} of the noise's; "
+        f"without it {part.parameter} moves by {part.move:.2g} standard deviations"
+        for part in parts
+        if part.reduced_chi_square > _UNPREDICTED * max(1.0, inflation) or part.move > _TELLING
+    ]
 
 
 def _causes(scores: list[Score], tolerances: Tolerances) -> list[Score]:
@@ -141,7 +146,8 @@ def _left_out(fitness: Fitness, causes: list[Score], friction: float) -> list[st
     ]
 
 
-def _moved(estimates: Iterable[Estimate], rod: Rod, stated: Mapping[str, float]) -> list[str]:
+def moved(estimates: Iterable[Estimate], rod: Rod, stated: Mapping[str, float]) -> list[str]:
+    """Estimates farther from where they were given than their tolerances, or a start, explain; `stated` as of `warnings_of`."""
     lines = []
     for one in estimates:
         if not one.determined:

@@ -208,6 +208,8 @@ def solved(
 ) -> Solution:
     """Gauss-Newton for errors along directions that all sweeps share, from a start, phases anew at each step; friction is free in each sweep that states none."""
     size, count = start.copy(), len(spread)
+    # What is known well may still be misstated.
+    wide = np.maximum(spread, spread_along(cases[0], directions))
     for _ in range(_STEPS):
         errors = directions @ size
         cases = [case.about(errors, stated) for case in cases]
@@ -227,8 +229,8 @@ def solved(
             right = right + vector[:count] - gain @ vector[count:]
         covariance = np.linalg.inv(information)
         change = -covariance @ right
-        longest = float(np.max(np.abs(change) / spread))
-        size = np.clip(size + change / max(1.0, longest), -GROSS * spread, GROSS * spread)
+        longest = float(np.max(np.abs(change) / wide))
+        size = np.clip(size + change / max(1.0, longest), -GROSS * wide, GROSS * wide)
         if longest <= 1 and np.max(np.abs(change) / np.sqrt(np.diag(covariance))) < _DONE:
             break
     return Solution(cases, tips, misfits, size, covariance)

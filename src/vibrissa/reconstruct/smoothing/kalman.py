@@ -149,18 +149,35 @@ def log_likelihoods(
     mean: Float[AnyArray, "16"],
     covariance: Float[AnyArray, "16 16"],
 ) -> Float[Array, "series"]:
-    """Logarithms of the marginal likelihoods of the first `count` samples of several time series."""
+    """Logarithms of the marginal likelihoods of the first `count` samples of several time series: of the wrenches, given the constraints.
+
+    Other labels have other constraints, whose densities are no evidence: of k² = ½ each further sample would add its own, and tangential phases would come out too long.
+    """
 
     def one_series(steps: Step) -> Float[Array, ""]:
+        unseen = jnp.asarray(steps.variance).at[:, :WRENCH].set(jnp.inf)
+        variances = jnp.stack([jnp.asarray(steps.variance), unseen])
+        joint, constraints = jax.vmap(lambda variance: joint_density(steps._replace(variance=variance)))(variances)
+        return joint - constraints
+
+    def joint_density(steps: Step) -> Float[Array, ""]:
         def one(row: Array, carry: tuple[State, Square, Array]) -> tuple[State, Square, Array]:
             step = row_of(steps, row)
-            after, left, _, likelihood = updated(*predicted(*carry[:2], step, jnp.asarray(intensities)), step)
-            return after, left, carry[2] + likelihood
+            after, left, trace, _ = updated(*predicted(*carry[:2], step, jnp.asarray(intensities)), step)
+            return after, left, carry[2] + _log_density(trace)
 
         through: tuple[State, Square, Array] = lax.fori_loop(0, count, one, (jnp.asarray(mean), jnp.asarray(covariance), jnp.zeros(())))
         return through[2]
 
     return jax.vmap(one_series)(Step(*map(jnp.asarray, steps)))
+
+
+def _log_density(trace: Trace) -> Float[Array, ""]:
+    """Of what a sample shows; s₁ and k² lie between 0 and 1, so that, however vague, their densities are not below 1."""
+    seen = jnp.isfinite(trace.spread)
+    size = 2 * jnp.pi * jnp.where(seen, trace.spread, 1.0)
+    size = size.at[WRENCH:].min(1.0)
+    return -0.5 * jnp.sum(jnp.where(seen, jnp.log(size) + trace.innovation**2 / jnp.where(seen, trace.spread, 1.0), 0.0))
 
 
 class Smoothed(NamedTuple):

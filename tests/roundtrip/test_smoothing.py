@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2
-from sweeps import RATE, SPEED, WIRE, Sweep, at_rest, sweep
+from sweeps import BALL, RATE, SENSOR, SPEED, WIRE, Sweep, at_rest, sweep
 
 import vibrissa as vb
 from vibrissa.cli.reconstruct import reconstruct
@@ -198,3 +198,26 @@ def test_the_command_line_smooths(swept: Sweep, tmp_path: Path, capsys: pytest.C
     setup.write_text(SETUP.replace("force_noise", "# force_noise").replace("torque_noise", "# torque_noise"), encoding="utf-8")
     with pytest.raises(InputError, match=r"--smooth: .* gives no noise; allowed"):
         reconstruct(recording, setup, smooth=True)
+
+
+def test_a_constraint_is_no_evidence_for_its_phase() -> None:
+    """Without friction k² = ½ holds in tangential contact. Were its density counted, tangential phases would reach into tip contact, and normals there be sure and wrong."""
+    quick, distance = vb.Trail(np.linspace([0.03, 0.005, 0.0], [-0.03, 0.005, 0.0], 240)), []
+    scan = vb.scan(WIRE, BALL, quick)
+    sensor = replace(SENSOR, force_noise=1e-3, torque_noise=1e-5, tare_seconds=0.5)
+    rows = np.maximum(np.arange(300) - 60, 0)
+    true = vb.Reactions(
+        vb.Trail(quick.position[rows]), scan.reactions.force[rows], scan.reactions.moment[rows], time=np.arange(300) / 100.0
+    )
+    changes = np.flatnonzero((np.diff(scan.kind) != 0) & (scan.kind[1:] > 0) & (scan.kind[:-1] > 0)) + 61
+    for seed in range(3):
+        found = vb.smooth(vb.reconstruct(WIRE, sensor.reactions(sensor.measure(true, np.random.default_rng(seed))), friction=0.0))
+        assert found.smoothing is not None and found.normal_covariance is not None
+        (touch,) = found.smoothing[0].touches
+        assert np.all(np.abs(np.array(touch.changes) - changes) < 3 + 3 * 100 * np.array(touch.change_deviations))
+        both = np.flatnonzero(found.in_contact[60:] & scan.in_contact)
+        plane = np.linalg.svd(scan.normal[both][:, :, None])[0][:, :, 1:]
+        error = np.einsum("nik,ni->nk", plane, found.normal[60:][both] - scan.normal[both])
+        spread = np.swapaxes(plane, 1, 2) @ found.normal_covariance[60:][both] @ plane
+        distance.append(np.einsum("ni,ni->n", error, np.linalg.solve(spread, error[..., None])[..., 0]))
+    assert np.mean(np.concatenate(distance) < chi2.isf(0.05, 2)) > 0.92

@@ -21,7 +21,7 @@ from vibrissa.reconstruct.smoothing.fit import initial
 from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
 from vibrissa.reconstruct.smoothing.manifold import COORDINATES
 from vibrissa.reconstruct.smoothing.merging import group_starts, merged, together_for
-from vibrissa.reconstruct.smoothing.series import FREE, Labels, Linear, Series, capacity_for, filled
+from vibrissa.reconstruct.smoothing.series import FREE, Labels, Linear, Series, capacity_for, exists, filled
 from vibrissa.rod import Rod
 
 _STATES = 2 * COORDINATES
@@ -58,8 +58,8 @@ def smoothed_sensitivity(
     touching = (labels.phase != FREE)[:, None, None]
     velocity = velocities_of(rod, reactions)
     seen = changes_of_rows(values.wrench, values.reach, values.direction, velocity, rig_of(rod, reactions))
-    # A larger wrench for the same contact makes of the same readings a smaller one.
-    observed = np.where(touching, -series.whitening @ seen.wrench, 0.0)
+    # A larger wrench for the same contact makes of the same readings a smaller one; samples of which there is no rod are not seen.
+    observed = np.where(touching & exists(linear)[:, None, None], -series.whitening @ seen.wrench, 0.0)
     moved = _coordinates(steps, labels, observed, intensities)
     reach = series.turn @ (jacobian[:, WRENCH + 1 :] @ moved + seen.reach)
     direction = series.turn @ (linear.of_direction @ moved + seen.direction)

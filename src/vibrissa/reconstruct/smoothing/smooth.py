@@ -282,7 +282,9 @@ def _result(
     errors = fit.states.covariance[:, :COORDINATES, :COORDINATES]
     point = found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)
     normal = np.einsum("nij,nj->ni", series.turn, values.direction)
-    numbers = np.concatenate([point, jacobian.reshape(len(point), -1), errors.reshape(len(point), -1)], axis=1)
+    steps = steps_of(series, fit.labels, about, fit.weight, rates, frictionless=_frictionless(found), linear=linear)
+    sensitivity = smoothed_sensitivity(found.rod, found.reactions, series, fit.labels, steps, linear, fit.intensities)
+    numbers = np.concatenate([part.reshape(len(point), -1) for part in (point, jacobian, errors, sensitivity)], axis=1)
     verdict = without(verdict, found, touching & ~np.isfinite(numbers).all(axis=1) & ~verdict.raw)
     # Errors of the robot's pose are not taken to be others in each sample: they stay in full.
     floor, turned = np.eye(3) * (model_error * length) ** 2, np.zeros((3, 3))
@@ -310,8 +312,6 @@ def _result(
         given = np.where(_column(touching, values), values, nothing)
         return np.where(_column(verdict.raw, values), raw, given)
 
-    steps = steps_of(series, fit.labels, about, fit.weight, rates, frictionless=_frictionless(found), linear=linear)
-    sensitivity = smoothed_sensitivity(found.rod, found.reactions, series, fit.labels, steps, linear, fit.intensities)
     smoothed = replace(
         found,
         sensitivity=rows(sensitivity, sensitivities(found) if verdict.raw.any() else sensitivity),

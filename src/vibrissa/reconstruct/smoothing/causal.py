@@ -21,7 +21,7 @@ from vibrissa.reconstruct.parameters import COUNT, prepared
 from vibrissa.reconstruct.smoothing.hypotheses import SAMPLE, Hypotheses, Settings, advanced, advanced_through
 from vibrissa.reconstruct.smoothing.kalman import INTENSITIES, SIZE, WRENCH
 from vibrissa.reconstruct.smoothing.manifold import COORDINATES
-from vibrissa.reconstruct.smoothing.series import AT_REST, TILT_SPREAD
+from vibrissa.reconstruct.smoothing.series import AT_REST, TILT_SPREAD, modulus_spread_of
 from vibrissa.rod import Rod
 from vibrissa.tolerances import SetupErrors
 
@@ -124,12 +124,13 @@ class CausalSmoother:
         self._rod = rod
         units = np.repeat([rod.force_scale, rod.moment_scale], 3)
         pace = (positive(speed, "speed") / rod.length) if speed is not None else 0.2
+        spread = modulus_spread_of(None if friction is None else not_negative(friction, "friction"), setup_errors)
         self._settings = Settings(
             jnp.asarray(np.concatenate([[rod.length], units])),
             jnp.asarray(_whitening(covariance, units)),
             jnp.asarray(_intensities(intensities, pace)),
             jnp.asarray(np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD]) * pace),
-            jnp.asarray(float(friction is not None and not_negative(friction, "friction") == 0)),
+            jnp.asarray(np.inf if spread is None else spread**2),
             *jax.tree.map(jnp.asarray, prepared(rod, setup_errors)[::2]),
         )
         clamp = (

@@ -63,7 +63,7 @@ class Model(NamedTuple):
     rates: Float[np.ndarray, "5"]
     intensities: Float[np.ndarray, "5"]
     states: States
-    frictionless: bool
+    modulus_spread: float | None
 
 
 def with_snaps(series: Series, labels: Labels) -> Labels:
@@ -145,7 +145,7 @@ def log_likelihoods(
         tip = part.phase == TIP
         linear = chosen(tip, linears[1], linears[0])
         place = np.where(tip[:, None], at_tip, about)
-        steps.append(steps_of(cut, part, place, model.weight[rows], model.rates, frictionless=model.frictionless, linear=linear))
+        steps.append(steps_of(cut, part, place, model.weight[rows], model.rates, modulus_spread=model.modulus_spread, linear=linear))
     starts = group_starts([Labels(*(field[rows] for field in labels)) for labels in candidates], together=together)
     steps = [filled(merged(part, starts), max(_GROUPS, rounded_up(len(starts)))) for part in steps]
     steps = [_bending(step, bend) for bend in bends for step in steps]

@@ -186,14 +186,20 @@ def _contact_of(labels: Labels, stretch: Int[np.ndarray, "n"], blocks: int) -> I
 
 
 def fitted(
-    series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool, local: bool = True, most_steps: int = _ROUGH_STEPS
+    series: Series,
+    fit: Fit,
+    rates: Float[np.ndarray, "5"],
+    *,
+    modulus_spread: float | None,
+    local: bool = True,
+    most_steps: int = _ROUGH_STEPS,
 ) -> Fit:
     """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
     labels, about, weight, intensities, states, zero = fit
     linear, close = linearised(about), _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY
     rough = True
     for iteration in range(most_steps):
-        steps = steps_of(series, labels, about, weight, rates, frictionless=frictionless, linear=linear)
+        steps = steps_of(series, labels, about, weight, rates, modulus_spread=modulus_spread, linear=linear)
         if iteration == _NEAR:
             intensities, pace = most_probable_intensities(steps, intensities, labels, zero, local=local)
             labels = labels._replace(pace=pace)
@@ -226,7 +232,7 @@ def _stepped(about: Float[np.ndarray, "n 5"], linear: Linear, new: Float[np.ndar
     return (new, there) if sound.all() else (np.where(sound[:, None], new, about), chosen(sound, there, linear))
 
 
-def as_flank(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Fit:
+def as_flank(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, modulus_spread: float | None) -> Fit:
     """The fit with what would be its coordinates in tangential contact where the contact is taken for one at the tip: rivals are compared about their own."""
     tip = fit.labels.phase == TIP
     if not tip.any():
@@ -235,26 +241,26 @@ def as_flank(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictio
     labels = fit.labels._replace(phase=np.where(tip, TANGENTIAL, fit.labels.phase), link=link)
     about, linear = fit.about, linearised(fit.about)
     for _ in range(_FLANK_STEPS):
-        steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless, linear=linear)
+        steps = steps_of(series, labels, about, fit.weight, rates, modulus_spread=modulus_spread, linear=linear)
         about, linear = _stepped(
             about, linear, _coordinates(labels, smoothed_states(steps, labels, fit.intensities, fit.zero, rough=True).mean)
         )
     return fit._replace(about=np.where(tip[:, None], about, fit.about))
 
 
-def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Fit:
+def averaged(series: Series, fit: Fit, candidates: list[Labels], rates: Float[np.ndarray, "5"], *, modulus_spread: float | None) -> Fit:
     """Mean and covariance of the coordinates over equally probable labels and intensities of the drift: that within each, and that between them."""
     at_tip = fit.about.copy()
     at_tip[:, ARC_LENGTH] = 1
     linears = linearised(fit.about), linearised(at_tip)
     means, squares = [], []
     deviation = drift_deviation(
-        steps_of(series, fit.labels, fit.about, fit.weight, rates, frictionless=frictionless, linear=linears[0]), fit
+        steps_of(series, fit.labels, fit.about, fit.weight, rates, modulus_spread=modulus_spread, linear=linears[0]), fit
     )
     for labels, factor in zip(candidates, equally_probable(deviation, len(candidates)), strict=True):
         tip = labels.phase == TIP
         about, linear = np.where(tip[:, None], at_tip, fit.about), chosen(tip, linears[1], linears[0])
-        steps = steps_of(series, labels, about, fit.weight, rates, frictionless=frictionless, linear=linear)
+        steps = steps_of(series, labels, about, fit.weight, rates, modulus_spread=modulus_spread, linear=linear)
         states = smoothed_states(steps, labels, np.append(fit.intensities[:-1], factor * fit.intensities[-1]), fit.zero)
         means.append(_coordinates(labels, states.mean))
         squares.append(states.covariance[:, :COORDINATES, :COORDINATES])

@@ -51,7 +51,8 @@ class Settings(NamedTuple):
     whitening: Float[Array, "6 6"]
     intensities: Float[Array, "5"]
     rates: Float[Array, "5"]
-    frictionless: Float[Array, ""]
+    modulus_variance: Float[Array, ""]
+    """Of k² about ½ in tangential contact; infinite where friction may make it another one."""
     rig: Rig
     errors: Float[Array, "15 15"]
     """Covariance of the errors of the setup, model units."""
@@ -175,7 +176,7 @@ def _observed(
     expected = design[:WRENCH] @ covariance @ design[:WRENCH].T + jnp.eye(WRENCH)
     distance = residual @ jnp.linalg.solve(expected, residual)
     variance = jnp.where(sound, jnp.maximum(1.0, distance / _OUTLIER), jnp.inf)
-    square = jnp.where((settings.frictionless > 0) & (kind == TANGENTIAL), 1e-12, jnp.inf)
+    square = jnp.where(kind == TANGENTIAL, settings.modulus_variance, jnp.inf)
     variances = jnp.full(ROWS, jnp.inf).at[:WRENCH].set(variance).at[WRENCH + 1].set(square)
     return step._replace(target=target, design=design, variance=variances), jnp.where(sound, distance, 0.0), value
 

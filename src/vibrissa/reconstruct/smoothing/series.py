@@ -1,5 +1,6 @@
 """A recording as a time series of whitened wrenches in clamp axes, and the linear steps that the smoother takes through it."""
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from vibrissa.reactions import Reactions
 from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
 from vibrissa.reconstruct.smoothing.manifold import ARC_LENGTH, COORDINATES, TILT, Bent, bent
 from vibrissa.rod import Rod
+from vibrissa.tolerances import PARAMETERS, SetupErrors
 
 FREE, TIP, TANGENTIAL = (int(kind) for kind in ContactKind)
 GO_ON, KINK, JUMP = 0, 1, 2
@@ -26,7 +28,8 @@ ARC_LENGTH_SPREAD = 0.3
 """Standard deviation of s₁ where nothing is known of it."""
 _BEND = np.array([1 / 15, 1 / 15, 1 / 15, 1 / 6])
 """By how much the rates of loads and s₁ change at a change of phase, in rates of which nothing is known: thrice what a sphere makes of them."""
-_PINNED = 1e-12
+_PINNED, _EXACT = 1e-12, 1e-6
+"""Variance, and standard deviation, of what holds exactly."""
 _FRICTION, _UNRELATED = 0.2, 4
 """Standard deviation of k² about ½ in tangential contact, that of a coefficient of friction of 0.4 ((sin atan μ)/2), and how often in a contact it is another one."""
 _LOAD_SPREAD = 2.0
@@ -97,6 +100,23 @@ def series_of(rod: Rod, reactions: Reactions) -> Series:
     both[:, :3, :3] = both[:, 3:, 3:] = np.swapaxes(turn, 1, 2)
     covariance = both @ (reactions.covariance / np.outer(units, units)) @ np.swapaxes(both, 1, 2)
     return Series(time, turn, np.where(sound[:, None], wrench, 0.0), np.linalg.inv(np.linalg.cholesky(covariance)), sound)
+
+
+def modulus_spread_of(friction: float | None, errors: SetupErrors | None) -> float | None:
+    """Standard deviation of k² about ½ in tangential contact by what the setup tolerates; None where friction may make it another one.
+
+    k² = ½ + (m0²/2EI − f0·t0)/2f, whose two parts cancel there, and each is at most ½: in the readings of another rod it is off by at most half of
+    2 δm + δf + δEI, relative, and of the clamp's turn [rad].
+    """
+    if friction != 0:
+        return None
+    if errors is None:
+        return _EXACT
+    variance = dict(zip(PARAMETERS, np.diag(errors.covariance), strict=True))
+    gain_force, gain_torque, turn = (
+        max(value for name, value in variance.items() if name.startswith(group)) for group in ("gain_f", "gain_t", "clamp_orientation")
+    )
+    return max(_EXACT, math.sqrt(variance["bending_stiffness"] + gain_force + 4 * gain_torque + turn) / 2)
 
 
 def quieted(series: Series, ringing: Bool[np.ndarray, "n"]) -> Series:
@@ -185,7 +205,7 @@ def steps_of(
     weight: Float[np.ndarray, "n"],
     rates: Float[np.ndarray, "5"],
     *,
-    frictionless: bool,
+    modulus_spread: float | None,
     linear: Linear | None = None,
 ) -> Step:
     """The model linearised about coordinates.
@@ -193,7 +213,7 @@ def steps_of(
     `rates` are standard deviations of rates of which nothing is known; `linear` is the model about these coordinates, if it is known.
     """
     keep, begin, spread, active = _transitions(labels, about, rates)
-    target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), frictionless=frictionless)
+    target, design, variance = _observations(series, labels, about, weight, linear or linearised(about), modulus_spread=modulus_spread)
     duration = np.diff(series.time, prepend=series.time[0])
     return Step(duration, keep, begin, spread, active, labels.pace, target, design, variance)
 
@@ -235,7 +255,13 @@ def _transitions(labels: Labels, about: Float[np.ndarray, "n 5"], rates: Float[n
 
 
 def _observations(
-    series: Series, labels: Labels, about: Float[np.ndarray, "n 5"], weight: Float[np.ndarray, "n"], linear: Linear, *, frictionless: bool
+    series: Series,
+    labels: Labels,
+    about: Float[np.ndarray, "n 5"],
+    weight: Float[np.ndarray, "n"],
+    linear: Linear,
+    *,
+    modulus_spread: float | None,
 ) -> tuple[np.ndarray, ...]:
     phase, count = labels.phase, len(labels.phase)
     touching, shows = phase != FREE, series.sound & exists(linear)
@@ -257,7 +283,7 @@ def _observations(
     slope = jacobian[square, WRENCH]
     design[square, WRENCH + 1, :COORDINATES] = slope
     target[square, WRENCH + 1] = 0.5 - values.modulus[square] + np.einsum("ni,ni->n", slope, about[square])
-    within = _PINNED if frictionless else _FRICTION**2 * _tangential_count(phase)[square] / _UNRELATED
+    within = _FRICTION**2 * _tangential_count(phase)[square] / _UNRELATED if modulus_spread is None else modulus_spread**2
     variance[square, WRENCH + 1] = np.where(shows[square], within, np.inf)
     return target, design, variance
 

@@ -40,16 +40,25 @@ from vibrissa.reconstruct.smoothing.phases import detected, runs_of
 from vibrissa.reconstruct.smoothing.result import Smoothing, Touch
 from vibrissa.reconstruct.smoothing.rivals import drawn
 from vibrissa.reconstruct.smoothing.segments import ROWS, Piece, in_segments
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, JUMP, Labels, NoMotionError, Series, linearised, quieted, series_of, steps_of
+from vibrissa.reconstruct.smoothing.series import (
+    FREE,
+    GO_ON,
+    JUMP,
+    Labels,
+    NoMotionError,
+    Series,
+    linearised,
+    modulus_spread_of,
+    quieted,
+    series_of,
+    steps_of,
+)
 from vibrissa.reconstruct.smoothing.shared import smoothed_sensitivity
 from vibrissa.reconstruct.smoothing.touch import Onset, onset_at, onset_of, reversed_labels, reversed_model
 from vibrissa.reconstruct.smoothing.verdict import Verdict, judged, without
-from vibrissa.tolerances import PARAMETERS
 
 _ROUNDS = 4
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
-_EXACT = 1e-3
-"""Relative deviation of EI and gains, and of the clamp's direction [rad], up to which k² is ½ within what a grid or a rod's tip leaves of it."""
 
 
 def smooth(
@@ -137,7 +146,7 @@ def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: 
     ringing = found.status == Status.RINGING
     series = quieted(series_of(found.rod, found.reactions), ringing)
     series = series._replace(sound=series.sound & (found.status != Status.TOUCHES_TWICE))
-    frictionless = _frictionless(found)
+    modulus_spread = modulus_spread_of(found.friction, found.reactions.setup_errors)
     count = len(series.time)
     drift, spread = np.tile(zero.mean, (count, 1)), np.tile(zero.covariance, (count, 1, 1))
     loaded = detected(series, drift, spread, false_alarm) & ~ringing
@@ -147,7 +156,7 @@ def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: 
         series,
         Fit(labels, about, first_weights(series), _START, initial_states(count), zero),
         rates,
-        frictionless=frictionless,
+        modulus_spread=modulus_spread,
         local=False,
     )
     # Once more, now that the drift of the zero is known.
@@ -155,30 +164,30 @@ def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: 
     loaded = detected(series, drift, spread, false_alarm) & ~ringing
     labels, about = first_guess(series, loaded, drift)
     labels = with_snaps(series, labels)
-    fit = fitted(series, fit._replace(labels=labels, about=about), rates, frictionless=frictionless)
+    fit = fitted(series, fit._replace(labels=labels, about=about), rates, modulus_spread=modulus_spread)
     # What is tangential is no jump.
-    labels, places = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)
+    labels, places = _phased(_model(series, fit, rates, modulus_spread=modulus_spread), fit.labels)
     if not np.array_equal(labels.phase, fit.labels.phase):
-        fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless)
+        fit = fitted(series, fit._replace(labels=labels), rates, modulus_spread=modulus_spread)
     jumped = False
     for _ in range(_ROUNDS):
-        broken = jumps(_model(series, fit, rates, frictionless=frictionless), fit.labels)
+        broken = jumps(_model(series, fit, rates, modulus_spread=modulus_spread), fit.labels)
         if not broken:
             break
         jumped = True
         link = fit.labels.link.copy()
         for at, kind in broken:
             link[at] = kind
-        fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, frictionless=frictionless)
+        fit = fitted(series, fit._replace(labels=fit.labels._replace(link=link)), rates, modulus_spread=modulus_spread)
     if jumped:
-        labels, places = _phased(_model(series, fit, rates, frictionless=frictionless), fit.labels)
+        labels, places = _phased(_model(series, fit, rates, modulus_spread=modulus_spread), fit.labels)
         fit = fit._replace(labels=labels)
-    labels, touches = _bounded(series, fit, places, rates, ringing, frictionless=frictionless)
-    smoothest = fit = fitted(series, fit._replace(labels=labels), rates, frictionless=frictionless, most_steps=MOST_STEPS)
+    labels, touches = _bounded(series, fit, places, rates, ringing, modulus_spread=modulus_spread)
+    smoothest = fit = fitted(series, fit._replace(labels=labels), rates, modulus_spread=modulus_spread, most_steps=MOST_STEPS)
     if touches:
-        flank = as_flank(series, fit, rates, frictionless=frictionless)
-        candidates = drawn(_model(series, flank, rates, frictionless=frictionless), flank.labels, places)
-        fit = averaged(series, flank, candidates, rates, frictionless=frictionless)
+        flank = as_flank(series, fit, rates, modulus_spread=modulus_spread)
+        candidates = drawn(_model(series, flank, rates, modulus_spread=modulus_spread), flank.labels, places)
+        fit = averaged(series, flank, candidates, rates, modulus_spread=modulus_spread)
     told = smoothest.states
     following = Zero(told.expected[row, 2 * COORDINATES :], told.uncertainty[row, 2 * COORDINATES :, 2 * COORDINATES :])
     return Piece(
@@ -186,19 +195,8 @@ def _smoothed_segment(found: Reconstruction, zero: Zero, row: int, false_alarm: 
     )
 
 
-def _frictionless(found: Reconstruction) -> bool:
-    """Whether tangential contacts have k² = ½: without friction, and on a rod and a sensor that are known so well that readings can tell."""
-    errors = found.reactions.setup_errors
-    if found.friction != 0 or errors is None:
-        return found.friction == 0
-    relative = [
-        index for index, name in enumerate(PARAMETERS) if name == "bending_stiffness" or name.startswith(("gain", "clamp_orientation"))
-    ]
-    return float(np.max(np.diag(errors.covariance)[relative])) < _EXACT**2
-
-
-def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, frictionless: bool) -> Model:
-    return Model(series, fit.about, fit.weight, rates, fit.intensities, fit.states, frictionless)
+def _model(series: Series, fit: Fit, rates: Float[np.ndarray, "5"], *, modulus_spread: float | None) -> Model:
+    return Model(series, fit.about, fit.weight, rates, fit.intensities, fit.states, modulus_spread)
 
 
 def _bounded(
@@ -208,10 +206,10 @@ def _bounded(
     rates: Float[np.ndarray, "5"],
     ringing: Bool[np.ndarray, "n"],
     *,
-    frictionless: bool,
+    modulus_spread: float | None,
 ) -> tuple[Labels, tuple[Touch, ...]]:
     """Labels with the contacts' beginnings and ends where they are most probable, and the contacts."""
-    model, labels = _model(series, fit, rates, frictionless=frictionless), fit.labels
+    model, labels = _model(series, fit, rates, modulus_spread=modulus_spread), fit.labels
     # The end is looked for after the beginning is placed, so that they cannot pass each other.
     deviations = {change: place.deviation for change, place in places.items()}
     backwards, count = reversed_model(model), len(series.time)
@@ -282,7 +280,15 @@ def _result(
     errors = fit.states.covariance[:, :COORDINATES, :COORDINATES]
     point = found.reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, values.reach)
     normal = np.einsum("nij,nj->ni", series.turn, values.direction)
-    steps = steps_of(series, fit.labels, about, fit.weight, rates, frictionless=_frictionless(found), linear=linear)
+    steps = steps_of(
+        series,
+        fit.labels,
+        about,
+        fit.weight,
+        rates,
+        modulus_spread=modulus_spread_of(found.friction, found.reactions.setup_errors),
+        linear=linear,
+    )
     sensitivity = smoothed_sensitivity(found.rod, found.reactions, series, fit.labels, steps, linear, fit.intensities)
     numbers = np.concatenate([part.reshape(len(point), -1) for part in (point, jacobian, errors, sensitivity)], axis=1)
     verdict = without(verdict, found, touching & ~np.isfinite(numbers).all(axis=1) & ~verdict.raw)

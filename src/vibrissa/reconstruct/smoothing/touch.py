@@ -97,7 +97,7 @@ def limit_of(model: Model, labels: Labels, first: int) -> float:
     rows = slice(first, len(link))
     cut = Series(*(part[rows] for part in model.series))
     part = Labels(labels.phase[rows], link[rows], np.ones(len(cut.time)), labels.pace[rows])
-    steps = steps_of(cut, part, model.about[rows], model.weight[rows], model.rates, frictionless=model.frictionless)
+    steps = steps_of(cut, part, model.about[rows], model.weight[rows], model.rates, modulus_spread=model.modulus_spread)
     starts = group_starts([part])
     steps = filled(merged(steps, starts), capacity_for(len(model.series.time)))
     covariance = np.zeros((SIZE, SIZE))

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from vibrissa.reconstruct.smoothing import kalman
-from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, Step
+from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
 
 COUNT = 6
 PREDICTED = jax.jit(kalman.predicted)
@@ -71,8 +71,25 @@ def test_smoothed_states_are_the_conditional_distribution() -> None:
         np.testing.assert_allclose(states.covariance[k], after[rows, rows], atol=1e-9)
     expected = multivariate_normal(z @ mean, spread).logpdf(target)
     assert float(jnp.sum(states.log_likelihood)) == pytest.approx(expected, abs=1e-8)
+
+
+def test_likelihoods_are_those_of_the_wrenches_given_the_constraints() -> None:
+    """In whatever units the constraints are: here in small ones, so that no density is below 1."""
+    steps = series()
+    unit = np.where(np.arange(ROWS) < WRENCH, 1.0, 1e-3)
+    steps = steps._replace(target=steps.target * unit, design=steps.design * unit[:, None], variance=steps.variance * unit**2)
+    mean, covariance = joint(steps)
+    design = np.zeros((COUNT * ROWS, COUNT * SIZE))
+    for k in range(COUNT):
+        design[k * ROWS : (k + 1) * ROWS, k * SIZE : (k + 1) * SIZE] = steps.design[k]
+    seen = np.isfinite(np.asarray(steps.variance))
+    told = []
+    for rows in (seen, seen & (np.arange(ROWS) >= WRENCH)):
+        z, target = design[rows.ravel()], np.asarray(steps.target)[rows]
+        spread = z @ covariance @ z.T + np.diag(np.asarray(steps.variance)[rows])
+        told.append(multivariate_normal(z @ mean, spread).logpdf(target))
     several = Step(*(jnp.stack([part, part]) for part in steps))
-    assert float(kalman.log_likelihoods(several, ALL, INTENSITIES, *first())[1]) == pytest.approx(expected, abs=1e-8)
+    assert float(kalman.log_likelihoods(several, ALL, INTENSITIES, *first())[1]) == pytest.approx(told[0] - told[1], abs=1e-7)
 
 
 def test_the_score_is_the_derivative_of_the_log_likelihood() -> None:
@@ -82,8 +99,7 @@ def test_the_score_is_the_derivative_of_the_log_likelihood() -> None:
     step = 1e-5
     for k in range(5):
         up, down = (INTENSITIES * np.exp(sign * step * np.eye(5)[k]) for sign in (1, -1))
-        several = Step(*(part[None] for part in steps))
-        above, below = (float(kalman.log_likelihoods(several, ALL, moved, *start)[0]) for moved in (up, down))
+        above, below = (float(jnp.sum(kalman.smoothed(steps, ALL, moved, *start).log_likelihood)) for moved in (up, down))
         slope = (above - below) / (2 * step)
         assert score[k] == pytest.approx(float(slope), abs=1e-6)
 

@@ -1,12 +1,15 @@
 """What smoothing cannot tell it says: weak signals, readings of the wrong sign, recordings cut off in contact; and segments meet without a seam."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from sweeps import BALL, WIRE
+from sweeps import BALL, SENSOR, WIRE
 
 import vibrissa as vb
 from vibrissa.reconstruct.smoothing import segments
+from vibrissa.reconstruct.work import clamp_work
 
 REST, ROWS = 100, 600
 pytestmark = pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")
@@ -131,3 +134,17 @@ def test_a_recording_cut_off_in_contact_is_smoothed(scan: vb.Scan) -> None:
     assert found.status[40] == vb.Status.BAD_DATA
     assert np.isfinite(found.point[ok]).all()
     assert np.isfinite(found.covariance[ok]).all()
+
+
+def test_of_a_weak_contact_that_noise_parts_no_work_is_missed() -> None:
+    """What follows a part that does not rise out of the noise begins loaded: the clamp's work before it is not known, and no contradiction."""
+    sweep = vb.scan(WIRE, BALL, vb.Trail.line(start=(0.04, 0.015, 0), stop=(-0.04, 0.015, 0), count=800))
+    rows = np.maximum(np.arange(900) - 100, 0)
+    load = (np.nan_to_num(part)[rows] for part in (sweep.reactions.force, sweep.reactions.moment))
+    true = vb.Reactions(vb.Trail(sweep.reactions.trail.position[rows]), *load, time=np.arange(900) / 100)
+    largest = float(np.linalg.norm(true.force, axis=1).max())
+    for strength in (10, 15):
+        sensor = replace(SENSOR, force_noise=largest / strength, torque_noise=5e-3 * largest / strength)
+        for seed in range(30):
+            noisy = sensor.reactions(sensor.measure(true, np.random.default_rng(seed)))
+            assert not any(work.impossible for work in clamp_work(WIRE, noisy)), (strength, seed)

@@ -33,6 +33,8 @@ _FREE_ROWS = 3
 _FEWEST_ROWS = 250
 _LARGEST_GAP = 0.02
 _EARLIER = 4
+# Share of the rows just before: where a load rises out of the noise some are loaded, too.
+_PARTED = 0.1
 _LOADING = 0.9
 # Of the rod's length: a rod bent by less of a way stores next to nothing.
 _LEAST_WAY = 0.01
@@ -127,7 +129,7 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     return [
         _of_contact(rod, reactions, known, steps, (first, start, stop))
         for first, (start, stop) in zip(before, contacts, strict=False)
-        if start > 0 and _whole(known, (start, stop)) and _moves(rod, reactions, known[start:stop])
+        if start > 0 and _free_before(loaded, (start, stop)) and _whole(known, (start, stop)) and _moves(rod, reactions, known[start:stop])
     ]
 
 
@@ -194,6 +196,13 @@ def _contacts(loaded: Bool[np.ndarray, "m"]) -> list[tuple[int, int]]:
     cuts = np.flatnonzero(np.diff(rows) > _FREE_ROWS)
     starts, stops = np.concatenate([rows[:1], rows[cuts + 1]]), np.concatenate([rows[cuts] + 1, rows[-1:] + 1])
     return [(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
+
+
+def _free_before(loaded: Bool[np.ndarray, "m"], span: tuple[int, int]) -> bool:
+    """Whether a contact begins there: noise may part a weak one, and of the rest the earlier work is not known."""
+    start, stop = span
+    earlier = loaded[max(0, start - (stop - start) // _EARLIER) : start]
+    return float(np.mean(earlier)) < _PARTED
 
 
 def _whole(known: np.ndarray, span: tuple[int, int]) -> bool:

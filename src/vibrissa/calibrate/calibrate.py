@@ -115,11 +115,10 @@ def calibrate(
     deviations = checked_prior(prior, names)
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
+    coefficient = not_negative(friction, "friction")
     if surface is None:
-        coefficient = not_negative(friction, "friction")
         return _said(calibrated_without_object(listed, setup, names, chosen, deviations, coefficient, known or Tolerances()))
     rows = gathered(listed, setup.sensor)
-    coefficient = not_negative(friction, "friction")
     factors = _factors(chosen, setup.rod, setup.sensor)
     spreads = np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
     problem = Problem(

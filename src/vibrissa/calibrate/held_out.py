@@ -87,9 +87,18 @@ def predicted_by_others(
     free: Sequence[Parameter],
     inflation: float,
 ) -> HeldOut | None:
-    """One part of whitened residuals, at the solution of all: with other unknowns less by `step` they are `left + design @ step`. `total` is the information of all.
+    """Predict one part of the whitened residuals by a Gauss-Newton step from the solution of all; None where the others alone do not determine all parameters.
 
-    None where the others alone do not determine all parameters, which are the first unknowns. `freedom` is the number of conditions that a row adds.
+    Parameters
+    ----------
+    name, rows, freedom
+        Of the part: what it is called, its rows, and how many conditions each adds.
+    design, left
+        Its residuals at the solution, and their derivatives, with the sign that unknowns larger by a step leave `left - design @ step`.
+    total
+        Information of all parts and priors on the unknowns, of which `free` are the first.
+    inflation
+        Factor by which the variance of all residuals is larger than stated.
     """
     own, slope = design.T @ design, design.T @ left
     count = len(free)

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 CHANNELS = ("fx", "fy", "fz", "tx", "ty", "tz")
-CHANNEL_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 """The six numbers of a wrench, in their order in arrays (…, 6)."""
+CHANNEL_UNITS = ("N", "N", "N", "N m", "N m", "N m")
+"""Their units."""
 
 _LEAST_STEP = 1e-9
 

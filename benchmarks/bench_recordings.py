@@ -1,8 +1,10 @@
-"""Recordings made by the independent engine, each with one thing that is not as its setup says: `python benchmarks/bench_recordings.py FOLDER [NAME ...]`.
+"""Recordings made by the independent engine, each with one thing that is not as its setup says:
+`python benchmarks/bench_recordings.py FOLDER [NAME ...]`.
 
-A steel wire of 50 mm and 0.5 mm diameter is swept at 10 mm/s under a ball of 30 mm radius unless said. FOLDER gets NAME.csv; NAME.toml, the setup as a user would have
-written it; and NAME.truth.npz with t [s] (n,), p [m] (n, 3), the contacts of the engine, and ic (n,): in contact, at one place. Runs of the engine are kept in
-FOLDER/runs.
+A steel wire of 50 mm and 0.5 mm diameter is swept at 10 mm/s under a ball of 30 mm radius unless
+said. FOLDER gets NAME.csv; NAME.toml, the setup as a user would have written it; and NAME.truth.npz
+with t [s] (n,), p [m] (n, 3), the contacts of the engine, and ic (n,): in contact, at one place.
+Runs of the engine are kept in FOLDER/runs.
 """
 
 import sys
@@ -36,7 +38,9 @@ class Scene:
 
 @dataclass(frozen=True)
 class Recording:
-    """A scene as it was logged: what is off, how large that is in words, and how often the scene is gone through, to and fro."""
+    """A scene as it was logged: what is off, how large that is in words, and how often the scene is
+    gone through, to and fro.
+    """
 
     scene: str
     effect: str = "none"
@@ -51,7 +55,9 @@ class Recording:
 
 
 def _line(start: tuple[float, float, float], stop: tuple[float, float, float]) -> vb.Trail:
-    return vb.Trail.line(start=start, stop=stop, count=1 + round(np.linalg.norm(np.subtract(stop, start)) / SPACING))
+    return vb.Trail.line(
+        start=start, stop=stop, count=1 + round(np.linalg.norm(np.subtract(stop, start)) / SPACING)
+    )
 
 
 def _across(offset: float, reach: float = 0.04, depth: float = 0.0) -> vb.Trail:
@@ -64,7 +70,10 @@ def _ball(radius: float = 0.03, center: tuple[float, float, float] = CENTER) -> 
 
 _STEEL = Wire()
 _THIN = Wire(length=0.06, radius=0.1e-3, density=7850.0, down=(0.0, -1.0, 0.0))
-_BLOB = (Body("sphere", (0.02,), (-0.015, 0.012, 0.0535)), Body("sphere", (0.02,), (0.015, -0.012, 0.0535)))
+_BLOB = (
+    Body("sphere", (0.02,), (-0.015, 0.012, 0.0535)),
+    Body("sphere", (0.02,), (0.015, -0.012, 0.0535)),
+)
 _ARC = vb.Trail.arc(
     center=(0, 0.005, 0.15),
     axis=(0, 1, 0),
@@ -86,9 +95,19 @@ SCENES = {
     "sag_x": Scene(Wire(sagitta=(1e-3, 0.0)), _ball(), _across(0.005)),
     "sag_y": Scene(Wire(sagitta=(0.0, 1e-3)), _ball(), _across(0.005)),
     "thin": Scene(_THIN, _ball(center=(0.0, 0.0, 0.0675)), _across(0.005)),
-    "oblique": Scene(_STEEL, (Body("capsule", (0.015, 0.03), CENTER, _TILT),), _across(0.004, depth=0.012)),
-    "ellipsoid": Scene(_STEEL, (Body("ellipsoid", (0.035, 0.025, 0.03), CENTER),), _line((0.01, 0.035, 0), (0.01, -0.035, 0))),
-    "box": Scene(_STEEL, (Body("box", (0.017, 0.013, 0.012), CENTER, _SKEW, rounding=0.005),), _across(0.004, depth=0.008)),
+    "oblique": Scene(
+        _STEEL, (Body("capsule", (0.015, 0.03), CENTER, _TILT),), _across(0.004, depth=0.012)
+    ),
+    "ellipsoid": Scene(
+        _STEEL,
+        (Body("ellipsoid", (0.035, 0.025, 0.03), CENTER),),
+        _line((0.01, 0.035, 0), (0.01, -0.035, 0)),
+    ),
+    "box": Scene(
+        _STEEL,
+        (Body("box", (0.017, 0.013, 0.012), CENTER, _SKEW, rounding=0.005),),
+        _across(0.004, depth=0.008),
+    ),
     "blob": Scene(_STEEL, _BLOB, _across(0.003)),
     "rubbing": Scene(_STEEL, _ball(), _across(0.005), friction=0.25),
     "weak": Scene(Wire(radius=0.125e-3), _ball(), _across(0.004)),
@@ -105,31 +124,115 @@ def _scaled(position: float, wrench: float) -> Callable[[np.ndarray], np.ndarray
 
 
 RECORDINGS = {
-    "ei_plus5": Recording("ball5", "EI stated too high", "5 %", Faults(modulus=1.05), tolerance="youngs_modulus = 0.05"),
-    "ei_plus1": Recording("ball5", "EI stated too high", "1 %", Faults(modulus=1.01), tolerance="youngs_modulus = 0.01"),
-    "ei_minus5": Recording("ball12", "EI stated too low", "5 %", Faults(modulus=0.95), tolerance="youngs_modulus = 0.05"),
-    "ei_plus5_arc": Recording("ball_arc", "EI stated too high, arc", "5 %", Faults(modulus=1.05), tolerance="youngs_modulus = 0.05"),
-    "length_plus1mm": Recording("ball5", "length stated too long", "1 mm", Faults(length=1.02), tolerance="length = 1e-3"),
-    "clamp_ry": Recording("ball5", "clamp turned about y", "0.3°", Faults(turned=(0, 5.236e-3, 0)), tolerance="clamp_orientation = 5.2e-3"),
-    "clamp_rx": Recording("ball5", "clamp turned about x", "0.3°", Faults(turned=(5.236e-3, 0, 0)), tolerance="clamp_orientation = 5.2e-3"),
-    "clamp_x": Recording("ball5", "clamp shifted along x", "0.3 mm", Faults(shifted=(0.3e-3, 0, 0)), tolerance="clamp_position = 0.3e-3"),
-    "clamp_z": Recording("ball5", "clamp shifted along z", "0.5 mm", Faults(shifted=(0, 0, 0.5e-3)), tolerance="clamp_position = 0.5e-3"),
-    "late5": Recording("ball5", "poses late", "5 ms", Faults(delay=5e-3), tolerance="pose_delay = 5e-3"),
-    "late50": Recording("ball5", "poses late", "50 ms", Faults(delay=50e-3), tolerance="pose_delay = 50e-3"),
-    "late5_to_and_fro": Recording("ball5", "poses late, to and fro", "5 ms", Faults(delay=5e-3), passes=2, tolerance="pose_delay = 5e-3"),
-    "late50_to_and_fro": Recording(
-        "ball5", "poses late, to and fro", "50 ms", Faults(delay=50e-3), passes=2, tolerance="pose_delay = 50e-3"
+    "ei_plus5": Recording(
+        "ball5",
+        "EI stated too high",
+        "5 %",
+        Faults(modulus=1.05),
+        tolerance="youngs_modulus = 0.05",
     ),
-    "gain_all": Recording("ball5", "all channels read too much", "2 %", Faults(gain=_ALL), tolerance="gain = 0.02"),
-    "gain_torque": Recording("ball5", "torques read too much", "2 %", Faults(gain=_HALF_TORQUE), tolerance="gain = 0.02"),
-    "gain_fx": Recording("ball12", "fx reads too much", "2 %", Faults(gain=(1.02, 1, 1, 1, 1, 1)), tolerance="gain = 0.02"),
-    "drift_fx": Recording("ball5", "zero of fx drifts", "1 mN/s", Faults(drift=(1e-3, 0, 0, 0, 0, 0))),
-    "drift_ty": Recording("ball12", "zero of ty drifts", "0.03 N mm/s", Faults(drift=(0, 0, 0, 0, 3e-5, 0))),
+    "ei_plus1": Recording(
+        "ball5",
+        "EI stated too high",
+        "1 %",
+        Faults(modulus=1.01),
+        tolerance="youngs_modulus = 0.01",
+    ),
+    "ei_minus5": Recording(
+        "ball12",
+        "EI stated too low",
+        "5 %",
+        Faults(modulus=0.95),
+        tolerance="youngs_modulus = 0.05",
+    ),
+    "ei_plus5_arc": Recording(
+        "ball_arc",
+        "EI stated too high, arc",
+        "5 %",
+        Faults(modulus=1.05),
+        tolerance="youngs_modulus = 0.05",
+    ),
+    "length_plus1mm": Recording(
+        "ball5", "length stated too long", "1 mm", Faults(length=1.02), tolerance="length = 1e-3"
+    ),
+    "clamp_ry": Recording(
+        "ball5",
+        "clamp turned about y",
+        "0.3°",
+        Faults(turned=(0, 5.236e-3, 0)),
+        tolerance="clamp_orientation = 5.2e-3",
+    ),
+    "clamp_rx": Recording(
+        "ball5",
+        "clamp turned about x",
+        "0.3°",
+        Faults(turned=(5.236e-3, 0, 0)),
+        tolerance="clamp_orientation = 5.2e-3",
+    ),
+    "clamp_x": Recording(
+        "ball5",
+        "clamp shifted along x",
+        "0.3 mm",
+        Faults(shifted=(0.3e-3, 0, 0)),
+        tolerance="clamp_position = 0.3e-3",
+    ),
+    "clamp_z": Recording(
+        "ball5",
+        "clamp shifted along z",
+        "0.5 mm",
+        Faults(shifted=(0, 0, 0.5e-3)),
+        tolerance="clamp_position = 0.5e-3",
+    ),
+    "late5": Recording(
+        "ball5", "poses late", "5 ms", Faults(delay=5e-3), tolerance="pose_delay = 5e-3"
+    ),
+    "late50": Recording(
+        "ball5", "poses late", "50 ms", Faults(delay=50e-3), tolerance="pose_delay = 50e-3"
+    ),
+    "late5_to_and_fro": Recording(
+        "ball5",
+        "poses late, to and fro",
+        "5 ms",
+        Faults(delay=5e-3),
+        passes=2,
+        tolerance="pose_delay = 5e-3",
+    ),
+    "late50_to_and_fro": Recording(
+        "ball5",
+        "poses late, to and fro",
+        "50 ms",
+        Faults(delay=50e-3),
+        passes=2,
+        tolerance="pose_delay = 50e-3",
+    ),
+    "gain_all": Recording(
+        "ball5", "all channels read too much", "2 %", Faults(gain=_ALL), tolerance="gain = 0.02"
+    ),
+    "gain_torque": Recording(
+        "ball5", "torques read too much", "2 %", Faults(gain=_HALF_TORQUE), tolerance="gain = 0.02"
+    ),
+    "gain_fx": Recording(
+        "ball12",
+        "fx reads too much",
+        "2 %",
+        Faults(gain=(1.02, 1, 1, 1, 1, 1)),
+        tolerance="gain = 0.02",
+    ),
+    "drift_fx": Recording(
+        "ball5", "zero of fx drifts", "1 mN/s", Faults(drift=(1e-3, 0, 0, 0, 0, 0))
+    ),
+    "drift_ty": Recording(
+        "ball12", "zero of ty drifts", "0.03 N mm/s", Faults(drift=(0, 0, 0, 0, 3e-5, 0))
+    ),
     "warming": Recording("ball5", "sensor warms, 4 s", "15, -9, 20 mN", Faults(warming=_WARMING)),
     "noise3": Recording("ball5", "noise over the stated one", "3", Faults(noise=3.0)),
-    "pose_noise5": Recording("ball5", "noise of poses over the stated one", "5", Faults(pose_noise=5.0)),
+    "pose_noise5": Recording(
+        "ball5", "noise of poses over the stated one", "5", Faults(pose_noise=5.0)
+    ),
     "hum50": Recording("ball5", "hum of 50 Hz", "5 mN", Faults(hum=_HUM)),
-    "hum60": Recording("ball5", "hum of 60 Hz, an alias at 250 Hz", "5 mN", Faults(hum=_HUM, hum_hertz=60.0)),
+    "hum60": Recording(
+        "ball5", "hum of 60 Hz, an alias at 250 Hz", "5 mN", Faults(hum=_HUM, hum_hertz=60.0)
+    ),
     "taper_5": Recording("taper_5", "radius at the tip smaller", "5 %"),
     "taper_half": Recording("taper_half", "radius at the tip smaller", "50 %"),
     "sag_x": Recording("sag_x", "sagitta in the plane of the sweep", "1 mm"),
@@ -140,9 +243,22 @@ RECORDINGS = {
     "inches": Recording("ball5", "inches for metres", misread=_scaled(1 / 0.0254, 1.0)),
     "kgf": Recording("ball5", "kgf for N", misread=_scaled(1.0, 1 / GRAVITY)),
     "sign": Recording("ball5", "sign of the wrench", misread=_scaled(1.0, -1.0)),
-    "w_first": Recording("ball_arc", "quaternions with w first", misread=lambda t: t[:, [0, 1, 2, 3, 7, 4, 5, 6, *range(8, 14)]]),
-    "conjugated": Recording("ball_arc", "quaternions conjugated", misread=lambda t: t * ([1.0] * 4 + [-1.0] * 3 + [1.0] * 7)),
-    "turned_180": Recording("ball5", "sensor turned about z", "180°", misread=lambda t: t * ([1.0] * 8 + [-1.0, -1, 1] * 2)),
+    "w_first": Recording(
+        "ball_arc",
+        "quaternions with w first",
+        misread=lambda t: t[:, [0, 1, 2, 3, 7, 4, 5, 6, *range(8, 14)]],
+    ),
+    "conjugated": Recording(
+        "ball_arc",
+        "quaternions conjugated",
+        misread=lambda t: t * ([1.0] * 4 + [-1.0] * 3 + [1.0] * 7),
+    ),
+    "turned_180": Recording(
+        "ball5",
+        "sensor turned about z",
+        "180°",
+        misread=lambda t: t * ([1.0] * 8 + [-1.0, -1, 1] * 2),
+    ),
     "good_ball1": Recording("ball1"),
     "good_ball5": Recording("ball5"),
     "good_ball12": Recording("ball12"),
@@ -159,11 +275,15 @@ RECORDINGS = {
 
 def run_of(scene: Scene) -> Run:
     """The engine's run of a scene."""
-    return swept(scene.wire, list(scene.bodies), scene.path.position, scene.path.orientation, scene.friction)
+    return swept(
+        scene.wire, list(scene.bodies), scene.path.position, scene.path.orientation, scene.friction
+    )
 
 
 def to_and_fro(run: Run, passes: int) -> Run:
-    """The run gone through several times, each in the other direction than the last: without friction and jumps, equilibria do not depend on it."""
+    """The run gone through several times, each in the other direction than the last: without
+    friction and jumps, equilibria do not depend on it.
+    """
     rows = np.concatenate([np.arange(len(run.position))[:: (-1) ** k] for k in range(passes)])
     return Run(**{name: values[rows] for name, values in vars(run).items()})
 
@@ -171,9 +291,18 @@ def to_and_fro(run: Run, passes: int) -> Run:
 def made(recording: Recording, runs: Path, seed: int) -> Log:
     """One recording; runs are kept in a folder."""
     scene = SCENES[recording.scene]
-    run = to_and_fro(remembered(runs / f"{recording.scene}.npz", lambda: run_of(scene)), recording.passes)
+    run = to_and_fro(
+        remembered(runs / f"{recording.scene}.npz", lambda: run_of(scene)), recording.passes
+    )
     way = np.linalg.norm(np.diff(scene.path.position, axis=0), axis=1).sum() * recording.passes
-    log = logged(run, scene.wire, seconds=way / SPEED, faults=recording.faults, seed=seed, sensor=recording.sensor)
+    log = logged(
+        run,
+        scene.wire,
+        seconds=way / SPEED,
+        faults=recording.faults,
+        seed=seed,
+        sensor=recording.sensor,
+    )
     return log if recording.misread is None else replace(log, table=recording.misread(log.table))
 
 

@@ -1,9 +1,11 @@
-"""Calibration: errors on recordings of another engine from many wrong starts, and how often intervals hold the truth in simulated repeats.
+"""Calibration: errors on recordings of another engine from many wrong starts, and how often
+intervals hold the truth in simulated repeats.
 
-    python benchmarks/calibration.py RECORDINGS   the first table, from the folder of recordings sphere_60mm
-    python benchmarks/calibration.py              the second
+    python benchmarks/calibration.py RECORDINGS   the first table, from the folder of recordings
+    sphere_60mm python benchmarks/calibration.py              the second
 
-Both start with EI off by 20 %, L by 3 %, the clamp by 2 mm and 3°, in random directions and with all signs.
+Both start with EI off by 20 %, L by 3 %, the clamp by 2 mm and 3°, in random directions and with
+all signs.
 """
 
 import itertools
@@ -39,15 +41,26 @@ def wrong(setup: vb.Setup, index: int, rng: np.random.Generator) -> vb.Setup:
     move, turn = rng.normal(size=3), rng.normal(size=3)
     turn[2] = 0.0
     move, turn = 2e-3 * move / np.linalg.norm(move), np.radians(3) * turn / np.linalg.norm(turn)
-    rod = replace(setup.rod, bending_stiffness=stiffness * setup.rod.bending_stiffness, length=length * setup.rod.length)
+    rod = replace(
+        setup.rod,
+        bending_stiffness=stiffness * setup.rod.bending_stiffness,
+        length=length * setup.rod.length,
+    )
     orientation = Rotation.from_quat(setup.sensor.clamp_orientation) * Rotation.from_rotvec(turn)
-    sensor = replace(setup.sensor, clamp_position=setup.sensor.clamp_position + move, clamp_orientation=orientation.as_quat())
+    sensor = replace(
+        setup.sensor,
+        clamp_position=setup.sensor.clamp_position + move,
+        clamp_orientation=orientation.as_quat(),
+    )
     return replace(setup, rod=rod, sensor=sensor)
 
 
 def errors(found: vb.Setup, truth: vb.Setup) -> np.ndarray:
     """EI and L [%], clamp position [mm], direction of the rod [°]."""
-    axes = [Rotation.from_quat(setup.sensor.clamp_orientation).apply([0, 0, 1]) for setup in (found, truth)]
+    axes = [
+        Rotation.from_quat(setup.sensor.clamp_orientation).apply([0, 0, 1])
+        for setup in (found, truth)
+    ]
     return np.array(
         [
             100 * abs(found.rod.bending_stiffness / truth.rod.bending_stiffness - 1),
@@ -61,10 +74,17 @@ def errors(found: vb.Setup, truth: vb.Setup) -> np.ndarray:
 def recorded(folder: Path) -> None:
     """Every pair of the trails without friction."""
     truth, rng = vb.load_setup(folder / "setup.toml"), np.random.default_rng(1)
-    print("| trails | largest error of EI, % | L, % | clamp, mm | axis, ° | half of the 95 % interval of EI, % | L, % |")
+    print(
+        "| trails | largest error of EI, % | L, % | clamp, mm | axis, ° | half of the 95 % interval of EI, % | L, % |"
+    )
     print("|---|---|---|---|---|---|---|")
     for pair in itertools.combinations(
-        sorted(path for path in (folder / "frictionless").glob("trail_y*.csv") if "truth" not in path.name), 2
+        sorted(
+            path
+            for path in (folder / "frictionless").glob("trail_y*.csv")
+            if "truth" not in path.name
+        ),
+        2,
     ):
         worst, half = np.zeros(4), np.zeros(2)
         for index in range(STARTS):
@@ -74,17 +94,25 @@ def recorded(folder: Path) -> None:
             one = [result.estimates[name] for name in ("youngs_modulus", "length")]
             half = np.array([100 * 1.96 * estimate.deviation / estimate.value for estimate in one])
         names = " and ".join(path.stem.removeprefix("trail_y") for path in pair)
-        print(f"| {names} | " + " | ".join(f"{value:.3f}" for value in (*worst, *half)) + " |", flush=True)
+        print(
+            f"| {names} | " + " | ".join(f"{value:.3f}" for value in (*worst, *half)) + " |",
+            flush=True,
+        )
 
 
 def simulated() -> None:
-    """Two trails, measured anew each time: coverage of the 95 % intervals, and scatter against the Cramér–Rao limit."""
+    """Two trails, measured anew each time: coverage of the 95 % intervals, and scatter against the
+    Cramér–Rao limit.
+    """
     truth, rng = vb.Setup(WIRE, SENSOR, SPHERE), np.random.default_rng(2)
     swept = [sweep(y) for y in (0.005, -0.01)]
     inside: dict[str, int] = {}
     scaled: dict[str, list[float]] = {}
     for index in range(REPEATS):
-        recordings = [SENSOR.measure(one, rng, force_tare=(0.3, -0.1, 1.9), torque_tare=(2e-3, -4e-3, 7e-4)) for one in swept]
+        recordings = [
+            SENSOR.measure(one, rng, force_tare=(0.3, -0.1, 1.9), torque_tare=(2e-3, -4e-3, 7e-4))
+            for one in swept
+        ]
         setup = wrong(truth, index, rng)
         result = vb.calibrate(recordings, setup)
         for name, value in true_values(setup, truth).items():
@@ -92,10 +120,14 @@ def simulated() -> None:
             low, high = estimate.interval()
             inside[name] = inside.get(name, 0) + (low <= value <= high)
             scaled.setdefault(name, []).append((estimate.value - value) / estimate.deviation)
-    print(f"| parameter | truth inside the 95 % interval, of {REPEATS} | scatter over the Cramér–Rao limit | mean error over it |")
+    print(
+        f"| parameter | truth inside the 95 % interval, of {REPEATS} | scatter over the Cramér–Rao limit | mean error over it |"
+    )
     print("|---|---|---|---|")
     for name, pulls in scaled.items():
-        print(f"| {name} | {inside[name]} | {np.sqrt(np.mean(np.square(pulls))):.2f} | {np.mean(pulls):+.2f} |")
+        print(
+            f"| {name} | {inside[name]} | {np.sqrt(np.mean(np.square(pulls))):.2f} | {np.mean(pulls):+.2f} |"
+        )
 
 
 def sweep(y: float) -> vb.Reactions:
@@ -104,7 +136,12 @@ def sweep(y: float) -> vb.Reactions:
     count = int(RATE * np.linalg.norm(stop - start) / SPEED)
     position = np.vstack([np.repeat(start[None], REST, axis=0), np.linspace(start, stop, count)])
     scan = vb.scan(WIRE, SPHERE, vb.Trail(position))
-    return vb.Reactions(scan.trail, scan.reactions.force, scan.reactions.moment, time=np.arange(len(position)) / RATE)
+    return vb.Reactions(
+        scan.trail,
+        scan.reactions.force,
+        scan.reactions.moment,
+        time=np.arange(len(position)) / RATE,
+    )
 
 
 def true_values(setup: vb.Setup, truth: vb.Setup) -> dict[str, float]:
@@ -113,8 +150,13 @@ def true_values(setup: vb.Setup, truth: vb.Setup) -> dict[str, float]:
     x, y, z = Rotation.from_quat(setup.sensor.clamp_orientation).inv().apply(axis)
     turn = np.arccos(min(1.0, z)) * np.array([-y, x]) / np.hypot(x, y)
     values = {"youngs_modulus": 206e9, "length": truth.rod.length}
-    values |= {f"clamp_position_{name}": value for name, value in zip("xyz", truth.sensor.clamp_position, strict=True)}
-    return values | {f"clamp_orientation_{name}": value for name, value in zip("xy", turn, strict=True)}
+    values |= {
+        f"clamp_position_{name}": value
+        for name, value in zip("xyz", truth.sensor.clamp_position, strict=True)
+    }
+    return values | {
+        f"clamp_orientation_{name}": value for name, value in zip("xy", turn, strict=True)
+    }
 
 
 if __name__ == "__main__":

@@ -13,7 +13,10 @@ TRAILS, POSITIONS, SAMPLES = 1000, 211, 10**6
 def batch(trails: int = TRAILS) -> vb.Trail:
     """Trails at y0 = 0.05 to 0.5, each of 211 positions from x = 1.05 to −1.05."""
     position = np.zeros((trails, POSITIONS, 3))
-    position[..., 0], position[..., 1] = np.linspace(1.05, -1.05, POSITIONS), np.linspace(0.05, 0.5, trails)[:, None]
+    position[..., 0], position[..., 1] = (
+        np.linspace(1.05, -1.05, POSITIONS),
+        np.linspace(0.05, 0.5, trails)[:, None],
+    )
     return vb.Trail(position)
 
 
@@ -25,8 +28,14 @@ def one_trail(y0: float, x_from: float = 1.2, count: int = 241) -> vb.Trail:
 def samples_of(scan: vb.Scan, count: int) -> vb.Reactions:
     """Reactions of the scan's contacts, repeated up to `count`."""
     rows = np.resize(np.flatnonzero(scan.in_contact), count)
-    position, orientation = scan.trail.position.reshape(-1, 3)[rows], scan.trail.orientation.reshape(-1, 4)[rows]
-    force, moment = scan.reactions.force.reshape(-1, 3)[rows], scan.reactions.moment.reshape(-1, 3)[rows]
+    position, orientation = (
+        scan.trail.position.reshape(-1, 3)[rows],
+        scan.trail.orientation.reshape(-1, 4)[rows],
+    )
+    force, moment = (
+        scan.reactions.force.reshape(-1, 3)[rows],
+        scan.reactions.moment.reshape(-1, 3)[rows],
+    )
     return vb.Reactions(vb.Trail(position, orientation), force, moment)
 
 

@@ -1,8 +1,10 @@
-"""The package against MuJoCo stepped to rest, by kind of object, on one core: `python benchmarks/chain_kinds.py [NAME ...]`.
+"""The package against MuJoCo stepped to rest, by kind of object, on one core: `python
+benchmarks/chain_kinds.py [NAME ...]`.
 
-Rod, trail, and how the chain comes to rest: as in `chains.py`, in 40 segments. Kinds are those that the engine has, too, with the wire's radius in both. Rows
-where the chain is not at rest after 3000 steps count as restless; hard are snaps and changes of stability, which `vb.scan` follows one by one: where there are any,
-they take nearly all of its time.
+Rod, trail, and how the chain comes to rest: as in `chains.py`, in 40 segments. Kinds are those that
+the engine has, too, with the wire's radius in both. Rows where the chain is not at rest after 3000
+steps count as restless; hard are snaps and changes of stability, which `vb.scan` follows one by
+one: where there are any, they take nearly all of its time.
 """
 
 import sys
@@ -44,12 +46,23 @@ def objects() -> dict[str, Peer]:
     return {
         "Sphere": Peer(s.Sphere(center, chains.RADIUS), chains.ball_geom()),
         "Plane": Peer(
-            s.Plane((-0.01, 0, 0.05), (1, 0.2, -1)), f'<geom type="plane" size="9 9 9" pos="{_text((-0.01, 0, 0.05))}" zaxis="1 0.2 -1"/>'
+            s.Plane((-0.01, 0, 0.05), (1, 0.2, -1)),
+            f'<geom type="plane" size="9 9 9" pos="{_text((-0.01, 0, 0.05))}" zaxis="1 0.2 -1"/>',
         ),
-        "Ellipsoid": Peer(s.Ellipsoid(center, (0.035, 0.025, 0.03)), _geom("ellipsoid", (0.035, 0.025, 0.03), center)),
-        "Capsule": Peer(s.Capsule(center, axis, 0.02, 0.03), _geom("capsule", (0.02, 0.015), center, _SKEW)),
-        "Cylinder": Peer(s.Cylinder(center, axis, 0.02, 0.05), _geom("cylinder", (0.02, 0.025), center, _SKEW)),
-        "Box": Peer(s.Box((0, 0, 0), (0.022, 0.018, 0.015)).placed(_TURN, center), _geom("box", (0.022, 0.018, 0.015), center, _TURN)),
+        "Ellipsoid": Peer(
+            s.Ellipsoid(center, (0.035, 0.025, 0.03)),
+            _geom("ellipsoid", (0.035, 0.025, 0.03), center),
+        ),
+        "Capsule": Peer(
+            s.Capsule(center, axis, 0.02, 0.03), _geom("capsule", (0.02, 0.015), center, _SKEW)
+        ),
+        "Cylinder": Peer(
+            s.Cylinder(center, axis, 0.02, 0.05), _geom("cylinder", (0.02, 0.025), center, _SKEW)
+        ),
+        "Box": Peer(
+            s.Box((0, 0, 0), (0.022, 0.018, 0.015)).placed(_TURN, center),
+            _geom("box", (0.022, 0.018, 0.015), center, _TURN),
+        ),
         "Mesh, 81920 faces": Peer(
             s.Mesh(ball.vertices + center, ball.faces),
             f'<geom type="mesh" mesh="ball" pos="{_text(center)}"/>',
@@ -62,14 +75,18 @@ def _text(lengths: object) -> str:
     return " ".join(f"{value:.17g}" for value in np.asarray(lengths) / L)
 
 
-def _geom(kind: str, size: tuple[float, ...], center: np.ndarray, turn: Rotation | None = None) -> str:
+def _geom(
+    kind: str, size: tuple[float, ...], center: np.ndarray, turn: Rotation | None = None
+) -> str:
     quaternion = np.array((0, 0, 0, 1.0)) if turn is None else turn.as_quat()
     return f'<geom type="{kind}" size="{_text(size)}" pos="{_text(center)}" quat="{" ".join(map(str, np.roll(quaternion, 1)))}"/>'
 
 
 def main(names: list[str]) -> dict[str, float]:
     """Print the table; return the ratios."""
-    print(f"MuJoCo {mujoco.__version__}, {SEGMENTS} segments, {TRAIL.count} positions; µs a position; differences are medians\n")
+    print(
+        f"MuJoCo {mujoco.__version__}, {SEGMENTS} segments, {TRAIL.count} positions; µs a position; differences are medians\n"
+    )
     print(
         f"{'object':<20}{'in contact':>11}{'in both':>9}{'hard':>6}{'vb.scan':>9}{'engine':>10}{'ratio':>8}"
         f"{'steps':>7}{'restless':>10}{'force':>9}{'moment':>9}{'point, mm':>11}"
@@ -79,8 +96,14 @@ def main(names: list[str]) -> dict[str, float]:
         if names and not any(name.startswith(chosen) for chosen in names):
             continue
         scan = vb.scan(ROD, peer.surface, TRAIL, finite_radius=True)
-        own = best_of(20, lambda: vb.scan(ROD, peer.surface, TRAIL, finite_radius=True), TRAIL.count)  # noqa: B023
-        model = mujoco.MjModel.from_xml_string(chains.chain(SEGMENTS, chains.hinges, peer.geom, peer.assets))
+        own = best_of(
+            20,
+            lambda surface=peer.surface: vb.scan(ROD, surface, TRAIL, finite_radius=True),
+            TRAIL.count,
+        )
+        model = mujoco.MjModel.from_xml_string(
+            chains.chain(SEGMENTS, chains.hinges, peer.geom, peer.assets)
+        )
         found = chains.settled(model, TRAIL.position / L, chains.REST / SEGMENTS)
         errors = chains.compared(scan, found)
         ratios[name] = found.microseconds / own
@@ -89,7 +112,10 @@ def main(names: list[str]) -> dict[str, float]:
         print(
             f"{name:<20}{scan.in_contact.sum():>11}{len(errors['point']):>9}{hard:>6}{own:>9.1f}{found.microseconds:>10,.0f}{ratios[name]:>7,.0f}x"
             f"{found.steps.mean():>7.0f}{restless:>10}"
-            + "".join(f"{np.median(error):>{width}.1e}" for error, width in zip(errors.values(), (9, 9, 11), strict=True)),
+            + "".join(
+                f"{np.median(error):>{width}.1e}"
+                for error, width in zip(errors.values(), (9, 9, 11), strict=True)
+            ),
             flush=True,
         )
     return ratios

@@ -1,4 +1,6 @@
-"""Cold costs, each in a fresh process: imports, first calls, memory. This module itself loads nothing heavy."""
+"""Cold costs, each in a fresh process: imports, first calls, memory. This module itself loads
+nothing heavy.
+"""
 
 import json
 import resource
@@ -74,7 +76,14 @@ def _peak() -> float:
 
 
 def _in_fresh_process(name: str) -> dict[str, float]:
-    # The child inherits the core, the environment, and as a floor of its own the peak memory of this process.
+    # The child inherits the core, the environment, and as a floor of its own the peak memory of
+    # this process.
     script = f"import json, cold; print(json.dumps(cold.{name}()))"
-    done = subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parent, check=True, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=Path(__file__).parent,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
     return json.loads(done.stdout)

@@ -1,8 +1,11 @@
-"""Scans of scenes in which something is exactly level, coplanar, parallel, grazing or centred: `python benchmarks/degenerate.py [NAME ...]`.
+"""Scans of scenes in which something is exactly level, coplanar, parallel, grazing or centred:
+`python benchmarks/degenerate.py [NAME ...]`.
 
-A steel wire of 50 mm × 0.5 mm, touched with its skin. For each scene: positions, how many say OK, how many say by name that the scene is degenerate (HEAD_ON,
-PENETRATING, LATERALLY_UNSTABLE, CLAMP_INSIDE), how many are left as NOT_CONVERGED or NO_EQUILIBRIUM, snaps, and what was raised. Boxes of twelve triangles are compared
-with the box itself: positions that differ in kind or status, and the largest difference of contacts [µm] and forces [EI/L²] on the others. Names choose scenes by
+A steel wire of 50 mm × 0.5 mm, touched with its skin. For each scene: positions, how many say OK,
+how many say by name that the scene is degenerate (HEAD_ON, PENETRATING, LATERALLY_UNSTABLE,
+CLAMP_INSIDE), how many are left as NOT_CONVERGED or NO_EQUILIBRIUM, snaps, and what was raised.
+Boxes of twelve triangles are compared with the box itself: positions that differ in kind or status,
+and the largest difference of contacts [µm] and forces [EI/L²] on the others. Names choose scenes by
 how they begin.
 """
 
@@ -33,7 +36,12 @@ class Scene(NamedTuple):
     trail: vb.Trail
 
 
-def line(start: tuple[float, ...], stop: tuple[float, ...], turned: Rotation | None = None, count: int = COUNT) -> vb.Trail:
+def line(
+    start: tuple[float, ...],
+    stop: tuple[float, ...],
+    turned: Rotation | None = None,
+    count: int = COUNT,
+) -> vb.Trail:
     """Straight, in millimetres, the rod along z before it is turned."""
     share = np.linspace(0, 1, count)[:, None]
     position = (np.array(start) * (1 - share) + np.array(stop) * share) / 1000
@@ -43,7 +51,10 @@ def line(start: tuple[float, ...], stop: tuple[float, ...], turned: Rotation | N
 
 def joined(*trails: vb.Trail) -> vb.Trail:
     """One after the other."""
-    return vb.Trail(np.concatenate([part.position for part in trails]), np.concatenate([part.orientation for part in trails]))
+    return vb.Trail(
+        np.concatenate([part.position for part in trails]),
+        np.concatenate([part.orientation for part in trails]),
+    )
 
 
 def around(start: tuple[float, ...], axis: str, angles: tuple[float, float]) -> vb.Trail:
@@ -73,11 +84,20 @@ WAYS = {
     "round a corner": joined(line((20, 1, 0), (2, 1, 0)), line((2, 1, 0), (2, 20, 0))),
     "from below": line((1, 1, -10), (1, 1, 2)),
 }
-LEVELS = {"level": 0.0, "skin level": RADIUS, "level less a radius": -RADIUS, "a nanometre in": -1e-9, "half way": -0.01, "deep": -0.018}
+LEVELS = {
+    "level": 0.0,
+    "skin level": RADIUS,
+    "level less a radius": -RADIUS,
+    "a nanometre in": -1e-9,
+    "half way": -0.01,
+    "deep": -0.018,
+}
 
 
 def boxes(kind: str) -> Iterator[Scene]:
-    """A box whose lower face is level with the tip, or nearly, and the same leaning rod against its edges."""
+    """A box whose lower face is level with the tip, or nearly, and the same leaning rod against its
+    edges.
+    """
     for level, height in LEVELS.items():
         center = np.array([0, 0, LENGTH + HALF[2] + height])
         surface = box(kind, center)
@@ -89,8 +109,16 @@ def boxes(kind: str) -> Iterator[Scene]:
         for azimuth in (0.0, 90.0, 45.0):
             turn = tipped(angle, azimuth)
             at = 1000 * (np.array([0, 0, LENGTH]) - 0.055 * turn.apply([0, 0, 1]))
-            for sideways, way in ((turn.apply(UP), "on"), (turn.apply(ASIDE), "across"), (np.array(UP), "up")):
-                yield Scene(f"{kind}, rod at {angle:g}/{azimuth:g}, {way}", surface, line(at - 14 * sideways, at + 14 * sideways, turn))
+            for sideways, way in (
+                (turn.apply(UP), "on"),
+                (turn.apply(ASIDE), "across"),
+                (np.array(UP), "up"),
+            ):
+                yield Scene(
+                    f"{kind}, rod at {angle:g}/{azimuth:g}, {way}",
+                    surface,
+                    line(at - 14 * sideways, at + 14 * sideways, turn),
+                )
     yield Scene(f"{kind}, turning about x", surface, around((0, -20, 10), "x", (-60, 10)))
     yield Scene(f"{kind}, turning about z", surface, around((0, 0, -9), "z", (0, 90)))
 
@@ -118,8 +146,15 @@ def box(kind: str, center: np.ndarray) -> surfaces.Surface:
 
 
 def round_objects() -> Iterator[Scene]:
-    """Balls, cylinders, cones, capsules and rings, touched where they are level with the tip, parallel to the rod, or symmetric."""
-    below = {"touching": LENGTH, "skin touching": LENGTH + RADIUS, "pressed": LENGTH - RADIUS, "deep": LENGTH - 0.01}
+    """Balls, cylinders, cones, capsules and rings, touched where they are level with the tip,
+    parallel to the rod, or symmetric.
+    """
+    below = {
+        "touching": LENGTH,
+        "skin touching": LENGTH + RADIUS,
+        "pressed": LENGTH - RADIUS,
+        "deep": LENGTH - 0.01,
+    }
     ways = {
         "along x": line((20, 0, 0), (-20, 0, 0)),
         "along y": line((0, 20, 0), (0, -20, 0)),
@@ -156,10 +191,16 @@ def scanned(scene: Scene) -> tuple[vb.Scan | None, str]:
         return None, f"{scene.name:48s} raised {type(error).__name__}: {error}"
     fine, left = int(np.sum(scan.status == vb.Status.OK)), int(np.isin(scan.status, UNNAMED).sum())
     snaps = sum(event.kind == vb.EventKind.SNAP for event in scan.events)
-    lost = sum(not np.isfinite([event.parameter, *event.clamp, *event.point]).all() for event in scan.events)
+    lost = sum(
+        not np.isfinite([event.parameter, *event.clamp, *event.point]).all()
+        for event in scan.events
+    )
     said = " ".join(vb.Status(status).name for status in np.unique(scan.status) if status)
     wrong = f", {lost} events not finite" if lost else ""
-    return scan, f"{scene.name:48s} {scan.status.size:4d} {fine:4d} {scan.status.size - fine - left:4d} {left:4d} {snaps:4d}  {said}{wrong}"
+    return (
+        scan,
+        f"{scene.name:48s} {scan.status.size:4d} {fine:4d} {scan.status.size - fine - left:4d} {left:4d} {snaps:4d}  {said}{wrong}",
+    )
 
 
 def compared(ours: vb.Scan, theirs: vb.Scan) -> str:
@@ -167,7 +208,10 @@ def compared(ours: vb.Scan, theirs: vb.Scan) -> str:
     same = (ours.kind == theirs.kind) & (ours.status == theirs.status)
     both = same & ours.in_contact & np.isfinite(ours.energy) & np.isfinite(theirs.energy)
     away = 1e6 * np.linalg.norm(ours.point - theirs.point, axis=-1)[both].max(initial=0)
-    force = np.linalg.norm(ours.reactions.force - theirs.reactions.force, axis=-1)[both].max(initial=0) / ROD.force_scale
+    force = (
+        np.linalg.norm(ours.reactions.force - theirs.reactions.force, axis=-1)[both].max(initial=0)
+        / ROD.force_scale
+    )
     return f"   mesh: {int((~same).sum()):4d} differ, {away:.1e} µm, {force:.1e}"
 
 
@@ -181,15 +225,29 @@ def main() -> None:
     if not names or any("mesh" in name for name in names):
         scenes += boxes("mesh")
     for scene in scenes:
-        if names and not any(scene.name.startswith(name) or (name == "mesh" and scene.name.startswith("box")) for name in names):
+        if names and not any(
+            scene.name.startswith(name) or (name == "mesh" and scene.name.startswith("box"))
+            for name in names
+        ):
             continue
         scan, text = scanned(scene)
         kind, _, rest = scene.name.partition(", ")
         other = exact.get(rest) if kind == "mesh" else None
         if kind == "box":
             exact[rest] = scan
-        print(text + (compared(scan, other) if scan is not None and other is not None else ""), flush=True)
-        sums += [1, scan is None, *(np.array(text[48:].split()[1:5], dtype=int)[[0, 1, 2]] if scan is not None else (0, 0, 0))]
+        print(
+            text + (compared(scan, other) if scan is not None and other is not None else ""),
+            flush=True,
+        )
+        sums += [
+            1,
+            scan is None,
+            *(
+                np.array(text[48:].split()[1:5], dtype=int)[[0, 1, 2]]
+                if scan is not None
+                else (0, 0, 0)
+            ),
+        ]
     print(f"{sums[0]} scenes, {sums[1]} raised; rows: {sums[2]} OK, {sums[3]} said, {sums[4]} left")
 
 

@@ -1,8 +1,11 @@
-"""What error bars hold and what is said where something is not as the setup says: `python benchmarks/effects.py [--only NAME ...] [-o TABLE.md]`.
+"""What error bars hold and what is said where something is not as the setup says: `python
+benchmarks/effects.py [--only NAME ...] [-o TABLE.md]`.
 
-Recordings of independent engines, with truth: those beside the checkout, and those of `bench_recordings.py`, which are made where they are missing (`--made
-FOLDER`; three minutes). Each is reconstructed and smoothed without tolerances (`--tolerances none`), with a tolerance of the thing that is off, as large as it
-is off (`own`, where there is such a tolerance), and with the usual ones of a careful bench (`usual`). `--reference TABLE.csv` compares the noise's share of the
+Recordings of independent engines, with truth: those beside the checkout, and those of
+`bench_recordings.py`, which are made where they are missing (`--made FOLDER`; three minutes). Each
+is reconstructed and smoothed without tolerances (`--tolerances none`), with a tolerance of the
+thing that is off, as large as it is off (`own`, where there is such a tolerance), and with the
+usual ones of a careful bench (`usual`). `--reference TABLE.csv` compares the noise's share of the
 error bars with an earlier run of this program. A row that fails says how.
 """
 
@@ -52,7 +55,9 @@ SHARED_EFFECTS = {
 
 
 class Case(NamedTuple):
-    """A recording; its truth: contacts (n, 3), NaN where there is none; the setup's text; what is off, how much, and the line of [tolerances] that allows for it."""
+    """A recording; its truth: contacts (n, 3), NaN where there is none; the setup's text; what is
+    off, how much, and the line of [tolerances] that allows for it.
+    """
 
     name: str
     recording: Path
@@ -65,7 +70,9 @@ class Case(NamedTuple):
 
 @dataclass
 class Row:
-    """A line of the table: medians of error and stated deviation [mm]; shares [%] of the true contacts that were found; the first warnings."""
+    """A line of the table: medians of error and stated deviation [mm]; shares [%] of the true
+    contacts that were found; the first warnings.
+    """
 
     name: str
     effect: str
@@ -94,14 +101,22 @@ def cases(only: list[str], made: Path, scratch: Path) -> Iterator[Case]:
         truth = np.load(path.with_name(f"{name}.truth.npz"))
         point = np.where(truth["ic"][:, None], truth["p"], np.nan)
         setup = path.with_name(f"{name}.toml").read_text()
-        yield Case(name, scratch / f"{name}.csv", setup, point, *SHARED_EFFECTS.get(name, ("none", "", "")))
+        yield Case(
+            name, scratch / f"{name}.csv", setup, point, *SHARED_EFFECTS.get(name, ("none", "", ""))
+        )
     for path in sorted((SHARED / "sphere_60mm").glob("*/*.truth.csv")):
         name = f"{path.parent.name}/{path.name.removesuffix('.truth.csv')}"
         if not only or name in only:
             table = np.genfromtxt(path, delimiter=",", names=True)
-            point = np.where(table["in_contact"][:, None] == 1, np.stack([table[axis] for axis in "xyz"], axis=1), np.nan)
+            point = np.where(
+                table["in_contact"][:, None] == 1,
+                np.stack([table[axis] for axis in "xyz"], axis=1),
+                np.nan,
+            )
             setup = (SHARED / "sphere_60mm" / "setup.toml").read_text()
-            yield Case(name, path.with_name(path.name.replace(".truth", "")), setup, point, "none", "", "")
+            yield Case(
+                name, path.with_name(path.name.replace(".truth", "")), setup, point, "none", "", ""
+            )
     yield from _made(only, made)
 
 
@@ -118,11 +133,21 @@ def _made(only: list[str], folder: Path) -> Iterator[Case]:
             made(recording, folder / "runs", seed_of(name)).write(folder, name)
         truth = np.load(folder / f"{name}.truth.npz")
         setup = (folder / f"{name}.toml").read_text()
-        yield Case(name, folder / f"{name}.csv", setup, truth["p"], recording.effect, recording.size, recording.tolerance)
+        yield Case(
+            name,
+            folder / f"{name}.csv",
+            setup,
+            truth["p"],
+            recording.effect,
+            recording.size,
+            recording.tolerance,
+        )
 
 
 def row_of(case: Case, label: str, tolerances: str, scratch: Path) -> Row:
-    """Reconstruct and smooth one recording with the tolerances given as TOML; a failure is said in the row."""
+    """Reconstruct and smooth one recording with the tolerances given as TOML; a failure is said in
+    the row.
+    """
     row = Row(case.name, case.effect, case.size, label)
     file = scratch / "setup.toml"
     file.write_text(case.setup + (f"\n[tolerances]\n{tolerances}\n" if tolerances else ""))
@@ -140,7 +165,9 @@ def row_of(case: Case, label: str, tolerances: str, scratch: Path) -> Row:
     said = [*getattr(smooth, "warnings", ()), *getattr(found, "warnings", ())]
     said += [str(one.message) for one in caught if issubclass(one.category, vb.RecordingWarning)]
     said = list(dict.fromkeys(said))
-    row.said = " | ".join(" ".join(line.split())[:_SHORT] for line in said[:3]) + (f" (+{len(said) - 3})" if len(said) > 3 else "")
+    row.said = " | ".join(" ".join(line.split())[:_SHORT] for line in said[:3]) + (
+        f" (+{len(said) - 3})" if len(said) > 3 else ""
+    )
     judge(row, smooth, case.point)
     return row
 
@@ -157,7 +184,12 @@ def judge(row: Row, found: vb.Reconstruction, truth: np.ndarray) -> None:
     covariance = found.covariance[rows]
     finite = np.all(np.isfinite(covariance), axis=(1, 2))
     square = np.full(len(error), np.inf)
-    square[finite] = np.einsum("ni,nij,nj->n", error[finite], np.linalg.pinv(covariance[finite], hermitian=True), error[finite])
+    square[finite] = np.einsum(
+        "ni,nij,nj->n",
+        error[finite],
+        np.linalg.pinv(covariance[finite], hermitian=True),
+        error[finite],
+    )
     ok = found.status[rows] == vb.Status.OK
     inside, distance = square < chi2.isf(0.05, 3), 1e3 * np.linalg.norm(error, axis=1)
     row.error, row.deviation = float(np.median(distance)), _largest(covariance[finite])
@@ -174,9 +206,15 @@ def _largest(covariance: np.ndarray) -> float:
 
 
 def compare(rows: list[Row], reference: Path) -> None:
-    """Enter the noise's deviation over that of the same recording in an earlier table, without tolerances."""
+    """Enter the noise's deviation over that of the same recording in an earlier table, without
+    tolerances.
+    """
     with reference.open(newline="") as file:
-        before = {line["name"]: float(line["noise"]) for line in csv.DictReader(file) if line["tolerances"] == "none"}
+        before = {
+            line["name"]: float(line["noise"])
+            for line in csv.DictReader(file)
+            if line["tolerances"] == "none"
+        }
     for row in rows:
         row.noise_ratio = row.noise / before.get(row.name, np.nan)
 
@@ -191,8 +229,13 @@ def as_markdown(rows: list[Row]) -> str:
     places = (3, 3, 3, 2, 0, 0, 0, 0, 1, 1)
     for row in rows:
         values = list(asdict(row).values())
-        numbers = ["" if np.isnan(value) else f"{value:.{digits}f}" for value, digits in zip(values[4:-1], places, strict=True)]
-        lines.append("| " + " | ".join([*values[:4], *numbers, values[-1].replace("|", "·")]) + " |")
+        numbers = [
+            "" if np.isnan(value) else f"{value:.{digits}f}"
+            for value, digits in zip(values[4:-1], places, strict=True)
+        ]
+        lines.append(
+            "| " + " | ".join([*values[:4], *numbers, values[-1].replace("|", "·")]) + " |"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -207,7 +250,9 @@ def write(rows: list[Row], path: Path) -> None:
         out.writerows(map(asdict, rows))
 
 
-def main(only: list[str], tolerances: list[str], made: Path, output: list[Path], reference: Path | None) -> list[Row]:
+def main(
+    only: list[str], tolerances: list[str], made: Path, output: list[Path], reference: Path | None
+) -> list[Row]:
     """Print lines as they come; write and return the table."""
     rows: list[Row] = []
     with TemporaryDirectory() as folder:
@@ -226,11 +271,28 @@ def main(only: list[str], tolerances: list[str], made: Path, output: list[Path],
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME")
-    parser.add_argument("--tolerances", nargs="+", choices=("none", "own", "usual"), default=["none", "own", "usual"])
-    parser.add_argument("--made", type=Path, default=CACHE, metavar="FOLDER", help="of the recordings made here")
-    parser.add_argument("-o", "--output", type=Path, nargs="+", default=[], metavar="TABLE", help="Markdown, or CSV by its suffix")
+    parser.add_argument(
+        "--tolerances",
+        nargs="+",
+        choices=("none", "own", "usual"),
+        default=["none", "own", "usual"],
+    )
+    parser.add_argument(
+        "--made", type=Path, default=CACHE, metavar="FOLDER", help="of the recordings made here"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="TABLE",
+        help="Markdown, or CSV by its suffix",
+    )
     parser.add_argument("--reference", type=Path, metavar="TABLE.csv")
     given = parser.parse_args()
     main(given.only, given.tolerances, given.made, given.output, given.reference)

@@ -1,7 +1,8 @@
-"""Sweeps of an independent engine: a chain of capsules with bending springs, stepped to rest by MuJoCo under rigid objects.
+"""Sweeps of an independent engine: a chain of capsules with bending springs, stepped to rest by
+MuJoCo under rigid objects.
 
-As in `chains.py`, in units with L = EI = 1, and with more of a bench: wires that taper, are bent at rest or have weight; friction; clamps that turn; objects
-that are rounded or concave.
+As in `chains.py`, in units with L = EI = 1, and with more of a bench: wires that taper, are bent at
+rest or have weight; friction; clamps that turn; objects that are rounded or concave.
 """
 
 from collections.abc import Callable
@@ -16,13 +17,17 @@ from chains import MOST_STEPS, REST
 
 SEGMENTS = 36
 SKIN = 10e-6
-"""Half the thickness of wires and contacts [m]: a fifth of a per mille of 50 mm, so that contact is on the centre line."""
+"""Half the thickness of wires and contacts [m]: a fifth of a per mille of 50 mm, so that contact is
+on the centre line.
+"""
 GRAVITY = 9.80665
 
 _STEP, _AT_ONCE = 0.3, 5
 _MASS = 1e-3
 _RUBBING = 20
-"""By which the limit of rest is wider with friction: the engine's friction gives way slowly where the rod should stick."""
+"""By which the limit of rest is wider with friction: the engine's friction gives way slowly where
+the rod should stick.
+"""
 _ONE_CONTACT = 0.98
 """Share of the load that one body of the object carries where the wire touches it alone."""
 
@@ -61,12 +66,21 @@ class Wire:
     @property
     def weight(self) -> float:
         """Of the whole over EI/L²."""
-        return self.density * np.pi * self.radius**2 * self.length * GRAVITY / (self.stiffness / self.length**2)
+        return (
+            self.density
+            * np.pi
+            * self.radius**2
+            * self.length
+            * GRAVITY
+            / (self.stiffness / self.length**2)
+        )
 
 
 @dataclass(frozen=True)
 class Body:
-    """A part of an object: MuJoCo's kind and sizes [m], place (3,) [m] and turn. `rounding` [m] is added all around it; all parts of an object have the same."""
+    """A part of an object: MuJoCo's kind and sizes [m], place (3,) [m] and turn. `rounding` [m] is
+    added all around it; all parts of an object have the same.
+    """
 
     kind: str
     size: tuple[float, ...]
@@ -103,20 +117,36 @@ class Run:
 
 
 def swept(
-    wire: Wire, bodies: list[Body], position: np.ndarray, orientation: np.ndarray, friction: float = 0.0, segments: int = SEGMENTS
+    wire: Wire,
+    bodies: list[Body],
+    position: np.ndarray,
+    orientation: np.ndarray,
+    friction: float = 0.0,
+    segments: int = SEGMENTS,
 ) -> Run:
     """Step to rest at each pose of the clamp (n, 3), (n, 4)."""
     model = mujoco.MjModel.from_xml_string(_model(wire, bodies, friction, segments))
     data = mujoco.MjData(model)
     thickness = (SKIN + bodies[0].rounding) / wire.length
     rows = len(position)
-    wrench, point, twice, rests = np.zeros((rows, 6)), np.full((rows, 3), np.nan), np.zeros(rows, dtype=bool), np.zeros(rows, dtype=bool)
+    wrench, point, twice, rests = (
+        np.zeros((rows, 6)),
+        np.full((rows, 3), np.nan),
+        np.zeros(rows, dtype=bool),
+        np.zeros(rows, dtype=bool),
+    )
     for row in range(rows):
-        data.mocap_pos[0], data.mocap_quat[0] = position[row] / wire.length, np.roll(orientation[row], 1)
+        data.mocap_pos[0], data.mocap_quat[0] = (
+            position[row] / wire.length,
+            np.roll(orientation[row], 1),
+        )
         rests[row] = _rests(model, data, (_RUBBING if friction else 1) * REST / segments)
         wrench[row] = data.sensordata
         point[row], twice[row] = _touch(model, data, thickness)
-    force, moment = wrench[:, :3] * wire.stiffness / wire.length**2, wrench[:, 3:] * wire.stiffness / wire.length
+    force, moment = (
+        wrench[:, :3] * wire.stiffness / wire.length**2,
+        wrench[:, 3:] * wire.stiffness / wire.length,
+    )
     return Run(position, orientation, force, moment, point * wire.length, twice, rests)
 
 
@@ -158,9 +188,12 @@ def _text(lengths: object) -> str:
 
 
 def _model(wire: Wire, bodies: list[Body], friction: float, segments: int) -> str:
-    """MJCF: the object, the clamp a mocap body, a half segment fixed to it, then the joints: pairs of hinges with the stiffness and the bend of a length h."""
+    """MJCF: the object, the clamp a mocap body, a half segment fixed to it, then the joints: pairs
+    of hinges with the stiffness and the bend of a length h.
+    """
     h, r, unit = 1 / segments, (SKIN + bodies[0].rounding) / wire.length, wire.length
-    # A parabola of sagitta b over L has the curvature 8 b/L²; towards +x is a turn about +y, towards +y one about -x.
+    # A parabola of sagitta b over L has the curvature 8 b/L²; towards +x is a turn about +y,
+    # towards +y one about -x.
     bend = 8 * np.array(wire.sagitta) / wire.length * h
     links = ""
     for i in range(segments):

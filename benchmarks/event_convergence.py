@@ -1,7 +1,9 @@
-"""Positions of events under halved steps, and the order at which they converge: `python benchmarks/event_convergence.py`.
+"""Positions of events under halved steps, and the order at which they converge: `python
+benchmarks/event_convergence.py`.
 
-Without friction an event does not depend on the trail's step: it is located on the branch itself. With friction a state depends on its past, and the
-implicit step of Coulomb's law makes events converge with the step.
+Without friction an event does not depend on the trail's step: it is located on the branch itself.
+With friction a state depends on its past, and the implicit step of Coulomb's law makes events
+converge with the step.
 """
 
 import numpy as np
@@ -20,8 +22,13 @@ def trail(y0: float, count: int, *, back: bool) -> vb.Trail:
 
 
 def table(title: str, y0: float, friction: float, *, back: bool) -> None:
-    """One line an event: its parameter on the finest trail, the errors of the coarser ones, and the order of the last halving."""
-    scans = [vb.scan(vb.Rod.unit(), BOWL, trail(y0, count, back=back), friction=friction) for count in COUNTS]
+    """One line an event: its parameter on the finest trail, the errors of the coarser ones, and the
+    order of the last halving.
+    """
+    scans = [
+        vb.scan(vb.Rod.unit(), BOWL, trail(y0, count, back=back), friction=friction)
+        for count in COUNTS
+    ]
     print(f"\n{title}\nsteps {', '.join(str(count - 1) for count in COUNTS)}")
     kinds = [[event.kind for event in scan.events] for scan in scans]
     shared = [scan for scan, kind in zip(scans, kinds, strict=True) if kind == kinds[-1]]
@@ -32,9 +39,15 @@ def table(title: str, y0: float, friction: float, *, back: bool) -> None:
         values = np.array([scan.events[index].parameter for scan in shared])
         errors = np.abs(values[:-1] - values[-1])
         changes = np.abs(np.diff(values))
-        order = np.log2(changes[-2] / changes[-1]) if len(changes) > 1 and changes[-1] > 1e-12 else np.nan
+        order = (
+            np.log2(changes[-2] / changes[-1])
+            if len(changes) > 1 and changes[-1] > 1e-12
+            else np.nan
+        )
         shown = " ".join(f"{error:.1e}" for error in errors)
-        print(f"  {event.kind.name:20s} {event.parameter:.12f}  {shown}  {'exact' if np.isnan(order) else f'order {order:.1f}'}")
+        print(
+            f"  {event.kind.name:20s} {event.parameter:.12f}  {shown}  {'exact' if np.isnan(order) else f'order {order:.1f}'}"
+        )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
 """Speed of `vb.scan` by kind of object, on one core: `python benchmarks/kinds.py [NAME ...]`.
 
-Every trail of an object runs from just before its first contact to where the rod leaves the object, or to the first hard event: a snap or a change of lateral
-stability, which is followed by hand and costs about 30 ms wherever it is. So nearly all positions are in contact, and marched. Meshes are left out where their
-libraries are not installed; the time of the first call does not hold the time that a mesh takes to be built.
+Every trail of an object runs from just before its first contact to where the rod leaves the object,
+or to the first hard event: a snap or a change of lateral stability, which is followed by hand and
+costs about 30 ms wherever it is. So nearly all positions are in contact, and marched. Meshes are
+left out where their libraries are not installed; the time of the first call does not hold the time
+that a mesh takes to be built.
 """
 
 import sys
@@ -28,7 +30,9 @@ _CENTER, _TURN = (0.0, 0.0, 1.15), (0.1, -0.2, 0.15, 1.0)
 
 
 class Figures(NamedTuple):
-    """Of one object: seconds of the first call; microseconds a position in a batch and on one trail; share of positions in contact and in tangential contact."""
+    """Of one object: seconds of the first call; microseconds a position in a batch and on one
+    trail; share of positions in contact and in tangential contact.
+    """
 
     first: float
     batch: float
@@ -45,19 +49,36 @@ def objects() -> dict[str, Callable[[], vb.surfaces.Surface]]:
         "EllipticParaboloid": lambda: s.EllipticParaboloid(a=0.5, b=1.0, h=0.4),
         "Sphere": lambda: s.Sphere(center=_CENTER, radius=0.6),
         "Ellipsoid": lambda: s.Ellipsoid(center=_CENTER, semi_axes=axes),
-        "Ellipsoid, placed": lambda: s.Ellipsoid(center=(0, 0, 0), semi_axes=axes).placed(_TURN, _CENTER),
+        "Ellipsoid, placed": lambda: s.Ellipsoid(center=(0, 0, 0), semi_axes=axes).placed(
+            _TURN, _CENTER
+        ),
         "Plane": lambda: s.Plane(point=(-0.6, 0, 0), normal=(1.0, 0.3, -0.3)),
-        "EllipticCylinder, placed": lambda: s.EllipticCylinder(center=(0, 0, 0), semi_axes=(0.6, 0.5)).placed((0.25, 0, 0.1, 1), _CENTER),
+        "EllipticCylinder, placed": lambda: s.EllipticCylinder(
+            center=(0, 0, 0), semi_axes=(0.6, 0.5)
+        ).placed((0.25, 0, 0.1, 1), _CENTER),
         "HeightField, a paraboloid": lambda: s.HeightField(lambda x, y: 0.5 * x**2 + y**2 + 0.4),
-        "HeightField, waves": lambda: s.HeightField(lambda x, y: 0.5 * x**2 + y**2 + 0.4 + 0.005 * jnp.sin(8 * x) * jnp.cos(6 * y)),
-        "Implicit, a sphere": lambda: s.Implicit(lambda p: jnp.sqrt(jnp.sum((p - jnp.array(_CENTER)) ** 2)) - 0.6),
+        "HeightField, waves": lambda: s.HeightField(
+            lambda x, y: 0.5 * x**2 + y**2 + 0.4 + 0.005 * jnp.sin(8 * x) * jnp.cos(6 * y)
+        ),
+        "Implicit, a sphere": lambda: s.Implicit(
+            lambda p: jnp.sqrt(jnp.sum((p - jnp.array(_CENTER)) ** 2)) - 0.6
+        ),
         "Box": lambda: s.Box(center=(0, 0, 0), half_extents=(0.5, 0.4, 0.4)).placed(_TURN, _CENTER),
         "Cylinder": lambda: s.Cylinder(center=_CENTER, axis=(0.3, 1, 0.2), radius=0.5, length=1.0),
         "Capsule": lambda: s.Capsule(center=_CENTER, axis=(0.3, 1, 0.2), radius=0.5, length=1.0),
         "Cone": lambda: s.Cone(center=(0.1, 0, 1.6), axis=(0.1, 0.1, -1), radius=0.6, height=1.2),
-        "Superquadric": lambda: s.Superquadric(center=_CENTER, semi_axes=axes, exponents=(0.6, 0.6)),
-        "Torus": lambda: s.Torus(center=_CENTER, axis=(0.2, 0.3, 1), major_radius=0.5, minor_radius=0.2),
-        "Union": lambda: s.Union([s.Sphere(center=(-0.3, 0, 1.15), radius=0.5), s.Sphere(center=(0.3, 0.1, 1.15), radius=0.5)]),
+        "Superquadric": lambda: s.Superquadric(
+            center=_CENTER, semi_axes=axes, exponents=(0.6, 0.6)
+        ),
+        "Torus": lambda: s.Torus(
+            center=_CENTER, axis=(0.2, 0.3, 1), major_radius=0.5, minor_radius=0.2
+        ),
+        "Union": lambda: s.Union(
+            [
+                s.Sphere(center=(-0.3, 0, 1.15), radius=0.5),
+                s.Sphere(center=(0.3, 0.1, 1.15), radius=0.5),
+            ]
+        ),
         "Mesh, 1280 faces": lambda: s.Mesh(*_ball_mesh(3)),
         "Mesh, 81920 faces": lambda: s.Mesh(*_ball_mesh(6)),
     }
@@ -83,7 +104,9 @@ def figures(surface: vb.surfaces.Surface) -> Figures:
 
 
 def _in_contact(surface: vb.surfaces.Surface) -> vb.Trail:
-    """Trails along −x, y = 0.1 to 0.35, each from just before its first contact to the end of it, or to before the first hard event of a sweep."""
+    """Trails along −x, y = 0.1 to 0.35, each from just before its first contact to the end of it,
+    or to before the first hard event of a sweep.
+    """
     x, y = np.linspace(1.4, -1.4, POSITIONS), np.linspace(0.1, 0.35, TRAILS)
     wide = np.zeros((TRAILS, POSITIONS, 3))
     wide[..., 0], wide[..., 1] = x, y[:, None]
@@ -112,7 +135,9 @@ def _ball_mesh(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
 def main(names: list[str]) -> dict[str, Figures]:
     """Print the table and return it; names choose among the kinds by how they begin."""
     print(f"{TRAILS} trails x {POSITIONS} positions, and one of them; µs a position, one core\n")
-    print(f"{'object':<30}{'first call, s':>14}{'batch':>10}{'ratio':>8}{'one trail':>12}{'in contact':>12}{'tangential':>12}")
+    print(
+        f"{'object':<30}{'first call, s':>14}{'batch':>10}{'ratio':>8}{'one trail':>12}{'in contact':>12}{'tangential':>12}"
+    )
     found: dict[str, Figures] = {}
     for name, build in objects().items():
         if names and not any(name.startswith(chosen) for chosen in names):

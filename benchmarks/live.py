@@ -1,4 +1,6 @@
-"""The live stream against the simulated sensor, on the loopback address: `python benchmarks/live.py [losses|kills] ...`. The README says what is printed."""
+"""The live stream against the simulated sensor, on the loopback address: `python benchmarks/live.py
+[losses|kills] ...`. The README says what is printed.
+"""
 
 import json
 import os
@@ -80,7 +82,17 @@ def vibrissa(*arguments: object, core: int) -> list[str]:
 def sensor(folder: Path, core: int, *options: object) -> Iterator[int]:
     """A simulated sensor; its port."""
     command = vibrissa(
-        "simulate-sensor", folder / "case.toml", "--setup", folder / "setup.toml", "--port", 0, "--rest", 1.0, "--json", *options, core=core
+        "simulate-sensor",
+        folder / "case.toml",
+        "--setup",
+        folder / "setup.toml",
+        "--port",
+        0,
+        "--rest",
+        1.0,
+        "--json",
+        *options,
+        core=core,
     )
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
@@ -108,7 +120,8 @@ def cores() -> tuple[int, int]:
 def losses(folder: Path, rate: int, seconds: int, *, buffered: bool) -> dict[str, object]:
     """Stream for so long; the summary of `vibrissa live`."""
     (folder / "setup.toml").write_text(
-        SETUP.format(rate=float(rate), buffered=str(buffered).lower(), sweep=float(seconds)), encoding="utf-8"
+        SETUP.format(rate=float(rate), buffered=str(buffered).lower(), sweep=float(seconds)),
+        encoding="utf-8",
     )
     first, last = cores()
     file = folder / f"{rate}_{seconds}_{buffered}.mcap"
@@ -131,32 +144,52 @@ def losses(folder: Path, rate: int, seconds: int, *, buffered: bool) -> dict[str
 
 
 def wrench_stamps(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps [ns] and numbers of all wrenches in a file, read with `mcap`; `rosbags` has to find the same messages."""
+    """Stamps [ns] and numbers of all wrenches in a file, read with `mcap`; `rosbags` has to find
+    the same messages.
+    """
     from mcap.reader import make_reader  # noqa: PLC0415
     from rosbags.highlevel import AnyReader  # noqa: PLC0415
 
     with file.open("rb") as stream:
         mcap = [
-            (channel.topic, message.log_time, message.data, message.sequence) for _, channel, message in make_reader(stream).iter_messages()
+            (channel.topic, message.log_time, message.data, message.sequence)
+            for _, channel, message in make_reader(stream).iter_messages()
         ]
     with AnyReader([file]) as reader:
-        bag = [(connection.topic, moment, bytes(data)) for connection, moment, data in reader.messages()]
+        bag = [
+            (connection.topic, moment, bytes(data))
+            for connection, moment, data in reader.messages()
+        ]
     assert [row[:3] for row in mcap] == bag, "the two readers differ"
     wrenches = [row for row in mcap if row[0] == "/vibrissa/wrench"]
-    stamps = [int.from_bytes(row[2][4:8], "little") * 10**9 + int.from_bytes(row[2][8:12], "little") for row in wrenches]
+    stamps = [
+        int.from_bytes(row[2][4:8], "little") * 10**9 + int.from_bytes(row[2][8:12], "little")
+        for row in wrenches
+    ]
     return np.array(stamps, dtype=np.int64), np.array([row[3] for row in wrenches], dtype=np.int64)
 
 
 def kills(folder: Path, count: int) -> list[dict[str, object]]:
     """Kill the stream at random moments, and look at what its files hold."""
-    (folder / "setup.toml").write_text(SETUP.format(rate=1000.0, buffered="false", sweep=5.0), encoding="utf-8")
+    (folder / "setup.toml").write_text(
+        SETUP.format(rate=1000.0, buffered="false", sweep=5.0), encoding="utf-8"
+    )
     first, last = cores()
     chance = random.Random(1)
     rows = []
     for number in range(count):
         file = folder / f"killed_{number}.mcap"
         with sensor(folder, first, "--sweep", 5, "--repeat", "--seed", number) as port:
-            command = vibrissa("live", "--source", f"netft://127.0.0.1:{port}", "--setup", folder / "setup.toml", "--sink", file, core=last)
+            command = vibrissa(
+                "live",
+                "--source",
+                f"netft://127.0.0.1:{port}",
+                "--setup",
+                folder / "setup.toml",
+                "--sink",
+                file,
+                core=last,
+            )
             process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
             _line(process, "first sample")
             time.sleep(chance.uniform(0.2, 6.0))
@@ -176,19 +209,25 @@ def kills(folder: Path, count: int) -> list[dict[str, object]]:
 def main(which: list[str]) -> None:
     """Print what was measured."""
     sensor_core, stream_core = cores()
-    print(f"sensor on core {sensor_core}, stream on core {stream_core}; load of the machine before: {os.getloadavg()[0]:.1f}")
+    print(
+        f"sensor on core {sensor_core}, stream on core {stream_core}; load of the machine before: {os.getloadavg()[0]:.1f}"
+    )
     with TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "case.toml").write_text(CASE, encoding="utf-8")
         for rate, seconds, buffered in RUNS if "losses" in which else ():
-            print(f"{rate} records a second for {seconds} s, {'several' if buffered else 'one'} a datagram")
+            print(
+                f"{rate} records a second for {seconds} s, {'several' if buffered else 'one'} a datagram"
+            )
             report = losses(folder, rate, seconds, buffered=buffered)
             counts = report["counts"]
             assert isinstance(counts, dict)
             print(
                 f"    samples {counts['samples']}, lost {counts['lost']}, thrown away {report['overflow']}, in the file {report['wrenches in the file']}"
             )
-            median, high = (float(str(report[key])) * 1e3 for key in ("latency_median", "latency_999"))
+            median, high = (
+                float(str(report[key])) * 1e3 for key in ("latency_median", "latency_999")
+            )
             print(
                 f"    latency median {median:.2f} ms, 99.9th percentile {high:.2f} ms; CPU share {float(str(report['cpu_share'])):.1%} of one core"
             )

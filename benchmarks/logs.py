@@ -12,8 +12,8 @@ REST_SECONDS, TARE_SECONDS = 1.0, 0.9
 ZERO = np.array([0.31, -0.12, 1.93, 2.1e-3, -4.0e-3, 0.7e-3])
 """Of the readings at rest [N, N m]."""
 _FAR, _HARD, _SUDDEN = 0.5e-3, 0.02, 5.0
-"""Contact has jumped where it moves further [m] from one position of the engine to the next, or its force by a larger share of the largest, and so many times as
-far as before and after."""
+"""Contact has jumped where it moves further [m] from one position of the engine to the next, or its
+force by a larger share of the largest, and so many times as far as before and after."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Faults:
     modulus, radius, length
         Stated over true.
     turned, shifted
-        Of the clamp in the sensor frame: rotation vector [rad] and shift [m] from where it is said to be.
+        Of the clamp in the sensor frame: rotation vector [rad] and shift [m] from where it is said
+        to be.
     delay
         By which poses come late [s].
     gain
@@ -97,14 +98,23 @@ class Log:
         folder.mkdir(parents=True, exist_ok=True)
         form = ["%.5f"] + 3 * ["%.6f"] + 4 * ["%.9f"] + 3 * ["%.6f"] + 3 * ["%.8f"]
         names = "time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
-        np.savetxt(folder / f"{name}.csv", self.table, delimiter=",", header=names, comments="", fmt=form)
+        np.savetxt(
+            folder / f"{name}.csv", self.table, delimiter=",", header=names, comments="", fmt=form
+        )
         (folder / f"{name}.toml").write_text(self.setup)
-        np.savez_compressed(folder / f"{name}.truth.npz", t=self.table[:, 0], p=self.point, ic=np.isfinite(self.point[:, 0]))
+        np.savez_compressed(
+            folder / f"{name}.truth.npz",
+            t=self.table[:, 0],
+            p=self.point,
+            ic=np.isfinite(self.point[:, 0]),
+        )
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """A run at the sensor's samples: time (n,), clamp (n, 3) and its turn, wrench of the clamp on the rod in clamp axes (n, 6), contact (n, 3)."""
+    """A run at the sensor's samples: time (n,), clamp (n, 3) and its turn, wrench of the clamp on
+    the rod in clamp axes (n, 6), contact (n, 3).
+    """
 
     time: np.ndarray
     clamp: np.ndarray
@@ -113,11 +123,14 @@ class Sampled:
     point: np.ndarray
 
 
-def logged(run: Run, wire: Wire, *, seconds: float, faults: Faults, seed: int, sensor: Sensor | None = None) -> Log:
+def logged(
+    run: Run, wire: Wire, *, seconds: float, faults: Faults, seed: int, sensor: Sensor | None = None
+) -> Log:
     """Log a run that takes `seconds` after a second of rest."""
     sensor, rng = sensor or Sensor(), np.random.default_rng(seed)
     true = sampled(run, seconds, sensor.rate)
-    # The sensor's pose from the clamp's: the clamp is mounted with the faults, the setup does not know of them.
+    # The sensor's pose from the clamp's: the clamp is mounted with the faults, the setup does not
+    # know of them.
     mounted, turned = np.array(sensor.clamp) + faults.shifted, Rotation.from_rotvec(faults.turned)
     turn = true.turn * turned.inv()
     place = true.clamp - turn.apply(mounted)
@@ -129,18 +142,28 @@ def logged(run: Run, wire: Wire, *, seconds: float, faults: Faults, seed: int, s
     table = np.column_stack([true.time, place, turn.as_quat(canonical=True), readings])
     pushed = -true.turn.apply(true.wrench[:, :3])
     direction = np.where(
-        np.isfinite(true.point), pushed / np.fmax(np.linalg.norm(pushed, axis=1, keepdims=True), np.finfo(float).tiny), np.nan
+        np.isfinite(true.point),
+        pushed / np.fmax(np.linalg.norm(pushed, axis=1, keepdims=True), np.finfo(float).tiny),
+        np.nan,
     )
     return Log(table, true.point, direction, stated(wire, sensor, faults))
 
 
 def sampled(run: Run, seconds: float, rate: float) -> Sampled:
-    """Interpolate between the engine's positions; hold across jumps, where a straight line would pass through no equilibrium."""
+    """Interpolate between the engine's positions; hold across jumps, where a straight line would
+    pass through no equilibrium.
+    """
     rows = np.flatnonzero(run.rests)
     time = (np.arange(round((REST_SECONDS + seconds) * rate)) + 0.5) / rate
-    at = np.interp(np.clip((time - REST_SECONDS) / seconds, 0, 1) * (len(run.position) - 1), rows, np.arange(len(rows)))
+    at = np.interp(
+        np.clip((time - REST_SECONDS) / seconds, 0, 1) * (len(run.position) - 1),
+        rows,
+        np.arange(len(rows)),
+    )
     run = Run(**{name: values[rows] for name, values in vars(run).items()})
-    jumps = _sudden(run.point, _FAR) | _sudden(run.force, _HARD * np.linalg.norm(run.force, axis=1).max())
+    jumps = _sudden(run.point, _FAR) | _sudden(
+        run.force, _HARD * np.linalg.norm(run.force, axis=1).max()
+    )
     before = np.minimum(at.astype(int), len(rows) - 2)
     share = np.where(jumps[before], 0.0, at - before)[:, None]
 
@@ -148,11 +171,18 @@ def sampled(run: Run, seconds: float, rate: float) -> Sampled:
         return values[before] * (1 - share) + values[before + 1] * share
 
     turns = Rotation.from_quat(run.orientation)
-    turn = turns[before] * Rotation.from_rotvec((at - before)[:, None] * (turns[before].inv() * turns[before + 1]).as_rotvec())
-    clamp = run.position[before] * (1 - (at - before)[:, None]) + run.position[before + 1] * (at - before)[:, None]
+    turn = turns[before] * Rotation.from_rotvec(
+        (at - before)[:, None] * (turns[before].inv() * turns[before + 1]).as_rotvec()
+    )
+    clamp = (
+        run.position[before] * (1 - (at - before)[:, None])
+        + run.position[before + 1] * (at - before)[:, None]
+    )
     still = run.twice[before] | run.twice[before + 1]
     point = np.where(still[:, None], np.nan, between(run.point))
-    return Sampled(time, clamp, turn, between(np.concatenate([run.force, run.moment], axis=1)), point)
+    return Sampled(
+        time, clamp, turn, between(np.concatenate([run.force, run.moment], axis=1)), point
+    )
 
 
 def _sudden(values: np.ndarray, far: float) -> np.ndarray:
@@ -161,21 +191,37 @@ def _sudden(values: np.ndarray, far: float) -> np.ndarray:
     return (step > far) & (step > _SUDDEN * around)
 
 
-def _measured(readings: np.ndarray, time: np.ndarray, sensor: Sensor, faults: Faults, rng: np.random.Generator) -> np.ndarray:
-    noise, step = (np.repeat(pair, 3) for pair in ((sensor.force_noise, sensor.torque_noise), (sensor.force_step, sensor.torque_step)))
+def _measured(
+    readings: np.ndarray, time: np.ndarray, sensor: Sensor, faults: Faults, rng: np.random.Generator
+) -> np.ndarray:
+    noise, step = (
+        np.repeat(pair, 3)
+        for pair in (
+            (sensor.force_noise, sensor.torque_noise),
+            (sensor.force_step, sensor.torque_step),
+        )
+    )
     t = time[:, None]
-    zero = ZERO + np.array(faults.drift) * t + np.array(faults.warming) * (1 - np.exp(-t / faults.warming_seconds))
+    zero = (
+        ZERO
+        + np.array(faults.drift) * t
+        + np.array(faults.warming) * (1 - np.exp(-t / faults.warming_seconds))
+    )
     hum = np.array(faults.hum) * np.sin(2 * np.pi * faults.hum_hertz * t + 0.4)
     values = readings + zero + hum + faults.noise * noise * rng.normal(size=readings.shape)
     return np.round(values / step) * step
 
 
-def _late(place: np.ndarray, turn: Rotation, time: np.ndarray, delay: float) -> tuple[np.ndarray, Rotation]:
+def _late(
+    place: np.ndarray, turn: Rotation, time: np.ndarray, delay: float
+) -> tuple[np.ndarray, Rotation]:
     if not delay:
         return place, turn
     at = np.clip(time - delay, time[0], time[-1])
     moved = np.stack([np.interp(at, time, axis) for axis in place.T], axis=1)
-    quaternions = np.stack([np.interp(at, time, part) for part in turn.as_quat(canonical=True).T], axis=1)
+    quaternions = np.stack(
+        [np.interp(at, time, part) for part in turn.as_quat(canonical=True).T], axis=1
+    )
     return moved, Rotation.from_quat(quaternions)
 
 

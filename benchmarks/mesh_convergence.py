@@ -1,6 +1,8 @@
-"""How the contact on a mesh nears that on the solid it was made of: `python benchmarks/mesh_convergence.py [SUBDIVISIONS]`, by default up to 6 (81,920 faces).
+"""How the contact on a mesh nears that on the solid it was made of: `python
+benchmarks/mesh_convergence.py [SUBDIVISIONS]`, by default up to 6 (81,920 faces).
 
-An icosphere drawn out to an ellipsoid; the chordal error is how far its triangles' middles lie inside the ellipsoid.
+An icosphere drawn out to an ellipsoid; the chordal error is how far its triangles' middles lie
+inside the ellipsoid.
 """
 
 import sys
@@ -12,14 +14,18 @@ import trimesh
 import vibrissa as vb
 
 CENTER, SEMI_AXES = np.array([0.0, 0.0, 1.15]), np.array([0.6, 0.5, 0.55])
-TRAIL = vb.Trail.raster(start=(1.1, -0.31, 0), stop=(-1.1, -0.3, 0), count=121, step=(0, 0.0061, 0), trails=100)
+TRAIL = vb.Trail.raster(
+    start=(1.1, -0.31, 0), stop=(-1.1, -0.3, 0), count=121, step=(0, 0.0061, 0), trails=100
+)
 
 
 def main() -> None:
     """Print one line a refinement."""
     rod, exact = vb.Rod.unit(), vb.surfaces.Ellipsoid(CENTER, SEMI_AXES)
     theirs = vb.scan(rod, exact, TRAIL)
-    print("    faces  build, s  chordal error  largest error  median error  order  µs a position  µs a contact")
+    print(
+        "    faces  build, s  chordal error  largest error  median error  order  µs a position  µs a contact"
+    )
     before = np.nan
     for subdivisions in range(2, 1 + (int(sys.argv[1]) if len(sys.argv) > 1 else 6)):
         mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
@@ -33,7 +39,12 @@ def main() -> None:
             start = time.perf_counter()
             vb.scan(rod, surface, TRAIL)
             times.append(time.perf_counter() - start)
-        both = ours.in_contact & theirs.in_contact & (ours.status == vb.Status.OK) & (theirs.status == vb.Status.OK)
+        both = (
+            ours.in_contact
+            & theirs.in_contact
+            & (ours.status == vb.Status.OK)
+            & (theirs.status == vb.Status.OK)
+        )
         error = np.linalg.norm(ours.point - theirs.point, axis=-1)[both]
         chordal = -exact.distances(vertices[mesh.faces].mean(axis=1)).min()
         order = np.log2(before / error.max())

@@ -1,11 +1,14 @@
-"""The same tasks in SciPy, on the paper's case: rod along +z of unit length and stiffness, object z > x²/2 + y² + 0.4.
+"""The same tasks in SciPy, on the paper's case: rod along +z of unit length and stiffness, object z
+> x²/2 + y² + 0.4.
 
-The rod stays in the vertical plane through its clamp with azimuth ψ. With ξ the distance in that plane from the clamp's
-axis and F = (Q cos ψ, Q sin ψ, N) the contact force, regular as it falls to zero (paper, eqs. 7 to 10),
+The rod stays in the vertical plane through its clamp with azimuth ψ. With ξ the distance in that
+plane from the clamp's axis and F = (Q cos ψ, Q sin ψ, N) the contact force, regular as it falls to
+zero (paper, eqs. 7 to 10),
 
     ξ' = sin θ,   ζ' = cos θ,   θ' = κ,   κ' = N sin θ − Q cos θ,   ξ(0) = ζ(0) = θ(0) = 0,
 
-and at the contact s₁: κ = 0, the point on the object, F parallel to its normal, and min(1 − s₁, −t·n) = 0.
+and at the contact s₁: κ = 0, the point on the object, F parallel to its normal, and min(1 − s₁,
+−t·n) = 0.
 """
 
 from collections.abc import Iterator
@@ -30,7 +33,9 @@ def contact_conditions(x0: float, y0: float, end: np.ndarray, u: np.ndarray) -> 
     return np.stack([kappa, surface, Q * c + N * Cx, Q * s + N * Cy, np.minimum(1 - s1, lift)])
 
 
-def _condition_slopes(x0: float, y0: float, end: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _condition_slopes(
+    x0: float, y0: float, end: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the conditions by the end (5, 4) and by the unknowns (5, 4)."""
     xi, _, theta, _ = end
     psi, Q, N, s1 = u
@@ -70,7 +75,8 @@ def first_guess(x0: float, y0: float) -> np.ndarray:
 
 
 def bvp_along(positions: np.ndarray, *, exact_jacobians: bool = True) -> Iterator[np.ndarray]:
-    """Contact points along a trail (n, 2) by `solve_bvp`, tol 1e-6, each from the last mesh; Jacobians exact, or by SciPy's differences.
+    """Contact points along a trail (n, 2) by `solve_bvp`, tol 1e-6, each from the last mesh;
+    Jacobians exact, or by SciPy's differences.
 
     The unknown length is scaled out, σ = s/s₁.
     """
@@ -78,7 +84,9 @@ def bvp_along(positions: np.ndarray, *, exact_jacobians: bool = True) -> Iterato
     y[1] = mesh
     for x0, y0 in positions:
 
-        def conditions(start: np.ndarray, end: np.ndarray, u: np.ndarray, x0: float = x0, y0: float = y0) -> np.ndarray:
+        def conditions(
+            start: np.ndarray, end: np.ndarray, u: np.ndarray, x0: float = x0, y0: float = y0
+        ) -> np.ndarray:
             return np.concatenate([start[:3], contact_conditions(x0, y0, end, u)])
 
         def slopes(
@@ -109,7 +117,9 @@ def _scaled_rod(_sigma: np.ndarray, y: np.ndarray, u: np.ndarray) -> np.ndarray:
     return u[3] * np.stack([sine, cosine, y[3], u[2] * sine - u[1] * cosine])
 
 
-def _scaled_rod_slopes(_sigma: np.ndarray, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _scaled_rod_slopes(
+    _sigma: np.ndarray, y: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     sine, cosine, s1 = np.sin(y[2]), np.cos(y[2]), u[3]
     by_state, by_unknowns = np.zeros((4, 4, y.shape[1])), np.zeros((4, 4, y.shape[1]))
     by_state[0, 2], by_state[1, 2] = s1 * cosine, -s1 * sine
@@ -120,10 +130,11 @@ def _scaled_rod_slopes(_sigma: np.ndarray, y: np.ndarray, u: np.ndarray) -> tupl
 
 
 def shooting_along(positions: np.ndarray) -> Iterator[np.ndarray]:
-    """Contact points along a trail (n, 2) by `solve_ivp` (DOP853) and `root`, each started from the extrapolated last.
+    """Contact points along a trail (n, 2) by `solve_ivp` (DOP853) and `root`, each started from the
+    extrapolated last.
 
-    Unknown are (κ(0), ψ, Q, N, s₁); the rod and its neighbours for the Jacobian are integrated together, as one
-    vectorised problem.
+    Unknown are (κ(0), ψ, Q, N, s₁); the rod and its neighbours for the Jacobian are integrated
+    together, as one vectorised problem.
     """
     u = np.append(0.0, first_guess(*positions[0]))
     last = None
@@ -153,11 +164,18 @@ def _ends(u: np.ndarray) -> np.ndarray:
 
     start = np.zeros((4, k))
     start[3] = u[0]
-    return solve_ivp(rod, (0, 1), start.ravel(), method="DOP853", rtol=1e-10, atol=1e-11).y[:, -1].reshape(4, k)
+    return (
+        solve_ivp(rod, (0, 1), start.ravel(), method="DOP853", rtol=1e-10, atol=1e-11)
+        .y[:, -1]
+        .reshape(4, k)
+    )
 
 
-def inverse_by_integration(clamp: np.ndarray, axis: np.ndarray, force: np.ndarray, moment: np.ndarray) -> np.ndarray:
-    """Contact point from one sample's reactions: the rod's equation from the clamp (paper, eqs. 10 to 16) up to κ = 0.
+def inverse_by_integration(
+    clamp: np.ndarray, axis: np.ndarray, force: np.ndarray, moment: np.ndarray
+) -> np.ndarray:
+    """Contact point from one sample's reactions: the rod's equation from the clamp (paper, eqs. 10
+    to 16) up to κ = 0.
 
     SciPy's `solve_ivp`, DOP853, rtol 1e-9.
     """
@@ -173,6 +191,8 @@ def inverse_by_integration(clamp: np.ndarray, axis: np.ndarray, force: np.ndarra
         return y[3]
 
     straight.terminal = True
-    found = solve_ivp(rod, (0, 1.5), [0, 0, 0, base], method="DOP853", rtol=1e-9, atol=1e-12, events=straight)
+    found = solve_ivp(
+        rod, (0, 1.5), [0, 0, 0, base], method="DOP853", rtol=1e-9, atol=1e-12, events=straight
+    )
     xi, zeta = found.y_events[0][0][:2]
     return clamp + xi * side + zeta * axis

@@ -1,8 +1,11 @@
 """Whether smoothing ever fails: `python benchmarks/random_sweeps.py N [SEED]`.
 
-Sixteen scans, under objects of four kinds with and without friction, are each measured again and again by sensors with random noise, steps and rates, with gaps,
-spikes, rows that are not numbers, drift, ringing, wrong signs, wrong stiffness, and with beginnings and ends cut off, each on a wire, in world axes and with tolerances
-drawn anew, then reconstructed and smoothed. Printed are exceptions, and rows that say OK and hold numbers that are not finite. The exit code is their number.
+Sixteen scans, under objects of four kinds with and without friction, are each measured again and
+again by sensors with random noise, steps and rates, with gaps, spikes, rows that are not numbers,
+drift, ringing, wrong signs, wrong stiffness, and with beginnings and ends cut off, each on a wire,
+in world axes and with tolerances drawn anew, then reconstructed and smoothed. Printed are
+exceptions, and rows that say OK and hold numbers that are not finite. The exit code is their
+number.
 """
 
 import sys
@@ -28,7 +31,10 @@ def scans(rng: np.random.Generator) -> list[vb.Reactions]:
     drawn: list[tuple[surfaces.Surface, float]] = [
         (surfaces.Sphere((0, 0, 0.0575), float(rng.uniform(0.02, 0.032))), 0.0),
         (surfaces.Capsule((0, 0, 0.054), (0, 1, 0), float(rng.uniform(0.004, 0.02)), 0.03), 0.0),
-        (surfaces.Ellipsoid((0, 0, 0.058), rng.uniform(0.015, 0.035, 3)), float(rng.uniform(0.1, 0.5))),
+        (
+            surfaces.Ellipsoid((0, 0, 0.058), rng.uniform(0.015, 0.035, 3)),
+            float(rng.uniform(0.1, 0.5)),
+        ),
         (surfaces.Superquadric((0, 0, 0.06), rng.uniform(0.02, 0.032, 3), (0.4, 0.4)), 0.0),
     ]
     found = []
@@ -48,7 +54,11 @@ def recorded(true: vb.Reactions, rng: np.random.Generator) -> tuple[vb.Rod, vb.R
     """One recording with its mistakes, and the rod as stated."""
     rest, rate = int(rng.integers(0, 120)), float(10 ** rng.uniform(1, 3))
     rows = np.concatenate([np.zeros(rest, dtype=int), np.arange(ROWS)])
-    force, moment, position = true.force[rows].copy(), true.moment[rows].copy(), true.trail.position[rows]
+    force, moment, position = (
+        true.force[rows].copy(),
+        true.moment[rows].copy(),
+        true.trail.position[rows],
+    )
     noise = max(float(np.abs(true.force).max()), 1e-3) / 10 ** rng.uniform(0.5, 3.5)
     arm = 10 ** rng.uniform(-3, -1.5)
     actual = noise * (3 if rng.random() < 0.1 else 1)
@@ -58,8 +68,13 @@ def recorded(true: vb.Reactions, rng: np.random.Generator) -> tuple[vb.Rod, vb.R
     if rng.random() < 0.3:
         released = int(np.argmax(np.linalg.norm(np.diff(force, axis=0), axis=1))) + 1
         after = np.arange(count - released) / rate
-        force[released:, 0] += 20 * noise * np.exp(-after * 3) * np.sin(2 * np.pi * min(47, rate / 3) * after)
-    force, moment = force + rng.normal(0, actual, force.shape), moment + rng.normal(0, arm * actual, moment.shape)
+        force[released:, 0] += (
+            20 * noise * np.exp(-after * 3) * np.sin(2 * np.pi * min(47, rate / 3) * after)
+        )
+    force, moment = (
+        force + rng.normal(0, actual, force.shape),
+        moment + rng.normal(0, arm * actual, moment.shape),
+    )
     if rng.random() < 0.4:
         force = np.round(force / noise) * noise
     if rng.random() < 0.3:
@@ -70,24 +85,44 @@ def recorded(true: vb.Reactions, rng: np.random.Generator) -> tuple[vb.Rod, vb.R
         force, moment = -force, -moment
     if rng.random() < 0.1:
         moment = moment * float(rng.choice([0.1, 10.0, 1.02]))
-    first, last = (int(rng.integers(0, count // 2)), int(rng.integers(count // 2, count))) if rng.random() < 0.5 else (0, count)
+    first, last = (
+        (int(rng.integers(0, count // 2)), int(rng.integers(count // 2, count)))
+        if rng.random() < 0.5
+        else (0, count)
+    )
     kept = np.arange(first, last)
     if rng.random() < 0.2:
-        kept = np.delete(kept, np.arange(len(kept) // 3, len(kept) // 3 + int(rng.integers(1, len(kept) // 3))))
+        kept = np.delete(
+            kept, np.arange(len(kept) // 3, len(kept) // 3 + int(rng.integers(1, len(kept) // 3)))
+        )
     covariance = np.diag(np.repeat([noise**2, (arm * noise) ** 2], 3))
     time_ = None if rng.random() < 0.1 else kept / rate
     # By similarity the sweep of another wire, seen from other axes.
-    wire = vb.Rod.cylinder(length=rng.uniform(0.02, 0.2), radius=10 ** rng.uniform(-4, -3), youngs_modulus=10 ** rng.uniform(9.5, 11.5))
-    scales = np.repeat([wire.force_scale / WIRE.force_scale, wire.moment_scale / WIRE.moment_scale], 3)
+    wire = vb.Rod.cylinder(
+        length=rng.uniform(0.02, 0.2),
+        radius=10 ** rng.uniform(-4, -3),
+        youngs_modulus=10 ** rng.uniform(9.5, 11.5),
+    )
+    scales = np.repeat(
+        [wire.force_scale / WIRE.force_scale, wire.moment_scale / WIRE.moment_scale], 3
+    )
     world = Rotation.random(random_state=rng)
     turn = block_diag(world.as_matrix(), world.as_matrix()) * scales
     wrench = np.concatenate([force, moment], axis=1)[kept] @ turn.T
     way = world.apply(position[kept]) * wire.length / WIRE.length
     stated = tolerances(wire, rng) if rng.random() < 0.3 else None
     given = vb.Reactions(
-        vb.Trail(way, world), wrench[:, :3], wrench[:, 3:], time=time_, covariance=turn @ covariance @ turn.T, setup_errors=stated
+        vb.Trail(way, world),
+        wrench[:, :3],
+        wrench[:, 3:],
+        time=time_,
+        covariance=turn @ covariance @ turn.T,
+        setup_errors=stated,
     )
-    rod = replace(wire, bending_stiffness=wire.bending_stiffness * float(rng.choice([1.0, 1.0, 1.05, 0.2, 5.0])))
+    rod = replace(
+        wire,
+        bending_stiffness=wire.bending_stiffness * float(rng.choice([1.0, 1.0, 1.05, 0.2, 5.0])),
+    )
     return rod, given
 
 
@@ -116,13 +151,17 @@ def main(count: int, seed: int = 0) -> int:
             print(f"{k} done, {failed} failed, {time.perf_counter() - start:.0f} s", flush=True)
         rod, given = recorded(true[k % len(true)], chosen)
         try:
-            found = vb.smooth(vb.reconstruct(rod, given, friction=0.0 if chosen.random() < 0.3 else None))
+            found = vb.smooth(
+                vb.reconstruct(rod, given, friction=0.0 if chosen.random() < 0.3 else None)
+            )
         except Exception:
             failed += 1
             print(f"sweep {k}: {traceback.format_exc(limit=-3)}", flush=True)
             continue
         assert found.covariance is not None
-        finite = np.isfinite(found.point).all(axis=1) & np.isfinite(found.covariance).all(axis=(1, 2))
+        finite = np.isfinite(found.point).all(axis=1) & np.isfinite(found.covariance).all(
+            axis=(1, 2)
+        )
         unsound = found.in_contact & ~finite & (found.status == vb.Status.OK)
         if unsound.any():
             failed += 1

@@ -10,13 +10,17 @@ def main() -> list[Row]:
     """Print the table; return its warm rows."""
     core = pin_to_one_core()
     print(f"one core (number {core}), Python {platform.python_version()}, {platform.machine()}\n")
-    for title, unit, measured in (("cold, a fresh process", "s", cold()), ("peak resident memory", "MiB", memory())):
+    for title, unit, measured in (
+        ("cold, a fresh process", "s", cold()),
+        ("peak resident memory", "MiB", memory()),
+    ):
         print(f"{title:<58}{unit:>14}")
         for name, value in measured.items():
             print(f"{name:<58}{value:>14,.3f}")
         print()
 
-    # Only now, so that NumPy and JAX start on that core and do not add to the memory that the fresh processes inherit.
+    # Only now, so that NumPy and JAX start on that core and do not add to the memory that the fresh
+    # processes inherit.
     from warm import forward, inverse  # noqa: PLC0415
 
     rows = []

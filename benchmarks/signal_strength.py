@@ -1,8 +1,11 @@
-"""Smoothing over signal strength: `python benchmarks/signal_strength.py [--levels 5 15 50 150 1000] [--seeds 2] [--objects ball cylinder ...]`.
+"""Smoothing over signal strength: `python benchmarks/signal_strength.py [--levels 5 15 50 150 1000]
+[--seeds 2] [--objects ball cylinder ...]`.
 
-One line for each object, strength (largest force over the noise of a force) and seed: shares of true points within the 95 % ellipsoids and median errors, raw and
-smoothed, over all rows that are truly in contact and, for the coverage, say OK; the share of rows that do not; the share of gross outliers (a tenth of a rod length, and
-beyond ten standard deviations) among those that do. A trail fails where less than 88 % are inside, or the smoothed median is above the raw one.
+One line for each object, strength (largest force over the noise of a force) and seed: shares of
+true points within the 95 % ellipsoids and median errors, raw and smoothed, over all rows that are
+truly in contact and, for the coverage, say OK; the share of rows that do not; the share of gross
+outliers (a tenth of a rod length, and beyond ten standard deviations) among those that do. A trail
+fails where less than 88 % are inside, or the smoothed median is above the raw one.
 """
 
 import argparse
@@ -32,12 +35,17 @@ def _blob(point: jax.Array) -> jax.Array:
 
 
 def objects() -> dict[str, tuple[surfaces.Surface, float]]:
-    """Objects [m] under which the wire passes, the clamp at z = 0, and how far beside the middle [m]."""
+    """Objects [m] under which the wire passes, the clamp at z = 0, and how far beside the middle
+    [m].
+    """
     return {
         "ball": (surfaces.Sphere((0, 0, 0.0575), 0.03), 0.004),
         "cylinder": (surfaces.Capsule((0, 0, 0.052), (0, 1, 0), 0.02, 0.015), 0.003),
         "ellipsoid": (surfaces.Ellipsoid((0, 0, 0.058), (0.02, 0.04, 0.03)), 0.006),
-        "rounded box": (surfaces.Superquadric((0, 0, 0.06), (0.025, 0.025, 0.03), (0.4, 0.4)), 0.005),
+        "rounded box": (
+            surfaces.Superquadric((0, 0, 0.06), (0.025, 0.025, 0.03), (0.4, 0.4)),
+            0.005,
+        ),
         "blob": (surfaces.Implicit(_blob), 0.004),
     }
 
@@ -60,8 +68,17 @@ def swept(rod: vb.Rod, surface: surfaces.Surface, beside: float) -> Swept:
     scan = vb.scan(rod, surface, vb.Trail(moving))
     still = np.zeros((rest, 3))
     position = np.concatenate([np.tile(start, (rest, 1)), moving])
-    force, moment = (np.concatenate([still, np.nan_to_num(part)]) for part in (scan.reactions.force, scan.reactions.moment))
-    return Swept(vb.Trail(position), np.arange(len(position)) / RATE, force, moment, np.concatenate([still * np.nan, scan.point]))
+    force, moment = (
+        np.concatenate([still, np.nan_to_num(part)])
+        for part in (scan.reactions.force, scan.reactions.moment)
+    )
+    return Swept(
+        vb.Trail(position),
+        np.arange(len(position)) / RATE,
+        force,
+        moment,
+        np.concatenate([still * np.nan, scan.point]),
+    )
 
 
 def measured(given: Swept, level: float, seed: int) -> vb.Reactions:
@@ -77,7 +94,9 @@ def measured(given: Swept, level: float, seed: int) -> vb.Reactions:
         position_noise=1e-5,
     )
     true = vb.Reactions(given.trail, given.force, given.moment, time=given.time)
-    return sensor.reactions(sensor.measure(true, np.random.default_rng(seed), force_tare=(0.4, -0.1, 1.9)))
+    return sensor.reactions(
+        sensor.measure(true, np.random.default_rng(seed), force_tare=(0.4, -0.1, 1.9))
+    )
 
 
 class Figures(NamedTuple):
@@ -100,7 +119,9 @@ def figures(found: vb.Reconstruction, point: np.ndarray, length: float) -> Figur
     error = found.point - point
     distance = np.linalg.norm(error, axis=1)
     squared = np.full(len(error), np.nan)
-    squared[sound] = np.einsum("ni,nij,nj->n", error[sound], np.linalg.inv(found.covariance[sound]), error[sound])
+    squared[sound] = np.einsum(
+        "ni,nij,nj->n", error[sound], np.linalg.inv(found.covariance[sound]), error[sound]
+    )
     inside = squared[sound] < chi2.isf(0.05, 3)
     gross = (distance[sound] > 0.1 * length) & (squared[sound] > 100)
     return Figures(
@@ -114,7 +135,9 @@ def figures(found: vb.Reconstruction, point: np.ndarray, length: float) -> Figur
 def main(names: list[str], levels: list[float], seeds: int) -> int:
     """Print the table; return how many trails fail."""
     failed = 0
-    print(f"{'object':12s} {'level':>6s} seed | inside raw  smooth | median raw  smooth mm | not OK  gross % | stated mm")
+    print(
+        f"{'object':12s} {'level':>6s} seed | inside raw  smooth | median raw  smooth mm | not OK  gross % | stated mm"
+    )
     for name in names:
         surface, beside = objects()[name]
         scan = swept(STEEL, surface, beside)
@@ -127,7 +150,11 @@ def main(names: list[str], levels: list[float], seeds: int) -> int:
                 failed += fails
                 sound = smooth.in_contact & (smooth.status == vb.Status.OK)
                 assert smooth.covariance is not None
-                stated = 1e3 * np.median(np.sqrt(np.trace(smooth.covariance[sound], axis1=1, axis2=2))) if sound.any() else np.nan
+                stated = (
+                    1e3 * np.median(np.sqrt(np.trace(smooth.covariance[sound], axis1=1, axis2=2)))
+                    if sound.any()
+                    else np.nan
+                )
                 print(
                     f"{name:12s} {level:6g} {seed:4d} | {raw.coverage:10.3f} {better.coverage:7.3f} | {raw.median:10.3f} {better.median:7.3f}    "
                     f"| {better.flagged:6.3f} {100 * better.gross:7.2f} | {stated:6.3f} {'FAILS' if fails else ''}",

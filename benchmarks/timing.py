@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 
 def pin_to_one_core() -> int:
-    """Keep this process and its libraries on one core; call before NumPy or JAX is imported. Returns the core."""
+    """Keep this process and its libraries on one core; call before NumPy or JAX is imported.
+    Returns the core.
+    """
     core = max(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {core})
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -32,7 +34,9 @@ class Row(NamedTuple):
 
 
 def best_of(repeats: int, task: Callable[[], object], items: int) -> float:
-    """Microseconds an item in the fastest of several runs; the first run, which warms up, does not count."""
+    """Microseconds an item in the fastest of several runs; the first run, which warms up, does not
+    count.
+    """
     task()
     elapsed = []
     for _ in range(repeats):

@@ -13,10 +13,12 @@ from docutils.utils.math.latex2mathml import tex2mathml
 
 import vibrissa
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.scan import EventKind
+from vibrissa.forward import EventKind
 
 # Sphinx 9 deprecates what its own napoleon and the MyST parser still do.
-warnings.filterwarnings("ignore", message="The mapping interface for autodoc options objects is deprecated")
+warnings.filterwarnings(
+    "ignore", message="The mapping interface for autodoc options objects is deprecated"
+)
 warnings.filterwarnings("ignore", message="'myst_parser")
 
 ROOT = Path(__file__).parent.parent
@@ -47,7 +49,9 @@ myst_heading_anchors = 3
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return "\n".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines
+    )
 
 
 def _status_table() -> str:
@@ -57,15 +61,27 @@ def _status_table() -> str:
 
 
 def _rooms_table() -> str:
-    """The rooms from top to bottom, as import-linter's contract holds them, with the first line of each one's docstring."""
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    """The rooms from top to bottom, as import-linter's contract holds them, with the first line of
+    each one's docstring.
+    """
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "importlinter"
+    ]["contracts"]
     layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
     rows = []
     for level, layer in enumerate(layers, start=1):
         for room in (name.strip() for name in layer.replace(":", "|").split("|")):
             source = _source(room)
             if source is not None:
-                rows.append((str(level), f"`{room}`", (ast.get_docstring(ast.parse(source)) or "").split("\n\n")[0].replace("\n", " ")))
+                rows.append(
+                    (
+                        str(level),
+                        f"`{room}`",
+                        (ast.get_docstring(ast.parse(source)) or "")
+                        .split("\n\n")[0]
+                        .replace("\n", " "),
+                    )
+                )
     return _table(("", "room", "what it holds"), rows)
 
 
@@ -97,14 +113,20 @@ def _block_math(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
-def _names_together(_app: Any, _what: str, _name: str, _object: object, _options: object, lines: list[str]) -> None:
-    """Keep names that share one description ("point, normal") together: napoleon takes all but the last for a type."""
+def _names_together(
+    _app: Any, _what: str, _name: str, _object: object, _options: object, lines: list[str]
+) -> None:
+    """Keep names that share one description ("point, normal") together: napoleon takes all but the
+    last for a type.
+    """
     for index, (line, following) in enumerate(pairwise(lines)):
         if re.fullmatch(r"\w+(, \w+)+", line) and following.startswith("    "):
             lines[index] = line.replace(", ", ",\u200b")
 
 
-def _property_in_one(_app: Any, what: str, _name: str, _object: object, _options: object, lines: list[str]) -> None:
+def _property_in_one(
+    _app: Any, what: str, _name: str, _object: object, _options: object, lines: list[str]
+) -> None:
     """Undo what napoleon does to a property: it takes what stands before a colon for a type."""
     types = [line for line in lines if line.startswith(":type: ")]
     if what == "property" and types:
@@ -113,7 +135,11 @@ def _property_in_one(_app: Any, what: str, _name: str, _object: object, _options
 
 
 def setup(app: Any) -> None:
-    """Render formulas as MathML, which browsers show by themselves, so that no script has to be fetched; mend docstrings around napoleon."""
-    app.add_html_math_renderer("mathml", inline_renderers=(_inline_math, None), block_renderers=(_block_math, None))
+    """Render formulas as MathML, which browsers show by themselves, so that no script has to be
+    fetched; mend docstrings around napoleon.
+    """
+    app.add_html_math_renderer(
+        "mathml", inline_renderers=(_inline_math, None), block_renderers=(_block_math, None)
+    )
     app.connect("autodoc-process-docstring", _names_together, priority=400)
     app.connect("autodoc-process-docstring", _property_in_one, priority=600)

@@ -1,7 +1,9 @@
-"""Draw the gallery: `uv run --group gallery --extra mesh python docs/make_gallery.py [NAME ...]` writes one picture for each kind of object into docs/images/gallery.
+"""Draw the gallery: `uv run --group gallery --extra mesh python docs/make_gallery.py [NAME ...]`
+writes one picture for each kind of object into docs/images/gallery.
 
-An object is drawn by its own faces where it has edges, else as the zero of its level function within a box, by marching cubes; parts of the rods behind it are
-found by the same function, and drawn faintly.
+An object is drawn by its own faces where it has edges, else as the zero of its level function
+within a box, by marching cubes; parts of the rods behind it are found by the same function, and
+drawn faintly.
 """
 
 import sys
@@ -46,7 +48,9 @@ _SECTIONS = 180
 
 
 class Exhibit(NamedTuple):
-    """What a picture shows: an object, drawn within a box (2, 3), and a rod swept along it, every so many positions; seen from (elevation, azimuth) [°]."""
+    """What a picture shows: an object, drawn within a box (2, 3), and a rod swept along it, every
+    so many positions; seen from (elevation, azimuth) [°].
+    """
 
     surface: Callable[[], vb.surfaces.Surface]
     box: tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -58,9 +62,13 @@ class Exhibit(NamedTuple):
     friction: float = 0.0
 
 
-def _raster(*sides: float, x: float = 0.95, count: int = 191, axis: tuple[float, float, float] = (0, 0, 1)) -> vb.Trail:
+def _raster(
+    *sides: float, x: float = 0.95, count: int = 191, axis: tuple[float, float, float] = (0, 0, 1)
+) -> vb.Trail:
     """Trails along −x at these y."""
-    return vb.Trail.stack([vb.Trail.line(start=(x, y, 0), stop=(-x, y, 0), count=count, axis=axis) for y in sides])
+    return vb.Trail.stack(
+        [vb.Trail.line(start=(x, y, 0), stop=(-x, y, 0), count=count, axis=axis) for y in sides]
+    )
 
 
 def _whisks() -> vb.Trail:
@@ -73,14 +81,24 @@ def _whisks() -> vb.Trail:
 
 def _two_drops(point: Array) -> Array:
     """Two balls that melt into one: a smooth least of their distances."""
-    distances = [jnp.sqrt(jnp.sum((point - jnp.array(center)) ** 2)) - 0.32 for center in ((-0.28, -0.05, 1.05), (0.33, 0.1, 1.2))]
+    distances = [
+        jnp.sqrt(jnp.sum((point - jnp.array(center)) ** 2)) - 0.32
+        for center in ((-0.28, -0.05, 1.05), (0.33, 0.1, 1.2))
+    ]
     return -0.12 * jnp.logaddexp(*(-distance / 0.12 for distance in distances))
 
 
 def _mug() -> Exhibit:
     """The case of the mug, which is a mesh."""
     case = vb.load_case(CASES / "mug.toml")
-    return Exhibit(lambda: case.surface, ((-0.023, -0.001, 0.034), (0.039, 0.045, 0.08)), case.trail, 6, (20, -125), case.rod)
+    return Exhibit(
+        lambda: case.surface,
+        ((-0.023, -0.001, 0.034), (0.039, 0.045, 0.08)),
+        case.trail,
+        6,
+        (20, -125),
+        case.rod,
+    )
 
 
 def exhibits(names: list[str]) -> dict[str, Exhibit]:
@@ -89,7 +107,9 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
     center, turn = (0.0, 0.0, 1.15), (0.1, -0.2, 0.15, 1.0)
     skew = (0.3, 1, 0.2)
     around, near = ((-0.8, -0.8, 0.4), (0.8, 0.8, 1.9)), ((-0.04, -0.04, 0.02), (0.04, 0.04, 0.1))
-    wires = vb.Trail.raster(start=(0.045, -0.011, 0), stop=(-0.045, -0.011, 0), count=241, step=(0, 0.013, 0), trails=3)
+    wires = vb.Trail.raster(
+        start=(0.045, -0.011, 0), stop=(-0.045, -0.011, 0), count=241, step=(0, 0.013, 0), trails=3
+    )
     every = {
         "elliptic_paraboloid": Exhibit(
             lambda: s.EllipticParaboloid(a=0.5, b=1.0, h=0.4),
@@ -100,11 +120,19 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
         "sphere": Exhibit(
             lambda: s.Sphere(center=(0, 0, 0.0575), radius=0.03),
             ((-0.032, -0.032, 0.025), (0.032, 0.032, 0.09)),
-            vb.Trail.raster(start=(0.04, -0.015, 0), stop=(-0.04, -0.015, 0), count=241, step=(0, 0.01, 0), trails=4),
+            vb.Trail.raster(
+                start=(0.04, -0.015, 0),
+                stop=(-0.04, -0.015, 0),
+                count=241,
+                step=(0, 0.01, 0),
+                trails=4,
+            ),
             rod=WIRE,
         ),
         "ellipsoid": Exhibit(
-            lambda: s.Ellipsoid(center=(0, 0, 0), semi_axes=(0.7, 0.45, 0.5)).placed(turn, center), around, _raster(-0.2, 0.15, 0.3)
+            lambda: s.Ellipsoid(center=(0, 0, 0), semi_axes=(0.7, 0.45, 0.5)).placed(turn, center),
+            around,
+            _raster(-0.2, 0.15, 0.3),
         ),
         "elliptic_cylinder": Exhibit(
             lambda: s.EllipticCylinder(center=center, semi_axes=(0.6, 0.5)).placed((0, 0, 0.2, 1)),
@@ -115,26 +143,44 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
         "plane": Exhibit(
             lambda: s.Plane(point=(-0.01, 0, 0.05), normal=(1, 0.2, -1)),
             ((-0.045, -0.025, 0.02), (0.02, 0.025, 0.07)),
-            vb.Trail.raster(start=(0.04, -0.015, 0), stop=(-0.035, -0.015, 0), count=241, step=(0, 0.015, 0), trails=3),
+            vb.Trail.raster(
+                start=(0.04, -0.015, 0),
+                stop=(-0.035, -0.015, 0),
+                count=241,
+                step=(0, 0.015, 0),
+                trails=3,
+            ),
             rod=WIRE,
         ),
         "height_field": Exhibit(
-            lambda: s.HeightField(lambda x, y: 0.5 * x**2 + y**2 + 0.45 + 0.015 * jnp.sin(8 * x) * jnp.cos(6 * y)),
+            lambda: s.HeightField(
+                lambda x, y: 0.5 * x**2 + y**2 + 0.45 + 0.015 * jnp.sin(8 * x) * jnp.cos(6 * y)
+            ),
             ((-1.1, -0.75, 0.3), (1.1, 0.75, 1.05)),
             _raster(-0.3, 0.15, 0.35, x=1.2),
         ),
         "implicit": Exhibit(lambda: s.Implicit(_two_drops), around, _raster(-0.2, 0.1, 0.3)),
         "box": Exhibit(
-            lambda: s.Box(center=(0, 0, 0), half_extents=(0.022, 0.018, 0.015)).placed((0.25, -0.1, 0.3, 1.0), (0, 0, 0.057)),
+            lambda: s.Box(center=(0, 0, 0), half_extents=(0.022, 0.018, 0.015)).placed(
+                (0.25, -0.1, 0.3, 1.0), (0, 0, 0.057)
+            ),
             near,
             wires,
             rod=WIRE,
             finite_radius=True,
         ),
         "cylinder": Exhibit(
-            lambda: s.Cylinder(center=(0, 0, 0.058), axis=skew, radius=0.02, length=0.05), near, wires, rod=WIRE, finite_radius=True
+            lambda: s.Cylinder(center=(0, 0, 0.058), axis=skew, radius=0.02, length=0.05),
+            near,
+            wires,
+            rod=WIRE,
+            finite_radius=True,
         ),
-        "capsule": Exhibit(lambda: s.Capsule(center=center, axis=skew, radius=0.35, length=0.6), around, _raster(-0.2, 0.15, 0.35)),
+        "capsule": Exhibit(
+            lambda: s.Capsule(center=center, axis=skew, radius=0.35, length=0.6),
+            around,
+            _raster(-0.2, 0.15, 0.35),
+        ),
         "cone": Exhibit(
             lambda: s.Cone(center=(0.005, 0, 0.08), axis=(0.1, 0.1, -1), radius=0.03, height=0.055),
             near,
@@ -143,13 +189,24 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
             finite_radius=True,
         ),
         "superquadric": Exhibit(
-            lambda: s.Superquadric(center=center, semi_axes=(0.6, 0.5, 0.5), exponents=(0.5, 0.5)), around, _raster(-0.3, 0.1, 0.35)
+            lambda: s.Superquadric(center=center, semi_axes=(0.6, 0.5, 0.5), exponents=(0.5, 0.5)),
+            around,
+            _raster(-0.3, 0.1, 0.35),
         ),
         "torus": Exhibit(
-            lambda: s.Torus(center=(0, 0, 1.0), axis=(0.2, 0.3, 1), major_radius=0.5, minor_radius=0.2), around, _raster(-0.35, 0.1, 0.45)
+            lambda: s.Torus(
+                center=(0, 0, 1.0), axis=(0.2, 0.3, 1), major_radius=0.5, minor_radius=0.2
+            ),
+            around,
+            _raster(-0.35, 0.1, 0.45),
         ),
         "union": Exhibit(
-            lambda: s.Union([s.Sphere(center=(-0.3, 0, 1.15), radius=0.45), s.Sphere(center=(0.35, 0.1, 1.1), radius=0.35)]),
+            lambda: s.Union(
+                [
+                    s.Sphere(center=(-0.3, 0, 1.15), radius=0.45),
+                    s.Sphere(center=(0.35, 0.1, 1.1), radius=0.35),
+                ]
+            ),
             around,
             _raster(-0.2, 0.2, 0.35),
         ),
@@ -164,7 +221,13 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
         "friction": Exhibit(
             lambda: s.Sphere(center=(0, 0, 0.0575), radius=0.03),
             ((-0.032, -0.032, 0.025), (0.032, 0.032, 0.09)),
-            vb.Trail.raster(start=(0.04, -0.012, 0), stop=(-0.04, -0.012, 0), count=241, step=(0, 0.02, 0), trails=2),
+            vb.Trail.raster(
+                start=(0.04, -0.012, 0),
+                stop=(-0.04, -0.012, 0),
+                count=241,
+                step=(0, 0.02, 0),
+                trails=2,
+            ),
             rod=WIRE,
             every=16,
             friction=0.25,
@@ -176,30 +239,62 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
 
 
 def picture(exhibit: Exhibit) -> tuple[Axes3D, vb.Scan]:
-    """The object, elastic lines red in tip contact, blue in tangential contact and black where straight, and all contact points."""
+    """The object, elastic lines red in tip contact, blue in tangential contact and black where
+    straight, and all contact points.
+    """
     surface, factor = exhibit.surface(), length_factor(exhibit.rod)
-    scan = vb.scan(exhibit.rod, surface, exhibit.trail, friction=exhibit.friction, finite_radius=exhibit.finite_radius)
+    scan = vb.scan(
+        exhibit.rod,
+        surface,
+        exhibit.trail,
+        friction=exhibit.friction,
+        finite_radius=exhibit.finite_radius,
+    )
     figure = plt.figure(figsize=(1.7 * COLUMN, 1.25 * COLUMN))
     axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)
     axes.set_proj_type("ortho")
     elevation, azimuth = np.radians(exhibit.view)
-    towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    towards = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
     corners = _draw_object(axes, surface, exhibit, towards)
     lines = _draw_rods(axes, scan, surface, exhibit, towards)
     everything = np.vstack([corners, lines, factor * scan.trail.position.reshape(-1, 3)])
-    handles = [Line2D([], [], color=colour, label=KIND_NAMES[kind]) for kind, colour in KIND_COLOURS.items() if np.any(scan.kind == kind)]
+    handles = [
+        Line2D([], [], color=colour, label=KIND_NAMES[kind])
+        for kind, colour in KIND_COLOURS.items()
+        if np.any(scan.kind == kind)
+    ]
     handles.append(Line2D([], [], color=_STRAIGHT, linewidth=0.6, label="straight part"))
     handles.append(Line2D([], [], color=_FREE, linewidth=0.6, label="without contact"))
-    handles.append(Line2D([], [], color="0.2", marker=".", linestyle="none", markersize=4, label="contact point"))
+    handles.append(
+        Line2D(
+            [], [], color="0.2", marker=".", linestyle="none", markersize=4, label="contact point"
+        )
+    )
     if exhibit.friction > 0:
         _draw_forces(axes, scan, surface, exhibit, towards)
-        handles += [Line2D([], [], color=colour, label=label) for colour, label in ((_FORCE, "force on the rod"), (_NORMAL, "normal"))]
+        handles += [
+            Line2D([], [], color=colour, label=label)
+            for colour, label in ((_FORCE, "force on the rod"), (_NORMAL, "normal"))
+        ]
     low, high = everything.min(axis=0), everything.max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     dress(axes, scan)
     axes.view_init(*exhibit.view)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=3))
-    axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, _top(axes) + 0.02), ncols=2, handlelength=1.4, columnspacing=1.4)
+    axes.legend(
+        handles=handles,
+        loc="lower center",
+        bbox_to_anchor=(0.5, _top(axes) + 0.02),
+        ncols=2,
+        handlelength=1.4,
+        columnspacing=1.4,
+    )
     return axes, scan
 
 
@@ -208,19 +303,29 @@ def _top(axes: Axes3D) -> float:
     figure = axes.get_figure(root=True)
     assert figure is not None
     figure.canvas.draw()
-    corners = np.array(np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())).reshape(3, -1)
+    corners = np.array(np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())).reshape(
+        3, -1
+    )
     across, up, _ = proj3d.proj_transform(*corners, axes.get_proj())
-    shown = axes.transAxes.inverted().transform(axes.transData.transform(np.column_stack([across, up])))
+    shown = axes.transAxes.inverted().transform(
+        axes.transData.transform(np.column_stack([across, up]))
+    )
     return float(shown[:, 1].max())
 
 
-def _draw_object(axes: Axes3D, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray) -> np.ndarray:
-    """The object, shaded; returns all corners. Without faces of its own: the part within the box, and what the box's faces cut."""
+def _draw_object(
+    axes: Axes3D, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
+) -> np.ndarray:
+    """The object, shaded; returns all corners. Without faces of its own: the part within the box,
+    and what the box's faces cut.
+    """
     own = _faces(surface)
     if own is not None:
         facing = own.face_normals @ towards > 0
         triangles = length_factor(exhibit.rod) * own.triangles[facing]
-        _paint(axes, list(triangles), surface.normal(own.triangles_center[facing]), towards, order=1)
+        _paint(
+            axes, list(triangles), surface.normal(own.triangles_center[facing]), towards, order=1
+        )
         return triangles.reshape(-1, 3)
     low, high = np.array(exhibit.box)
     counts = np.maximum(np.ceil(_CELLS * (high - low) / (high - low).max()).astype(int), 2) + 1
@@ -234,7 +339,9 @@ def _draw_object(axes: Axes3D, surface: vb.surfaces.Surface, exhibit: Exhibit, t
         # Of two opposite faces the one towards the eye: nothing of the solid is in front of it.
         end = -1 if towards[axis] > 0 else 0
         first, second = (other for other in range(3) if other != axis)
-        cut = contour_generator(ticks[first], ticks[second], np.take(levels, end, axis=axis).T, fill_type="OuterOffset")
+        cut = contour_generator(
+            ticks[first], ticks[second], np.take(levels, end, axis=axis).T, fill_type="OuterOffset"
+        )
         pieces = []
         for points, offsets in zip(*cut.filled(-np.inf, 0.0), strict=True):
             piece = np.full((offsets[1], 3), ticks[axis][end])
@@ -256,31 +363,56 @@ def _faces(surface: vb.surfaces.Surface) -> trimesh.Trimesh | None:
         case s.Mesh():
             return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
         case s.Box():
-            return create.box(2 * np.asarray(surface.half_extents)).apply_translation(surface.center)
+            return create.box(2 * np.asarray(surface.half_extents)).apply_translation(
+                surface.center
+            )
         case s.Cylinder():
-            return _upon(surface, create.cylinder(float(surface.radius), float(surface.length), sections=_SECTIONS))
+            return _upon(
+                surface,
+                create.cylinder(float(surface.radius), float(surface.length), sections=_SECTIONS),
+            )
         case s.Cone():
-            return _upon(surface, create.cone(float(surface.radius), float(surface.height), sections=_SECTIONS))
+            return _upon(
+                surface,
+                create.cone(float(surface.radius), float(surface.height), sections=_SECTIONS),
+            )
         case _:
             return None
 
 
-def _upon(solid: vb.surfaces.Cylinder | vb.surfaces.Cone, upright: trimesh.Trimesh) -> trimesh.Trimesh:
+def _upon(
+    solid: vb.surfaces.Cylinder | vb.surfaces.Cone, upright: trimesh.Trimesh
+) -> trimesh.Trimesh:
     """A mesh about +z, turned to the solid's axis and moved to its centre."""
-    return upright.apply_transform(trimesh.geometry.align_vectors((0, 0, 1), solid.axis)).apply_translation(solid.center)
+    return upright.apply_transform(
+        trimesh.geometry.align_vectors((0, 0, 1), solid.axis)
+    ).apply_translation(solid.center)
 
 
-def _paint(axes: Axes3D, polygons: list[np.ndarray], normals: np.ndarray, towards: np.ndarray, order: float) -> None:
+def _paint(
+    axes: Axes3D, polygons: list[np.ndarray], normals: np.ndarray, towards: np.ndarray, order: float
+) -> None:
     if not polygons:
         return
     upwards = np.array([0, 0, 1]) - towards[2] * towards
     light = towards + (0.6 * upwards - 0.3 * np.cross(upwards, towards)) / np.linalg.norm(upwards)
     brightness = np.abs(normals @ light) / np.linalg.norm(light)
     colours = np.clip(_PAINT * (0.55 + 0.5 * brightness[:, None]), 0, 1)
-    axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.25, zorder=order, clip_on=False))
+    axes.add_collection3d(
+        Poly3DCollection(
+            polygons,
+            facecolors=colours,
+            edgecolors=colours,
+            linewidths=0.25,
+            zorder=order,
+            clip_on=False,
+        )
+    )
 
 
-def _draw_rods(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray) -> np.ndarray:
+def _draw_rods(
+    axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
+) -> np.ndarray:
     """Trails, rods and contact points; returns the points of the rods."""
     factor, rod = length_factor(exhibit.rod), exhibit.rod
     pieces, colours, widths = [], [], []
@@ -291,11 +423,23 @@ def _draw_rods(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibi
                 continue
             line = scan.elastic_line((lane, index), _SAMPLES)
             kind = vb.ContactKind(int(scan.kind[lane, index]))
-            bent = np.linspace(0, rod.length, _SAMPLES)[:-1] < np.nan_to_num(scan.arc_length[lane, index])
+            bent = np.linspace(0, rod.length, _SAMPLES)[:-1] < np.nan_to_num(
+                scan.arc_length[lane, index]
+            )
             pieces.append(np.stack([line[:-1], line[1:]], axis=1))
-            colours.append(np.where(bent, KIND_COLOURS.get(kind, _FREE), _STRAIGHT if scan.in_contact[lane, index] else _FREE))
+            colours.append(
+                np.where(
+                    bent,
+                    KIND_COLOURS.get(kind, _FREE),
+                    _STRAIGHT if scan.in_contact[lane, index] else _FREE,
+                )
+            )
             widths.append(np.where(bent, 0.8, 0.5))
-    segments, colour, width = np.concatenate(pieces), np.concatenate(colours), np.concatenate(widths)
+    segments, colour, width = (
+        np.concatenate(pieces),
+        np.concatenate(colours),
+        np.concatenate(widths),
+    )
     seen = _seen(segments.mean(axis=1), surface, exhibit, towards)
     for part, alpha, order in ((~seen, 0.22, 2), (seen, 1.0, 3)):
         if not part.any():
@@ -326,7 +470,9 @@ def _draw_rods(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibi
     return factor * segments.reshape(-1, 3)
 
 
-def _draw_forces(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray) -> None:
+def _draw_forces(
+    axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
+) -> None:
     """Directions of the contact force and of the normal, at the rods that are drawn."""
     rows = np.zeros(scan.kind.shape, dtype=bool)
     rows[:, :: exhibit.every] = True
@@ -335,11 +481,17 @@ def _draw_forces(axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhi
     for directions, colour in ((scan.normal, _NORMAL), (scan.force_direction, _FORCE)):
         ends = scan.point[rows] + _ARROW * exhibit.rod.length * directions[rows]
         arrows = length_factor(exhibit.rod) * np.stack([scan.point[rows], ends], axis=1)
-        axes.add_collection3d(Line3DCollection(arrows, colors=colour, linewidths=0.9, zorder=5, clip_on=False))
+        axes.add_collection3d(
+            Line3DCollection(arrows, colors=colour, linewidths=0.9, zorder=5, clip_on=False)
+        )
 
 
-def _seen(points: np.ndarray, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray) -> np.ndarray:
-    """Whether nothing of the object, as far as it is drawn, lies between the points (n, 3) and the eye."""
+def _seen(
+    points: np.ndarray, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
+) -> np.ndarray:
+    """Whether nothing of the object, as far as it is drawn, lies between the points (n, 3) and the
+    eye.
+    """
     low, high = np.array(exhibit.box)
     reach = np.linspace(0.012, 2.5, 250) * max(exhibit.rod.length, np.linalg.norm(high - low) / 2.5)
     way = points[:, None] + reach[:, None] * towards
@@ -350,7 +502,9 @@ def _seen(points: np.ndarray, surface: vb.surfaces.Surface, exhibit: Exhibit, to
 
 
 def _trimmed(path: Path) -> Path:
-    """Cut the picture's white margins off: the box of a figure in space reaches beyond what it shows."""
+    """Cut the picture's white margins off: the box of a figure in space reaches beyond what it
+    shows.
+    """
     with Image.open(path) as image:
         opaque = image.convert("RGB")
     left, top, right, bottom = ImageChops.invert(opaque).getbbox() or (0, 0, *opaque.size)
@@ -371,9 +525,12 @@ def main(names: list[str]) -> list[Path]:
             mpl.rcParams["savefig.dpi"] = 180
             axes, scan = picture(exhibit)
             paths.append(_trimmed(save_as(axes, IMAGES / f"{name}.png")))
-        kinds = ", ".join(f"{kind.name} {int(np.sum(scan.kind == kind))}" for kind in vb.ContactKind)
+        kinds = ", ".join(
+            f"{kind.name} {int(np.sum(scan.kind == kind))}" for kind in vb.ContactKind
+        )
         status = ", ".join(
-            f"{vb.Status(int(code)).name} {count}" for code, count in zip(*np.unique(scan.status, return_counts=True), strict=True)
+            f"{vb.Status(int(code)).name} {count}"
+            for code, count in zip(*np.unique(scan.status, return_counts=True), strict=True)
         )
         print(f"{paths[-1].name}: {kinds}; {status}", flush=True)  # noqa: T201
     return paths

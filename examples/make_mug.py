@@ -1,7 +1,9 @@
-"""A mug with a handle, as a mesh: cut out of solids by their level functions, and sampled to triangles. Lengths in millimetres.
+"""A mug with a handle, as a mesh: cut out of solids by their level functions, and sampled to
+triangles. Lengths in millimetres.
 
-Sums and differences of solids are greatest and least of their levels, here rounded off by a radius, so that the mug has no edges. The triangles come from
-libigl's marching cubes, on a coarse grid; then they are evened out along the surface, with each vertex on it.
+Sums and differences of solids are greatest and least of their levels, here rounded off by a radius,
+so that the mug has no edges. The triangles come from libigl's marching cubes, on a coarse grid;
+then they are evened out along the surface, with each vertex on it.
 """
 
 from pathlib import Path
@@ -32,7 +34,9 @@ def mug() -> vb.surfaces.Surface:
     # Out of the top by as much as its own rounding.
     depth = HEIGHT - BOTTOM + 2 * WALL
     inside = _rounded((0, 0, BOTTOM + depth / 2), RADIUS - WALL, depth, WALL)
-    handle = vb.surfaces.Torus(center=(RADIUS, 0, HEIGHT / 2), axis=(0, 1, 0), major_radius=HANDLE, minor_radius=THICKNESS)
+    handle = vb.surfaces.Torus(
+        center=(RADIUS, 0, HEIGHT / 2), axis=(0, 1, 0), major_radius=HANDLE, minor_radius=THICKNESS
+    )
 
     def level(point: Array) -> Array:
         body = -both(-outside.level(point), -handle.level(point), 3.0)
@@ -41,17 +45,28 @@ def mug() -> vb.surfaces.Surface:
     return vb.surfaces.Implicit(level)
 
 
-def _rounded(center: tuple[float, float, float], radius: float, length: float, edge: float) -> vb.surfaces.Surface:
+def _rounded(
+    center: tuple[float, float, float], radius: float, length: float, edge: float
+) -> vb.surfaces.Surface:
     """An upright cylinder with round edges."""
-    return vb.surfaces.Offset(vb.surfaces.Cylinder(center, (0, 0, 1), radius - edge, length - 2 * edge), edge)
+    return vb.surfaces.Offset(
+        vb.surfaces.Cylinder(center, (0, 0, 1), radius - edge, length - 2 * edge), edge
+    )
 
 
 def triangles(surface: vb.surfaces.Surface) -> trimesh.Trimesh:
     """The mug's surface."""
-    low, high = np.array([-RADIUS, -RADIUS, 0]) - MARGIN, np.array([RADIUS + HANDLE + THICKNESS, RADIUS, HEIGHT]) + MARGIN
+    low, high = (
+        np.array([-RADIUS, -RADIUS, 0]) - MARGIN,
+        np.array([RADIUS + HANDLE + THICKNESS, RADIUS, HEIGHT]) + MARGIN,
+    )
     counts = np.ceil((high - low) / CELL).astype(int) + 1
     # libigl counts x first.
-    grid = (low + CELL * np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)).transpose(2, 1, 0, 3).reshape(-1, 3)
+    grid = (
+        (low + CELL * np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1))
+        .transpose(2, 1, 0, 3)
+        .reshape(-1, 3)
+    )
     vertices, faces, _ = igl.marching_cubes(surface.levels(grid), grid, *map(int, counts), 0.0)
     mesh = trimesh.Trimesh(vertices, faces)
     for _ in range(PASSES):

@@ -1,6 +1,8 @@
-"""Coverage-guided fuzzing of the readers: `python fuzz/run.py csv|toml|mcap|rdt [options of libFuzzer]`.
+"""Coverage-guided fuzzing of the readers: `python fuzz/run.py csv|toml|mcap|rdt [options of
+libFuzzer]`.
 
-A reader may take a file or refuse it in one line that begins with the file's name. Anything else stops the run, and leaves the content that did it in the folder.
+A reader may take a file or refuse it in one line that begins with the file's name. Anything else
+stops the run, and leaves the content that did it in the folder.
 """
 
 import os
@@ -30,7 +32,11 @@ def one(content: bytes) -> None:
             message = str(refusal)
             if target.suffix != ".bin" and not message.startswith(str(FILE)):
                 raise AssertionError(f"no name of the file: {message}") from refusal
-            if len(message.splitlines()) != 1 or len(message) > 2000 or ("allowed" not in message and "holds" not in message):
+            if (
+                len(message.splitlines()) != 1
+                or len(message) > 2000
+                or ("allowed" not in message and "holds" not in message)
+            ):
                 raise AssertionError(f"no clear error: {message}") from refusal
 
 

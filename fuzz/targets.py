@@ -41,9 +41,25 @@ def csv() -> Target:
         _each(lambda table: vb.read_recording(file, replace(setup, recording=table)), tables)
 
     short = "".join(RECORDING.splitlines(keepends=True)[:16])
-    german = short.replace(",", ";").replace(".", ",").replace("time", "time;t2").replace("\n0,", "\n0;0,")
+    german = (
+        short.replace(",", ";")
+        .replace(".", ",")
+        .replace("time", "time;t2")
+        .replace("\n0,", "\n0;0,")
+    )
     lines = short.splitlines()
-    dated = "\n".join([lines[0], *(f"2026-11-21T20:00:{row:02d}.5Z," + line.split(",", 1)[1] for row, line in enumerate(lines[1:]))]) + "\n"
+    dated = (
+        "\n".join(
+            [
+                lines[0],
+                *(
+                    f"2026-11-21T20:00:{row:02d}.5Z," + line.split(",", 1)[1]
+                    for row, line in enumerate(lines[1:])
+                ),
+            ]
+        )
+        + "\n"
+    )
     return Target(".csv", read, [text.encode() for text in (short, german, dated)])
 
 
@@ -60,7 +76,9 @@ def toml() -> Target:
     def read(file: Path) -> None:
         _each(lambda load: load(file), (load_setup, load_case))
 
-    return Target(".toml", read, [text.encode() for text in (SETUP, SETUP + layout, CASE, shapes + trails)])
+    return Target(
+        ".toml", read, [text.encode() for text in (SETUP, SETUP + layout, CASE, shapes + trails)]
+    )
 
 
 def mcap() -> Target:

@@ -1,4 +1,6 @@
-"""For all tests: shape checks that take plain numbers, Hypothesis without a clock, kernels compiled once for all processes, and the data beside the checkout."""
+"""For all tests: shape checks that take plain numbers, Hypothesis without a clock, kernels compiled
+once for all processes, and the data beside the checkout.
+"""
 
 import os
 import shutil
@@ -12,19 +14,25 @@ import pytest
 from hypothesis import settings
 from numpy.typing import ArrayLike
 
-# NumPy's `ArrayLike` says complex for "any number" and a protocol for "any sequence" that tuples do not fulfil; read to
-# the letter, (0.0, 0.0, 1.0) would be none. The shape checks look up `beartype.beartype` when the package is imported.
+# NumPy's `ArrayLike` says complex for "any number" and a protocol for "any sequence" that tuples do
+# not fulfil; read to the letter, (0.0, 0.0, 1.0) would be none. The shape checks look up
+# `beartype.beartype` when the package is imported.
 _SEQUENCES = {hint: tuple | hint for hint in get_args(ArrayLike) if "NestedSequence" in repr(hint)}
-beartype.beartype = beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES)))
+beartype.beartype = beartype.beartype(
+    conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES))
+)
 
-settings.register_profile("vibrissa", deadline=None, derandomize=True, database=None, max_examples=25)
+settings.register_profile(
+    "vibrissa", deadline=None, derandomize=True, database=None, max_examples=25
+)
 settings.load_profile("vibrissa")
 
 _COMPILED = "JAX_COMPILATION_CACHE_DIR"
 _HERE = "VIBRISSA_TESTS_COMPILED"
 
 if _COMPILED not in os.environ:
-    # Of this run alone: the processes that share the tests, and those that tests start, compile each kernel once.
+    # Of this run alone: the processes that share the tests, and those that tests start, compile
+    # each kernel once.
     os.environ[_COMPILED] = os.environ[_HERE] = tempfile.mkdtemp(prefix="vibrissa-tests-")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
@@ -47,7 +55,9 @@ def _shared(*parts: str) -> Path:
 
 @pytest.fixture
 def no_shape_checks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the user meets, who runs without them: for arguments of another type than the signature says."""
+    """What the user meets, who runs without them: for arguments of another type than the signature
+    says.
+    """
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 

@@ -1,4 +1,6 @@
-"""What forward and inverse say of a position: the kind of contact, and whether the row can be trusted."""
+"""What forward and inverse say of a position: the kind of contact, and whether the row can be
+trusted.
+"""
 
 from enum import IntEnum
 
@@ -20,7 +22,9 @@ class ContactKind(IntEnum):
 
 
 class Motion(IntEnum):
-    """How the contact moves on the way to a position: the rod's material point rests on the object or slides over it."""
+    """How the contact moves on the way to a position: the rod's material point rests on the object
+    or slides over it.
+    """
 
     NONE = 0
     STICK = 1
@@ -30,7 +34,9 @@ class Motion(IntEnum):
 
 
 class Status(IntEnum):
-    """Whether a row can be trusted; `text` says what is wrong and what to do. The worst finding wins."""
+    """Whether a row can be trusted; `text` says what is wrong and what to do. The worst finding
+    wins.
+    """
 
     OK = 0
     OVERSTRAINED = 1

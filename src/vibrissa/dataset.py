@@ -25,20 +25,30 @@ class Variable(NamedTuple):
 
 
 def dataset_of(
-    shape: tuple[int, ...], variables: dict[str, Variable], kind: Shaped[np.ndarray, "..."], status: Shaped[np.ndarray, "..."]
+    shape: tuple[int, ...],
+    variables: dict[str, Variable],
+    kind: Shaped[np.ndarray, "..."],
+    status: Shaped[np.ndarray, "..."],
 ) -> "xarray.Dataset":
-    """Return a dataset over positions (n,) or trails and positions (m, n), with the flags that every result has."""
+    """Return a dataset over positions (n,) or trails and positions (m, n), with the flags that
+    every result has.
+    """
     import xarray  # noqa: PLC0415
 
     rows = ("position",) if len(shape) == 1 else ("trail", "position")
     data: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, object]]] = {
-        name: (rows + part.extra, part.values, {"units": part.unit, "long_name": part.long_name}) for name, part in variables.items()
+        name: (rows + part.extra, part.values, {"units": part.unit, "long_name": part.long_name})
+        for name, part in variables.items()
     }
     data["kind"] = (rows, kind, flags(ContactKind, "kind of contact"))
     data["status"] = (rows, status, flags(Status, "whether the row can be trusted"))
     labels = {"axis": list(AXES), "other_axis": list(AXES), "quaternion": list(QUATERNION)}
     used = {name for part in variables.values() for name in part.extra}
-    return xarray.Dataset(data, coords={name: values for name, values in labels.items() if name in used}, attrs={"Conventions": "CF-1.11"})
+    return xarray.Dataset(
+        data,
+        coords={name: values for name, values in labels.items() if name in used},
+        attrs={"Conventions": "CF-1.11"},
+    )
 
 
 def flags(enumeration: type[IntEnum], long_name: str) -> dict[str, object]:

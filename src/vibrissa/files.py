@@ -14,11 +14,15 @@ LARGEST = 1e12
 
 
 class InputError(ValueError):
-    """A file, or an argument that names one, that cannot be used: the message names file, field, value and what is allowed."""
+    """A file, or an argument that names one, that cannot be used: the message names file, field,
+    value and what is allowed.
+    """
 
     def __init__(self, message: str) -> None:
         line = " ".join(message.splitlines())
-        super().__init__(line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} … {line[-_LONGEST // 2 :]}")
+        super().__init__(
+            line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} … {line[-_LONGEST // 2 :]}"
+        )
 
 
 def readable(path: Path) -> Path:
@@ -28,11 +32,18 @@ def readable(path: Path) -> Path:
             return path
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read ({reason}); allowed is a readable file") from error
+        raise InputError(
+            f"{path}: cannot be read ({reason}); allowed is a readable file"
+        ) from error
 
 
 def read_table(
-    file: Path, columns: Sequence[str], *, optional: Sequence[str] = (), any_order: bool = False, finite: bool = True
+    file: Path,
+    columns: Sequence[str],
+    *,
+    optional: Sequence[str] = (),
+    any_order: bool = False,
+    finite: bool = True,
 ) -> dict[str, np.ndarray]:
     """Numbers (rows,) by column from a CSV file whose first line names the columns.
 
@@ -52,8 +63,8 @@ def read_table(
     Raises
     ------
     InputError
-        If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is short or cut off, or a cell is no number, or none that is
-        allowed.
+        If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is
+        short or cut off, or a cell is no number, or none that is allowed.
     """
     text = text_of(readable(file))
     lines = text.rstrip().splitlines() if text.endswith(("\n", "\r")) else text.splitlines()
@@ -87,21 +98,33 @@ def text_of(file: Path) -> str:
     try:
         return file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{file}: not a text file ({error.reason} at byte {error.start}); allowed is CSV in UTF-8") from error
+        raise InputError(
+            f"{file}: not a text file ({error.reason} at byte {error.start}); allowed is CSV in UTF-8"
+        ) from error
 
 
-def _header(file: Path, line: str, columns: Sequence[str], optional: Sequence[str], *, any_order: bool) -> list[str]:
+def _header(
+    file: Path, line: str, columns: Sequence[str], optional: Sequence[str], *, any_order: bool
+) -> list[str]:
     names = [name.strip() for name in line.split(",")]
     own = [name for name in names if name not in optional]
-    if len(set(names)) == len(names) and (sorted(own) == sorted(columns) if any_order else own == list(columns)):
+    if len(set(names)) == len(names) and (
+        sorted(own) == sorted(columns) if any_order else own == list(columns)
+    ):
         return names
     missing = [name for name in columns if name not in names]
     unknown = [name for name in own if name not in columns]
     twice = sorted({name for name, count in Counter(names).items() if count > 1} - set(unknown))
-    findings = [f"{word} {', '.join(found)}" for word, found in (("missing", missing), ("unknown", unknown), ("twice", twice)) if found]
+    findings = [
+        f"{word} {', '.join(found)}"
+        for word, found in (("missing", missing), ("unknown", unknown), ("twice", twice))
+        if found
+    ]
     finding = ", ".join(findings) or "another order"
     more = f", and optionally {','.join(optional)}" if optional else ""
-    raise InputError(f"{file}, line 1: columns: {finding[:200]}; allowed are {','.join(columns)}{more}")
+    raise InputError(
+        f"{file}, line 1: columns: {finding[:200]}; allowed are {','.join(columns)}{more}"
+    )
 
 
 def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float]:
@@ -115,12 +138,23 @@ def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float
         try:
             values.append(float(cell.replace("_", "?")))
         except ValueError:
-            raise InputError(f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number") from None
+            raise InputError(
+                f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number"
+            ) from None
     return values
 
 
-def check_last_line(file: Path, text: str, lines: Sequence[str], names: Sequence[str], *, delimiter: str = ",", first: int = 1) -> None:
-    """A last line without its end may have lost digits: then its last number is shorter than the one above it.
+def check_last_line(
+    file: Path,
+    text: str,
+    lines: Sequence[str],
+    names: Sequence[str],
+    *,
+    delimiter: str = ",",
+    first: int = 1,
+) -> None:
+    """A last line without its end may have lost digits: then its last number is shorter than the
+    one above it.
 
     Raises
     ------
@@ -130,14 +164,18 @@ def check_last_line(file: Path, text: str, lines: Sequence[str], names: Sequence
     if text.endswith(("\n", "\r")) or len(lines) < 3:
         return
     last, above = (line.rsplit(delimiter, 1)[-1].strip() for line in (lines[-1], lines[-2]))
-    if lines[-1].count(delimiter) == len(names) - 1 and len(last.lstrip("-")) < len(above.lstrip("-")):
+    if lines[-1].count(delimiter) == len(names) - 1 and len(last.lstrip("-")) < len(
+        above.lstrip("-")
+    ):
         raise InputError(
             f"{file}, line {first + len(lines) - 1}: {names[-1]} = {last!r}, the last line is truncated: no line end, and fewer digits than above; "
             "allowed are complete lines"
         )
 
 
-def _check_numbers(file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str]) -> None:
+def _check_numbers(
+    file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str]
+) -> None:
     bad = np.argwhere(~np.isfinite(table))
     if bad.size:
         row, column = bad[0]
@@ -147,4 +185,6 @@ def _check_numbers(file: Path, table: Float[np.ndarray, "rows columns"], names: 
     large = np.argwhere(np.abs(table) > LARGEST)
     if large.size:
         row, column = large[0]
-        raise InputError(f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g}; allowed are numbers up to {LARGEST:g}")
+        raise InputError(
+            f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g}; allowed are numbers up to {LARGEST:g}"
+        )

@@ -25,4 +25,7 @@ def extra_library(name: str, *, extra: str, need: str) -> ModuleType:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         missing = error.name or name
-        raise ImportError(f"{missing} is not installed; {need}: python3 -m pip install 'vibrissa[{extra}]'", name=missing) from error
+        raise ImportError(
+            f"{missing} is not installed; {need}: python3 -m pip install 'vibrissa[{extra}]'",
+            name=missing,
+        ) from error

@@ -1,4 +1,6 @@
-"""How well the numbers of a setup are known: standard deviations of what it states, and the errors that all samples of a sweep share."""
+"""How well the numbers of a setup are known: standard deviations of what it states, and the errors
+that all samples of a sweep share.
+"""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -21,8 +23,9 @@ PARAMETERS = (
     *(f"gain_{kind}_{axis}" for kind in ("force", "torque") for axis in _AXES),
     "pose_delay",
 )
-"""Numbers of a setup whose errors all samples share: EI (relative), the rod's length (its unit), the clamp in the sensor frame (the rod's unit), its axes (rotations
-about them [rad]), the gains (relative), and by how much the poses come late [s]."""
+"""Numbers of a setup whose errors all samples share: EI (relative), the rod's length (its unit),
+the clamp in the sensor frame (the rod's unit), its axes (rotations about them [rad]), the gains
+(relative), and by how much the poses come late [s]."""
 
 
 _MOST = {
@@ -36,7 +39,9 @@ _MOST = {
     "object_scale": 0.5,
     "object_position": 0.1,
 }
-"""Of what is known so badly nothing can be said to first order: larger numbers are millimetres, degrees or milliseconds."""
+"""Of what is known so badly nothing can be said to first order: larger numbers are millimetres,
+degrees or milliseconds.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +51,8 @@ class Tolerances:
     Attributes
     ----------
     youngs_modulus, radius
-        Relative: EI has the relative deviation of the modulus and four times that of the radius, independent of each other.
+        Relative: EI has the relative deviation of the modulus and four times that of the radius,
+        independent of each other.
     length
         Of the rod [m].
     clamp_position
@@ -63,7 +69,8 @@ class Tolerances:
     Raises
     ------
     ValueError
-        If a number is negative, not finite or larger than any bench's, or there are too many of them.
+        If a number is negative, not finite or larger than any bench's, or there are too many of
+        them.
     """
 
     youngs_modulus: float = 0.0
@@ -88,23 +95,40 @@ class Tolerances:
         object_scale: float = 0.0,
         object_position: ArrayLike = 0.0,
     ) -> None:
-        sizes = {"clamp_position": 3, "clamp_orientation": 3, "gain": _CHANNELS, "object_position": 3}
+        sizes = {
+            "clamp_position": 3,
+            "clamp_orientation": 3,
+            "gain": _CHANNELS,
+            "object_position": 3,
+        }
         given = locals()
         for name in (field.name for field in fields(self)):
-            object.__setattr__(self, name, _deviations(given[name], name, sizes.get(name), _MOST[name]))
+            object.__setattr__(
+                self, name, _deviations(given[name], name, sizes.get(name), _MOST[name])
+            )
 
     @property
     def covariance(self) -> Float[np.ndarray, "15 15"]:
         """Of the errors of `PARAMETERS`, independent of each other."""
         stiffness = np.hypot(self.youngs_modulus, 4 * self.radius)
         return np.diag(
-            np.concatenate([[stiffness, self.length], self.clamp_position, self.clamp_orientation, self.gain, [self.pose_delay]]) ** 2
+            np.concatenate(
+                [
+                    [stiffness, self.length],
+                    self.clamp_position,
+                    self.clamp_orientation,
+                    self.gain,
+                    [self.pose_delay],
+                ]
+            )
+            ** 2
         )
 
 
 @dataclass(frozen=True, eq=False)
 class SetupErrors:
-    """What a setup's numbers are off by, the same for all samples of a sweep, and what is needed to carry it to contacts.
+    """What a setup's numbers are off by, the same for all samples of a sweep, and what is needed to
+    carry it to contacts.
 
     Attributes
     ----------
@@ -131,10 +155,22 @@ class SetupErrors:
     def __post_init__(self) -> None:
         size = len(PARAMETERS)
         array = finite_array(self.covariance, "covariance", last=size, ndim=2)
-        scale = np.sqrt(np.maximum(np.diag(array), 0.0)) if array.shape == (size, size) else np.zeros(0)
-        relative = array / np.where(np.outer(scale, scale) > 0, np.outer(scale, scale), 1.0) if scale.size else array
-        if array.shape != (size, size) or not np.allclose(relative, relative.T) or np.linalg.eigvalsh(relative)[0] < -1e-6:
-            raise ValueError(f"covariance of shape {array.shape}; allowed is a symmetric positive semidefinite {(size, size)}")
+        scale = (
+            np.sqrt(np.maximum(np.diag(array), 0.0)) if array.shape == (size, size) else np.zeros(0)
+        )
+        relative = (
+            array / np.where(np.outer(scale, scale) > 0, np.outer(scale, scale), 1.0)
+            if scale.size
+            else array
+        )
+        if (
+            array.shape != (size, size)
+            or not np.allclose(relative, relative.T)
+            or np.linalg.eigvalsh(relative)[0] < -1e-6
+        ):
+            raise ValueError(
+                f"covariance of shape {array.shape}; allowed is a symmetric positive semidefinite {(size, size)}"
+            )
         object.__setattr__(self, "covariance", array)
 
     @cached_property
@@ -144,24 +180,36 @@ class SetupErrors:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the factor's columns: each is the error of this parameter, as far as those before do not tell it, with what of the later ones goes with it."""
+        """Of the factor's columns: each is the error of this parameter, as far as those before do
+        not tell it, with what of the later ones goes with it.
+        """
         return tuple(PARAMETERS[column] for column in _cholesky(self.covariance)[1])
 
 
-def _deviations(value: ArrayLike, name: str, size: int | None, most: float) -> "float | Float[np.ndarray, 'k']":
+def _deviations(
+    value: ArrayLike, name: str, size: int | None, most: float
+) -> "float | Float[np.ndarray, 'k']":
     numbers = finite_array(value, name)
     shapes = ((),) if size is None else ((), (size,))
     if numbers.shape not in shapes or np.any(numbers < 0) or np.any(numbers > most):
         many = "" if size is None else f", or {size} of them"
-        unit = {"length": " m", "clamp_position": " m", "object_position": " m", "clamp_orientation": " rad", "pose_delay": " s"}.get(
-            name, ""
+        unit = {
+            "length": " m",
+            "clamp_position": " m",
+            "object_position": " m",
+            "clamp_orientation": " rad",
+            "pose_delay": " s",
+        }.get(name, "")
+        raise ValueError(
+            f"{name} = {np.asarray(value).tolist()}; allowed is a standard deviation from 0 to {most:g}{unit}{many}"
         )
-        raise ValueError(f"{name} = {np.asarray(value).tolist()}; allowed is a standard deviation from 0 to {most:g}{unit}{many}")
     return float(numbers) if size is None else np.broadcast_to(numbers, size).copy()
 
 
 def _cholesky(covariance: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k p"], list[int]]:
-    """Factor of a positive semidefinite matrix, without the columns that are zero, and the numbers of the others."""
+    """Factor of a positive semidefinite matrix, without the columns that are zero, and the numbers
+    of the others.
+    """
     left, columns, kept = covariance.copy(), [], []
     for k, variance in enumerate(np.diag(covariance)):
         if left[k, k] > _SMALLEST_PIVOT * variance:

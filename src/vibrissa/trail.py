@@ -31,23 +31,33 @@ class Trail:
     position
         Clamp points (n, 3) or (m, n, 3), world axes, in units of the rod.
     orientation
-        Quaternions x, y, z, w (n, 4) or (m, n, 4), or one for all (4,): they map clamp axes onto world axes. The rod leaves along clamp +z.
+        Quaternions x, y, z, w (n, 4) or (m, n, 4), or one for all (4,): they map clamp axes onto
+        world axes. The rod leaves along clamp +z.
 
     Raises
     ------
     ValueError
-        If a trail has no position, shapes do not fit, an entry is not finite, or a quaternion has zero norm.
+        If a trail has no position, shapes do not fit, an entry is not finite, or a quaternion has
+        zero norm.
     """
 
     position: Float[np.ndarray, "*trail n 3"]
-    orientation: Float[np.ndarray, "*trail n 4"] = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
+    orientation: Float[np.ndarray, "*trail n 4"] = field(
+        default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0])
+    )
 
-    def __init__(self, position: ArrayLike, orientation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0)) -> None:
+    def __init__(
+        self, position: ArrayLike, orientation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0)
+    ) -> None:
         points = finite_array(position, "position", last=3)
         if points.ndim not in (2, 3):
-            raise ValueError(f"position has shape {points.shape}; allowed is (n, 3) for one trail or (m, n, 3) for several")
+            raise ValueError(
+                f"position has shape {points.shape}; allowed is (n, 3) for one trail or (m, n, 3) for several"
+            )
         if points.size == 0:
-            raise ValueError(f"position has shape {points.shape}: an empty trail; allowed is at least one position")
+            raise ValueError(
+                f"position has shape {points.shape}: an empty trail; allowed is at least one position"
+            )
         turns = unit_quaternions(orientation, "orientation")
         try:
             turns = np.array(np.broadcast_to(turns, (*points.shape[:-1], 4)))
@@ -59,22 +69,39 @@ class Trail:
         object.__setattr__(self, "orientation", turns)
 
     @classmethod
-    def line(cls, *, start: ArrayLike, stop: ArrayLike, count: int, axis: ArrayLike = (0.0, 0.0, 1.0)) -> "Trail":
-        """`count` equally spaced positions from `start` to `stop` (3,), the rod leaving along `axis` (3,).
+    def line(
+        cls, *, start: ArrayLike, stop: ArrayLike, count: int, axis: ArrayLike = (0.0, 0.0, 1.0)
+    ) -> "Trail":
+        """`count` equally spaced positions from `start` to `stop` (3,), the rod leaving along
+        `axis` (3,).
 
         Raises
         ------
         ValueError
             If an entry is not finite, `axis` is zero, or `count` is less than 1.
         """
-        first, last = finite_array(start, "start", last=3, ndim=1), finite_array(stop, "stop", last=3, ndim=1)
-        return cls(np.linspace(first, last, whole_number(count, "count")), turning_axis_to(unit_vector(axis, "axis")))
+        first, last = (
+            finite_array(start, "start", last=3, ndim=1),
+            finite_array(stop, "stop", last=3, ndim=1),
+        )
+        return cls(
+            np.linspace(first, last, whole_number(count, "count")),
+            turning_axis_to(unit_vector(axis, "axis")),
+        )
 
     @classmethod
     def raster(
-        cls, *, start: ArrayLike, stop: ArrayLike, count: int, step: ArrayLike, trails: int, axis: ArrayLike = (0.0, 0.0, 1.0)
+        cls,
+        *,
+        start: ArrayLike,
+        stop: ArrayLike,
+        count: int,
+        step: ArrayLike,
+        trails: int,
+        axis: ArrayLike = (0.0, 0.0, 1.0),
     ) -> "Trail":
-        """Parallel lines: `trails` copies of the line from `start` to `stop`, each moved on by `step` (3,). Shape (trails, count, …).
+        """Parallel lines: `trails` copies of the line from `start` to `stop`, each moved on by
+        `step` (3,). Shape (trails, count, …).
 
         Raises
         ------
@@ -82,7 +109,9 @@ class Trail:
             As for `line`, and if `trails` is less than 1.
         """
         line = cls.line(start=start, stop=stop, count=count, axis=axis)
-        offset = np.arange(whole_number(trails, "trails"))[:, None, None] * finite_array(step, "step", last=3, ndim=1)
+        offset = np.arange(whole_number(trails, "trails"))[:, None, None] * finite_array(
+            step, "step", last=3, ndim=1
+        )
         return cls(line.position + offset, line.orientation)
 
     @classmethod
@@ -103,29 +132,39 @@ class Trail:
         Parameters
         ----------
         center, axis
-            A point (3,) and the direction (3,) of the line about which the clamp point moves, right-handed.
+            A point (3,) and the direction (3,) of the line about which the clamp point moves,
+            right-handed.
         start
             First clamp point (3,), off that line.
         angle
             Of the whole arc [rad]; negative the other way round.
         orientation, rod_axis
-            Of the clamp at `start`: a quaternion x, y, z, w or a SciPy `Rotation`, or in its place the direction (3,) in which the rod leaves.
-            By default the rod leaves along +z.
+            Of the clamp at `start`: a quaternion x, y, z, w or a SciPy `Rotation`, or in its place
+            the direction (3,) in which the rod leaves. By default the rod leaves along +z.
         turning
             Whether the clamp turns with the arc, or keeps its orientation.
 
         Raises
         ------
         ValueError
-            If an entry is not finite, an axis is zero, `start` lies on the line, both `orientation` and `rod_axis` are given, `count` is less than 1, or
-            a step is half a turn or more.
+            If an entry is not finite, an axis is zero, `start` lies on the line, both `orientation`
+            and `rod_axis` are given, `count` is less than 1, or a step is half a turn or more.
         """
-        first, middle, about = _point(start, "start"), _point(center, "center"), unit_vector(axis, "axis")
+        first, middle, about = (
+            _point(start, "start"),
+            _point(center, "center"),
+            unit_vector(axis, "axis"),
+        )
         if not np.any(arm_of(first, middle, about)):
-            raise ValueError(f"start = {first.tolist()} lies on the line through center along axis; allowed is a point off it")
+            raise ValueError(
+                f"start = {first.tolist()} lies on the line through center along axis; allowed is a point off it"
+            )
         angles = equal_angles(0.0, finite(angle, "angle"), whole_number(count, "count"))
         turn = _clamp_turn(orientation, rod_axis)
-        return cls(turned_about(first, middle, about, angles), turns_about(about, angles) * Rotation.from_quat(turn) if turning else turn)
+        return cls(
+            turned_about(first, middle, about, angles),
+            turns_about(about, angles) * Rotation.from_quat(turn) if turning else turn,
+        )
 
     @classmethod
     def whisk(
@@ -140,7 +179,8 @@ class Trail:
         orientation: "ArrayLike | Rotation | None" = None,
         rod_axis: ArrayLike | None = None,
     ) -> "Trail":
-        """`count` poses of a clamp that turns as one body about a pivot axis, as a rat's whisker does, at equal steps of the angle.
+        """`count` poses of a clamp that turns as one body about a pivot axis, as a rat's whisker
+        does, at equal steps of the angle.
 
         Parameters
         ----------
@@ -151,85 +191,123 @@ class Trail:
         start_angle, stop_angle
             First and last angle [rad].
         orientation, rod_axis
-            Of the clamp at angle 0: a quaternion x, y, z, w or a SciPy `Rotation`, or in its place the direction (3,) in which the rod leaves.
-            By default the rod leaves along +z.
+            Of the clamp at angle 0: a quaternion x, y, z, w or a SciPy `Rotation`, or in its place
+            the direction (3,) in which the rod leaves. By default the rod leaves along +z.
 
         Raises
         ------
         ValueError
-            If an entry is not finite, an axis is zero, both `orientation` and `rod_axis` are given, `count` is less than 1, or a step is half a turn or more.
+            If an entry is not finite, an axis is zero, both `orientation` and `rod_axis` are given,
+            `count` is less than 1, or a step is half a turn or more.
         """
         about = unit_vector(axis, "axis")
-        angles = equal_angles(finite(start_angle, "start_angle"), finite(stop_angle, "stop_angle"), whole_number(count, "count"))
+        angles = equal_angles(
+            finite(start_angle, "start_angle"),
+            finite(stop_angle, "stop_angle"),
+            whole_number(count, "count"),
+        )
         points = turned_about(_point(position, "position"), _point(pivot, "pivot"), about, angles)
-        return cls(points, turns_about(about, angles) * Rotation.from_quat(_clamp_turn(orientation, rod_axis)))
+        return cls(
+            points,
+            turns_about(about, angles) * Rotation.from_quat(_clamp_turn(orientation, rod_axis)),
+        )
 
     @classmethod
     def spline(
-        cls, points: ArrayLike, count: int, *, orientations: "ArrayLike | Rotation | None" = None, rod_axis: ArrayLike | None = None
+        cls,
+        points: ArrayLike,
+        count: int,
+        *,
+        orientations: "ArrayLike | Rotation | None" = None,
+        rod_axis: ArrayLike | None = None,
     ) -> "Trail":
-        """`count` poses on a smooth curve through way-points, equally spaced in arc length from the first to the last.
+        """`count` poses on a smooth curve through way-points, equally spaced in arc length from the
+        first to the last.
 
         Parameters
         ----------
         points
-            Way-points (k, 3), at least two: a cubic spline over the length of their chords runs through them.
+            Way-points (k, 3), at least two: a cubic spline over the length of their chords runs
+            through them.
         count
-            Number of positions; way-points between the ends are passed, but are no positions themselves.
+            Number of positions; way-points between the ends are passed, but are no positions
+            themselves.
         orientations, rod_axis
-            Of the clamp: one quaternion x, y, z, w for all (4,) or one at each way-point (k, 4), as arrays or a SciPy `Rotation`; or in their place one
-            direction (3,) in which the rod leaves. Between way-points the angular velocity is continuous. By default the rod leaves along +z.
+            Of the clamp: one quaternion x, y, z, w for all (4,) or one at each way-point (k, 4), as
+            arrays or a SciPy `Rotation`; or in their place one direction (3,) in which the rod
+            leaves. Between way-points the angular velocity is continuous. By default the rod leaves
+            along +z.
 
         Raises
         ------
         ValueError
-            If there are fewer than two points, successive ones coincide, shapes do not fit, an entry is not finite, a quaternion has zero norm, both
-            `orientations` and `rod_axis` are given, or `count` is less than 1.
+            If there are fewer than two points, successive ones coincide, shapes do not fit, an
+            entry is not finite, a quaternion has zero norm, both `orientations` and `rod_axis` are
+            given, or `count` is less than 1.
         """
         from vibrissa.geometry.spline import along_spline  # noqa: PLC0415
 
         through = finite_array(points, "points", last=3, ndim=2)
         turns = _one_of(orientations, rod_axis, "orientations")
         if turns.shape not in ((4,), (len(through), 4)):
-            raise ValueError(f"orientations has shape {turns.shape}; allowed is (4,) or {(len(through), 4)}, as points has")
-        return cls(*along_spline(through, np.array(np.broadcast_to(turns, (len(through), 4))), whole_number(count, "count")))
+            raise ValueError(
+                f"orientations has shape {turns.shape}; allowed is (4,) or {(len(through), 4)}, as points has"
+            )
+        return cls(
+            *along_spline(
+                through,
+                np.array(np.broadcast_to(turns, (len(through), 4))),
+                whole_number(count, "count"),
+            )
+        )
 
     @classmethod
-    def from_poses(cls, poses: "ArrayLike | Rotation", *, position: ArrayLike | None = None) -> "Trail":
+    def from_poses(
+        cls, poses: "ArrayLike | Rotation", *, position: ArrayLike | None = None
+    ) -> "Trail":
         """Clamp poses as robots give them.
 
         Parameters
         ----------
         poses
-            Homogeneous matrices (n, 4, 4), or (m, n, 4, 4) for several trails, that map clamp coordinates onto world coordinates: columns are the clamp's axes
-            and its point. Or a SciPy `Rotation`, then with `position`.
+            Homogeneous matrices (n, 4, 4), or (m, n, 4, 4) for several trails, that map clamp
+            coordinates onto world coordinates: columns are the clamp's axes and its point. Or a
+            SciPy `Rotation`, then with `position`.
         position
             Clamp points (n, 3) or (m, n, 3) that belong to a `Rotation`.
 
         Raises
         ------
         ValueError
-            If shapes do not fit, an entry is not finite, a matrix is no rotation and translation to 1e-3, or a `Rotation` comes without positions.
+            If shapes do not fit, an entry is not finite, a matrix is no rotation and translation to
+            1e-3, or a `Rotation` comes without positions.
         """
         if isinstance(poses, Rotation):
             if position is None:
-                raise ValueError("position = None; allowed are clamp points (n, 3) beside a Rotation")
+                raise ValueError(
+                    "position = None; allowed are clamp points (n, 3) beside a Rotation"
+                )
             return cls(position, poses)
         if position is not None:
-            raise ValueError("position: the matrices hold it; allowed is a position beside a Rotation only")
+            raise ValueError(
+                "position: the matrices hold it; allowed is a position beside a Rotation only"
+            )
         return cls(*matrix_parts(poses, "poses"))
 
     @classmethod
     def from_csv(cls, path: str | Path) -> "Trail":
-        """One trail from a CSV file with a header: the columns `x,y,z,qx,qy,qz,qw` in any order, in units of the rod.
+        """One trail from a CSV file with a header: the columns `x,y,z,qx,qy,qz,qw` in any order, in
+        units of the rod.
 
-        A column `time` may be there too. It has to increase, and is not kept: a sweep is quasi-static.
+        A column `time` may be there too. It has to increase, and is not kept: a sweep is
+        quasi-static.
 
         Raises
         ------
         InputError
-            If the file cannot be read, a column is missing or unknown, a row is short or cut off, a number is not finite, time does not increase, or a
-            quaternion has zero norm: one line that names file, line and column.
+            If the file cannot be read, a column is missing or unknown, a row is short or cut off, a
+            number is not finite, time does not increase, or a quaternion has zero norm: one line
+            that names file, line and column.
         """
         file = Path(path)
         table = read_table(file, COLUMNS, optional=("time",), any_order=True)
@@ -257,7 +335,9 @@ class Trail:
         if len(lengths) > 1:
             raise ValueError(f"trails have {sorted(lengths)} positions; allowed are equal lengths")
         position = np.concatenate([trail.position.reshape(-1, trail.count, 3) for trail in trails])
-        orientation = np.concatenate([trail.orientation.reshape(-1, trail.count, 4) for trail in trails])
+        orientation = np.concatenate(
+            [trail.orientation.reshape(-1, trail.count, 4) for trail in trails]
+        )
         return cls(position, orientation)
 
     @property
@@ -277,11 +357,15 @@ class Trail:
 
     @property
     def parameter(self) -> Float[np.ndarray, "*trail n"]:
-        """0 to 1 along each trail: the share of the clamp's path length, or of the steps where on one of them the clamp stands or only turns."""
+        """0 to 1 along each trail: the share of the clamp's path length, or of the steps where on
+        one of them the clamp stands or only turns.
+        """
         steps = np.linalg.norm(np.diff(self.position, axis=-2), axis=-1)
         moving = np.all(steps > 0, axis=-1, keepdims=True)
         total = np.where(moving, steps.sum(axis=-1, keepdims=True), 1)
-        share = np.where(moving, np.cumsum(steps, axis=-1) / total, np.linspace(0, 1, self.count)[1:])
+        share = np.where(
+            moving, np.cumsum(steps, axis=-1) / total, np.linspace(0, 1, self.count)[1:]
+        )
         return np.concatenate([np.zeros((*self.shape[:-1], 1)), share], axis=-1)
 
 
@@ -289,7 +373,9 @@ def _point(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
     return finite_array(value, name, last=3, ndim=1)
 
 
-def _one_of(orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None, name: str) -> Float[np.ndarray, "*batch 4"]:
+def _one_of(
+    orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None, name: str
+) -> Float[np.ndarray, "*batch 4"]:
     if rod_axis is None:
         return unit_quaternions((0.0, 0.0, 0.0, 1.0) if orientation is None else orientation, name)
     if orientation is not None:
@@ -297,7 +383,9 @@ def _one_of(orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | No
     return turning_axis_to(unit_vector(rod_axis, "rod_axis"))
 
 
-def _clamp_turn(orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None) -> Float[np.ndarray, "4"]:
+def _clamp_turn(
+    orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None
+) -> Float[np.ndarray, "4"]:
     turn = _one_of(orientation, rod_axis, "orientation")
     if turn.shape != (4,):
         raise ValueError(f"orientation has shape {turn.shape}; allowed is one quaternion (4,)")

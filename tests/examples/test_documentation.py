@@ -1,4 +1,6 @@
-"""The code on pages runs as it stands, from top to bottom, and prints what the page says. Those of the guide and of the sensor take minutes, and are not run here."""
+"""The code on pages runs as it stands, from top to bottom, and prints what the page says. Those of
+the guide and of the sensor take minutes, and are not run here.
+"""
 
 import re
 from contextlib import redirect_stdout
@@ -13,7 +15,9 @@ _FILE = re.compile(r"# (\w+\.toml)\n")
 
 
 def _differences(page: str) -> list[str]:
-    """Run the code of a page in the current folder, with the files that it shows, and compare its output block by block."""
+    """Run the code of a page in the current folder, with the files that it shows, and compare its
+    output block by block.
+    """
     names: dict[str, object] = {"__name__": page}
     printed: str | None = None
     wrong = []

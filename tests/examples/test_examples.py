@@ -27,7 +27,12 @@ def _load(name: str) -> ModuleType:
 
 
 def test_every_example_is_tested() -> None:
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == {"first_steps", "make_mug", "make_recording", "own_surface"}
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {
+        "first_steps",
+        "make_mug",
+        "make_recording",
+        "own_surface",
+    }
 
 
 def test_first_steps() -> None:
@@ -51,7 +56,9 @@ def test_mug_is_the_one_that_the_script_makes(tmp_path: Path) -> None:
     # Wall, bottom and handle by Pappus; what the roundings take and the fillets add is little.
     wall, depth = script.RADIUS - script.WALL, script.HEIGHT - script.BOTTOM
     handle = np.pi**2 * script.HANDLE * script.THICKNESS**2
-    assert made.volume == pytest.approx(np.pi * (script.RADIUS**2 * script.HEIGHT - wall**2 * depth) + handle, rel=0.02)
+    assert made.volume == pytest.approx(
+        np.pi * (script.RADIUS**2 * script.HEIGHT - wall**2 * depth) + handle, rel=0.02
+    )
     assert np.degrees(made.face_angles.min()) > 20
     assert (tmp_path / "mug.ply").stat().st_size == script.FILE.stat().st_size < 1e6
     shipped = vb.surfaces.Mesh.load(script.FILE, 1e-3)
@@ -67,12 +74,16 @@ def test_recording_is_the_one_that_the_script_makes(tmp_path: Path) -> None:
     made = np.loadtxt(path, delimiter=",", skiprows=1)
     # Rounding to the sensor's resolution may differ by a step where a platform's last digit does.
     assert np.mean(np.abs(made - shipped) > 1e-12) < 1e-3
-    assert np.linalg.norm(scan.point[scan.in_contact] - SPHERE, axis=-1) == pytest.approx(0.03, abs=1e-12)
+    assert np.linalg.norm(scan.point[scan.in_contact] - SPHERE, axis=-1) == pytest.approx(
+        0.03, abs=1e-12
+    )
 
 
 def test_shipped_recording_gives_the_sphere() -> None:
     setup = vb.load_setup(EXAMPLES / "recordings/sphere_60mm/setup.toml")
-    found = vb.reconstruct(setup.rod, vb.read_recording(EXAMPLES / "recordings/sphere_60mm/trail.csv", setup))
+    found = vb.reconstruct(
+        setup.rod, vb.read_recording(EXAMPLES / "recordings/sphere_60mm/trail.csv", setup)
+    )
     assert found.covariance is not None
     rows = found.in_contact & (found.status == vb.Status.OK)
     radius = np.linalg.norm(found.point[rows] - SPHERE, axis=-1)
@@ -88,7 +99,9 @@ def test_shipped_recording_gives_the_sphere() -> None:
 def swept(name: str) -> tuple[vb.Case, vb.Scan]:
     """A case and its scan; kept, since a mesh takes its time."""
     case = vb.load_case(EXAMPLES / f"cases/{name}.toml")
-    return case, vb.scan(case.rod, case.surface, case.trail, friction=case.friction, finite_radius=case.finite_radius)
+    return case, vb.scan(
+        case.rod, case.surface, case.trail, friction=case.friction, finite_radius=case.finite_radius
+    )
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (EXAMPLES / "cases").glob("*.toml")))
@@ -113,12 +126,16 @@ def test_the_case_with_friction_is_that_of_the_recording() -> None:
     force = -scan.reactions.force[rows]
     cosine = np.sum(outward * force, axis=1) / np.linalg.norm(force, axis=1)
     assert np.count_nonzero(rows) > 200
-    np.testing.assert_allclose(np.degrees(np.arccos(cosine)), np.degrees(np.arctan(0.25)), atol=1e-6)
+    np.testing.assert_allclose(
+        np.degrees(np.arccos(cosine)), np.degrees(np.arctan(0.25)), atol=1e-6
+    )
 
 
 @pytest.mark.skipif(not ALL, reason="the mug takes two minutes: set VIBRISSA_ALL_TESTS")
 def test_the_case_of_the_mug_touches_where_it_is_hollow() -> None:
-    """Wall, then the inside of the handle, which is a saddle, and the rim out of the cavity: against the solid that the mesh samples."""
+    """Wall, then the inside of the handle, which is a saddle, and the rim out of the cavity:
+    against the solid that the mesh samples.
+    """
     _, scan = swept("mug")
     np.testing.assert_array_equal(scan.status, vb.Status.OK)
     solid = _load("make_mug").mug()

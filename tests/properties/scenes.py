@@ -1,6 +1,8 @@
-"""Random objects under random straight trails, with the objects' equations written once more in NumPy.
+"""Random objects under random straight trails, with the objects' equations written once more in
+NumPy.
 
-All trails have 61 positions and steps below 0.05 L, and every object is placed, so that few kernels are compiled.
+All trails have 61 positions and steps below 0.05 L, and every object is placed, so that few kernels
+are compiled.
 """
 
 from collections.abc import Callable
@@ -15,7 +17,9 @@ import vibrissa as vb
 
 COUNT = 61
 UNSHRUNK = (Phase.explicit, Phase.generate)
-"""A sweep costs milliseconds and a smaller counterexample says little more: failures are shown as they were drawn."""
+"""A sweep costs milliseconds and a smaller counterexample says little more: failures are shown as
+they were drawn.
+"""
 IDENTITY = Rotation.identity()
 UNIT = vb.Rod.unit()
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
@@ -33,7 +37,9 @@ class Solid(NamedTuple):
         """For the package, in units in which the rod has this length."""
         f = self.figures
         if self.kind == "paraboloid":
-            own = vb.surfaces.EllipticParaboloid(a=float(f[0] / length), b=float(f[1] / length), h=float(f[2] * length))
+            own = vb.surfaces.EllipticParaboloid(
+                a=float(f[0] / length), b=float(f[1] / length), h=float(f[2] * length)
+            )
         else:
             own = vb.surfaces.Ellipsoid(center=f[:3] * length, semi_axes=f[3:] * length)
         return own.placed(self.rotation, self.translation * length)
@@ -58,15 +64,22 @@ class Solid(NamedTuple):
 
     def moved(self, rotation: Rotation, translation: np.ndarray) -> "Solid":
         """The same, turned and moved once more."""
-        return self._replace(rotation=rotation * self.rotation, translation=rotation.apply(self.translation) + translation)
+        return self._replace(
+            rotation=rotation * self.rotation,
+            translation=rotation.apply(self.translation) + translation,
+        )
 
     def mirrored(self) -> "Solid":
-        """Seen in a mirror in the plane y = 0; the object's own shape is its mirror image if its centre is moved."""
+        """Seen in a mirror in the plane y = 0; the object's own shape is its mirror image if its
+        centre is moved.
+        """
         figures = self.figures.copy()
         if self.kind == "ellipsoid":
             figures[1] *= -1
         x, y, z, w = self.rotation.as_quat()
-        return Solid(self.kind, figures, Rotation.from_quat([-x, y, -z, w]), self.translation * [1, -1, 1])
+        return Solid(
+            self.kind, figures, Rotation.from_quat([-x, y, -z, w]), self.translation * [1, -1, 1]
+        )
 
 
 class Scene(NamedTuple):
@@ -115,11 +128,20 @@ def scenes(draw: st.DrawFn, kinds: tuple[str, ...] = ("paraboloid", "ellipsoid")
     turn = draw(vectors(-0.15, 0.15))
     if draw(st.sampled_from(kinds)) == "paraboloid":
         a, b = draw(numbers(0.3, 0.8)), draw(numbers(0.5, 1.2))
-        solid = Solid("paraboloid", np.array([a, b, draw(numbers(0.4, 0.6))]), Rotation.from_rotvec(turn), np.zeros(3))
+        solid = Solid(
+            "paraboloid",
+            np.array([a, b, draw(numbers(0.4, 0.6))]),
+            Rotation.from_rotvec(turn),
+            np.zeros(3),
+        )
     else:
         axes = np.array([draw(numbers(0.3, 0.6)) for _ in range(3)])
-        center = np.array([0.0, draw(numbers(-0.1, 0.1)), draw(numbers(0.95, 1.05)) + 0.3 * axes[2]])
-        solid = Solid("ellipsoid", np.concatenate([center, axes]), Rotation.from_rotvec(turn), np.zeros(3))
+        center = np.array(
+            [0.0, draw(numbers(-0.1, 0.1)), draw(numbers(0.95, 1.05)) + 0.3 * axes[2]]
+        )
+        solid = Solid(
+            "ellipsoid", np.concatenate([center, axes]), Rotation.from_rotvec(turn), np.zeros(3)
+        )
     side = draw(numbers(0.1, 0.35)) * draw(st.sampled_from([-1, 1]))
     axis = np.array([draw(numbers(-0.15, 0.15)), draw(numbers(-0.15, 0.15)), 1.0])
     return Scene(solid, side, axis / np.linalg.norm(axis))
@@ -144,13 +166,22 @@ def model_units(scan: vb.Scan) -> dict[str, np.ndarray]:
     }
 
 
-def same(found: vb.Scan, expected: vb.Scan, change: Callable[[str, np.ndarray], np.ndarray], tolerance: float) -> None:
-    """Both scans agree in every field of all rows, the second changed as a motion, a scale or a mirror does."""
+def same(
+    found: vb.Scan,
+    expected: vb.Scan,
+    change: Callable[[str, np.ndarray], np.ndarray],
+    tolerance: float,
+) -> None:
+    """Both scans agree in every field of all rows, the second changed as a motion, a scale or a
+    mirror does.
+    """
     np.testing.assert_array_equal(found.kind, expected.kind)
     np.testing.assert_array_equal(found.status, expected.status)
     ours, theirs = model_units(found), model_units(expected)
     for name, values in ours.items():
-        np.testing.assert_allclose(values, change(name, theirs[name]), rtol=0, atol=tolerance, err_msg=name)
+        np.testing.assert_allclose(
+            values, change(name, theirs[name]), rtol=0, atol=tolerance, err_msg=name
+        )
     assert [event.kind for event in found.events] == [event.kind for event in expected.events]
     parameters = [[event.parameter for event in scan.events] for scan in (found, expected)]
     np.testing.assert_allclose(*parameters, rtol=0, atol=1e-8)

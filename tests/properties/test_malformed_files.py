@@ -1,4 +1,5 @@
-"""Hypothesis writes bad files of every kind: the readers take them or say in one line what is wrong, and nothing else happens.
+"""Hypothesis writes bad files of every kind: the readers take them or say in one line what is
+wrong, and nothing else happens.
 
 The coverage-guided counterpart is in `fuzz/`.
 """
@@ -33,7 +34,11 @@ LAYOUTS = (
     RecordingTable(),
     RecordingTable(time_unit="stamp", delimiter=";", decimal=","),
     RecordingTable(
-        force="force", orientation=("qx", "qy", "qz"), orientation_form="rotation_vector", angle_unit="deg", pose_time="time[0]"
+        force="force",
+        orientation=("qx", "qy", "qz"),
+        orientation_form="rotation_vector",
+        angle_unit="deg",
+        pose_time="time[0]",
     ),
     RecordingTable(time_offset="estimate", largest_offset=0.5, fixed_frame="world", stamps="log"),
 )
@@ -90,7 +95,9 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "nc": netcdf,
     "mat": matlab,
     "mcap": lambda file: file.write_bytes(mcap_bytes(rows=12)),
-    "zstd.mcap": lambda file: file.write_bytes(mcap_bytes(rows=12, packing="zstd", chunks=2, frames=True)),
+    "zstd.mcap": lambda file: file.write_bytes(
+        mcap_bytes(rows=12, packing="zstd", chunks=2, frames=True)
+    ),
 }
 
 
@@ -126,19 +133,33 @@ STRETCHES = (
 
 @st.composite
 def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
-    """Up to six places at which something is cut out, overwritten, doubled, or put in; places are shares of the file, more of them at its ends."""
+    """Up to six places at which something is cut out, overwritten, doubled, or put in; places are
+    shares of the file, more of them at its ends.
+    """
     places = []
     for _ in range(draw(st.integers(1, 6))):
         share = draw(st.one_of(st.floats(0, 1), st.floats(0, 0.1), st.floats(0.9, 1)))
         places.append(
-            (share, draw(st.integers(0, 40)), draw(st.one_of(st.none(), st.binary(max_size=8), st.sampled_from(NUMBERS + STRETCHES))))
+            (
+                share,
+                draw(st.integers(0, 40)),
+                draw(
+                    st.one_of(
+                        st.none(), st.binary(max_size=8), st.sampled_from(NUMBERS + STRETCHES)
+                    )
+                ),
+            )
         )
     end = draw(st.one_of(st.just(1.0), st.just(1.0), st.floats(0, 1)))
 
     def damaged(content: bytes) -> bytes:
         for share, length, put in places:
             at = int(share * len(content))
-            content = content[:at] + (2 * content[at : at + length] if put is None else put) + content[at + length :]
+            content = (
+                content[:at]
+                + (2 * content[at : at + length] if put is None else put)
+                + content[at + length :]
+            )
         return content[: int(end * len(content))]
 
     return damaged
@@ -148,9 +169,18 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 @TORN
 @given(damage=damage(), layout=st.sampled_from(LAYOUTS))
 def test_damaged_recordings(
-    tmp_path: Path, setup: vb.Setup, good: dict[str, bytes], name: str, damage: Callable[[bytes], bytes], layout: RecordingTable | None
+    tmp_path: Path,
+    setup: vb.Setup,
+    good: dict[str, bytes],
+    name: str,
+    damage: Callable[[bytes], bytes],
+    layout: RecordingTable | None,
 ) -> None:
-    taken_or_refused(lambda file: vb.read_recording(file, replace(setup, recording=layout)), tmp_path / f"a.{name}", damage(good[name]))
+    taken_or_refused(
+        lambda file: vb.read_recording(file, replace(setup, recording=layout)),
+        tmp_path / f"a.{name}",
+        damage(good[name]),
+    )
 
 
 SIGNS = (
@@ -173,15 +203,25 @@ SIGNS = (
     content=st.binary(max_size=300),
     suffix=st.sampled_from((".csv", ".mat", ".h5", ".parquet", ".mcap", ".nc", "")),
 )
-def test_arbitrary_bytes(tmp_path: Path, setup: vb.Setup, sign: bytes, content: bytes, suffix: str) -> None:
-    taken_or_refused(lambda file: vb.read_recording(file, setup), tmp_path / f"a{suffix}", sign + content)
+def test_arbitrary_bytes(
+    tmp_path: Path, setup: vb.Setup, sign: bytes, content: bytes, suffix: str
+) -> None:
+    taken_or_refused(
+        lambda file: vb.read_recording(file, setup), tmp_path / f"a{suffix}", sign + content
+    )
 
 
 @pytest.mark.parametrize("load", [vb.load_setup, vb.load_case])
 @TORN
 @given(damage=damage())
-def test_damaged_setups_and_cases(tmp_path: Path, load: Callable[[Path], object], damage: Callable[[bytes], bytes]) -> None:
-    text = SETUP + '[recording]\nforce = ["a", "b", "c"]\ntime_offset = 0.1\n' if load is vb.load_setup else CASE
+def test_damaged_setups_and_cases(
+    tmp_path: Path, load: Callable[[Path], object], damage: Callable[[bytes], bytes]
+) -> None:
+    text = (
+        SETUP + '[recording]\nforce = ["a", "b", "c"]\ntime_offset = 0.1\n'
+        if load is vb.load_setup
+        else CASE
+    )
     taken_or_refused(load, tmp_path / "a.toml", damage(text.encode()))
 
 
@@ -190,7 +230,9 @@ HOSTILE = {
     "lists in lists": "a = " + "[" * 5000 + "]" * 5000 + "\n",
     "tables in tables": "a = " + "{a = " * 3000 + "1" + "}" * 3000 + "\n",
     "a number of 400,000 digits": SETUP.replace("radius = 0.25e-3", "radius = " + "9" * 400_000),
-    "a number of 100,000 hexadecimal digits": SETUP.replace("radius = 0.25e-3", "radius = 0x" + "f" * 100_000),
+    "a number of 100,000 hexadecimal digits": SETUP.replace(
+        "radius = 0.25e-3", "radius = 0x" + "f" * 100_000
+    ),
     "a number beyond all": SETUP.replace("radius = 0.25e-3", "radius = 1e400"),
     "a file of 20 MB": SETUP + "# " + "a" * 20_000_000,
     "a raster of 400,000,000 positions": CASE[: CASE.index("[[trail]]")]
@@ -217,12 +259,20 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 def test_hostile_toml_takes_no_memory(tmp_path: Path) -> None:
-    """In a process of its own, whose memory grows by less than 250 MB over all of them; a name of 20,000 parts alone would take 1.7 GB."""
+    """In a process of its own, whose memory grows by less than 250 MB over all of them; a name of
+    20,000 parts alone would take 1.7 GB.
+    """
     files = []
     for number, text in enumerate(HOSTILE.values()):
         files.append(tmp_path / f"{number}.toml")
         files[-1].write_text(text)
-    run = subprocess.run([sys.executable, "-c", READ, *map(str, files)], capture_output=True, text=True, check=False, timeout=120)
+    run = subprocess.run(
+        [sys.executable, "-c", READ, *map(str, files)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
     assert run.returncode == 0, run.stderr[-2000:]
     *messages, grown = run.stdout.splitlines()
     for file, said in zip([file for file in files for _ in range(2)], messages, strict=True):

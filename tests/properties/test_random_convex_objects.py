@@ -1,6 +1,8 @@
-"""Random boxes and capsules under random trails, with and without friction: equilibrium, no penetration, the cone, scales, mirror and motions.
+"""Random boxes and capsules under random trails, with and without friction: equilibrium, no
+penetration, the cone, scales, mirror and motions.
 
-Levels and normals are written once more in NumPy, and the rod is integrated in space from its support reactions.
+Levels and normals are written once more in NumPy, and the rod is integrated in space from its
+support reactions.
 """
 
 from typing import NamedTuple
@@ -35,7 +37,9 @@ class Core(NamedTuple):
         half, center = self.half * length, self.center * length
         if self.kind == "box":
             return vb.surfaces.Box((0, 0, 0), half).placed(self.rotation, center)
-        return vb.surfaces.Capsule((0, 0, 0), (0, 0, 1), (self.grown - RADIUS) * length, 2 * half[2]).placed(self.rotation, center)
+        return vb.surfaces.Capsule(
+            (0, 0, 0), (0, 0, 1), (self.grown - RADIUS) * length, 2 * half[2]
+        ).placed(self.rotation, center)
 
     def foot(self, points: np.ndarray) -> np.ndarray:
         """Nearest points of the core (k, 3)."""
@@ -50,7 +54,9 @@ class Core(NamedTuple):
     def mirrored(self) -> "Core":
         """Seen in a mirror in the plane y = 0."""
         x, y, z, w = self.rotation.as_quat()
-        return self._replace(rotation=Rotation.from_quat([-x, y, -z, w]), center=self.center * [1, -1, 1])
+        return self._replace(
+            rotation=Rotation.from_quat([-x, y, -z, w]), center=self.center * [1, -1, 1]
+        )
 
     def moved(self, turn: Rotation, shift: np.ndarray) -> "Core":
         """Turned and moved once more."""
@@ -72,7 +78,13 @@ class Case(NamedTuple):
 
     def scan(self, rod: vb.Rod) -> vb.Scan:
         """Scanned with a rod, in its units."""
-        return vb.scan(rod, self.core.surface(rod.length), self.trail(rod.length), friction=self.friction, finite_radius=True)
+        return vb.scan(
+            rod,
+            self.core.surface(rod.length),
+            self.trail(rod.length),
+            friction=self.friction,
+            finite_radius=True,
+        )
 
 
 UNIT = vb.Rod(1.0, 1.0, radius=RADIUS)
@@ -88,12 +100,21 @@ def cases(draw: st.DrawFn, kind: str) -> Case:
     center = np.array([draw(numbers(-0.1, 0.1)), draw(numbers(-0.1, 0.1)), draw(numbers(0.8, 1.1))])
     axis = np.array([draw(numbers(-0.15, 0.15)), draw(numbers(-0.15, 0.15)), 1.0])
     friction = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5]))
-    return Case(Core(kind, half, grown, rotation, center), draw(numbers(-0.4, 0.4)), axis / np.linalg.norm(axis), friction)
+    return Case(
+        Core(kind, half, grown, rotation, center),
+        draw(numbers(-0.4, 0.4)),
+        axis / np.linalg.norm(axis),
+        friction,
+    )
 
 
 def before_a_snap(scan: vb.Scan) -> slice:
     """Rows that no search had a part in: directions in space are its own."""
-    snaps = [event.parameter for event in scan.events if event.kind in (vb.EventKind.SNAP, vb.EventKind.LATERAL_INSTABILITY)]
+    snaps = [
+        event.parameter
+        for event in scan.events
+        if event.kind in (vb.EventKind.SNAP, vb.EventKind.LATERAL_INSTABILITY)
+    ]
     wrong = np.flatnonzero(scan.status != vb.Status.OK)
     last = min([*np.ceil(np.array(snaps) * (COUNT - 1)).astype(int), *wrong, COUNT])
     return slice(0, int(last))
@@ -104,14 +125,21 @@ def sound(scan: vb.Scan) -> np.ndarray:
 
 
 def end_of_rod(scan: vb.Scan, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Place of the contact cross-section, and the moment there, by integrating Kirchhoff's rod from the clamp under the support reactions."""
-    force, tangent = -scan.reactions.force[i], Rotation.from_quat(scan.trail.orientation[i]).apply([0.0, 0.0, 1.0])
+    """Place of the contact cross-section, and the moment there, by integrating Kirchhoff's rod from
+    the clamp under the support reactions.
+    """
+    force, tangent = (
+        -scan.reactions.force[i],
+        Rotation.from_quat(scan.trail.orientation[i]).apply([0.0, 0.0, 1.0]),
+    )
 
     def slope(_s: float, y: np.ndarray) -> np.ndarray:
         return np.concatenate([y[3:6], np.cross(y[6:9], y[3:6]), np.cross(force, y[3:6])])
 
     start = np.concatenate([scan.trail.position[i], tangent, -scan.reactions.moment[i]])
-    end = solve_ivp(slope, (0, scan.arc_length[i]), start, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    end = solve_ivp(
+        slope, (0, scan.arc_length[i]), start, method="DOP853", rtol=1e-11, atol=1e-12
+    ).y[:, -1]
     return end[:3], end[6:9]
 
 
@@ -139,7 +167,9 @@ def test_every_row_is_an_equilibrium_outside_the_object(kind: str, data: st.Data
 @KINDS
 @FEW
 @given(st.data())
-def test_the_force_pushes_within_the_cone_and_friction_takes_work(kind: str, data: st.DataObject) -> None:
+def test_the_force_pushes_within_the_cone_and_friction_takes_work(
+    kind: str, data: st.DataObject
+) -> None:
     case = data.draw(cases(kind))
     scan = case.scan(UNIT)
     rows = sound(scan)
@@ -172,7 +202,10 @@ def test_scale_mirror_and_motion_change_nothing(kind: str, data: st.DataObject) 
     turned = vb.scan(
         UNIT,
         case.core.moved(turn, shift).surface(),
-        vb.Trail(turn.apply(case.trail().position) + shift, turn * Rotation.from_quat(case.trail().orientation)),
+        vb.Trail(
+            turn.apply(case.trail().position) + shift,
+            turn * Rotation.from_quat(case.trail().orientation),
+        ),
         friction=case.friction,
         finite_radius=True,
     )
@@ -180,7 +213,9 @@ def test_scale_mirror_and_motion_change_nothing(kind: str, data: st.DataObject) 
     for there in (wire, seen, turned):
         np.testing.assert_array_equal(there.kind[rows], scan.kind[rows])
     np.testing.assert_allclose(wire.point[rows] / 0.05, point, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(wire.reactions.force[rows] / WIRE.force_scale, force, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        wire.reactions.force[rows] / WIRE.force_scale, force, rtol=0, atol=1e-6
+    )
     np.testing.assert_allclose(seen.point[rows], point * mirror, rtol=0, atol=1e-7)
     np.testing.assert_allclose(seen.reactions.force[rows], force * mirror, rtol=0, atol=1e-6)
     np.testing.assert_allclose(turned.point[rows], turn.apply(point) + shift, rtol=0, atol=1e-7)

@@ -15,7 +15,9 @@ SPREAD = np.diag([4e-6, 1e-6, 2e-6, 1e-6, 3e-6, 1e-6])
 
 def noisy(scan: vb.Scan, seed: int, covariance: np.ndarray | None) -> vb.Reactions:
     """What a noisy sensor would make of a scan."""
-    noise = np.random.default_rng(seed).multivariate_normal(np.zeros(6), 0.01 * SPREAD, scan.kind.shape)
+    noise = np.random.default_rng(seed).multivariate_normal(
+        np.zeros(6), 0.01 * SPREAD, scan.kind.shape
+    )
     force, moment = scan.reactions.force + noise[:, :3], scan.reactions.moment + noise[:, 3:]
     return vb.Reactions(scan.trail, force, moment, covariance=covariance)
 
@@ -32,19 +34,25 @@ seeds = st.integers(0, 2**31)
 covariances = st.sampled_from([None, SPREAD])
 
 
-def compare(moved: vb.Reconstruction, still: vb.Reconstruction, matrix: np.ndarray, shift: np.ndarray) -> None:
+def compare(
+    moved: vb.Reconstruction, still: vb.Reconstruction, matrix: np.ndarray, shift: np.ndarray
+) -> None:
     np.testing.assert_array_equal(moved.kind, still.kind)
     np.testing.assert_array_equal(moved.status, still.status)
     rows = still.in_contact & (still.status == vb.Status.OK)
     assume(rows.any())
-    np.testing.assert_allclose(moved.point[rows], still.point[rows] @ matrix.T + shift, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        moved.point[rows], still.point[rows] @ matrix.T + shift, rtol=0, atol=1e-8
+    )
     np.testing.assert_allclose(moved.normal[rows], still.normal[rows] @ matrix.T, rtol=0, atol=1e-8)
     np.testing.assert_allclose(moved.arc_length[rows], still.arc_length[rows], rtol=0, atol=1e-8)
     np.testing.assert_allclose(moved.energy[rows], still.energy[rows], rtol=1e-7, atol=1e-10)
     if still.covariance is not None and moved.covariance is not None:
         expected = matrix @ still.covariance[rows] @ matrix.T
         scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
-        np.testing.assert_allclose(moved.covariance[rows] / scale, expected / scale, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(
+            moved.covariance[rows] / scale, expected / scale, rtol=0, atol=1e-5
+        )
 
 
 @FEW
@@ -65,14 +73,19 @@ def test_turning_and_moving_the_sensor_turns_and_moves_the_contacts(
 
 @FEW
 @given(scenes(), seeds, covariances)
-def test_a_mirror_shows_the_mirrored_contacts(scene: Scene, seed: int, covariance: np.ndarray | None) -> None:
+def test_a_mirror_shows_the_mirrored_contacts(
+    scene: Scene, seed: int, covariance: np.ndarray | None
+) -> None:
     scan = scene.scan()
     assume(np.count_nonzero(sound(scan)) > 5)
     still = noisy(scan, seed, covariance)
     quaternion = still.trail.orientation * [-1, 1, -1, 1]
     turned = None if covariance is None else both_ways(covariance, MIRROR, -1.0)
     image = vb.Reactions(
-        vb.Trail(still.trail.position @ MIRROR, quaternion), still.force @ MIRROR, -still.moment @ MIRROR, covariance=turned
+        vb.Trail(still.trail.position @ MIRROR, quaternion),
+        still.force @ MIRROR,
+        -still.moment @ MIRROR,
+        covariance=turned,
     )
     compare(vb.reconstruct(UNIT, image), vb.reconstruct(UNIT, still), MIRROR, np.zeros(3))
 
@@ -94,10 +107,14 @@ def test_units_cancel(scene: Scene, seed: int, covariance: np.ndarray | None) ->
     rows = theirs.in_contact
     np.testing.assert_array_equal(ours.kind, theirs.kind)
     np.testing.assert_allclose(ours.point[rows] / L, theirs.point[rows], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(ours.energy[rows] / WIRE.moment_scale, theirs.energy[rows], rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(
+        ours.energy[rows] / WIRE.moment_scale, theirs.energy[rows], rtol=1e-7, atol=1e-10
+    )
     if covariance is not None:
         scale = np.abs(theirs.covariance[rows]).max(axis=(1, 2), keepdims=True)
-        np.testing.assert_allclose(ours.covariance[rows] / L**2 / scale, theirs.covariance[rows] / scale, atol=1e-5)
+        np.testing.assert_allclose(
+            ours.covariance[rows] / L**2 / scale, theirs.covariance[rows] / scale, atol=1e-5
+        )
 
 
 @FEW
@@ -113,7 +130,9 @@ def test_covariances_are_those_of_something(scene: Scene, seed: int) -> None:
     for covariance in (found.covariance[rows], found.normal_covariance[rows]):
         scale = np.abs(covariance).max(axis=(1, 2))
         assert np.all(scale > 0)
-        np.testing.assert_allclose(covariance, np.swapaxes(covariance, 1, 2), rtol=0, atol=1e-9 * scale.max())
+        np.testing.assert_allclose(
+            covariance, np.swapaxes(covariance, 1, 2), rtol=0, atol=1e-9 * scale.max()
+        )
         assert np.all(np.linalg.eigvalsh(covariance)[:, 0] > -1e-9 * scale)
     n = found.normal[rows]
     along = np.einsum("ni,nij,nj->n", n, found.normal_covariance[rows], n)

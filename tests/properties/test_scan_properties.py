@@ -1,10 +1,24 @@
-"""What must hold on any object and any straight trail: symmetries of space, scales, the contact law, and energy."""
+"""What must hold on any object and any straight trail: symmetries of space, scales, the contact
+law, and energy.
+"""
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scenes import COUNT, UNIT, UNSHRUNK, WIRE, Scene, Solid, model_units, motions, same, scenes, sound
+from scenes import (
+    COUNT,
+    UNIT,
+    UNSHRUNK,
+    WIRE,
+    Scene,
+    Solid,
+    model_units,
+    motions,
+    same,
+    scenes,
+    sound,
+)
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
@@ -13,12 +27,18 @@ FEW = settings(max_examples=5, phases=UNSHRUNK)
 SOME = settings(max_examples=20, phases=UNSHRUNK)
 CLOSE = 1e-9
 RACING = 0.02
-"""Motion of the contact [L] in a step of 0.01 L: near a fold it would take shorter steps to integrate its work."""
+"""Motion of the contact [L] in a step of 0.01 L: near a fold it would take shorter steps to
+integrate its work.
+"""
 
 
 def smooth(scan: vb.Scan) -> bool:
     """Swept without a snap, after which the equilibrium is one that a search found."""
-    return scan.in_contact.any() and bool(np.all(scan.status == vb.Status.OK)) and vb.EventKind.SNAP not in kinds(scan)
+    return (
+        scan.in_contact.any()
+        and bool(np.all(scan.status == vb.Status.OK))
+        and vb.EventKind.SNAP not in kinds(scan)
+    )
 
 
 def kinds(scan: vb.Scan) -> list[vb.EventKind]:
@@ -27,11 +47,15 @@ def kinds(scan: vb.Scan) -> list[vb.EventKind]:
 
 @FEW
 @given(scenes(), motions)
-def test_turning_and_moving_everything_turns_and_moves_the_result(scene: Scene, motion: tuple[Rotation, np.ndarray]) -> None:
+def test_turning_and_moving_everything_turns_and_moves_the_result(
+    scene: Scene, motion: tuple[Rotation, np.ndarray]
+) -> None:
     rotation, translation = motion
     still = scene.scan()
     assume(smooth(still))
-    moved_trail = vb.Trail(rotation.apply(scene.position) + translation, rotation * scene.orientation)
+    moved_trail = vb.Trail(
+        rotation.apply(scene.position) + translation, rotation * scene.orientation
+    )
     moved = vb.scan(UNIT, scene.solid.moved(rotation, translation).surface(), moved_trail)
 
     def change(name: str, values: np.ndarray) -> np.ndarray:
@@ -81,7 +105,9 @@ def test_a_mirror_shows_the_mirrored_sweep(scene: Scene) -> None:
 def test_without_snaps_the_way_back_is_the_way_there(scene: Scene) -> None:
     """Frictionless quasi-static sweeps are reversible."""
     there, trail = scene.scan(), scene.trail()
-    back = vb.scan(UNIT, scene.solid.surface(), vb.Trail(trail.position[::-1], trail.orientation[::-1]))
+    back = vb.scan(
+        UNIT, scene.solid.surface(), vb.Trail(trail.position[::-1], trail.orientation[::-1])
+    )
     assume(smooth(there) and smooth(back))
     ours, theirs = model_units(back), model_units(there)
     for name, values in ours.items():
@@ -98,13 +124,17 @@ def test_a_finer_trail_passes_through_the_same_equilibria(scene: Scene) -> None:
     fine = vb.scan(UNIT, scene.solid.surface(), finer)
     assume(smooth(fine))
     for name, values in model_units(coarse).items():
-        np.testing.assert_allclose(model_units(fine)[name][::2], values, rtol=0, atol=CLOSE, err_msg=name)
+        np.testing.assert_allclose(
+            model_units(fine)[name][::2], values, rtol=0, atol=CLOSE, err_msg=name
+        )
 
 
 @SOME
 @given(scenes())
 def test_the_object_pushes_along_its_outward_normal(scene: Scene) -> None:
-    """Contact on the surface, F = f n with f ≥ 0 and n by the object's own equation, s₁ ≤ L, no couple about the contact."""
+    """Contact on the surface, F = f n with f ≥ 0 and n by the object's own equation, s₁ ≤ L, no
+    couple about the contact.
+    """
     scan = scene.scan()
     rows = sound(scan)
     assume(rows.any())
@@ -163,7 +193,9 @@ def test_a_free_rod_is_clear_of_the_object(scene: Scene) -> None:
 
 
 def stretches(scan: vb.Scan) -> list[np.ndarray]:
-    """Runs of at least 17 rows of one kind of contact, without an event within, on which the contact does not race over the object."""
+    """Runs of at least 17 rows of one kind of contact, without an event within, on which the
+    contact does not race over the object.
+    """
     codes = np.where(sound(scan), scan.kind, 0)
     events = np.array([event.parameter for event in scan.events])
     parameter = scan.trail.parameter
@@ -183,15 +215,21 @@ def work(scan: vb.Scan, rows: np.ndarray) -> float:
     turns = Rotation.from_quat(scan.trail.orientation[rows])
     turned = (turns[1:] * turns[:-1].inv()).as_rotvec()
     force, moment = scan.reactions.force[rows], scan.reactions.moment[rows]
-    return float(np.sum((force[1:] + force[:-1]) / 2 * moved) + np.sum((moment[1:] + moment[:-1]) / 2 * turned))
+    return float(
+        np.sum((force[1:] + force[:-1]) / 2 * moved)
+        + np.sum((moment[1:] + moment[:-1]) / 2 * turned)
+    )
 
 
 def check_energy(scan: vb.Scan) -> None:
-    """Work and change of energy agree to second order in the step, on every stretch of one kind of contact."""
+    """Work and change of energy agree to second order in the step, on every stretch of one kind of
+    contact.
+    """
     for rows in stretches(scan):
         stored = scan.energy[rows[-1]] - scan.energy[rows[0]]
         coarse, middle, fine = (work(scan, rows[::step]) - stored for step in (4, 2, 1))
-        # Of second order, with what is left of fourth: Richardson's extrapolation of the two finer ones.
+        # Of second order, with what is left of fourth: Richardson's extrapolation of the two finer
+        # ones.
         best = fine + (fine - middle) / 3
         size = max(abs(coarse), abs(middle), abs(fine))
         assert abs(best) < 0.1 * size + 1e-9
@@ -218,7 +256,9 @@ def test_the_clamps_work_is_stored_as_bending_energy(scene: Scene) -> None:
 
 @SOME
 @given(scenes(), st.tuples(*[st.floats(-0.5, 0.5)] * 3))
-def test_a_turning_clamp_does_work_with_its_moment(scene: Scene, turn: tuple[float, float, float]) -> None:
+def test_a_turning_clamp_does_work_with_its_moment(
+    scene: Scene, turn: tuple[float, float, float]
+) -> None:
     scan = finely(scene, turn)
     assume(stretches(scan))
     check_energy(scan)
@@ -227,12 +267,16 @@ def test_a_turning_clamp_does_work_with_its_moment(scene: Scene, turn: tuple[flo
 @SOME
 @given(scenes())
 def test_slip_is_the_contacts_motion(scene: Scene) -> None:
-    """Axial slip is ds₁; longitudinal and lateral slip are the two parts of dP₁, square to each other."""
+    """Axial slip is ds₁; longitudinal and lateral slip are the two parts of dP₁, square to each
+    other.
+    """
     scan = scene.scan()
     both = scan.in_contact[1:] & scan.in_contact[:-1]
     assume(both.any())
     slip, moved = scan.slip, np.diff(scan.point, axis=0)
-    np.testing.assert_allclose(slip.axial[1:][both], np.diff(scan.arc_length)[both], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        slip.axial[1:][both], np.diff(scan.arc_length)[both], rtol=0, atol=1e-15
+    )
     total = (slip.longitudinal**2 + slip.lateral**2)[1:][both]
     np.testing.assert_allclose(total, np.sum(moved**2, axis=1)[both], rtol=1e-9, atol=1e-18)
     assert not np.any(np.isfinite(slip.axial[1:][~both]))
@@ -248,12 +292,16 @@ def test_trails_swept_together_are_those_swept_alone(scene: Scene) -> None:
     trail = vb.Trail(position, np.broadcast_to(scene.orientation.as_quat(), (3, COUNT, 4)))
     together = vb.scan(UNIT, scene.solid.surface(), trail)
     np.testing.assert_allclose(together.point[0], alone.point, rtol=0, atol=CLOSE)
-    np.testing.assert_allclose(together.reactions.moment[0], alone.reactions.moment, rtol=0, atol=CLOSE)
+    np.testing.assert_allclose(
+        together.reactions.moment[0], alone.reactions.moment, rtol=0, atol=CLOSE
+    )
     assert [event.kind for event in together.events if event.trail == 0] == kinds(alone)
 
 
 def test_after_a_snap_the_rod_rests_where_the_sweep_from_the_other_side_leads() -> None:
-    """The straight rod still reaches into the ball there: of the admissible equilibria it is the one of least energy."""
+    """The straight rod still reaches into the ball there: of the admissible equilibria it is the
+    one of least energy.
+    """
     turn = Rotation.from_rotvec([-0.1, 0.056, -0.099])
     ball = Solid("ellipsoid", np.array([0.0, 0.0, 1.10943, 0.3, 0.504, 0.4231]), turn, np.zeros(3))
     scene = Scene(ball, 0.1, np.array([0.0, -0.0018, 1.0]) / np.hypot(0.0018, 1.0))
@@ -262,6 +310,8 @@ def test_after_a_snap_the_rod_rests_where_the_sweep_from_the_other_side_leads() 
     snap = next(event for event in there.events if event.kind == vb.EventKind.SNAP)
     behind = there.trail.parameter > snap.parameter
     assert np.all(there.status == vb.Status.OK)
-    np.testing.assert_allclose(there.reactions.force[behind], back.reactions.force[::-1][behind], rtol=0, atol=CLOSE)
+    np.testing.assert_allclose(
+        there.reactions.force[behind], back.reactions.force[::-1][behind], rtol=0, atol=CLOSE
+    )
     energy = there.energy[np.flatnonzero(~behind)[-1]]
     assert there.energy[np.flatnonzero(behind)[0]] < energy

@@ -1,4 +1,6 @@
-"""Merker, Scharff, Zimmermann, Behn: Surface Sensing of 3D Objects Using Vibrissa-like Intelligent Tactile Sensors. Section III, end to end."""
+"""Merker, Scharff, Zimmermann, Behn: Surface Sensing of 3D Objects Using Vibrissa-like Intelligent
+Tactile Sensors. Section III, end to end.
+"""
 
 import csv
 import struct
@@ -32,7 +34,13 @@ def test_every_statement_holds(demo: tuple[Demo, Path]) -> None:
 
 def test_figures_are_written_at_journal_resolution(demo: tuple[Demo, Path]) -> None:
     _, folder = demo
-    for name in ("figure2_reactions", "figure3a_elastic_lines", "figure3b_contacts", "plane_case", "coverage"):
+    for name in (
+        "figure2_reactions",
+        "figure3a_elastic_lines",
+        "figure3b_contacts",
+        "plane_case",
+        "coverage",
+    ):
         header = (folder / f"{name}.png").read_bytes()[:24]
         width, height = struct.unpack(">II", header[16:24])
         assert header.startswith(b"\x89PNG")
@@ -51,12 +59,17 @@ def test_further_sweeps_reach_more_of_the_surface(demo: tuple[Demo, Path]) -> No
 
 def test_the_datasets_hold_the_table_of_phase_changes(demo: tuple[Demo, Path]) -> None:
     with xarray.open_dataset(demo[1] / "paper_scan.nc", engine="h5netcdf") as data:
-        kinds, trails, clamp = data["event_kind"].values, data["event_trail"].values, data["event_clamp"].values
+        kinds, trails, clamp = (
+            data["event_kind"].values,
+            data["event_trail"].values,
+            data["event_clamp"].values,
+        )
         force = np.linalg.norm(data["support_force"].values, axis=-1)
         x0 = data["clamp_position"].values[..., 0]
         assert data["support_moment"].attrs["units"] == "1"
         assert data["kind"].attrs["flag_meanings"] == "none tip tangential"
-    # First contact and phase change as in 40-digit arithmetic, on both sides of the plane of symmetry.
+    # First contact and phase change as in 40-digit arithmetic, on both sides of the plane of
+    # symmetry.
     expected = {
         0.1: (1.08627804912002, 0.452652731517856),
         0.2: (1.05830052442584, 0.37292343378556),
@@ -69,5 +82,9 @@ def test_the_datasets_hold_the_table_of_phase_changes(demo: tuple[Demo, Path]) -
             assert clamp[(trails == lane) & (kinds == 2), 0] == pytest.approx([change], abs=1e-11)
             assert clamp[(trails == lane) & (kinds == 3), 0] == pytest.approx([-change], abs=1e-11)
     at_zero = np.isclose(x0, 0, atol=1e-12)
-    assert force[np.abs(paper.Y0) == 0.2][at_zero[np.abs(paper.Y0) == 0.2]] == pytest.approx(2.04661147, abs=1e-8)
-    assert force[np.abs(paper.Y0) == 0.5][at_zero[np.abs(paper.Y0) == 0.5]] == pytest.approx(0.79522661, abs=1e-8)
+    assert force[np.abs(paper.Y0) == 0.2][at_zero[np.abs(paper.Y0) == 0.2]] == pytest.approx(
+        2.04661147, abs=1e-8
+    )
+    assert force[np.abs(paper.Y0) == 0.5][at_zero[np.abs(paper.Y0) == 0.5]] == pytest.approx(
+        0.79522661, abs=1e-8
+    )

@@ -15,18 +15,29 @@ _MOVE = 2e-3 * np.array([0.6, 0.6, -np.sqrt(0.28)])
 
 
 def _start(truth: vb.Setup, stiffness: float, length: float) -> vb.Setup:
-    rod = replace(truth.rod, bending_stiffness=stiffness * truth.rod.bending_stiffness, length=length * truth.rod.length)
+    rod = replace(
+        truth.rod,
+        bending_stiffness=stiffness * truth.rod.bending_stiffness,
+        length=length * truth.rod.length,
+    )
     orientation = Rotation.from_quat(truth.sensor.clamp_orientation) * Rotation.from_rotvec(_TILT)
     return replace(
         truth,
         rod=rod,
-        sensor=replace(truth.sensor, clamp_position=truth.sensor.clamp_position + _MOVE, clamp_orientation=orientation.as_quat()),
+        sensor=replace(
+            truth.sensor,
+            clamp_position=truth.sensor.clamp_position + _MOVE,
+            clamp_orientation=orientation.as_quat(),
+        ),
     )
 
 
 def _check(found: vb.Calibration[vb.Setup], truth: vb.Setup) -> None:
     """EI within 1 %, L within 0.5 %, the clamp within 0.2 mm and 0.3°."""
-    axes = [Rotation.from_quat(setup.sensor.clamp_orientation).apply([0, 0, 1]) for setup in (found.setup, truth)]
+    axes = [
+        Rotation.from_quat(setup.sensor.clamp_orientation).apply([0, 0, 1])
+        for setup in (found.setup, truth)
+    ]
     assert found.setup.rod.bending_stiffness == pytest.approx(truth.rod.bending_stiffness, rel=0.01)
     assert found.setup.rod.length == pytest.approx(truth.rod.length, rel=0.005)
     assert np.linalg.norm(found.setup.sensor.clamp_position - truth.sensor.clamp_position) < 0.2e-3
@@ -40,7 +51,8 @@ def test_two_trails_give_wire_and_mount(sphere_60mm: Path, stiffness: float, len
     paths = [sphere_60mm / "frictionless" / f"trail_y{name}.csv" for name in ("+0.10", "-0.20")]
     found = vb.calibrate([vb.read_recording(path, start) for path in paths], start)
     _check(found, truth)
-    # The engine's wire is a chain of straight links: it does not touch just where a curve would, and the intervals allow for it and hold the truth.
+    # The engine's wire is a chain of straight links: it does not touch just where a curve would,
+    # and the intervals allow for it and hold the truth.
     assert 3e-6 < found.unevenness < 1e-4
     for name, value in {
         "youngs_modulus": 206e9,
@@ -54,7 +66,9 @@ def test_two_trails_give_wire_and_mount(sphere_60mm: Path, stiffness: float, len
 
 
 def test_two_trails_that_tell_little_give_them_too(sphere_60mm: Path) -> None:
-    """Far from the ball's middle on both sides. The engine's wire is a polygon with a skin: it touches some 10 µm off the ball, which is found and taken into account."""
+    """Far from the ball's middle on both sides. The engine's wire is a polygon with a skin: it
+    touches some 10 µm off the ball, which is found and taken into account.
+    """
     truth = vb.load_setup(sphere_60mm / "setup.toml")
     start = _start(truth, 0.8, 1.03)
     paths = [sphere_60mm / "frictionless" / f"trail_y{name}.csv" for name in ("+0.30", "-0.40")]
@@ -66,11 +80,14 @@ def test_two_trails_that_tell_little_give_them_too(sphere_60mm: Path) -> None:
 
 
 def test_a_trail_with_friction_and_one_without_give_them_too(sphere_60mm: Path) -> None:
-    """Where the wire sticks and slips, near the ball's middle, samples are left out; one such trail alone tells less, and its intervals say so."""
+    """Where the wire sticks and slips, near the ball's middle, samples are left out; one such trail
+    alone tells less, and its intervals say so.
+    """
     truth = vb.load_setup(sphere_60mm / "setup.toml")
     start = _start(truth, 1.2, 0.97)
     rubbing, smooth = (
-        vb.read_recording(sphere_60mm / name, start) for name in ("friction_0.25/trail_y+0.10.csv", "frictionless/trail_y-0.20.csv")
+        vb.read_recording(sphere_60mm / name, start)
+        for name in ("friction_0.25/trail_y+0.10.csv", "frictionless/trail_y-0.20.csv")
     )
     found = vb.calibrate([rubbing, smooth], start, friction=0.25)
     _check(found, truth)
@@ -84,13 +101,19 @@ def test_a_trail_with_friction_and_one_without_give_them_too(sphere_60mm: Path) 
 
 @pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")
 @pytest.mark.parametrize("move", [(0.0, 1e-3, 0.0), (-6e-4, 5e-4, 6e-4)])
-def test_a_ball_that_lies_elsewhere_is_named_with_its_place(sphere_60mm: Path, move: tuple[float, float, float]) -> None:
-    """Stated a millimetre from where it is, across the sweeps or obliquely; with the rod alone free nothing can make up for it."""
+def test_a_ball_that_lies_elsewhere_is_named_with_its_place(
+    sphere_60mm: Path, move: tuple[float, float, float]
+) -> None:
+    """Stated a millimetre from where it is, across the sweeps or obliquely; with the rod alone free
+    nothing can make up for it.
+    """
     truth = vb.load_setup(sphere_60mm / "setup.toml")
     stated = np.asarray(truth.surface.center) + move
     start = replace(truth, surface=vb.surfaces.Sphere(center=stated, radius=truth.surface.radius))
     paths = [sphere_60mm / "frictionless" / f"trail_y{name}.csv" for name in ("+0.10", "-0.20")]
-    found = vb.calibrate([vb.read_recording(path, start) for path in paths], start, free=("youngs_modulus", "length"))
+    found = vb.calibrate(
+        [vb.read_recording(path, start) for path in paths], start, free=("youngs_modulus", "length")
+    )
     (line,) = (line for line in found.warnings if "the object seems to lie" in line)
     told = re.search(r"lie (\S+) mm from where it is stated, along \[(\S+), (\S+), (\S+)\]", line)
     assert told is not None
@@ -98,15 +121,24 @@ def test_a_ball_that_lies_elsewhere_is_named_with_its_place(sphere_60mm: Path, m
     np.testing.assert_allclose(1e-3 * size * np.array(along), np.negative(move), atol=0.2e-3)
 
 
-def test_contacts_reconstructed_with_the_calibrated_setup_lie_on_the_ball(sphere_60mm: Path) -> None:
-    """On a trail that was not calibrated on: the wrong setup is millimetres off, the calibrated one as good as the true one."""
+def test_contacts_reconstructed_with_the_calibrated_setup_lie_on_the_ball(
+    sphere_60mm: Path,
+) -> None:
+    """On a trail that was not calibrated on: the wrong setup is millimetres off, the calibrated one
+    as good as the true one.
+    """
     truth = vb.load_setup(sphere_60mm / "setup.toml")
     start = _start(truth, 0.8, 1.03)
     folder = sphere_60mm / "frictionless"
-    found = vb.calibrate([vb.read_recording(folder / f"trail_y{name}.csv", start) for name in ("+0.10", "-0.20")], start)
+    found = vb.calibrate(
+        [vb.read_recording(folder / f"trail_y{name}.csv", start) for name in ("+0.10", "-0.20")],
+        start,
+    )
     off = []
     for setup in (start, found.setup, truth):
-        contacts = vb.reconstruct(setup.rod, vb.read_recording(folder / "trail_y+0.30.csv", setup), check=False)
+        contacts = vb.reconstruct(
+            setup.rod, vb.read_recording(folder / "trail_y+0.30.csv", setup), check=False
+        )
         rows = contacts.in_contact & (np.linalg.norm(contacts.reactions.force, axis=1) > 0.06)
         off.append(np.median(np.abs(truth.surface.distances(contacts.point[rows]))))
     assert off[0] > 1e-3

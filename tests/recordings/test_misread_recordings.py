@@ -1,4 +1,6 @@
-"""A good recording in other units, orders, signs and axes: named, or refused; as it is, and told rightly, it is read without a word."""
+"""A good recording in other units, orders, signs and axes: named, or refused; as it is, and told
+rightly, it is read without a word.
+"""
 
 import json
 import subprocess
@@ -12,8 +14,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
+from vibrissa.inverse.work import clamp_work, work_warnings
 from vibrissa.io import InputError, RecordingWarning
-from vibrissa.reconstruct.work import clamp_work, work_warnings
 
 HEADER = "time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
 W_FIRST = HEADER.replace("qx,qy,qz,qw", "qw,qx,qy,qz")
@@ -46,7 +48,9 @@ def half_turned(rows: np.ndarray) -> None:
     rows[:, [8, 9, 11, 12]] *= -1
 
 
-def read(folder: Path, setup: Path, rows: np.ndarray, header: str = HEADER, layout: str = "") -> tuple[list[str], vb.Setup, vb.Reactions]:
+def read(
+    folder: Path, setup: Path, rows: np.ndarray, header: str = HEADER, layout: str = ""
+) -> tuple[list[str], vb.Setup, vb.Reactions]:
     """Lines that are said, and what is read."""
     np.savetxt(folder / "a.csv", rows, delimiter=",", header=header, comments="", fmt="%.9g")
     (folder / "setup.toml").write_text(setup.read_text() + layout)
@@ -70,7 +74,9 @@ MISTAKES: dict[str, tuple[Change, str, float]] = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_named(tmp_path: Path, sphere_60mm: Path, table: np.ndarray, mistake: str) -> None:
+def test_a_mistake_is_named(
+    tmp_path: Path, sphere_60mm: Path, table: np.ndarray, mistake: str
+) -> None:
     change, words, ratio = MISTAKES[mistake]
     rows = table.copy()
     change(rows)
@@ -81,7 +87,14 @@ def test_a_mistake_is_named(tmp_path: Path, sphere_60mm: Path, table: np.ndarray
     assert work.impossible
 
 
-@pytest.mark.parametrize("name", ["frictionless/trail_y-0.20.csv", "frictionless/trail_y-0.40.csv", "friction_0.25/trail_y+0.10.csv"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "frictionless/trail_y-0.20.csv",
+        "frictionless/trail_y-0.40.csv",
+        "friction_0.25/trail_y+0.10.csv",
+    ],
+)
 def test_work_and_energy_of_a_sound_recording_agree(sphere_60mm: Path, name: str) -> None:
     """Without friction to a few thousandths; with it the work is larger, and never comes back."""
     setup = vb.load_setup(sphere_60mm / "setup.toml")
@@ -97,7 +110,9 @@ def test_work_and_energy_of_a_sound_recording_agree(sphere_60mm: Path, name: str
     assert work_warnings(found) == []
 
 
-def test_a_file_that_is_told_rightly_is_read_without_a_word(tmp_path: Path, sphere_60mm: Path, table: np.ndarray) -> None:
+def test_a_file_that_is_told_rightly_is_read_without_a_word(
+    tmp_path: Path, sphere_60mm: Path, table: np.ndarray
+) -> None:
     rows = table.copy()
     w_first(rows)
     layout = '\n[recording]\norientation = ["qw", "qx", "qy", "qz"]\norientation_form = "wxyz"\nposition_unit = "cm"\n'
@@ -105,17 +120,29 @@ def test_a_file_that_is_told_rightly_is_read_without_a_word(tmp_path: Path, sphe
     assert read(tmp_path, sphere_60mm / "setup.toml", rows, W_FIRST, layout)[0] == []
 
 
-def test_numbers_in_the_names_of_a_quaternion_leave_its_order_open(tmp_path: Path, sphere_60mm: Path, table: np.ndarray) -> None:
+def test_numbers_in_the_names_of_a_quaternion_leave_its_order_open(
+    tmp_path: Path, sphere_60mm: Path, table: np.ndarray
+) -> None:
     rows = table[:400].copy()
-    header, layout = HEADER.replace("qx,qy,qz,qw", "q0,q1,q2,q3"), '\n[recording]\norientation = ["q0", "q1", "q2", "q3"]\n'
-    with pytest.raises(InputError, match=r"scalar part w comes first or last; allowed are such names with orientation_form"):
+    header, layout = (
+        HEADER.replace("qx,qy,qz,qw", "q0,q1,q2,q3"),
+        '\n[recording]\norientation = ["q0", "q1", "q2", "q3"]\n',
+    )
+    with pytest.raises(
+        InputError,
+        match=r"scalar part w comes first or last; allowed are such names with orientation_form",
+    ):
         read(tmp_path, sphere_60mm / "setup.toml", rows, header, layout)
     read(tmp_path, sphere_60mm / "setup.toml", rows, header, layout + 'orientation_form = "xyzw"\n')
 
 
-def test_the_way_of_a_turning_sensor_tells_the_order(tmp_path: Path, sphere_60mm: Path, table: np.ndarray) -> None:
+def test_the_way_of_a_turning_sensor_tells_the_order(
+    tmp_path: Path, sphere_60mm: Path, table: np.ndarray
+) -> None:
     """On an arc the sensor's position is that of a point of a turning body."""
-    turn = Rotation.from_rotvec(np.linspace(-0.5, 0.5, len(table))[:, None] * [0.0, 1.0, 0.0]) * Rotation.from_euler("xz", [0.2, 0.4])
+    turn = Rotation.from_rotvec(
+        np.linspace(-0.5, 0.5, len(table))[:, None] * [0.0, 1.0, 0.0]
+    ) * Rotation.from_euler("xz", [0.2, 0.4])
     rows = table.copy()
     rows[:, PLACE], rows[:, TURN] = turn.apply([0.01, 0.02, 0.06]), turn.as_quat()
     words = "turns about a point"
@@ -126,13 +153,28 @@ def test_the_way_of_a_turning_sensor_tells_the_order(tmp_path: Path, sphere_60mm
     assert "in the order w, x, y, z" in said[0]
 
 
-def test_commands_say_it_in_one_line_and_in_json(tmp_path: Path, sphere_60mm: Path, table: np.ndarray) -> None:
+def test_commands_say_it_in_one_line_and_in_json(
+    tmp_path: Path, sphere_60mm: Path, table: np.ndarray
+) -> None:
     rows = table.copy()
     half_turned(rows)
     read(tmp_path, sphere_60mm / "setup.toml", rows)
-    command = [sys.executable, "-c", "from vibrissa.cli import main; main()", "reconstruct", "a.csv", "--setup", "setup.toml", "--json"]
+    command = [
+        sys.executable,
+        "-c",
+        "from vibrissa.cli import main; main()",
+        "reconstruct",
+        "a.csv",
+        "--setup",
+        "setup.toml",
+        "--json",
+    ]
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    lines = [line.removeprefix("warning: ") for line in run.stderr.splitlines() if line.startswith("warning: ")]
+    lines = [
+        line.removeprefix("warning: ")
+        for line in run.stderr.splitlines()
+        if line.startswith("warning: ")
+    ]
     assert json.loads(run.stdout)["warnings"] == lines
     assert sum("turned by 180°" in line for line in lines) == 1

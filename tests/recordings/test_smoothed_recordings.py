@@ -1,4 +1,6 @@
-"""Recordings of an independent dynamics engine, smoothed, against its own contacts and side by side with a filter of the wrench."""
+"""Recordings of an independent dynamics engine, smoothed, against its own contacts and side by side
+with a filter of the wrench.
+"""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -57,10 +59,14 @@ def test_smoothing_beats_filtering_the_wrench(recorded: Smoothed) -> None:
 
 
 def test_the_ellipsoids_hold_the_true_points(recorded: Smoothed) -> None:
-    """Errors of neighbouring points are nearly the same, so that one recording counts as a dozen independent errors."""
+    """Errors of neighbouring points are nearly the same, so that one recording counts as a dozen
+    independent errors.
+    """
     assert recorded.smooth.covariance is not None
     error = recorded.smooth.point[recorded.core] - recorded.point[recorded.core]
-    distance = np.einsum("ni,nij,nj->n", error, np.linalg.inv(recorded.smooth.covariance[recorded.core]), error)
+    distance = np.einsum(
+        "ni,nij,nj->n", error, np.linalg.inv(recorded.smooth.covariance[recorded.core]), error
+    )
     assert np.mean(distance < chi2.isf(0.05, 3)) >= 0.9
 
 
@@ -69,7 +75,9 @@ def test_start_and_end_are_found_to_a_sample(recorded: Smoothed) -> None:
     (touch,) = recorded.smooth.smoothing[0].touches
     for name, true in zip(("start", "end"), recorded.span, strict=True):
         # The truth is known to the frame of 4 ms in which contact was first seen.
-        assert abs(getattr(touch, name) - true) < 4 * np.hypot(getattr(touch, f"{name}_deviation"), 4e-3 / np.sqrt(12))
+        assert abs(getattr(touch, name) - true) < 4 * np.hypot(
+            getattr(touch, f"{name}_deviation"), 4e-3 / np.sqrt(12)
+        )
         assert getattr(touch, f"{name}_limit") < getattr(touch, f"{name}_deviation") < 2e-3
 
 

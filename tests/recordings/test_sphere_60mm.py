@@ -1,4 +1,6 @@
-"""Recordings of a steel wire under a ball, made by an independent dynamics engine, against the engine's own contacts."""
+"""Recordings of a steel wire under a ball, made by an independent dynamics engine, against the
+engine's own contacts.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -51,7 +53,10 @@ def read(folder: Path, name: str) -> Sweep:
         return Sweep(setup, found, nothing, nothing, np.zeros(len(found.kind), dtype=bool))
     truth = np.genfromtxt(truth_file, delimiter=",", names=True)
     np.testing.assert_allclose(truth["time"], found.reactions.time, atol=1e-9)
-    point, force = (np.stack([truth[name] for name in names], axis=1) for names in (("x", "y", "z"), ("fx", "fy", "fz")))
+    point, force = (
+        np.stack([truth[name] for name in names], axis=1)
+        for names in (("x", "y", "z"), ("fx", "fy", "fz"))
+    )
     return Sweep(setup, found, point, force, truth["in_contact"] == 1)
 
 
@@ -69,7 +74,9 @@ def test_median_error_of_the_raw_points(sweeps: dict[str, Sweep], name: str) -> 
 
 
 @pytest.mark.parametrize("name", WITH_TRUTH)
-def test_no_contact_above_three_times_the_noise_is_lost(sweeps: dict[str, Sweep], name: str) -> None:
+def test_no_contact_above_three_times_the_noise_is_lost(
+    sweeps: dict[str, Sweep], name: str
+) -> None:
     sweep = sweeps[name]
     strong = sweep.touching & ~sweep.weaker_than(3)
     assert np.count_nonzero(strong) > 900
@@ -78,7 +85,9 @@ def test_no_contact_above_three_times_the_noise_is_lost(sweeps: dict[str, Sweep]
 
 
 @pytest.mark.parametrize("name", WITH_TRUTH)
-def test_hardly_a_sample_without_contact_is_taken_for_one(sweeps: dict[str, Sweep], name: str) -> None:
+def test_hardly_a_sample_without_contact_is_taken_for_one(
+    sweeps: dict[str, Sweep], name: str
+) -> None:
     """After first contact the wire still swings; before, only noise may raise the alarm."""
     sweep = sweeps[name]
     before = np.arange(len(sweep.touching)) < np.argmax(sweep.touching)
@@ -87,16 +96,22 @@ def test_hardly_a_sample_without_contact_is_taken_for_one(sweeps: dict[str, Swee
 
 
 @pytest.mark.parametrize("name", WITH_TRUTH)
-def test_the_95_percent_ellipsoids_hold_the_true_points(sweeps: dict[str, Sweep], name: str) -> None:
+def test_the_95_percent_ellipsoids_hold_the_true_points(
+    sweeps: dict[str, Sweep], name: str
+) -> None:
     sweep = sweeps[name]
     assert sweep.found.covariance is not None
-    distance = np.einsum("ni,nij,nj->n", sweep.error, np.linalg.inv(sweep.found.covariance[sweep.both]), sweep.error)
+    distance = np.einsum(
+        "ni,nij,nj->n", sweep.error, np.linalg.inv(sweep.found.covariance[sweep.both]), sweep.error
+    )
     assert 0.90 <= np.mean(distance < chi2.isf(0.05, 3)) <= 0.98
 
 
 @pytest.mark.parametrize("name", WITH_TRUTH)
 def test_errors_are_as_anisotropic_as_stated(sweeps: dict[str, Sweep], name: str) -> None:
-    """A few hundredths, some tenths and more than half a millimetre along the ellipsoids' axes, on samples of some force."""
+    """A few hundredths, some tenths and more than half a millimetre along the ellipsoids' axes, on
+    samples of some force.
+    """
     sweep = sweeps[name]
     rows = sweep.both & ~sweep.weaker_than(20)
     assert sweep.found.covariance is not None
@@ -104,14 +119,20 @@ def test_errors_are_as_anisotropic_as_stated(sweeps: dict[str, Sweep], name: str
     stated = np.median(np.sqrt(values), axis=0)
     assert stated[0] < 0.05e-3
     assert stated[2] > 3 * stated[1]
-    along = np.einsum("ni,nij->nj", sweep.found.point[rows] - sweep.point[rows], axes) / np.sqrt(values)
+    along = np.einsum("ni,nij->nj", sweep.found.point[rows] - sweep.point[rows], axes) / np.sqrt(
+        values
+    )
     seen = np.median(np.abs(along), axis=0) / 0.6745
     np.testing.assert_allclose(seen, 1, atol=0.35)
 
 
 @pytest.mark.parametrize("name", WITH_TRUTH)
-def test_reactions_are_the_true_force_seen_from_the_clamp(sweeps: dict[str, Sweep], name: str) -> None:
-    """Tare, mount, lever arm and sign, before any rod mechanics: f0 = −F and m0 = −r × F, to the noise."""
+def test_reactions_are_the_true_force_seen_from_the_clamp(
+    sweeps: dict[str, Sweep], name: str
+) -> None:
+    """Tare, mount, lever arm and sign, before any rod mechanics: f0 = −F and m0 = −r × F, to the
+    noise.
+    """
     sweep = sweeps[name]
     reactions, rows = sweep.found.reactions, sweep.touching
     force_error = reactions.force[rows] + sweep.force[rows]
@@ -136,14 +157,18 @@ def test_points_lie_on_the_ball(sweeps: dict[str, Sweep], name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in ALL if name != FRICTION])
-def test_without_friction_the_force_is_the_ball_s_normal(sweeps: dict[str, Sweep], name: str) -> None:
+def test_without_friction_the_force_is_the_ball_s_normal(
+    sweeps: dict[str, Sweep], name: str
+) -> None:
     found = sweeps[name].found
     rows = found.in_contact & (np.linalg.norm(found.reactions.force, axis=1) > 0.06)
     assert np.degrees(np.median(leaning(found, rows))) < 2.5
 
 
 def leaning(found: vb.Reconstruction, rows: np.ndarray) -> np.ndarray:
-    """Angle between the force's direction and the ball's normal at the reconstructed point's place on it (k,)."""
+    """Angle between the force's direction and the ball's normal at the reconstructed point's place
+    on it (k,).
+    """
     outward = found.point[rows] - CENTER
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     return np.arccos(np.clip(np.sum(outward * found.normal[rows], axis=1), -1, 1))
@@ -153,25 +178,35 @@ def test_with_friction_the_force_leans_by_the_angle_of_friction(sweeps: dict[str
     found, sweep = sweeps[FRICTION].found, sweeps[FRICTION]
     rows = sweep.both & ~sweep.weaker_than(30)
     outward = (sweep.point[rows] - CENTER) / RADIUS
-    angle = np.arccos(np.sum(outward * found.normal[rows], axis=1) / np.linalg.norm(outward, axis=1))
+    angle = np.arccos(
+        np.sum(outward * found.normal[rows], axis=1) / np.linalg.norm(outward, axis=1)
+    )
     assert np.degrees(np.median(angle)) == pytest.approx(np.degrees(np.arctan(0.25)), abs=0.5)
     assert np.degrees(np.median(leaning(found, rows))) == pytest.approx(14.04, abs=1.5)
 
 
 def test_with_friction_points_are_as_good_as_without(sweeps: dict[str, Sweep]) -> None:
-    with_it, without = (np.median(np.linalg.norm(sweeps[name].error, axis=1)) for name in (FRICTION, FRICTIONLESS))
+    with_it, without = (
+        np.median(np.linalg.norm(sweeps[name].error, axis=1)) for name in (FRICTION, FRICTIONLESS)
+    )
     assert with_it < 1.2 * without
 
 
-@pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")  # of all that is said, one line is asked for
-def test_taking_the_wrench_for_its_opposite_finds_no_ball(sphere_60mm: Path, tmp_path: Path) -> None:
+@pytest.mark.filterwarnings(
+    "ignore::vibrissa.contacts.RecordingWarning"
+)  # of all that is said, one line is asked for
+def test_taking_the_wrench_for_its_opposite_finds_no_ball(
+    sphere_60mm: Path, tmp_path: Path
+) -> None:
     """The sign of a wrench cannot be guessed: with the other one hardly a sample is a contact."""
     text = (sphere_60mm / "setup.toml").read_text().replace('"on_sensor" ', '"on_rod" ')
     (tmp_path / "setup.toml").write_text(text)
     setup = vb.load_setup(tmp_path / "setup.toml")
     assert setup.sensor.wrench == "on_rod"
     with pytest.warns(vb.RecordingWarning, match="a wrench of the other sign"):
-        found = vb.reconstruct(setup.rod, vb.read_recording(sphere_60mm / f"{FRICTIONLESS}.csv", setup))
+        found = vb.reconstruct(
+            setup.rod, vb.read_recording(sphere_60mm / f"{FRICTIONLESS}.csv", setup)
+        )
     assert not np.any(found.status[found.in_contact] == vb.Status.OK)
     loaded = np.linalg.norm(found.reactions.force, axis=1) > 0.1
     distance = np.linalg.norm(found.point[loaded] - CENTER, axis=1) - RADIUS
@@ -182,13 +217,21 @@ def test_taking_the_wrench_for_its_opposite_finds_no_ball(sphere_60mm: Path, tmp
 def test_a_wrong_clamp_position_moves_points_along_the_line_of_the_force_only(
     sphere_60mm: Path, tmp_path: Path, sweeps: dict[str, Sweep]
 ) -> None:
-    """The clamp taken 5 mm beside where it is: statics finds the same lines, and only the rod's place on them is wrong."""
-    text = (sphere_60mm / "setup.toml").read_text().replace("[0.0, 0.0, 0.025]", "[0.005, 0.0, 0.025]")
+    """The clamp taken 5 mm beside where it is: statics finds the same lines, and only the rod's
+    place on them is wrong.
+    """
+    text = (
+        (sphere_60mm / "setup.toml").read_text().replace("[0.0, 0.0, 0.025]", "[0.005, 0.0, 0.025]")
+    )
     (tmp_path / "setup.toml").write_text(text)
     setup, right = vb.load_setup(tmp_path / "setup.toml"), sweeps[FRICTIONLESS].found
     with pytest.warns(vb.RecordingWarning, match="clamp shifted by 5 mm along -x"):
-        wrong = vb.reconstruct(setup.rod, vb.read_recording(sphere_60mm / f"{FRICTIONLESS}.csv", setup))
-    rows = (np.linalg.norm(right.reactions.force, axis=1) > 0.2) & right.in_contact & wrong.in_contact
+        wrong = vb.reconstruct(
+            setup.rod, vb.read_recording(sphere_60mm / f"{FRICTIONLESS}.csv", setup)
+        )
+    rows = (
+        (np.linalg.norm(right.reactions.force, axis=1) > 0.2) & right.in_contact & wrong.in_contact
+    )
     shift = wrong.point[rows] - right.point[rows]
     along = np.sum(shift * right.normal[rows], axis=1)
     across = np.linalg.norm(shift - along[:, None] * right.normal[rows], axis=1)
@@ -203,7 +246,9 @@ def lines_of(folder: Path) -> list[str]:
 def scaled(lines: list[str], columns: range, factor: float) -> list[str]:
     rows = [line.split(",") for line in lines[1:]]
     for row in rows:
-        row[columns.start : columns.stop] = [repr(float(cell) * factor) for cell in row[columns.start : columns.stop]]
+        row[columns.start : columns.stop] = [
+            repr(float(cell) * factor) for cell in row[columns.start : columns.stop]
+        ]
     return [lines[0], *map(",".join, rows)]
 
 
@@ -215,11 +260,23 @@ def with_cell(lines: list[str], row: int, column: str, value: str) -> list[str]:
 
 DAMAGE = {
     "last line truncated": (lambda lines: [*lines[:-1], lines[-1][:50]], "truncated"),
-    "last number truncated": (lambda lines: [*lines[:-1], lines[-1][:-3]], "the last line is truncated"),
-    "columns swapped": (lambda lines: [lines[0].replace("fx,fy", "fy,fx"), *lines[1:]], "another order"),
+    "last number truncated": (
+        lambda lines: [*lines[:-1], lines[-1][:-3]],
+        "the last line is truncated",
+    ),
+    "columns swapped": (
+        lambda lines: [lines[0].replace("fx,fy", "fy,fx"), *lines[1:]],
+        "another order",
+    ),
     "column missing": (lambda lines: [line.rsplit(",", 1)[0] for line in lines], "missing tz"),
-    "column renamed": (lambda lines: [lines[0].replace("time", "t"), *lines[1:]], "missing time, unknown t"),
-    "time backwards": (lambda lines: [*lines[:900], lines[901], lines[900], *lines[902:]], "increasing times"),
+    "column renamed": (
+        lambda lines: [lines[0].replace("time", "t"), *lines[1:]],
+        "missing time, unknown t",
+    ),
+    "time backwards": (
+        lambda lines: [*lines[:900], lines[901], lines[900], *lines[902:]],
+        "increasing times",
+    ),
     "zero quaternion": (
         lambda lines: with_cell(with_cell(lines, 50, "qz", "0"), 50, "qw", "0.0"),
         "line 51: qx,qy,qz,qw = [0.0, 0.0, 0.0, 0.0] has the norm 0",
@@ -238,7 +295,9 @@ def test_a_damaged_file_is_told_apart(sphere_60mm: Path, tmp_path: Path, what: s
     damage, words = DAMAGE[what]
     setup = vb.load_setup(sphere_60mm / "setup.toml")
     file = tmp_path / "damaged.csv"
-    file.write_text("\n".join(damage(lines_of(sphere_60mm))) + ("" if "truncated" in what else "\n"))
+    file.write_text(
+        "\n".join(damage(lines_of(sphere_60mm))) + ("" if "truncated" in what else "\n")
+    )
     with pytest.raises(InputError) as caught:
         vb.read_recording(file, setup)
     assert words in str(caught.value)
@@ -248,7 +307,9 @@ def test_a_damaged_file_is_told_apart(sphere_60mm: Path, tmp_path: Path, what: s
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_recording_is_taken_as_it_is(sweeps: dict[str, Sweep], name: str) -> None:
-    """And so is its undamaged copy with the ends of lines of another system, or without the last one."""
+    """And so is its undamaged copy with the ends of lines of another system, or without the last
+    one.
+    """
     assert sweeps[name].found.kind.shape[0] > 2000
     assert sweeps[name].found.covariance is not None
 
@@ -256,7 +317,9 @@ def test_every_recording_is_taken_as_it_is(sweeps: dict[str, Sweep], name: str) 
 def test_ends_of_lines_do_not_matter(sphere_60mm: Path, tmp_path: Path) -> None:
     setup, lines = vb.load_setup(sphere_60mm / "setup.toml"), lines_of(sphere_60mm)
     forces = []
-    for number, text in enumerate(("\n".join(lines) + "\n", "\r\n".join(lines) + "\r\n", "\n".join(lines))):
+    for number, text in enumerate(
+        ("\n".join(lines) + "\n", "\r\n".join(lines) + "\r\n", "\n".join(lines))
+    ):
         file = tmp_path / f"{number}.csv"
         file.write_bytes(text.encode())
         forces.append(vb.read_recording(file, setup).force)
@@ -276,7 +339,9 @@ def test_a_recording_as_it_is_has_no_faults(sphere_60mm: Path, name: str) -> Non
 
 
 @pytest.mark.parametrize("name", WITH_TRUTH)
-def test_the_rest_that_is_found_ends_before_the_contact(sweeps: dict[str, Sweep], sphere_60mm: Path, name: str) -> None:
+def test_the_rest_that_is_found_ends_before_the_contact(
+    sweeps: dict[str, Sweep], sphere_60mm: Path, name: str
+) -> None:
     """And is longer than the 0.9 s that the setup gives, whose tare it confirms."""
     setup = vb.load_setup(sphere_60mm / "setup.toml")
     raw = read_raw(sphere_60mm / f"{name}.csv", setup).raw
@@ -301,15 +366,23 @@ def test_a_recording_that_starts_in_contact_has_no_rest(sphere_60mm: Path, tmp_p
         vb.read_recording(tmp_path / "late.csv", vb.load_setup(tmp_path / "setup.toml"))
 
 
-def test_rows_with_faults_are_marked_and_the_others_are_as_good_as_before(sphere_60mm: Path, tmp_path: Path) -> None:
+def test_rows_with_faults_are_marked_and_the_others_are_as_good_as_before(
+    sphere_60mm: Path, tmp_path: Path
+) -> None:
     setup, lines = vb.load_setup(sphere_60mm / "setup.toml"), lines_of(sphere_60mm)
     rows = np.array([line.split(",") for line in lines[1:]])
     rows[1000:1005, 8:] = "nan"
     rows[850:950, 8] = rows[850, 8]
     file = tmp_path / "faulty.csv"
     file.write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n")
-    told = [(str(fault.kind), fault.channels, fault.count) for fault in inspect_recording(file, setup).faults]
-    assert told == [("stuck channel", ("fx",), 100), ("drop-out", ("fx", "fy", "fz", "tx", "ty", "tz"), 5)]
+    told = [
+        (str(fault.kind), fault.channels, fault.count)
+        for fault in inspect_recording(file, setup).faults
+    ]
+    assert told == [
+        ("stuck channel", ("fx",), 100),
+        ("drop-out", ("fx", "fy", "fz", "tx", "ty", "tz"), 5),
+    ]
     with pytest.warns(vb.RecordingWarning, match="fx is stuck"):
         found = vb.reconstruct(setup.rod, vb.read_recording(file, setup))
     good = vb.reconstruct(setup.rod, vb.read_recording(sphere_60mm / f"{FRICTIONLESS}.csv", setup))

@@ -34,7 +34,9 @@ class Sweep(NamedTuple):
 
 
 def sweep(offset: float, seed: int, *, drift: float = 0.0, rate: float = RATE) -> Sweep:
-    """One second at rest, then 80 mm along −x, `offset` [m] beside the ball's middle; the zero drifts by so many deviations in a second."""
+    """One second at rest, then 80 mm along −x, `offset` [m] beside the ball's middle; the zero
+    drifts by so many deviations in a second.
+    """
     rng, rest = np.random.default_rng(seed), round(rate)
     start = np.array([0.04, offset, 0.0])
     moving = start - np.arange(round(0.08 / SPEED * rate))[:, None] * np.array([SPEED / rate, 0, 0])
@@ -42,9 +44,13 @@ def sweep(offset: float, seed: int, *, drift: float = 0.0, rate: float = RATE) -
     position = np.concatenate([np.tile(start, (rest, 1)), moving])
     time = np.arange(len(position)) / rate
     still = np.zeros((rest, 3))
-    force, moment = (np.concatenate([still, part]) for part in (scan.reactions.force, scan.reactions.moment))
+    force, moment = (
+        np.concatenate([still, part]) for part in (scan.reactions.force, scan.reactions.moment)
+    )
     wander = np.cumsum(rng.normal(0, drift / np.sqrt(rate), (2, len(time), 3)), axis=1)
-    wandering = vb.Reactions(vb.Trail(position), force + 2e-3 * wander[0], moment + 4e-5 * wander[1], time=time)
+    wandering = vb.Reactions(
+        vb.Trail(position), force + 2e-3 * wander[0], moment + 4e-5 * wander[1], time=time
+    )
     raw = SENSOR.measure(wandering, rng, force_tare=(0.4, -0.1, 1.9))
     events = [
         event.parameter * (len(moving) - 1) + rest
@@ -60,5 +66,7 @@ def at_rest(count: int, seed: int, *, drift: float = 0.0) -> vb.Reactions:
     rng = np.random.default_rng(seed)
     time = np.arange(count) / RATE
     wander = np.cumsum(rng.normal(0, drift / np.sqrt(RATE), (2, count, 3)), axis=1)
-    nothing = vb.Reactions(vb.Trail(np.zeros((count, 3))), 2e-3 * wander[0], 4e-5 * wander[1], time=time)
+    nothing = vb.Reactions(
+        vb.Trail(np.zeros((count, 3))), 2e-3 * wander[0], 4e-5 * wander[1], time=time
+    )
     return SENSOR.reactions(SENSOR.measure(nothing, rng, force_tare=(0.4, -0.1, 1.9)))

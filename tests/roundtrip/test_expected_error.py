@@ -39,15 +39,26 @@ def recorded(scene: vb.Scan, sensor: Sensor, rng: np.random.Generator) -> vb.Rea
     still = np.arange(len(place)) < rest
     step = np.linalg.norm(LINE.position[1] - LINE.position[0]) / SPEED
     time = np.r_[np.arange(rest) / RATE, REST + 1 / RATE + step * np.arange(LINE.count)]
-    force, moment = (np.where(still[:, None], 0.0, part[place]) for part in (scene.reactions.force, scene.reactions.moment))
+    force, moment = (
+        np.where(still[:, None], 0.0, part[place])
+        for part in (scene.reactions.force, scene.reactions.moment)
+    )
     truth = vb.Reactions(vb.Trail(LINE.position[place]), force, moment, time=time)
-    raw = sensor.measure(truth, rng, force_tare=rng.uniform(-0.1, 0.1, 3), torque_tare=rng.uniform(-1e-3, 1e-3, 3))
+    raw = sensor.measure(
+        truth, rng, force_tare=rng.uniform(-0.1, 0.1, 3), torque_tare=rng.uniform(-1e-3, 1e-3, 3)
+    )
     found = replace(sensor, tare_seconds=REST).reactions(raw)
     rows = np.flatnonzero(~still)
     assert found.covariance is not None
     covariance = found.covariance[rows] if found.covariance.ndim == 3 else found.covariance
     trail = vb.Trail(found.trail.position[rows], found.trail.orientation[rows])
-    return vb.Reactions(trail, found.force[rows], found.moment[rows], covariance=covariance, position_covariance=found.position_covariance)
+    return vb.Reactions(
+        trail,
+        found.force[rows],
+        found.moment[rows],
+        covariance=covariance,
+        position_covariance=found.position_covariance,
+    )
 
 
 SENSORS = {
@@ -59,12 +70,21 @@ SENSORS = {
 
 @pytest.mark.parametrize("kind", SENSORS)
 def test_the_expected_covariance_is_that_of_many_recordings(scene: vb.Scan, kind: str) -> None:
-    """In units of the expected deviations the errors' covariance is the identity, away from the tip, where a limit cuts them off."""
+    """In units of the expected deviations the errors' covariance is the identity, away from the
+    tip, where a limit cuts them off.
+    """
     sensor, rng, trials = SENSORS[kind], np.random.default_rng(21), 250
     expected = vb.expected_error(WIRE, BALL, LINE, sensor, rate=RATE, rest=REST, speed=SPEED)
-    rows = np.flatnonzero((scene.kind == vb.ContactKind.TANGENTIAL) & (scene.arc_length < 0.97 * WIRE.length))[::4]
+    rows = np.flatnonzero(
+        (scene.kind == vb.ContactKind.TANGENTIAL) & (scene.arc_length < 0.97 * WIRE.length)
+    )[::4]
     assert len(rows) >= 3
-    errors = np.array([vb.reconstruct(WIRE, recorded(scene, sensor, rng)).point[rows] - scene.point[rows] for _ in range(trials)])
+    errors = np.array(
+        [
+            vb.reconstruct(WIRE, recorded(scene, sensor, rng)).point[rows] - scene.point[rows]
+            for _ in range(trials)
+        ]
+    )
     for index, row in enumerate(rows):
         root = np.linalg.inv(np.linalg.cholesky(expected.covariance[row]))
         seen = root @ (errors[:, index].T @ errors[:, index] / trials) @ root.T
@@ -75,17 +95,33 @@ def test_averages_tare_and_noise_go_as_they_must() -> None:
     fine = replace(SMALL, force_resolution=0.0, torque_resolution=0.0, position_noise=0.0)
     one, nine, double = (
         vb.expected_error(WIRE, BALL, LINE, sensor, rest=0.0, samples=samples)
-        for sensor, samples in ((fine, 1), (fine, 9), (replace(fine, force_noise=1e-3, torque_noise=2e-5), 1))
+        for sensor, samples in (
+            (fine, 1),
+            (fine, 9),
+            (replace(fine, force_noise=1e-3, torque_noise=2e-5), 1),
+        )
     )
-    sound = one.detected & (one.scan.kind == vb.ContactKind.TANGENTIAL) & (one.standard_deviations[:, 2] < 2e-3)
+    sound = (
+        one.detected
+        & (one.scan.kind == vb.ContactKind.TANGENTIAL)
+        & (one.standard_deviations[:, 2] < 2e-3)
+    )
     # To first order; where the tip is near, its limit bends the errors.
     sound &= one.scan.arc_length < 0.9 * WIRE.length
     assert sound.sum() > 3
-    np.testing.assert_allclose(nine.standard_deviations[sound], one.standard_deviations[sound] / 3, rtol=0.02)
-    np.testing.assert_allclose(double.standard_deviations[sound], 2 * one.standard_deviations[sound], rtol=0.02)
+    np.testing.assert_allclose(
+        nine.standard_deviations[sound], one.standard_deviations[sound] / 3, rtol=0.02
+    )
+    np.testing.assert_allclose(
+        double.standard_deviations[sound], 2 * one.standard_deviations[sound], rtol=0.02
+    )
     np.testing.assert_allclose(one.semi_axes, np.sqrt(7.814727903251179) * one.standard_deviations)
     short = vb.expected_error(WIRE, BALL, LINE, fine, rate=100.0, rest=0.04)
-    np.testing.assert_allclose(short.standard_deviations[sound], np.sqrt(1 + 1 / 4) * one.standard_deviations[sound], rtol=0.02)
+    np.testing.assert_allclose(
+        short.standard_deviations[sound],
+        np.sqrt(1 + 1 / 4) * one.standard_deviations[sound],
+        rtol=0.02,
+    )
 
 
 def test_a_lag_shifts_contacts_in_proportion_to_the_speed() -> None:
@@ -101,24 +137,34 @@ def test_a_lag_shifts_contacts_in_proportion_to_the_speed() -> None:
 
 def test_several_trails_are_the_trails_one_by_one() -> None:
     other = vb.Trail(LINE.position + [0, 0.003, 0])
-    both = vb.expected_error(WIRE, BALL, vb.Trail.stack([LINE, other]), SENSORS["coloured"], speed=SPEED)
+    both = vb.expected_error(
+        WIRE, BALL, vb.Trail.stack([LINE, other]), SENSORS["coloured"], speed=SPEED
+    )
     alone = vb.expected_error(WIRE, BALL, other, SENSORS["coloured"], speed=SPEED)
     np.testing.assert_allclose(both.covariance[1], alone.covariance, rtol=1e-9, atol=1e-20)
 
 
 def test_a_coarse_sensor_detects_little_and_a_small_range_saturates() -> None:
-    coarse = vb.expected_error(WIRE, BALL, LINE, preset("robotiq_ft_300_s", clamp_position=(0, 0, 0.025)))
-    fine = vb.expected_error(WIRE, BALL, LINE, preset("ati_nano17_si_12_0_12", clamp_position=(0, 0, 0.025)))
+    coarse = vb.expected_error(
+        WIRE, BALL, LINE, preset("robotiq_ft_300_s", clamp_position=(0, 0, 0.025))
+    )
+    fine = vb.expected_error(
+        WIRE, BALL, LINE, preset("ati_nano17_si_12_0_12", clamp_position=(0, 0, 0.025))
+    )
     assert fine.detected.sum() > coarse.detected.sum()
     assert np.all(np.isnan(coarse.covariance[~coarse.detected]))
     assert not fine.saturated.any()
     force = np.abs(fine.scan.reactions.force)
-    small = vb.expected_error(WIRE, BALL, LINE, replace(SMALL, force_range=(1.0, 1.0, float(np.median(force[:, 2])))))
+    small = vb.expected_error(
+        WIRE, BALL, LINE, replace(SMALL, force_range=(1.0, 1.0, float(np.median(force[:, 2]))))
+    )
     np.testing.assert_array_equal(small.saturated, force[:, 2] > np.median(force[:, 2]))
 
 
 def test_a_position_that_cannot_be_solved_is_on_no_map() -> None:
-    """Pushed straight up at the ball's lowest point the rod may bend to any side, and the scan has no contact to show."""
+    """Pushed straight up at the ball's lowest point the rod may bend to any side, and the scan has
+    no contact to show.
+    """
     mpl.use("Agg")
     up = vb.Trail.line(start=(0, 0, -0.03), stop=(0, 0, 0.01), count=41)
     error = vb.expected_error(WIRE, BALL, vb.Trail.stack([LINE, up]), SMALL)
@@ -132,7 +178,10 @@ def test_a_position_that_cannot_be_solved_is_on_no_map() -> None:
 
 def test_what_does_not_fit_is_named() -> None:
     unknown = replace(SMALL, force_noise=None, torque_noise=None)
-    with pytest.raises(ValueError, match=r"sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset"):
+    with pytest.raises(
+        ValueError,
+        match=r"sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset",
+    ):
         vb.expected_error(WIRE, BALL, LINE, unknown)
     for name, value in (("rate", 0.0), ("rest", -1.0), ("speed", 0.0), ("samples", 0)):
         with pytest.raises(ValueError, match=f"{name} = {value}; allowed"):
@@ -142,12 +191,19 @@ def test_what_does_not_fit_is_named() -> None:
 def test_the_map_shows_every_position_once(tmp_path: Path) -> None:
     mpl.use("Agg")
     two = vb.Trail.stack([LINE, vb.Trail(LINE.position + [0, 0.003, 0])])
-    error = vb.expected_error(WIRE, BALL, two, preset("robotiq_ft_300_s", clamp_position=(0, 0, 0.025)))
+    error = vb.expected_error(
+        WIRE, BALL, two, preset("robotiq_ft_300_s", clamp_position=(0, 0, 0.025))
+    )
     assert 0 < error.detected.sum() < error.detected.size
     over_clamp, over_object = plot.expected_error_map(error)
     shown = int(error.detected.sum())
-    assert [len(axes.collections[0].get_offsets()) for axes in (over_clamp, over_object)] == [shown, shown]
+    assert [len(axes.collections[0].get_offsets()) for axes in (over_clamp, over_object)] == [
+        shown,
+        shown,
+    ]
     assert len(over_clamp.lines[0].get_xdata()) == error.detected.size - shown
     assert plot.save_as([over_clamp, over_object], tmp_path / "map.png").stat().st_size > 10_000
     with pytest.raises(ValueError, match="no contact of the scan is detected"):
-        plot.expected_error_map(vb.expected_error(WIRE, BALL, vb.Trail(LINE.position + [0.1, 0, 0]), SMALL))
+        plot.expected_error_map(
+            vb.expected_error(WIRE, BALL, vb.Trail(LINE.position + [0.1, 0, 0]), SMALL)
+        )

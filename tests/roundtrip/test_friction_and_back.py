@@ -1,4 +1,6 @@
-"""Forward with friction, back without knowing of it: the contacts, then friction and normals from how they move."""
+"""Forward with friction, back without knowing of it: the contacts, then friction and normals from
+how they move.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ def there_and_back(request: pytest.FixtureRequest) -> tuple[vb.Scan, vb.Reconstr
     return scan, vb.reconstruct(vb.Rod.unit(), scan.reactions)
 
 
-def test_points_are_exact_and_the_normal_is_the_force_s_direction(there_and_back: tuple[vb.Scan, vb.Reconstruction]) -> None:
+def test_points_are_exact_and_the_normal_is_the_force_s_direction(
+    there_and_back: tuple[vb.Scan, vb.Reconstruction],
+) -> None:
     scan, found = there_and_back
     rows = scan.in_contact & found.in_contact
     assert np.mean(rows == scan.in_contact) > 0.99
@@ -30,7 +34,9 @@ def test_friction_and_normals_come_back(there_and_back: tuple[vb.Scan, vb.Recons
     assert estimate.friction == pytest.approx(scan.friction, abs=1e-3)
     rows = np.isfinite(estimate.normal[:, 0])
     assert np.count_nonzero(rows) > 0.7 * np.count_nonzero(scan.motion == vb.Motion.SLIP)
-    gradient = np.column_stack([scan.point[rows, 0], 2 * scan.point[rows, 1], -np.ones(np.count_nonzero(rows))])
+    gradient = np.column_stack(
+        [scan.point[rows, 0], 2 * scan.point[rows, 1], -np.ones(np.count_nonzero(rows))]
+    )
     cosine = np.sum(gradient * estimate.normal[rows], axis=1) / np.linalg.norm(gradient, axis=1)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     assert np.median(angle) < 0.1

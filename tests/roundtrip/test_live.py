@@ -1,4 +1,6 @@
-"""A stream against the same recording read as a file; a simulated sensor against what it says it sent; a process that is killed against its file."""
+"""A stream against the same recording read as a file; a simulated sensor against what it says it
+sent; a process that is killed against its file.
+"""
 
 import json
 import os
@@ -77,14 +79,18 @@ class Kept:
         return np.concatenate([getattr(found, name) for found in self.found])
 
 
-def replayed(setup: vb.Setup, raw: RawRecording, *sinks: Sink, speed: float = np.inf) -> tuple[Kept, Report]:
+def replayed(
+    setup: vb.Setup, raw: RawRecording, *sinks: Sink, speed: float = np.inf
+) -> tuple[Kept, Report]:
     kept = Kept()
     processor = Processor(setup.rod, setup.sensor, ConstantPose())
     return kept, stream(ReplaySource(raw, speed), processor, [Callback(kept), *sinks])
 
 
 @pytest.mark.parametrize("speed", [np.inf, 20.0])
-def test_a_replay_gives_what_the_file_gives(setup: vb.Setup, raw: RawRecording, speed: float) -> None:
+def test_a_replay_gives_what_the_file_gives(
+    setup: vb.Setup, raw: RawRecording, speed: float
+) -> None:
     """Tare, mount and errors online are those of the whole recording, in batches as they come."""
     kept, report = replayed(setup, raw, speed=speed)
     expected = vb.reconstruct(setup.rod, vb.read_recording(FOLDER / "trail.csv", setup))
@@ -107,40 +113,66 @@ def test_a_shared_recording_replayed(sphere_60mm: Path) -> None:
     np.testing.assert_allclose(kept.all("point"), expected.point, rtol=1e-9, atol=1e-15)
 
 
-def test_a_smoothed_stream_is_what_the_filter_says_sample_by_sample(setup: vb.Setup, raw: RawRecording) -> None:
-    """In batches as they come; and its contacts lie nearer to the ball than those of single samples."""
+def test_a_smoothed_stream_is_what_the_filter_says_sample_by_sample(
+    setup: vb.Setup, raw: RawRecording
+) -> None:
+    """In batches as they come; and its contacts lie nearer to the ball than those of single
+    samples.
+    """
     kept = Kept()
     processor = Processor(setup.rod, setup.sensor, ConstantPose(), stage=SmoothingStage(setup.rod))
     stream(ReplaySource(raw, np.inf), processor, [Callback(kept)])
     given = vb.read_recording(FOLDER / "trail.csv", setup)
     assert given.covariance is not None
     both = np.kron(np.eye(2), Rotation.from_quat(given.trail.orientation[0]).as_matrix())
-    live = vb.CausalSmoother(setup.rod, both.T @ given.covariance @ both, position_covariance=given.position_covariance)
-    rows = zip(given.time, given.trail.position, given.trail.orientation, given.force, given.moment, strict=True)
+    live = vb.CausalSmoother(
+        setup.rod, both.T @ given.covariance @ both, position_covariance=given.position_covariance
+    )
+    rows = zip(
+        given.time,
+        given.trail.position,
+        given.trail.orientation,
+        given.force,
+        given.moment,
+        strict=True,
+    )
     expected = [live.update(*row) for row in rows]
     assert kept.all("kind").tolist() == [contact.kind for contact in expected]
-    np.testing.assert_allclose(kept.all("point"), [contact.point for contact in expected], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(kept.all("covariance"), [contact.covariance for contact in expected], rtol=1e-6, atol=1e-16)
+    np.testing.assert_allclose(
+        kept.all("point"), [contact.point for contact in expected], rtol=0, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        kept.all("covariance"), [contact.covariance for contact in expected], rtol=1e-6, atol=1e-16
+    )
     assert setup.surface is not None
     touching = kept.all("kind") != vb.ContactKind.NONE
     singly = vb.reconstruct(setup.rod, given)
     both_touch = touching & singly.in_contact
-    off = [np.median(np.abs(setup.surface.distances(points[both_touch]))) for points in (kept.all("point"), singly.point)]
+    off = [
+        np.median(np.abs(setup.surface.distances(points[both_touch])))
+        for points in (kept.all("point"), singly.point)
+    ]
     assert off[0] < off[1]
 
 
 def test_sinks_agree(tmp_path: Path, setup: vb.Setup, raw: RawRecording) -> None:
     """MCAP, JSON lines and PLY of one stream hold the contacts that the callback had."""
     files = [tmp_path / f"x.{suffix}" for suffix in ("mcap", "jsonl", "ply")]
-    kept, report = replayed(setup, raw, McapSink(files[0]), JsonLinesSink(files[1]), PlySink(files[2]))
+    kept, report = replayed(
+        setup, raw, McapSink(files[0]), JsonLinesSink(files[1]), PlySink(files[2])
+    )
     touching = kept.all("kind") != vb.ContactKind.NONE
-    assert report.contacts["TIP"] + report.contacts["TANGENTIAL"] == np.count_nonzero(touching) > 300
+    assert (
+        report.contacts["TIP"] + report.contacts["TANGENTIAL"] == np.count_nonzero(touching) > 300
+    )
     rows = [json.loads(line) for line in files[1].read_text().splitlines()]
     assert [row["stamp"] for row in rows] == np.concatenate(kept.stamp).tolist()
     assert [row["kind"] for row in rows] == [vb.ContactKind(kind).name for kind in kept.all("kind")]
     assert [row["point"] for row in rows if row["point"]] == kept.all("point")[touching].tolist()
     vertices = PlyData.read(files[2])["vertex"]
-    np.testing.assert_array_equal(np.column_stack([vertices[axis] for axis in "xyz"]), kept.all("point")[touching])
+    np.testing.assert_array_equal(
+        np.column_stack([vertices[axis] for axis in "xyz"]), kept.all("point")[touching]
+    )
     np.testing.assert_array_equal(vertices["kind"], kept.all("kind")[touching])
     assert list(tmp_path.glob(".*")) == []
     check_bag(files[0], raw, kept.all("point")[touching])
@@ -149,23 +181,49 @@ def test_sinks_agree(tmp_path: Path, setup: vb.Setup, raw: RawRecording) -> None
 def check_bag(file: Path, raw: RawRecording, point: np.ndarray) -> None:
     """Raw wrench, pose and points, read with `rosbags`; `mcap` has the same bytes."""
     with AnyReader([file]) as reader:
-        rows = [(connection.topic, moment, bytes(data)) for connection, moment, data in reader.messages()]
-        messages = [(topic, reader.deserialize(data, kind)) for (topic, _, data), kind in zip(rows, _types(reader, rows), strict=True)]
+        rows = [
+            (connection.topic, moment, bytes(data))
+            for connection, moment, data in reader.messages()
+        ]
+        messages = [
+            (topic, reader.deserialize(data, kind))
+            for (topic, _, data), kind in zip(rows, _types(reader, rows), strict=True)
+        ]
     with file.open("rb") as content:
-        assert [(channel.topic, message.log_time, message.data) for _, channel, message in make_reader(content).iter_messages()] == rows
-    force = [[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for topic, m in messages if topic.endswith("wrench")]
+        assert [
+            (channel.topic, message.log_time, message.data)
+            for _, channel, message in make_reader(content).iter_messages()
+        ] == rows
+    force = [
+        [m.wrench.force.x, m.wrench.force.y, m.wrench.force.z]
+        for topic, m in messages
+        if topic.endswith("wrench")
+    ]
     np.testing.assert_array_equal(force, raw.force)
-    place = [[m.pose.position.x, m.pose.position.y, m.pose.position.z] for topic, m in messages if topic.endswith("pose")]
+    place = [
+        [m.pose.position.x, m.pose.position.y, m.pose.position.z]
+        for topic, m in messages
+        if topic.endswith("pose")
+    ]
     np.testing.assert_array_equal(place, raw.position)
     clouds = [m for topic, m in messages if topic.endswith("contacts")]
     points = np.concatenate(
-        [np.frombuffer(bytes(m.data), dtype=np.dtype([("p", "<f4", 3), ("rest", f"V{m.point_step - 12}")])) for m in clouds]
+        [
+            np.frombuffer(
+                bytes(m.data), dtype=np.dtype([("p", "<f4", 3), ("rest", f"V{m.point_step - 12}")])
+            )
+            for m in clouds
+        ]
     )
     np.testing.assert_array_equal(points["p"], point.astype(np.float32))
 
 
-def test_a_rosbag2_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setup: vb.Setup, raw: RawRecording) -> None:
-    """It opens as a bag at every flush, and holds in the end what an MCAP file alone does; its counts are those of its messages."""
+def test_a_rosbag2_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setup: vb.Setup, raw: RawRecording
+) -> None:
+    """It opens as a bag at every flush, and holds in the end what an MCAP file alone does; its
+    counts are those of its messages.
+    """
     monkeypatch.setattr("vibrissa.io.rosbag.sink._EVERY", 0.0)
     folder, file = tmp_path / "sweep", tmp_path / "x.mcap"
     sink, counts = Rosbag2Sink(folder), []
@@ -182,9 +240,9 @@ def test_a_rosbag2_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setup
     kept, _ = replayed(setup, raw, sink, McapSink(file), Looks(), speed=50.0)
     check_bag(file, raw, kept.all("point")[kept.all("kind") != vb.ContactKind.NONE])
     with Reader(folder) as bag, AnyReader([file]) as alone:
-        assert [(c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in bag.messages()] == [
-            (c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in alone.messages()
-        ]
+        assert [
+            (c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in bag.messages()
+        ] == [(c.topic, c.msgtype, moment, bytes(data)) for c, moment, data in alone.messages()]
         assert (bag.start_time, bag.message_count) == (alone.start_time, alone.message_count)
         assert bag.duration == alone.duration
         assert {topic: info.msgcount for topic, info in bag.topics.items()} == {
@@ -195,15 +253,21 @@ def test_a_rosbag2_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, setup
     assert sorted(path.name for path in folder.iterdir()) == ["metadata.yaml", "sweep_0.mcap"]
 
 
-def test_a_cloud_that_is_being_written_opens(tmp_path: Path, setup: vb.Setup, raw: RawRecording) -> None:
-    """After each flush the PLY holds the contacts so far, also while points lie behind those that it counts."""
+def test_a_cloud_that_is_being_written_opens(
+    tmp_path: Path, setup: vb.Setup, raw: RawRecording
+) -> None:
+    """After each flush the PLY holds the contacts so far, also while points lie behind those that
+    it counts.
+    """
     file = tmp_path / "x.ply"
     sink = PlySink(file)
     found = vb.reconstruct(setup.rod, setup.sensor.reactions(raw))
     points = found.point[found.in_contact]
     for expected in (0, len(points), 2 * len(points)):
         vertices = PlyData.read(file)["vertex"]
-        np.testing.assert_array_equal(np.column_stack([vertices[axis] for axis in "xyz"]), np.tile(points, (2, 1))[:expected])
+        np.testing.assert_array_equal(
+            np.column_stack([vertices[axis] for axis in "xyz"]), np.tile(points, (2, 1))[:expected]
+        )
         sink.contacts(np.zeros(len(raw.time), dtype=np.int64), raw, found)
         assert len(PlyData.read(file)["vertex"].data) == expected
         sink.flush()
@@ -220,9 +284,13 @@ def _types(reader: AnyReader, rows: list[tuple[str, int, bytes]]) -> list[str]:
 
 
 @contextmanager
-def simulated(samples: Iterator[RawRecording], flaws: Flaws = NO_FLAWS, poses: tuple[str, int] | None = None) -> Iterator[SensorSimulator]:
+def simulated(
+    samples: Iterator[RawRecording], flaws: Flaws = NO_FLAWS, poses: tuple[str, int] | None = None
+) -> Iterator[SensorSimulator]:
     """A sensor on the loopback address, in a thread."""
-    simulator = SensorSimulator(samples, **COUNTS, rate=RATE, port=0, flaws=flaws, seed=5, poses=poses, buffer=7)
+    simulator = SensorSimulator(
+        samples, **COUNTS, rate=RATE, port=0, flaws=flaws, seed=5, poses=poses, buffer=7
+    )
     simulator.open()
     stop = threading.Event()
     thread = threading.Thread(target=lambda: simulator.run(stop=stop))
@@ -235,19 +303,33 @@ def simulated(samples: Iterator[RawRecording], flaws: Flaws = NO_FLAWS, poses: t
         simulator.close()
 
 
-def source_of(simulator: SensorSimulator, *, buffered: bool = False, rate: float = RATE) -> NetFtSource:
+def source_of(
+    simulator: SensorSimulator, *, buffered: bool = False, rate: float = RATE
+) -> NetFtSource:
     return NetFtSource("127.0.0.1", simulator.port, **COUNTS, rate=rate, buffered=buffered)
 
 
 def at_rate(raw: RawRecording, count: int) -> RawRecording:
-    """The first so many rows, one a millisecond: slow motion turned fast, but the same poses and wrenches."""
+    """The first so many rows, one a millisecond: slow motion turned fast, but the same poses and
+    wrenches.
+    """
     part = slice(0, count)
-    return RawRecording(np.arange(count) / RATE, raw.position[part], raw.orientation[part], raw.force[part], raw.torque[part])
+    return RawRecording(
+        np.arange(count) / RATE,
+        raw.position[part],
+        raw.orientation[part],
+        raw.force[part],
+        raw.torque[part],
+    )
 
 
 @pytest.mark.parametrize("buffered", [False, True])
-def test_a_sensor_on_the_loopback_address(setup: vb.Setup, raw: RawRecording, *, buffered: bool) -> None:
-    """Counts in, contacts out: to the rounding of the counts what the file gives, at the poses of the planned motion."""
+def test_a_sensor_on_the_loopback_address(
+    setup: vb.Setup, raw: RawRecording, *, buffered: bool
+) -> None:
+    """Counts in, contacts out: to the rounding of the counts what the file gives, at the poses of
+    the planned motion.
+    """
     count = 896
     sent = at_rate(raw, count)
     fast = replace(setup.sensor, tare_seconds=0.2)
@@ -258,12 +340,23 @@ def test_a_sensor_on_the_loopback_address(setup: vb.Setup, raw: RawRecording, *,
         iter([sent]),
     ) as simulator:
         source = source_of(simulator, buffered=buffered)
-        report = stream(source, Processor(setup.rod, fast, poses), [Callback(kept)], poses=poses, silence=1.0, duration=0.88)
+        report = stream(
+            source,
+            Processor(setup.rod, fast, poses),
+            [Callback(kept)],
+            poses=poses,
+            silence=1.0,
+            duration=0.88,
+        )
         assert report.counts.lost == report.counts.malformed == report.overflow == 0
     assert report.rows > 700
     rows = slice(0, report.rows)
     assert np.mean(kept.all("kind") == expected.kind[rows]) > 0.99
-    both = (kept.all("kind") > 0) & (expected.kind[rows] > 0) & (np.linalg.norm(sent.force[rows] - sent.force[0], axis=1) > 0.1)
+    both = (
+        (kept.all("kind") > 0)
+        & (expected.kind[rows] > 0)
+        & (np.linalg.norm(sent.force[rows] - sent.force[0], axis=1) > 0.1)
+    )
     assert np.count_nonzero(both) > 300
     error = np.linalg.norm(kept.all("point") - expected.point[rows], axis=1)[both]
     assert np.median(error) < 2e-5
@@ -316,7 +409,9 @@ def free_port() -> int:
 
 
 def test_poses_over_udp(setup: vb.Setup, raw: RawRecording) -> None:
-    """The pose of each row is that of its sample, though both come over sockets: a clamp that moves at 0.16 m/s is nowhere off by more than 2 ms of that."""
+    """The pose of each row is that of its sample, though both come over sockets: a clamp that moves
+    at 0.16 m/s is nowhere off by more than 2 ms of that.
+    """
     count = 900
     time = np.arange(count) / RATE
     position = np.outer(time, [0.16, 0, 0])
@@ -328,7 +423,14 @@ def test_poses_over_udp(setup: vb.Setup, raw: RawRecording) -> None:
     poses = StreamedPoses(port=port, patience=0.5)
     still = replace(setup.sensor, tare_seconds=0.0)
     with simulated(iter([sent]), poses=("127.0.0.1", port)) as simulator:
-        report = stream(source_of(simulator), Processor(setup.rod, still, poses), [rows], poses=poses, silence=0, duration=0.8)
+        report = stream(
+            source_of(simulator),
+            Processor(setup.rod, still, poses),
+            [rows],
+            poses=poses,
+            silence=0,
+            duration=0.8,
+        )
     assert report.malformed_poses == 0
     place = np.concatenate([part.position[:, 0] for part in rows.raw])
     true = 0.16 * np.concatenate([part.force[:, 0] for part in rows.raw])
@@ -338,11 +440,15 @@ def test_poses_over_udp(setup: vb.Setup, raw: RawRecording) -> None:
 
 
 def test_a_rate_that_the_setup_does_not_know(setup: vb.Setup, raw: RawRecording) -> None:
-    """The sensor sends a thousand a second where the setup says four: after two seconds stamps are a millisecond apart."""
+    """The sensor sends a thousand a second where the setup says four: after two seconds stamps are
+    a millisecond apart.
+    """
     kept = Kept()
     with simulated(iter([at_rate(raw, 900)] * 4)) as simulator:
         processor = Processor(setup.rod, replace(setup.sensor, tare_seconds=0.1), ConstantPose())
-        report = stream(source_of(simulator, rate=4000.0), processor, [Callback(kept)], silence=0, duration=3.0)
+        report = stream(
+            source_of(simulator, rate=4000.0), processor, [Callback(kept)], silence=0, duration=3.0
+        )
     assert report.counts.rate_changes == 1
     stamp = np.concatenate(kept.stamp)[-500:]
     assert stamp[-1] - stamp[0] == pytest.approx(499e6, rel=0.1)
@@ -365,24 +471,36 @@ def as_samples(raw: RawRecording, valid: np.ndarray) -> Samples:
 
 
 def test_a_sensor_in_error_at_the_start(setup: vb.Setup, raw: RawRecording) -> None:
-    """A fatal status for longer than the tare: those rows are bad data at once, and the tare is that of the good ones after them."""
+    """A fatal status for longer than the tare: those rows are bad data at once, and the tare is
+    that of the good ones after them.
+    """
     count, bad = 700, 40
     sent = at_rate(raw, count)
     sensor = replace(setup.sensor, tare_seconds=0.04)
     processor = Processor(setup.rod, sensor, ConstantPose())
     kept = worked_on(processor, as_samples(sent, np.arange(count) >= bad))
-    later = RawRecording(*(getattr(sent, name)[bad:] for name in ("time", "position", "orientation", "force", "torque")))
+    later = RawRecording(
+        *(
+            getattr(sent, name)[bad:]
+            for name in ("time", "position", "orientation", "force", "torque")
+        )
+    )
     expected = sensor.tare(later)
     assert np.array_equal(kept.all("status") == vb.Status.BAD_DATA, np.arange(count) < bad)
     assert processor.tare is not None
     np.testing.assert_allclose(processor.tare, expected.offset, rtol=0, atol=1e-15)
     broken = Processor(setup.rod, sensor, ConstantPose())
-    assert np.all(worked_on(broken, as_samples(sent, np.zeros(count, dtype=bool))).all("status") == vb.Status.BAD_DATA)
+    assert np.all(
+        worked_on(broken, as_samples(sent, np.zeros(count, dtype=bool))).all("status")
+        == vb.Status.BAD_DATA
+    )
     assert broken.waiting == 0
 
 
 def test_poses_that_begin_after_the_tare(setup: vb.Setup, raw: RawRecording) -> None:
-    """The tare needs none; rows without a pose are counted once, and those with one have their contacts."""
+    """The tare needs none; rows without a pose are counted once, and those with one have their
+    contacts.
+    """
     count, begin = 850, 300
     sent = at_rate(raw, count)
     poses = StreamedPoses(patience=0.005)
@@ -402,16 +520,25 @@ def test_poses_that_begin_after_the_tare(setup: vb.Setup, raw: RawRecording) -> 
 
 @pytest.mark.parametrize("tare", [0.1, 0.0])
 def test_slow_noise_is_stated_live_as_it_is(setup: vb.Setup, tare: float) -> None:
-    """Pink noise and random walk since the tare, or since the start, in batches: the wrenches of many streams scatter as their covariances say."""
+    """Pink noise and random walk since the tare, or since the start, in batches: the wrenches of
+    many streams scatter as their covariances say.
+    """
     count, trials = 256, 36
     still = np.zeros((count, 3))
     sensor = replace(
-        setup.sensor, tare_seconds=tare, noise_corner=0.0 if tare == 0 else 30.0, force_random_walk=8e-3, torque_random_walk=1.6e-4
+        setup.sensor,
+        tare_seconds=tare,
+        noise_corner=0.0 if tare == 0 else 30.0,
+        force_random_walk=8e-3,
+        torque_random_walk=1.6e-4,
     )
     truth = vb.Reactions(vb.Trail(still), still, still, time=np.arange(count) / RATE)
     rng, last, seen = np.random.default_rng(4), [], []
     for _ in range(trials):
-        kept = worked_on(Processor(setup.rod, sensor, ConstantPose()), as_samples(sensor.measure(truth, rng), np.ones(count, dtype=bool)))
+        kept = worked_on(
+            Processor(setup.rod, sensor, ConstantPose()),
+            as_samples(sensor.measure(truth, rng), np.ones(count, dtype=bool)),
+        )
         reactions = kept.found[-1].reactions
         assert reactions.covariance is not None
         stated = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))[-1]
@@ -419,7 +546,11 @@ def test_slow_noise_is_stated_live_as_it_is(setup: vb.Setup, tare: float) -> Non
         seen.append(stated)
     spread = np.linalg.inv(np.linalg.cholesky(np.mean(seen, axis=0)))
     scatter = np.array(last) @ spread.T
-    white = np.linalg.inv(np.linalg.cholesky(stated)) @ np.diag(setup.sensor.reading_variance) @ np.linalg.inv(np.linalg.cholesky(stated)).T
+    white = (
+        np.linalg.inv(np.linalg.cholesky(stated))
+        @ np.diag(setup.sensor.reading_variance)
+        @ np.linalg.inv(np.linalg.cholesky(stated)).T
+    )
     assert np.trace(white) < 3
     assert np.mean(scatter**2) == pytest.approx(1, abs=4 * np.sqrt(2 / (6 * trials)) + 0.05)
 
@@ -458,7 +589,9 @@ class Full:
         """Nothing is held open."""
 
 
-def test_a_sink_that_fails_ends_the_stream_and_the_others_are_closed(tmp_path: Path, setup: vb.Setup, raw: RawRecording) -> None:
+def test_a_sink_that_fails_ends_the_stream_and_the_others_are_closed(
+    tmp_path: Path, setup: vb.Setup, raw: RawRecording
+) -> None:
     with pytest.raises(OSError, match="No space left"):
         replayed(setup, raw, PlySink(tmp_path / "x.ply"), Full())
     assert len(PlyData.read(tmp_path / "x.ply")["vertex"].data) == 0
@@ -467,7 +600,11 @@ def test_a_sink_that_fails_ends_the_stream_and_the_others_are_closed(tmp_path: P
 def vibrissa(*arguments: object) -> subprocess.Popen[str]:
     command = [sys.executable, "-c", "from vibrissa.cli import main; main()", *map(str, arguments)]
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONWARNINGS": "default"}
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONWARNINGS": "default"},
     )
 
 
@@ -480,9 +617,19 @@ def wait_for(process: subprocess.Popen[str], words: str) -> None:
 
 
 def test_a_process_that_is_killed_leaves_its_file(tmp_path: Path) -> None:
-    """Its MCAP opens and holds all but the last tenth of a second: the recording's rows from the first on, without a gap."""
+    """Its MCAP opens and holds all but the last tenth of a second: the recording's rows from the
+    first on, without a gap.
+    """
     file = tmp_path / "x.mcap"
-    process = vibrissa("live", "--source", f"replay:{FOLDER / 'trail.csv'}", "--setup", FOLDER / "setup.toml", "--sink", file)
+    process = vibrissa(
+        "live",
+        "--source",
+        f"replay:{FOLDER / 'trail.csv'}",
+        "--setup",
+        FOLDER / "setup.toml",
+        "--sink",
+        file,
+    )
     wait_for(process, "tare")
     begun = time.monotonic()
     time.sleep(0.7)
@@ -490,9 +637,15 @@ def test_a_process_that_is_killed_leaves_its_file(tmp_path: Path) -> None:
     passed = time.monotonic() - begun
     process.communicate(timeout=60)
     with file.open("rb") as content:
-        stamps = [message.log_time for _, channel, message in make_reader(content).iter_messages() if channel.topic == "/vibrissa/wrench"]
+        stamps = [
+            message.log_time
+            for _, channel, message in make_reader(content).iter_messages()
+            if channel.topic == "/vibrissa/wrench"
+        ]
     with AnyReader([file]) as reader:
-        assert sum(connection.topic == "/vibrissa/wrench" for connection, _, _ in reader.messages()) == len(stamps)
+        assert sum(
+            connection.topic == "/vibrissa/wrench" for connection, _, _ in reader.messages()
+        ) == len(stamps)
     raw = read_cleaned(FOLDER / "trail.csv", vb.load_setup(FOLDER / "setup.toml"))
     assert process.returncode == -signal.SIGKILL
     assert stamps == np.round(raw.time[: len(stamps)] * 1e9).astype(int).tolist()

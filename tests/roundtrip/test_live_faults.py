@@ -1,4 +1,6 @@
-"""What goes wrong with a stream is said and counted, and leaves whole files: silences, takeovers, restarts with another zero, full disks, ports in use."""
+"""What goes wrong with a stream is said and counted, and leaves whole files: silences, takeovers,
+restarts with another zero, full disks, ports in use.
+"""
 
 import json
 import os
@@ -18,7 +20,16 @@ import vibrissa as vb
 from vibrissa.io.recordings.read import read_cleaned
 from vibrissa.io.rosbag import McapSink, Rosbag2Sink
 from vibrissa.io.sinks import JsonLinesSink, PlySink
-from vibrissa.live import ConstantPose, NetFtSource, Processor, ReplaySource, Samples, SensorSimulator, Sink, stream
+from vibrissa.live import (
+    ConstantPose,
+    NetFtSource,
+    Processor,
+    ReplaySource,
+    Samples,
+    SensorSimulator,
+    Sink,
+    stream,
+)
 from vibrissa.live.silence import SilenceWatch
 from vibrissa.sensor import RawRecording
 
@@ -38,33 +49,60 @@ def raw(setup: vb.Setup) -> RawRecording:
 
 
 def restarted(raw: RawRecording, row: int, shift: np.ndarray) -> Samples:
-    """The recording up to a row, where the sensor is restarted with another zero; two seconds later the whole recording again."""
+    """The recording up to a row, where the sensor is restarted with another zero; two seconds later
+    the whole recording again.
+    """
     first, count = slice(0, row), len(raw.time)
-    columns = {name: np.concatenate([getattr(raw, name)[first], getattr(raw, name)]) for name in COLUMNS}
+    columns = {
+        name: np.concatenate([getattr(raw, name)[first], getattr(raw, name)]) for name in COLUMNS
+    }
     columns["force"][row:] += shift[:3]
     columns["torque"][row:] += shift[3:]
-    stamp = np.round(np.concatenate([raw.time[first], raw.time + raw.time[row - 1] + 2]) * 1e9).astype(np.int64)
+    stamp = np.round(
+        np.concatenate([raw.time[first], raw.time + raw.time[row - 1] + 2]) * 1e9
+    ).astype(np.int64)
     anew = np.arange(row + count) == row
     force, torque = columns["force"], columns["torque"]
     good = np.ones(len(stamp), dtype=bool)
-    return Samples(stamp, np.arange(len(stamp)), force, torque, good, stamp, columns["position"], columns["orientation"], anew)
+    return Samples(
+        stamp,
+        np.arange(len(stamp)),
+        force,
+        torque,
+        good,
+        stamp,
+        columns["position"],
+        columns["orientation"],
+        anew,
+    )
 
 
-def through(processor: Processor, samples: Samples) -> tuple[dict[str, np.ndarray], list[tuple[str, bool]]]:
+def through(
+    processor: Processor, samples: Samples
+) -> tuple[dict[str, np.ndarray], list[tuple[str, bool]]]:
     """Kind, status and point of all rows, and what was said."""
     found, news = [], []
     for first in range(0, len(samples), 50):
         processor.push(samples.rows(first, min(first + 50, len(samples))))
         found += [result.found for result in processor.ready(int(samples.stamp[-1]))]
         news += processor.news()
-    return {name: np.concatenate([getattr(part, name) for part in found]) for name in ("kind", "status", "point")}, news
+    return {
+        name: np.concatenate([getattr(part, name) for part in found])
+        for name in ("kind", "status", "point")
+    }, news
 
 
 @pytest.mark.parametrize(("row", "offset"), [(901, 0.0), (901, 0.3), (450, 0.3)])
-def test_the_zero_of_a_restarted_sensor(setup: vb.Setup, raw: RawRecording, row: int, offset: float) -> None:
-    """The same or another, restarted free or in the midst of a contact: once the zero is known, contacts lie on the ball as before, and none that says OK is off it."""
+def test_the_zero_of_a_restarted_sensor(
+    setup: vb.Setup, raw: RawRecording, row: int, offset: float
+) -> None:
+    """The same or another, restarted free or in the midst of a contact: once the zero is known,
+    contacts lie on the ball as before, and none that says OK is off it.
+    """
     processor = Processor(setup.rod, setup.sensor, ConstantPose())
-    found, news = through(processor, restarted(raw, row, np.array([1, -1, 1, 0.01, 0.01, -0.01]) * offset))
+    found, news = through(
+        processor, restarted(raw, row, np.array([1, -1, 1, 0.01, 0.01, -0.01]) * offset)
+    )
     assert [warns for _, warns in news] == [offset > 0]
     assert processor.zero_changes == (offset > 0)
     after = found["status"][row:]
@@ -80,10 +118,14 @@ def test_the_zero_of_a_restarted_sensor(setup: vb.Setup, raw: RawRecording, row:
 
 
 def test_a_zero_that_a_contact_may_hide_stays_unknown(setup: vb.Setup, raw: RawRecording) -> None:
-    """Restarted with another zero where the sensor stands in contact, and never free again: every row says that it is not to be trusted."""
+    """Restarted with another zero where the sensor stands in contact, and never free again: every
+    row says that it is not to be trusted.
+    """
     rows = np.concatenate([np.arange(450), np.full(300, 450)])
     columns = {name: getattr(raw, name)[rows] for name in COLUMNS}
-    columns["force"] = columns["force"] + (np.arange(750) >= 500)[:, None] * np.array([0.2, 0.1, -0.3])
+    columns["force"] = columns["force"] + (np.arange(750) >= 500)[:, None] * np.array(
+        [0.2, 0.1, -0.3]
+    )
     columns["force"] += np.random.default_rng(0).normal(size=(750, 3)) * 2e-3
     stamp = np.round(np.arange(750) * 1e7).astype(np.int64)
     samples = Samples(stamp, np.arange(750), columns["force"], columns["torque"], np.ones(750, dtype=bool), stamp,
@@ -96,7 +138,9 @@ def test_a_zero_that_a_contact_may_hide_stays_unknown(setup: vb.Setup, raw: RawR
 
 
 def test_silences_are_counted_once_each() -> None:
-    """At 1000 samples a second half a second is one; of a sensor with one sample a second, twenty are."""
+    """At 1000 samples a second half a second is one; of a sensor with one sample a second, twenty
+    are.
+    """
     watch, millisecond = SilenceWatch(), 1_000_000
     arrival = np.arange(1000) * millisecond
     assert watch.came(arrival) is None
@@ -115,9 +159,13 @@ def test_silences_are_counted_once_each() -> None:
 
 
 def test_a_stream_that_another_client_takes(setup: vb.Setup, raw: RawRecording) -> None:
-    """Both ends say so: the simulator names the client, and the first client counts what it did not get."""
+    """Both ends say so: the simulator names the client, and the first client counts what it did not
+    get.
+    """
     still = np.zeros((512, 3))
-    block = RawRecording(np.arange(512) / 1e3, still, np.tile([0.0, 0, 0, 1], (512, 1)), still, still)
+    block = RawRecording(
+        np.arange(512) / 1e3, still, np.tile([0.0, 0, 0, 1], (512, 1)), still, still
+    )
     heard: list[str] = []
     simulator = SensorSimulator(iter([block] * 20), **COUNTS, rate=1e3, port=0, notice=heard.append)
     simulator.open()
@@ -150,7 +198,9 @@ def test_a_stream_that_another_client_takes(setup: vb.Setup, raw: RawRecording) 
     assert report.counts.restarts >= 1
     assert report.counts.lost > 500
     words = " ".join(report.warnings)
-    assert [word for word in ("samples come again after", "begin anew", "are lost") if word not in words] == []
+    assert [
+        word for word in ("samples come again after", "begin anew", "are lost") if word not in words
+    ] == []
 
 
 def full(monkeypatch: pytest.MonkeyPatch, room: int) -> None:
@@ -175,7 +225,9 @@ def full(monkeypatch: pytest.MonkeyPatch, room: int) -> None:
 
 def stopped_by(sink: Sink, setup: vb.Setup, raw: RawRecording) -> OSError:
     with pytest.raises(OSError, match="No space left") as caught:
-        stream(ReplaySource(raw, np.inf), Processor(setup.rod, setup.sensor, ConstantPose()), [sink])
+        stream(
+            ReplaySource(raw, np.inf), Processor(setup.rod, setup.sensor, ConstantPose()), [sink]
+        )
     return caught.value
 
 
@@ -204,7 +256,9 @@ def test_a_full_disk_leaves_whole_files_and_is_named(
         with pytest.raises(OSError, match=str(bag)):
             for first in range(0, 900, 100):
                 rows = slice(first, first + 100)
-                sink.wrench(np.arange(first, first + 100), np.arange(100), raw.force[rows], raw.torque[rows])
+                sink.wrench(
+                    np.arange(first, first + 100), np.arange(100), raw.force[rows], raw.torque[rows]
+                )
                 sink.flush()
                 flushed += 100
     with AnyReader([bag]) as reader:
@@ -227,7 +281,17 @@ def test_a_port_in_use_is_named_and_nothing_is_left(
     table = f'\n[pose]\nkind = "udp"\nlisten = "udp://127.0.0.1:{taken}"\n'
     setup.write_text((FOLDER / "setup.toml").read_text(encoding="utf-8") + table, encoding="utf-8")
     case = FOLDER.parents[1] / "cases/steel_wire_sphere.toml"
-    live = ("live", "--source", "netft://127.0.0.1:9", "--setup", setup, "--sink", f"rosbag2:{bag}", "--sink", tmp_path / "x.jsonl")
+    live = (
+        "live",
+        "--source",
+        "netft://127.0.0.1:9",
+        "--setup",
+        setup,
+        "--sink",
+        f"rosbag2:{bag}",
+        "--sink",
+        tmp_path / "x.jsonl",
+    )
     for command in (live, live, ("simulate-sensor", case, "--setup", setup, "--port", taken)):
         monkeypatch.setattr(sys, "argv", ["vibrissa", *map(str, command)])
         monkeypatch.setattr(os, "environ", dict(os.environ))

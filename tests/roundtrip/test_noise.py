@@ -1,6 +1,7 @@
 """Reactions with noise of known covariance: the errors of the contacts are those that are stated.
 
-The noise is that of a small force/torque sensor that carries a 50 mm steel wire at half its length, in model units.
+The noise is that of a small force/torque sensor that carries a 50 mm steel wire at half its length,
+in model units.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,11 @@ import vibrissa as vb
 
 UNIT = vb.Rod.unit()
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
-FORCE_NOISE, TORQUE_NOISE, ARM = 2e-3 / WIRE.force_scale, 4e-5 / WIRE.moment_scale, np.array([0.0, 0.0, 0.5])
+FORCE_NOISE, TORQUE_NOISE, ARM = (
+    2e-3 / WIRE.force_scale,
+    4e-5 / WIRE.moment_scale,
+    np.array([0.0, 0.0, 0.5]),
+)
 SAMPLES = 4000
 WITHIN = chi2.isf(0.05, 3)
 
@@ -21,7 +26,9 @@ WITHIN = chi2.isf(0.05, 3)
 def wrench_noise(rng: np.random.Generator, count: int) -> np.ndarray:
     """Errors of (f0, m0) (count, 6): a sensor's own, its torque carried to the clamp."""
     force = rng.normal(scale=FORCE_NOISE, size=(count, 3))
-    return np.concatenate([force, rng.normal(scale=TORQUE_NOISE, size=(count, 3)) - np.cross(ARM, force)], axis=1)
+    return np.concatenate(
+        [force, rng.normal(scale=TORQUE_NOISE, size=(count, 3)) - np.cross(ARM, force)], axis=1
+    )
 
 
 def noise_covariance() -> np.ndarray:
@@ -56,14 +63,18 @@ class Sampled(NamedTuple):
         return np.einsum("ni,nij,nj->n", self.error, inverse, self.error)
 
 
-def reactions(position: np.ndarray, force: np.ndarray, moment: np.ndarray, noise: np.ndarray) -> vb.Reactions:
+def reactions(
+    position: np.ndarray, force: np.ndarray, moment: np.ndarray, noise: np.ndarray
+) -> vb.Reactions:
     trail = vb.Trail(np.tile(position, (len(noise), 1)))
     return vb.Reactions(trail, force + noise[:, :3], moment + noise[:, 3:], covariance=COVARIANCE)
 
 
 def sampled(scan: vb.Scan, row: int, seed: int) -> Sampled:
     noise = wrench_noise(np.random.default_rng(seed), SAMPLES)
-    given = reactions(scan.trail.position[row], scan.reactions.force[row], scan.reactions.moment[row], noise)
+    given = reactions(
+        scan.trail.position[row], scan.reactions.force[row], scan.reactions.moment[row], noise
+    )
     return Sampled(scan, row, vb.reconstruct(UNIT, given))
 
 
@@ -77,14 +88,20 @@ def measured() -> dict[tuple[float, float], Sampled]:
     surface, found = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4), {}
     for y0, x0 in TANGENTIAL + TIP:
         scan = vb.scan(UNIT, surface, vb.Trail.line(start=(1.2, y0, 0), stop=(x0, y0, 0), count=49))
-        assert scan.kind[-1] == (vb.ContactKind.TIP if (y0, x0) in TIP else vb.ContactKind.TANGENTIAL)
+        assert scan.kind[-1] == (
+            vb.ContactKind.TIP if (y0, x0) in TIP else vb.ContactKind.TANGENTIAL
+        )
         found[y0, x0] = sampled(scan, 48, seed=round(1000 * y0 + 100 * x0 + 500))
     return found
 
 
 @pytest.mark.parametrize("where", TANGENTIAL)
-def test_errors_have_the_stated_covariance(measured: dict[tuple[float, float], Sampled], where: tuple[float, float]) -> None:
-    """In units of the stated standard deviations the errors' covariance is the identity, and they have no bias."""
+def test_errors_have_the_stated_covariance(
+    measured: dict[tuple[float, float], Sampled], where: tuple[float, float]
+) -> None:
+    """In units of the stated standard deviations the errors' covariance is the identity, and they
+    have no bias.
+    """
     sample = measured[where]
     assert np.all(sample.found.in_contact)
     assert sample.found.covariance is not None
@@ -94,7 +111,9 @@ def test_errors_have_the_stated_covariance(measured: dict[tuple[float, float], S
 
 
 @pytest.mark.parametrize("where", TANGENTIAL)
-def test_arc_length_and_normal_have_the_stated_errors(measured: dict[tuple[float, float], Sampled], where: tuple[float, float]) -> None:
+def test_arc_length_and_normal_have_the_stated_errors(
+    measured: dict[tuple[float, float], Sampled], where: tuple[float, float]
+) -> None:
     sample = measured[where]
     found, row = sample.found, sample.row
     assert found.arc_length_deviation is not None
@@ -111,12 +130,16 @@ def test_arc_length_and_normal_have_the_stated_errors(measured: dict[tuple[float
 
 
 @pytest.mark.parametrize("where", TANGENTIAL + TIP)
-def test_the_95_percent_ellipsoids_hold_the_true_point(measured: dict[tuple[float, float], Sampled], where: tuple[float, float]) -> None:
+def test_the_95_percent_ellipsoids_hold_the_true_point(
+    measured: dict[tuple[float, float], Sampled], where: tuple[float, float]
+) -> None:
     assert 0.92 < np.mean(measured[where].distance() < WITHIN) < 0.98
 
 
 @pytest.mark.parametrize("where", TIP)
-def test_at_the_tip_knowing_the_length_helps(measured: dict[tuple[float, float], Sampled], where: tuple[float, float]) -> None:
+def test_at_the_tip_knowing_the_length_helps(
+    measured: dict[tuple[float, float], Sampled], where: tuple[float, float]
+) -> None:
     """No point beyond the rod, and none of the errors larger than stated."""
     sample = measured[where]
     assert sample.found.covariance is not None
@@ -129,7 +152,9 @@ def test_at_the_tip_knowing_the_length_helps(measured: dict[tuple[float, float],
 
 
 @pytest.mark.parametrize("where", TANGENTIAL)
-def test_tangential_contact_is_not_taken_for_tip_contact(measured: dict[tuple[float, float], Sampled], where: tuple[float, float]) -> None:
+def test_tangential_contact_is_not_taken_for_tip_contact(
+    measured: dict[tuple[float, float], Sampled], where: tuple[float, float]
+) -> None:
     """These touch by more than six standard deviations before the tip."""
     found = measured[where].found
     assert found.arc_length_deviation is not None
@@ -150,7 +175,9 @@ def test_the_contact_test_errs_as_often_as_it_says(false_alarm: float) -> None:
 
 @pytest.mark.parametrize("y0", [0.1, 0.3, 0.5])
 def test_near_first_contact_no_point_is_farther_than_the_rod_reaches(y0: float) -> None:
-    """A chord is no longer than its arc, whatever the noise: points within 5 % of a rod length, and honest about themselves."""
+    """A chord is no longer than its arc, whatever the noise: points within 5 % of a rod length, and
+    honest about themselves.
+    """
     surface = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
     first = np.sqrt(2 * (0.6 - y0**2))
     trail = vb.Trail.line(start=(first - 1e-4, y0, 0), stop=(first - 0.03, y0, 0), count=9)
@@ -167,7 +194,9 @@ def test_near_first_contact_no_point_is_farther_than_the_rod_reaches(y0: float) 
 
 
 def test_three_times_the_noise_is_not_missed() -> None:
-    """A force of five standard deviations at the tip is found nearly always at the usual false alarm rate."""
+    """A force of five standard deviations at the tip is found nearly always at the usual false
+    alarm rate.
+    """
     force = 5 * FORCE_NOISE * np.array([0.6, 0.0, -0.8])
     noise = wrench_noise(np.random.default_rng(1), SAMPLES)
     moment = -np.cross([0.0, 0.0, 1.0], force)

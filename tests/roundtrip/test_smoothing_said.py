@@ -1,4 +1,6 @@
-"""What smoothing cannot tell it says: weak signals, readings of the wrong sign, recordings cut off in contact; and segments meet without a seam."""
+"""What smoothing cannot tell it says: weak signals, readings of the wrong sign, recordings cut off
+in contact; and segments meet without a seam.
+"""
 
 from dataclasses import replace
 
@@ -8,8 +10,8 @@ from scipy.stats import chi2
 from sweeps import BALL, SENSOR, WIRE
 
 import vibrissa as vb
-from vibrissa.reconstruct.smoothing import segments
-from vibrissa.reconstruct.work import clamp_work
+from vibrissa.inverse.smoothing import segments
+from vibrissa.inverse.work import clamp_work
 
 REST, ROWS = 100, 600
 pytestmark = pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")
@@ -17,27 +19,43 @@ pytestmark = pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarn
 
 @pytest.fixture(scope="module")
 def scan() -> vb.Scan:
-    return vb.scan(WIRE, BALL, vb.Trail.line(start=(0.04, 0.005, 0), stop=(-0.04, 0.005, 0), count=ROWS))
+    return vb.scan(
+        WIRE, BALL, vb.Trail.line(start=(0.04, 0.005, 0), stop=(-0.04, 0.005, 0), count=ROWS)
+    )
 
 
 def readings(scan: vb.Scan, strength: float, *, sign: float = 1.0) -> vb.Reactions:
-    """A log of the sweep after a rest, by a sensor whose noise is the largest force over `strength`, 100 rows a second."""
+    """A log of the sweep after a rest, by a sensor whose noise is the largest force over
+    `strength`, 100 rows a second.
+    """
     largest = float(np.nanmax(np.linalg.norm(scan.reactions.force, axis=1)))
     deviation = np.repeat([1.0, WIRE.length / 2], 3) * largest / strength
     load = np.hstack([scan.reactions.force, scan.reactions.moment])
-    load = np.vstack([np.zeros((REST, 6)), sign * load]) + np.random.default_rng(3).normal(0, deviation, (REST + ROWS, 6))
+    load = np.vstack([np.zeros((REST, 6)), sign * load]) + np.random.default_rng(3).normal(
+        0, deviation, (REST + ROWS, 6)
+    )
     position = scan.reactions.trail.position
     trail = vb.Trail(np.vstack([np.tile(position[0], (REST, 1)), position]))
-    return vb.Reactions(trail, load[:, :3], load[:, 3:], time=np.arange(REST + ROWS) / 100, covariance=np.diag(deviation**2))
+    return vb.Reactions(
+        trail,
+        load[:, :3],
+        load[:, 3:],
+        time=np.arange(REST + ROWS) / 100,
+        covariance=np.diag(deviation**2),
+    )
 
 
 def held(found: vb.Reconstruction, scan: vb.Scan) -> np.ndarray:
-    """Whether each smoothed contact says OK and whether its 95 % ellipsoid holds the true point (k, 2)."""
+    """Whether each smoothed contact says OK and whether its 95 % ellipsoid holds the true point (k,
+    2).
+    """
     rows = REST + np.flatnonzero(scan.in_contact)
     rows = rows[found.in_contact[rows]]
     assert found.covariance is not None
     error = found.point[rows] - scan.point[rows - REST]
-    distance = np.einsum("ni,ni->n", error, np.linalg.solve(found.covariance[rows], error[..., None])[..., 0])
+    distance = np.einsum(
+        "ni,ni->n", error, np.linalg.solve(found.covariance[rows], error[..., None])[..., 0]
+    )
     return np.column_stack([found.status[rows] == vb.Status.OK, distance < chi2.isf(0.05, 3)])
 
 
@@ -56,8 +74,12 @@ def test_covariances_of_single_samples_hold_at_low_signal(scan: vb.Scan, strengt
     assert 0.92 < inside[ok].mean() < 0.99
 
 
-def test_a_part_in_which_the_rod_touches_twice_is_named_and_the_rest_is_sound(scan: vb.Scan) -> None:
-    """A second force, sideways at the middle of the rod, that grows to a tenth of the first within half a second and vanishes."""
+def test_a_part_in_which_the_rod_touches_twice_is_named_and_the_rest_is_sound(
+    scan: vb.Scan,
+) -> None:
+    """A second force, sideways at the middle of the rod, that grows to a tenth of the first within
+    half a second and vanishes.
+    """
     given = readings(scan, 300.0)
     force, moment = given.force.copy(), given.moment.copy()
     twice = np.flatnonzero(scan.in_contact)[100:150]
@@ -66,10 +88,17 @@ def test_a_part_in_which_the_rod_touches_twice_is_named_and_the_rest_is_sound(sc
         arm = scan.elastic_line(int(i), 3)[1] - scan.trail.position[i]
         force[REST + i] += more
         moment[REST + i] += np.cross(arm, more)
-    found = vb.reconstruct(WIRE, vb.Reactions(given.trail, force, moment, time=given.time, covariance=given.covariance))
+    found = vb.reconstruct(
+        WIRE, vb.Reactions(given.trail, force, moment, time=given.time, covariance=given.covariance)
+    )
     (line,) = found.warnings
     assert "the rod touches two places" in line
-    flagged = np.flatnonzero(np.isin(found.status, (vb.Status.TOUCHES_TWICE, vb.Status.NOT_SINGLE_CONTACT))) - REST
+    flagged = (
+        np.flatnonzero(
+            np.isin(found.status, (vb.Status.TOUCHES_TWICE, vb.Status.NOT_SINGLE_CONTACT))
+        )
+        - REST
+    )
     named = np.flatnonzero(found.status == vb.Status.TOUCHES_TWICE) - REST
     assert np.mean(np.isin(twice[25:], flagged)) > 0.9
     assert np.all((named > twice[0] - 10) & (named < twice[-1] + 20))
@@ -84,7 +113,14 @@ def test_samples_without_numbers_neither_end_a_contact_nor_make_it_jump(scan: vb
     given = readings(scan, 300.0)
     force, first = given.force.copy(), REST + int(np.flatnonzero(scan.in_contact)[150])
     force[first : first + 15] = force[first + 60 : first + 62] = np.nan
-    found = vb.smooth(vb.reconstruct(WIRE, vb.Reactions(given.trail, force, given.moment, time=given.time, covariance=given.covariance)))
+    found = vb.smooth(
+        vb.reconstruct(
+            WIRE,
+            vb.Reactions(
+                given.trail, force, given.moment, time=given.time, covariance=given.covariance
+            ),
+        )
+    )
     assert found.smoothing is not None
     (touch,) = found.smoothing[0].touches
     assert not touch.jumps
@@ -122,12 +158,21 @@ def test_segments_meet_without_a_seam(scan: vb.Scan, monkeypatch: pytest.MonkeyP
 
 def test_a_recording_cut_off_in_contact_is_smoothed(scan: vb.Scan) -> None:
     given = readings(scan, 100.0)
-    first, last = REST + int(np.flatnonzero(scan.in_contact)[20]), REST + int(np.flatnonzero(scan.in_contact)[-20])
+    first, last = (
+        REST + int(np.flatnonzero(scan.in_contact)[20]),
+        REST + int(np.flatnonzero(scan.in_contact)[-20]),
+    )
     force = given.force[first:last].copy()
     force[40], force[80] = np.nan, 1e3
     assert given.time is not None
     trail = vb.Trail(given.trail.position[first:last])
-    cut = vb.Reactions(trail, force, given.moment[first:last], time=given.time[first:last], covariance=given.covariance)
+    cut = vb.Reactions(
+        trail,
+        force,
+        given.moment[first:last],
+        time=given.time[first:last],
+        covariance=given.covariance,
+    )
     found = vb.smooth(vb.reconstruct(WIRE, cut))
     ok = found.in_contact & (found.status == vb.Status.OK)
     assert found.covariance is not None
@@ -137,14 +182,22 @@ def test_a_recording_cut_off_in_contact_is_smoothed(scan: vb.Scan) -> None:
 
 
 def test_of_a_weak_contact_that_noise_parts_no_work_is_missed() -> None:
-    """What follows a part that does not rise out of the noise begins loaded: the clamp's work before it is not known, and no contradiction."""
-    sweep = vb.scan(WIRE, BALL, vb.Trail.line(start=(0.04, 0.015, 0), stop=(-0.04, 0.015, 0), count=800))
+    """What follows a part that does not rise out of the noise begins loaded: the clamp's work
+    before it is not known, and no contradiction.
+    """
+    sweep = vb.scan(
+        WIRE, BALL, vb.Trail.line(start=(0.04, 0.015, 0), stop=(-0.04, 0.015, 0), count=800)
+    )
     rows = np.maximum(np.arange(900) - 100, 0)
     load = (np.nan_to_num(part)[rows] for part in (sweep.reactions.force, sweep.reactions.moment))
-    true = vb.Reactions(vb.Trail(sweep.reactions.trail.position[rows]), *load, time=np.arange(900) / 100)
+    true = vb.Reactions(
+        vb.Trail(sweep.reactions.trail.position[rows]), *load, time=np.arange(900) / 100
+    )
     largest = float(np.linalg.norm(true.force, axis=1).max())
     for strength in (10, 15):
-        sensor = replace(SENSOR, force_noise=largest / strength, torque_noise=5e-3 * largest / strength)
+        sensor = replace(
+            SENSOR, force_noise=largest / strength, torque_noise=5e-3 * largest / strength
+        )
         for seed in range(30):
             noisy = sensor.reactions(sensor.measure(true, np.random.default_rng(seed)))
             assert not any(work.impossible for work in clamp_work(WIRE, noisy)), (strength, seed)

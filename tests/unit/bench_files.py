@@ -1,4 +1,6 @@
-"""Good files of an experiment, small and made up, for tests that read them as they are or damage them."""
+"""Good files of an experiment, small and made up, for tests that read them as they are or damage
+them.
+"""
 
 import numpy as np
 
@@ -59,7 +61,9 @@ ROWS, TARE_ROWS = 40, 10
 
 
 def recording_table(rows: int = ROWS) -> np.ndarray:
-    """Ten rows a second, free of contact for the first, then pushed with up to 1 N at the wire's tip; columns as HEADER."""
+    """Ten rows a second, free of contact for the first, then pushed with up to 1 N at the wire's
+    tip; columns as HEADER.
+    """
     table = np.zeros((rows, 14))
     table[:, 0] = 0.05 + 0.1 * np.arange(rows)
     table[:, 1] = 0.04 - 1e-3 * np.arange(rows)
@@ -75,7 +79,10 @@ def recording_table(rows: int = ROWS) -> np.ndarray:
 def recording_text(table: np.ndarray) -> str:
     """CSV with as many decimals as such logs have."""
     decimals = (4, 6, 6, 6, 9, 9, 9, 9, 5, 5, 5, 7, 7, 7)
-    lines = [",".join(f"{value:.{digits}f}" for value, digits in zip(row, decimals, strict=True)) for row in table]
+    lines = [
+        ",".join(f"{value:.{digits}f}" for value, digits in zip(row, decimals, strict=True))
+        for row in table
+    ]
     return "\n".join([HEADER, *lines]) + "\n"
 
 

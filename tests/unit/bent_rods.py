@@ -1,6 +1,8 @@
-"""Exact single contacts by integration of the rod's equation (paper, eq. 10), for tests of the inverse.
+"""Exact single contacts by integration of the rod's equation (paper, eq. 10), for tests of the
+inverse.
 
-A rod bent by a force of its own choosing is made similar to one of length 1 that touches at a given arc length.
+A rod bent by a force of its own choosing is made similar to one of length 1 that touches at a given
+arc length.
 """
 
 from dataclasses import dataclass
@@ -34,8 +36,12 @@ class BentRod:
         return np.concatenate([-self.force, self.moment])
 
 
-def bent_rod(force: float, delta: float, curvature: float, arc_length: float, turn: Rotation) -> BentRod:
-    """Bend a rod in its x-z plane by a force at δ from its tangent, until the curvature vanishes, and scale that to `arc_length`."""
+def bent_rod(
+    force: float, delta: float, curvature: float, arc_length: float, turn: Rotation
+) -> BentRod:
+    """Bend a rod in its x-z plane by a force at δ from its tangent, until the curvature vanishes,
+    and scale that to `arc_length`.
+    """
 
     def rod(_s: float, y: np.ndarray) -> list[float]:
         return [np.sin(y[2]), np.cos(y[2]), y[3], force * np.sin(y[2] - delta), y[3] ** 2 / 2]
@@ -45,17 +51,27 @@ def bent_rod(force: float, delta: float, curvature: float, arc_length: float, tu
 
     straightens.terminal, straightens.direction = True, -1
     start = [0.0, 0.0, 0.0, curvature, 0.0]
-    path = solve_ivp(rod, (0, 50), start, method="DOP853", events=straightens, rtol=1e-13, atol=1e-14)
+    path = solve_ivp(
+        rod, (0, 50), start, method="DOP853", events=straightens, rtol=1e-13, atol=1e-14
+    )
     x, z, _, _, energy = path.y_events[0][0]
     scale = arc_length / path.t_events[0][0]
     direction = np.array([np.sin(delta), 0.0, np.cos(delta)])
     return BentRod(
-        turn.apply(force / scale**2 * direction), turn.apply([x * scale, 0.0, z * scale]), arc_length, energy / scale, turn.as_quat()
+        turn.apply(force / scale**2 * direction),
+        turn.apply([x * scale, 0.0, z * scale]),
+        arc_length,
+        energy / scale,
+        turn.as_quat(),
     )
 
 
-def reactions_of(rods: list[BentRod], rod: vb.Rod, covariance: np.ndarray | None = None) -> vb.Reactions:
-    """Support reactions of rods in the units of `rod`, one row each; the covariance is given in model units."""
+def reactions_of(
+    rods: list[BentRod], rod: vb.Rod, covariance: np.ndarray | None = None
+) -> vb.Reactions:
+    """Support reactions of rods in the units of `rod`, one row each; the covariance is given in
+    model units.
+    """
     units = np.repeat([rod.force_scale, rod.moment_scale], 3)
     wrench = np.array([part.wrench for part in rods]) * units
     trail = vb.Trail(np.zeros((len(rods), 3)), np.array([part.orientation for part in rods]))

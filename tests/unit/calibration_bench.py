@@ -1,4 +1,6 @@
-"""A made-up bench for calibrations: a wire swept under a ball, measured by a sensor that sits askew."""
+"""A made-up bench for calibrations: a wire swept under a ball, measured by a sensor that sits
+askew.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -26,8 +28,15 @@ NAMES = (
 
 def sensor(noise: float = 1.0, **options: object) -> vb.Sensor:
     """The sensor, with its noise or a share of it."""
-    figures = {"force_noise": 2e-3 * noise, "torque_noise": 4e-5 * noise, "position_noise": 1e-5 * noise, "tare_seconds": 1.5}
-    return vb.Sensor(CLAMP, TURN.as_quat(), "on_sensor", wrench_point=(0.001, 0.0, 0.002), **(figures | options))
+    figures = {
+        "force_noise": 2e-3 * noise,
+        "torque_noise": 4e-5 * noise,
+        "position_noise": 1e-5 * noise,
+        "tare_seconds": 1.5,
+    }
+    return vb.Sensor(
+        CLAMP, TURN.as_quat(), "on_sensor", wrench_point=(0.001, 0.0, 0.002), **(figures | options)
+    )
 
 
 @cache
@@ -36,17 +45,28 @@ def swept(y: float, friction: float = 0.0) -> vb.Reactions:
     return swept_under(BALL, (0.04, y, 0.0), (-0.04, y, 0.0), friction)
 
 
-def swept_under(surface: vb.surfaces.Surface, start: tuple, stop: tuple, friction: float = 0.0) -> vb.Reactions:
+def swept_under(
+    surface: vb.surfaces.Surface, start: tuple, stop: tuple, friction: float = 0.0
+) -> vb.Reactions:
     """The same under any object, from one place to another."""
-    position = np.vstack([np.repeat(np.array([start]), REST, axis=0), np.linspace(start, stop, COUNT)])
+    position = np.vstack(
+        [np.repeat(np.array([start]), REST, axis=0), np.linspace(start, stop, COUNT)]
+    )
     scan = vb.scan(WIRE, surface, vb.Trail(position), friction=friction)
-    return vb.Reactions(scan.trail, scan.reactions.force, scan.reactions.moment, time=np.arange(len(position)) / RATE)
+    return vb.Reactions(
+        scan.trail,
+        scan.reactions.force,
+        scan.reactions.moment,
+        time=np.arange(len(position)) / RATE,
+    )
 
 
 def recordings(one: vb.Sensor, seed: int = 0, heights: tuple[float, ...] = (0.005, -0.01)) -> list:
     """What the sensor logs of sweeps at these heights."""
     rng = np.random.default_rng(seed)
-    return [one.measure(swept(y), rng, force_tare=FORCE_TARE, torque_tare=TORQUE_TARE) for y in heights]
+    return [
+        one.measure(swept(y), rng, force_tare=FORCE_TARE, torque_tare=TORQUE_TARE) for y in heights
+    ]
 
 
 def setup(one: vb.Sensor) -> vb.Setup:
@@ -58,8 +78,16 @@ def wrong(truth: vb.Setup, signs: tuple[int, int] = (1, -1)) -> vb.Setup:
     """Off by 20 % in EI, 3 % in L, 2 mm and 3° of the clamp."""
     move = 2e-3 * np.array([0.6, -0.6, np.sqrt(0.28)])
     turn = TURN * Rotation.from_rotvec(np.radians(3) * np.array([0.6, 0.8, 0.0]))
-    rod = replace(WIRE, bending_stiffness=WIRE.bending_stiffness * (1 + 0.2 * signs[0]), length=WIRE.length * (1 + 0.03 * signs[1]))
-    return replace(truth, rod=rod, sensor=replace(truth.sensor, clamp_position=CLAMP + move, clamp_orientation=turn.as_quat()))
+    rod = replace(
+        WIRE,
+        bending_stiffness=WIRE.bending_stiffness * (1 + 0.2 * signs[0]),
+        length=WIRE.length * (1 + 0.03 * signs[1]),
+    )
+    return replace(
+        truth,
+        rod=rod,
+        sensor=replace(truth.sensor, clamp_position=CLAMP + move, clamp_orientation=turn.as_quat()),
+    )
 
 
 def true_values(start: vb.Setup) -> dict[str, float]:

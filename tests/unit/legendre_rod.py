@@ -1,7 +1,9 @@
-"""The uniform straight rod in Legendre's integrals with mpmath, as mechanics.md states it ("Uniform straight rod").
+"""The uniform straight rod in Legendre's integrals with mpmath, as mechanics.md states it ("Uniform
+straight rod").
 
-With q = κ₀/(2√f) = √w the formulas for s₁ and I₁ in units of the lever arm ℓ = κ₀/f = 2√w/√f are functions of sin a₀
-and w alone. For a force that pulls, w < 0, they continue through complex amplitudes to real values.
+With q = κ₀/(2√f) = √w the formulas for s₁ and I₁ in units of the lever arm ℓ = κ₀/f = 2√w/√f are
+functions of sin a₀ and w alone. For a force that pulls, w < 0, they continue through complex
+amplitudes to real values.
 """
 
 from typing import NamedTuple

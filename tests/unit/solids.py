@@ -1,4 +1,6 @@
-"""The same solids once more, without JAX: membership by inequalities, distance to thousands of points of the outline."""
+"""The same solids once more, without JAX: membership by inequalities, distance to thousands of
+points of the outline.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,7 +17,9 @@ HALF = np.array([0.5, 0.3, 0.2])
 
 
 class Solid(NamedTuple):
-    """A surface; whether points (k, 3) are in it; unsigned distances (k,) by brute force; and places (j, 3) on it that are special."""
+    """A surface; whether points (k, 3) are in it; unsigned distances (k,) by brute force; and
+    places (j, 3) on it that are special.
+    """
 
     surface: Surface
     inside: Callable[[np.ndarray], np.ndarray]
@@ -31,7 +35,8 @@ def in_meridian(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def from_outline(*pieces: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Distance to a body of revolution, whose closest point lies in the meridian of the point: to the outline (ρ, z) there, in 40 001 points a piece.
+    """Distance to a body of revolution, whose closest point lies in the meridian of the point: to
+    the outline (ρ, z) there, in 40 001 points a piece.
 
     Between two of them, s apart, the distance d is too large by at most s²/(8 d).
     """
@@ -104,14 +109,26 @@ SOLIDS = {
     "cylinder": Solid(
         surfaces.Cylinder(CENTER, 3 * AXIS, R, L),
         _cylinder,
-        from_outline(segment((0, -L / 2), (R, -L / 2)), segment((R, -L / 2), (R, L / 2)), segment((R, L / 2), (0, L / 2))),
-        np.concatenate([around(R, 0.0), around(R, L / 2), around(0.1, -L / 2), around(0, L / 2, 1)]),
+        from_outline(
+            segment((0, -L / 2), (R, -L / 2)),
+            segment((R, -L / 2), (R, L / 2)),
+            segment((R, L / 2), (0, L / 2)),
+        ),
+        np.concatenate(
+            [around(R, 0.0), around(R, L / 2), around(0.1, -L / 2), around(0, L / 2, 1)]
+        ),
     ),
     "capsule": Solid(
         surfaces.Capsule(CENTER, AXIS, R, L),
         _capsule,
-        from_outline(segment((R, -L / 2), (R, L / 2)), arc((0, L / 2), R, 0, np.pi / 2), arc((0, -L / 2), R, -np.pi / 2, 0)),
-        np.concatenate([around(R, 0.0), around(R, L / 2), around(0, L / 2 + R, 1), around(0, -L / 2 - R, 1)]),
+        from_outline(
+            segment((R, -L / 2), (R, L / 2)),
+            arc((0, L / 2), R, 0, np.pi / 2),
+            arc((0, -L / 2), R, -np.pi / 2, 0),
+        ),
+        np.concatenate(
+            [around(R, 0.0), around(R, L / 2), around(0, L / 2 + R, 1), around(0, -L / 2 - R, 1)]
+        ),
     ),
     "cone": Solid(
         surfaces.Cone(CENTER, AXIS, R, L),

@@ -17,7 +17,9 @@ def moment(position: jax.Array, force: jax.Array) -> jax.Array:
 @pytest.mark.parametrize("count", [1, 2, 8, 9, 64, 65, 300, 5000, 140_001])
 def test_every_row_gets_its_own_result(count: int) -> None:
     position, force = np.random.default_rng(count).normal(size=(2, count, 3))
-    np.testing.assert_allclose(in_blocks(moment, position, force), np.cross(position, force), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        in_blocks(moment, position, force), np.cross(position, force), rtol=0, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize(("count", "lanes", "blocks"), [(5, 8, 1), (64, 64, 1), (100, 8, 16)])

@@ -1,4 +1,6 @@
-"""Rod and mount from sweeps over a ball that the forward solver made, by readings that the calibration predicts on its own."""
+"""Rod and mount from sweeps over a ball that the forward solver made, by readings that the
+calibration predicts on its own.
+"""
 
 import re
 from dataclasses import replace
@@ -7,19 +9,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from calibration_bench import BALL, CLAMP, NAMES, REST, TURN, WIRE, recordings, sensor, setup, swept, true_values, wrong
+from calibration_bench import (
+    BALL,
+    CLAMP,
+    NAMES,
+    REST,
+    TURN,
+    WIRE,
+    recordings,
+    sensor,
+    setup,
+    swept,
+    true_values,
+    wrong,
+)
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import vibrissa as vb
-from vibrissa.calibrate.equilibrium import CORE, Bench, changed, readings
+from vibrissa.calibration.equilibrium import CORE, Bench, changed, readings
 
 POSE = ("youngs_modulus", "length", "clamp_position", "clamp_orientation", "tare")
 
 
 @pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
 def test_without_noise_the_truth_is_found(signs: tuple[int, int]) -> None:
-    """From 20 %, 3 %, 2 mm and 3° off, with all signs: exact forward solutions lead back to the numbers they were made with."""
+    """From 20 %, 3 %, 2 mm and 3° off, with all signs: exact forward solutions lead back to the
+    numbers they were made with.
+    """
     exact = sensor(1e-5)
     start = wrong(setup(exact), signs)
     found = vb.calibrate(recordings(exact), start)
@@ -33,7 +50,9 @@ def test_without_noise_the_truth_is_found(signs: tuple[int, int]) -> None:
 
 
 def test_errors_are_as_large_as_stated() -> None:
-    """In eight repeats the squared errors in the metric of the stated covariance are those of seven unknowns each, and residuals are white noise."""
+    """In eight repeats the squared errors in the metric of the stated covariance are those of seven
+    unknowns each, and residuals are white noise.
+    """
     noisy, total, inside = sensor(), 0.0, 0
     start = wrong(setup(noisy))
     truth = true_values(start)
@@ -42,7 +61,9 @@ def test_errors_are_as_large_as_stated() -> None:
         assert found.identifiability.names == NAMES
         error = np.array([found.estimates[name].value - truth[name] for name in NAMES])
         total += float(error @ np.linalg.solve(found.covariance, error))
-        inside += sum(low <= truth[name] <= high for name in NAMES for low, high in [found.interval(name)])
+        inside += sum(
+            low <= truth[name] <= high for name in NAMES for low, high in [found.interval(name)]
+        )
         assert found.fitness.reduced_chi_square == pytest.approx(1, abs=0.15)
         np.testing.assert_array_equal(found.fitness.inflation, 1)
     assert chi2.ppf(1e-3, 56) < total < chi2.isf(1e-3, 56)
@@ -52,9 +73,13 @@ def test_errors_are_as_large_as_stated() -> None:
 def test_reactions_and_raw_logs_say_the_same() -> None:
     noisy = sensor()
     start, raw = wrong(setup(noisy)), recordings(noisy)
-    first, second = (vb.calibrate(rows, start) for rows in (raw, [start.sensor.reactions(one) for one in raw]))
+    first, second = (
+        vb.calibrate(rows, start) for rows in (raw, [start.sensor.reactions(one) for one in raw])
+    )
     np.testing.assert_allclose(first.covariance, second.covariance, rtol=1e-6)
-    assert first.estimates["length"].value == pytest.approx(second.estimates["length"].value, rel=1e-12)
+    assert first.estimates["length"].value == pytest.approx(
+        second.estimates["length"].value, rel=1e-12
+    )
 
 
 def test_the_roll_about_the_rod_s_axis_is_open_and_stays() -> None:
@@ -66,11 +91,16 @@ def test_the_roll_about_the_rod_s_axis_is_open_and_stays() -> None:
     assert roll.value == pytest.approx(0, abs=1e-12)
     assert np.isnan(roll.interval()).all()
     assert found.identifiability.held == {"clamp_orientation_z": ()}
-    assert "clamp_orientation_z: not determined, kept as given; the readings do not depend on it" in found.identifiability.text
+    assert (
+        "clamp_orientation_z: not determined, kept as given; the readings do not depend on it"
+        in found.identifiability.text
+    )
 
 
 def test_a_common_gain_cannot_be_told_from_the_stiffness() -> None:
-    """All six reactions grow with EI as they do with the gain: with one of the factors held, the others are found up to it."""
+    """All six reactions grow with EI as they do with the gain: with one of the factors held, the
+    others are found up to it.
+    """
     gain = (1.02, 1.02, 1.02, 0.99, 0.99, 0.99)
     uneven = sensor(0.01, gain=gain)
     start = wrong(setup(sensor(0.01)))
@@ -103,8 +133,13 @@ _CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z"
 def test_a_ball_that_is_not_where_it_was_given() -> None:
     """Its place is found along with the rod; how it is turned leaves no trace."""
     noisy = sensor(0.01)
-    moved = replace(wrong(setup(noisy)), surface=vb.surfaces.Sphere(center=(0.001, -0.0015, 0.0565), radius=0.03))
-    found = vb.calibrate(recordings(noisy), moved, free=(*POSE, "object_position", "object_orientation"))
+    moved = replace(
+        wrong(setup(noisy)),
+        surface=vb.surfaces.Sphere(center=(0.001, -0.0015, 0.0565), radius=0.03),
+    )
+    found = vb.calibrate(
+        recordings(noisy), moved, free=(*POSE, "object_position", "object_orientation")
+    )
     shift = [found.estimates[f"object_position_{axis}"].value for axis in "xyz"]
     np.testing.assert_allclose(shift, [-0.001, 0.0015, 0.001], atol=3e-6)
     assert {f"object_orientation_{axis}" for axis in "xyz"} <= set(found.identifiability.held)
@@ -115,11 +150,19 @@ def test_a_ball_that_is_not_where_it_was_given() -> None:
 
 
 def test_a_rod_that_touches_before_the_ball_as_given() -> None:
-    """A ball that is 20 µm thicker than stated: this is found if it is free, and else taken for unevenness; the stiffness stays true."""
+    """A ball that is 20 µm thicker than stated: this is found if it is free, and else taken for
+    unevenness; the stiffness stays true.
+    """
     noisy = sensor(0.3)
-    thin = replace(wrong(setup(noisy)), surface=vb.surfaces.Sphere(center=BALL.center, radius=0.03 - 2e-5))
-    found, held = (vb.calibrate(recordings(noisy), thin, free=free) for free in ((*POSE, "standoff"), POSE))
-    assert found.estimates["standoff"].value == pytest.approx(2e-5, abs=4 * found.estimates["standoff"].deviation)
+    thin = replace(
+        wrong(setup(noisy)), surface=vb.surfaces.Sphere(center=BALL.center, radius=0.03 - 2e-5)
+    )
+    found, held = (
+        vb.calibrate(recordings(noisy), thin, free=free) for free in ((*POSE, "standoff"), POSE)
+    )
+    assert found.estimates["standoff"].value == pytest.approx(
+        2e-5, abs=4 * found.estimates["standoff"].deviation
+    )
     assert found.estimates["standoff"].deviation < 4e-6
     assert found.unevenness == 0
     assert 5e-6 < held.unevenness < 5e-5
@@ -129,7 +172,9 @@ def test_a_rod_that_touches_before_the_ball_as_given() -> None:
 
 
 def test_a_robot_that_wanders_off_its_path() -> None:
-    """By 15 µm, up and down: its size is found, and all intervals hold the truth. On its path, none is found."""
+    """By 15 µm, up and down: its size is found, and all intervals hold the truth. On its path, none
+    is found.
+    """
     noisy = sensor(0.3)
     start, rows = wrong(setup(noisy)), recordings(noisy)
     straight = vb.calibrate(rows, start, free=POSE)
@@ -139,13 +184,17 @@ def test_a_robot_that_wanders_off_its_path() -> None:
     assert straight.unevenness == 0
     assert found.unevenness == pytest.approx(15e-6, rel=0.5)
     for name, value in true_values(start).items():
-        assert abs(found.estimates[name].value - value) < 3.5 * found.estimates[name].deviation, name
+        assert abs(found.estimates[name].value - value) < 3.5 * found.estimates[name].deviation, (
+            name
+        )
     assert found.estimates["length"].deviation > 1.2 * straight.estimates["length"].deviation
     assert found.fitness.whiteness > 1e-3
 
 
 def test_a_stretch_in_which_the_rod_swings_is_left_out() -> None:
-    """Forty samples in a row that are off by some six deviations, to and fro: they are left out with those about them, and the rest is explained by noise."""
+    """Forty samples in a row that are off by some six deviations, to and fro: they are left out
+    with those about them, and the rest is explained by noise.
+    """
     noisy = sensor()
     start, rows = setup(noisy), recordings(noisy)
     swinging = slice(REST + 100, REST + 140)
@@ -153,13 +202,17 @@ def test_a_stretch_in_which_the_rod_swings_is_left_out() -> None:
     rows[0].torque[swinging] += 2.4e-4 * np.cos(np.arange(40) / 1.5)[:, None]
     with pytest.warns(vb.RecordingWarning, match="of the rows in contact do not fit"):
         found = vb.calibrate(rows, start, free=POSE)
-    left_out = found.residuals.time[(found.residuals.weight == 0) & (found.residuals.recording == 0)]
+    left_out = found.residuals.time[
+        (found.residuals.weight == 0) & (found.residuals.recording == 0)
+    ]
     first, last = rows[0].time[[REST + 100, REST + 139]]
     assert left_out.min() <= first
     assert left_out.max() >= last
     assert 0.1 < found.fitness.disturbed < 0.3
     for name, value in true_values(start).items():
-        assert abs(found.estimates[name].value - value) < 3.5 * found.estimates[name].deviation, name
+        assert abs(found.estimates[name].value - value) < 3.5 * found.estimates[name].deviation, (
+            name
+        )
     # Kept, they leave residuals correlated in time, and a spread 1.6 times the noise's.
     assert found.fitness.whiteness > 1e-3
     np.testing.assert_array_equal(found.fitness.inflation, 1)
@@ -167,13 +220,19 @@ def test_a_stretch_in_which_the_rod_swings_is_left_out() -> None:
 
 
 def test_a_prior_holds_what_the_data_do_not() -> None:
-    """With EI as well as both gains free, a prior on one makes all determined: to EI's variance it adds its own, as EI stands for it."""
+    """With EI as well as both gains free, a prior on one makes all determined: to EI's variance it
+    adds its own, as EI stands for it.
+    """
     noisy = sensor()
     rows, start = recordings(noisy), setup(noisy)
     without = vb.calibrate(rows, start, free=(*POSE, "force_gain"))
-    found = vb.calibrate(rows, start, free=(*POSE, "torque_gain", "force_gain"), prior={"torque_gain": 0.005})
+    found = vb.calibrate(
+        rows, start, free=(*POSE, "torque_gain", "force_gain"), prior={"torque_gain": 0.005}
+    )
     assert "torque_gain" not in found.identifiability.held
-    alone, stiffness = (result.estimates["youngs_modulus"].deviation / 206e9 for result in (without, found))
+    alone, stiffness = (
+        result.estimates["youngs_modulus"].deviation / 206e9 for result in (without, found)
+    )
     assert stiffness == pytest.approx(np.hypot(alone, 0.005), rel=0.02)
     assert found.estimates["torque_gain"].deviation == pytest.approx(0.005, rel=0.02)
 
@@ -182,7 +241,9 @@ def test_what_is_not_free_is_as_given() -> None:
     noisy = sensor()
     truth = setup(noisy)
     found = vb.calibrate(
-        recordings(noisy), replace(truth, rod=replace(WIRE, bending_stiffness=1.1 * WIRE.bending_stiffness)), free=("bending_stiffness",)
+        recordings(noisy),
+        replace(truth, rod=replace(WIRE, bending_stiffness=1.1 * WIRE.bending_stiffness)),
+        free=("bending_stiffness",),
     )
     assert found.setup.rod.length == WIRE.length
     np.testing.assert_array_equal(found.setup.sensor.clamp_position, CLAMP)
@@ -192,15 +253,24 @@ def test_what_is_not_free_is_as_given() -> None:
 
 @pytest.mark.parametrize("rubs", [False, True])
 def test_derivatives_are_those_of_the_readings(rubs: bool) -> None:  # noqa: FBT001
-    """Of each parameter and of the tangential force, against central differences of solved equilibria."""
+    """Of each parameter and of the tangential force, against central differences of solved
+    equilibria.
+    """
     reactions = swept(0.005)
     rows = np.repeat(np.flatnonzero(np.linalg.norm(reactions.force, axis=1) > 0.03)[5:-5:20], 64)
     trail = reactions.trail
-    found = vb.reconstruct(WIRE, vb.Reactions(vb.Trail(trail.position[rows]), reactions.force[rows], reactions.moment[rows]))
+    found = vb.reconstruct(
+        WIRE,
+        vb.Reactions(vb.Trail(trail.position[rows]), reactions.force[rows], reactions.moment[rows]),
+    )
     force = np.linalg.norm(reactions.force[rows], axis=1, keepdims=True)
     states = np.hstack([found.point, force, np.full((len(rows), 3), 0.05 if rubs else 0.0)])
     poses = np.hstack(
-        [trail.position[rows] - CLAMP, np.tile(np.eye(3).ravel(), (len(rows), 1)), np.tile([0.001, 0.002, -0.001], (len(rows), 1))]
+        [
+            trail.position[rows] - CLAMP,
+            np.tile(np.eye(3).ravel(), (len(rows), 1)),
+            np.tile([0.001, 0.002, -0.001], (len(rows), 1)),
+        ]
     )
     tilt = Rotation.from_rotvec([0.02, -0.01, 0.3]).as_matrix()
     bench = Bench(
@@ -223,23 +293,37 @@ def test_derivatives_are_those_of_the_readings(rubs: bool) -> None:  # noqa: FBT
             move = np.zeros(CORE + 3)
             move[place] = sign * step
             there = jax.tree.map(np.asarray, changed(bench, jnp.asarray(move[:CORE])))
-            ends.append(readings(BALL, there, at.state + np.concatenate([np.zeros(4), move[CORE:]]), poses, rubs=rubs).wrench)
+            ends.append(
+                readings(
+                    BALL,
+                    there,
+                    at.state + np.concatenate([np.zeros(4), move[CORE:]]),
+                    poses,
+                    rubs=rubs,
+                ).wrench
+            )
         return (ends[0] - ends[1]) / (2 * step)
 
     for place in range(CORE + 3 * rubs):
         exact = at.jacobian[..., place] if place < CORE else at.rubbing[..., place - CORE]
         size = np.abs(exact).max() + 1e-6
-        np.testing.assert_allclose(exact / size, slope(place, 1e-6) / size, atol=2e-6, err_msg=str(place))
+        np.testing.assert_allclose(
+            exact / size, slope(place, 1e-6) / size, atol=2e-6, err_msg=str(place)
+        )
 
 
 def test_neighbours_are_averaged_in_long_recordings() -> None:
-    """Each sample sixteen times in turn, as a log sixteen times as fast of a slow sweep would hold it: a quarter of the deviations."""
+    """Each sample sixteen times in turn, as a log sixteen times as fast of a slow sweep would hold
+    it: a quarter of the deviations.
+    """
     slow = [_repeated(swept(y), 16) for y in (0.005, -0.01)]
     noisy, rng = sensor(), np.random.default_rng(4)
     few = vb.calibrate(recordings(noisy), setup(noisy), free=POSE)
     many = vb.calibrate([noisy.measure(one, rng) for one in slow], setup(noisy), free=POSE)
     assert np.count_nonzero(many.residuals.contact) < 6000
-    ratio = np.array([many.estimates[name].deviation / few.estimates[name].deviation for name in NAMES])
+    ratio = np.array(
+        [many.estimates[name].deviation / few.estimates[name].deviation for name in NAMES]
+    )
     np.testing.assert_allclose(ratio, 0.25, rtol=0.1)
     assert many.fitness.reduced_chi_square == pytest.approx(1, abs=0.1)
 
@@ -254,17 +338,36 @@ def _repeated(reactions: vb.Reactions, times: int) -> vb.Reactions:
     )
     loaded = np.interp(new, old, np.linalg.norm(reactions.force, axis=1)) > 0
     # Between samples on either side of first contact a straight line is no equilibrium.
-    edge = np.convolve(np.abs(np.diff(loaded.astype(float), prepend=loaded[0])), np.ones(4 * times), mode="same") > 0
+    edge = (
+        np.convolve(
+            np.abs(np.diff(loaded.astype(float), prepend=loaded[0])),
+            np.ones(4 * times),
+            mode="same",
+        )
+        > 0
+    )
     keep = ~edge
-    return vb.Reactions(vb.Trail(position[keep]), force[keep], moment[keep], time=(new / 50.0)[keep])
+    return vb.Reactions(
+        vb.Trail(position[keep]), force[keep], moment[keep], time=(new / 50.0)[keep]
+    )
 
 
 def _bad(noisy: vb.Sensor) -> dict:
     truth, rows = setup(noisy), recordings(noisy)
     tip = swept(0.005)
     middle = slice(REST + 80, REST + 180)
-    late = vb.Reactions(vb.Trail(tip.trail.position[middle]), tip.force[middle], tip.moment[middle], time=tip.time[middle])
-    free = vb.Reactions(vb.Trail(tip.trail.position[:REST]), tip.force[:REST], tip.moment[:REST], time=tip.time[:REST])
+    late = vb.Reactions(
+        vb.Trail(tip.trail.position[middle]),
+        tip.force[middle],
+        tip.moment[middle],
+        time=tip.time[middle],
+    )
+    free = vb.Reactions(
+        vb.Trail(tip.trail.position[:REST]),
+        tip.force[:REST],
+        tip.moment[:REST],
+        time=tip.time[:REST],
+    )
     rng = np.random.default_rng(0)
     untared = replace(noisy, tare_seconds=0.0)
     return {
@@ -275,22 +378,62 @@ def _bad(noisy: vb.Sensor) -> dict:
             "free: 'stiffness' is no parameter; allowed are youngs_modulus, bending_stiffness, length",
         ),
         "twice": (rows, truth, {"free": ("length", "length")}, "free: 'length' is given twice"),
-        "same": (rows, truth, {"free": ("youngs_modulus", "bending_stiffness")}, "the same parameters"),
-        "nothing": (rows, truth, {"free": ("tare",)}, "no parameter of rod, clamp, sensor or object"),
-        "prior of a held one": (rows, truth, {"free": ("length",), "prior": {"gain": 0.1}}, "prior: 'gain' is not a free parameter"),
-        "prior of zero": (rows, truth, {"free": ("length",), "prior": {"length": 0.0}}, "prior['length'] = 0.0"),
-        "friction": (rows, truth, {"friction": -0.1}, "friction = -0.1; allowed is a finite number of at least 0"),
-        "no object": (rows, replace(truth, surface=None), {"free": ("standoff",)}, "free: 'standoff' needs the object, and surface = None"),
+        "same": (
+            rows,
+            truth,
+            {"free": ("youngs_modulus", "bending_stiffness")},
+            "the same parameters",
+        ),
+        "nothing": (
+            rows,
+            truth,
+            {"free": ("tare",)},
+            "no parameter of rod, clamp, sensor or object",
+        ),
+        "prior of a held one": (
+            rows,
+            truth,
+            {"free": ("length",), "prior": {"gain": 0.1}},
+            "prior: 'gain' is not a free parameter",
+        ),
+        "prior of zero": (
+            rows,
+            truth,
+            {"free": ("length",), "prior": {"length": 0.0}},
+            "prior['length'] = 0.0",
+        ),
+        "friction": (
+            rows,
+            truth,
+            {"friction": -0.1},
+            "friction = -0.1; allowed is a finite number of at least 0",
+        ),
+        "no object": (
+            rows,
+            replace(truth, surface=None),
+            {"free": ("standoff",)},
+            "free: 'standoff' needs the object, and surface = None",
+        ),
         "no recording": ([], truth, {}, "recordings = []; allowed is at least one"),
         "a path": (["trail.csv"], truth, {}, "recordings holds str; allowed are Reactions"),
-        "no contact": ([noisy.reactions(untared.measure(free, rng))], truth, {}, "recordings[0]: 0 samples are in contact"),
+        "no contact": (
+            [noisy.reactions(untared.measure(free, rng))],
+            truth,
+            {},
+            "recordings[0]: 0 samples are in contact",
+        ),
         "a tare in contact": (
             [noisy.reactions(noisy.measure(late, rng))],
             truth,
             {},
             "recordings[0]: the force changes within tare_seconds = 1.5",
         ),
-        "no rest": ([untared.measure(late, rng)], replace(truth, sensor=untared), {}, "recordings[0]: no sample is at rest"),
+        "no rest": (
+            [untared.measure(late, rng)],
+            replace(truth, sensor=untared),
+            {},
+            "recordings[0]: no sample is at rest",
+        ),
         "another object": (
             rows,
             replace(truth, surface=vb.surfaces.Plane((0, 0, 0.03), (0.5, 0, -1))),

@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from calibration_bench import FORCE_TARE, NAMES, TORQUE_TARE, sensor, setup, swept_under, true_values, wrong
+from calibration_bench import (
+    FORCE_TARE,
+    NAMES,
+    TORQUE_TARE,
+    sensor,
+    setup,
+    swept_under,
+    true_values,
+    wrong,
+)
 from scipy.stats import chi2
 
 import vibrissa as vb
@@ -20,7 +29,12 @@ def _egg() -> Surface:
 
 
 OBJECTS = {
-    "plane": (lambda: Plane((0, 0, 0.045), (0.3, 0.2, -1)), (0.06, 0.005, 0), (0.06, -0.01, 0), (-0.04, -0.03, 0)),
+    "plane": (
+        lambda: Plane((0, 0, 0.045), (0.3, 0.2, -1)),
+        (0.06, 0.005, 0),
+        (0.06, -0.01, 0),
+        (-0.04, -0.03, 0),
+    ),
     "mesh": (_egg, (0.045, 0.005, 0), (0.045, -0.01, 0), (-0.04, 0, 0)),
 }
 
@@ -31,7 +45,9 @@ def test_rod_and_clamp_are_found_on_it(name: str) -> None:
     make, first, second, last = OBJECTS[name]
     surface, noisy, rng = make(), sensor(), np.random.default_rng(0)
     recordings = [
-        noisy.measure(swept_under(surface, start, stop), rng, force_tare=FORCE_TARE, torque_tare=TORQUE_TARE)
+        noisy.measure(
+            swept_under(surface, start, stop), rng, force_tare=FORCE_TARE, torque_tare=TORQUE_TARE
+        )
         for start, stop in ((first, (-0.04, 0.005, 0)), (second, last))
     ]
     start = wrong(replace(setup(noisy), surface=surface))

@@ -26,26 +26,51 @@ def found() -> vb.Calibration:
     return vb.calibrate(
         recordings(noisy),
         wrong(setup(noisy)),
-        free=("youngs_modulus", "length", "clamp_position", "clamp_orientation", "object_position", "tare"),
+        free=(
+            "youngs_modulus",
+            "length",
+            "clamp_position",
+            "clamp_orientation",
+            "object_position",
+            "tare",
+        ),
     )
 
 
-def _written(found: vb.Calibration, tmp_path: Path, text: str = SETUP, name: str = "calibrated.toml") -> Path:
+def _written(
+    found: vb.Calibration, tmp_path: Path, text: str = SETUP, name: str = "calibrated.toml"
+) -> Path:
     (tmp_path / "setup.toml").write_text(text, encoding="utf-8")
-    return write_calibration(tmp_path / name, found, tmp_path / "setup.toml", ["a/one.csv", "two.csv"], date=DATE)
+    return write_calibration(
+        tmp_path / name, found, tmp_path / "setup.toml", ["a/one.csv", "two.csv"], date=DATE
+    )
 
 
 def test_the_file_holds_what_was_found(found: vb.Calibration, tmp_path: Path) -> None:
     loaded = vb.load_setup(_written(found, tmp_path))
     assert loaded.rod.length == found.setup.rod.length
-    assert loaded.rod.bending_stiffness == pytest.approx(found.setup.rod.bending_stiffness, rel=1e-15)
+    assert loaded.rod.bending_stiffness == pytest.approx(
+        found.setup.rod.bending_stiffness, rel=1e-15
+    )
     np.testing.assert_array_equal(loaded.sensor.clamp_position, found.setup.sensor.clamp_position)
-    np.testing.assert_allclose(loaded.sensor.clamp_orientation, found.setup.sensor.clamp_orientation, atol=1e-15)
+    np.testing.assert_allclose(
+        loaded.sensor.clamp_orientation, found.setup.sensor.clamp_orientation, atol=1e-15
+    )
     points = np.random.default_rng(0).normal(0, 0.05, (20, 3))
-    np.testing.assert_allclose(loaded.surface.levels(points), found.surface.levels(points), atol=1e-12)
+    np.testing.assert_allclose(
+        loaded.surface.levels(points), found.surface.levels(points), atol=1e-12
+    )
     assert loaded.calibration is not None
-    np.testing.assert_allclose(loaded.calibration.covariance(), found.covariance, rtol=1e-6, atol=1e-9 * np.abs(found.covariance).max())
-    assert (loaded.calibration.recordings, loaded.calibration.date) == (["one.csv", "two.csv"], DATE)
+    np.testing.assert_allclose(
+        loaded.calibration.covariance(),
+        found.covariance,
+        rtol=1e-6,
+        atol=1e-9 * np.abs(found.covariance).max(),
+    )
+    assert (loaded.calibration.recordings, loaded.calibration.date) == (
+        ["one.csv", "two.csv"],
+        DATE,
+    )
     assert loaded.calibration.not_determined == ["clamp_orientation_z"]
 
 
@@ -53,31 +78,45 @@ def test_what_was_not_calibrated_is_kept(found: vb.Calibration, tmp_path: Path) 
     text = SETUP.replace("[sensor]", "# the sensor on the bench\n[sensor]")
     lines = _written(found, tmp_path, text).read_text(encoding="utf-8").splitlines()
     calibrated = ("length", "youngs_modulus", "clamp_position", "clamp_orientation")
-    assert [line for line in text.splitlines() if not line.startswith(calibrated) and line not in lines] == []
+    assert [
+        line for line in text.splitlines() if not line.startswith(calibrated) and line not in lines
+    ] == []
 
 
-def test_a_calibrated_setup_is_calibrated_again_in_place(found: vb.Calibration, tmp_path: Path) -> None:
+def test_a_calibrated_setup_is_calibrated_again_in_place(
+    found: vb.Calibration, tmp_path: Path
+) -> None:
     path = _written(found, tmp_path)
     once = path.read_text(encoding="utf-8")
     write_calibration(path, found, path, ["one.csv"], date=DATE)
-    assert once.count("[calibration]") == path.read_text(encoding="utf-8").count("[calibration]") == 1
+    assert (
+        once.count("[calibration]") == path.read_text(encoding="utf-8").count("[calibration]") == 1
+    )
 
 
 def test_an_object_that_was_placed_is_placed_anew(found: vb.Calibration, tmp_path: Path) -> None:
     turn = Rotation.from_rotvec([0.3, 0.1, -0.2])
     text = (
-        SETUP.replace('kind = "sphere"\nradius = 0.03', 'kind = "ellipsoid"\nsemi_axes = [0.03, 0.02, 0.01]')
+        SETUP.replace(
+            'kind = "sphere"\nradius = 0.03', 'kind = "ellipsoid"\nsemi_axes = [0.03, 0.02, 0.01]'
+        )
         + f"rotation = {turn.as_quat().tolist()}\n"
     )
     before, after = (
-        vb.load_setup(path).surface for path in (_written(found, tmp_path).with_name("setup.toml"), _written(found, tmp_path, text))
+        vb.load_setup(path).surface
+        for path in (
+            _written(found, tmp_path).with_name("setup.toml"),
+            _written(found, tmp_path, text),
+        )
     )
     assert before is not None
     points = np.random.default_rng(0).normal(0, 0.05, (20, 3))
     rotation, move = found.pose
     (tmp_path / "plain.toml").write_text(text, encoding="utf-8")
     plain = vb.load_setup(tmp_path / "plain.toml").surface
-    np.testing.assert_allclose(after.levels(points), plain.levels((points - move) @ rotation), atol=1e-12)
+    np.testing.assert_allclose(
+        after.levels(points), plain.levels((points - move) @ rotation), atol=1e-12
+    )
 
 
 def test_a_mesh_is_still_found_from_another_folder(found: vb.Calibration, tmp_path: Path) -> None:
@@ -103,21 +142,39 @@ def test_the_file_notes_what_was_said(found: vb.Calibration, tmp_path: Path) -> 
     table = vb.load_setup(_written(said, tmp_path)).calibration
     assert table is not None
     assert table.warnings == said.warnings
-    assert table.held_out == pytest.approx([part.reduced_chi_square for part in found.held_out], rel=1e-3)
+    assert table.held_out == pytest.approx(
+        [part.reduced_chi_square for part in found.held_out], rel=1e-3
+    )
     assert any("noise only" in line for line in findings(found))
 
 
 BAD = {
-    "format": ("format = 1", "format = 2", "calibration.format = 2: allowed is 1, the format that this version"),
-    "unknown key": ("friction = 0.0", "friction = 0.0\nlikes = 3", "calibration.likes: unknown key"),
+    "format": (
+        "format = 1",
+        "format = 2",
+        "calibration.format = 2: allowed is 1, the format that this version",
+    ),
+    "unknown key": (
+        "friction = 0.0",
+        "friction = 0.0\nlikes = 3",
+        "calibration.likes: unknown key",
+    ),
     "no number": ("rows = ", 'rows = "many" #', "calibration.rows = 'many'"),
     "name of no estimate": (
         'names = ["youngs_modulus"',
         'names = ["hardness"',
         "calibration.names[0] = 'hardness'; allowed is each once of",
     ),
-    "name twice": ('names = ["youngs_modulus"', 'names = ["length"', "calibration.names[1] = 'length'; allowed is each once of"),
-    "no matrix": ("correlation = [", "correlation = [\n  [1.0],", "calibration.correlation has 11 rows; allowed are 10"),
+    "name twice": (
+        'names = ["youngs_modulus"',
+        'names = ["length"',
+        "calibration.names[1] = 'length'; allowed is each once of",
+    ),
+    "no matrix": (
+        "correlation = [",
+        "correlation = [\n  [1.0],",
+        "calibration.correlation has 11 rows; allowed are 10",
+    ),
     "estimate": ('unit = "Pa"', 'unit = "Pa"\nguess = 1', "calibration.estimates.youngs_modulus"),
 }
 
@@ -135,7 +192,10 @@ def test_a_damaged_table_is_named(found: vb.Calibration, tmp_path: Path, what: s
 
 
 def test_a_rod_in_the_model_s_units_cannot_hold_it(found: vb.Calibration, tmp_path: Path) -> None:
-    text = SETUP.replace('kind = "cylinder"\nlength = 0.05\nradius = 0.25e-3\nyoungs_modulus = 206e9', 'kind = "unit"')
+    text = SETUP.replace(
+        'kind = "cylinder"\nlength = 0.05\nradius = 0.25e-3\nyoungs_modulus = 206e9',
+        'kind = "unit"',
+    )
     with pytest.raises(InputError, match=r"rod\.kind = 'unit'"):
         _written(found, tmp_path, text)
 
@@ -155,7 +215,9 @@ def bench(tmp_path: Path) -> list[Path]:
     """A setup that is off, and two recordings."""
     noisy = sensor()
     x, y, z, w = noisy.clamp_orientation
-    text = SETUP.replace("[0.001, 0.002, 0.025]", "[0.004, -0.003, 0.021]").replace("[0.0, 0.0, 0.0, 1.0]", f"[{x}, {y}, {z}, {w}]")
+    text = SETUP.replace("[0.001, 0.002, 0.025]", "[0.004, -0.003, 0.021]").replace(
+        "[0.0, 0.0, 0.0, 1.0]", f"[{x}, {y}, {z}, {w}]"
+    )
     text = (
         text.replace("[0.0, 0.0, 0.001]", "[0.001, 0.0, 0.002]")
         .replace("206e9", "170e9")
@@ -163,26 +225,48 @@ def bench(tmp_path: Path) -> list[Path]:
     )
     (tmp_path / "setup.toml").write_text(text, encoding="utf-8")
     raws = recordings(noisy)
-    return [tmp_path / "setup.toml", *(write_recording(tmp_path / f"{index}.csv", raw) for index, raw in enumerate(raws))]
+    return [
+        tmp_path / "setup.toml",
+        *(write_recording(tmp_path / f"{index}.csv", raw) for index, raw in enumerate(raws)),
+    ]
 
 
-def test_the_command(bench: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(
+    bench: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     start, *rows = bench
     output, report = tmp_path / "calibrated.toml", tmp_path / "report"
-    assert _run(monkeypatch, *rows, "--setup", start, "-o", output, "--report", report, "--json") == 0
+    assert (
+        _run(monkeypatch, *rows, "--setup", start, "-o", output, "--report", report, "--json") == 0
+    )
     summary = json.loads(capsys.readouterr().out)
     low, high = summary["estimates"]["youngs_modulus"]["interval_95"]
     assert low - (high - low) < 206e9 < high + (high - low)
     loaded = vb.load_setup(output)
-    assert loaded.rod.length == summary["estimates"]["length"]["value"] == pytest.approx(WIRE.length, rel=0.005)
+    assert (
+        loaded.rod.length
+        == summary["estimates"]["length"]["value"]
+        == pytest.approx(WIRE.length, rel=0.005)
+    )
     assert json.loads((report / "summary.json").read_text()) == summary
     assert "| youngs_modulus | GPa |" in (report / "summary.md").read_text()
-    for name in ("residuals_over_time", "residual_histogram", "residuals_over_force", "parameter_correlation"):
+    for name in (
+        "residuals_over_time",
+        "residual_histogram",
+        "residuals_over_force",
+        "parameter_correlation",
+    ):
         assert (report / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_command_refuses(
-    bench: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    bench: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Status 2 for wrong usage, 1 for recordings that do not do."""
     start, row, _ = bench
@@ -190,15 +274,37 @@ def test_the_command_refuses(
     plane = tmp_path / "lone.csv"
     unit = tmp_path / "unit.toml"
     unit.write_text('[rod]\nkind = "unit"\n' + text[text.index("[sensor]") :], encoding="utf-8")
-    plane.write_text("\n".join(row.read_text(encoding="utf-8").splitlines()[:100]) + "\n", encoding="utf-8")
+    plane.write_text(
+        "\n".join(row.read_text(encoding="utf-8").splitlines()[:100]) + "\n", encoding="utf-8"
+    )
     for status, message, arguments in (
-        (2, "free: 'stiffness' is no parameter; allowed are youngs_modulus", (row, "--setup", start, "--free", "stiffness")),
-        (2, "--prior = 'length'; allowed is NAME=DEVIATION", (row, "--setup", start, "--prior", "length")),
-        (2, "--prior = 'length=2': 'length' is given twice", (row, "--setup", start, "--prior", "length=1", "--prior", "length=2")),
+        (
+            2,
+            "free: 'stiffness' is no parameter; allowed are youngs_modulus",
+            (row, "--setup", start, "--free", "stiffness"),
+        ),
+        (
+            2,
+            "--prior = 'length'; allowed is NAME=DEVIATION",
+            (row, "--setup", start, "--prior", "length"),
+        ),
+        (
+            2,
+            "--prior = 'length=2': 'length' is given twice",
+            (row, "--setup", start, "--prior", "length=1", "--prior", "length=2"),
+        ),
         (2, f"{row}: is given twice", (row, row, "--setup", start)),
-        (2, "rod.kind = 'unit' cannot hold a calibrated rod", (row, "--setup", unit, "-o", tmp_path / "out.toml")),
+        (
+            2,
+            "rod.kind = 'unit' cannot hold a calibrated rod",
+            (row, "--setup", unit, "-o", tmp_path / "out.toml"),
+        ),
         (1, "friction = 1e+09", (row, "--setup", start, "--free", "length", "--friction", "1e9")),
-        (2, "suffix '.json'; allowed are .toml", (row, "--setup", start, "-o", tmp_path / "out.json")),
+        (
+            2,
+            "suffix '.json'; allowed are .toml",
+            (row, "--setup", start, "-o", tmp_path / "out.json"),
+        ),
         (1, f"{plane}: 0 samples are in contact", (plane, "--setup", start)),
     ):
         assert _run(monkeypatch, *arguments) == status

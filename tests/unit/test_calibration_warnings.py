@@ -1,4 +1,6 @@
-"""What a calibration says when object, sensor or rod are not as stated, and what tolerances make of it."""
+"""What a calibration says when object, sensor or rod are not as stated, and what tolerances make of
+it.
+"""
 
 import re
 from dataclasses import replace
@@ -8,7 +10,7 @@ import pytest
 from calibration_bench import BALL, WIRE, recordings, sensor, setup
 
 import vibrissa as vb
-from vibrissa.calibrate.imperfections import Load, curving, tapering
+from vibrissa.calibration.imperfections import Load, curving, tapering
 
 _BALL = replace(BALL, radius=0.03 * 1.03)
 _SIZE = "object seems 3.0% smaller than stated"
@@ -21,7 +23,9 @@ def _off(found: vb.Calibration) -> float:
 
 
 def test_a_ball_that_is_smaller_than_stated_is_named() -> None:
-    """Three per cent: the stiffness is off by many of its deviations, and the readings tell by how much the ball is; with a tolerance stated all is right."""
+    """Three per cent: the stiffness is off by many of its deviations, and the readings tell by how
+    much the ball is; with a tolerance stated all is right.
+    """
     noisy = sensor()
     rows, stated = recordings(noisy), replace(setup(noisy), surface=_BALL)
     with pytest.warns(vb.RecordingWarning):
@@ -39,7 +43,10 @@ def test_a_ball_that_is_smaller_than_stated_is_named() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"object": (0.0, 1e-3, 0.0)}, r"the object seems to lie (0\.9\d|1|1\.0\d?) mm from where it is stated"),
+        (
+            {"object": (0.0, 1e-3, 0.0)},
+            r"the object seems to lie (0\.9\d|1|1\.0\d?) mm from where it is stated",
+        ),
         ({"torque": 1.02}, r"torques seem to read (1\.[89]|2\.[012])% too much"),
         ({"late": 2}, r"poses seem to come (39|40|41)(\.\d)? ms late"),
     ],
@@ -58,7 +65,9 @@ def test_what_is_misstated_is_named(change: dict, said: str) -> None:
 
 
 def test_a_good_bench_is_not_warned_about() -> None:
-    """What one sweep shows predicts the other, and loads begin where the rod first touches; a late pose can only be allowed for."""
+    """What one sweep shows predicts the other, and loads begin where the rod first touches; a late
+    pose can only be allowed for.
+    """
     noisy = sensor()
     rows = recordings(noisy)
     found = vb.calibrate(rows, setup(noisy))
@@ -78,14 +87,21 @@ def test_an_estimate_beyond_its_tolerance_is_named() -> None:
     long = replace(setup(noisy), rod=replace(WIRE, length=0.051))
     with pytest.warns(vb.RecordingWarning):
         found = vb.calibrate(recordings(noisy), long, tolerances=vb.Tolerances(length=0.2e-3))
-    assert any(line.startswith("length: found ") and "times its tolerance" in line for line in found.warnings)
+    assert any(
+        line.startswith("length: found ") and "times its tolerance" in line
+        for line in found.warnings
+    )
 
 
 def test_taper_and_rest_curvature_move_a_cantilever_s_tip() -> None:
-    """Of small deflections under forces that push by 10°: F L³/(3 EI) more by the taper, and κ₀ L²/2 by the curvature, whatever the force."""
+    """Of small deflections under forces that push by 10°: F L³/(3 EI) more by the taper, and κ₀
+    L²/2 by the curvature, whatever the force.
+    """
     length, stiffness, across, along = 0.05, 6e-4, np.cos(np.radians(10)), -np.sin(np.radians(10))
     force = 1e-3 * np.array([[across, 0.0, along], [0.0, -2 * across, 2 * along]])
     load = Load(length, stiffness, force)
-    np.testing.assert_allclose(tapering(load)[:, :2], force[:, :2] * length**3 / (3 * stiffness), rtol=5e-3, atol=1e-9)
+    np.testing.assert_allclose(
+        tapering(load)[:, :2], force[:, :2] * length**3 / (3 * stiffness), rtol=5e-3, atol=1e-9
+    )
     np.testing.assert_allclose(curving(load, 1)[:, 0], length**2 / 2, rtol=5e-3)
     np.testing.assert_allclose(curving(load, 0)[:, 1], -(length**2) / 2, rtol=5e-3)

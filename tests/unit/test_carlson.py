@@ -19,7 +19,10 @@ def grid(low: float, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def relative(found: np.ndarray, exact: list[mpmath.mpf]) -> float:
-    return max(abs(float(mpmath.mpf(float(value)) / reference - 1)) for value, reference in zip(found, exact, strict=True))
+    return max(
+        abs(float(mpmath.mpf(float(value)) / reference - 1))
+        for value, reference in zip(found, exact, strict=True)
+    )
 
 
 @pytest.mark.parametrize(("low", "tolerance"), [(0.2, 1e-15), (0.02, 1e-12)])

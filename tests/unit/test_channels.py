@@ -1,4 +1,6 @@
-"""Fewer than six reactions: exact contacts of a scan found again where they are unique, and said to be open where they are not."""
+"""Fewer than six reactions: exact contacts of a scan found again where they are unique, and said to
+be open where they are not.
+"""
 
 import numpy as np
 import pytest
@@ -20,15 +22,21 @@ def seen_only(reactions: vb.Reactions, channels: tuple[str, ...]) -> vb.Reaction
 
 
 @pytest.mark.parametrize("channels", [("mx", "my", "fx", "fy"), ("fx", "fy", "fz")])
-def test_contacts_are_unique_from_lateral_forces_and_moments_and_from_the_force(channels: tuple[str, ...]) -> None:
+def test_contacts_are_unique_from_lateral_forces_and_moments_and_from_the_force(
+    channels: tuple[str, ...],
+) -> None:
     found = vb.reconstruct(UNIT, seen_only(SCAN.reactions, channels), channels=channels)
     np.testing.assert_array_equal(found.kind[SCAN.in_contact], SCAN.kind[SCAN.in_contact])
     np.testing.assert_array_equal(found.status[SCAN.in_contact], vb.Status.OK)
-    np.testing.assert_allclose(found.point[SCAN.in_contact], SCAN.point[SCAN.in_contact], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        found.point[SCAN.in_contact], SCAN.point[SCAN.in_contact], rtol=0, atol=1e-8
+    )
 
 
 def test_bending_moments_and_axial_force_are_enough_in_tip_contact_only() -> None:
-    """In tangential contact without friction k² = ½ means F_z = −m²/2: the third channel repeats the others (mechanics.md, "Fewer channels")."""
+    """In tangential contact without friction k² = ½ means F_z = −m²/2: the third channel repeats
+    the others (mechanics.md, "Fewer channels").
+    """
     channels = ("mx", "my", "fz")
     moment, force = SCAN.reactions.moment[TANGENTIAL], SCAN.reactions.force[TANGENTIAL]
     np.testing.assert_allclose(force[:, 2], np.sum(moment[:, :2] ** 2, axis=1) / 2, rtol=1e-9)
@@ -50,10 +58,14 @@ def test_with_friction_four_channels_are_needed() -> None:
     three = vb.reconstruct(UNIT, rough.reactions, channels=("fx", "fy", "fz"), friction=0.25)
     np.testing.assert_array_equal(three.status[rough.in_contact], vb.Status.NOT_UNIQUE)
     four = vb.reconstruct(UNIT, rough.reactions, channels=("fx", "fz", "mx", "my"), friction=0.25)
-    np.testing.assert_allclose(four.point[rough.in_contact], rough.point[rough.in_contact], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        four.point[rough.in_contact], rough.point[rough.in_contact], rtol=0, atol=1e-8
+    )
 
 
-@pytest.mark.parametrize("channels", [("mx", "my"), ("mx", "my", "mx"), ("mx", "my", "Fz"), "fxfyfz"])
+@pytest.mark.parametrize(
+    "channels", [("mx", "my"), ("mx", "my", "mx"), ("mx", "my", "Fz"), "fxfyfz"]
+)
 def test_channels_are_checked(channels: tuple[str, ...], no_shape_checks: None) -> None:
     with pytest.raises(ValueError, match=r"channels = .*allowed are at least 3"):
         vb.reconstruct(UNIT, SCAN.reactions, channels=channels)
@@ -67,7 +79,9 @@ def test_a_robots_orientation_adds_to_points_and_normals_what_it_turns() -> None
     found, without = (
         vb.reconstruct(
             UNIT,
-            vb.Reactions(given.trail, given.force, given.moment, covariance=1e-6 * np.eye(6), **more),
+            vb.Reactions(
+                given.trail, given.force, given.moment, covariance=1e-6 * np.eye(6), **more
+            ),
             channels=("mx", "my", "fx", "fy"),
         )
         for more in (turning, {})
@@ -75,4 +89,9 @@ def test_a_robots_orientation_adds_to_points_and_normals_what_it_turns() -> None
     rows = found.in_contact
     for name, arm in (("covariance", found.point - center), ("normal_covariance", found.normal)):
         added = getattr(found, name)[rows] - getattr(without, name)[rows]
-        np.testing.assert_allclose(added, turned_covariance(turning["rotation_covariance"], arm[rows]), rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(
+            added,
+            turned_covariance(turning["rotation_covariance"], arm[rows]),
+            rtol=1e-6,
+            atol=1e-12,
+        )

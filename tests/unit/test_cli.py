@@ -1,4 +1,6 @@
-"""The command line: exit status 2 and one line for wrong input, results to stdout, files where they were asked for."""
+"""The command line: exit status 2 and one line for wrong input, results to stdout, files where they
+were asked for.
+"""
 
 import json
 import os
@@ -19,14 +21,17 @@ def _run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     from vibrissa.cli.app import main
 
     monkeypatch.setattr(sys, "argv", ["vibrissa", *map(str, arguments)])
-    # main() offers the user's cache to JAX by way of the environment; what it sets is undone after the test.
+    # main() offers the user's cache to JAX by way of the environment; what it sets is undone after
+    # the test.
     monkeypatch.setattr(os, "environ", dict(os.environ))
     with pytest.raises(SystemExit) as stopped:
         main()
     return int(stopped.value.code or 0)
 
 
-def _refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+def _refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> str:
     assert _run(monkeypatch, *arguments) == 2
     out, err = capsys.readouterr()
     lines = [line for line in err.splitlines() if line.startswith("vibrissa: error:")]
@@ -40,23 +45,34 @@ def _refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 BAD_CASES = {
     "missing key": (("b = 1.0\n", ""), ["object.b", "missing"]),
     "unknown key": (("h = 0.4", "h = 0.4\nheight = 3"), ["object.height", "unknown"]),
-    "unknown kind": (('kind = "line"', 'kind = "zigzag"'), ["trail[0]", "line, raster, poses, arc, whisk, spline or csv"]),
+    "unknown kind": (
+        ('kind = "line"', 'kind = "zigzag"'),
+        ["trail[0]", "line, raster, poses, arc, whisk, spline or csv"],
+    ),
     "empty trail": (("count = 521", "count = 0"), ["trail[0].count", "0", "at least 1"]),
     "no number": (("h = 0.4", 'h = "high"'), ["object.h", "high", "finite number"]),
     "not finite": (("h = 0.4", "h = nan"), ["object.h", "nan"]),
     "not TOML": (("[rod]", "[rod"), ["not valid TOML"]),
-    "negative length": (('kind = "unit"', 'kind = "uniform"\nlength = -1\nbending_stiffness = 1'), ["rod.length", "-1", "greater than 0"]),
+    "negative length": (
+        ('kind = "unit"', 'kind = "uniform"\nlength = -1\nbending_stiffness = 1'),
+        ["rod.length", "-1", "greater than 0"],
+    ),
     "zero radius": (
         ('kind = "unit"', 'kind = "cylinder"\nlength = 1\nradius = 0\nyoungs_modulus = 1'),
         ["rod.radius", "0", "greater than 0"],
     ),
     "zero axis": (("count = 521", "count = 5\naxis = [0, 0, 0]"), ["axis", "non-zero"]),
-    "clamp inside": (("start = [1.2, 0.0, 0.0]", "start = [0.1, 0.0, 0.9]"), ["trail[0]", "inside the object"]),
+    "clamp inside": (
+        ("start = [1.2, 0.0, 0.0]", "start = [0.1, 0.0, 0.9]"),
+        ["trail[0]", "inside the object"],
+    ),
 }
 
 
 @pytest.mark.parametrize("name", BAD_CASES)
-def test_bad_cases(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_cases(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (old, new), words = BAD_CASES[name]
     assert old in CASE
     path = tmp_path / "case.toml"
@@ -65,7 +81,9 @@ def test_bad_cases(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, c
     assert [word for word in words if word not in message] == []
 
 
-def test_folders_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_folders_that_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for arguments in (
         ("demo", "-o", tmp_path / "file" / "demo"),
@@ -73,10 +91,14 @@ def test_folders_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monk
         ("reconstruct", TRAIL, "--setup", SETUP, "-o", tmp_path / "file" / "contacts.ply"),
     ):
         assert str(tmp_path / "file") in _refused(monkeypatch, capsys, *arguments)
-    assert "suffix" in _refused(monkeypatch, capsys, "reconstruct", TRAIL, "--setup", SETUP, "-o", tmp_path / "contacts.xyz")
+    assert "suffix" in _refused(
+        monkeypatch, capsys, "reconstruct", TRAIL, "--setup", SETUP, "-o", tmp_path / "contacts.xyz"
+    )
 
 
-def test_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "case.toml"
     path.write_text(CASE, encoding="utf-8")
     output, figure = tmp_path / "scan.nc", tmp_path / "scan.png"
@@ -91,10 +113,24 @@ def test_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
-def test_reconstruct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reconstruct(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     outputs = [tmp_path / f"contacts.{suffix}" for suffix in ("ply", "csv", "nc")]
     options = [part for path in outputs for part in ("-o", path)]
-    assert _run(monkeypatch, "reconstruct", TRAIL, "--setup", SETUP, *options, "--figure", tmp_path / "contacts.pdf") == 0
+    assert (
+        _run(
+            monkeypatch,
+            "reconstruct",
+            TRAIL,
+            "--setup",
+            SETUP,
+            *options,
+            "--figure",
+            tmp_path / "contacts.pdf",
+        )
+        == 0
+    )
     assert "901 samples" in capsys.readouterr().out
     table = np.genfromtxt(outputs[1], delimiter=",", names=True)
     rows = np.isfinite(table["x"])
@@ -103,13 +139,17 @@ def test_reconstruct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
         assert np.array_equal(data["kind"].values > 0, rows)
 
 
-def test_recording_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recording_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "trail.csv"
     path.write_bytes(TRAIL.read_bytes()[:-30])
     assert "truncated" in _refused(monkeypatch, capsys, "reconstruct", path, "--setup", SETUP)
 
 
-def test_friction_of_the_case_reaches_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_friction_of_the_case_reaches_the_scan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     case = EXAMPLES / "cases/sphere_friction.toml"
     assert _run(monkeypatch, "scan", case, "--json") == 0
     summary = json.loads(capsys.readouterr().out)
@@ -118,25 +158,51 @@ def test_friction_of_the_case_reaches_the_scan(tmp_path: Path, monkeypatch: pyte
     assert sum(summary["motions"].values()) == summary["positions"] == 321
 
 
-def test_a_finite_radius_needs_a_radius(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finite_radius_needs_a_radius(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "case.toml"
     path.write_text(CASE + "\n[contact]\nfinite_radius = true\n", encoding="utf-8")
     assert "radius" in _refused(monkeypatch, capsys, "scan", path)
 
 
-def test_friction_of_a_recording_without_any(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The shipped recording was made without friction: so says the estimate. The known coefficient bounds the normals by its angle."""
-    assert _run(monkeypatch, "reconstruct", TRAIL, "--setup", SETUP, "--friction", "0.25", "--estimate-friction", "--json") == 0
+def test_friction_of_a_recording_without_any(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The shipped recording was made without friction: so says the estimate. The known coefficient
+    bounds the normals by its angle.
+    """
+    assert (
+        _run(
+            monkeypatch,
+            "reconstruct",
+            TRAIL,
+            "--setup",
+            SETUP,
+            "--friction",
+            "0.25",
+            "--estimate-friction",
+            "--json",
+        )
+        == 0
+    )
     summary = json.loads(capsys.readouterr().out)
     assert summary["normal_half_angle"] == pytest.approx(np.arctan(0.25), rel=1e-12)
     assert abs(summary["friction_estimate"]) < max(0.02, 3 * summary["friction_standard_error"])
     assert _run(monkeypatch, "reconstruct", TRAIL, "--setup", SETUP, "--estimate-friction") == 0
-    assert f"{summary['friction_estimate']:.3f} ± {summary['friction_standard_error']:.3f}" in capsys.readouterr().out
+    assert (
+        f"{summary['friction_estimate']:.3f} ± {summary['friction_standard_error']:.3f}"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize("value", ["-0.1", "nan", "inf"])
-def test_no_such_friction(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], value: str) -> None:
-    assert "--friction" in _refused(monkeypatch, capsys, "reconstruct", TRAIL, "--setup", SETUP, "--friction", value)
+def test_no_such_friction(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], value: str
+) -> None:
+    assert "--friction" in _refused(
+        monkeypatch, capsys, "reconstruct", TRAIL, "--setup", SETUP, "--friction", value
+    )
 
 
 def _faulty(folder: Path) -> Path:
@@ -150,19 +216,31 @@ def _faulty(folder: Path) -> Path:
     return path
 
 
-def test_inspect_lists_every_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_lists_every_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ("inspect", _faulty(tmp_path), "--setup", SETUP)
     assert _run(monkeypatch, *arguments, "--json", "--figure", tmp_path / "inspected.png") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["counts"] == {"drop-out": 1, "gap": 1}
-    assert [(fault["kind"], fault["count"]) for fault in told["faults"]] == [("drop-out", 4), ("gap", 3)]
+    assert [(fault["kind"], fault["count"]) for fault in told["faults"]] == [
+        ("drop-out", 4),
+        ("gap", 3),
+    ]
     assert told["usable_rows"] == told["rows"] - 4
-    assert told["channels"]["fx"]["noise"] == pytest.approx(told["channels"]["fx"]["stated_noise"], rel=0.3)
+    assert told["channels"]["fx"]["noise"] == pytest.approx(
+        told["channels"]["fx"]["stated_noise"], rel=0.3
+    )
     assert told["tare"]["intervals"][0][0] == told["start"]
     assert (tmp_path / "inspected.png").stat().st_size > 10_000
     assert _run(monkeypatch, *arguments) == 0
     out = capsys.readouterr().out
-    for words in ("4 rows without a number", "3 samples missing", "tare given as tare_seconds", "noise at rest"):
+    for words in (
+        "4 rows without a number",
+        "3 samples missing",
+        "tare given as tare_seconds",
+        "noise at rest",
+    ):
         assert words in out
 
 
@@ -176,5 +254,9 @@ def test_inspect_fails_for_a_recording_that_cannot_be_used(
     told = json.loads(capsys.readouterr().out)
     assert not told["usable"]
     assert [fault["kind"] for fault in told["faults"] if fault["unusable"]] == ["backward stamp"]
-    assert "cannot be read" in _refused(monkeypatch, capsys, "inspect", tmp_path / "none.csv", "--setup", SETUP)
-    assert "suffix" in _refused(monkeypatch, capsys, "inspect", TRAIL, "--setup", SETUP, "--figure", tmp_path / "figure.gif")
+    assert "cannot be read" in _refused(
+        monkeypatch, capsys, "inspect", tmp_path / "none.csv", "--setup", SETUP
+    )
+    assert "suffix" in _refused(
+        monkeypatch, capsys, "inspect", TRAIL, "--setup", SETUP, "--figure", tmp_path / "figure.gif"
+    )

@@ -1,4 +1,6 @@
-"""Errors by cause: the derivatives against reconstructions with a wrong rod and a wrong mount, an independent route."""
+"""Errors by cause: the derivatives against reconstructions with a wrong rod and a wrong mount, an
+independent route.
+"""
 
 import numpy as np
 import pytest
@@ -10,24 +12,42 @@ ROD = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 TURN = Rotation.from_rotvec([0.1, -0.2, 0.7])
 AXES = TURN.as_matrix()
 _LINE = vb.Trail.line(start=(0.012, 0.005, 0), stop=(-0.008, 0.005, 0), count=6)
-SCAN = vb.scan(ROD, vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03), vb.Trail(_LINE.position, Rotation.from_rotvec([0, 0, 0.7])))
+SCAN = vb.scan(
+    ROD,
+    vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03),
+    vb.Trail(_LINE.position, Rotation.from_rotvec([0, 0, 0.7])),
+)
 ORIENTATION = SCAN.trail.orientation
 CLAMP_AXES = Rotation.from_quat(ORIENTATION[0]).as_matrix()
 SPREAD = np.diag([4e-6, 4e-6, 4e-6, 4e-9, 4e-9, 1e-9])
 
 
-def found_with(rod: vb.Rod = ROD, shift: np.ndarray | None = None, turn: np.ndarray | None = None) -> vb.Reconstruction:
-    """Reconstructed with another rod, or with the clamp taken to be elsewhere, or turned: in its axes."""
+def found_with(
+    rod: vb.Rod = ROD, shift: np.ndarray | None = None, turn: np.ndarray | None = None
+) -> vb.Reconstruction:
+    """Reconstructed with another rod, or with the clamp taken to be elsewhere, or turned: in its
+    axes.
+    """
     move = np.zeros(3) if shift is None else CLAMP_AXES @ shift
-    seen = Rotation.from_quat(ORIENTATION) * Rotation.from_rotvec(np.zeros(3) if turn is None else turn)
+    seen = Rotation.from_quat(ORIENTATION) * Rotation.from_rotvec(
+        np.zeros(3) if turn is None else turn
+    )
     moment = SCAN.reactions.moment - np.cross(move, SCAN.reactions.force)
     return vb.reconstruct(
-        rod, vb.Reactions(vb.Trail(SCAN.trail.position + move, seen.as_quat()), SCAN.reactions.force, moment, covariance=SPREAD)
+        rod,
+        vb.Reactions(
+            vb.Trail(SCAN.trail.position + move, seen.as_quat()),
+            SCAN.reactions.force,
+            moment,
+            covariance=SPREAD,
+        ),
     )
 
 
 FOUND = found_with()
-ERRORS = vb.contact_errors(FOUND, youngs_modulus=0.01, length=1e-4, clamp_position=1e-4, clamp_rotation=2e-3, pose=2e-5)
+ERRORS = vb.contact_errors(
+    FOUND, youngs_modulus=0.01, length=1e-4, clamp_position=1e-4, clamp_rotation=2e-3, pose=2e-5
+)
 
 
 def test_the_positions_are_in_tangential_contact() -> None:
@@ -36,17 +56,29 @@ def test_the_positions_are_in_tangential_contact() -> None:
 
 def test_stiffness() -> None:
     step = 1e-4
-    up, down = (found_with(vb.Rod(ROD.length, ROD.bending_stiffness * (1 + sign * step))).point for sign in (1, -1))
-    np.testing.assert_allclose(ERRORS.sensitivity["bending_stiffness"][..., 0], (up - down) / (2 * step), rtol=1e-4, atol=1e-8)
+    up, down = (
+        found_with(vb.Rod(ROD.length, ROD.bending_stiffness * (1 + sign * step))).point
+        for sign in (1, -1)
+    )
+    np.testing.assert_allclose(
+        ERRORS.sensitivity["bending_stiffness"][..., 0],
+        (up - down) / (2 * step),
+        rtol=1e-4,
+        atol=1e-8,
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_mount(axis: int) -> None:
     shift, turn = 1e-6 * np.eye(3)[axis], 1e-5 * np.eye(3)[axis]
     moved = (found_with(shift=shift).point - found_with(shift=-shift).point) / 2e-6
-    np.testing.assert_allclose(ERRORS.sensitivity["clamp_position"][..., axis], moved, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(
+        ERRORS.sensitivity["clamp_position"][..., axis], moved, rtol=0, atol=1e-3
+    )
     turned = (found_with(turn=turn).point - found_with(turn=-turn).point) / 2e-5
-    np.testing.assert_allclose(ERRORS.sensitivity["clamp_rotation"][..., axis], turned, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(
+        ERRORS.sensitivity["clamp_rotation"][..., axis], turned, rtol=0, atol=1e-4
+    )
 
 
 def test_causes_add_up_and_are_what_was_given() -> None:
@@ -68,7 +100,9 @@ def test_spread_of_wrong_mounts() -> None:
     for row in range(3):
         seen = np.trace(np.cov(points[:, row].T))
         # Relative deviation of a variance from 200 draws: √(2/200).
-        assert seen == pytest.approx(np.trace(ERRORS.by_cause["clamp_position"][row]), rel=4 * np.sqrt(2 / 200))
+        assert seen == pytest.approx(
+            np.trace(ERRORS.by_cause["clamp_position"][row]), rel=4 * np.sqrt(2 / 200)
+        )
 
 
 def test_what_is_given_is_checked() -> None:

@@ -18,7 +18,9 @@ COLUMNS = "time,x,y,z,nx,ny,nz,arc_length,kind,status,cxx,cxy,cxz,cyy,cyz,czz"
 
 
 def reactions(*, noise: bool, lanes: int = 0) -> vb.Reactions:
-    """Tip contacts of a growing force that leans over; the first two rows are free, the third of a broken sample."""
+    """Tip contacts of a growing force that leans over; the first two rows are free, the third of a
+    broken sample.
+    """
     count = 12
     shape = (lanes, count) if lanes else (count,)
     rng = np.random.default_rng(6)
@@ -88,16 +90,18 @@ def test_a_contact_without_a_finite_place_is_none_and_never_ok(tmp_path: Path) -
         assert int(written[row]["status"]) == (status[row] or vb.Status.NOT_CONVERGED)
         assert written[row + 1]["cxx"] == ""
     assert sum(row["x"] != "" for row in written) == np.count_nonzero(found.in_contact) - len(lost)
-    assert len(PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"].data) == sum(
-        row["x"] != "" for row in written
-    )
+    assert len(
+        PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"].data
+    ) == sum(row["x"] != "" for row in written)
 
 
 def test_ply_holds_the_contacts_and_nothing_else(found: vb.Reconstruction, tmp_path: Path) -> None:
     vertex = PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"]
     rows = found.in_contact
     for names, values in (("x y z", found.point), ("nx ny nz", found.normal)):
-        np.testing.assert_array_equal(np.stack([vertex[name] for name in names.split()], axis=1), values[rows])
+        np.testing.assert_array_equal(
+            np.stack([vertex[name] for name in names.split()], axis=1), values[rows]
+        )
     np.testing.assert_array_equal(vertex["arc_length"], found.arc_length[rows])
     np.testing.assert_array_equal(vertex["kind"], found.kind[rows])
     np.testing.assert_array_equal(vertex["status"], found.status[rows])
@@ -106,7 +110,9 @@ def test_ply_holds_the_contacts_and_nothing_else(found: vb.Reconstruction, tmp_p
         np.testing.assert_allclose(vertex["standard_deviation"], spread, rtol=1e-14)
 
 
-def test_netcdf_holds_everything_with_units_and_meanings(found: vb.Reconstruction, tmp_path: Path) -> None:
+def test_netcdf_holds_everything_with_units_and_meanings(
+    found: vb.Reconstruction, tmp_path: Path
+) -> None:
     file = vb.write_contacts(tmp_path / "contacts.nc", found)
     with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
         for name, values, unit in (
@@ -129,7 +135,13 @@ def test_netcdf_holds_everything_with_units_and_meanings(found: vb.Reconstructio
             ("status", found.status, vb.Status),
         ):
             np.testing.assert_array_equal(data[name].values, values)
-            meanings = dict(zip(data[name].attrs["flag_values"], data[name].attrs["flag_meanings"].split(), strict=True))
+            meanings = dict(
+                zip(
+                    data[name].attrs["flag_values"],
+                    data[name].attrs["flag_meanings"].split(),
+                    strict=True,
+                )
+            )
             assert meanings == {int(member): member.name.lower() for member in members}
         assert data.sizes["axis"] == 3
         assert data.attrs["rod_length"] == ROD.length
@@ -141,14 +153,23 @@ def test_model_units_are_written_as_such(tmp_path: Path) -> None:
     found = vb.reconstruct(rod, scaled)
     assert found.to_dataset()["contact_point"].attrs["units"] == "1"
     assert found.to_dataset()["support_force"].attrs["units"] == "1"
-    assert "rod length" in PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found))).comments[0]
+    assert (
+        "rod length"
+        in PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found))).comments[0]
+    )
 
 
 def test_no_contact_at_all_gives_files_without_points(tmp_path: Path) -> None:
     trail, zero = vb.Trail(np.zeros((3, 3))), np.zeros((3, 3))
     found = vb.reconstruct(ROD, vb.Reactions(trail, zero, zero))
-    assert len(PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"].data) == 0
-    assert vb.write_contacts(tmp_path / "contacts.csv", found).read_text().splitlines()[1:] == [",,,,,,,,0,0,,,,,,"] * 3
+    assert (
+        len(PlyData.read(str(vb.write_contacts(tmp_path / "contacts.ply", found)))["vertex"].data)
+        == 0
+    )
+    assert (
+        vb.write_contacts(tmp_path / "contacts.csv", found).read_text().splitlines()[1:]
+        == [",,,,,,,,0,0,,,,,,"] * 3
+    )
 
 
 def refusal(write: Callable[[], object]) -> str:
@@ -169,7 +190,9 @@ def test_another_suffix_is_refused(found: vb.Reconstruction, tmp_path: Path, nam
 
 
 def test_a_dataset_is_netcdf_only(found: vb.Reconstruction, tmp_path: Path) -> None:
-    assert "allowed are .nc" in refusal(lambda: write_dataset(tmp_path / "a.csv", found.to_dataset()))
+    assert "allowed are .nc" in refusal(
+        lambda: write_dataset(tmp_path / "a.csv", found.to_dataset())
+    )
 
 
 def test_folders_are_made(found: vb.Reconstruction, tmp_path: Path) -> None:
@@ -183,8 +206,12 @@ def test_a_folder_that_cannot_be_made_is_named(found: vb.Reconstruction, tmp_pat
     assert f"{tmp_path / 'taken'}: the output folder cannot be made" in message
 
 
-def test_a_folder_that_cannot_be_written_to_is_named(found: vb.Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Permissions do not bind every user who runs tests, so the refusal of the system is put in its place."""
+def test_a_folder_that_cannot_be_written_to_is_named(
+    found: vb.Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Permissions do not bind every user who runs tests, so the refusal of the system is put in its
+    place.
+    """
 
     def refuse(_path: Path, *_args: object, **_options: object) -> None:
         raise PermissionError(13, "Permission denied")
@@ -196,10 +223,14 @@ def test_a_folder_that_cannot_be_written_to_is_named(found: vb.Reconstruction, t
 
 def test_a_folder_in_place_of_the_file_is_named(found: vb.Reconstruction, tmp_path: Path) -> None:
     (tmp_path / "contacts.csv").mkdir()
-    assert "is a folder; allowed is a file" in refusal(lambda: vb.write_contacts(tmp_path / "contacts.csv", found))
+    assert "is a folder; allowed is a file" in refusal(
+        lambda: vb.write_contacts(tmp_path / "contacts.csv", found)
+    )
 
 
-def test_a_file_that_may_not_be_overwritten_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_may_not_be_overwritten_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = vb.reconstruct(ROD, reactions(noise=False))
     file = tmp_path / "contacts.csv"
     file.touch()

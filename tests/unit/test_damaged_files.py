@@ -1,4 +1,6 @@
-"""Hypothesis damages good files, and writes bad ones: the readers take them or say in one line what is wrong, nothing else."""
+"""Hypothesis damages good files, and writes bad ones: the readers take them or say in one line what
+is wrong, nothing else.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -65,7 +67,9 @@ def test_recordings(tmp_path: Path, setup: vb.Setup, content: bytes) -> None:
 
 @pytest.mark.parametrize("column", ["time", "px", "qx", "fx", "tx"])
 @pytest.mark.parametrize("value", ["1e300", "-1e200", "1e-320"])
-def test_numbers_beyond_their_squares(tmp_path: Path, setup: vb.Setup, column: str, value: str) -> None:
+def test_numbers_beyond_their_squares(
+    tmp_path: Path, setup: vb.Setup, column: str, value: str
+) -> None:
     lines = [line.split(",") for line in RECORDING.splitlines()]
     lines[16][lines[0].index(column)] = value
     content = "\n".join(map(",".join, lines)) + "\n"
@@ -84,13 +88,28 @@ def test_cases(tmp_path: Path, content: bytes) -> None:
     taken_or_refused(vb.load_case, tmp_path, content)
 
 
-NUMBERS = st.one_of(st.integers(-3, 3), st.floats(), st.sampled_from([1e308, 1e200, 1e-200, 5e-324, 10**400, -(10**400)]))
+NUMBERS = st.one_of(
+    st.integers(-3, 3),
+    st.floats(),
+    st.sampled_from([1e308, 1e200, 1e-200, 5e-324, 10**400, -(10**400)]),
+)
 VALUES = st.recursive(
     st.one_of(NUMBERS, st.booleans(), st.text(max_size=5)),
-    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=3), inner, max_size=2)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=3), inner, max_size=2)
+    ),
     max_leaves=4,
 )
-KEYS = ("kind", "length", "radius", "youngs_modulus", "bending_stiffness", "density", "yield_strain", "linear_density")
+KEYS = (
+    "kind",
+    "length",
+    "radius",
+    "youngs_modulus",
+    "bending_stiffness",
+    "density",
+    "yield_strain",
+    "linear_density",
+)
 SENSOR = {
     "clamp_position": [0.0, 0.0, 0.025],
     "clamp_orientation": [0.0, 0.0, 0.0, 1.0],
@@ -104,7 +123,12 @@ RODS = (
 OBJECTS = (
     {"kind": "sphere", "center": [0, 0, 1], "radius": 0.5},
     {"kind": "ellipsoid", "center": [0, 0, 1], "semi_axes": [0.1, 0.2, 0.3]},
-    {"kind": "elliptic_cylinder", "center": [0, 0, 1], "semi_axes": [0.1, 0.2], "rotation": [0, 0, 0, 1]},
+    {
+        "kind": "elliptic_cylinder",
+        "center": [0, 0, 1],
+        "semi_axes": [0.1, 0.2],
+        "rotation": [0, 0, 0, 1],
+    },
     {"kind": "plane", "point": [0, 0, 1], "normal": [0, 0, -1], "translation": [0, 0, 0]},
     {"kind": "elliptic_paraboloid", "a": 0.5, "b": 1, "h": 0.4},
 )
@@ -125,7 +149,9 @@ def toml(value: Any) -> str:
 
 @st.composite
 def strange_setups(draw: st.DrawFn) -> bytes:
-    """A good setup in which one or two values are others, of any type and size, or keys are missing or new."""
+    """A good setup in which one or two values are others, of any type and size, or keys are missing
+    or new.
+    """
     tables: dict[str, Any] = {
         "rod": dict(draw(st.sampled_from(RODS))),
         "sensor": dict(SENSOR),

@@ -1,4 +1,6 @@
-"""The rod's shape: inextensible, clamped, straight from the contact on, and the solution of the rod's equation."""
+"""The rod's shape: inextensible, clamped, straight from the contact on, and the solution of the
+rod's equation.
+"""
 
 from typing import NamedTuple
 
@@ -35,7 +37,9 @@ class Bent(NamedTuple):
     @property
     def plane(self) -> BasePlane:
         """Base angle and lever arm."""
-        return BasePlane(jnp.asarray(np.cos(self.delta / 2)), jnp.asarray(self.curvature / self.force))
+        return BasePlane(
+            jnp.asarray(np.cos(self.delta / 2)), jnp.asarray(self.curvature / self.force)
+        )
 
     @property
     def rod(self) -> ContactOnRod:
@@ -58,14 +62,18 @@ class Bent(NamedTuple):
         return sampled_line(CLAMP, T0, length, self.reach, self.n, self.force, s1, count)
 
     def integrated(self, arc_length: np.ndarray) -> np.ndarray:
-        """Paper's eq. (10) from the clamp up to arc lengths within s₁: along t0, along b, θ, κ (k, 4)."""
+        """Paper's eq. (10) from the clamp up to arc lengths within s₁: along t0, along b, θ, κ (k,
+        4).
+        """
 
         def slope(_s: float, y: np.ndarray) -> list[float]:
             return [np.cos(y[2]), np.sin(y[2]), y[3], self.force * np.sin(y[2] - self.delta)]
 
         start = [0.0, 0.0, 0.0, self.curvature]
         span = (0.0, arc_length[-1])
-        return solve_ivp(slope, span, start, method="DOP853", t_eval=arc_length, rtol=1e-13, atol=1e-14).y.T
+        return solve_ivp(
+            slope, span, start, method="DOP853", t_eval=arc_length, rtol=1e-13, atol=1e-14
+        ).y.T
 
 
 TIP = Bent(1.3, 2.4, 0.9)
@@ -80,7 +88,9 @@ ALL = pytest.mark.parametrize("bent", [TIP, TANGENT, BEHIND, SLIGHT, STRONG])
 def test_is_the_integrated_rod(bent: Bent) -> None:
     s = np.linspace(0, float(bent.rod.arc_length), 60)
     along, across, _, _ = bent.integrated(s).T
-    np.testing.assert_allclose(bent.line(s), along[:, None] * T0 + across[:, None] * B, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        bent.line(s), along[:, None] * T0 + across[:, None] * B, rtol=0, atol=1e-11
+    )
 
 
 @ALL
@@ -124,21 +134,31 @@ def test_is_straight_beyond_the_contact_along_the_contact_tangent(bent: Bent) ->
     beyond = bent.line(s1 + np.array([0.0, 0.1, 0.5]))
     tangent = np.asarray(contact_tangent(jnp.asarray(bent.n), jnp.asarray(bent.side), bent.rod))
     theta1 = bent.integrated(np.array([0.0, s1]))[-1, 2]
-    np.testing.assert_allclose(tangent, np.cos(theta1) * T0 + np.sin(theta1) * B, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(beyond - beyond[0], np.outer([0.0, 0.1, 0.5], tangent), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        tangent, np.cos(theta1) * T0 + np.sin(theta1) * B, rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(
+        beyond - beyond[0], np.outer([0.0, 0.1, 0.5], tangent), rtol=0, atol=1e-12
+    )
 
 
 @ALL
 def test_bent_part_runs_from_contact_to_clamp_on_the_rod(bent: Bent) -> None:
-    advance, distance = (np.asarray(part) for part in bent_part(bent.plane, bent.rod, jnp.asarray(bent.force)))
+    advance, distance = (
+        np.asarray(part) for part in bent_part(bent.plane, bent.rod, jnp.asarray(bent.force))
+    )
     nodes = bent.reach + advance[:, None] * bent.n - distance[:, None] * bent.side
     np.testing.assert_allclose(nodes[0], bent.reach, rtol=0, atol=1e-12)
     np.testing.assert_allclose(nodes[-1], 0, atol=1e-8)
-    # Their arc lengths from the contact, by quadrature of ds = dc / (√f √(1 − k² cos² c)); they are equally spaced in c.
+    # Their arc lengths from the contact, by quadrature of ds = dc / (√f √(1 − k² cos² c)); they are
+    # equally spaced in c.
     k2 = float(bent.rod.modulus)
     span = np.arctan2(bent.curvature / (2 * np.sqrt(bent.force)), np.cos(bent.delta / 2))
     ends = span * np.linspace(0, 1, len(nodes))
-    left = [quad(lambda c: 1 / np.sqrt(bent.force * (1 - k2 * np.cos(c) ** 2)), 0, end)[0] for end in ends]
+    left = [
+        quad(lambda c: 1 / np.sqrt(bent.force * (1 - k2 * np.cos(c) ** 2)), 0, end)[0]
+        for end in ends
+    ]
     exact = bent.line(np.maximum(float(bent.rod.arc_length) - np.array(left), 0))
     np.testing.assert_allclose(nodes, exact, rtol=0, atol=1e-8)
 
@@ -146,9 +166,13 @@ def test_bent_part_runs_from_contact_to_clamp_on_the_rod(bent: Bent) -> None:
 @pytest.mark.parametrize("length", [1.0, 0.05])
 def test_sampled_line_scales_with_the_rod(length: float) -> None:
     line = TIP.sampled(length, 21)
-    np.testing.assert_allclose((line - CLAMP) / length, TIP.line(np.linspace(0, 1, 21)), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        (line - CLAMP) / length, TIP.line(np.linspace(0, 1, 21)), rtol=0, atol=1e-14
+    )
 
 
 def test_without_a_force_the_rod_is_straight() -> None:
     line = sampled_line(CLAMP, T0, 0.05, 0.05 * T0, T0, 0.0, 1.0, 11)
-    np.testing.assert_allclose(line, CLAMP + np.outer(np.linspace(0, 0.05, 11), T0), rtol=0, atol=1e-16)
+    np.testing.assert_allclose(
+        line, CLAMP + np.outer(np.linspace(0, 0.05, 11), T0), rtol=0, atol=1e-16
+    )

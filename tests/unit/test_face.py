@@ -13,7 +13,7 @@ def test_every_public_name_is_there() -> None:
 
 
 def test_functions_keep_their_names_when_their_rooms_are_imported() -> None:
-    for room in ("scan", "reconstruct", "sensor", "rod", "trail"):
+    for room in ("forward", "inverse", "sensor", "rod", "trail"):
         importlib.import_module(f"vibrissa.{room}")
     assert callable(vb.scan)
     assert callable(vb.reconstruct)
@@ -21,5 +21,5 @@ def test_functions_keep_their_names_when_their_rooms_are_imported() -> None:
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'whisker'"):
+    with pytest.raises(AttributeError, match="whisker"):
         _ = vb.whisker

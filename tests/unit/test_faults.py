@@ -1,4 +1,6 @@
-"""Each fault of a recording is found, with its channels, interval and count; a good recording has none."""
+"""Each fault of a recording is found, with its channels, interval and count; a good recording has
+none.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,12 +25,16 @@ def inspected(raw: RawRecording, **options: object) -> Inspection:
 
 
 def found(raw: RawRecording, **options: object) -> list[tuple[str, tuple[str, ...], int]]:
-    return [(str(fault.kind), fault.channels, fault.count) for fault in inspected(raw, **options).faults]
+    return [
+        (str(fault.kind), fault.channels, fault.count) for fault in inspected(raw, **options).faults
+    ]
 
 
 def times(fault: Fault) -> tuple[int, int]:
     """First and last row of a fault."""
-    return int(np.argmin(np.abs(GOOD.time - fault.start))), int(np.argmin(np.abs(GOOD.time - fault.stop)))
+    return int(np.argmin(np.abs(GOOD.time - fault.start))), int(
+        np.argmin(np.abs(GOOD.time - fault.stop))
+    )
 
 
 SENSORS = {
@@ -50,8 +56,16 @@ def test_a_good_recording_has_no_faults(kind: str) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"tare_seconds": 0.5}, {"tare_seconds": 0.0}])
-def test_a_noiseless_simulation_has_no_faults_though_its_rest_repeats_itself(options: dict[str, object]) -> None:
-    quiet = {"force_noise": None, "torque_noise": None, "force_resolution": 0.0, "torque_resolution": 0.0, "position_noise": 0.0}
+def test_a_noiseless_simulation_has_no_faults_though_its_rest_repeats_itself(
+    options: dict[str, object],
+) -> None:
+    quiet = {
+        "force_noise": None,
+        "torque_noise": None,
+        "force_resolution": 0.0,
+        "torque_resolution": 0.0,
+        "position_noise": 0.0,
+    }
     raw = logged(sensor(**quiet), pushed(turning=0.5))
     assert found(raw, **quiet, **options) == []
     free = sensor(**quiet).measure(pushed(), np.random.default_rng(0))
@@ -69,26 +83,62 @@ def test_what_rest_tells_of_the_sensor() -> None:
 
 
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
-HIDDEN: dict[str, tuple[Callable[[], RawRecording], tuple[str, tuple[str, ...], int], tuple[int, int]]] = {
-    "numbers lost": (lambda: changed(GOOD, slice(700, 707), slice(0, 6), np.nan), ("drop-out", WRENCH, 7), (700, 706)),
-    "one number lost": (lambda: changed(GOOD, 300, 4, np.nan), ("drop-out", ("ty",), 1), (300, 300)),
+HIDDEN: dict[
+    str, tuple[Callable[[], RawRecording], tuple[str, tuple[str, ...], int], tuple[int, int]]
+] = {
+    "numbers lost": (
+        lambda: changed(GOOD, slice(700, 707), slice(0, 6), np.nan),
+        ("drop-out", WRENCH, 7),
+        (700, 706),
+    ),
+    "one number lost": (
+        lambda: changed(GOOD, 300, 4, np.nan),
+        ("drop-out", ("ty",), 1),
+        (300, 300),
+    ),
     "infinite": (lambda: changed(GOOD, 300, 4, np.inf), ("drop-out", ("ty",), 1), (300, 300)),
-    "zeros": (lambda: changed(GOOD, slice(900, 903), slice(0, 6), 0.0), ("drop-out", WRENCH, 3), (900, 902)),
-    "stuck at rest": (lambda: changed(GOOD, slice(30, 70), 1, GOOD.force[30, 1]), ("stuck channel", ("fy",), 40), (30, 69)),
-    "stuck in contact": (lambda: changed(GOOD, slice(600, 700), 5, GOOD.torque[600, 2]), ("stuck channel", ("tz",), 100), (600, 699)),
+    "zeros": (
+        lambda: changed(GOOD, slice(900, 903), slice(0, 6), 0.0),
+        ("drop-out", WRENCH, 3),
+        (900, 902),
+    ),
+    "stuck at rest": (
+        lambda: changed(GOOD, slice(30, 70), 1, GOOD.force[30, 1]),
+        ("stuck channel", ("fy",), 40),
+        (30, 69),
+    ),
+    "stuck in contact": (
+        lambda: changed(GOOD, slice(600, 700), 5, GOOD.torque[600, 2]),
+        ("stuck channel", ("tz",), 100),
+        (600, 699),
+    ),
     "stuck to the end": (
         lambda: changed(GOOD, slice(1000, ROWS), 3, GOOD.torque[1000, 0]),
         ("stuck channel", ("tx",), ROWS - 1000),
         (1000, ROWS - 1),
     ),
     "pose lost": (
-        lambda: replace(GOOD, position=np.where(np.arange(ROWS)[:, None] == 400, np.nan, GOOD.position)),
+        lambda: replace(
+            GOOD, position=np.where(np.arange(ROWS)[:, None] == 400, np.nan, GOOD.position)
+        ),
         ("drop-out", ("position", "orientation"), 1),
         (400, 400),
     ),
-    "gap": (lambda: only(GOOD, np.delete(np.arange(ROWS), np.arange(500, 512))), ("gap", ("time",), 12), (499, 512)),
-    "one sample lost": (lambda: only(GOOD, np.delete(np.arange(ROWS), 500)), ("gap", ("time",), 1), (499, 501)),
-    "stamp twice": (lambda: only(GOOD, np.insert(np.arange(ROWS), 800, [799, 799])), ("duplicate stamp", ("time",), 2), (799, 799)),
+    "gap": (
+        lambda: only(GOOD, np.delete(np.arange(ROWS), np.arange(500, 512))),
+        ("gap", ("time",), 12),
+        (499, 512),
+    ),
+    "one sample lost": (
+        lambda: only(GOOD, np.delete(np.arange(ROWS), 500)),
+        ("gap", ("time",), 1),
+        (499, 501),
+    ),
+    "stamp twice": (
+        lambda: only(GOOD, np.insert(np.arange(ROWS), 800, [799, 799])),
+        ("duplicate stamp", ("time",), 2),
+        (799, 799),
+    ),
     "rows swapped": (
         lambda: only(GOOD, np.r_[np.arange(800), 801, 800, np.arange(802, ROWS)]),
         ("backward stamp", ("time",), 1),
@@ -123,15 +173,21 @@ def test_a_turn_jumps() -> None:
 
 def test_a_pose_that_starts_stops_or_waits_does_not_jump() -> None:
     truth = pushed()
-    position = np.cumsum(np.r_[np.zeros(200), np.full(300, 1e-4), np.zeros(300), np.full(ROWS - 800, 4e-4)])
+    position = np.cumsum(
+        np.r_[np.zeros(200), np.full(300, 1e-4), np.zeros(300), np.full(ROWS - 800, 4e-4)]
+    )
     trail = vb.Trail(np.stack([position, 0 * position, 0 * position], axis=1))
     assert found(logged(OF, vb.Reactions(trail, truth.force, truth.moment, time=truth.time))) == []
 
 
 def test_a_dead_channel_leaves_no_row() -> None:
     told = inspected(changed(GOOD, slice(0, ROWS), 2, 1.5))
-    assert ("stuck channel", ("fz",), ROWS) in [(str(fault.kind), fault.channels, fault.count) for fault in told.faults]
-    assert [fault.text for fault in told.unusable] == ["none of 1500 rows is usable; allowed is at least one"]
+    assert ("stuck channel", ("fz",), ROWS) in [
+        (str(fault.kind), fault.channels, fault.count) for fault in told.faults
+    ]
+    assert [fault.text for fault in told.unusable] == [
+        "none of 1500 rows is usable; allowed is at least one"
+    ]
 
 
 def test_readings_at_the_range_are_saturated_however_few() -> None:
@@ -158,12 +214,16 @@ def test_flat_tops_are_saturation_though_the_range_is_not_known() -> None:
     assert sum(fault.count for fault in flat) == len(full)
     assert np.flatnonzero(~inspected(raw).usable).tolist() == full.tolist()
     lost = changed(raw, int(full[len(full) // 2]), slice(0, 6), np.nan)
-    assert {str(fault.kind) for fault in inspected(lost).faults if fault.channels == ("tx",)} == {"saturation"}
+    assert {str(fault.kind) for fault in inspected(lost).faults if fault.channels == ("tx",)} == {
+        "saturation"
+    }
 
 
 @pytest.mark.parametrize(("deviation", "step"), [(1.0, 1.0), (2.0, 1.0), (0.6, 1.0)])
 def test_equal_readings_come_in_a_row_as_seldom_as_stated(deviation: float, step: float) -> None:
-    """The bound is on the worst place of the true value: a step. There, runs of r readings start with the chance p^(r−1)."""
+    """The bound is on the worst place of the true value: a step. There, runs of r readings start
+    with the chance p^(r−1).
+    """
     count, alarm = 200_000, 0.5
     needed = longest_repeat(deviation, step, count, alarm)
     same = erf(step / (np.sqrt(8) * deviation))
@@ -179,14 +239,26 @@ def test_equal_readings_come_in_a_row_as_seldom_as_stated(deviation: float, step
 
 
 UNITS = {
-    "millimetres": (lambda: replace(GOOD, position=1e3 * GOOD.position), ("position",), "allowed are metres"),
-    "millinewtons": (lambda: changed(GOOD, slice(0, ROWS), slice(0, 3), 1e3 * GOOD.force), ("fx", "fy", "fz"), "mis-scaled (in mN?)"),
+    "millimetres": (
+        lambda: replace(GOOD, position=1e3 * GOOD.position),
+        ("position",),
+        "allowed are metres",
+    ),
+    "millinewtons": (
+        lambda: changed(GOOD, slice(0, ROWS), slice(0, 3), 1e3 * GOOD.force),
+        ("fx", "fy", "fz"),
+        "mis-scaled (in mN?)",
+    ),
     "newton millimetres": (
         lambda: changed(GOOD, slice(0, ROWS), slice(3, 6), 1e3 * GOOD.torque),
         ("tx", "ty", "tz"),
         "mis-scaled (in N mm?)",
     ),
-    "degrees": (lambda: replace(GOOD, orientation=40 * GOOD.orientation), ("orientation",), "as of angles in degrees; allowed is 1"),
+    "degrees": (
+        lambda: replace(GOOD, orientation=40 * GOOD.orientation),
+        ("orientation",),
+        "as of angles in degrees; allowed is 1",
+    ),
 }
 
 
@@ -200,7 +272,9 @@ def test_mistaken_units_make_a_recording_unusable(what: str) -> None:
 
 @pytest.mark.parametrize("known", [True, False], ids=["noise known", "noise not known"])
 @pytest.mark.parametrize(("force", "torque"), [(1e3, 1e3), (1.0, 1e3), (1e-3, 1e-3), (1e-3, 1.0)])
-def test_mistaken_units_are_found_with_and_without_known_noise(force: float, torque: float, *, known: bool) -> None:
+def test_mistaken_units_are_found_with_and_without_known_noise(
+    force: float, torque: float, *, known: bool
+) -> None:
     raw = changed(GOOD, slice(0, ROWS), slice(0, 6), GOOD.wrench * np.repeat([force, torque], 3))
     told = inspected(raw, **({} if known else {"force_noise": None, "torque_noise": None})).unusable
     assert [str(fault.kind) for fault in told[:1]] == ["units"]
@@ -236,7 +310,9 @@ def test_drift_other_than_stated_is_found() -> None:
 
 def test_a_wrong_tare_leaves_forces_that_belong_to_no_single_contact() -> None:
     shifted = inspect_raw(GOOD, sensor(rest_intervals=((2.4, 2.6),)), ROD)
-    assert [str(fault.kind) for fault in shifted.faults if str(fault.kind) == "no single contact"] == ["no single contact"]
+    assert [
+        str(fault.kind) for fault in shifted.faults if str(fault.kind) == "no single contact"
+    ] == ["no single contact"]
     assert shifted.single_contact_misfit > 1.2
 
 
@@ -265,10 +341,14 @@ def test_short_recordings_are_inspected(rows: int) -> None:
 
 def test_a_recording_without_anything_is_refused() -> None:
     nothing = replace(GOOD, time=np.full(ROWS, np.nan))
-    with pytest.raises(ValueError, match="none of 1500 rows has a stamp; allowed are stamps in seconds"):
+    with pytest.raises(
+        ValueError, match="none of 1500 rows has a stamp; allowed are stamps in seconds"
+    ):
         inspected(nothing)
     with pytest.raises(ValueError, match="no row has a pose; allowed are finite positions"):
         inspected(replace(GOOD, position=np.full((ROWS, 3), np.nan)))
     lost = inspected(changed(GOOD, slice(0, ROWS), 0, np.nan))
     assert not lost.usable.any()
-    assert "none of 1500 rows is usable" in {fault.text.partition(";")[0] for fault in lost.unusable}
+    assert "none of 1500 rows is usable" in {
+        fault.text.partition(";")[0] for fault in lost.unusable
+    }

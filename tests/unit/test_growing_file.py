@@ -1,4 +1,6 @@
-"""An MCAP file opens in the libraries' own readers after every step of its being written, however a write is torn."""
+"""An MCAP file opens in the libraries' own readers after every step of its being written, however a
+write is torn.
+"""
 
 import io
 import struct
@@ -16,7 +18,10 @@ from vibrissa.io.rosbag import growing, mend
 from vibrissa.io.rosbag.disk import FileDisk
 from vibrissa.io.rosbag.growing import PAGE, Channel, GrowingFile, Messages
 
-CHANNELS = [Channel("/a", "std_msgs/msg/String", "string data\n"), Channel("/b", "std_msgs/msg/String", "string data\n")]
+CHANNELS = [
+    Channel("/a", "std_msgs/msg/String", "string data\n"),
+    Channel("/b", "std_msgs/msg/String", "string data\n"),
+]
 QOS = ""
 Message = tuple[str, int, bytes]
 
@@ -49,7 +54,9 @@ def carried_out(content: bytearray, step: tuple[int, bytes | None]) -> bytearray
 
 
 def torn(content: bytearray, step: tuple[int, bytes | None]) -> Iterator[bytearray]:
-    """The file where the step was cut off at the ends of pages: that is where the kernel looks whether the process is to die."""
+    """The file where the step was cut off at the ends of pages: that is where the kernel looks
+    whether the process is to die.
+    """
     place, data = step
     first = -(-place // PAGE) * PAGE
     for cut in range(first, place + len(data or b""), PAGE):
@@ -57,14 +64,18 @@ def torn(content: bytearray, step: tuple[int, bytes | None]) -> Iterator[bytearr
             yield carried_out(content, (place, (data or b"")[: cut - place]))
 
 
-def messages(rng: np.random.Generator, channel: int, first: int, count: int) -> tuple[Messages, list[Message]]:
+def messages(
+    rng: np.random.Generator, channel: int, first: int, count: int
+) -> tuple[Messages, list[Message]]:
     """Records of strings, and what they say."""
     data, offsets, said = b"", [], []
     for number in range(first, first + count):
         text = rng.bytes(int(rng.integers(0, 300))).hex().encode()
         body = b"\x00\x01\x00\x00" + struct.pack("<I", len(text) + 1) + text + b"\x00"
         offsets.append(len(data))
-        data += struct.pack("<BQHIQQ", 5, 22 + len(body), channel + 1, number, number, number) + body
+        data += (
+            struct.pack("<BQHIQQ", 5, 22 + len(body), channel + 1, number, number, number) + body
+        )
         said.append((CHANNELS[channel].topic, number, body))
     times = np.arange(first, first + count, dtype=np.int64)
     return Messages(channel, times, np.array(offsets, dtype=np.int64), data), said
@@ -73,13 +84,16 @@ def messages(rng: np.random.Generator, channel: int, first: int, count: int) -> 
 def by_mcap(content: bytes) -> list[Message]:
     return [
         (channel.topic, message.log_time, message.data)
-        for _, channel, message in make_reader(io.BytesIO(content), validate_crcs=True).iter_messages()
+        for _, channel, message in make_reader(
+            io.BytesIO(content), validate_crcs=True
+        ).iter_messages()
     ]
 
 
 def by_mcap_from_front_to_end(content: bytes) -> list[Message]:
     return [
-        (channel.topic, message.log_time, message.data) for _, channel, message in NonSeekingReader(io.BytesIO(content)).iter_messages()
+        (channel.topic, message.log_time, message.data)
+        for _, channel, message in NonSeekingReader(io.BytesIO(content)).iter_messages()
     ]
 
 
@@ -87,7 +101,10 @@ def by_rosbags(content: bytes, folder: Path) -> list[Message]:
     file = folder / "cut.mcap"
     file.write_bytes(content)
     with AnyReader([file]) as reader:
-        found = [(connection.topic, moment, bytes(data)) for connection, moment, data in reader.messages()]
+        found = [
+            (connection.topic, moment, bytes(data))
+            for connection, moment, data in reader.messages()
+        ]
         assert reader.message_count == len(found)
         assert {connection.topic for connection in reader.connections} == {"/a", "/b"}
     return found
@@ -95,7 +112,9 @@ def by_rosbags(content: bytes, folder: Path) -> list[Message]:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_whole_after_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
-    """Chunks of all sizes into a file with so little room that it grows again and again; each state is read three ways."""
+    """Chunks of all sizes into a file with so little room that it grows again and again; each state
+    is read three ways.
+    """
     monkeypatch.setattr(growing, "ROOM", 2 * PAGE)
     rng = np.random.default_rng(seed)
     paper = Paper()
@@ -121,11 +140,18 @@ def test_whole_after_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                 checked += 1
         content = carried_out(content, step)
     assert checked > 60
-    assert by_mcap(bytes(content)) == by_mcap_from_front_to_end(bytes(content)) == by_rosbags(bytes(content), tmp_path) == said
+    assert (
+        by_mcap(bytes(content))
+        == by_mcap_from_front_to_end(bytes(content))
+        == by_rosbags(bytes(content), tmp_path)
+        == said
+    )
 
 
 class FullDisk(Paper):
-    """Refuses every write that would make the file longer than this, as a disk that is full; what was written over stays writable."""
+    """Refuses every write that would make the file longer than this, as a disk that is full; what
+    was written over stays writable.
+    """
 
     def __init__(self, room: int) -> None:
         super().__init__()
@@ -140,7 +166,9 @@ class FullDisk(Paper):
 
 @pytest.mark.parametrize("pages", range(3, 16))
 def test_a_disk_that_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pages: int) -> None:
-    """Wherever it ends: what was written stays readable, also after the file was closed, which fails or not."""
+    """Wherever it ends: what was written stays readable, also after the file was closed, which
+    fails or not.
+    """
     monkeypatch.setattr(growing, "ROOM", 2 * PAGE)
     rng, disk, said, number = np.random.default_rng(pages), FullDisk(pages * PAGE), [], 0
     file = GrowingFile(disk, CHANNELS, QOS)
@@ -162,7 +190,9 @@ def test_a_disk_that_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pa
 
 
 @pytest.mark.parametrize("seed", [4, 5])
-def test_each_step_that_counts_lies_within_a_page(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+def test_each_step_that_counts_lies_within_a_page(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
     """Heads of records are overwritten in one piece, wherever chunks happen to end."""
     monkeypatch.setattr(growing, "ROOM", 2 * PAGE)
     rng, paper, number = np.random.default_rng(seed), Paper(), 0
@@ -173,7 +203,9 @@ def test_each_step_that_counts_lies_within_a_page(monkeypatch: pytest.MonkeyPatc
         file.append([block])
     small = [(place, data) for place, data in paper.steps if data is not None and len(data) < 40]
     assert len(small) > 300
-    assert [place for place, data in small if place // PAGE != (place + len(data) - 1) // PAGE] == []
+    assert [
+        place for place, data in small if place // PAGE != (place + len(data) - 1) // PAGE
+    ] == []
 
 
 def test_a_file_grows_with_what_it_holds(tmp_path: Path) -> None:
@@ -185,7 +217,14 @@ def test_a_file_grows_with_what_it_holds(tmp_path: Path) -> None:
         part = slice(start, start + 100)
         end = block.offset[start + 100] if start + 100 < 2000 else len(block.data)
         growing_file.append(
-            [Messages(0, block.log_time[part], block.offset[part] - block.offset[start], block.data[block.offset[start] : end])]
+            [
+                Messages(
+                    0,
+                    block.log_time[part],
+                    block.offset[part] - block.offset[start],
+                    block.data[block.offset[start] : end],
+                )
+            ]
         )
     assert file.stat().st_size < 2 * growing.ROOM + len(block.data)
     assert growing_file.message_counts == (2000, 0)
@@ -206,7 +245,10 @@ def test_no_messages_is_a_whole_file(tmp_path: Path) -> None:
 def chunks_of(folder: Path, number: int) -> tuple[Path, list[tuple[int, list[Message]]]]:
     """A file that is still open, and for each chunk where it ends and what the file holds by then."""
     file, said, ends = folder / "open.mcap", [], []
-    rng, growing_file = np.random.default_rng(1), GrowingFile(FileDisk(folder / "open.mcap"), CHANNELS, QOS)
+    rng, growing_file = (
+        np.random.default_rng(1),
+        GrowingFile(FileDisk(folder / "open.mcap"), CHANNELS, QOS),
+    )
     for chunk in range(number):
         block, words = messages(rng, chunk % 2, 10 * chunk, 10)
         growing_file.append([block])
@@ -218,7 +260,9 @@ def chunks_of(folder: Path, number: int) -> tuple[Path, list[tuple[int, list[Mes
 def test_of_a_file_cut_anywhere_every_whole_chunk_is_saved(tmp_path: Path) -> None:
     file, ends = chunks_of(tmp_path, 6)
     content, rng = file.read_bytes(), np.random.default_rng(2)
-    for number, cut in enumerate([8, 100, *rng.integers(900, ends[-1][0] + 50, 40).tolist(), len(content) - 1, len(content)]):
+    for number, cut in enumerate(
+        [8, 100, *rng.integers(900, ends[-1][0] + 50, 40).tolist(), len(content) - 1, len(content)]
+    ):
         damaged, target = tmp_path / "cut.mcap", tmp_path / f"{number}.mcap"
         damaged.write_bytes(content[:cut])
         least = max((len(said) for end, said in ends if end <= cut), default=0)
@@ -238,7 +282,11 @@ def test_damaged_bytes_are_never_taken_for_messages(tmp_path: Path) -> None:
     for number in range(60):
         damaged, target = tmp_path / "damaged.mcap", tmp_path / f"{number}.mcap"
         place = int(rng.integers(1000, ends[-1][0]))
-        damaged.write_bytes(content[:place] + bytes([content[place] ^ int(rng.integers(1, 256))]) + content[place + 1 :])
+        damaged.write_bytes(
+            content[:place]
+            + bytes([content[place] ^ int(rng.integers(1, 256))])
+            + content[place + 1 :]
+        )
         mend(damaged, target)
         assert all(message in said for message in by_mcap(target.read_bytes()))
 

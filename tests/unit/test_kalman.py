@@ -1,4 +1,6 @@
-"""The smoother's algebra against the joint Gaussian distribution of a short series, written out densely."""
+"""The smoother's algebra against the joint Gaussian distribution of a short series, written out
+densely.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -6,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from vibrissa.reconstruct.smoothing import kalman
-from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, WRENCH, Step
+from vibrissa.inverse.smoothing import kalman
+from vibrissa.inverse.smoothing.kalman import ROWS, SIZE, WRENCH, Step
 
 COUNT = 6
 PREDICTED = jax.jit(kalman.predicted)
@@ -16,9 +18,16 @@ INTENSITIES = np.array([0.5, 0.8, 0.3, 0.1, 0.05])
 
 
 def series(seed: int = 3) -> Step:
-    """Random observations of a short series: one sample unseen, one where some states begin anew, one where a coordinate is known."""
+    """Random observations of a short series: one sample unseen, one where some states begin anew,
+    one where a coordinate is known.
+    """
     rng = np.random.default_rng(seed)
-    keep, begin, spread, active = np.ones((COUNT, SIZE)), np.zeros((COUNT, SIZE)), np.zeros((COUNT, SIZE)), np.ones((COUNT, 5))
+    keep, begin, spread, active = (
+        np.ones((COUNT, SIZE)),
+        np.zeros((COUNT, SIZE)),
+        np.zeros((COUNT, SIZE)),
+        np.ones((COUNT, 5)),
+    )
     keep[3, 5:10], spread[3, 5:10] = 0, 2.0
     keep[4:, [3, 8]], begin[4:, 3], active[4:, 3] = 0, 1, 0
     design = np.zeros((COUNT, ROWS, SIZE))
@@ -29,7 +38,22 @@ def series(seed: int = 3) -> Step:
     design[1, 6, 3], variance[1, 6] = 1, 1e-3
     duration = np.array([0.0, 0.3, 0.2, 0.4, 0.3, 0.25])
     target = rng.normal(size=(COUNT, ROWS))
-    return Step(*map(jnp.asarray, (duration, keep, begin, spread, active, rng.uniform(0.5, 2, COUNT), target, design, variance)))
+    return Step(
+        *map(
+            jnp.asarray,
+            (
+                duration,
+                keep,
+                begin,
+                spread,
+                active,
+                rng.uniform(0.5, 2, COUNT),
+                target,
+                design,
+                variance,
+            ),
+        )
+    )
 
 
 def first() -> tuple[np.ndarray, np.ndarray]:
@@ -45,8 +69,13 @@ def joint(steps: Step) -> tuple[np.ndarray, np.ndarray]:
     for k in range(COUNT):
         step = Step(*(part[k] for part in steps))
         transition = np.diag(step.keep)
-        transition[:5] += np.eye(16)[5:10] * np.asarray(step.active * step.duration * step.keep[5:10])[:, None]
-        mean, covariance = map(np.asarray, PREDICTED(jnp.asarray(mean), jnp.asarray(covariance), step, jnp.asarray(INTENSITIES)))
+        transition[:5] += (
+            np.eye(16)[5:10] * np.asarray(step.active * step.duration * step.keep[5:10])[:, None]
+        )
+        mean, covariance = map(
+            np.asarray,
+            PREDICTED(jnp.asarray(mean), jnp.asarray(covariance), step, jnp.asarray(INTENSITIES)),
+        )
         means.append(mean)
         across = transition @ rows[-SIZE:] if k else np.zeros((SIZE, 0))
         rows = np.block([[rows, across.T], [across, covariance]]) if k else covariance
@@ -64,7 +93,9 @@ def test_smoothed_states_are_the_conditional_distribution() -> None:
     spread = z @ covariance @ z.T + np.diag(np.asarray(steps.variance).reshape(-1)[seen])
     gain = covariance @ z.T @ np.linalg.inv(spread)
     states = kalman.smoothed(steps, ALL, INTENSITIES, *map(jnp.asarray, first()))
-    np.testing.assert_allclose(np.asarray(states.mean).reshape(-1), mean + gain @ (target - z @ mean), atol=1e-9)
+    np.testing.assert_allclose(
+        np.asarray(states.mean).reshape(-1), mean + gain @ (target - z @ mean), atol=1e-9
+    )
     after = covariance - gain @ z @ covariance
     for k in range(COUNT):
         rows = slice(k * SIZE, (k + 1) * SIZE)
@@ -77,7 +108,11 @@ def test_likelihoods_are_those_of_the_wrenches_given_the_constraints() -> None:
     """In whatever units the constraints are: here in small ones, so that no density is below 1."""
     steps = series()
     unit = np.where(np.arange(ROWS) < WRENCH, 1.0, 1e-3)
-    steps = steps._replace(target=steps.target * unit, design=steps.design * unit[:, None], variance=steps.variance * unit**2)
+    steps = steps._replace(
+        target=steps.target * unit,
+        design=steps.design * unit[:, None],
+        variance=steps.variance * unit**2,
+    )
     mean, covariance = joint(steps)
     design = np.zeros((COUNT * ROWS, COUNT * SIZE))
     for k in range(COUNT):
@@ -89,7 +124,9 @@ def test_likelihoods_are_those_of_the_wrenches_given_the_constraints() -> None:
         spread = z @ covariance @ z.T + np.diag(np.asarray(steps.variance)[rows])
         told.append(multivariate_normal(z @ mean, spread).logpdf(target))
     several = Step(*(jnp.stack([part, part]) for part in steps))
-    assert float(kalman.log_likelihoods(several, ALL, INTENSITIES, *first())[1]) == pytest.approx(told[0] - told[1], abs=1e-7)
+    assert float(kalman.log_likelihoods(several, ALL, INTENSITIES, *first())[1]) == pytest.approx(
+        told[0] - told[1], abs=1e-7
+    )
 
 
 def test_the_score_is_the_derivative_of_the_log_likelihood() -> None:
@@ -99,7 +136,10 @@ def test_the_score_is_the_derivative_of_the_log_likelihood() -> None:
     step = 1e-5
     for k in range(5):
         up, down = (INTENSITIES * np.exp(sign * step * np.eye(5)[k]) for sign in (1, -1))
-        above, below = (float(jnp.sum(kalman.smoothed(steps, ALL, moved, *start).log_likelihood)) for moved in (up, down))
+        above, below = (
+            float(jnp.sum(kalman.smoothed(steps, ALL, moved, *start).log_likelihood))
+            for moved in (up, down)
+        )
         slope = (above - below) / (2 * step)
         assert score[k] == pytest.approx(float(slope), abs=1e-6)
 
@@ -112,9 +152,13 @@ def test_a_shock_is_chi_square_where_there_is_none() -> None:
     values = []
     for _ in range(100):
         states = rng.multivariate_normal(mean, covariance, method="eigh").reshape(COUNT, SIZE)
-        noise = rng.normal(size=(COUNT, ROWS)) * np.sqrt(np.where(np.isfinite(steps.variance), steps.variance, 0))
+        noise = rng.normal(size=(COUNT, ROWS)) * np.sqrt(
+            np.where(np.isfinite(steps.variance), steps.variance, 0)
+        )
         target = np.einsum("nij,nj->ni", steps.design, states) + noise
-        found = kalman.smoothed(steps._replace(target=jnp.asarray(target)), ALL, INTENSITIES, *start)
+        found = kalman.smoothed(
+            steps._replace(target=jnp.asarray(target)), ALL, INTENSITIES, *start
+        )
         pull, information = np.asarray(found.pull)[3, :3], np.asarray(found.information)[3, :3, :3]
         values.append(pull @ np.linalg.solve(information, pull))
     # Mean of 100 chi-squares with three degrees of freedom: deviation √(6/100).

@@ -82,32 +82,80 @@ def test_addresses_that_are_none(text: str) -> None:
 REPLAY = f"replay:{TRAIL}?speed=max"
 REFUSED = {
     "no source": (("live", "--source", "nowhere", "--setup", SETUP), ["nowhere", "netft://"]),
-    "no such file": (("live", "--source", "replay:none.csv", "--setup", SETUP), ["none.csv", "cannot be read"]),
-    "no such setup": (("live", "--source", REPLAY, "--setup", "none.toml"), ["none.toml", "cannot be read"]),
-    "another sink": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "x.bag"), ["x.bag", "FILE.mcap"]),
+    "no such file": (
+        ("live", "--source", "replay:none.csv", "--setup", SETUP),
+        ["none.csv", "cannot be read"],
+    ),
+    "no such setup": (
+        ("live", "--source", REPLAY, "--setup", "none.toml"),
+        ["none.toml", "cannot be read"],
+    ),
+    "another sink": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "x.bag"),
+        ["x.bag", "FILE.mcap"],
+    ),
     "no sink": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "jsonl:"), ["jsonl:"]),
-    "a sink that is there": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "there.mcap"), ["there.mcap", "--overwrite"]),
-    "a folder that holds something": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:."), ["sink .", "--overwrite"]),
-    "no folder": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:there.mcap"), ["there.mcap", "folder"]),
+    "a sink that is there": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "there.mcap"),
+        ["there.mcap", "--overwrite"],
+    ),
+    "a folder that holds something": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:."),
+        ["sink .", "--overwrite"],
+    ),
+    "no folder": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:there.mcap"),
+        ["there.mcap", "folder"],
+    ),
     "one file twice": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "x.jsonl", "--sink", "jsonl:./x.jsonl"),
+        (
+            "live",
+            "--source",
+            REPLAY,
+            "--setup",
+            SETUP,
+            "--sink",
+            "x.jsonl",
+            "--sink",
+            "jsonl:./x.jsonl",
+        ),
         ["x.jsonl", "twice"],
     ),
-    "no time": (("live", "--source", REPLAY, "--setup", SETUP, "--duration", "0"), ["--duration", "0"]),
-    "no batch": (("live", "--source", REPLAY, "--setup", SETUP, "--batch", "nan"), ["--batch", "nan"]),
-    "negative friction": (("live", "--source", REPLAY, "--setup", SETUP, "--friction", "-1"), ["--friction", "-1"]),
+    "no time": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--duration", "0"),
+        ["--duration", "0"],
+    ),
+    "no batch": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--batch", "nan"),
+        ["--batch", "nan"],
+    ),
+    "negative friction": (
+        ("live", "--source", REPLAY, "--setup", SETUP, "--friction", "-1"),
+        ["--friction", "-1"],
+    ),
     "no case": (("simulate-sensor", "none.toml", "--setup", SETUP), ["none.toml"]),
     "no rate": (("simulate-sensor", CASE, "--setup", SETUP, "--rate", "-5"), ["rate", "-5"]),
-    "half a tare": (("simulate-sensor", CASE, "--setup", SETUP, "--tare", "1,2,3"), ["tare", "1,2,3", "six"]),
-    "more than all": (("simulate-sensor", CASE, "--setup", SETUP, "--drop", "1.5"), ["drop", "1.5"]),
+    "half a tare": (
+        ("simulate-sensor", CASE, "--setup", SETUP, "--tare", "1,2,3"),
+        ["tare", "1,2,3", "six"],
+    ),
+    "more than all": (
+        ("simulate-sensor", CASE, "--setup", SETUP, "--drop", "1.5"),
+        ["drop", "1.5"],
+    ),
     "no port": (("simulate-sensor", CASE, "--setup", SETUP, "--port", "70000"), ["port", "70000"]),
-    "no address for poses": (("simulate-sensor", CASE, "--setup", SETUP, "--pose", "here"), ["here", "HOST:PORT"]),
+    "no address for poses": (
+        ("simulate-sensor", CASE, "--setup", SETUP, "--pose", "here"),
+        ["here", "HOST:PORT"],
+    ),
     "no sweep": (("simulate-sensor", CASE, "--setup", SETUP, "--sweep", "0"), ["sweep", "0"]),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_refused_in_one_line(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refused_in_one_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Before anything slow begins: nothing is scanned, nothing compiled."""
     arguments, words = REFUSED[name]
     monkeypatch.chdir(tmp_path)
@@ -123,19 +171,36 @@ def test_refused_in_one_line(name: str, tmp_path: Path, monkeypatch: pytest.Monk
 
 
 TABLES = {
-    "counts": ("[rdt]\ncounts_per_force = 0\ncounts_per_torque = 1\nrate = 1\n", ["rdt.counts_per_force", "0", "greater than 0"]),
+    "counts": (
+        "[rdt]\ncounts_per_force = 0\ncounts_per_torque = 1\nrate = 1\n",
+        ["rdt.counts_per_force", "0", "greater than 0"],
+    ),
     "no rate": ("[rdt]\ncounts_per_force = 1\ncounts_per_torque = 1\n", ["rdt.rate", "missing"]),
-    "unknown": ("[rdt]\ncounts_per_force = 1\ncounts_per_torque = 1\nrate = 1\nspeed = 2\n", ["rdt.speed", "unknown"]),
-    "bits": ("[rdt]\ncounts_per_force = 1\ncounts_per_torque = 1\nrate = 1\nerror_bits = 0x100000000\n", ["rdt.error_bits", "32 bits"]),
+    "unknown": (
+        "[rdt]\ncounts_per_force = 1\ncounts_per_torque = 1\nrate = 1\nspeed = 2\n",
+        ["rdt.speed", "unknown"],
+    ),
+    "bits": (
+        "[rdt]\ncounts_per_force = 1\ncounts_per_torque = 1\nrate = 1\nerror_bits = 0x100000000\n",
+        ["rdt.error_bits", "32 bits"],
+    ),
     "kind": ('[pose]\nkind = "robot"\n', ["pose.kind", "robot", "constant, udp, trail or case"]),
-    "address": ('[pose]\nkind = "udp"\nlisten = "tcp://127.0.0.1:1"\n', ["pose.listen", "udp://HOST:PORT"]),
-    "quaternion": ('[pose]\nkind = "constant"\norientation = [0.0, 0.0, 0.0, 0.0]\n', ["orientation", "non-zero norm"]),
+    "address": (
+        '[pose]\nkind = "udp"\nlisten = "tcp://127.0.0.1:1"\n',
+        ["pose.listen", "udp://HOST:PORT"],
+    ),
+    "quaternion": (
+        '[pose]\nkind = "constant"\norientation = [0.0, 0.0, 0.0, 0.0]\n',
+        ["orientation", "non-zero norm"],
+    ),
     "motion": ('[pose]\nkind = "trail"\npath = "none.csv"\n', ["none.csv", "cannot be read"]),
 }
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_that_are_wrong(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_that_are_wrong(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     text, words = TABLES[name]
     setup = tmp_path / "setup.toml"
     setup.write_text(SETUP.read_text(encoding="utf-8") + "\n" + text, encoding="utf-8")
@@ -144,11 +209,18 @@ def test_tables_that_are_wrong(name: str, tmp_path: Path, monkeypatch: pytest.Mo
     assert [word for word in [*words, "allowed"] if word not in err] == []
 
 
-def test_work_that_fails_has_status_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_work_that_fails_has_status_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     """Nobody at the port; a serial device that is none; a recording too short for its tare."""
     short = tmp_path / "short.csv"
-    short.write_text("".join(TRAIL.read_text(encoding="utf-8").splitlines(keepends=True)[:2]), encoding="utf-8")
-    for source, word in (("tcp://127.0.0.1:9", "refused"), ("serial:/dev/null/none", "/dev/null/none")):
+    short.write_text(
+        "".join(TRAIL.read_text(encoding="utf-8").splitlines(keepends=True)[:2]), encoding="utf-8"
+    )
+    for source, word in (
+        ("tcp://127.0.0.1:9", "refused"),
+        ("serial:/dev/null/none", "/dev/null/none"),
+    ):
         assert run(monkeypatch, "live", "--source", source, "--setup", SETUP) == 1
         out, err = capsys.readouterr()
         assert out == ""
@@ -157,9 +229,16 @@ def test_work_that_fails_has_status_1(monkeypatch: pytest.MonkeyPatch, capsys: p
     assert "tare_seconds = 0.9: 1 of 1 samples lie within it" in capsys.readouterr().err
 
 
-def test_json_lines_on_standard_output(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_json_lines_on_standard_output(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Only rows there; the summary goes to stderr."""
-    assert run(monkeypatch, "live", "--source", REPLAY, "--setup", SETUP, "--sink", "jsonl:-", "--json") == 0
+    assert (
+        run(
+            monkeypatch, "live", "--source", REPLAY, "--setup", SETUP, "--sink", "jsonl:-", "--json"
+        )
+        == 0
+    )
     out, err = capfd.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
     summary = json.loads(err[err.index("{") :])
@@ -167,20 +246,37 @@ def test_json_lines_on_standard_output(monkeypatch: pytest.MonkeyPatch, capfd: p
     assert sum(row["kind"] == "TIP" for row in rows) == summary["contacts"]["TIP"]
 
 
-def test_asked_to_end_it_writes_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """SIGTERM in the middle of a replay: PLY and JSON lines hold the same contacts, and the status is 0."""
+def test_asked_to_end_it_writes_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """SIGTERM in the middle of a replay: PLY and JSON lines hold the same contacts, and the status
+    is 0.
+    """
     cloud, lines = tmp_path / "x.ply", tmp_path / "x.jsonl"
     before = signal.getsignal(signal.SIGTERM)
 
     def end() -> None:
         until = time.monotonic() + 120
-        while time.monotonic() < until and (not lines.exists() or lines.read_text(encoding="utf-8").count("TIP") < 20):
+        while time.monotonic() < until and (
+            not lines.exists() or lines.read_text(encoding="utf-8").count("TIP") < 20
+        ):
             time.sleep(0.02)
         os.kill(os.getpid(), signal.SIGTERM)
 
     thread = threading.Thread(target=end)
     thread.start()
-    status = run(monkeypatch, "live", "--source", f"replay:{TRAIL}?speed=5", "--setup", SETUP, "--sink", cloud, "--sink", lines)
+    status = run(
+        monkeypatch,
+        "live",
+        "--source",
+        f"replay:{TRAIL}?speed=5",
+        "--setup",
+        SETUP,
+        "--sink",
+        cloud,
+        "--sink",
+        lines,
+    )
     thread.join()
     assert status == 0
     assert "CPU share" in capsys.readouterr().err

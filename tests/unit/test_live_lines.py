@@ -14,7 +14,17 @@ from bench_files import HEADER, RECORDING, recording_table
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrissa.live.lines import BARE, POSED, Line, LineSource, SerialLine, TcpLine, WrongColumnsError, parse_header, parse_line
+from vibrissa.live.lines import (
+    BARE,
+    POSED,
+    Line,
+    LineSource,
+    SerialLine,
+    TcpLine,
+    WrongColumnsError,
+    parse_header,
+    parse_line,
+)
 from vibrissa.live.samples import EndOfStreamError, Samples, joined
 
 LINES = RECORDING.splitlines()
@@ -56,7 +66,9 @@ def everything(source: LineSource) -> Samples | None:
 
 
 def check(found: Samples | None, rows: slice = slice(None), *, paced: bool = True) -> None:
-    """Against the numbers that were sent; times too, unless stamps follow the host's clock and lines were sent faster than they say."""
+    """Against the numbers that were sent; times too, unless stamps follow the host's clock and
+    lines were sent faster than they say.
+    """
     table = recording_table()[rows]
     assert found is not None
     for part, columns in (
@@ -74,7 +86,9 @@ def check(found: Samples | None, rows: slice = slice(None), *, paced: bool = Tru
 @pytest.mark.parametrize("size", [1, 7, 100, 1_000_000])
 def test_lines_in_pieces_of_any_size(size: int) -> None:
     data = RECORDING.encode()
-    source = LineSource(Pieces(*(data[start : start + size] for start in range(0, len(data), size))))
+    source = LineSource(
+        Pieces(*(data[start : start + size] for start in range(0, len(data), size)))
+    )
     found = everything(source)
     assert len(found or ()) == source.counts.samples == 40
     assert source.counts.malformed == 0
@@ -112,12 +126,22 @@ def test_other_ends_of_lines(end: str) -> None:
 
 def test_further_columns_are_left_out() -> None:
     names = " , ".join(f'"{name}"' for name in ["state", *LINES[0].upper().split(",")])
-    source = LineSource(Pieces("\n".join([names, *(f"ok,{line}" for line in LINES[1:]), ""]).encode()))
+    source = LineSource(
+        Pieces("\n".join([names, *(f"ok,{line}" for line in LINES[1:]), ""]).encode())
+    )
     check(everything(source))
     assert source.counts.malformed == 0
 
 
-@pytest.mark.parametrize("names", ["t,tx,ty,tz,fx,fy,fz", "time,px,py,pz,fx,fy,fz,tx,ty,tz", "time,fx,fy,fz,tx,ty,ty", "fz,fy,fx,tx,ty,tz"])
+@pytest.mark.parametrize(
+    "names",
+    [
+        "t,tx,ty,tz,fx,fy,fz",
+        "time,px,py,pz,fx,fy,fz,tx,ty,tz",
+        "time,fx,fy,fz,tx,ty,ty",
+        "fz,fy,fx,tx,ty,tz",
+    ],
+)
 def test_other_columns_are_no_guess(names: str) -> None:
     """Numbers below such names would be taken for others."""
     with pytest.raises(WrongColumnsError, match=r"allowed are time,px"):
@@ -131,7 +155,9 @@ def test_the_rest_of_a_line_of_names_is_no_error() -> None:
 
 
 def test_a_clock_that_is_set_or_damaged_moves_nothing() -> None:
-    """Times far ahead and far back, again and again, and those that no clock shows: others keep their distances."""
+    """Times far ahead and far back, again and again, and those that no clock shows: others keep
+    their distances.
+    """
     table = [line.split(",", 1) for line in LINES[1:]]
     text = [LINES[0]]
     for place, (moment, rest) in enumerate(table):
@@ -165,7 +191,9 @@ def test_bad_lines_are_counted_and_left_out() -> None:
 
 
 def test_a_line_without_end_takes_no_memory() -> None:
-    source = LineSource(Pieces(LINES[0].encode() + b"\n", *[b"7" * 60_000] * 50, b"\n" + LINES[1].encode() + b"\n"))
+    source = LineSource(
+        Pieces(LINES[0].encode() + b"\n", *[b"7" * 60_000] * 50, b"\n" + LINES[1].encode() + b"\n")
+    )
     found = everything(source)
     assert len(found or ()) == 1
     assert source.counts.malformed == 1
@@ -177,7 +205,12 @@ def test_time_that_stands_goes_back_or_begins_anew() -> None:
     found = everything(source)
     assert found is not None
     assert np.all(np.diff(found.stamp) > 0)
-    assert (source.counts.duplicates, source.counts.late, source.counts.restarts, len(found)) == (1, 1, 1, 39 + 10)
+    assert (source.counts.duplicates, source.counts.late, source.counts.restarts, len(found)) == (
+        1,
+        1,
+        1,
+        39 + 10,
+    )
 
 
 def test_poses_do_not_begin_in_the_middle() -> None:
@@ -196,7 +229,12 @@ def test_the_rest_of_a_line_that_began_before_is_no_error() -> None:
 
 
 @given(
-    st.one_of(st.binary(max_size=60), st.lists(st.floats().map(repr), min_size=6, max_size=15).map(lambda cells: ",".join(cells).encode()))
+    st.one_of(
+        st.binary(max_size=60),
+        st.lists(st.floats().map(repr), min_size=6, max_size=15).map(
+            lambda cells: ",".join(cells).encode()
+        ),
+    )
 )
 def test_any_line_is_numbers_or_a_value_error(line: bytes) -> None:
     try:

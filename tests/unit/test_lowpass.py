@@ -28,7 +28,9 @@ def test_a_broken_line_on_uneven_stamps_is_filtered_exactly(order: int) -> None:
         start = [SIGNAL[0, column], 0.0][:order]
         value, expected = np.array(start), [start[0]]
         for first, last in pairwise(TIME):
-            value = solve_ivp(slope, (first, last), value, rtol=1e-10, atol=1e-12, method="DOP853").y[:, -1]
+            value = solve_ivp(
+                slope, (first, last), value, rtol=1e-10, atol=1e-12, method="DOP853"
+            ).y[:, -1]
             expected.append(value[0])
         found = LowPass(8.0, order).applied(TIME, SIGNAL)[:, column]
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
@@ -46,7 +48,9 @@ def test_half_the_power_passes_at_the_cutoff_and_a_ramp_comes_late_by_the_lag(or
 
 def test_a_delay_alone_shifts() -> None:
     late = LowPass(delay=0.05).applied(TIME, SIGNAL)
-    np.testing.assert_allclose(late[:, 0], np.interp(TIME - 0.05, TIME, SIGNAL[:, 0]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        late[:, 0], np.interp(TIME - 0.05, TIME, SIGNAL[:, 0]), rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(

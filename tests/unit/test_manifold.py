@@ -1,4 +1,6 @@
-"""All wrenches of a single contact by five coordinates: against scans, the inverse map, and finite differences."""
+"""All wrenches of a single contact by five coordinates: against scans, the inverse map, and finite
+differences.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -6,8 +8,8 @@ import numpy as np
 import pytest
 
 import vibrissa as vb
-from vibrissa.reconstruct.inverse import invert
-from vibrissa.reconstruct.smoothing.manifold import Bent, bent
+from vibrissa.inverse.inverse import invert
+from vibrissa.inverse.smoothing.manifold import Bent, bent
 
 UNIT = vb.Rod.unit()
 ROWS = 128
@@ -31,7 +33,9 @@ COORDINATES = [
 
 @pytest.mark.parametrize("y0", [0.02, 0.2, 0.5])
 def test_scanned_contacts_are_found_from_their_coordinates(y0: float) -> None:
-    """Moment, axial force and arc length of a scan give its lateral force and its contact; at y0 = 0.02 the force passes behind the clamp's axis."""
+    """Moment, axial force and arc length of a scan give its lateral force and its contact; at y0 =
+    0.02 the force passes behind the clamp's axis.
+    """
     surface = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
     scan = vb.scan(UNIT, surface, vb.Trail.line(start=(1.2, y0, 0), stop=(-1.2, y0, 0), count=121))
     rows = scan.in_contact
@@ -40,7 +44,9 @@ def test_scanned_contacts_are_found_from_their_coordinates(y0: float) -> None:
     x = np.concatenate([x, np.repeat(x[-1:], ROWS - len(x), axis=0)])
     found = Bent(*(part[: rows.sum()] for part in BENT(jnp.asarray(x))))
     np.testing.assert_allclose(found.wrench, np.concatenate([f0, m0], axis=1), rtol=0, atol=1e-11)
-    np.testing.assert_allclose(found.reach, (scan.point - scan.trail.position)[rows], rtol=0, atol=2e-8)
+    np.testing.assert_allclose(
+        found.reach, (scan.point - scan.trail.position)[rows], rtol=0, atol=2e-8
+    )
     np.testing.assert_allclose(found.direction, scan.normal[rows], rtol=0, atol=1e-8)
     np.testing.assert_allclose(found.energy, scan.energy[rows], rtol=0, atol=1e-8)
 
@@ -61,7 +67,11 @@ def test_the_inverse_map_leads_back(x: tuple[float, ...]) -> None:
 @pytest.mark.parametrize("x", COORDINATES)
 def test_derivatives_are_those_of_finite_differences(x: tuple[float, ...]) -> None:
     step = 1e-6
-    slopes = [(one(jnp.asarray(x) + step * unit).wrench - one(jnp.asarray(x) - step * unit).wrench) / (2 * step) for unit in jnp.eye(5)]
+    slopes = [
+        (one(jnp.asarray(x) + step * unit).wrench - one(jnp.asarray(x) - step * unit).wrench)
+        / (2 * step)
+        for unit in jnp.eye(5)
+    ]
     np.testing.assert_allclose(SLOPE(jnp.asarray(x)), np.stack(slopes, axis=1), rtol=0, atol=1e-6)
 
 

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vibrissa.reconstruct.smoothing import kalman
-from vibrissa.reconstruct.smoothing.kalman import ROWS, SIZE, Step
-from vibrissa.reconstruct.smoothing.merging import group_starts, merged, spread_out
-from vibrissa.reconstruct.smoothing.series import FREE, GO_ON, KINK, TANGENTIAL, TIP, Labels
+from vibrissa.inverse.smoothing import kalman
+from vibrissa.inverse.smoothing.kalman import ROWS, SIZE, Step
+from vibrissa.inverse.smoothing.merging import group_starts, merged, spread_out
+from vibrissa.inverse.smoothing.series import FREE, GO_ON, KINK, TANGENTIAL, TIP, Labels
 
 COUNT, RATE = 240, 250.0
 INTENSITIES = np.array([0.02, 0.02, 0.002, 1e-6, 0.02])
@@ -20,7 +20,9 @@ def labels() -> Labels:
 
 
 def steps() -> Step:
-    """Without contact the drift alone is seen; in contact all five coordinates, which begin at rest."""
+    """Without contact the drift alone is seen; in contact all five coordinates, which begin at
+    rest.
+    """
     rng = np.random.default_rng(2)
     touching = PHASE != FREE
     keep, design = np.ones((COUNT, SIZE)), np.zeros((COUNT, ROWS, SIZE))
@@ -34,13 +36,25 @@ def steps() -> Step:
     variance[30:34] = np.inf
     target = rng.normal(size=(COUNT, ROWS))
     active = np.where(touching[:, None], np.ones(5), 0.0)
-    return Step(np.full(COUNT, 1 / RATE), keep, np.zeros((COUNT, SIZE)), spread, active, np.ones(COUNT), target, design, variance)
+    return Step(
+        np.full(COUNT, 1 / RATE),
+        keep,
+        np.zeros((COUNT, SIZE)),
+        spread,
+        active,
+        np.ones(COUNT),
+        target,
+        design,
+        variance,
+    )
 
 
 def states(given: Step) -> kalman.States:
     count = len(given.duration)
     start = np.zeros(SIZE), np.diag(np.repeat([0.0, 0.02], [10, 6]))
-    return kalman.fetched(kalman.smoothed(Step(*map(jnp.asarray, given)), np.array(count), INTENSITIES, *start), count)
+    return kalman.fetched(
+        kalman.smoothed(Step(*map(jnp.asarray, given)), np.array(count), INTENSITIES, *start), count
+    )
 
 
 def test_nothing_changes_within_a_group() -> None:
@@ -59,16 +73,27 @@ def test_groups_tell_what_their_samples_tell() -> None:
     deviation = np.sqrt(np.maximum(np.einsum("nii->ni", one_by_one.covariance), 1e-12))
     touching = PHASE != FREE
     for entries in (slice(0, 5), slice(10, 16)):
-        assert np.abs(together.mean - one_by_one.mean)[touching, entries].max() < 0.1 * deviation[touching, entries].max()
-        ratio = np.sqrt(np.einsum("nii->ni", together.covariance)[touching][12:, entries]) / deviation[touching][12:, entries]
+        assert (
+            np.abs(together.mean - one_by_one.mean)[touching, entries].max()
+            < 0.1 * deviation[touching, entries].max()
+        )
+        ratio = (
+            np.sqrt(np.einsum("nii->ni", together.covariance)[touching][12:, entries])
+            / deviation[touching][12:, entries]
+        )
         # At the ends deviations change from sample to sample, and a group has one.
         assert np.median(ratio) == pytest.approx(1, abs=0.03)
     # Over 32 samples the drift wanders by a small part of what the samples leave open.
-    assert np.abs(together.mean - one_by_one.mean)[~touching, 10:].max() < 0.5 * deviation[~touching, 10:].min()
+    assert (
+        np.abs(together.mean - one_by_one.mean)[~touching, 10:].max()
+        < 0.5 * deviation[~touching, 10:].min()
+    )
 
 
 def test_groups_of_one_are_the_samples() -> None:
     given, found = steps(), states(steps())
     alone = states(merged(given, np.arange(COUNT)))
     np.testing.assert_allclose(alone.mean, found.mean, atol=1e-12)
-    np.testing.assert_allclose(np.sum(alone.log_likelihood), np.sum(found.log_likelihood), rtol=1e-12)
+    np.testing.assert_allclose(
+        np.sum(alone.log_likelihood), np.sum(found.log_likelihood), rtol=1e-12
+    )

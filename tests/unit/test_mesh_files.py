@@ -1,4 +1,6 @@
-"""Meshes from files and arrays: formats and scales, what is mended, and errors that count what is not."""
+"""Meshes from files and arrays: formats and scales, what is mended, and errors that count what is
+not.
+"""
 
 import logging
 from collections.abc import Callable
@@ -28,7 +30,9 @@ def test_every_format_gives_the_same_solid(suffix: str, tmp_path: Path) -> None:
     trimesh.Trimesh(1000 * vertices, faces, process=False).export(file)
     read = Mesh.load(file, scale=1e-3)
     near = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
-    np.testing.assert_allclose(read.levels(near), Mesh(vertices, faces).levels(near), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        read.levels(near), Mesh(vertices, faces).levels(near), rtol=0, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
@@ -96,7 +100,9 @@ def one_more(v: np.ndarray, f: np.ndarray) -> Arrays:
         (one_more, "1 degenerate faces, 1 duplicate faces"),
     ],
 )
-def test_what_can_be_mended_is_and_said(damaged: Callable[..., Arrays], said: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_can_be_mended_is_and_said(
+    damaged: Callable[..., Arrays], said: str, caplog: pytest.LogCaptureFixture
+) -> None:
     vertices, faces = octahedron()
     sound = Mesh(vertices, faces)
     assert not sound.repairs
@@ -146,7 +152,10 @@ def test_a_cavity_is_a_cavity() -> None:
     """A part inside another, wound either way, is hollow."""
     vertices, faces = octahedron()
     for inner in (faces, faces[:, ::-1]):
-        shell = Mesh(np.concatenate([vertices, 0.5 * vertices]), np.concatenate([faces, inner + len(vertices)]))
+        shell = Mesh(
+            np.concatenate([vertices, 0.5 * vertices]),
+            np.concatenate([faces, inner + len(vertices)]),
+        )
         assert shell.levels(np.zeros(3)) > 0
         assert shell.levels(np.array([0.7, 0.0, 0.0])) < 0
         assert shell.levels(np.array([1.5, 0.0, 0.0])) > 0

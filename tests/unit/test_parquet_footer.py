@@ -32,9 +32,18 @@ def plain(file: Path) -> Path:
 def nested(file: Path) -> Path:
     """As a ROS message is unfolded: structs of structs, several row groups, lists beside them."""
     wrench = [
-        {"force": dict(zip("xyz", row[8:11], strict=True)), "torque": dict(zip("xyz", row[11:], strict=True))} for row in TABLE.tolist()
+        {
+            "force": dict(zip("xyz", row[8:11], strict=True)),
+            "torque": dict(zip("xyz", row[11:], strict=True)),
+        }
+        for row in TABLE.tolist()
     ]
-    columns = {"time": TABLE[:, 0], "wrench": wrench, "position": TABLE[:, 1:4].tolist(), "orientation": TABLE[:, 4:8].tolist()}
+    columns = {
+        "time": TABLE[:, 0],
+        "wrench": wrench,
+        "position": TABLE[:, 1:4].tolist(),
+        "orientation": TABLE[:, 4:8].tolist(),
+    }
     pq.write_table(pa.table(columns), file, row_group_size=16, compression="zstd")
     return file
 
@@ -43,7 +52,11 @@ def nested(file: Path) -> Path:
 def test_claims_are_those_that_the_library_reads(tmp_path: Path, write: object) -> None:
     file = write(tmp_path / "a.parquet")
     metadata = pq.ParquetFile(file).metadata
-    parts = [metadata.row_group(group).column(index) for group in range(metadata.num_row_groups) for index in range(metadata.num_columns)]
+    parts = [
+        metadata.row_group(group).column(index)
+        for group in range(metadata.num_row_groups)
+        for index in range(metadata.num_columns)
+    ]
     assert [(".".join(chunk.path), chunk.values, chunk.size) for chunk in chunks(file)] == [
         (part.path_in_schema, part.num_values, part.total_uncompressed_size) for part in parts
     ]
@@ -54,13 +67,17 @@ def test_parts_of_structs_are_named_with_points(tmp_path: Path, setup: vb.Setup)
     expected = vb.read_recording(tmp_path / "a.csv", setup)
     layout = '[recording]\nforce = ["wrench.force.x", "wrench.force.y", "wrench.force.z"]\ntorque = ["wrench.torque.x", "wrench.torque.y", "wrench.torque.z"]\n'
     (tmp_path / "setup.toml").write_text(SETUP + layout)
-    found = vb.read_recording(nested(tmp_path / "a.parquet"), vb.load_setup(tmp_path / "setup.toml"))
+    found = vb.read_recording(
+        nested(tmp_path / "a.parquet"), vb.load_setup(tmp_path / "setup.toml")
+    )
     np.testing.assert_array_equal(found.force, expected.force)
     np.testing.assert_array_equal(found.moment, expected.moment)
 
 
 def test_a_damaged_footer_never_ends_the_process(tmp_path: Path, setup: vb.Setup) -> None:
-    """The library (26.0.1) aborts where a column's histogram has another length than its schema says."""
+    """The library (26.0.1) aborts where a column's histogram has another length than its schema
+    says.
+    """
     good = plain(tmp_path / "good.parquet").read_bytes()
     size = int.from_bytes(good[-8:-4], "little")
     rng = np.random.default_rng(1)
@@ -80,7 +97,10 @@ def test_a_damaged_footer_never_ends_the_process(tmp_path: Path, setup: vb.Setup
         "print(*ends)\n"
     )
     run = subprocess.run(
-        [sys.executable, "-c", script, str(tmp_path / "setup.toml"), str(tmp_path)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", script, str(tmp_path / "setup.toml"), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert run.returncode == 0, run.stderr[-1000:]
     taken, refused = map(int, run.stdout.split())
@@ -89,7 +109,12 @@ def test_a_damaged_footer_never_ends_the_process(tmp_path: Path, setup: vb.Setup
 
 
 @pytest.mark.parametrize(
-    "content", [b"PAR1PAR1", b"PAR1" + b"\xff" * 4 + b"PAR1", b"PAR1" + b"\x19\xfc\xff\xff\xff\x07" + b"\x06\0\0\0PAR1"]
+    "content",
+    [
+        b"PAR1PAR1",
+        b"PAR1" + b"\xff" * 4 + b"PAR1",
+        b"PAR1" + b"\x19\xfc\xff\xff\xff\x07" + b"\x06\0\0\0PAR1",
+    ],
 )
 def test_a_footer_that_is_none(tmp_path: Path, setup: vb.Setup, content: bytes) -> None:
     (tmp_path / "a.parquet").write_bytes(content)

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from vibrissa.live.poses import ConstantPose, StreamedPoses, TimedPoses, between, parse_pose, pose_bytes
+from vibrissa.live.poses import (
+    ConstantPose,
+    StreamedPoses,
+    TimedPoses,
+    between,
+    parse_pose,
+    pose_bytes,
+)
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -18,7 +25,9 @@ SECOND = 1_000_000_000
 
 def turning(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A motion along a line while turning about z, both even."""
-    return np.outer(time, [0.1, -0.2, 0.3]), Rotation.from_rotvec(np.outer(time, [0, 0, 0.7])).as_quat()
+    return np.outer(time, [0.1, -0.2, 0.3]), Rotation.from_rotvec(
+        np.outer(time, [0, 0, 0.7])
+    ).as_quat()
 
 
 def test_between_poses_the_motion_is_straight_and_even() -> None:
@@ -27,7 +36,9 @@ def test_between_poses_the_motion_is_straight_and_even() -> None:
     position, orientation = between(time, *turning(time), wanted)
     true_position, true_orientation = turning(wanted)
     np.testing.assert_allclose(position, true_position, atol=1e-15)
-    np.testing.assert_allclose(np.abs(np.sum(orientation * true_orientation, axis=1)), 1, atol=1e-14)
+    np.testing.assert_allclose(
+        np.abs(np.sum(orientation * true_orientation, axis=1)), 1, atol=1e-14
+    )
     outside, _ = between(time, *turning(time), np.array([-1.0, 3.0]))
     np.testing.assert_array_equal(outside, turning(time[[0, -1]])[0])
 
@@ -44,7 +55,10 @@ def test_a_planned_motion_begins_with_the_first_sample() -> None:
     assert second.known.all()
 
 
-@pytest.mark.parametrize("wrong", [([0.0, 0.0], 2, 2), ([1.0, 0.5], 2, 2), ([0.0, 1.0], 2, 3), ([], 0, 0), ([0.0, np.nan], 2, 2)])
+@pytest.mark.parametrize(
+    "wrong",
+    [([0.0, 0.0], 2, 2), ([1.0, 0.5], 2, 2), ([0.0, 1.0], 2, 3), ([], 0, 0), ([0.0, np.nan], 2, 2)],
+)
 def test_motions_that_are_none(wrong: tuple[list[float], int, int]) -> None:
     time, positions, turns = wrong
     with pytest.raises(ValueError, match="allowed"):
@@ -90,10 +104,20 @@ def test_messages_that_are_none(name: str) -> None:
 
 
 KEYS = st.sampled_from(["stamp", "position", "orientation"])
-VALUES = st.one_of(st.none(), st.booleans(), st.floats(), st.integers(), st.text(max_size=3), st.lists(st.floats(), max_size=5))
+VALUES = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.floats(),
+    st.integers(),
+    st.text(max_size=3),
+    st.lists(st.floats(), max_size=5),
+)
 
 
-@given(st.binary(max_size=100) | st.dictionaries(KEYS, VALUES).map(lambda value: json.dumps(value).encode()))
+@given(
+    st.binary(max_size=100)
+    | st.dictionaries(KEYS, VALUES).map(lambda value: json.dumps(value).encode())
+)
 def test_anything_is_a_pose_or_a_value_error(data: bytes) -> None:
     try:
         found = parse_pose(data)
@@ -125,7 +149,9 @@ def test_poses_that_were_swapped_doubled_or_stamped_by_another_clock() -> None:
         for _ in range(1 + (place % 5 == 0)):
             poses.take(pose_bytes(moment, position[0], orientation[0]), moment)
         if place % 50 == 3:
-            poses.take(pose_bytes(moment + 365 * 86400 * SECOND, position[0], orientation[0]), moment)
+            poses.take(
+                pose_bytes(moment + 365 * 86400 * SECOND, position[0], orientation[0]), moment
+            )
     assert (poses.misplaced, poses.malformed) == (4, 0)
     stamp = SECOND + np.arange(0, 796 * MS, 777_777, dtype=np.int64)
     found = poses.at(stamp)
@@ -173,7 +199,10 @@ def test_over_udp_on_the_loopback_address() -> None:
     poses.open()
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            for data in (b"no pose", pose_bytes(7, np.array([1.0, 2.0, 3.0]), np.array([0, 0, 0, 1.0]))):
+            for data in (
+                b"no pose",
+                pose_bytes(7, np.array([1.0, 2.0, 3.0]), np.array([0, 0, 0, 1.0])),
+            ):
                 sender.sendto(data, ("127.0.0.1", poses.port))
         until = time.monotonic() + 5
         while not poses.received and time.monotonic() < until:

@@ -1,4 +1,6 @@
-"""RDT as bytes: against the protocol's own layout, written out here by hand, and against anything at all."""
+"""RDT as bytes: against the protocol's own layout, written out here by hand, and against anything
+at all.
+"""
 
 import struct
 
@@ -24,7 +26,17 @@ def test_requests(command: rdt.Command, count: int, wire: str) -> None:
     assert rdt.parse_request(bytes.fromhex(wire)) == (command, count)
 
 
-@pytest.mark.parametrize("wire", ["", "1234", "1234 0002 0000000000", "3412 0002 00000000", "1234 0001 00000000", "1234 ffff 00000000"])
+@pytest.mark.parametrize(
+    "wire",
+    [
+        "",
+        "1234",
+        "1234 0002 0000000000",
+        "3412 0002 00000000",
+        "1234 0001 00000000",
+        "1234 ffff 00000000",
+    ],
+)
 def test_requests_that_are_none(wire: str) -> None:
     with pytest.raises(ValueError, match="allowed"):
         rdt.parse_request(bytes.fromhex(wire))
@@ -37,9 +49,14 @@ def test_a_count_that_does_not_fit(count: int) -> None:
 
 
 def test_records() -> None:
-    rows = [(1, 7, 0, 1, -2, 3, -4, 5, -6), (2**32 - 1, 2**32 - 1, 0x8001_0000, -(2**31), 2**31 - 1, 0, 0, 0, 0)]
+    rows = [
+        (1, 7, 0, 1, -2, 3, -4, 5, -6),
+        (2**32 - 1, 2**32 - 1, 0x8001_0000, -(2**31), 2**31 - 1, 0, 0, 0, 0),
+    ]
     found = rdt.parse_records(b"".join(struct.pack(">IIIiiiiii", *row) for row in rows))
-    assert [(*map(int, record.tolist()[:3]), *record["counts"].tolist()) for record in found] == rows
+    assert [
+        (*map(int, record.tolist()[:3]), *record["counts"].tolist()) for record in found
+    ] == rows
 
 
 @pytest.mark.parametrize("size", [0, 1, 35, 37, 36 * 41, 65535])

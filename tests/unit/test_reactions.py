@@ -20,7 +20,9 @@ def test_one_contact_force_leaves_no_residual_and_a_couple_does() -> None:
     twisted = vb.Reactions(TRAIL, -force, -np.cross(arm, force) + force)
     f2, lever = np.sum(force**2, axis=1), np.sum(np.cross(arm, force) ** 2, axis=1)
     # m0·f0 = −f², over ‖f0‖ ‖m0‖.
-    np.testing.assert_allclose(twisted.single_contact_residual, -f2 / np.sqrt(f2 * (lever + f2)), rtol=1e-13)
+    np.testing.assert_allclose(
+        twisted.single_contact_residual, -f2 / np.sqrt(f2 * (lever + f2)), rtol=1e-13
+    )
 
 
 def test_without_a_force_there_is_no_residual() -> None:
@@ -42,9 +44,18 @@ def test_a_covariance_turned_into_world_axes_is_taken() -> None:
 
 
 BAD = {
-    "force": (lambda: vb.Reactions(TRAIL, np.zeros((3, 3)), ZERO), "force has shape (3, 3); allowed is (4, 3)"),
-    "moment": (lambda: vb.Reactions(TRAIL, ZERO, np.zeros((4, 2))), "moment has shape (4, 2); allowed is (4, 3)"),
-    "short time": (lambda: vb.Reactions(TRAIL, ZERO, ZERO, time=np.arange(3.0)), "time has shape (3,); allowed is (4,)"),
+    "force": (
+        lambda: vb.Reactions(TRAIL, np.zeros((3, 3)), ZERO),
+        "force has shape (3, 3); allowed is (4, 3)",
+    ),
+    "moment": (
+        lambda: vb.Reactions(TRAIL, ZERO, np.zeros((4, 2))),
+        "moment has shape (4, 2); allowed is (4, 3)",
+    ),
+    "short time": (
+        lambda: vb.Reactions(TRAIL, ZERO, ZERO, time=np.arange(3.0)),
+        "time has shape (3,); allowed is (4,)",
+    ),
     "time backwards": (
         lambda: vb.Reactions(TRAIL, ZERO, ZERO, time=np.array([0, 2.0, 1.0, 3.0])),
         "time[1] = 2.0 is not before the next; allowed are increasing times",
@@ -74,7 +85,9 @@ BAD = {
         "position_covariance has the least eigenvalue -1; allowed is symmetric and positive semidefinite",
     ),
     "rotation covariance": (
-        lambda: vb.Reactions(TRAIL, ZERO, ZERO, rotation_covariance=np.diag([1.0, -1, 1]), rotation_center=ZERO),
+        lambda: vb.Reactions(
+            TRAIL, ZERO, ZERO, rotation_covariance=np.diag([1.0, -1, 1]), rotation_center=ZERO
+        ),
         "rotation_covariance has the least eigenvalue -1; allowed is symmetric and positive semidefinite",
     ),
     "rotation without centre": (

@@ -11,7 +11,16 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 from bench_files import HEADER, RECORDING, SETUP, recording_table
-from mcap_files import FRAMES, POSE, STORE, WRENCH, frame_message, mcap_bytes, pose_message, wrench_message
+from mcap_files import (
+    FRAMES,
+    POSE,
+    STORE,
+    WRENCH,
+    frame_message,
+    mcap_bytes,
+    pose_message,
+    wrench_message,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -23,7 +32,13 @@ from vibrissa.io.recordings.table import RecordingTable
 NAMES = HEADER.split(",")
 TABLE = np.genfromtxt(RECORDING.splitlines()[1:], delimiter=",")
 COLUMNS = dict(zip(NAMES, TABLE.T, strict=True))
-ARRAYS = {"time": TABLE[:, 0], "position": TABLE[:, 1:4], "orientation": TABLE[:, 4:8], "force": TABLE[:, 8:11], "torque": TABLE[:, 11:]}
+ARRAYS = {
+    "time": TABLE[:, 0],
+    "position": TABLE[:, 1:4],
+    "orientation": TABLE[:, 4:8],
+    "force": TABLE[:, 8:11],
+    "torque": TABLE[:, 11:],
+}
 IN_STRUCT = {name: f"log.{name}" for name in ARRAYS}
 
 
@@ -46,12 +61,18 @@ def same(found: vb.Reactions, expected: vb.Reactions) -> None:
     np.testing.assert_allclose(found.force, expected.force, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.moment, expected.moment, rtol=0, atol=1e-13)
     np.testing.assert_allclose(found.trail.position, expected.trail.position, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(found.trail.orientation, expected.trail.orientation, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        found.trail.orientation, expected.trail.orientation, rtol=0, atol=1e-12
+    )
     np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-12)
 
 
 def parquet(file: Path, *, lists: bool = False) -> None:
-    columns = {name: list(map(list, part)) if part.ndim == 2 else part for name, part in ARRAYS.items()} if lists else COLUMNS
+    columns = (
+        {name: list(map(list, part)) if part.ndim == 2 else part for name, part in ARRAYS.items()}
+        if lists
+        else COLUMNS
+    )
     pq.write_table(pa.table(columns), file, compression="zstd")
 
 
@@ -63,7 +84,9 @@ def parquet_of_stamps(file: Path) -> None:
 def hdf5(file: Path, *, kind: str = "arrays") -> None:
     with h5py.File(file, "w") as opened:
         if kind == "table":
-            opened["log/rows"] = np.array(list(map(tuple, TABLE)), dtype=[(name, "f8") for name in NAMES])
+            opened["log/rows"] = np.array(
+                list(map(tuple, TABLE)), dtype=[(name, "f8") for name in NAMES]
+            )
             return
         if kind == "matrix":
             opened.create_dataset("all", data=TABLE, chunks=True, compression="gzip")
@@ -73,12 +96,17 @@ def hdf5(file: Path, *, kind: str = "arrays") -> None:
 
 
 def netcdf(file: Path, *, engine: str) -> None:
-    arrays = {name: (("sample", f"axis{part.shape[1]}") if part.ndim == 2 else ("sample",), part) for name, part in ARRAYS.items()}
+    arrays = {
+        name: (("sample", f"axis{part.shape[1]}") if part.ndim == 2 else ("sample",), part)
+        for name, part in ARRAYS.items()
+    }
     data = xr.Dataset(arrays)
     data["force"] = data.force * 1e3
     data.force.attrs["units"] = "mN"
     data.torque.attrs["units"] = "N m"
-    data.to_netcdf(file, engine=engine, **({"format": "NETCDF3_64BIT"} if engine == "scipy" else {}))
+    data.to_netcdf(
+        file, engine=engine, **({"format": "NETCDF3_64BIT"} if engine == "scipy" else {})
+    )
 
 
 def packed_netcdf(file: Path) -> None:
@@ -90,7 +118,9 @@ def packed_netcdf(file: Path) -> None:
 
 
 def matlab(file: Path, *, version: str = "5", struct: bool = False) -> None:
-    savemat(file, {"log": ARRAYS} if struct else ARRAYS, format=version, do_compression=version == "5")
+    savemat(
+        file, {"log": ARRAYS} if struct else ARRAYS, format=version, do_compression=version == "5"
+    )
 
 
 def matlab_73(file: Path) -> None:
@@ -102,14 +132,22 @@ def matlab_73(file: Path) -> None:
         opened.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
 
 
-def bag(folder: Path, plugin: StoragePlugin, mode: CompressionMode = CompressionMode.NONE, *, frames: bool = False) -> None:
+def bag(
+    folder: Path,
+    plugin: StoragePlugin,
+    mode: CompressionMode = CompressionMode.NONE,
+    *,
+    frames: bool = False,
+) -> None:
     """By the library's own writer."""
     writer = Writer(folder, version=9, storage_plugin=plugin)
     if mode is not CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         wrench = writer.add_connection("/ft/raw", WRENCH, typestore=STORE)
-        pose = writer.add_connection("/tf" if frames else "/tool", FRAMES if frames else POSE, typestore=STORE)
+        pose = writer.add_connection(
+            "/tf" if frames else "/tool", FRAMES if frames else POSE, typestore=STORE
+        )
         if frames:
             static = writer.add_connection("/tf_static", FRAMES, typestore=STORE)
             writer.write(static, 0, frame_message(0, "arm", "sensor", MOUNT, MOUNT_TURN.as_quat()))
@@ -164,16 +202,44 @@ WAYS: dict[str, tuple[str, Callable[[Path], object], dict]] = {
     "MATLAB 7, a struct": ("a.mat", lambda file: matlab(file, struct=True), IN_STRUCT),
     "MATLAB 7.3, a struct": ("a.mat", matlab_73, IN_STRUCT),
     "MCAP": ("a.mcap", lambda file: file.write_bytes(mcap_bytes()), {}),
-    "MCAP in chunks": ("a.mcap", lambda file: file.write_bytes(mcap_bytes(packing="plain", chunks=3)), {}),
-    "MCAP, zstd": ("a.mcap", lambda file: file.write_bytes(mcap_bytes(packing="zstd", chunks=2)), {}),
+    "MCAP in chunks": (
+        "a.mcap",
+        lambda file: file.write_bytes(mcap_bytes(packing="plain", chunks=3)),
+        {},
+    ),
+    "MCAP, zstd": (
+        "a.mcap",
+        lambda file: file.write_bytes(mcap_bytes(packing="zstd", chunks=2)),
+        {},
+    ),
     "MCAP, lz4": ("a.mcap", lambda file: file.write_bytes(mcap_bytes(packing="lz4", chunks=2)), {}),
     "MCAP of frames": ("a.mcap", lambda file: file.write_bytes(mcap_bytes(frames=True)), {}),
-    "MCAP by its log times": ("a.mcap", lambda file: file.write_bytes(mcap_bytes()), {"stamps": "log"}),
+    "MCAP by its log times": (
+        "a.mcap",
+        lambda file: file.write_bytes(mcap_bytes()),
+        {"stamps": "log"},
+    ),
     "rosbag2 of MCAP": ("bag", lambda folder: bag(folder, StoragePlugin.MCAP), {}),
-    "rosbag2 of MCAP, packed": ("bag", lambda folder: bag(folder, StoragePlugin.MCAP, CompressionMode.STORAGE), {}),
-    "rosbag2 of SQLite": ("bag", lambda folder: bag(folder, StoragePlugin.SQLITE3), {"wrench_topic": "/ft/raw", "pose_topic": "/tool"}),
-    "rosbag2 of SQLite, packed messages": ("bag", lambda folder: bag(folder, StoragePlugin.SQLITE3, CompressionMode.MESSAGE), {}),
-    "rosbag2 of SQLite, packed file": ("bag", lambda folder: bag(folder, StoragePlugin.SQLITE3, CompressionMode.FILE), {}),
+    "rosbag2 of MCAP, packed": (
+        "bag",
+        lambda folder: bag(folder, StoragePlugin.MCAP, CompressionMode.STORAGE),
+        {},
+    ),
+    "rosbag2 of SQLite": (
+        "bag",
+        lambda folder: bag(folder, StoragePlugin.SQLITE3),
+        {"wrench_topic": "/ft/raw", "pose_topic": "/tool"},
+    ),
+    "rosbag2 of SQLite, packed messages": (
+        "bag",
+        lambda folder: bag(folder, StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        {},
+    ),
+    "rosbag2 of SQLite, packed file": (
+        "bag",
+        lambda folder: bag(folder, StoragePlugin.SQLITE3, CompressionMode.FILE),
+        {},
+    ),
     "rosbag2 of frames": (
         "bag",
         lambda folder: bag(folder, StoragePlugin.SQLITE3, frames=True),
@@ -183,31 +249,54 @@ WAYS: dict[str, tuple[str, Callable[[Path], object], dict]] = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_every_format_gives_the_same_reactions(tmp_path: Path, setup: vb.Setup, expected: vb.Reactions, way: str) -> None:
+def test_every_format_gives_the_same_reactions(
+    tmp_path: Path, setup: vb.Setup, expected: vb.Reactions, way: str
+) -> None:
     name, write, keys = WAYS[way]
     write(tmp_path / name)
     layout = RecordingTable.model_validate(keys) if keys else None
     same(vb.read_recording(tmp_path / name, replace(setup, recording=layout)), expected)
 
 
-def test_one_file_of_a_bag_is_read_without_its_folder(tmp_path: Path, setup: vb.Setup, expected: vb.Reactions) -> None:
+def test_one_file_of_a_bag_is_read_without_its_folder(
+    tmp_path: Path, setup: vb.Setup, expected: vb.Reactions
+) -> None:
     bag(tmp_path / "bag", StoragePlugin.SQLITE3)
     same(vb.read_recording(next((tmp_path / "bag").glob("*.db3")), setup), expected)
 
 
 @pytest.mark.parametrize("damage", ["missing", "no YAML", "other YAML"])
-def test_a_bag_without_metadata_is_read_and_said_to_be(tmp_path: Path, setup: vb.Setup, expected: vb.Reactions, damage: str) -> None:
+def test_a_bag_without_metadata_is_read_and_said_to_be(
+    tmp_path: Path, setup: vb.Setup, expected: vb.Reactions, damage: str
+) -> None:
     bag(tmp_path / "bag", StoragePlugin.MCAP)
     metadata = tmp_path / "bag" / "metadata.yaml"
-    metadata.unlink() if damage == "missing" else metadata.write_text("a: [" if damage == "no YAML" else "- 1\n")
+    metadata.unlink() if damage == "missing" else metadata.write_text(
+        "a: [" if damage == "no YAML" else "- 1\n"
+    )
     with pytest.warns(vb.io.RecordingWarning, match="metadata.yaml is"):
         same(vb.read_recording(tmp_path / "bag", setup), expected)
 
 
 REFUSED = {
-    "array that is not there": ("a.h5", hdf5, {"force": "f"}, ["force = 'f' is not in the file", "it holds", "torque"]),
-    "column beyond": ("a.h5", hdf5, {"time": "force[3]"}, ["time = 'force[3]'", "shape (40, 3)", "count from 0"]),
-    "too few columns": ("a.h5", hdf5, {"force": ["force[0]", "force[1]"]}, ["force", "2 columns", "allowed are 3"]),
+    "array that is not there": (
+        "a.h5",
+        hdf5,
+        {"force": "f"},
+        ["force = 'f' is not in the file", "it holds", "torque"],
+    ),
+    "column beyond": (
+        "a.h5",
+        hdf5,
+        {"time": "force[3]"},
+        ["time = 'force[3]'", "shape (40, 3)", "count from 0"],
+    ),
+    "too few columns": (
+        "a.h5",
+        hdf5,
+        {"force": ["force[0]", "force[1]"]},
+        ["force", "2 columns", "allowed are 3"],
+    ),
     "a matrix for a time": ("a.h5", hdf5, {"time": "force"}, ["time = 'force' has shape (40, 3)"]),
     "another unit than the file's": (
         "a.nc",
@@ -245,7 +334,12 @@ REFUSED = {
         {},
         ["column 'fx' is of type string", "allowed are numbers"],
     ),
-    "text in a matrix": ("a.mat", lambda file: savemat(file, {**ARRAYS, "force": "none"}), {}, ["'force'", "allowed are real numbers"]),
+    "text in a matrix": (
+        "a.mat",
+        lambda file: savemat(file, {**ARRAYS, "force": "none"}),
+        {},
+        ["'force'", "allowed are real numbers"],
+    ),
 }
 
 
@@ -254,7 +348,9 @@ def test_what_does_not_fit_is_named(tmp_path: Path, setup: vb.Setup, what: str) 
     name, write, keys, words = REFUSED[what]
     write(tmp_path / name)
     with pytest.raises(InputError) as caught:
-        vb.read_recording(tmp_path / name, replace(setup, recording=RecordingTable.model_validate(keys)))
+        vb.read_recording(
+            tmp_path / name, replace(setup, recording=RecordingTable.model_validate(keys))
+        )
     message = str(caught.value)
     assert message.startswith(str(tmp_path / name))
     assert [word for word in words if word not in message] == []
@@ -276,7 +372,9 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_other_contents_are_told_by_what_they_begin_with(tmp_path: Path, setup: vb.Setup, name: str) -> None:
+def test_other_contents_are_told_by_what_they_begin_with(
+    tmp_path: Path, setup: vb.Setup, name: str
+) -> None:
     content, words = OTHERS[name]
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError) as caught:
@@ -285,7 +383,9 @@ def test_other_contents_are_told_by_what_they_begin_with(tmp_path: Path, setup: 
     assert "allowed" in str(caught.value)
 
 
-def test_a_missing_library_is_named_with_its_command(tmp_path: Path, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_named_with_its_command(
+    tmp_path: Path, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
     parquet(tmp_path / "a.parquet")
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(InputError, match=r"pip install 'vibrissa\[recordings\]'"):
@@ -298,7 +398,14 @@ def test_the_table_of_the_recording_is_that_of_the_csv() -> None:
 
 def test_a_null_marks_its_row(tmp_path: Path, setup: vb.Setup, expected: vb.Reactions) -> None:
     file = tmp_path / "a.parquet"
-    pq.write_table(pa.table({**COLUMNS, "fx": pa.array([*TABLE[:19, 8], None, *TABLE[20:, 8]])}), file)
+    pq.write_table(
+        pa.table({**COLUMNS, "fx": pa.array([*TABLE[:19, 8], None, *TABLE[20:, 8]])}), file
+    )
     found = vb.read_recording(file, setup)
     assert np.flatnonzero(np.isnan(found.force).any(axis=1)).tolist() == [19]
-    np.testing.assert_allclose(np.delete(found.force, 19, axis=0), np.delete(expected.force, 19, axis=0), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.delete(found.force, 19, axis=0),
+        np.delete(expected.force, 19, axis=0),
+        rtol=0,
+        atol=1e-12,
+    )

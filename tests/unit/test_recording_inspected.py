@@ -1,4 +1,6 @@
-"""What `inspect` says of a recording is all that reading did to it: also what bringing two streams together would hide."""
+"""What `inspect` says of a recording is all that reading did to it: also what bringing two streams
+together would hide.
+"""
 
 import json
 import subprocess
@@ -14,17 +16,26 @@ from vibrissa.io import InputError, inspect_recording, read_recording
 
 
 def told(file: Path, setup: object) -> list[tuple[str, tuple[str, ...], int, bool]]:
-    return [(str(fault.kind), fault.channels, fault.count, fault.unusable) for fault in inspect_recording(file, setup).faults]
+    return [
+        (str(fault.kind), fault.channels, fault.count, fault.unusable)
+        for fault in inspect_recording(file, setup).faults
+    ]
 
 
 @pytest.mark.parametrize("rows", [slice(7, 8), slice(0, 40)])
-def test_a_quaternion_of_another_norm_is_found_by_inspection_too(tmp_path: Path, rows: slice) -> None:
+def test_a_quaternion_of_another_norm_is_found_by_inspection_too(
+    tmp_path: Path, rows: slice
+) -> None:
     table = recording_table()
     table[rows, 4:8] *= 1.1
     (tmp_path / "a.csv").write_text(text(table))
     setup = load(tmp_path)
-    found = [fault for fault in inspect_recording(tmp_path / "a.csv", setup).faults if fault.unusable]
-    assert [(str(fault.kind), fault.channels, fault.count) for fault in found] == [("units", ("orientation",), rows.stop - rows.start)]
+    found = [
+        fault for fault in inspect_recording(tmp_path / "a.csv", setup).faults if fault.unusable
+    ]
+    assert [(str(fault.kind), fault.channels, fault.count) for fault in found] == [
+        ("units", ("orientation",), rows.stop - rows.start)
+    ]
     assert found[0].start == pytest.approx(table[rows.start, 0])
     assert found[0].stop == pytest.approx(table[rows.stop - 1, 0])
     with pytest.raises(InputError, match=r"has the norm 1\.1"):
@@ -53,7 +64,9 @@ def test_poses_that_run_back_make_a_recording_unusable_in_both(tmp_path: Path) -
     pose_time = np.arange(-0.1, 3.1, 0.02)
     file = two_files(tmp_path, time, np.where(pose_time > 1.5, pose_time - 0.5, pose_time))
     setup = load(tmp_path, TWO_FILES)
-    assert ("backward stamp", ("position", "orientation")) in [fault[:2] for fault in told(file, setup) if fault[3]]
+    assert ("backward stamp", ("position", "orientation")) in [
+        fault[:2] for fault in told(file, setup) if fault[3]
+    ]
     with pytest.raises(InputError, match="allowed are increasing times"):
         read_recording(file, setup)
 
@@ -63,7 +76,9 @@ def vibrissa(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_what_was_left_out_is_one_line_on_stderr_and_part_of_what_inspect_prints(tmp_path: Path) -> None:
+def test_what_was_left_out_is_one_line_on_stderr_and_part_of_what_inspect_prints(
+    tmp_path: Path,
+) -> None:
     time = np.arange(0, 3, 0.01)
     two_files(tmp_path, time, np.arange(0.2049, 2.5, 0.01))
     load(tmp_path, TWO_FILES)
@@ -83,5 +98,8 @@ def test_stamps_in_milliseconds_are_named_where_they_leave_no_rest(tmp_path: Pat
     table = recording_table()
     table[:, 0] *= 1e3
     (tmp_path / "a.csv").write_text(text(table))
-    with pytest.raises(InputError, match=r"tare_seconds = 0\.85: 1 of 40 samples.*besides: 0\.01 samples a second.*milliseconds"):
+    with pytest.raises(
+        InputError,
+        match=r"tare_seconds = 0\.85: 1 of 40 samples.*besides: 0\.01 samples a second.*milliseconds",
+    ):
         read_recording(tmp_path / "a.csv", load(tmp_path))

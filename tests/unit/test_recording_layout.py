@@ -1,4 +1,6 @@
-"""The table [recording]: names, units, forms of orientation, stamps; and poses on stamps of their own."""
+"""The table [recording]: names, units, forms of orientation, stamps; and poses on stamps of their
+own.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,7 +29,12 @@ def load(folder: Path, recording: str = "") -> vb.Setup:
 
 
 def text(table: np.ndarray, names: list[str] = NAMES, delimiter: str = ",") -> str:
-    return "\n".join([delimiter.join(names), *(delimiter.join(map(repr, map(float, row))) for row in table)]) + "\n"
+    return (
+        "\n".join(
+            [delimiter.join(names), *(delimiter.join(map(repr, map(float, row))) for row in table)]
+        )
+        + "\n"
+    )
 
 
 @pytest.fixture
@@ -41,7 +48,9 @@ def same(found: vb.Reactions, expected: vb.Reactions) -> None:
     np.testing.assert_allclose(found.force, expected.force, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.moment, expected.moment, rtol=0, atol=1e-10)
     np.testing.assert_allclose(found.trail.position, expected.trail.position, rtol=0, atol=1e-10)
-    turned = Rotation.from_quat(found.trail.orientation).inv() * Rotation.from_quat(expected.trail.orientation)
+    turned = Rotation.from_quat(found.trail.orientation).inv() * Rotation.from_quat(
+        expected.trail.orientation
+    )
     assert np.max(turned.magnitude()) < 1e-7
 
 
@@ -54,19 +63,34 @@ def scaled(columns: slice, factor: float) -> np.ndarray:
 @pytest.mark.parametrize("unit", FORCE)
 def test_units_of_force(tmp_path: Path, expected: vb.Reactions, unit: str) -> None:
     (tmp_path / "a.csv").write_text(text(scaled(slice(8, 11), FORCE[unit])))
-    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, f'[recording]\nforce_unit = "{unit}"\n')), expected)
+    same(
+        vb.read_recording(
+            tmp_path / "a.csv", load(tmp_path, f'[recording]\nforce_unit = "{unit}"\n')
+        ),
+        expected,
+    )
 
 
 @pytest.mark.parametrize("unit", TORQUE)
 def test_units_of_torque(tmp_path: Path, expected: vb.Reactions, unit: str) -> None:
     (tmp_path / "a.csv").write_text(text(scaled(slice(11, 14), TORQUE[unit])))
-    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, f'[recording]\ntorque_unit = "{unit}"\n')), expected)
+    same(
+        vb.read_recording(
+            tmp_path / "a.csv", load(tmp_path, f'[recording]\ntorque_unit = "{unit}"\n')
+        ),
+        expected,
+    )
 
 
 @pytest.mark.parametrize("unit", LENGTH)
 def test_units_of_length(tmp_path: Path, expected: vb.Reactions, unit: str) -> None:
     (tmp_path / "a.csv").write_text(text(scaled(slice(1, 4), LENGTH[unit])))
-    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, f'[recording]\nposition_unit = "{unit}"\n')), expected)
+    same(
+        vb.read_recording(
+            tmp_path / "a.csv", load(tmp_path, f'[recording]\nposition_unit = "{unit}"\n')
+        ),
+        expected,
+    )
 
 
 def test_units_are_those_of_their_definitions() -> None:
@@ -81,7 +105,12 @@ def test_units_are_those_of_their_definitions() -> None:
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
 def test_units_of_time(tmp_path: Path, expected: vb.Reactions, unit: str, factor: float) -> None:
     (tmp_path / "a.csv").write_text(text(scaled(slice(0, 1), factor)))
-    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, f'[recording]\ntime_unit = "{unit}"\n')), expected)
+    same(
+        vb.read_recording(
+            tmp_path / "a.csv", load(tmp_path, f'[recording]\ntime_unit = "{unit}"\n')
+        ),
+        expected,
+    )
 
 
 @pytest.mark.parametrize("zone", ["Z", "+00:00", "", "+05:30"])
@@ -90,20 +119,43 @@ def test_dates(tmp_path: Path, expected: vb.Reactions, zone: str) -> None:
     lines = [line.split(",", 1) for line in RECORDING.splitlines()[1:]]
     rows = [f"2026-11-21T20:00:{float(time):09.6f}{zone},{rest}" for time, rest in lines]
     (tmp_path / "a.csv").write_text("\n".join([HEADER, *rows]) + "\n")
-    found = vb.read_recording(tmp_path / "a.csv", load(tmp_path, '[recording]\ntime_unit = "stamp"\n'))
-    start = np.datetime64("2026-11-21T20:00:00").astype("datetime64[s]").astype(np.int64) - (5.5 * 3600 if "5" in zone else 0)
+    found = vb.read_recording(
+        tmp_path / "a.csv", load(tmp_path, '[recording]\ntime_unit = "stamp"\n')
+    )
+    start = np.datetime64("2026-11-21T20:00:00").astype("datetime64[s]").astype(np.int64) - (
+        5.5 * 3600 if "5" in zone else 0
+    )
     np.testing.assert_allclose(found.time - start, expected.time, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(found.force, expected.force)
 
 
-def test_names_order_delimiter_decimal_comma_preamble_and_columns_of_no_use(tmp_path: Path, expected: vb.Reactions) -> None:
+def test_names_order_delimiter_decimal_comma_preamble_and_columns_of_no_use(
+    tmp_path: Path, expected: vb.Reactions
+) -> None:
     """As a spreadsheet of another country leaves it."""
     names = ["Kommentar", *(f"{name} [SI]" for name in NAMES[::-1])]
-    rows = [";".join(["ab, c", *(f"{value:.9f}".replace(".", ",") for value in row[::-1])]) for row in TABLE]
-    (tmp_path / "a.txt").write_text("\n".join(["Messung vom 21.11.", "", ";".join(names), *rows]) + "\n", encoding="utf-8")
-    keys = {"time": NAMES[:1], "position": NAMES[1:4], "orientation": NAMES[4:8], "force": NAMES[8:11], "torque": NAMES[11:]}
-    lines = [f"{key} = {[f'{name} [SI]' for name in named] if key != 'time' else repr('time [SI]')}" for key, named in keys.items()]
-    layout = "\n".join(["[recording]", *lines, 'delimiter = ";"', 'decimal = ","', "skip_lines = 2"]) + "\n"
+    rows = [
+        ";".join(["ab, c", *(f"{value:.9f}".replace(".", ",") for value in row[::-1])])
+        for row in TABLE
+    ]
+    (tmp_path / "a.txt").write_text(
+        "\n".join(["Messung vom 21.11.", "", ";".join(names), *rows]) + "\n", encoding="utf-8"
+    )
+    keys = {
+        "time": NAMES[:1],
+        "position": NAMES[1:4],
+        "orientation": NAMES[4:8],
+        "force": NAMES[8:11],
+        "torque": NAMES[11:],
+    }
+    lines = [
+        f"{key} = {[f'{name} [SI]' for name in named] if key != 'time' else repr('time [SI]')}"
+        for key, named in keys.items()
+    ]
+    layout = (
+        "\n".join(["[recording]", *lines, 'delimiter = ";"', 'decimal = ","', "skip_lines = 2"])
+        + "\n"
+    )
     same(vb.read_recording(tmp_path / "a.txt", load(tmp_path, layout)), expected)
 
 
@@ -123,16 +175,22 @@ def test_forms_of_orientation(tmp_path: Path, form: str, unit: str) -> None:
     names = [f"r{k}" for k in range(numbers.shape[1])]
     table = np.column_stack([TABLE[:, :4], numbers, TABLE[:, 8:]])
     (tmp_path / "a.csv").write_text(text(table, [*NAMES[:4], *names, *NAMES[8:]]))
-    layout = f'[recording]\norientation = {names}\norientation_form = "{form}"\nangle_unit = "{unit}"\n'
+    layout = (
+        f'[recording]\norientation = {names}\norientation_form = "{form}"\nangle_unit = "{unit}"\n'
+    )
     recording = read_raw(tmp_path / "a.csv", load(tmp_path, layout))
     found = Rotation.from_quat(recording.raw.orientation)
     assert np.max((found.inv() * turns).magnitude()) < 1e-12
 
 
 def helix(time: np.ndarray) -> tuple[np.ndarray, Rotation]:
-    """A motion that linear and spherical interpolation follow exactly: constant velocity and constant angular velocity."""
+    """A motion that linear and spherical interpolation follow exactly: constant velocity and
+    constant angular velocity.
+    """
     position = np.outer(time, [0.01, -0.02, 0.005]) + [0.1, 0, 0.2]
-    return position, Rotation.from_rotvec(np.outer(time, [0.2, 0.5, -0.3])) * Rotation.from_quat([0.1, 0.2, 0.3, 0.9])
+    return position, Rotation.from_rotvec(np.outer(time, [0.2, 0.5, -0.3])) * Rotation.from_quat(
+        [0.1, 0.2, 0.3, 0.9]
+    )
 
 
 def poses(time: np.ndarray) -> np.ndarray:
@@ -143,8 +201,18 @@ def poses(time: np.ndarray) -> np.ndarray:
 def test_interpolation_is_exact_on_a_uniform_screw_and_ends_at_the_ends() -> None:
     rng = np.random.default_rng(0)
     stamps = np.sort(rng.uniform(0, 5, 40))
-    pose = Stream(stamps, poses(stamps) * np.where(rng.random(40) < 0.5, -1, 1)[:, None] ** np.array([0, 0, 0, 1, 1, 1, 1]))
-    time = np.concatenate([[stamps[0] - 1e-9, stamps[-1] + 1e-9, np.nan], stamps, rng.uniform(stamps[0], stamps[-1], 200)])
+    pose = Stream(
+        stamps,
+        poses(stamps)
+        * np.where(rng.random(40) < 0.5, -1, 1)[:, None] ** np.array([0, 0, 0, 1, 1, 1, 1]),
+    )
+    time = np.concatenate(
+        [
+            [stamps[0] - 1e-9, stamps[-1] + 1e-9, np.nan],
+            stamps,
+            rng.uniform(stamps[0], stamps[-1], 200),
+        ]
+    )
     found = interpolated(pose, time, np.inf)
     assert np.isnan(found[:3]).all()
     position, turn = helix(time[3:])
@@ -159,12 +227,16 @@ def test_gaps_longer_than_allowed_have_no_pose_inside() -> None:
     assert known.tolist() == [True, True, False, False, False, True, True]
 
 
-def two_files(folder: Path, wrench_time: np.ndarray, pose_time: np.ndarray, offset: float = 0.0) -> Path:
+def two_files(
+    folder: Path, wrench_time: np.ndarray, pose_time: np.ndarray, offset: float = 0.0
+) -> Path:
     """Wrenches in one file, poses in another whose clock is behind by `offset`."""
     wrench = np.column_stack([wrench_time, np.tile(TABLE[-1, 8:], (len(wrench_time), 1))])
     wrench[wrench_time < 0.9, 1:] = TABLE[0, 8:]
     (folder / "ft.csv").write_text(text(wrench, ["time", *NAMES[8:]]))
-    (folder / "ft_tool.csv").write_text(text(np.column_stack([pose_time - offset, poses(pose_time)]), ["time", *NAMES[1:8]]))
+    (folder / "ft_tool.csv").write_text(
+        text(np.column_stack([pose_time - offset, poses(pose_time)]), ["time", *NAMES[1:8]])
+    )
     return folder / "ft.csv"
 
 
@@ -179,7 +251,9 @@ def test_poses_of_another_file_rate_and_clock(tmp_path: Path, offset: float) -> 
     setup = load(tmp_path, TWO_FILES + f"time_offset = {offset}\n")
     found = vb.read_recording(file, setup)
     position, turn = helix(time)
-    np.testing.assert_allclose(found.trail.position, position + turn.apply([0.001, 0.002, 0.025]), atol=1e-9)
+    np.testing.assert_allclose(
+        found.trail.position, position + turn.apply([0.001, 0.002, 0.025]), atol=1e-9
+    )
     assert np.max((Rotation.from_quat(found.trail.orientation).inv() * turn).magnitude()) < 1e-9
     np.testing.assert_allclose(found.time, time, atol=1e-12)
 
@@ -187,7 +261,9 @@ def test_poses_of_another_file_rate_and_clock(tmp_path: Path, offset: float) -> 
 def test_wrenches_beyond_the_poses_are_left_out_and_said_to_be(tmp_path: Path) -> None:
     time = np.arange(0, 3, 0.01)
     file = two_files(tmp_path, time, np.arange(0.2049, 2.5, 0.01))
-    with pytest.warns(RecordingWarning, match=r"of 300 wrenches lie before the first or after the last pose"):
+    with pytest.warns(
+        RecordingWarning, match=r"of 300 wrenches lie before the first or after the last pose"
+    ):
         found = vb.read_recording(file, load(tmp_path, TWO_FILES))
     assert found.time is not None
     np.testing.assert_allclose(found.time, time[21:250], atol=1e-9)
@@ -196,7 +272,10 @@ def test_wrenches_beyond_the_poses_are_left_out_and_said_to_be(tmp_path: Path) -
 def test_rows_in_a_gap_have_no_reactions_and_the_others_theirs(tmp_path: Path) -> None:
     time, pose_time = np.arange(0, 3, 0.01), np.arange(-0.1, 3.1, 0.01)
     file = two_files(tmp_path, time, pose_time[(pose_time < 1.5) | (pose_time > 2.0)])
-    with pytest.warns(RecordingWarning, match=r"rows, first at 1.5 s, lie in gaps of the poses longer than longest_gap = 0.2 s"):
+    with pytest.warns(
+        RecordingWarning,
+        match=r"rows, first at 1.5 s, lie in gaps of the poses longer than longest_gap = 0.2 s",
+    ):
         found = vb.read_recording(file, load(tmp_path, TWO_FILES))
     lost = np.isnan(found.force).all(axis=1)
     assert lost.sum() == pytest.approx(51, abs=1)
@@ -213,33 +292,67 @@ def test_a_table_of_two_rates_has_empty_cells(tmp_path: Path) -> None:
     for number, stamp in enumerate(time):
         wrench = TABLE[0 if stamp < 0.9 else -1, 8:]
         if number % 3 == 0:
-            rows.append((stamp + 0.001, [stamp + 0.001, *poses(np.array([stamp + 0.001]))[0]], [""] * 6))
+            rows.append(
+                (stamp + 0.001, [stamp + 0.001, *poses(np.array([stamp + 0.001]))[0]], [""] * 6)
+            )
         rows.append((stamp + 0.002, [stamp + 0.002, *[""] * 7], list(wrench)))
     lines = [",".join(map(str, [*pose, *wrench])) for _, pose, wrench in rows]
     (tmp_path / "a.csv").write_text("\n".join([HEADER, *lines]) + "\n")
     with pytest.warns(RecordingWarning) as caught:
         found = vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT))
-    assert any("300 rows hold a wrench and 100 a pose, of 400" in str(one.message) for one in caught)
+    assert any(
+        "300 rows hold a wrench and 100 a pose, of 400" in str(one.message) for one in caught
+    )
     position, turn = helix(found.time)
     assert len(found.time) > 290
-    np.testing.assert_allclose(found.trail.position, position + turn.apply([0.001, 0.002, 0.025]), atol=1e-9)
+    np.testing.assert_allclose(
+        found.trail.position, position + turn.apply([0.001, 0.002, 0.025]), atol=1e-9
+    )
 
 
 WRONG: dict[str, tuple[str, Callable[[str], str], list[str]]] = {
-    "a name that is not there": ('force = ["a", "b", "c"]', str, ["force = 'a' is not in the file; it holds time, px"]),
-    "a column twice": ('force_unit = "N"', lambda text: text.replace("time", "fx", 1), ["column 'fx' is there 2 times"]),
+    "a name that is not there": (
+        'force = ["a", "b", "c"]',
+        str,
+        ["force = 'a' is not in the file; it holds time, px"],
+    ),
+    "a column twice": (
+        'force_unit = "N"',
+        lambda text: text.replace("time", "fx", 1),
+        ["column 'fx' is there 2 times"],
+    ),
     "another delimiter": ('delimiter = ";"', str, ["is not in the file; it holds time,px,py"]),
-    "a short line": ('force_unit = "N"', lambda text: text.replace("\n0.0500,", "\n", 1), ["line 2", "13 of 14 columns"]),
-    "a word": ('force_unit = "N"', lambda text: text.replace("0.005000", "here", 1), ["line 2", "py = 'here'", "allowed is a number"]),
-    "no date": ('time_unit = "stamp"', str, ["line 2", "time = '0.0500'", "allowed is a date of ISO 8601"]),
-    "cut off": ('force_unit = "N"', lambda text: text[:-4], ["line 41", "tz", "the last line is truncated"]),
+    "a short line": (
+        'force_unit = "N"',
+        lambda text: text.replace("\n0.0500,", "\n", 1),
+        ["line 2", "13 of 14 columns"],
+    ),
+    "a word": (
+        'force_unit = "N"',
+        lambda text: text.replace("0.005000", "here", 1),
+        ["line 2", "py = 'here'", "allowed is a number"],
+    ),
+    "no date": (
+        'time_unit = "stamp"',
+        str,
+        ["line 2", "time = '0.0500'", "allowed is a date of ISO 8601"],
+    ),
+    "cut off": (
+        'force_unit = "N"',
+        lambda text: text[:-4],
+        ["line 41", "tz", "the last line is truncated"],
+    ),
     "more lines to skip than there are": ("skip_lines = 50", str, ["41 lines", "skip_lines = 50"]),
     "clocks that do not overlap": (
         "time_offset = 100.0",
         str,
         ["wrenches from 0.05 to 3.95 s, poses from 100.05 to 103.95 s", "time_offset"],
     ),
-    "one sign for two purposes": ('decimal = ","\ndelimiter = ","', str, ["decimal = ',' with delimiter = ','"]),
+    "one sign for two purposes": (
+        'decimal = ","\ndelimiter = ","',
+        str,
+        ["decimal = ',' with delimiter = ','"],
+    ),
     "a pose file that is not there": ('pose_file = "none.csv"', str, ["none.csv: cannot be read"]),
 }
 
@@ -286,7 +399,9 @@ def test_wrong_keys_are_named(tmp_path: Path, line: str) -> None:
 
 
 def test_reading_alone_judges_nothing(tmp_path: Path) -> None:
-    """Rows with NaN, stamps that stand or fall, and quaternions of no norm come through for whoever looks for faults."""
+    """Rows with NaN, stamps that stand or fall, and quaternions of no norm come through for whoever
+    looks for faults.
+    """
     lines = RECORDING.splitlines()
     lines[16] = lines[15]
     lines[20] = lines[20].replace("0.600000000,0.800000000", "0,0")

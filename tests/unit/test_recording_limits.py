@@ -1,4 +1,6 @@
-"""Files cut off by a killed recorder, and files that claim more than they hold: what is whole is read, and nothing takes memory that is not there."""
+"""Files cut off by a killed recorder, and files that claim more than they hold: what is whole is
+read, and nothing takes memory that is not there.
+"""
 
 import subprocess
 import sys
@@ -13,7 +15,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from bench_files import HEADER, RECORDING, SETUP
-from mcap_files import MAGIC, POSE, WRENCH, definitions, mcap_bytes, message, packed, record, text, whole, wrench_message
+from mcap_files import (
+    MAGIC,
+    POSE,
+    WRENCH,
+    definitions,
+    mcap_bytes,
+    message,
+    packed,
+    record,
+    text,
+    whole,
+    wrench_message,
+)
 from rosbags.rosbag2 import Reader
 from scipy.io import savemat
 
@@ -45,15 +59,21 @@ def test_messages_are_those_of_the_library(tmp_path: Path, packing: str, chunks:
     """Byte by byte, against the reader of `rosbags`."""
     own = bag_of(tmp_path, mcap_bytes(packing=packing, chunks=chunks))
     with Reader(tmp_path / "a.mcap") as reader:
-        theirs = [(connection.topic, time, bytes(data)) for connection, time, data in reader.messages()]
+        theirs = [
+            (connection.topic, time, bytes(data)) for connection, time, data in reader.messages()
+        ]
     assert sorted(own.messages) == sorted(theirs)
     assert len(own.messages) == 80
     assert own.notes == []
 
 
 @pytest.mark.parametrize("packing", ["none", "plain", "zstd", "lz4"])
-def test_what_is_whole_of_a_file_that_is_cut_off_is_read_and_the_cut_is_said(tmp_path: Path, packing: str) -> None:
-    """At every 97th byte: the messages are the first ones, more of them the later the cut, and none is a part of one."""
+def test_what_is_whole_of_a_file_that_is_cut_off_is_read_and_the_cut_is_said(
+    tmp_path: Path, packing: str
+) -> None:
+    """At every 97th byte: the messages are the first ones, more of them the later the cut, and none
+    is a part of one.
+    """
     content = mcap_bytes(packing=packing, chunks=4)
     end = content.rindex(record(15, pack("<I", 0)))
     all_messages = bag_of(tmp_path, content).messages
@@ -69,7 +89,9 @@ def test_what_is_whole_of_a_file_that_is_cut_off_is_read_and_the_cut_is_said(tmp
     assert counts[-1] >= (79 if packing in {"none", "plain"} else 60)
 
 
-def test_a_recording_that_is_cut_off_gives_its_reactions_with_a_warning(tmp_path: Path, setup: vb.Setup) -> None:
+def test_a_recording_that_is_cut_off_gives_its_reactions_with_a_warning(
+    tmp_path: Path, setup: vb.Setup
+) -> None:
     content = mcap_bytes(packing="plain")
     (tmp_path / "a.mcap").write_bytes(content[: len(content) * 2 // 3])
     with pytest.warns(RecordingWarning, match="cut off") as caught:
@@ -80,7 +102,9 @@ def test_a_recording_that_is_cut_off_gives_its_reactions_with_a_warning(tmp_path
 
 
 def test_a_damaged_chunk_is_left_out_and_the_others_are_read(tmp_path: Path) -> None:
-    first = packed(definitions([("/ft", WRENCH)]) + message(1, 1, wrench_message(TABLE[0])), "plain")
+    first = packed(
+        definitions([("/ft", WRENCH)]) + message(1, 1, wrench_message(TABLE[0])), "plain"
+    )
     bad = packed(message(1, 2, wrench_message(TABLE[1])), "zstd", checksum=1)
     last = packed(message(1, 3, wrench_message(TABLE[2])), "lz4")
     bag = bag_of(tmp_path, whole(first + bad + last))
@@ -106,19 +130,37 @@ def test_other_messages_and_encodings_are_passed_over(tmp_path: Path) -> None:
 
 
 def parquet_bomb(file: Path) -> None:
-    pq.write_table(pa.table({name: np.zeros(3_000_000) for name in HEADER.split(",")}), file, compression="zstd")
+    pq.write_table(
+        pa.table({name: np.zeros(3_000_000) for name in HEADER.split(",")}),
+        file,
+        compression="zstd",
+    )
 
 
 def hdf5_bomb(file: Path) -> None:
     with h5py.File(file, "w") as opened:
         for name in HEADER.split(","):
-            opened.create_dataset(name, shape=(9_000_000,), dtype="f8", chunks=(100_000,), compression="gzip", fillvalue=0.5)
+            opened.create_dataset(
+                name,
+                shape=(9_000_000,),
+                dtype="f8",
+                chunks=(100_000,),
+                compression="gzip",
+                fillvalue=0.5,
+            )
 
 
 def hdf5_chunk_bomb(file: Path) -> None:
     with h5py.File(file, "w") as opened:
         for name in HEADER.split(","):
-            opened.create_dataset(name, shape=(40,), maxshape=(None,), dtype="f8", chunks=(500_000_000,), compression="gzip")
+            opened.create_dataset(
+                name,
+                shape=(40,),
+                maxshape=(None,),
+                dtype="f8",
+                chunks=(500_000_000,),
+                compression="gzip",
+            )
 
 
 def matlab_bomb(file: Path) -> None:
@@ -127,7 +169,11 @@ def matlab_bomb(file: Path) -> None:
     header = file.read_bytes()[:128]
     packer, piece = zlib.compressobj(9), bytes(2**20)
     inner = pack("<II", 14, 2**31 - 2**20)
-    body = packer.compress(inner) + b"".join(packer.compress(piece) for _ in range(300)) + packer.flush()
+    body = (
+        packer.compress(inner)
+        + b"".join(packer.compress(piece) for _ in range(300))
+        + packer.flush()
+    )
     file.write_bytes(header + pack("<II", 15, len(body)) + body)
 
 
@@ -136,7 +182,9 @@ def chunk_of_zeros(file: Path, *, claimed: int, size: int) -> None:
     from backports import zstd
 
     content = zstd.compress(bytes(size))
-    chunk = record(6, pack("<QQQI", 0, 1, claimed, 0) + text("zstd") + pack("<Q", len(content)) + content)
+    chunk = record(
+        6, pack("<QQQI", 0, 1, claimed, 0) + text("zstd") + pack("<Q", len(content)) + content
+    )
     file.write_bytes(whole(definitions([("/ft", WRENCH), ("/pose", POSE)]) + chunk))
 
 
@@ -154,7 +202,11 @@ BOMBS: dict[str, tuple[str, Callable[[Path], object], str]] = {
         lambda file: chunk_of_zeros(file, claimed=2**40, size=100),
         "64 MiB or 100 times the file",
     ),
-    "MCAP, a chunk that claims little": ("a.mcap", lambda file: chunk_of_zeros(file, claimed=2**20, size=2**30), "0 topics|no messages"),
+    "MCAP, a chunk that claims little": (
+        "a.mcap",
+        lambda file: chunk_of_zeros(file, claimed=2**20, size=2**30),
+        "0 topics|no messages",
+    ),
     "MCAP, a record without end": ("a.mcap", long_record, "cut off"),
 }
 READ = """
@@ -175,7 +227,9 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 def test_a_file_that_claims_gigabytes_is_refused_before_they_are_taken(tmp_path: Path) -> None:
-    """In a process of its own: its memory grows by less than 250 MB over all of them, each of which stands for one to eight thousand."""
+    """In a process of its own: its memory grows by less than 250 MB over all of them, each of which
+    stands for one to eight thousand.
+    """
     (tmp_path / "setup.toml").write_text(SETUP)
     files = []
     for number, (name, write, _) in enumerate(BOMBS.values()):
@@ -212,12 +266,16 @@ def test_a_database_with_a_view_is_refused(tmp_path: Path, setup: vb.Setup) -> N
     import sqlite3
 
     with sqlite3.connect(tmp_path / "a.db3") as database:
-        database.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+        database.execute(
+            "CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)"
+        )
         database.execute(
             "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n"
         )
     database.close()
-    with pytest.raises(InputError, match="holds the view 'messages'; allowed are tables and indexes"):
+    with pytest.raises(
+        InputError, match="holds the view 'messages'; allowed are tables and indexes"
+    ):
         vb.read_recording(tmp_path / "a.db3", setup)
 
 

@@ -1,4 +1,6 @@
-"""Text as loggers, spreadsheets and scripts leave it; and what names and files say of units, orders and stamps."""
+"""Text as loggers, spreadsheets and scripts leave it; and what names and files say of units, orders
+and stamps.
+"""
 
 from pathlib import Path
 
@@ -27,27 +29,42 @@ TEXTS = {
     "blank lines": joined("", LINES[0], *ROWS[:9], "", *ROWS[9:], "", ""),
     "a delimiter after each row": joined(LINES[0], *(row + "," for row in ROWS)),
     "a line of units": joined(LINES[0], "s,m,m,m,,,,,N,N,N,Nm,Nm,Nm", *ROWS),
-    "a line of units in brackets": joined(LINES[0], "[s],[m],[m],[m],[-],[-],[-],[-],[N],[N],[N],[N m],[N m],[N m]", *ROWS),
+    "a line of units in brackets": joined(
+        LINES[0], "[s],[m],[m],[m],[-],[-],[-],[-],[N],[N],[N],[N m],[N m],[N m]", *ROWS
+    ),
     "semicolons": joined(*LINES).replace(",", ";"),
     "tabulators": joined(*LINES).replace(",", "\t"),
     "bars": joined(*LINES).replace(",", "|"),
     "spaces": joined(*LINES).replace(",", "   "),
     "Windows": "\ufeff" + joined(*LINES).replace("\n", "\r\n"),
     "quoted cells": joined(*('"' + line.replace(",", '","') + '"' for line in LINES)),
-    "quoted delimiters": joined(LINES[0] + ',"note, of whom"', *(row + ',"slow, ""again"""' for row in ROWS)),
+    "quoted delimiters": joined(
+        LINES[0] + ',"note, of whom"', *(row + ',"slow, ""again"""' for row in ROWS)
+    ),
 }
 
 
 @pytest.mark.parametrize("what", TEXTS)
-def test_text_of_many_writers_is_the_same_recording(tmp_path: Path, expected: vb.Reactions, what: str) -> None:  # noqa: F811
+def test_text_of_many_writers_is_the_same_recording(
+    tmp_path: Path,
+    expected: vb.Reactions,  # noqa: F811
+    what: str,
+) -> None:
     (tmp_path / "a.csv").write_bytes(TEXTS[what].encode())
     same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT)), expected)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "latin-1", "cp1252"])
 def test_encodings(tmp_path: Path, expected: vb.Reactions, encoding: str) -> None:  # noqa: F811
-    (tmp_path / "a.csv").write_text(joined(LINES[0] + ",T [°C]", *(row + ",21" for row in ROWS)), encoding=encoding)
-    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT + f'encoding = "{encoding}"\n')), expected)
+    (tmp_path / "a.csv").write_text(
+        joined(LINES[0] + ",T [°C]", *(row + ",21" for row in ROWS)), encoding=encoding
+    )
+    same(
+        vb.read_recording(
+            tmp_path / "a.csv", load(tmp_path, LAYOUT + f'encoding = "{encoding}"\n')
+        ),
+        expected,
+    )
     with pytest.raises(InputError, match="not a text file"):
         vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT))
 
@@ -74,14 +91,24 @@ def scaled_names(form: str) -> tuple[list[str], str]:
     unit = ["ms", *["mm"] * 3, *[""] * 4, *["mN"] * 3, *["N mm"] * 3]
     names = [form.format(name, one) if one else name for name, one in zip(NAMES, unit, strict=True)]
     keys = {"position": names[1:4], "force": names[8:11], "torque": names[11:]}
-    return names, "\n".join(["[recording]", f"time = {names[0]!r}", *(f"{key} = {named}" for key, named in keys.items())]) + "\n"
+    return names, "\n".join(
+        [
+            "[recording]",
+            f"time = {names[0]!r}",
+            *(f"{key} = {named}" for key, named in keys.items()),
+        ]
+    ) + "\n"
 
 
 SCALED = TABLE * np.array([1e3, 1e3, 1e3, 1e3, 1, 1, 1, 1, *[1e3] * 6])
 
 
 @pytest.mark.parametrize("form", ["{} [{}]", "{} ({})", "{}[{}]"])
-def test_units_in_names_are_used_and_held_against_the_setup(tmp_path: Path, expected: vb.Reactions, form: str) -> None:  # noqa: F811
+def test_units_in_names_are_used_and_held_against_the_setup(
+    tmp_path: Path,
+    expected: vb.Reactions,  # noqa: F811
+    form: str,
+) -> None:
     names, layout = scaled_names(form)
     (tmp_path / "a.csv").write_text(text(SCALED, names))
     same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout)), expected)
@@ -91,12 +118,16 @@ def test_units_in_names_are_used_and_held_against_the_setup(tmp_path: Path, expe
 
 def test_units_below_the_names_are_used(tmp_path: Path, expected: vb.Reactions) -> None:  # noqa: F811
     lines = text(SCALED).splitlines()
-    (tmp_path / "a.csv").write_text(joined(lines[0], "ms,mm,mm,mm,,,,,mN,mN,mN,Nmm,Nmm,Nmm", *lines[1:]))
+    (tmp_path / "a.csv").write_text(
+        joined(lines[0], "ms,mm,mm,mm,,,,,mN,mN,mN,Nmm,Nmm,Nmm", *lines[1:])
+    )
     same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, "[recording]\n")), expected)
 
 
 def test_a_unit_that_is_not_known_is_no_si_unit(tmp_path: Path) -> None:
-    """An attribute that says slugs is not to be taken for newtons; a setup that says what they are goes before it."""
+    """An attribute that says slugs is not to be taken for newtons; a setup that says what they are
+    goes before it.
+    """
     with h5py.File(tmp_path / "a.h5", "w") as opened:
         for name, column in zip(NAMES, TABLE.T, strict=True):
             opened[name] = column
@@ -106,9 +137,16 @@ def test_a_unit_that_is_not_known_is_no_si_unit(tmp_path: Path) -> None:
     vb.read_recording(tmp_path / "a.h5", load(tmp_path, LAYOUT))
 
 
-def test_hours_and_kilogram_force_of_a_file_are_converted(tmp_path: Path, expected: vb.Reactions) -> None:  # noqa: F811
+def test_hours_and_kilogram_force_of_a_file_are_converted(
+    tmp_path: Path,
+    expected: vb.Reactions,  # noqa: F811
+) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as opened:
-        for name, column in zip(NAMES, (TABLE / np.array([3600, *[1] * 7, *[9.80665] * 3, *[0.0980665] * 3])).T, strict=True):
+        for name, column in zip(
+            NAMES,
+            (TABLE / np.array([3600, *[1] * 7, *[9.80665] * 3, *[0.0980665] * 3])).T,
+            strict=True,
+        ):
             opened[name] = column
         opened["time"].attrs["units"] = "hours"
         for axis in "xyz":
@@ -117,37 +155,65 @@ def test_hours_and_kilogram_force_of_a_file_are_converted(tmp_path: Path, expect
 
 
 def test_degrees_are_not_taken_for_radians(tmp_path: Path) -> None:
-    table = np.column_stack([TABLE[:, :4], np.full((len(TABLE), 3), [0.0, 10.0, 106.0]), TABLE[:, 8:]])
+    table = np.column_stack(
+        [TABLE[:, :4], np.full((len(TABLE), 3), [0.0, 10.0, 106.0]), TABLE[:, 8:]]
+    )
     (tmp_path / "a.csv").write_text(text(table, [*NAMES[:4], "A", "B", "C", *NAMES[8:]]))
     layout = '[recording]\norientation = ["A", "B", "C"]\norientation_form = "roll_pitch_yaw"\n'
-    with pytest.raises(InputError, match=r"reaches 106 rad, as of degrees; allowed are radians, or angle_unit"):
+    with pytest.raises(
+        InputError, match=r"reaches 106 rad, as of degrees; allowed are radians, or angle_unit"
+    ):
         vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout))
     vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout + 'angle_unit = "deg"\n'))
 
 
-def test_names_of_a_quaternion_have_the_order_of_its_form(tmp_path: Path, expected: vb.Reactions) -> None:  # noqa: F811
+def test_names_of_a_quaternion_have_the_order_of_its_form(
+    tmp_path: Path,
+    expected: vb.Reactions,  # noqa: F811
+) -> None:
     (tmp_path / "a.csv").write_text(RECORDING)
     named = '[recording]\norientation = ["qw", "qx", "qy", "qz"]\n'
-    with pytest.raises(InputError, match="allowed are names in the order of the form, or the form 'wxyz'"):
+    with pytest.raises(
+        InputError, match="allowed are names in the order of the form, or the form 'wxyz'"
+    ):
         vb.read_recording(tmp_path / "a.csv", load(tmp_path, named))
-    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, named + 'orientation_form = "wxyz"\n')), expected)
+    same(
+        vb.read_recording(
+            tmp_path / "a.csv", load(tmp_path, named + 'orientation_form = "wxyz"\n')
+        ),
+        expected,
+    )
     with pytest.raises(InputError, match="or the form 'xyzw'"):
-        vb.read_recording(tmp_path / "a.csv", load(tmp_path, '[recording]\norientation_form = "wxyz"\n'))
+        vb.read_recording(
+            tmp_path / "a.csv", load(tmp_path, '[recording]\norientation_form = "wxyz"\n')
+        )
 
 
 def test_seconds_and_nanoseconds_in_two_columns(tmp_path: Path, expected: vb.Reactions) -> None:  # noqa: F811
     start = 1_700_000_000
     stamps = [divmod(start * 10**9 + round(time * 1e9), 10**9) for time in TABLE[:, 0]]
-    rows = [f"{seconds},{rest},{row.split(',', 1)[1]}" for (seconds, rest), row in zip(stamps, ROWS, strict=True)]
+    rows = [
+        f"{seconds},{rest},{row.split(',', 1)[1]}"
+        for (seconds, rest), row in zip(stamps, ROWS, strict=True)
+    ]
     (tmp_path / "a.csv").write_text(joined("sec,nanosec," + LINES[0].split(",", 1)[1], *rows))
-    found = vb.read_recording(tmp_path / "a.csv", load(tmp_path, '[recording]\ntime = ["sec", "nanosec"]\n'))
+    found = vb.read_recording(
+        tmp_path / "a.csv", load(tmp_path, '[recording]\ntime = ["sec", "nanosec"]\n')
+    )
     np.testing.assert_allclose(found.time - start, expected.time, rtol=0, atol=3e-7)
     np.testing.assert_array_equal(found.force, expected.force)
 
 
 def test_matrices_with_a_column_a_sample(tmp_path: Path, expected: vb.Reactions) -> None:  # noqa: F811
-    parts = {"position": TABLE[:, 1:4], "orientation": TABLE[:, 4:8], "force": TABLE[:, 8:11], "torque": TABLE[:, 11:]}
-    savemat(tmp_path / "a.mat", {"time": TABLE[:, 0]} | {name: part.T for name, part in parts.items()})
+    parts = {
+        "position": TABLE[:, 1:4],
+        "orientation": TABLE[:, 4:8],
+        "force": TABLE[:, 8:11],
+        "torque": TABLE[:, 11:],
+    }
+    savemat(
+        tmp_path / "a.mat", {"time": TABLE[:, 0]} | {name: part.T for name, part in parts.items()}
+    )
     same(vb.read_recording(tmp_path / "a.mat", load(tmp_path)), expected)
 
 
@@ -163,8 +229,12 @@ def test_wrenches_of_a_bag_with_poses_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(mcap_bytes(rows=12))
     alone = vb.io.read_raw(tmp_path / "a.mcap", load(tmp_path)).raw
     moved = alone.position + [0.5, 0.0, 0.0]
-    (tmp_path / "robot.csv").write_text(text(np.column_stack([alone.time, moved, alone.orientation]), NAMES[:8]))
-    found = vb.io.read_raw(tmp_path / "a.mcap", load(tmp_path, '[recording]\npose_file = "robot.csv"\n')).raw
+    (tmp_path / "robot.csv").write_text(
+        text(np.column_stack([alone.time, moved, alone.orientation]), NAMES[:8])
+    )
+    found = vb.io.read_raw(
+        tmp_path / "a.mcap", load(tmp_path, '[recording]\npose_file = "robot.csv"\n')
+    ).raw
     np.testing.assert_allclose(found.position, moved, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(found.force, alone.force)
 

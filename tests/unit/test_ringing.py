@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vibrissa as vb
-from vibrissa.reconstruct.ringing import ringing
+from vibrissa.inverse.ringing import ringing
 
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 NOISE = np.repeat([2e-3, 4e-5], 3)
@@ -23,10 +23,14 @@ def released(frequency: float, share: float = 1.0, count: int = 1200) -> vb.Reac
     moment = 0.4 * 0.048 * load * [-0.6, 0.8, 0]
     noise = np.random.default_rng(3).normal(0, NOISE, (count, 6))
     trail = vb.Trail.line(start=(0.04, 0, 0), stop=(0.03, 0, 0), count=count)
-    return vb.Reactions(trail, force + noise[:, :3], moment + noise[:, 3:], time=time, covariance=np.diag(NOISE**2))
+    return vb.Reactions(
+        trail, force + noise[:, :3], moment + noise[:, 3:], time=time, covariance=np.diag(NOISE**2)
+    )
 
 
-@pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")  # the clamp's way is none that such loads come from
+@pytest.mark.filterwarnings(
+    "ignore::vibrissa.contacts.RecordingWarning"
+)  # the clamp's way is none that such loads come from
 @pytest.mark.parametrize("frequency", [20.0, 60.0, 142.0, 200.0])
 @pytest.mark.parametrize("share", [1.0, 0.3])
 def test_contacts_end_with_the_release(frequency: float, share: float) -> None:
@@ -49,7 +53,9 @@ def test_a_load_that_changes_its_side_once_is_a_contact() -> None:
     noise = np.random.default_rng(4).normal(0, NOISE, (count, 6))
     trail = vb.Trail.line(start=(0.04, 0, 0), stop=(-0.04, 0, 0), count=count)
     force, moment = side * [0.3, 0, 0] + noise[:, :3], side * [0, 0.012, 0] + noise[:, 3:]
-    given = vb.Reactions(trail, force, moment, time=np.arange(count) / 250, covariance=np.diag(NOISE**2))
+    given = vb.Reactions(
+        trail, force, moment, time=np.arange(count) / 250, covariance=np.diag(NOISE**2)
+    )
     assert not ringing(given).any()
 
 

@@ -11,7 +11,9 @@ WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9, densit
 
 
 def test_stiffness_is_modulus_times_second_moment_of_area() -> None:
-    second_moment = quad(lambda y: 2 * y * y * np.sqrt(0.25e-3**2 - y * y), -0.25e-3, 0.25e-3, epsabs=0)[0]
+    second_moment = quad(
+        lambda y: 2 * y * y * np.sqrt(0.25e-3**2 - y * y), -0.25e-3, 0.25e-3, epsabs=0
+    )[0]
     assert WIRE.bending_stiffness == pytest.approx(206e9 * second_moment, rel=1e-8)
 
 
@@ -19,7 +21,12 @@ def test_scales_are_those_of_eq_1() -> None:
     assert WIRE.force_scale * WIRE.length == pytest.approx(WIRE.moment_scale, rel=1e-15)
     assert WIRE.moment_scale * WIRE.length == pytest.approx(WIRE.bending_stiffness, rel=1e-15)
     unit = vb.Rod.unit()
-    assert (unit.length, unit.bending_stiffness, unit.force_scale, unit.moment_scale) == (1, 1, 1, 1)
+    assert (unit.length, unit.bending_stiffness, unit.force_scale, unit.moment_scale) == (
+        1,
+        1,
+        1,
+        1,
+    )
 
 
 def test_first_frequency_of_the_clamped_beam() -> None:
@@ -35,17 +42,23 @@ def test_a_frequency_needs_a_density() -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, -0.05, float("nan"), float("inf")])
-@pytest.mark.parametrize("name", ["length", "bending_stiffness", "radius", "linear_density", "yield_strain"])
+@pytest.mark.parametrize(
+    "name", ["length", "bending_stiffness", "radius", "linear_density", "yield_strain"]
+)
 def test_figures_are_positive_and_finite(name: str, value: float) -> None:
     figures = {"length": 0.05, "bending_stiffness": 1e-3, "radius": 1e-3, name: value}
-    with pytest.raises(ValueError, match=rf"^{name} = {value}; allowed is a finite number greater than 0$"):
+    with pytest.raises(
+        ValueError, match=rf"^{name} = {value}; allowed is a finite number greater than 0$"
+    ):
         vb.Rod(**figures)
 
 
 @pytest.mark.parametrize("name", ["length", "radius", "youngs_modulus", "density", "yield_strain"])
 def test_figures_of_a_wire_are_positive(name: str) -> None:
     figures = {"length": 0.05, "radius": 1e-3, "youngs_modulus": 2e11, name: -1.0}
-    with pytest.raises(ValueError, match=rf"^{name} = -1.0; allowed is a finite number greater than 0$"):
+    with pytest.raises(
+        ValueError, match=rf"^{name} = -1.0; allowed is a finite number greater than 0$"
+    ):
         vb.Rod.cylinder(**figures)
 
 

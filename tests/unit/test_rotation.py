@@ -6,13 +6,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from vibrissa.geometry.rotation import multiplied, rotation_matrices, third_axis, turning_axis_to, unit_quaternions
+from vibrissa.geometry.rotation import (
+    multiplied,
+    rotation_matrices,
+    third_axis,
+    turning_axis_to,
+    unit_quaternions,
+)
 
 RANDOM = Rotation.random(50, rng=np.random.default_rng(3))
 
 
 def test_third_axis_is_where_the_rotation_takes_z() -> None:
-    np.testing.assert_allclose(third_axis(RANDOM.as_quat()), RANDOM.apply([0, 0, 1]), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        third_axis(RANDOM.as_quat()), RANDOM.apply([0, 0, 1]), rtol=0, atol=1e-15
+    )
 
 
 def test_matrices_take_body_to_world() -> None:
@@ -28,7 +36,9 @@ def test_the_second_rotation_is_seen_in_the_frame_of_the_first() -> None:
     mount = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
     both = multiplied(RANDOM.as_quat(), mount.as_quat())
     v = np.array([0.1, 0.2, 0.3])
-    np.testing.assert_allclose(Rotation.from_quat(both).apply(v), RANDOM.apply(mount.apply(v)), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        Rotation.from_quat(both).apply(v), RANDOM.apply(mount.apply(v)), rtol=0, atol=1e-15
+    )
 
 
 def test_quaternions_are_normalised_and_rotations_taken_as_they_are() -> None:
@@ -44,7 +54,9 @@ def test_zero_norm_is_refused_by_name(value: list[tuple[float, ...]]) -> None:
 
 @given(st.floats(0, np.pi), st.floats(-np.pi, np.pi))
 def test_turning_takes_z_to_the_axis(angle: float, azimuth: float) -> None:
-    axis = np.array([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)])
+    axis = np.array(
+        [np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)]
+    )
     quaternion = turning_axis_to(axis / np.linalg.norm(axis))
     assert np.linalg.norm(quaternion) == pytest.approx(1, abs=1e-15)
     np.testing.assert_allclose(third_axis(quaternion), axis, rtol=0, atol=1e-12)

@@ -9,7 +9,9 @@ from vibrissa.live.clock import RateWatch, SampleClock, epoch_offset
 @pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
 @pytest.mark.parametrize("rate", [250.0, 7000.0])
 def test_stamps_are_even_though_arrivals_are_not(drift: float, rate: float) -> None:
-    """Delays of 0.2 ms and more, 0.5 ms on average and 20 ms now and then: stamps are the true times and the least delay, to 0.2 ms."""
+    """Delays of 0.2 ms and more, 0.5 ms on average and 20 ms now and then: stamps are the true
+    times and the least delay, to 0.2 ms.
+    """
     rng = np.random.default_rng(3)
     count = round(20 * rate)
     truth = 5_000_000_000 + np.arange(count) / rate * (1 + drift) * 1e9
@@ -17,7 +19,12 @@ def test_stamps_are_even_though_arrivals_are_not(drift: float, rate: float) -> N
     arrival = np.maximum.accumulate(truth + delay).astype(np.int64)
     own = np.round(np.arange(count) / rate * 1e9).astype(np.int64)
     clock = SampleClock()
-    stamp = np.concatenate([clock.stamps(own[start : start + 17], arrival[start : start + 17]) for start in range(0, count, 17)])
+    stamp = np.concatenate(
+        [
+            clock.stamps(own[start : start + 17], arrival[start : start + 17])
+            for start in range(0, count, 17)
+        ]
+    )
     assert np.all(np.diff(stamp) > 0)
     error = (stamp - truth)[count // 10 :]
     assert np.std(arrival - truth) > 4e5
@@ -46,7 +53,9 @@ def test_the_epoch() -> None:
     assert abs(time.monotonic_ns() + epoch_offset() - time.time_ns()) < 50_000_000
 
 
-def watched(true_period: float, nominal: float, seconds: float, delay: np.ndarray | float = 1e5) -> list[float]:
+def watched(
+    true_period: float, nominal: float, seconds: float, delay: np.ndarray | float = 1e5
+) -> list[float]:
     """Factors that the watch gives, the period mended by each."""
     count = round(seconds * 1e9 / true_period)
     arrival = (np.arange(count) * true_period + delay).astype(np.int64)
@@ -71,7 +80,9 @@ def test_another_rate_is_found(nominal: float) -> None:
 
 @pytest.mark.parametrize("share", [0.12, 0.03, 0.005, -0.08, -0.02, -0.004])
 def test_a_rate_that_is_nearly_right(share: float) -> None:
-    """Delays of 0.3 ms on average: found to 0.1 %, the sooner the more it is off, before stamps are 0.1 s late."""
+    """Delays of 0.3 ms on average: found to 0.1 %, the sooner the more it is off, before stamps are
+    0.1 s late.
+    """
     delay = np.random.default_rng(1).exponential(3e5, 20_000) + 1e5
     found = watched(1e6, 1e6 * (1 - share), 20, delay)
     assert len(found) == 1
@@ -79,7 +90,9 @@ def test_a_rate_that_is_nearly_right(share: float) -> None:
 
 
 def test_a_sender_that_stalls_has_no_other_rate() -> None:
-    """For 0.4 s nothing comes, then all that is due at once; or delays of up to 0.15 s all the time."""
+    """For 0.4 s nothing comes, then all that is due at once; or delays of up to 0.15 s all the
+    time.
+    """
     time = np.arange(5000) * 1e6
     stalled = np.where((time > 1.4e9) & (time < 1.8e9), 1.8e9 - time, 1e5)
     assert watched(1e6, 1.0001e6, 5, stalled) == []

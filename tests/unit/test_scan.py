@@ -1,4 +1,6 @@
-"""The forward entry point: first contact by geometry, checks and statuses, and what cannot be scanned."""
+"""The forward entry point: first contact by geometry, checks and statuses, and what cannot be
+scanned.
+"""
 
 from pathlib import Path
 
@@ -62,13 +64,19 @@ def test_passing_by_touches_nothing() -> None:
 
 
 def test_a_light_touch_is_a_cantilever() -> None:
-    """To first order in the deflection w at the tip: f = 3 EI w/L³ across the rod, moment f L at the clamp, energy f w/2."""
+    """To first order in the deflection w at the tip: f = 3 EI w/L³ across the rod, moment f L at
+    the clamp, energy f w/2.
+    """
     start = np.sqrt(0.4**2 - 0.1**2 - 0.2**2)
-    scan = vb.scan(UNIT, AHEAD, vb.Trail.line(start=(start, 0.1, 0), stop=(start - 1e-4, 0.1, 0), count=3))
+    scan = vb.scan(
+        UNIT, AHEAD, vb.Trail.line(start=(start, 0.1, 0), stop=(start - 1e-4, 0.1, 0), count=3)
+    )
     across = scan.point[2, :2] - scan.trail.position[2, :2]
     force = -scan.reactions.force[2]
     np.testing.assert_allclose(force[:2], 3 * across, rtol=1e-3)
-    np.testing.assert_allclose(scan.reactions.moment[2, :2], np.array([force[1], -force[0]]), rtol=1e-3)
+    np.testing.assert_allclose(
+        scan.reactions.moment[2, :2], np.array([force[1], -force[0]]), rtol=1e-3
+    )
     assert scan.energy[2] == pytest.approx(1.5 * across @ across, rel=1e-3)
 
 
@@ -86,7 +94,10 @@ def test_head_on_contact_gives_no_number() -> None:
 
 
 def test_a_clamp_inside_the_object_at_every_position_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"trail.position = \[0.0, 0.0, 1.2\] …: the clamp is inside the object; allowed is outside"):
+    with pytest.raises(
+        ValueError,
+        match=r"trail.position = \[0.0, 0.0, 1.2\] …: the clamp is inside the object; allowed is outside",
+    ):
         vb.scan(UNIT, AHEAD, vb.Trail.line(start=(0, 0, 1.2), stop=(0.1, 0, 1.2), count=3))
 
 
@@ -100,20 +111,26 @@ def test_where_the_clamp_is_inside_the_rows_say_so() -> None:
 
 
 def test_one_position_in_contact_is_that_of_a_sweep() -> None:
-    """A trail that begins in contact: the equilibrium of least energy, which here is the one a sweep comes to."""
+    """A trail that begins in contact: the equilibrium of least energy, which here is the one a
+    sweep comes to.
+    """
     sweep = vb.scan(UNIT, AHEAD, line(0.1))
     row = int(np.flatnonzero(sweep.in_contact)[3])
     alone = vb.scan(UNIT, AHEAD, vb.Trail(sweep.trail.position[row : row + 1]))
     assert [event.kind for event in alone.events] == [EVENT.STARTED_IN_CONTACT]
     np.testing.assert_allclose(alone.point[0], sweep.point[row], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(alone.reactions.force[0], sweep.reactions.force[row], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        alone.reactions.force[0], sweep.reactions.force[row], rtol=0, atol=1e-9
+    )
 
 
 def test_bending_strain_is_radius_times_curvature_and_is_held_against_the_yield_strain() -> None:
     """κ(0) = ‖m0‖/EI, and the curvature is nowhere larger."""
     wire = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9, yield_strain=2e-3)
     scaled = vb.surfaces.Ellipsoid(center=(0, 0, 0.06), semi_axes=(0.02,) * 3).placed()
-    scan = vb.scan(wire, scaled, vb.Trail.line(start=(0.05, 0.005, 0), stop=(-0.01, 0.005, 0), count=49))
+    scan = vb.scan(
+        wire, scaled, vb.Trail.line(start=(0.05, 0.005, 0), stop=(-0.01, 0.005, 0), count=49)
+    )
     moment = np.linalg.norm(scan.reactions.moment, axis=1)
     strain = 0.25e-3 * moment / wire.bending_stiffness
     np.testing.assert_allclose(scan.bending_strain, strain, rtol=1e-9, atol=1e-15)
@@ -140,7 +157,9 @@ def test_elastic_line_says_what_it_needs() -> None:
     with pytest.raises(IndexError):
         scan.elastic_line((2, 0))
     head_on = vb.scan(UNIT, AHEAD, vb.Trail.line(start=(0, 0, -0.4), stop=(0, 0, 0.1), count=21))
-    with pytest.raises(ValueError, match=r"index = 20: this position was not solved: .*clamp's axis"):
+    with pytest.raises(
+        ValueError, match=r"index = 20: this position was not solved: .*clamp's axis"
+    ):
         head_on.elastic_line(20)
 
 
@@ -165,4 +184,7 @@ def test_a_scan_is_read_back_from_netcdf_as_it_was(tmp_path: Path) -> None:
             np.testing.assert_array_equal(data[name].values, values)
         assert data["contact_point"].attrs["units"] == "1"
         meanings = data["event_kind"].attrs["flag_meanings"].split()
-        assert meanings[list(data["event_kind"].attrs["flag_values"]).index(scan.events[0].kind)] == "first_contact"
+        assert (
+            meanings[list(data["event_kind"].attrs["flag_values"]).index(scan.events[0].kind)]
+            == "first_contact"
+        )

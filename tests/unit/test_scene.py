@@ -18,18 +18,24 @@ def test_reactions_over_time_are_those_of_the_scan() -> None:
     scene = swept(rod, surface, TRAIL, rest=0.5, sweep=2.0)
     time = np.array([0.0, 0.3, *(0.5 + np.linspace(0, 2, 4001)[123:4000:31]), 2.6, 9.0])
     found = scene.reactions(time)
-    expected = vb.scan(rod, surface, vb.Trail(np.outer(1 - (time[2:-2] - 0.5), [1, 0, 0]) + [0, 0.2, 0]))
+    expected = vb.scan(
+        rod, surface, vb.Trail(np.outer(1 - (time[2:-2] - 0.5), [1, 0, 0]) + [0, 0.2, 0])
+    )
     np.testing.assert_allclose(found.trail.position[2:-2], expected.trail.position, atol=1e-12)
     np.testing.assert_allclose(found.force[2:-2], expected.reactions.force, atol=2e-4)
     np.testing.assert_allclose(found.moment[2:-2], expected.reactions.moment, atol=2e-4)
     assert np.linalg.norm(expected.reactions.force, axis=1).max() > 1
     ends = vb.scan(rod, surface, TRAIL).reactions.force[[0, 0, -1, -1]]
     np.testing.assert_allclose(found.force[[0, 1, -2, -1]], ends, atol=1e-10)
-    np.testing.assert_allclose(found.trail.position[[0, 1, -1]], [[1, 0.2, 0], [1, 0.2, 0], [-1, 0.2, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        found.trail.position[[0, 1, -1]], [[1, 0.2, 0], [1, 0.2, 0], [-1, 0.2, 0]], atol=1e-12
+    )
 
 
 def test_several_trails_follow_each_other() -> None:
-    both = vb.Trail.stack([TRAIL, vb.Trail.line(start=(1.0, 0.4, 0), stop=(-1.0, 0.4, 0), count=11)])
+    both = vb.Trail.stack(
+        [TRAIL, vb.Trail.line(start=(1.0, 0.4, 0), stop=(-1.0, 0.4, 0), count=11)]
+    )
     time, position, _ = motion(both, rest=1.0, sweep=2.0, pause=0.5)
     assert np.all(np.diff(time) > 0)
     assert (time[0], time[1], time[11], time[12], time[-1]) == (0.0, 1.0, 3.0, 3.5, 5.5)
@@ -39,27 +45,54 @@ def test_several_trails_follow_each_other() -> None:
 def scene_of_nothing() -> Scene:
     """The motion of the trail, free of contact."""
     time, position, orientation = motion(TRAIL, rest=0.0, sweep=2.0, pause=1.0)
-    return Scene(time, position, orientation, np.zeros_like(position), np.outer(time, [1.0, 2.0, 3.0]))
+    return Scene(
+        time, position, orientation, np.zeros_like(position), np.outer(time, [1.0, 2.0, 3.0])
+    )
 
 
 def sensor() -> vb.Sensor:
-    return vb.Sensor(np.array([0.01, 0.02, 0.03]), np.array([0.0, 0.6, 0.0, 0.8]), "on_sensor", wrench_point=(0, 0, 0.001))
+    return vb.Sensor(
+        np.array([0.01, 0.02, 0.03]),
+        np.array([0.0, 0.6, 0.0, 0.8]),
+        "on_sensor",
+        wrench_point=(0, 0, 0.001),
+    )
 
 
 def test_the_sensor_s_log_read_back_is_the_scene() -> None:
-    """Block after block, and again from the start where the scene is repeated: samples are evenly spaced, poses those of the sensor."""
+    """Block after block, and again from the start where the scene is repeated: samples are evenly
+    spaced, poses those of the sensor.
+    """
     scene, tare = scene_of_nothing(), np.array([1.0, 2, 3, 4, 5, 6])
-    blocks = list(islice(measured(scene, sensor(), 100.0, np.random.default_rng(0), tare=tare, block=64, repeat=True), 9))
+    blocks = list(
+        islice(
+            measured(
+                scene, sensor(), 100.0, np.random.default_rng(0), tare=tare, block=64, repeat=True
+            ),
+            9,
+        )
+    )
     raw = RawRecording(
-        *(np.concatenate([getattr(block, name) for block in blocks]) for name in ("time", "position", "orientation", "force", "torque"))
+        *(
+            np.concatenate([getattr(block, name) for block in blocks])
+            for name in ("time", "position", "orientation", "force", "torque")
+        )
     )
     np.testing.assert_allclose(np.diff(raw.time), 0.01, atol=1e-12)
-    again = sensor().reactions(RawRecording(raw.time, raw.position, raw.orientation, raw.force - tare[:3], raw.torque - tare[3:]))
+    again = sensor().reactions(
+        RawRecording(
+            raw.time, raw.position, raw.orientation, raw.force - tare[:3], raw.torque - tare[3:]
+        )
+    )
     within = np.mod(raw.time, 2.0)
     np.testing.assert_allclose(again.moment, np.outer(within, [1.0, 2.0, 3.0]), atol=1e-12)
     np.testing.assert_allclose(again.trail.position[:, 0], 1 - within, atol=1e-12)
     first = blocks[0]
-    position, orientation = sensor_poses(sensor(), again.trail.position[: len(first.time)], again.trail.orientation[: len(first.time)])
+    position, orientation = sensor_poses(
+        sensor(),
+        again.trail.position[: len(first.time)],
+        again.trail.orientation[: len(first.time)],
+    )
     np.testing.assert_allclose(position, first.position, atol=1e-12)
     np.testing.assert_allclose(orientation, first.orientation, atol=1e-12)
 

@@ -1,4 +1,6 @@
-"""From a raw log to support reactions: what a sensor that carries the clamp shows of one contact force, and back."""
+"""From a raw log to support reactions: what a sensor that carries the clamp shows of one contact
+force, and back.
+"""
 
 import re
 
@@ -29,10 +31,14 @@ class Bench:
 
     def sensor(self, **options: object) -> Sensor:
         """The sensor of this bench."""
-        return Sensor(CLAMP, MOUNT.as_quat(), **({"wrench": "on_sensor", "wrench_point": POINT} | options))
+        return Sensor(
+            CLAMP, MOUNT.as_quat(), **({"wrench": "on_sensor", "wrench_point": POINT} | options)
+        )
 
     def raw(self, *, wrench: str = "on_sensor", wrench_frame: str = "sensor") -> RawRecording:
-        """What it logs: the contact's wrench about the wrench point, row by row, in the axes and with the sign asked for."""
+        """What it logs: the contact's wrench about the wrench point, row by row, in the axes and
+        with the sign asked for.
+        """
         rows = []
         for i, pose in enumerate(self.pose):
             about = self.position[i] + pose.apply(POINT)
@@ -43,19 +49,27 @@ class Bench:
                 force, torque = pose.inv().apply(force), pose.inv().apply(torque)
             rows.append(np.concatenate([force, torque]))
         wrench_rows = np.array(rows)
-        return RawRecording(self.time, self.position, self.pose.as_quat(), wrench_rows[:, :3], wrench_rows[:, 3:])
+        return RawRecording(
+            self.time, self.position, self.pose.as_quat(), wrench_rows[:, :3], wrench_rows[:, 3:]
+        )
 
 
 @pytest.mark.parametrize("wrench_frame", ["sensor", "world"])
 @pytest.mark.parametrize("wrench", ["on_sensor", "on_rod"])
-def test_reactions_balance_the_contact_force_about_the_clamp(wrench: str, wrench_frame: str) -> None:
+def test_reactions_balance_the_contact_force_about_the_clamp(
+    wrench: str, wrench_frame: str
+) -> None:
     bench = Bench()
     raw = bench.raw(wrench=wrench, wrench_frame=wrench_frame)
     found = bench.sensor(wrench=wrench, wrench_frame=wrench_frame).reactions(raw)
     np.testing.assert_allclose(found.force, -bench.force, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.moment, -np.cross(bench.at - bench.clamp, bench.force), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        found.moment, -np.cross(bench.at - bench.clamp, bench.force), rtol=0, atol=1e-14
+    )
     np.testing.assert_allclose(found.trail.position, bench.clamp, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(found.trail.axis, (bench.pose * MOUNT).apply([0, 0, 1]), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        found.trail.axis, (bench.pose * MOUNT).apply([0, 0, 1]), rtol=0, atol=1e-14
+    )
     np.testing.assert_array_equal(found.time, bench.time)
 
 
@@ -70,13 +84,20 @@ GAIN = (1.1, 0.9, 1.05, 0.8, 1.2, 0.95)
 
 @pytest.mark.parametrize("wrench_frame", ["sensor", "world"])
 def test_gain_is_that_of_the_sensor_s_own_channels(wrench_frame: str) -> None:
-    """Readings in the sensor's axes grow by it, whatever axes they are logged in; taking it off gives the reactions back."""
+    """Readings in the sensor's axes grow by it, whatever axes they are logged in; taking it off
+    gives the reactions back.
+    """
     bench = Bench()
-    true, uneven = (bench.sensor(wrench_frame=wrench_frame, **options) for options in ({}, {"gain": GAIN}))
+    true, uneven = (
+        bench.sensor(wrench_frame=wrench_frame, **options) for options in ({}, {"gain": GAIN})
+    )
     raw = bench.raw(wrench_frame=wrench_frame)
     reactions = true.reactions(raw)
     read = uneven.measure(reactions, np.random.default_rng(0))
-    own = [part if wrench_frame == "sensor" else bench.pose.inv().apply(part) for part in (read.force, read.torque, raw.force, raw.torque)]
+    own = [
+        part if wrench_frame == "sensor" else bench.pose.inv().apply(part)
+        for part in (read.force, read.torque, raw.force, raw.torque)
+    ]
     np.testing.assert_allclose(own[0], own[2] * GAIN[:3], rtol=0, atol=1e-14)
     np.testing.assert_allclose(own[1], own[3] * GAIN[3:], rtol=0, atol=1e-14)
     back = uneven.reactions(read)
@@ -90,16 +111,27 @@ def test_the_mean_of_the_leading_time_is_taken_off(seconds: float) -> None:
     count = {0.35: 4, 0.4: 4, 0.41: 5}[seconds]
     bench.force[:count] = 0
     raw = bench.raw()
-    shifted = RawRecording(raw.time, raw.position, raw.orientation, raw.force + OFFSET_FORCE, raw.torque + OFFSET_TORQUE)
+    shifted = RawRecording(
+        raw.time,
+        raw.position,
+        raw.orientation,
+        raw.force + OFFSET_FORCE,
+        raw.torque + OFFSET_TORQUE,
+    )
     found = bench.sensor(tare_seconds=seconds).reactions(shifted)
     np.testing.assert_allclose(found.force, -bench.force, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(found.moment, -np.cross(bench.at - bench.clamp, bench.force), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        found.moment, -np.cross(bench.at - bench.clamp, bench.force), rtol=0, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize(("seconds", "count"), [(0.05, 1), (100.0, N)])
 def test_a_tare_window_must_fit(seconds: float, count: int) -> None:
     bench = Bench()
-    with pytest.raises(ValueError, match=rf"^tare_seconds = {seconds}: {count} of {N} samples lie within it; allowed"):
+    with pytest.raises(
+        ValueError,
+        match=rf"^tare_seconds = {seconds}: {count} of {N} samples lie within it; allowed",
+    ):
         bench.sensor(tare_seconds=seconds).reactions(bench.raw())
 
 
@@ -114,7 +146,12 @@ def noisy(raw: RawRecording, sensor: Sensor, rng: np.random.Generator) -> RawRec
     return RawRecording(raw.time, raw.position, raw.orientation, force, torque)
 
 
-NOISE = {"force_noise": 2e-3, "torque_noise": 4e-5, "force_resolution": 2e-3, "torque_resolution": 4e-5}
+NOISE = {
+    "force_noise": 2e-3,
+    "torque_noise": 4e-5,
+    "force_resolution": 2e-3,
+    "torque_resolution": 4e-5,
+}
 
 
 def test_covariance_is_that_of_many_recordings() -> None:
@@ -129,16 +166,25 @@ def test_covariance_is_that_of_many_recordings() -> None:
         sample[:] = np.concatenate([found.force[3], found.moment[3]])
     assert found.covariance is not None
     stated = found.covariance if found.covariance.ndim == 2 else found.covariance[3]
-    # In units of the stated deviations the empirical covariance is the identity, within 4 of its own deviations.
+    # In units of the stated deviations the empirical covariance is the identity, within 4 of its
+    # own deviations.
     root = np.linalg.inv(np.linalg.cholesky(stated))
-    np.testing.assert_allclose(root @ np.cov(samples.T) @ root.T, np.eye(6), rtol=0, atol=4 * np.sqrt(2 / 1500))
+    np.testing.assert_allclose(
+        root @ np.cov(samples.T) @ root.T, np.eye(6), rtol=0, atol=4 * np.sqrt(2 / 1500)
+    )
 
 
-@pytest.mark.parametrize("gain", [(1.0,) * 6, (1.1, 0.9, 1.05, 0.8, 1.2, 0.95)], ids=["even", "uneven"])
+@pytest.mark.parametrize(
+    "gain", [(1.0,) * 6, (1.1, 0.9, 1.05, 0.8, 1.2, 0.95)], ids=["even", "uneven"]
+)
 @pytest.mark.parametrize("wrench_frame", ["sensor", "world"])
 @pytest.mark.parametrize("turning", [True, False])
-def test_covariance_is_carried_by_the_map_from_readings_to_reactions(wrench_frame: str, gain: tuple[float, ...], *, turning: bool) -> None:
-    """The six readings of each row, moved one by one, move the reactions by the columns of a Jacobian."""
+def test_covariance_is_carried_by_the_map_from_readings_to_reactions(
+    wrench_frame: str, gain: tuple[float, ...], *, turning: bool
+) -> None:
+    """The six readings of each row, moved one by one, move the reactions by the columns of a
+    Jacobian.
+    """
     bench = Bench(turning=turning)
     sensor = bench.sensor(wrench_frame=wrench_frame, force_noise=2e-3, torque_noise=4e-5, gain=gain)
     raw = bench.raw(wrench_frame=wrench_frame)
@@ -147,38 +193,82 @@ def test_covariance_is_carried_by_the_map_from_readings_to_reactions(wrench_fram
     for axis in range(6):
         push = np.zeros(6)
         push[axis] = 1
-        moved = RawRecording(raw.time, raw.position, raw.orientation, raw.force + push[:3], raw.torque + push[3:])
+        moved = RawRecording(
+            raw.time, raw.position, raw.orientation, raw.force + push[:3], raw.torque + push[3:]
+        )
         found = sensor.reactions(moved)
-        columns.append(np.concatenate([found.force - still.force, found.moment - still.moment], axis=1))
+        columns.append(
+            np.concatenate([found.force - still.force, found.moment - still.moment], axis=1)
+        )
     jacobian = np.stack(columns, axis=-1)
     expected = jacobian @ np.diag([4e-6] * 3 + [1.6e-9] * 3) @ np.swapaxes(jacobian, 1, 2)
     assert still.covariance is not None
-    np.testing.assert_allclose(np.broadcast_to(still.covariance, (N, 6, 6)), expected, rtol=1e-9, atol=1e-16)
+    np.testing.assert_allclose(
+        np.broadcast_to(still.covariance, (N, 6, 6)), expected, rtol=1e-9, atol=1e-16
+    )
 
 
 def test_without_noise_there_is_no_covariance_and_with_it_the_robot_has_one() -> None:
     bench = Bench()
     assert bench.sensor().reactions(bench.raw()).covariance is None
-    found = bench.sensor(force_noise=1e-3, torque_noise=1e-5, position_noise=2e-5).reactions(bench.raw())
+    found = bench.sensor(force_noise=1e-3, torque_noise=1e-5, position_noise=2e-5).reactions(
+        bench.raw()
+    )
     np.testing.assert_allclose(found.position_covariance, 4e-10 * np.eye(3))
 
 
 BAD = {
     "sign": ({"wrench": "on_wire"}, "wrench = 'on_wire'; allowed are on_sensor and on_rod"),
     "frame": ({"wrench_frame": "clamp"}, "wrench_frame = 'clamp'; allowed are sensor and world"),
-    "tare": ({"tare_seconds": -0.5}, "tare_seconds = -0.5; allowed is a finite number of at least 0"),
-    "noise": ({"force_noise": -1.0, "torque_noise": 1.0}, "force_noise = -1.0; allowed is a finite number"),
-    "no noise": ({"force_noise": 0.0, "torque_noise": 1.0}, "force_noise = 0.0; allowed is a finite number greater than 0"),
-    "torque noise": ({"force_noise": 1.0, "torque_noise": np.inf}, "torque_noise = inf; allowed is a finite number"),
-    "resolution": ({"force_resolution": np.nan}, "force_resolution = nan; allowed is a finite number of at least 0"),
-    "position noise": ({"position_noise": -1e-5}, "position_noise = -1e-05; allowed is a finite number of at least 0"),
-    "one noise": ({"force_noise": 1.0}, "force_noise and torque_noise: one is given without the other; allowed are both"),
-    "clamp": ({"clamp_position": np.array([0, np.nan, 0])}, "clamp_position[1] = nan; allowed are finite numbers"),
-    "turn": ({"clamp_orientation": np.zeros(4)}, "clamp_orientation = [0.0, 0.0, 0.0, 0.0] has zero norm; allowed is any"),
-    "gain": ({"gain": (1, 1, 1, 1, 0, 1)}, "gain = (1, 1, 1, 1, 0, 1); allowed are six numbers greater than 0"),
+    "tare": (
+        {"tare_seconds": -0.5},
+        "tare_seconds = -0.5; allowed is a finite number of at least 0",
+    ),
+    "noise": (
+        {"force_noise": -1.0, "torque_noise": 1.0},
+        "force_noise = -1.0; allowed is a finite number",
+    ),
+    "no noise": (
+        {"force_noise": 0.0, "torque_noise": 1.0},
+        "force_noise = 0.0; allowed is a finite number greater than 0",
+    ),
+    "torque noise": (
+        {"force_noise": 1.0, "torque_noise": np.inf},
+        "torque_noise = inf; allowed is a finite number",
+    ),
+    "resolution": (
+        {"force_resolution": np.nan},
+        "force_resolution = nan; allowed is a finite number of at least 0",
+    ),
+    "position noise": (
+        {"position_noise": -1e-5},
+        "position_noise = -1e-05; allowed is a finite number of at least 0",
+    ),
+    "one noise": (
+        {"force_noise": 1.0},
+        "force_noise and torque_noise: one is given without the other; allowed are both",
+    ),
+    "clamp": (
+        {"clamp_position": np.array([0, np.nan, 0])},
+        "clamp_position[1] = nan; allowed are finite numbers",
+    ),
+    "turn": (
+        {"clamp_orientation": np.zeros(4)},
+        "clamp_orientation = [0.0, 0.0, 0.0, 0.0] has zero norm; allowed is any",
+    ),
+    "gain": (
+        {"gain": (1, 1, 1, 1, 0, 1)},
+        "gain = (1, 1, 1, 1, 0, 1); allowed are six numbers greater than 0",
+    ),
     "gains": ({"gain": (1.0, 1.0)}, "gain has shape (2,); allowed is (…, 6)"),
-    "turns": ({"clamp_orientation": np.ones((2, 4))}, "clamp_orientation has shape (2, 4); allowed is"),
-    "point": ({"wrench_point": (0.0, np.nan, 0.0)}, "wrench_point[1] = nan; allowed are finite numbers"),
+    "turns": (
+        {"clamp_orientation": np.ones((2, 4))},
+        "clamp_orientation has shape (2, 4); allowed is",
+    ),
+    "point": (
+        {"wrench_point": (0.0, np.nan, 0.0)},
+        "wrench_point[1] = nan; allowed are finite numbers",
+    ),
 }
 
 

@@ -27,7 +27,9 @@ class Stream:
         records["rdt_sequence"] = [number % 2**32 for number in numbers]
         records["ft_sequence"] = sample
         moment = round(at * MS)
-        rows, found, arrival = self._sequencer.accept(records, np.full(len(numbers), moment, dtype=np.int64), moment)
+        rows, found, arrival = self._sequencer.accept(
+            records, np.full(len(numbers), moment, dtype=np.int64), moment
+        )
         assert len(rows) == len(found) == len(arrival)
         assert np.array_equal(rows["rdt_sequence"], found % 2**32)
         self.out += found.tolist()
@@ -77,7 +79,9 @@ def test_numbers_wrap() -> None:
 
 @pytest.mark.parametrize("jump", [1, 3_000_000])
 def test_a_stream_that_begins_anew(jump: int) -> None:
-    """A sensor that was switched off and on: numbers go on increasing here, and nothing counts as lost."""
+    """A sensor that was switched off and on: numbers go on increasing here, and nothing counts as
+    lost.
+    """
     stream = Stream().feed(list(range(50_000, 50_010)), 0).feed([jump, jump + 1], 1)
     assert np.all(np.diff(stream.out) > 0)
     assert stream.wrapped[-2:] == [jump, jump + 1]
@@ -86,8 +90,15 @@ def test_a_stream_that_begins_anew(jump: int) -> None:
 
 @pytest.mark.parametrize("before", [2, 600, 1000])
 def test_a_stream_that_begins_anew_before_it_was_long(before: int) -> None:
-    """Asked again after a silence, the sensor numbers from 1: the same numbers, other samples; none is a double."""
-    stream = Stream().feed(list(range(1, before + 1)), 0).feed([1, 2, 3], 2000, sample=7).feed([4], 2001, sample=7)
+    """Asked again after a silence, the sensor numbers from 1: the same numbers, other samples; none
+    is a double.
+    """
+    stream = (
+        Stream()
+        .feed(list(range(1, before + 1)), 0)
+        .feed([1, 2, 3], 2000, sample=7)
+        .feed([4], 2001, sample=7)
+    )
     assert len(stream.out) == before + 4
     assert np.all(np.diff(stream.out) > 0)
     assert stream.wrapped[-4:] == [1, 2, 3, 4]
@@ -95,15 +106,24 @@ def test_a_stream_that_begins_anew_before_it_was_long(before: int) -> None:
 
 
 def test_a_new_stream_of_which_some_is_lost() -> None:
-    """The second record is lost, and the first two that came are swapped: the one that cannot be placed is damage."""
-    stream = Stream().feed(list(range(5000, 5010)), 0).feed([3, 1, 4], 1, sample=1).feed([5], 9, sample=1)
+    """The second record is lost, and the first two that came are swapped: the one that cannot be
+    placed is damage.
+    """
+    stream = (
+        Stream()
+        .feed(list(range(5000, 5010)), 0)
+        .feed([3, 1, 4], 1, sample=1)
+        .feed([5], 9, sample=1)
+    )
     assert stream.wrapped[-3:] == [1, 4, 5]
     assert stream.has(restarts=1, malformed=1, lost=2, gaps=1)
 
 
 @pytest.mark.parametrize("number", [0, 77, 2**31, 123_456_789, 2**32 - 1, 4_500])
 def test_damage_as_long_as_a_record_is_no_new_stream(number: int) -> None:
-    """Bytes that happen to be 36, with any number, between records: counted and left out, again and again."""
+    """Bytes that happen to be 36, with any number, between records: counted and left out, again and
+    again.
+    """
     stream = Stream().feed(list(range(5000, 5010)), 0)
     for place in range(20):
         stream.feed([number], 1 + place, sample=100 + place).feed([5010 + place], 1 + place)
@@ -141,7 +161,11 @@ def test_any_mix_adds_up(data: st.DataObject) -> None:
     sent = [start + number for number in range(count) if number not in dropped]
     places = [place + data.draw(st.floats(0, 3)) for place in range(len(sent))]
     doubles = data.draw(st.lists(st.sampled_from(sent), max_size=5))
-    order = [sent[0], *(number for _, number in sorted(zip(places[1:], sent[1:], strict=True))), *doubles]
+    order = [
+        sent[0],
+        *(number for _, number in sorted(zip(places[1:], sent[1:], strict=True))),
+        *doubles,
+    ]
     stream, rest = Stream(), list(order)
     for moment in range(len(order)):
         size = data.draw(st.integers(0, 6))

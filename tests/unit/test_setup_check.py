@@ -1,4 +1,6 @@
-"""What the contacts of a sweep say of rod, clamp and sensor: recordings of an independent engine with known faults, and a line integrated independently."""
+"""What the contacts of a sweep say of rod, clamp and sensor: recordings of an independent engine
+with known faults, and a line integrated independently.
+"""
 
 import gzip
 import warnings
@@ -11,8 +13,8 @@ from calibration_bench import WIRE, recordings, sensor, setup
 from scipy.integrate import solve_ivp
 
 import vibrissa as vb
-from vibrissa.reconstruct import check_setup
-from vibrissa.reconstruct.checks.constraints import constraints_of
+from vibrissa.inverse import check_setup
+from vibrissa.inverse.checks.constraints import constraints_of
 
 EFFECTS = Path(__file__).parents[3] / "shared" / "recordings" / "effects"
 
@@ -63,7 +65,9 @@ def test_a_turned_clamp_is_named_with_its_angle(tmp_path: Path) -> None:
 
 
 def test_constraints_are_those_of_an_integrated_rod() -> None:
-    """Forward from a tip force to the base wrench of a tapering, curved, heavy rod: there all constraints hold."""
+    """Forward from a tip force to the base wrench of a tapering, curved, heavy rod: there all
+    constraints hold.
+    """
     taper, bend, load = 0.2, np.array([0.1, -0.2]), np.array([0.02, -0.01, 0.05])
     force = np.array([0.3, -0.5, -0.8])
 
@@ -74,7 +78,13 @@ def test_constraints_are_those_of_an_integrated_rod() -> None:
         return np.concatenate([t, np.cross(turning, t), np.cross(turning, d), -np.cross(t, n)])
 
     def at_tip(m: np.ndarray) -> np.ndarray:
-        return solve_ivp(rod, (0, 1), np.concatenate([np.zeros(3), [0, 0, 1], [1, 0, 0], m]), rtol=1e-11, atol=1e-12).y[:, -1]
+        return solve_ivp(
+            rod,
+            (0, 1),
+            np.concatenate([np.zeros(3), [0, 0, 1], [1, 0, 0], m]),
+            rtol=1e-11,
+            atol=1e-12,
+        ).y[:, -1]
 
     moment = np.cross([0, 0, 1], force)
     for _ in range(12):
@@ -90,7 +100,13 @@ def test_constraints_are_those_of_an_integrated_rod() -> None:
 def test_calibration_without_an_object_finds_stiffness_over_length_squared() -> None:
     one = sensor()
     truth = setup(one)
-    start = replace(truth, surface=None, rod=replace(WIRE, bending_stiffness=1.08 * WIRE.bending_stiffness, length=1.01 * WIRE.length))
+    start = replace(
+        truth,
+        surface=None,
+        rod=replace(
+            WIRE, bending_stiffness=1.08 * WIRE.bending_stiffness, length=1.01 * WIRE.length
+        ),
+    )
     found = vb.calibrate(recordings(one), start, free=("youngs_modulus", "length"))
     stiffness, length = (found.estimates[name] for name in ("youngs_modulus", "length"))
     value = stiffness.value / length.value**2 / (206e9 / 0.05**2)
@@ -117,7 +133,10 @@ def test_calibration_without_an_object_from_a_start_that_mistakes_the_phases() -
 def test_clamp_work_that_a_stated_gain_explains_is_no_contradiction() -> None:
     one = sensor()
     (raw,) = recordings(replace(one, gain=(1, 1, 1, 1.04, 1.04, 1.04)), heights=(0.005,))
-    told, allowed = (vb.reconstruct(WIRE, one.reactions(raw, tolerances=given)) for given in (None, vb.Tolerances(gain=0.04)))
+    told, allowed = (
+        vb.reconstruct(WIRE, one.reactions(raw, tolerances=given))
+        for given in (None, vb.Tolerances(gain=0.04))
+    )
     assert any("clamp's work" in line for line in told.warnings)
     assert not np.any(told.status[told.in_contact] == vb.Status.OK)
     assert not any("clamp's work" in line for line in allowed.warnings)
@@ -133,28 +152,48 @@ def test_numbers_that_no_single_cause_explains_are_said_to_be_so() -> None:
 
 
 def test_a_clamp_that_hardly_moves_while_the_rod_is_loaded_is_named() -> None:
-    """Metres that were taken for millimetres, and poses that stand still: there the object may move, and the contacts are right."""
+    """Metres that were taken for millimetres, and poses that stand still: there the object may
+    move, and the contacts are right.
+    """
     one = sensor()
     (raw,) = recordings(one, heights=(0.005,))
     with pytest.warns(vb.RecordingWarning, match="positions in m, taken for mm"):
-        small = vb.reconstruct(WIRE, replace(one, position_noise=1e-8).reactions(replace(raw, position=1e-3 * raw.position)))
+        small = vb.reconstruct(
+            WIRE,
+            replace(one, position_noise=1e-8).reactions(replace(raw, position=1e-3 * raw.position)),
+        )
     assert not np.any(small.status[small.in_contact] == vb.Status.OK)
     with pytest.warns(vb.RecordingWarning, match="a pose stream that stands still"):
-        still = vb.reconstruct(WIRE, one.reactions(replace(raw, position=np.tile(raw.position[:1], (len(raw.position), 1)))))
+        still = vb.reconstruct(
+            WIRE,
+            one.reactions(replace(raw, position=np.tile(raw.position[:1], (len(raw.position), 1)))),
+        )
     assert np.any(still.status[still.in_contact] == vb.Status.OK)
 
 
 def test_tolerances_in_other_units_are_refused() -> None:
-    for name, value in (("length", 0.5), ("clamp_orientation", 3.0), ("pose_delay", 20.0), ("gain", 2.0)):
-        with pytest.raises(ValueError, match=f"{name} = {value}; allowed is a standard deviation from 0 to"):
+    for name, value in (
+        ("length", 0.5),
+        ("clamp_orientation", 3.0),
+        ("pose_delay", 20.0),
+        ("gain", 2.0),
+    ):
+        with pytest.raises(
+            ValueError, match=f"{name} = {value}; allowed is a standard deviation from 0 to"
+        ):
             vb.Tolerances(**{name: value})
 
 
 def test_without_an_object_what_is_left_open_goes_with_its_tolerance() -> None:
-    """With the clamp free along the rod only EI/L² is seen: with EI known to 3 %, L is known to 1.5 %."""
+    """With the clamp free along the rod only EI/L² is seen: with EI known to 3 %, L is known to 1.5
+    %.
+    """
     one = sensor()
     start = replace(setup(one), surface=None)
-    alone, found = (vb.calibrate(recordings(one), start, tolerances=given) for given in (None, vb.Tolerances(youngs_modulus=0.03)))
+    alone, found = (
+        vb.calibrate(recordings(one), start, tolerances=given)
+        for given in (None, vb.Tolerances(youngs_modulus=0.03))
+    )
     assert not alone.estimates["youngs_modulus"].determined
     assert found.estimates["youngs_modulus"].determined
     assert found.estimates["length"].deviation == pytest.approx(0.015 * WIRE.length, rel=0.3)
@@ -162,7 +201,9 @@ def test_without_an_object_what_is_left_open_goes_with_its_tolerance() -> None:
 
 
 def test_without_an_object_each_sweep_is_predicted_by_the_others() -> None:
-    """Sound sweeps are, and one whose torques are read by another gain is told apart, and so is a start that is far off."""
+    """Sound sweeps are, and one whose torques are read by another gain is told apart, and so is a
+    start that is far off.
+    """
     one = sensor()
     start = replace(setup(one), surface=None)
     free = ("youngs_modulus", "length")
@@ -170,11 +211,21 @@ def test_without_an_object_each_sweep_is_predicted_by_the_others() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = vb.calibrate(sweeps, start, free=free)
-    assert [part.part for part in found.held_out] == [f"recordings[{index}]" for index in range(len(sweeps))]
+    assert [part.part for part in found.held_out] == [
+        f"recordings[{index}]" for index in range(len(sweeps))
+    ]
     assert all(0.5 < part.reduced_chi_square < 1.5 for part in found.held_out)
     odd = [*sweeps[:-1], *recordings(replace(one, gain=(1, 1, 1, 1.02, 1.02, 1.02)))[-1:]]
     with pytest.warns(vb.RecordingWarning, match=r"recordings\[[01]\]: not what the rest predicts"):
         told = vb.calibrate(odd, start, free=free)
     assert max(part.move for part in told.held_out) > 6
-    with pytest.warns(vb.RecordingWarning, match="length: found .* from where it was given, .* times its tolerance"):
-        vb.calibrate(sweeps, replace(start, rod=replace(WIRE, length=1.12 * WIRE.length)), free=free, tolerances=vb.Tolerances(length=5e-4))
+    with pytest.warns(
+        vb.RecordingWarning,
+        match="length: found .* from where it was given, .* times its tolerance",
+    ):
+        vb.calibrate(
+            sweeps,
+            replace(start, rod=replace(WIRE, length=1.12 * WIRE.length)),
+            free=free,
+            tolerances=vb.Tolerances(length=5e-4),
+        )

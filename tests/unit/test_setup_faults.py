@@ -1,4 +1,6 @@
-"""What a setup, a clock or a logger got wrong is told from what the sensor did, by physics that the mistake breaks."""
+"""What a setup, a clock or a logger got wrong is told from what the sensor did, by physics that the
+mistake breaks.
+"""
 
 from dataclasses import replace
 
@@ -31,7 +33,9 @@ def texts(raw: RawRecording, of: Sensor, rod: vb.Rod = ROD) -> list[str]:
 
 
 def test_the_other_sign_makes_a_pushed_rod_do_work(swept: vb.Reactions) -> None:
-    """The bending energy at the largest load is what the clamp did until there: 3 mJ here, by the scan's own energy."""
+    """The bending energy at the largest load is what the clamp did until there: 3 mJ here, by the
+    scan's own energy.
+    """
     raw = logged(OF, swept, seed=3)
     assert texts(raw, OF) == []
     told = texts(raw, sensor(wrench="on_rod"))
@@ -47,17 +51,31 @@ def test_the_other_sign_makes_a_pushed_rod_do_work(swept: vb.Reactions) -> None:
     ("wrong", "words"),
     [
         (
-            {"clamp_orientation": (Rotation.from_quat(OF.clamp_orientation) * Rotation.from_rotvec([np.pi, 0, 0])).as_quat()},
+            {
+                "clamp_orientation": (
+                    Rotation.from_quat(OF.clamp_orientation) * Rotation.from_rotvec([np.pi, 0, 0])
+                ).as_quat()
+            },
             "behind the clamp",
         ),
-        ({"wrench_point": (0.0, 0.0, 0.06)}, "rod lengths from the clamp in the median, where no rod is"),
-        ({"clamp_position": OF.clamp_position + [0.0, 0.06, 0.0]}, "rod lengths from the clamp in the median, where no rod is"),
+        (
+            {"wrench_point": (0.0, 0.0, 0.06)},
+            "rod lengths from the clamp in the median, where no rod is",
+        ),
+        (
+            {"clamp_position": OF.clamp_position + [0.0, 0.06, 0.0]},
+            "rod lengths from the clamp in the median, where no rod is",
+        ),
     ],
     ids=["turned over", "another reference point", "another place"],
 )
-def test_a_clamp_elsewhere_is_told_by_the_lines_of_the_forces(swept: vb.Reactions, wrong: dict[str, object], words: str) -> None:
+def test_a_clamp_elsewhere_is_told_by_the_lines_of_the_forces(
+    swept: vb.Reactions, wrong: dict[str, object], words: str
+) -> None:
     raw = logged(OF, swept, seed=3)
-    assert [words in text for text in texts(raw, sensor(**wrong)) if text.startswith("mount")] == [True]
+    assert [words in text for text in texts(raw, sensor(**wrong)) if text.startswith("mount")] == [
+        True
+    ]
 
 
 MISTAKES = {
@@ -83,24 +101,45 @@ def test_swapped_columns_are_named() -> None:
 
 
 def test_a_work_that_is_not_known_is_not_judged(swept: vb.Reactions) -> None:
-    """Without the readings at the largest load, and where it begins under load, what the rod gives back is all that is seen."""
+    """Without the readings at the largest load, and where it begins under load, what the rod gives
+    back is all that is seen.
+    """
     raw = logged(OF, swept, seed=3)
     top = int(np.argmax(np.linalg.norm(np.nan_to_num(swept.force), axis=1)))
     lost = changed(raw, slice(top - 250, top + 60), slice(0, 6), np.nan)
     assert not any(text.startswith("mount") for text in texts(lost, OF))
     tail = only(raw, np.arange(top, len(raw.time)))
-    late = sensor(rest_intervals=((float(tail.time[-1] - tail.time[0]) - 0.4, float(tail.time[-1] - tail.time[0])),))
+    late = sensor(
+        rest_intervals=(
+            (float(tail.time[-1] - tail.time[0]) - 0.4, float(tail.time[-1] - tail.time[0])),
+        )
+    )
     assert not any(text.startswith("mount") for text in texts(tail, late))
 
 
-@pytest.mark.parametrize("options", [{"tare_seconds": 1.6}, {"rest_intervals": ((0.2, 1.6),)}], ids=["tare_seconds", "rest_intervals"])
-def test_a_tare_that_reaches_into_the_contact_is_told_with_its_moment(options: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    "options",
+    [{"tare_seconds": 1.6}, {"rest_intervals": ((0.2, 1.6),)}],
+    ids=["tare_seconds", "rest_intervals"],
+)
+def test_a_tare_that_reaches_into_the_contact_is_told_with_its_moment(
+    options: dict[str, object],
+) -> None:
     raw = logged(OF, pushed(), seed=1)
-    assert [kind for kind in kinds(inspect_raw(raw, sensor(tare_seconds=0.99), ROD)) if kind[0] == "no rest"] == []
-    told = [fault for fault in inspect_raw(raw, sensor(**options), ROD).faults if str(fault.kind) == "no rest"]
+    assert [
+        kind
+        for kind in kinds(inspect_raw(raw, sensor(tare_seconds=0.99), ROD))
+        if kind[0] == "no rest"
+    ] == []
+    told = [
+        fault
+        for fault in inspect_raw(raw, sensor(**options), ROD).faults
+        if str(fault.kind) == "no rest"
+    ]
     assert len(told) == 1
     assert not told[0].unusable
-    # The load rises with the square of the time: it is seen within a tenth of a second of the first contact.
+    # The load rises with the square of the time: it is seen within a tenth of a second of the first
+    # contact.
     assert 1.0 - 0.04 <= told[0].start - raw.time[0] <= 1.15
     assert told[0].stop - raw.time[0] == pytest.approx(1.6, abs=0.05)
     assert "is not taken at rest" in told[0].text
@@ -118,9 +157,9 @@ def test_a_sensor_slower_than_the_log_is_one_finding() -> None:
     raw = logged(OF, pushed(), seed=1)
     slow = changed(raw, slice(None), slice(0, 6), raw.wrench[np.arange(len(raw.time)) // 4 * 4])
     found = inspect_raw(slow, OF, ROD)
-    assert [kind for kind in kinds(found) if kind[0] in {"held readings", "stuck channel", "no rest"}] == [
-        ("held readings", tuple(vb.sensor.CHANNELS), 1125)
-    ]
+    assert [
+        kind for kind in kinds(found) if kind[0] in {"held readings", "stuck channel", "no rest"}
+    ] == [("held readings", tuple(vb.sensor.CHANNELS), 1125)]
     assert "as of a sensor of 62.5 readings a second in a log of 250" in next(
         f.text for f in found.faults if str(f.kind) == "held readings"
     )
@@ -142,7 +181,9 @@ def test_stamps_in_bursts_are_one_finding() -> None:
     raw = logged(OF, pushed(), seed=1)
     rows = np.arange(len(raw.time))
     found = inspect_raw(replace(raw, time=rows // 4 * 4 / RATE + rows % 4 * 1e-4), OF, ROD)
-    assert [(str(fault.kind), fault.count) for fault in found.faults if fault.channels == ("time",)] == [("gap", 374)]
+    assert [
+        (str(fault.kind), fault.count) for fault in found.faults if fault.channels == ("time",)
+    ] == [("gap", 374)]
     assert "in bursts" in found.faults[0].text
 
 

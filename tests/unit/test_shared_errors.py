@@ -1,4 +1,6 @@
-"""What errors of the setup do to contacts: derivatives against readings taken with other numbers, and covariances that hold them."""
+"""What errors of the setup do to contacts: derivatives against readings taken with other numbers,
+and covariances that hold them.
+"""
 
 from dataclasses import replace
 
@@ -7,14 +9,20 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 import vibrissa as vb
+from vibrissa.inverse.shared import sensitivities
 from vibrissa.io.calibration import CalibrationTable
-from vibrissa.reconstruct.shared import sensitivities
 from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
 ROD = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 TOLERANCES = vb.Tolerances(
-    youngs_modulus=0.04, radius=0.01, length=0.4e-3, clamp_position=0.4e-3, clamp_orientation=0.01, gain=0.015, pose_delay=5e-3
+    youngs_modulus=0.04,
+    radius=0.01,
+    length=0.4e-3,
+    clamp_position=0.4e-3,
+    clamp_orientation=0.01,
+    gain=0.015,
+    pose_delay=5e-3,
 )
 RATE = 100.0
 SENSOR = Sensor(
@@ -26,7 +34,13 @@ SENSOR = Sensor(
     torque_noise=1e-5,
 )
 WHISK = vb.Trail.whisk(
-    pivot=(0, 0, 0), axis=(0, 0, 1), position=(0.01, 0, 0), start_angle=0.2, stop_angle=0.5, count=12, rod_axis=(1, 0, 0)
+    pivot=(0, 0, 0),
+    axis=(0, 0, 1),
+    position=(0.01, 0, 0),
+    start_angle=0.2,
+    stop_angle=0.5,
+    count=12,
+    rod_axis=(1, 0, 0),
 )
 SCAN = vb.scan(ROD, vb.surfaces.Sphere(center=(0.042, 0.027, 0.004), radius=0.02), WHISK)
 
@@ -34,10 +48,14 @@ SCAN = vb.scan(ROD, vb.surfaces.Sphere(center=(0.042, 0.027, 0.004), radius=0.02
 def logged(sensor: Sensor) -> RawRecording:
     """What it logs of the whisk, without noise."""
     exact = replace(sensor, force_noise=None, torque_noise=None)
-    return exact.measure(replace(SCAN.reactions, time=np.arange(len(SCAN.kind)) / RATE), np.random.default_rng(0))
+    return exact.measure(
+        replace(SCAN.reactions, time=np.arange(len(SCAN.kind)) / RATE), np.random.default_rng(0)
+    )
 
 
-def read(raw: RawRecording, sensor: Sensor, name: str = "length", error: float = 0.0) -> vb.Reconstruction:
+def read(
+    raw: RawRecording, sensor: Sensor, name: str = "length", error: float = 0.0
+) -> vb.Reconstruction:
     """Contacts by a setup one of whose numbers is larger by `error`."""
     rod, delay = ROD, error if name == "pose_delay" else 0.0
     axis = {"x": 0, "y": 1, "z": 2}.get(name[-1], 0)
@@ -48,16 +66,23 @@ def read(raw: RawRecording, sensor: Sensor, name: str = "length", error: float =
     elif name.startswith("clamp_position"):
         sensor = replace(sensor, clamp_position=sensor.clamp_position + error * np.eye(3)[axis])
     elif name.startswith("clamp_orientation"):
-        turn = Rotation.from_quat(sensor.clamp_orientation) * Rotation.from_rotvec(error * np.eye(3)[axis])
+        turn = Rotation.from_quat(sensor.clamp_orientation) * Rotation.from_rotvec(
+            error * np.eye(3)[axis]
+        )
         sensor = replace(sensor, clamp_orientation=turn.as_quat())
     elif name.startswith("gain"):
         channel = axis + 3 * ("torque" in name)
         sensor = replace(sensor, gain=tuple((1 + error * np.eye(6)[channel]).tolist()))
     if delay:
-        # Poses that come late belong to what came before: the one that belongs to a wrench is stamped later.
+        # Poses that come late belong to what came before: the one that belongs to a wrench is
+        # stamped later.
         at = np.clip(raw.time + delay, raw.time[0], raw.time[-1])
         position = np.stack([np.interp(at, raw.time, part) for part in raw.position.T], axis=1)
-        raw = replace(raw, position=position, orientation=Slerp(raw.time, Rotation.from_quat(raw.orientation))(at).as_quat())
+        raw = replace(
+            raw,
+            position=position,
+            orientation=Slerp(raw.time, Rotation.from_quat(raw.orientation))(at).as_quat(),
+        )
     return vb.reconstruct(rod, sensor.reactions(raw, tolerances=TOLERANCES))
 
 
@@ -73,10 +98,15 @@ def test_derivatives_are_those_of_readings_with_other_numbers(frame: str) -> Non
         step = 1e-4 * unit if name != "pose_delay" else 1e-3
         up, down = (read(raw, sensor, name, sign * step) for sign in (1, -1))
         # A delay's rate is taken over 50 ms, in which the clamp turns: a part in a thousand.
-        for part, seen in (("point", slopes[:, :3, column] * ROD.length / unit), ("normal", slopes[:, 3:, column] / unit)):
+        for part, seen in (
+            ("point", slopes[:, :3, column] * ROD.length / unit),
+            ("normal", slopes[:, 3:, column] / unit),
+        ):
             moved = (getattr(up, part) - getattr(down, part)) / (2 * step)
             scale = np.abs(moved[rows]).max()
-            np.testing.assert_allclose(seen[rows], moved[rows], rtol=0, atol=4e-3 * scale + 1e-6, err_msg=f"{name}, {part}")
+            np.testing.assert_allclose(
+                seen[rows], moved[rows], rtol=0, atol=4e-3 * scale + 1e-6, err_msg=f"{name}, {part}"
+            )
 
 
 def test_covariance_is_noise_and_what_is_shared() -> None:
@@ -84,7 +114,9 @@ def test_covariance_is_noise_and_what_is_shared() -> None:
     assert found.shared_names == PARAMETERS
     whole = found.covariance_noise + found.shared @ np.swapaxes(found.shared, 1, 2)
     np.testing.assert_allclose(found.covariance, whole, rtol=1e-9)
-    whole = found.normal_covariance_noise + found.shared_normal @ np.swapaxes(found.shared_normal, 1, 2)
+    whole = found.normal_covariance_noise + found.shared_normal @ np.swapaxes(
+        found.shared_normal, 1, 2
+    )
     np.testing.assert_allclose(found.normal_covariance, whole, rtol=1e-9, atol=1e-18)
     alone = vb.reconstruct(ROD, SENSOR.reactions(logged(SENSOR)))
     np.testing.assert_allclose(alone.covariance, found.covariance_noise, rtol=1e-9)
@@ -104,22 +136,34 @@ def test_factor_of_errors_that_go_together() -> None:
     errors = SetupErrors(covariance, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
     np.testing.assert_allclose(errors.factor @ errors.factor.T, covariance, rtol=1e-12, atol=1e-18)
     # Three gains that are off by the same are one error.
-    assert errors.names == tuple(name for name in PARAMETERS if name not in ("gain_force_y", "gain_force_z"))
+    assert errors.names == tuple(
+        name for name in PARAMETERS if name not in ("gain_force_y", "gain_force_z")
+    )
     with pytest.raises(ValueError, match="positive semidefinite"):
         SetupErrors(-covariance, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
 
 
 def test_a_calibration_takes_the_place_of_what_it_determined() -> None:
     estimates = {
-        "youngs_modulus": {"unit": "Pa", "given": 2.0e11, "value": 2.1e11, "standard_deviation": 2.1e9},
+        "youngs_modulus": {
+            "unit": "Pa",
+            "given": 2.0e11,
+            "value": 2.1e11,
+            "standard_deviation": 2.1e9,
+        },
         "length": {"unit": "m", "given": 0.05, "value": 0.0502, "standard_deviation": 1e-4},
         "force_gain": {"unit": "1", "given": 1.0, "value": 1.02, "standard_deviation": 0.0102},
     }
     correlation = [[1.0, 0.7, 0.0], [0.7, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    table = CalibrationTable.model_construct(names=list(estimates), correlation=correlation, estimates=estimates)
+    table = CalibrationTable.model_construct(
+        names=list(estimates), correlation=correlation, estimates=estimates
+    )
     table = table.model_copy(
         update={
-            "estimates": {name: CalibrationTable.model_fields["estimates"].annotation.__args__[1](**one) for name, one in estimates.items()}
+            "estimates": {
+                name: CalibrationTable.model_fields["estimates"].annotation.__args__[1](**one)
+                for name, one in estimates.items()
+            }
         }
     )
     covariance = table.parameter_covariance(TOLERANCES.covariance)
@@ -134,7 +178,10 @@ def test_a_calibration_takes_the_place_of_what_it_determined() -> None:
 def test_expected_error_with_tolerances() -> None:
     line = vb.Trail.line(start=(0.01, 0.005, 0), stop=(-0.01, 0.005, 0), count=5)
     ball = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
-    alone, whole = (vb.expected_error(ROD, ball, line, SENSOR, speed=0.02, tolerances=given) for given in (None, TOLERANCES))
+    alone, whole = (
+        vb.expected_error(ROD, ball, line, SENSOR, speed=0.02, tolerances=given)
+        for given in (None, TOLERANCES)
+    )
     np.testing.assert_allclose(whole.found.covariance_noise, alone.covariance, rtol=1e-9)
     delay = whole.found.shared[..., -1]
     # Poses that come late by one deviation are off by the way of the clamp.

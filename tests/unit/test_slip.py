@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
-from vibrissa.scan.slip import Slip, slip_along
+from vibrissa.forward.slip import Slip, slip_along
 
 N = 40
 
@@ -74,5 +74,9 @@ def test_status_and_kind_are_told_in_words() -> None:
     texts = [status.text for status in vb.Status]
     assert len(set(texts)) == len(vb.Status)
     assert all(text.endswith(".") and "\n" not in text for text in texts)
-    assert all(";" in status.text or ":" in status.text or "," in status.text for status in vb.Status if status)
+    assert all(
+        ";" in status.text or ":" in status.text or "," in status.text
+        for status in vb.Status
+        if status
+    )
     assert [int(kind) for kind in vb.ContactKind] == [0, 1, 2]

@@ -1,4 +1,6 @@
-"""Superquadrics: the equation itself, the solids it contains, and derivatives on the planes and axes of symmetry."""
+"""Superquadrics: the equation itself, the solids it contains, and derivatives on the planes and
+axes of symmetry.
+"""
 
 import re
 from collections.abc import Callable
@@ -12,7 +14,18 @@ from vibrissa import surfaces
 
 CENTER = np.array([0.1, -0.2, 0.9])
 AXES = np.array([0.5, 0.3, 0.4])
-EXPONENTS = [(1.0, 1.0), (0.5, 0.5), (0.2, 0.6), (1.0, 0.3), (0.3, 1.0), (0.05, 0.1), (1.4, 1.2), (2.0, 2.0), (0.1, 2.0), (2.0, 0.1)]
+EXPONENTS = [
+    (1.0, 1.0),
+    (0.5, 0.5),
+    (0.2, 0.6),
+    (1.0, 0.3),
+    (0.3, 1.0),
+    (0.05, 0.1),
+    (1.4, 1.2),
+    (2.0, 2.0),
+    (0.1, 2.0),
+    (2.0, 0.1),
+]
 ALL = pytest.mark.parametrize("exponents", EXPONENTS)
 SMOOTH = pytest.mark.parametrize("exponents", [pair for pair in EXPONENTS if max(pair) <= 1])
 POINTS = CENTER + np.random.default_rng(2).normal(0, 0.4, (300, 3))
@@ -20,7 +33,9 @@ POINTS = CENTER + np.random.default_rng(2).normal(0, 0.4, (300, 3))
 
 @jax.jit
 def derivatives(surface: surfaces.Surface, points: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jax.vmap(jax.grad(surface.level))(points), jax.vmap(jax.jacfwd(jax.grad(surface.level)))(points)
+    return jax.vmap(jax.grad(surface.level))(points), jax.vmap(jax.jacfwd(jax.grad(surface.level)))(
+        points
+    )
 
 
 def inside_outside(points: np.ndarray, exponents: tuple[float, float]) -> np.ndarray:
@@ -39,7 +54,9 @@ def test_solids_that_it_contains() -> None:
     def levels(*exponents: float) -> np.ndarray:
         return surfaces.Superquadric(CENTER, AXES, exponents).levels(POINTS)
 
-    np.testing.assert_allclose(levels(1, 1), surfaces.Ellipsoid(CENTER, AXES).levels(POINTS), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        levels(1, 1), surfaces.Ellipsoid(CENTER, AXES).levels(POINTS), rtol=0, atol=1e-15
+    )
     octahedron = (np.abs((POINTS - CENTER) / AXES).sum(axis=1) - 1) * 0.3
     np.testing.assert_allclose(levels(2, 2), octahedron, rtol=0, atol=1e-14)
     block = (np.abs((POINTS - CENTER) / AXES).max(axis=1) - 1) * 0.3
@@ -51,24 +68,38 @@ def test_derivatives_are_those_of_finite_differences(exponents: tuple[float, flo
     surface, step = surfaces.Superquadric(CENTER, AXES, exponents), 1e-6
     points = POINTS[np.min(np.abs(POINTS - CENTER), axis=1) > 0.02]
     gradient, hessian = derivatives(surface, jnp.array(points))
-    ahead, behind = (np.stack([surface.levels(points + sign * step * axis) for axis in np.eye(3)], -1) for sign in (1, -1))
+    ahead, behind = (
+        np.stack([surface.levels(points + sign * step * axis) for axis in np.eye(3)], -1)
+        for sign in (1, -1)
+    )
     np.testing.assert_allclose(gradient, (ahead - behind) / (2 * step), rtol=0, atol=2e-8)
     ahead, behind = (
-        np.stack([derivatives(surface, jnp.array(points + sign * step * axis))[0] for axis in np.eye(3)], -1) for sign in (1, -1)
+        np.stack(
+            [derivatives(surface, jnp.array(points + sign * step * axis))[0] for axis in np.eye(3)],
+            -1,
+        )
+        for sign in (1, -1)
     )
     np.testing.assert_allclose(hessian, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5)
 
 
 @SMOOTH
 def test_derivatives_on_the_planes_and_axes_of_symmetry(exponents: tuple[float, float]) -> None:
-    """Even in each coordinate: there the gradient lies in the plane, and second derivatives are the limits from beside."""
+    """Even in each coordinate: there the gradient lies in the plane, and second derivatives are the
+    limits from beside.
+    """
     surface = surfaces.Superquadric((0, 0, 0), AXES, exponents)
     planes = np.concatenate(
-        [np.delete(POINTS[:20] - CENTER, axis, 1)[:, [*range(axis), 0, *range(axis, 2)]] * (np.arange(3) != axis) for axis in range(3)]
+        [
+            np.delete(POINTS[:20] - CENTER, axis, 1)[:, [*range(axis), 0, *range(axis, 2)]]
+            * (np.arange(3) != axis)
+            for axis in range(3)
+        ]
     )
     gradient, hessian = derivatives(surface, jnp.array(planes))
     np.testing.assert_array_equal(
-        np.asarray(gradient)[planes == 0], np.asarray(gradient)[planes == 0] * 0 + np.asarray(gradient)[planes == 0]
+        np.asarray(gradient)[planes == 0],
+        np.asarray(gradient)[planes == 0] * 0 + np.asarray(gradient)[planes == 0],
     )
     beside_gradient, beside = derivatives(surface, jnp.array(planes + (planes == 0) * 1e-7))
     np.testing.assert_allclose(gradient, beside_gradient, rtol=0, atol=1e-5)
@@ -79,7 +110,12 @@ def test_derivatives_on_the_planes_and_axes_of_symmetry(exponents: tuple[float, 
 @ALL
 def test_no_derivative_is_missing_anywhere(exponents: tuple[float, float]) -> None:
     surface = surfaces.Superquadric(CENTER, AXES, exponents)
-    grid = np.stack(np.meshgrid(*[[-1.0, -1e-9, 0.0, 1e-17, 1e-120, 1.0, 1e4]] * 3), axis=-1).reshape(-1, 3) * AXES
+    grid = (
+        np.stack(np.meshgrid(*[[-1.0, -1e-9, 0.0, 1e-17, 1e-120, 1.0, 1e4]] * 3), axis=-1).reshape(
+            -1, 3
+        )
+        * AXES
+    )
     points = np.concatenate([CENTER + grid, grid * [1, 1e-300, 1]])
     for surface_of in (surface, surfaces.Superquadric((0, 0, 0), AXES, exponents)):
         level = surface_of.levels(points)
@@ -102,7 +138,9 @@ def test_slope_is_about_one_on_the_surface(exponents: tuple[float, float]) -> No
 def test_the_solid_is_convex(exponents: tuple[float, float]) -> None:
     surface = surfaces.Superquadric(CENTER, AXES, exponents)
     middle = surface.levels((POINTS[::2] + POINTS[1::2]) / 2)
-    assert np.all(middle <= (surface.levels(POINTS[::2]) + surface.levels(POINTS[1::2])) / 2 + 1e-14)
+    assert np.all(
+        middle <= (surface.levels(POINTS[::2]) + surface.levels(POINTS[1::2])) / 2 + 1e-14
+    )
 
 
 BAD: dict[str, tuple[Callable[[], object], str]] = {
@@ -114,7 +152,10 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
         lambda: surfaces.Superquadric(CENTER, AXES, (1, 3)),
         "exponents[1] = 3.0; allowed is a number greater than 0 and at most 2",
     ),
-    "one exponent": (lambda: surfaces.Superquadric(CENTER, AXES, 1.0), "exponents has shape (); allowed is (…, 2)"),
+    "one exponent": (
+        lambda: surfaces.Superquadric(CENTER, AXES, 1.0),
+        "exponents has shape (); allowed is (…, 2)",
+    ),
     "semi-axis": (
         lambda: surfaces.Superquadric(CENTER, (1, 1, -1), (1, 1)),
         "semi_axes[2] = -1.0; allowed is a finite number greater than 0",

@@ -14,7 +14,9 @@ GOOD = logged(OF, pushed(turning=0.5), seed=1)
 
 def warned(raw: RawRecording) -> tuple[Inspection, list[tuple[str, tuple[str, ...]]]]:
     found = inspect_raw(raw, OF, ROD)
-    return found, [(str(fault.kind), fault.channels) for fault in found.faults if fault.text in found.warnings]
+    return found, [
+        (str(fault.kind), fault.channels) for fault in found.faults if fault.text in found.warnings
+    ]
 
 
 def test_nothing_is_said_of_a_good_recording() -> None:
@@ -31,7 +33,9 @@ def test_larger_noise_is_used_and_smaller_is_no_warning() -> None:
     np.testing.assert_allclose(deviation[:3], found.noise[:3], rtol=1e-9)
     np.testing.assert_allclose(deviation[3:], np.sqrt(OF.reading_variance)[3:], rtol=1e-9)
     assert found.tare is not None
-    there, stated = (of.reactions(raw).covariance for of, raw in ((found.sensor, found.cleaned), (OF, GOOD)))
+    there, stated = (
+        of.reactions(raw).covariance for of, raw in ((found.sensor, found.cleaned), (OF, GOOD))
+    )
     assert there is not None
     assert stated is not None
     forces = [np.trace(part.reshape(-1, 6, 6)[0, :3, :3]) for part in (there, stated)]
@@ -41,7 +45,10 @@ def test_larger_noise_is_used_and_smaller_is_no_warning() -> None:
     assert quiet.sensor is OF
 
 
-@pytest.mark.parametrize(("frequency", "words"), [(50.0, "as of 50 Hz"), (180.0, "as of 180 Hz at 250 samples a second"), (33.0, "at 33")])
+@pytest.mark.parametrize(
+    ("frequency", "words"),
+    [(50.0, "as of 50 Hz"), (180.0, "as of 180 Hz at 250 samples a second"), (33.0, "at 33")],
+)
 def test_hum_is_named_with_its_frequency_and_size(frequency: float, words: str) -> None:
     """180 Hz at 250 samples a second is seen at 70 Hz."""
     line = 5e-3 * np.sin(2 * np.pi * frequency * GOOD.time)
@@ -51,7 +58,9 @@ def test_hum_is_named_with_its_frequency_and_size(frequency: float, words: str) 
     assert words in text
     assert float(text.split("a line of ")[1].split(" ")[0]) == pytest.approx(5e-3, rel=0.15)
     assert ("hum of the mains" in text) == (frequency != 33.0)
-    assert found.sensor.reading_variance[1] == pytest.approx(OF.reading_variance[1] + 5e-3**2 / 2, rel=0.2)
+    assert found.sensor.reading_variance[1] == pytest.approx(
+        OF.reading_variance[1] + 5e-3**2 / 2, rel=0.2
+    )
 
 
 def test_a_drift_is_taken_off_between_two_rests_and_named_with_one() -> None:

@@ -1,15 +1,16 @@
-"""The forward problem by shooting: the rod's equation in space and Newton's method, without the package's closed forms.
+"""The forward problem by shooting: the rod's equation in space and Newton's method, without the
+package's closed forms.
 
-Kirchhoff's rod, straight when free, of isotropic section, unshearable and inextensible, in model units L = EI = 1.
-Beyond the contact it carries nothing; up to it the internal force is the contact force F, and with m the moment that
-the part beyond s exerts on the part before it
+Kirchhoff's rod, straight when free, of isotropic section, unshearable and inextensible, in model
+units L = EI = 1. Beyond the contact it carries nothing; up to it the internal force is the contact
+force F, and with m the moment that the part beyond s exerts on the part before it
 
     r' = t,   t' = m × t,   m' = −t × F,   r(0) = P0,   t(0) = t0.
 
-Nothing is said of a plane, of elliptic integrals, or of the base moment's direction. Unknown are m(0), f, the contact
-point p and s₁; the conditions (paper, eqs. 7 to 13; mechanics.md, "Contact conditions") are m(s₁) = 0, r(s₁) = p,
-g(p) = 0 with F = f ∇g/‖∇g‖ at p, and either s₁ = 1 (tip) or t(s₁) · ∇g = 0 (tangential). The support reactions are
-f0 = −F and m0 = −m(0).
+Nothing is said of a plane, of elliptic integrals, or of the base moment's direction. Unknown are
+m(0), f, the contact point p and s₁; the conditions (paper, eqs. 7 to 13; mechanics.md, "Contact
+conditions") are m(s₁) = 0, r(s₁) = p, g(p) = 0 with F = f ∇g/‖∇g‖ at p, and either s₁ = 1 (tip) or
+t(s₁) · ∇g = 0 (tangential). The support reactions are f0 = −F and m0 = −m(0).
 """
 
 from collections.abc import Callable
@@ -40,7 +41,9 @@ class Level(NamedTuple):
     def normal_slope(self, point: np.ndarray) -> np.ndarray:
         """∂n/∂p (3, 3) by central differences: Newton's method needs it to a few digits only."""
         step = 1e-6 * np.eye(3)
-        return np.stack([(self.normal(point + d) - self.normal(point - d)) / 2e-6 for d in step], axis=1)
+        return np.stack(
+            [(self.normal(point + d) - self.normal(point - d)) / 2e-6 for d in step], axis=1
+        )
 
     def scaled(self, length: float) -> "Level":
         """The same solid seen in units of `length`."""
@@ -49,7 +52,9 @@ class Level(NamedTuple):
     def placed(self, rotation: Rotation, translation: ArrayLike) -> "Level":
         """Turn about the origin, then move."""
         R, d = rotation.as_matrix(), np.asarray(translation)
-        return Level(lambda p: self.value(R.T @ (p - d)), lambda p: R @ self.gradient(R.T @ (p - d)))
+        return Level(
+            lambda p: self.value(R.T @ (p - d)), lambda p: R @ self.gradient(R.T @ (p - d))
+        )
 
 
 def quadric(center: ArrayLike, semi_axes: ArrayLike) -> Level:
@@ -60,7 +65,9 @@ def quadric(center: ArrayLike, semi_axes: ArrayLike) -> Level:
 
 def height_field(height: Callable[..., float], slope: Callable[..., tuple[float, float]]) -> Level:
     """The solid z > C(x, y), with ∂C/∂x and ∂C/∂y."""
-    return Level(lambda p: height(p[0], p[1]) - p[2], lambda p: np.array([*slope(p[0], p[1]), -1.0]))
+    return Level(
+        lambda p: height(p[0], p[1]) - p[2], lambda p: np.array([*slope(p[0], p[1]), -1.0])
+    )
 
 
 def paraboloid(a: float, b: float, h: float) -> Level:
@@ -93,8 +100,16 @@ def clamp_tangent(quaternion: ArrayLike) -> np.ndarray:
     return Rotation.from_quat(quaternion).apply([0.0, 0.0, 1.0])
 
 
-def rod_along(clamp: ArrayLike, tangent: ArrayLike, base_moment: ArrayLike, force: ArrayLike, arc_lengths: ArrayLike) -> np.ndarray:
-    """(r, t, m, bending energy so far) at increasing arc lengths (k, 10): an initial value problem from the clamp."""
+def rod_along(
+    clamp: ArrayLike,
+    tangent: ArrayLike,
+    base_moment: ArrayLike,
+    force: ArrayLike,
+    arc_lengths: ArrayLike,
+) -> np.ndarray:
+    """(r, t, m, bending energy so far) at increasing arc lengths (k, 10): an initial value problem
+    from the clamp.
+    """
 
     def slope(_s: float, y: np.ndarray) -> np.ndarray:
         t, m = y[3:6], y[6:9]
@@ -102,11 +117,17 @@ def rod_along(clamp: ArrayLike, tangent: ArrayLike, base_moment: ArrayLike, forc
 
     s = np.atleast_1d(arc_lengths)
     start = np.concatenate([clamp, tangent, base_moment, [0.0]])
-    return solve_ivp(slope, (0, s[-1]), start, method="DOP853", rtol=_RTOL, atol=_ATOL, t_eval=s).y.T
+    return solve_ivp(
+        slope, (0, s[-1]), start, method="DOP853", rtol=_RTOL, atol=_ATOL, t_eval=s
+    ).y.T
 
 
-def _shot(clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(r, t, m) at s₁ (9,), and by the variational equations its derivatives by m(0) and F (9, 6) and by s₁ (9,)."""
+def _shot(
+    clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, force: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(r, t, m) at s₁ (9,), and by the variational equations its derivatives by m(0) and F (9, 6)
+    and by s₁ (9,).
+    """
 
     def slope(_s: float, y: np.ndarray) -> np.ndarray:
         # Columns: the rod itself, then its derivatives by m(0) and by F.
@@ -123,7 +144,9 @@ def _shot(clamp: np.ndarray, tangent: np.ndarray, u: np.ndarray, force: np.ndarr
     start = np.zeros((9, 7))
     start[:, 0] = np.concatenate([clamp, tangent, u[:3]])
     start[6:, 1:4] = np.eye(3)
-    end = solve_ivp(slope, (0, u[7]), start.ravel(), method="DOP853", rtol=_RTOL, atol=_ATOL).y[:, -1]
+    end = solve_ivp(slope, (0, u[7]), start.ravel(), method="DOP853", rtol=_RTOL, atol=_ATOL).y[
+        :, -1
+    ]
     rate = slope(0.0, end).reshape(9, 7)[:, 0]
     end = end.reshape(9, 7)
     return end[:, 0], end[:, 1:], rate
@@ -160,7 +183,9 @@ def _conditions(
     return residual, jacobian, t
 
 
-def shoot(level: Level, clamp: ArrayLike, tangent: ArrayLike, guess: ArrayLike, *, tip: bool) -> Equilibrium:
+def shoot(
+    level: Level, clamp: ArrayLike, tangent: ArrayLike, guess: ArrayLike, *, tip: bool
+) -> Equilibrium:
     """Newton's method on the shot's end.
 
     Parameters
@@ -184,17 +209,29 @@ def shoot(level: Level, clamp: ArrayLike, tangent: ArrayLike, guess: ArrayLike, 
         residual, jacobian, t = _conditions(level, clamp, tangent, u, tip=tip)
         largest = float(np.abs(residual).max())
         if largest < _CONVERGED:
-            return Equilibrium(u[:3], float(u[3]), u[4:7], 1.0 if tip else float(u[7]), level.normal(u[4:7]), t, largest)
+            return Equilibrium(
+                u[:3],
+                float(u[3]),
+                u[4:7],
+                1.0 if tip else float(u[7]),
+                level.normal(u[4:7]),
+                t,
+                largest,
+            )
         step = np.linalg.solve(jacobian, residual)
         u -= step * min(1.0, _LARGEST_STEP / np.abs(step[4:]).max())
-    raise ArithmeticError(f"residual {largest} after {_ITERATIONS} iterations from {np.asarray(guess)}")
+    raise ArithmeticError(
+        f"residual {largest} after {_ITERATIONS} iterations from {np.asarray(guess)}"
+    )
 
 
 def follow(level: Level, clamps: np.ndarray, tangents: np.ndarray) -> list[Equilibrium | None]:
-    """Equilibria along a path (n, 3), (n, 3) on the branch that begins at first contact; None while the rod is free.
+    """Equilibria along a path (n, 3), (n, 3) on the branch that begins at first contact; None while
+    the rod is free.
 
-    The next state is guessed from the last two. Tip contact turns tangential where the tip would pass beyond tangency,
-    and back where the contact would slide off the tip. The path must begin free and must not meet a fold.
+    The next state is guessed from the last two. Tip contact turns tangential where the tip would
+    pass beyond tangency, and back where the contact would slide off the tip. The path must begin
+    free and must not meet a fold.
     """
     found: list[Equilibrium | None] = []
     for clamp, tangent in zip(clamps, tangents, strict=True):
@@ -210,7 +247,9 @@ def follow(level: Level, clamps: np.ndarray, tangents: np.ndarray) -> list[Equil
 
 
 def _first(level: Level, clamp: np.ndarray, tangent: np.ndarray) -> Equilibrium | None:
-    """First contact, if the straight rod enters the solid: guessed as a cantilever, loaded where it is deepest."""
+    """First contact, if the straight rod enters the solid: guessed as a cantilever, loaded where it
+    is deepest.
+    """
     s = np.linspace(0, 1, 1001)[1:]
     line = clamp + s[:, None] * tangent
     depth = np.array([-level.value(p) / np.linalg.norm(level.gradient(p)) for p in line])
@@ -219,11 +258,15 @@ def _first(level: Level, clamp: np.ndarray, tangent: np.ndarray) -> Equilibrium 
         return None
     n = level.normal(line[deepest])
     point, force = line[deepest] + depth[deepest] * n, 3 * depth[deepest] / s[deepest] ** 3
-    guess = np.concatenate([np.cross(line[deepest] - clamp, force * n), [force], point, [s[deepest]]])
+    guess = np.concatenate(
+        [np.cross(line[deepest] - clamp, force * n), [force], point, [s[deepest]]]
+    )
     return _admissible(level, clamp, tangent, guess, tip=bool(deepest == len(s) - 1))
 
 
-def _admissible(level: Level, clamp: np.ndarray, tangent: np.ndarray, guess: np.ndarray, *, tip: bool) -> Equilibrium:
+def _admissible(
+    level: Level, clamp: np.ndarray, tangent: np.ndarray, guess: np.ndarray, *, tip: bool
+) -> Equilibrium:
     """Shoot for one kind of contact, and for the other if the result does not exist on the rod."""
     state = shoot(level, clamp, tangent, guess, tip=tip)
     allowed = state.tangent @ state.normal <= 0 if tip else state.arc_length <= 1

@@ -1,4 +1,6 @@
-"""A box that is exactly level with the tip, coplanar with the trail or parallel to the rod: solved, or said so, and never lost."""
+"""A box that is exactly level with the tip, coplanar with the trail or parallel to the rod: solved,
+or said so, and never lost.
+"""
 
 from functools import cache
 
@@ -44,7 +46,9 @@ def center(height: float) -> np.ndarray:
 def swept(height: float, way: str) -> vb.Scan:
     start, stop = (np.append(end, 0.0) / 1000 for end in WAYS[way])
     trail = vb.Trail(np.linspace(start, stop, COUNT), (0.0, 0.0, 0.0, 1.0))
-    return vb.scan(ROD, Box((0, 0, 0), HALF).placed(translation=center(height)), trail, finite_radius=True)
+    return vb.scan(
+        ROD, Box((0, 0, 0), HALF).placed(translation=center(height)), trail, finite_radius=True
+    )
 
 
 @pytest.mark.parametrize(("level", "way"), CHOSEN)
@@ -56,12 +60,16 @@ def test_every_row_is_an_equilibrium_or_says_what_is_degenerate(level: str, way:
     assert scan.residual[touching].max(initial=0) < 1e-9
     assert scan.depth[touching].max(initial=0) < 1e-9
     assert sum(event.kind == vb.EventKind.SNAP for event in scan.events) <= 3
-    assert np.isfinite([[event.parameter, *event.clamp, *event.point] for event in scan.events]).all()
+    assert np.isfinite(
+        [[event.parameter, *event.clamp, *event.point] for event in scan.events]
+    ).all()
 
 
 @pytest.mark.parametrize("way", ["centred", "oblique"])
 def test_on_the_face_the_rod_is_the_buckled_column_and_keeps_its_side(way: str) -> None:
-    """A column under a load along its axis: √f L = K(k), and the tip lies at (2E/K − 1) L (Timoshenko & Gere, Theory of Elastic Stability, 2.7)."""
+    """A column under a load along its axis: √f L = K(k), and the tip lies at (2E/K − 1) L
+    (Timoshenko & Gere, Theory of Elastic Stability, 2.7).
+    """
     scan = swept(-RADIUS, way)
     on_face = scan.status == vb.Status.HEAD_ON
     assert on_face.sum() > 10
@@ -82,12 +90,27 @@ def test_touching_without_force_is_no_contact() -> None:
 
 
 def test_the_box_of_twelve_triangles_is_the_same_object_to_the_rod() -> None:
-    """Where its centre line may run, across faces, diagonals, edges and corners alike, the level is that of the box: so are contacts, normals and forces."""
+    """Where its centre line may run, across faces, diagonals, edges and corners alike, the level is
+    that of the box: so are contacts, normals and forces.
+    """
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
     mesh, box = Mesh(center(0.0) + HALF * corners, np.array(faces)), Box(center(0.0), HALF)
-    places = np.array([[1, 0.2, -1], [0.3, 1, -1], [1, 1, -1], [0.1, 0.3, -1], [0.5, 0.5, -1], [1, 0.3, 0.2], [-0.2, 0.2, -1], [1, 1, 0.3]])
+    places = np.array(
+        [
+            [1, 0.2, -1],
+            [0.3, 1, -1],
+            [1, 1, -1],
+            [0.1, 0.3, -1],
+            [0.5, 0.5, -1],
+            [1, 0.3, 0.2],
+            [-0.2, 0.2, -1],
+            [1, 1, 0.3],
+        ]
+    )
     away = np.random.default_rng(1).uniform(0, RADIUS, (50, 1, 3)) * np.sign(places)
     centre_line = (center(0.0) + HALF * places + away).reshape(-1, 3)
-    np.testing.assert_allclose(mesh.levels(centre_line), box.distances(centre_line), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        mesh.levels(centre_line), box.distances(centre_line), rtol=0, atol=1e-15
+    )

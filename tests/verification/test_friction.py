@@ -1,4 +1,6 @@
-"""Friction, forward: Coulomb's law seen from outside, work, convergence, and shooting in space with a law of its own."""
+"""Friction, forward: Coulomb's law seen from outside, work, convergence, and shooting in space with
+a law of its own.
+"""
 
 from collections.abc import Callable
 
@@ -15,7 +17,8 @@ PARABOLOID = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 LEVEL = shooting.paraboloid(0.5, 1.0, 0.4)
 FRICTION = 0.3
 
-# Way-points of the clamp and steps between them: in, back by little, on beside the way, back, out. Where the trail turns the contact sticks, or rolls.
+# Way-points of the clamp and steps between them: in, back by little, on beside the way, back, out.
+# Where the trail turns the contact sticks, or rolls.
 PLACES = [
     (1.2, 0.2, 0.0),
     (0.5, 0.2, 0.0),
@@ -31,21 +34,35 @@ STEPS = [35, 4, 10, 41, 8, 16, 35]
 
 def turning_trail(finer: int) -> vb.Trail:
     """The way-points joined by straight lines, each step divided by `finer`."""
-    parts = [np.linspace(a, b, finer * n, endpoint=False) for a, b, n in zip(PLACES, PLACES[1:], STEPS, strict=False)]
+    parts = [
+        np.linspace(a, b, finer * n, endpoint=False)
+        for a, b, n in zip(PLACES, PLACES[1:], STEPS, strict=False)
+    ]
     return vb.Trail(np.concatenate([*parts, PLACES[-1:]]))
 
 
-def line(friction: float, start: tuple[float, ...] = (1.2, 0.2, 0.0), stop: tuple[float, ...] = (-1.2, 0.2, 0.0)) -> vb.Scan:
-    return vb.scan(UNIT, PARABOLOID, vb.Trail.line(start=start, stop=stop, count=241), friction=friction)
+def line(
+    friction: float,
+    start: tuple[float, ...] = (1.2, 0.2, 0.0),
+    stop: tuple[float, ...] = (-1.2, 0.2, 0.0),
+) -> vb.Scan:
+    return vb.scan(
+        UNIT, PARABOLOID, vb.Trail.line(start=start, stop=stop, count=241), friction=friction
+    )
 
 
 @pytest.fixture(scope="module")
 def turning() -> dict[int, vb.Scan]:
-    return {finer: vb.scan(UNIT, PARABOLOID, turning_trail(finer), friction=FRICTION) for finer in (1, 2, 4, 8, 32)}
+    return {
+        finer: vb.scan(UNIT, PARABOLOID, turning_trail(finer), friction=FRICTION)
+        for finer in (1, 2, 4, 8, 32)
+    }
 
 
 def tangential_parts(scan: vb.Scan, level: shooting.Level) -> tuple[np.ndarray, np.ndarray]:
-    """Of the contact forces that the clamp feels: tangential over normal part (k, 3), and normal part (k,), by the level's own gradient."""
+    """Of the contact forces that the clamp feels: tangential over normal part (k, 3), and normal
+    part (k,), by the level's own gradient.
+    """
     rows = scan.in_contact
     n = np.array([level.normal(p) for p in scan.point[rows]])
     force = -scan.reactions.force[rows]
@@ -54,29 +71,45 @@ def tangential_parts(scan: vb.Scan, level: shooting.Level) -> tuple[np.ndarray, 
 
 
 def material_steps(scan: vb.Scan) -> np.ndarray:
-    """Path of the rod's touching point over the object between positions (n − 1, 3): dP₁ − t ds₁, t the mean of both ends."""
+    """Path of the rod's touching point over the object between positions (n − 1, 3): dP₁ − t ds₁, t
+    the mean of both ends.
+    """
     moved = np.diff(scan.point, axis=0)
     s = np.diff(scan.arc_length)
     return moved - (scan.contact_tangent[1:] + scan.contact_tangent[:-1]) / 2 * s[:, None]
 
 
 def test_without_a_coefficient_it_is_the_frictionless_law() -> None:
-    """Forces and points differ from those without friction by a first power of μ, down to rounding; events come where they came."""
+    """Forces and points differ from those without friction by a first power of μ, down to rounding;
+    events come where they came.
+    """
     smooth = line(0.0)
     difference = []
     for friction in (1e-4, 1e-6, 1e-8):
         rough = line(friction)
         np.testing.assert_array_equal(rough.kind, smooth.kind)
         assert [event.kind for event in rough.events] == [event.kind for event in smooth.events]
-        difference.append([np.nanmax(np.abs(rough.point - smooth.point)), np.abs(rough.reactions.force - smooth.reactions.force).max()])
+        difference.append(
+            [
+                np.nanmax(np.abs(rough.point - smooth.point)),
+                np.abs(rough.reactions.force - smooth.reactions.force).max(),
+            ]
+        )
     ratios = np.array(difference[:-1]) / difference[1:]
     np.testing.assert_allclose(ratios, 100, rtol=1e-3)
     assert np.max(difference[-1]) < 5e-8
 
 
-def test_the_force_lies_in_the_cone_and_on_it_where_the_rod_slides(turning: dict[int, vb.Scan]) -> None:
+def test_the_force_lies_in_the_cone_and_on_it_where_the_rod_slides(
+    turning: dict[int, vb.Scan],
+) -> None:
     scan = turning[32]
-    assert {vb.Motion(value).name for value in np.unique(scan.motion)} == {"NONE", "STICK", "SLIP", "ROLL"}
+    assert {vb.Motion(value).name for value in np.unique(scan.motion)} == {
+        "NONE",
+        "STICK",
+        "SLIP",
+        "ROLL",
+    }
     assert np.all(scan.status == vb.Status.OK)
     tau, normal = tangential_parts(scan, LEVEL)
     motion = scan.motion[scan.in_contact]
@@ -92,16 +125,23 @@ def test_the_force_leans_against_the_sliding(turning: dict[int, vb.Scan]) -> Non
     scan = turning[8]
     slides = np.flatnonzero((scan.motion[1:] == vb.Motion.SLIP) & scan.in_contact[:-1]) + 1
     w = material_steps(scan)[slides - 1]
-    tau = -scan.reactions.force[slides] / np.linalg.norm(scan.reactions.force[slides], axis=1, keepdims=True)
+    tau = -scan.reactions.force[slides] / np.linalg.norm(
+        scan.reactions.force[slides], axis=1, keepdims=True
+    )
     n = np.array([LEVEL.normal(p) for p in scan.point[slides]])
     tau, w = (v - np.sum(v * n, axis=1, keepdims=True) * n for v in (tau, w))
     cosine = np.sum(tau * w, axis=1) / np.linalg.norm(tau, axis=1) / np.linalg.norm(w, axis=1)
     np.testing.assert_allclose(cosine, -1, atol=1e-9)
 
 
-def test_a_contact_at_rest_keeps_its_place_and_a_rolling_one_moves_alike_on_both(turning: dict[int, vb.Scan]) -> None:
+def test_a_contact_at_rest_keeps_its_place_and_a_rolling_one_moves_alike_on_both(
+    turning: dict[int, vb.Scan],
+) -> None:
     scan = turning[32]
-    w, moved = np.linalg.norm(material_steps(scan), axis=1), np.linalg.norm(np.diff(scan.point, axis=0), axis=1)
+    w, moved = (
+        np.linalg.norm(material_steps(scan), axis=1),
+        np.linalg.norm(np.diff(scan.point, axis=0), axis=1),
+    )
     motion, wanders = scan.motion[1:], np.abs(np.diff(scan.arc_length))
     sticks, rolls = motion == vb.Motion.STICK, motion == vb.Motion.ROLL
     assert np.count_nonzero(sticks) > 5
@@ -145,8 +185,12 @@ def test_the_clamp_s_work_is_energy_and_heat(turning: dict[int, vb.Scan]) -> Non
 
 
 @pytest.mark.parametrize("share", np.linspace(0.12, 0.95, 7))
-def test_the_elastic_line_is_that_of_a_rod_in_space_under_the_reported_force(turning: dict[int, vb.Scan], share: float) -> None:
-    """From the clamp, with the support reactions as initial values: the moment ends at s₁, at the contact, and all points lie on the line."""
+def test_the_elastic_line_is_that_of_a_rod_in_space_under_the_reported_force(
+    turning: dict[int, vb.Scan], share: float
+) -> None:
+    """From the clamp, with the support reactions as initial values: the moment ends at s₁, at the
+    contact, and all points lie on the line.
+    """
     scan = turning[4]
     rows = np.flatnonzero(scan.in_contact)
     i = int(rows[int(share * len(rows))])
@@ -160,19 +204,25 @@ def test_the_elastic_line_is_that_of_a_rod_in_space_under_the_reported_force(tur
     assert bent[-1, 9] == pytest.approx(scan.energy[i], abs=1e-9)
     shape = scan.elastic_line(i, 200)
     np.testing.assert_allclose(shape[s < s1], bent[:-1, :3], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(shape[s >= s1], bent[-1, :3] + (s[s >= s1] - s1)[:, None] * bent[-1, 3:6], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        shape[s >= s1], bent[-1, :3] + (s[s >= s1] - s1)[:, None] * bent[-1, 3:6], rtol=0, atol=1e-9
+    )
     away = bent[-1, 3:6] @ LEVEL.normal(scan.point[i])
     assert away < 0 if scan.kind[i] == vb.ContactKind.TIP else away == pytest.approx(0, abs=1e-9)
 
 
 def shot_with_friction(clamps: np.ndarray, first: np.ndarray, softness: float) -> list[np.ndarray]:
-    """States m(0), f, p (7,) of the rod's tip along clamps (n, 3), from its place `first` at first contact, by shooting in space.
+    """States m(0), f, p (7,) of the rod's tip along clamps (n, 3), from its place `first` at first
+    contact, by shooting in space.
 
-    The law is −μ w/√(w² + ε²): without a cone, a corner or a projection. In tip contact w is the way of the tip.
+    The law is −μ w/√(w² + ε²): without a cone, a corner or a projection. In tip contact w is the
+    way of the tip.
     """
     t0 = np.array([0.0, 0.0, 1.0])
     found, point = [np.array([0.0, 0.0, 0.0, 0.0, *first])], first
-    start = next(state for state in shooting.follow(LEVEL, clamps[:1], t0[None]) if state is not None)
+    start = next(
+        state for state in shooting.follow(LEVEL, clamps[:1], t0[None]) if state is not None
+    )
     guess = start.unknowns[:7]
     for clamp in clamps:
 
@@ -181,7 +231,9 @@ def shot_with_friction(clamps: np.ndarray, first: np.ndarray, softness: float) -
             w = u[4:7] - point
             w = w - (w @ n) * n
             leaning = n - FRICTION * w / np.sqrt(w @ w + softness**2)
-            end = shooting.rod_along(clamp, t0, u[:3], u[3] * leaning / np.linalg.norm(leaning), [1.0])[-1]
+            end = shooting.rod_along(
+                clamp, t0, u[:3], u[3] * leaning / np.linalg.norm(leaning), [1.0]
+            )[-1]
             return np.concatenate([end[:3] - u[4:7], end[6:9], [LEVEL.value(u[4:7])]])
 
         state = fsolve(off, guess, xtol=1e-10, maxfev=400)
@@ -193,7 +245,9 @@ def shot_with_friction(clamps: np.ndarray, first: np.ndarray, softness: float) -
 
 
 def test_shooting_with_a_soft_law_of_friction_goes_the_same_way() -> None:
-    """From first contact on, in tip contact: the softened law tends to Coulomb's where the rod slides."""
+    """From first contact on, in tip contact: the softened law tends to Coulomb's where the rod
+    slides.
+    """
     clamps = np.linspace((1.06, 0.2, 0.0), (0.62, 0.2, 0.0), 12)
     scan = vb.scan(UNIT, PARABOLOID, vb.Trail(clamps), friction=FRICTION)
     touching = np.array([np.sqrt(2 * (0.6 - 0.04)), 0.2, 1.0])
@@ -207,9 +261,14 @@ def test_shooting_with_a_soft_law_of_friction_goes_the_same_way() -> None:
 
 def test_mirrored_trails_give_mirrored_scans() -> None:
     mirror = np.array([1.0, -1.0, 1.0])
-    one, other = line(FRICTION, (1.2, 0.2, 0.0), (-1.2, 0.3, 0.0)), line(FRICTION, (1.2, -0.2, 0.0), (-1.2, -0.3, 0.0))
+    one, other = (
+        line(FRICTION, (1.2, 0.2, 0.0), (-1.2, 0.3, 0.0)),
+        line(FRICTION, (1.2, -0.2, 0.0), (-1.2, -0.3, 0.0)),
+    )
     for name in ("point", "force_direction", "normal", "contact_tangent"):
-        np.testing.assert_allclose(getattr(other, name), getattr(one, name) * mirror, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            getattr(other, name), getattr(one, name) * mirror, rtol=0, atol=1e-9
+        )
     np.testing.assert_array_equal(other.motion, one.motion)
     np.testing.assert_allclose(other.friction_work, one.friction_work, rtol=0, atol=1e-9)
 
@@ -221,8 +280,12 @@ def test_turned_and_moved_scenes_give_turned_and_moved_scans(turning: dict[int, 
     there = vb.scan(UNIT, PARABOLOID.placed(turn, shift), trail, friction=FRICTION)
     rows = here.in_contact
     np.testing.assert_array_equal(there.motion, here.motion)
-    np.testing.assert_allclose(there.point[rows], turn.apply(here.point[rows]) + shift, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(there.reactions.force[rows], turn.apply(here.reactions.force[rows]), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        there.point[rows], turn.apply(here.point[rows]) + shift, rtol=0, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        there.reactions.force[rows], turn.apply(here.reactions.force[rows]), rtol=0, atol=1e-7
+    )
     np.testing.assert_allclose(there.friction_work, here.friction_work, rtol=0, atol=1e-8)
 
 

@@ -11,7 +11,9 @@ from vibrissa.surfaces.mesh.nodes import Surveyor
 
 UNIT = vb.Rod.unit()
 CENTER, SEMI_AXES = np.array([0.0, 0.0, 1.15]), np.array([0.6, 0.5, 0.55])
-TRAIL = vb.Trail.raster(start=(1.1, -0.31, 0), stop=(-1.1, -0.3, 0), count=91, step=(0, 0.17, 0), trails=4)
+TRAIL = vb.Trail.raster(
+    start=(1.1, -0.31, 0), stop=(-1.1, -0.3, 0), count=91, step=(0, 0.17, 0), trails=4
+)
 
 
 def ball(subdivisions: int) -> trimesh.Trimesh:
@@ -29,7 +31,12 @@ def chordal_error(mesh: trimesh.Trimesh, exact: vb.surfaces.Surface) -> float:
 def compared(surface: vb.surfaces.Surface, exact: vb.surfaces.Surface) -> np.ndarray:
     """Distances between contacts on both, where both are sound."""
     ours, theirs = (vb.scan(UNIT, solid, TRAIL) for solid in (surface, exact))
-    both = ours.in_contact & theirs.in_contact & (ours.status == vb.Status.OK) & (theirs.status == vb.Status.OK)
+    both = (
+        ours.in_contact
+        & theirs.in_contact
+        & (ours.status == vb.Status.OK)
+        & (theirs.status == vb.Status.OK)
+    )
     assert np.mean(both[theirs.in_contact]) > 0.97
     return np.linalg.norm(ours.point - theirs.point, axis=-1)[both]
 
@@ -41,16 +48,23 @@ def errors() -> dict[int, tuple[float, float]]:
     found = {}
     for subdivisions in (2, 4):
         mesh = ball(subdivisions)
-        found[subdivisions] = compared(Mesh(mesh.vertices, mesh.faces), exact).max(), chordal_error(mesh, exact)
+        found[subdivisions] = (
+            compared(Mesh(mesh.vertices, mesh.faces), exact).max(),
+            chordal_error(mesh, exact),
+        )
     return found
 
 
-def test_contacts_on_the_mesh_of_an_ellipsoid_are_within_twice_its_chordal_error(errors: dict[int, tuple[float, float]]) -> None:
+def test_contacts_on_the_mesh_of_an_ellipsoid_are_within_twice_its_chordal_error(
+    errors: dict[int, tuple[float, float]],
+) -> None:
     for error, chordal in errors.values():
         assert error < 2 * chordal
 
 
-def test_the_error_falls_faster_than_the_chordal_one(errors: dict[int, tuple[float, float]]) -> None:
+def test_the_error_falls_faster_than_the_chordal_one(
+    errors: dict[int, tuple[float, float]],
+) -> None:
     """Halved edges quarter the chordal error; the smooth surface through the vertices does better."""
     (coarse, coarse_chordal), (fine, fine_chordal) = errors[2], errors[4]
     assert coarse_chordal / fine_chordal == pytest.approx(16, rel=0.2)
@@ -65,12 +79,18 @@ def test_the_level_is_a_distance_near_the_mesh() -> None:
     foot = CENTER + SEMI_AXES * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     points = foot + rng.uniform(-0.04, 0.08, (500, 1)) * exact.normal(foot)
     chordal = chordal_error(mesh, exact)
-    np.testing.assert_allclose(surface.levels(points), exact.distances(points), rtol=0, atol=chordal)
-    assert np.min(np.sum(surface.normal(points) * exact.normal(exact.nearest(points)), axis=1)) > np.cos(0.02)
+    np.testing.assert_allclose(
+        surface.levels(points), exact.distances(points), rtol=0, atol=chordal
+    )
+    assert np.min(
+        np.sum(surface.normal(points) * exact.normal(exact.nearest(points)), axis=1)
+    ) > np.cos(0.02)
 
 
 def test_edges_stay_sharp() -> None:
-    """A box of triangles, turned, is the box: distances near it, inside and outside, from faces, edges and corners."""
+    """A box of triangles, turned, is the box: distances near it, inside and outside, from faces,
+    edges and corners.
+    """
     half = np.array([0.4, 0.3, 0.2])
     mesh = trimesh.creation.box(2 * half).subdivide()
     mesh.apply_transform(trimesh.transformations.rotation_matrix(0.7, [1, 2, 3], CENTER))
@@ -92,9 +112,13 @@ def test_levels_are_those_of_the_triangle_below_from_wherever_one_starts() -> No
     surveyor = Surveyor(sheets(mesh.vertices, mesh.faces, 0.7))
     rng = np.random.default_rng(7)
     below = rng.integers(0, len(mesh.faces), 200)
-    points = mesh.triangles_center[below] + rng.uniform(-0.01, 0.01, (200, 1)) * mesh.face_normals[below]
+    points = (
+        mesh.triangles_center[below] + rng.uniform(-0.01, 0.01, (200, 1)) * mesh.face_normals[below]
+    )
     apart = np.linalg.norm(mesh.triangles_center - points[:, None], axis=2)
     away = np.argmin(np.abs(apart - 0.25), axis=1)
     found = surveyor.levels(points, away)
     np.testing.assert_allclose(found, surveyor.levels(points, below), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found, exact.distances(points), rtol=0, atol=0.1 * chordal_error(mesh, exact))
+    np.testing.assert_allclose(
+        found, exact.distances(points), rtol=0, atol=0.1 * chordal_error(mesh, exact)
+    )

@@ -1,6 +1,8 @@
-"""Objects that a rod can touch in two places: what is returned as one contact is one, and where it is not, the row says so and where.
+"""Objects that a rod can touch in two places: what is returned as one contact is one, and where it
+is not, the row says so and where.
 
-The judge is a fine elastic line and the exact distance from the object, written out here in NumPy. Model units.
+The judge is a fine elastic line and the exact distance from the object, written out here in NumPy.
+Model units.
 """
 
 from collections.abc import Callable
@@ -33,7 +35,9 @@ def box(center: tuple[float, ...], half_extents: tuple[float, ...]) -> Distance:
     return distance
 
 
-def torus(center: tuple[float, ...], axis: tuple[float, ...], major: float, minor: float) -> Distance:
+def torus(
+    center: tuple[float, ...], axis: tuple[float, ...], major: float, minor: float
+) -> Distance:
     e = np.array(axis) / np.linalg.norm(axis)
 
     def distance(p: np.ndarray) -> np.ndarray:
@@ -82,7 +86,9 @@ PLACES = {
     # It slides into the crease between them, from where no single contact leads on.
     "into the crease": place(0.06, ((0.1, 0, 0.9), 0.15), ((-0.25, 0, 0.85), 0.25)),
     # Sharp edges, of which a bent rod knows nothing until it enters them.
-    "block behind ball": place(0.05, ((0.1, 0.1, 0.9), 0.2), block=((-0.15, 0, 0.45), (0.1, 0.3, 0.1))),
+    "block behind ball": place(
+        0.05, ((0.1, 0.1, 0.9), 0.2), block=((-0.15, 0, 0.45), (0.1, 0.3, 0.1))
+    ),
     # Through the hole of a ring.
     "ring": place(0.05, ring=((0, -0.07, 0.64), (0.8, 0.2, -0.3), 0.2, 0.07)),
 }
@@ -92,7 +98,11 @@ ALL = pytest.mark.parametrize("name", PLACES)
 @cache
 def swept(name: str) -> vb.Scan:
     surface, _, side = PLACES[name]
-    return vb.scan(vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, side, 0), stop=(-1.2, side, 0), count=COUNT))
+    return vb.scan(
+        vb.Rod.unit(),
+        surface,
+        vb.Trail.line(start=(1.2, side, 0), stop=(-1.2, side, 0), count=COUNT),
+    )
 
 
 def deepest(name: str, i: int) -> tuple[np.ndarray, float]:
@@ -134,17 +144,25 @@ def test_each_row_is_a_rod_in_space_that_touches_where_it_says(name: str) -> Non
     np.testing.assert_allclose(PLACES[name].distances(scan.point[touching]), 0, atol=1e-9)
     for i in touching[:: len(touching) // 6]:
         force, moment = -scan.reactions.force[i], -scan.reactions.moment[i]
-        end = shooting.rod_along(scan.trail.position[i], (0, 0, 1), moment, force, [scan.arc_length[i]])[-1]
+        end = shooting.rod_along(
+            scan.trail.position[i], (0, 0, 1), moment, force, [scan.arc_length[i]]
+        )[-1]
         np.testing.assert_allclose(end[:3], scan.point[i], rtol=0, atol=1e-9)
         np.testing.assert_allclose(end[6:9], 0, atol=1e-9)
-        touched_part = PLACES[name].parts[int(np.argmin([abs(part(scan.point[i])) for part in PLACES[name].parts]))]
-        assert touched_part(scan.point[i] + 1e-4 * force / np.linalg.norm(force)) == pytest.approx(1e-4, abs=1e-7)
+        touched_part = PLACES[name].parts[
+            int(np.argmin([abs(part(scan.point[i])) for part in PLACES[name].parts]))
+        ]
+        assert touched_part(scan.point[i] + 1e-4 * force / np.linalg.norm(force)) == pytest.approx(
+            1e-4, abs=1e-7
+        )
 
 
 def touched(name: str) -> list[int]:
     """Which part each row in contact is on, row after row, each once."""
     scan = swept(name)
-    parts = np.argmin(np.abs([part(scan.point[scan.in_contact]) for part in PLACES[name].parts]), axis=0)
+    parts = np.argmin(
+        np.abs([part(scan.point[scan.in_contact]) for part in PLACES[name].parts]), axis=0
+    )
     return [int(part) for k, part in enumerate(parts) if k == 0 or part != parts[k - 1]]
 
 
@@ -157,7 +175,9 @@ def touched(name: str) -> list[int]:
         ("into the crease", vb.EventKind.SNAP, vb.EventKind.STARTED_IN_CONTACT),
     ],
 )
-def test_the_contact_goes_on_to_the_other_part_and_an_event_says_so(name: str, leaves: vb.EventKind, arrives: vb.EventKind) -> None:
+def test_the_contact_goes_on_to_the_other_part_and_an_event_says_so(
+    name: str, leaves: vb.EventKind, arrives: vb.EventKind
+) -> None:
     scan = swept(name)
     one, other = PLACES[name].parts[:2]
     assert touched(name) == [0, 1]
@@ -178,22 +198,34 @@ def test_the_contact_goes_on_to_the_other_part_and_an_event_says_so(name: str, l
 
 
 def small_part(rng: np.random.Generator) -> tuple[Place, vb.Scan]:
-    """A ball or a block of 0.005 to 0.06 L beside the rod's way over a larger ball, at most 0.08 L from where the contact is at one position."""
+    """A ball or a block of 0.005 to 0.06 L beside the rod's way over a larger ball, at most 0.08 L
+    from where the contact is at one position.
+    """
     large = ((0.1, 0.1, 0.9), 0.3)
-    alone = vb.scan(vb.Rod.unit(), place(0.05, large).surface, vb.Trail.line(start=(1.2, 0.05, 0), stop=(-1.2, 0.05, 0), count=COUNT))
+    alone = vb.scan(
+        vb.Rod.unit(),
+        place(0.05, large).surface,
+        vb.Trail.line(start=(1.2, 0.05, 0), stop=(-1.2, 0.05, 0), count=COUNT),
+    )
     row = rng.choice(np.flatnonzero(alone.in_contact & (alone.status == vb.Status.OK)))
     line = alone.elastic_line(int(row), POINTS)
     touching = int(np.argmin(np.linalg.norm(line - alone.point[row], axis=1)))
     beside = line[min(touching + int(rng.integers(-160, 160)), POINTS - 1)]
     size, away = rng.uniform(0.005, 0.06), rng.normal(size=3)
     center = tuple(beside + away / np.linalg.norm(away) * (size + rng.uniform(-0.006, 0.002)))
-    there = place(0.05, large, block=(center, (size,) * 3)) if rng.random() < 0.5 else place(0.05, large, (center, size))
+    there = (
+        place(0.05, large, block=(center, (size,) * 3))
+        if rng.random() < 0.5
+        else place(0.05, large, (center, size))
+    )
     return there, vb.scan(vb.Rod.unit(), there.surface, alone.trail)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_small_parts_beside_a_contact_are_noticed(seed: int) -> None:
-    """Far smaller than the points of the first look are apart: the distances from the parts say that a part may lie between."""
+    """Far smaller than the points of the first look are apart: the distances from the parts say
+    that a part may lie between.
+    """
     there, scan = small_part(np.random.default_rng(seed))
     for i in np.flatnonzero(scan.in_contact):
         depth = -there.distances(scan.elastic_line(int(i), 2 * POINTS)).min()
@@ -204,22 +236,36 @@ def test_small_parts_beside_a_contact_are_noticed(seed: int) -> None:
 
 
 def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
-    """In the crease of two balls, from where no single contact leads on: a rod in space, by the integral of its own equations, with its end on both balls."""
+    """In the crease of two balls, from where no single contact leads on: a rod in space, by the
+    integral of its own equations, with its end on both balls.
+    """
     one, other = (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
     surface = Union([Sphere(*one), Sphere(*other)])
-    scan = vb.scan(vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41))
+    scan = vb.scan(
+        vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41)
+    )
     caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
     assert caught.size > 6
     for i in caught[::2]:
         np.testing.assert_allclose(scan.second_contact[i], scan.point[i], rtol=0, atol=1e-9)
         normals = [scan.point[i] - center for center, _ in (one, other)]
-        np.testing.assert_allclose([np.linalg.norm(n) for n in normals], [one[1], other[1]], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            [np.linalg.norm(n) for n in normals], [one[1], other[1]], rtol=0, atol=1e-9
+        )
         force, moment = -scan.reactions.force[i], -scan.reactions.moment[i]
         shares = np.linalg.lstsq(np.stack(normals, axis=1), force, rcond=None)[0]
         np.testing.assert_allclose(np.stack(normals, axis=1) @ shares, force, rtol=0, atol=1e-9)
         assert np.all(shares > 0)
-        rod = shooting.rod_along(scan.trail.position[i], (0, 0, 1), moment, force, np.linspace(0.01, 1.0, 400))
-        outside = np.min([np.linalg.norm(rod[:, :3] - center, axis=1) - radius for center, radius in (one, other)], axis=0)
+        rod = shooting.rod_along(
+            scan.trail.position[i], (0, 0, 1), moment, force, np.linspace(0.01, 1.0, 400)
+        )
+        outside = np.min(
+            [
+                np.linalg.norm(rod[:, :3] - center, axis=1) - radius
+                for center, radius in (one, other)
+            ],
+            axis=0,
+        )
         assert outside.min() > -1e-6
         end = rod[-1]
         np.testing.assert_allclose(end[:3], scan.point[i], rtol=0, atol=1e-8)
@@ -227,7 +273,11 @@ def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
 
 
 def test_a_rod_of_finite_radius_is_caught_with_its_skin_on_both_parts() -> None:
-    rod, one, other = vb.Rod(1.0, 1.0, radius=0.01), (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
+    rod, one, other = (
+        vb.Rod(1.0, 1.0, radius=0.01),
+        (np.array([-0.3, 0.0, 1.15]), 0.45),
+        (np.array([0.35, 0.1, 1.1]), 0.35),
+    )
     trail = vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41)
     scan = vb.scan(rod, Union([Sphere(*one), Sphere(*other)]), trail, finite_radius=True)
     caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
@@ -242,4 +292,9 @@ def test_a_rod_of_finite_radius_is_caught_with_its_skin_on_both_parts() -> None:
         assert sorted(np.argmin(distances, axis=1)) == [0, 1]
         np.testing.assert_allclose(distances.min(axis=1), 0, atol=1e-9)
         end = scan.elastic_line(int(i), 5)[-1]
-        np.testing.assert_allclose([np.linalg.norm(end - center) - radius for center, radius in (one, other)], 0.01, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(
+            [np.linalg.norm(end - center) - radius for center, radius in (one, other)],
+            0.01,
+            rtol=0,
+            atol=1e-8,
+        )

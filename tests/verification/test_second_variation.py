@@ -1,14 +1,19 @@
-"""Whether an equilibrium is stable, by a chain: the signs of the second variation are those of a Hessian that knows no rod, plane or curve.
+"""Whether an equilibrium is stable, by a chain: the signs of the second variation are those of a
+Hessian that knows no rod, plane or curve.
 
-The chain has N segments of length h = 1/N with unit tangents tᵢ, t₀ the clamp's, nodes xⱼ = P0 + h Σ_{i≤j} tᵢ and, of second order in h, the energy
+The chain has N segments of length h = 1/N with unit tangents tᵢ, t₀ the clamp's, nodes xⱼ = P0 + h
+Σ_{i≤j} tᵢ and, of second order in h, the energy
 
     U = |t₁ − t₀|²/h + Σ |tᵢ₊₁ − tᵢ|²/(2h).
 
-It touches by one number, c = 0: in tip contact the level g of its end; else the vertex of the parabola through the levels of three nodes, so that the contact
-may wander along the chain as it may over the object. Newton's method finds the stationary point of U − λ c next to an equilibrium. That is stable where the Hessian of
-U − λ c is positive on the changes that keep c, to first order, zero (Nocedal and Wright, Numerical Optimization, theorems 12.5 and 12.6). Model units.
+It touches by one number, c = 0: in tip contact the level g of its end; else the vertex of the
+parabola through the levels of three nodes, so that the contact may wander along the chain as it may
+over the object. Newton's method finds the stationary point of U − λ c next to an equilibrium. That
+is stable where the Hessian of U − λ c is positive on the changes that keep c, to first order, zero
+(Nocedal and Wright, Numerical Optimization, theorems 12.5 and 12.6). Model units.
 
-No chain is let go: a stable state can have a barrier about it that is lower than a push, here of 0.003 EI/L.
+No chain is let go: a stable state can have a barrier about it that is lower than a push, here of
+0.003 EI/L.
 """
 
 from typing import NamedTuple
@@ -21,7 +26,7 @@ from jax import Array
 from scipy.linalg import eigh
 
 import vibrissa as vb
-from vibrissa.scan.equilibria import Equilibrium
+from vibrissa.forward.equilibria import Equilibrium
 
 SEGMENTS, PLACES = 80, (0.6, 0.0)
 
@@ -44,8 +49,12 @@ def frames(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @jax.jit
-def parts(q: Array, t: Array, frame: tuple[Array, Array], clamp: Array, touching: Array) -> tuple[Array, Array, Array]:
-    """U, c and the touching point, of changes q (2N,) of the tangents t; `touching` is the middle node, or the last for the tip."""
+def parts(
+    q: Array, t: Array, frame: tuple[Array, Array], clamp: Array, touching: Array
+) -> tuple[Array, Array, Array]:
+    """U, c and the touching point, of changes q (2N,) of the tangents t; `touching` is the middle
+    node, or the last for the tip.
+    """
     a, b = q.reshape(2, -1, 1)
     u = t + a * frame[0] + b * frame[1]
     u = u / jnp.sqrt(jnp.sum(u * u, axis=1, keepdims=True))
@@ -61,7 +70,11 @@ def parts(q: Array, t: Array, frame: tuple[Array, Array], clamp: Array, touching
     vertex = here + share * (after - before) / 4
     wanders = nodes[middle] + share * (nodes[middle + 1] - nodes[middle - 1]) / 2
     tip = touching == count
-    return jnp.sum(turns) + turns[0], jnp.where(tip, level[-1], vertex), jnp.where(tip, nodes[-1], wanders)
+    return (
+        jnp.sum(turns) + turns[0],
+        jnp.where(tip, level[-1], vertex),
+        jnp.where(tip, nodes[-1], wanders),
+    )
 
 
 @jax.jit
@@ -81,7 +94,12 @@ def chain_at(one: Equilibrium, x0: float) -> Chain:
     t = np.diff(line, axis=0)
     t /= np.linalg.norm(t, axis=1, keepdims=True)
     touching = SEGMENTS if one.kind == vb.ContactKind.TIP else round(one.arc_length * SEGMENTS)
-    shape = (jnp.asarray(t), tuple(map(jnp.asarray, frames(t))), jnp.array([x0, 0.2, 0.0]), jnp.asarray(touching))
+    shape = (
+        jnp.asarray(t),
+        tuple(map(jnp.asarray, frames(t))),
+        jnp.array([x0, 0.2, 0.0]),
+        jnp.asarray(touching),
+    )
     steepness = np.linalg.norm([one.point[0], 2 * one.point[1], 1])
     y = np.append(np.zeros(2 * SEGMENTS), np.linalg.norm(one.reactions.force) / steepness)
     gradient, hessian = (np.asarray(part) for part in linearised(jnp.asarray(y), *shape))
@@ -90,10 +108,17 @@ def chain_at(one: Equilibrium, x0: float) -> Chain:
         gradient, hessian = (np.asarray(part) for part in linearised(jnp.asarray(y), *shape))
     basis = np.linalg.svd(hessian[-1:, :-1])[2][1:].T
     # Beyond the contact next to nothing, so that the rest of the chain follows.
-    weight = np.tile(np.clip(one.arc_length * SEGMENTS - np.arange(SEGMENTS), 1e-6, 1), 2) / SEGMENTS
+    weight = (
+        np.tile(np.clip(one.arc_length * SEGMENTS - np.arange(SEGMENTS), 1e-6, 1), 2) / SEGMENTS
+    )
     energy, _, point = parts(jnp.asarray(y[:-1]), *shape)
     steepness = np.linalg.norm([point[0], 2 * point[1], 1])
-    least = eigh(basis.T @ hessian[:-1, :-1] @ basis, basis.T @ (weight[:, None] * basis), eigvals_only=True, subset_by_index=[0, 0])
+    least = eigh(
+        basis.T @ hessian[:-1, :-1] @ basis,
+        basis.T @ (weight[:, None] * basis),
+        eigvals_only=True,
+        subset_by_index=[0, 0],
+    )
     return Chain(np.asarray(point), float(y[-1] * steepness), float(energy), float(least[0]))
 
 
@@ -107,7 +132,9 @@ def found() -> list[tuple[Equilibrium, Chain]]:
     return both
 
 
-def test_the_chain_is_in_equilibrium_at_the_same_place(found: list[tuple[Equilibrium, Chain]]) -> None:
+def test_the_chain_is_in_equilibrium_at_the_same_place(
+    found: list[tuple[Equilibrium, Chain]],
+) -> None:
     """But for errors of second order in the segments' length, f h²."""
     assert len(found) >= 12
     for one, chain in found:
@@ -118,13 +145,21 @@ def test_the_chain_is_in_equilibrium_at_the_same_place(found: list[tuple[Equilib
         assert chain.energy == pytest.approx(one.energy, rel=off)
 
 
-def test_what_is_called_stable_is_and_what_is_called_unstable_is_not(found: list[tuple[Equilibrium, Chain]]) -> None:
+def test_what_is_called_stable_is_and_what_is_called_unstable_is_not(
+    found: list[tuple[Equilibrium, Chain]],
+) -> None:
     for one, chain in found:
         assert one.stable == (chain.least > 0)
         assert one.second_variation == pytest.approx(chain.least, rel=1e-2, abs=3e-3)
     # Of both kinds of contact, and two at one place, of which the higher holds the less.
-    assert {one.kind for one, _ in found if one.stable} == {vb.ContactKind.TIP, vb.ContactKind.TANGENTIAL}
-    assert {one.kind for one, _ in found if not one.stable} == {vb.ContactKind.TIP, vb.ContactKind.TANGENTIAL}
+    assert {one.kind for one, _ in found if one.stable} == {
+        vb.ContactKind.TIP,
+        vb.ContactKind.TANGENTIAL,
+    }
+    assert {one.kind for one, _ in found if not one.stable} == {
+        vb.ContactKind.TIP,
+        vb.ContactKind.TANGENTIAL,
+    }
     stable = [one for one, _ in found if one.stable and one.point[0] == pytest.approx(0, abs=1e-9)]
     assert len(stable) == 2
     assert stable[1].second_variation < 0.1 * stable[0].second_variation

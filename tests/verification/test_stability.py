@@ -1,13 +1,14 @@
-"""Stability by energy: a chain that may not enter the object goes downhill from a scan's shape, pushed out of plane.
+"""Stability by energy: a chain that may not enter the object goes downhill from a scan's shape,
+pushed out of plane.
 
-The chain has N segments of length h = 1/N with unit tangents t_i, t_0 the clamp's. Its bending energy, of second order
-in h, is
+The chain has N segments of length h = 1/N with unit tangents t_i, t_0 the clamp's. Its bending
+energy, of second order in h, is
 
     U = |t_1 − t_0|²/h + Σ |t_{i+1} − t_i|²/(2h),
 
-and its nodes x_j = P0 + h Σ_{i≤j} t_i have to stay outside, g(x_j) ≥ 0, which the method of multipliers enforces
-(Nocedal and Wright, Numerical Optimization, section 17.4). A minimum of U is a stable equilibrium; the multipliers are
-the contact force. Model units, L = EI = 1.
+and its nodes x_j = P0 + h Σ_{i≤j} t_i have to stay outside, g(x_j) ≥ 0, which the method of
+multipliers enforces (Nocedal and Wright, Numerical Optimization, section 17.4). A minimum of U is a
+stable equilibrium; the multipliers are the contact force. Model units, L = EI = 1.
 """
 
 from typing import NamedTuple
@@ -26,7 +27,16 @@ SEGMENTS, CLOSE = 60, 2e-3
 CURVATURES, HEIGHT = np.array([1.0, 2.0]), 0.4
 
 OFFSETS = (0.2, 0.1, 0.3, 0.5, -0.2, -0.5, 0.0, 1e-4, -1e-4)
-STABLE = [(0.2, 0.7), (0.2, 0.2), (-0.2, -0.2), (0.2, -0.8), (0.1, 0.0), (0.3, 0.1), (0.5, 0.0), (-0.5, 0.4)]
+STABLE = [
+    (0.2, 0.7),
+    (0.2, 0.2),
+    (-0.2, -0.2),
+    (0.2, -0.8),
+    (0.1, 0.0),
+    (0.3, 0.1),
+    (0.5, 0.0),
+    (-0.5, 0.4),
+]
 BEFORE_PITCHFORK, BEYOND_PITCHFORK = [0.7, 0.525], [0.425, 0.3]
 
 
@@ -57,7 +67,9 @@ def bending(tangents: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def tangents_of(w: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """t_0…N, and the norms of what they are normalised from: t_0 + √h Σ w, in which U is well conditioned."""
+    """t_0…N, and the norms of what they are normalised from: t_0 + √h Σ w, in which U is well
+    conditioned.
+    """
     count = w.size // 3
     u = axis + np.cumsum(w.reshape(count, 3), axis=0) / np.sqrt(count)
     norm = np.linalg.norm(u, axis=1, keepdims=True)
@@ -68,7 +80,9 @@ def nodes_of(tangents: np.ndarray, clamp: np.ndarray) -> np.ndarray:
     return clamp + np.cumsum(tangents[1:], axis=0) / (len(tangents) - 1)
 
 
-def downhill(w: np.ndarray, clamp: np.ndarray, axis: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+def downhill(
+    w: np.ndarray, clamp: np.ndarray, axis: np.ndarray, multipliers: np.ndarray
+) -> np.ndarray:
     """Minimise U + Σ max(0, λ − K g)²/(2K)."""
     count = len(multipliers)
 
@@ -80,14 +94,18 @@ def downhill(w: np.ndarray, clamp: np.ndarray, axis: np.ndarray, multipliers: np
         slope -= np.cumsum((push[:, None] * gradient)[::-1], axis=0)[::-1] / count
         t = tangents[1:]
         across = (slope - t * np.sum(slope * t, axis=1, keepdims=True)) / norm
-        return energy + push @ push / (2 * STIFFNESS), np.cumsum(across[::-1], axis=0)[::-1].ravel() / np.sqrt(count)
+        return energy + push @ push / (2 * STIFFNESS), np.cumsum(across[::-1], axis=0)[
+            ::-1
+        ].ravel() / np.sqrt(count)
 
     options = {"maxiter": 3000, "maxfun": 5000, "maxcor": 30, "ftol": 1e-15, "gtol": 1e-7}
     return minimize(merit, w, jac=True, method="L-BFGS-B", options=options).x
 
 
 def come_to_rest(scan: vb.Scan, row: tuple[int, int], push: float, count: int = SEGMENTS) -> Rest:
-    """Let the chain go from a scan's shape, its tangents pushed out of the bending plane, most at the tip."""
+    """Let the chain go from a scan's shape, its tangents pushed out of the bending plane, most at
+    the tip.
+    """
     clamp, axis = scan.trail.position[row], scan.trail.axis[row]
     t = np.diff(scan.elastic_line(row, count + 1), axis=0) * count
     t += push * np.linspace(0, 1, count)[:, None] * scan.plane_normal[row]
@@ -106,8 +124,13 @@ def come_to_rest(scan: vb.Scan, row: tuple[int, int], push: float, count: int = 
 @pytest.fixture(scope="module")
 def scan() -> vb.Scan:
     position = np.zeros((len(OFFSETS), 89, 3))
-    position[..., 0], position[..., 1] = np.round(np.arange(1.2, -1.001, -0.025), 3), np.array(OFFSETS)[:, None]
-    return vb.scan(vb.Rod.unit(), vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4), vb.Trail(position))
+    position[..., 0], position[..., 1] = (
+        np.round(np.arange(1.2, -1.001, -0.025), 3),
+        np.array(OFFSETS)[:, None],
+    )
+    return vb.scan(
+        vb.Rod.unit(), vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4), vb.Trail(position)
+    )
 
 
 def row_at(scan: vb.Scan, y0: float, x0: float) -> tuple[int, int]:
@@ -128,12 +151,17 @@ def test_a_stable_rod_comes_back(scan: vb.Scan, y0: float, x0: float, push: floa
 
 
 def test_stable_positions_are_of_both_kinds(scan: vb.Scan) -> None:
-    assert {scan.kind[row_at(scan, *where)] for where in STABLE} == {vb.ContactKind.TIP, vb.ContactKind.TANGENTIAL}
+    assert {scan.kind[row_at(scan, *where)] for where in STABLE} == {
+        vb.ContactKind.TIP,
+        vb.ContactKind.TANGENTIAL,
+    }
 
 
 @pytest.mark.parametrize("push", [PUSH, -PUSH])
 @pytest.mark.parametrize("x0", BEYOND_PITCHFORK)
-def test_beyond_the_pitchfork_the_rod_leaves_its_plane(scan: vb.Scan, x0: float, push: float) -> None:
+def test_beyond_the_pitchfork_the_rod_leaves_its_plane(
+    scan: vb.Scan, x0: float, push: float
+) -> None:
     """It falls to where a trail a little beside the plane y = 0 leads, on the side of the push."""
     row = row_at(scan, 0.0, x0)
     rest = come_to_rest(scan, row, push)

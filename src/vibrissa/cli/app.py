@@ -35,7 +35,9 @@ app.command()(calibrate)
 
 
 @app.callback(invoke_without_command=True)
-def _version(*, version: bool = typer.Option(False, "--version", help="Print the version and exit.")) -> None:
+def _version(
+    *, version: bool = typer.Option(False, "--version", help="Print the version and exit.")
+) -> None:
     if version:
         from vibrissa import __version__  # noqa: PLC0415
 
@@ -60,16 +62,22 @@ def main() -> None:
 
 @contextmanager
 def _warnings_in_one_line() -> Iterator[None]:
-    """Print each warning once, on stderr, without the place in the code that it comes from: `warning: ...` where a recording contradicts its setup."""
+    """Print each warning once, on stderr, without the place in the code that it comes from:
+    `warning: ...` where a recording contradicts its setup.
+    """
     said: set[str] = set()
 
-    def show(message: Warning | str, category: type[Warning], *_place: object, **_more: object) -> None:
+    def show(
+        message: Warning | str, category: type[Warning], *_place: object, **_more: object
+    ) -> None:
         from vibrissa.contacts import RecordingNote, RecordingWarning  # noqa: PLC0415
 
         line = " ".join(str(message).split())
         if line not in said:
             said.add(line)
-            of_setup = issubclass(category, RecordingWarning) and not issubclass(category, RecordingNote)
+            of_setup = issubclass(category, RecordingWarning) and not issubclass(
+                category, RecordingNote
+            )
             print(f"{'' if of_setup else 'vibrissa: '}warning: {line}", file=sys.stderr)  # noqa: T201
 
     with warnings.catch_warnings():
@@ -80,15 +88,21 @@ def _warnings_in_one_line() -> Iterator[None]:
 
 
 def _keep_compiled_code() -> None:
-    """Let JAX keep what it compiles between runs, in the user's cache folder, one for each kind of machine."""
+    """Let JAX keep what it compiles between runs, in the user's cache folder, one for each kind of
+    machine.
+    """
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(root / "vibrissa" / "compiled" / _machine()))
+    os.environ.setdefault(
+        "JAX_COMPILATION_CACHE_DIR", str(root / "vibrissa" / "compiled" / _machine())
+    )
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 
 def _machine() -> str:
-    """Name of the processor's instruction set: compiled code does not travel between different ones."""
+    """Name of the processor's instruction set: compiled code does not travel between different
+    ones.
+    """
     import hashlib  # noqa: PLC0415
     import platform  # noqa: PLC0415
 
@@ -96,6 +110,11 @@ def _machine() -> str:
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         description += next(
-            (line for line in cpuinfo.read_text(errors="replace").splitlines() if line.startswith(("flags", "Features"))), ""
+            (
+                line
+                for line in cpuinfo.read_text(errors="replace").splitlines()
+                if line.startswith(("flags", "Features"))
+            ),
+            "",
         )
     return hashlib.sha256(description.encode()).hexdigest()[:12]

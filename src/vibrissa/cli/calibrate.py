@@ -10,26 +10,52 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from vibrissa.calibrate import Calibration
+    from vibrissa.calibration import Calibration
 
 
 def calibrate(
-    recordings: Annotated[list[Path], typer.Argument(help="Logs of the sensor, each with a start free of contact.", show_default=False)],
-    setup: Annotated[
-        Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and, where it is known, the swept [object].", show_default=False)
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Logs of the sensor, each with a start free of contact.", show_default=False
+        ),
     ],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Calibrated setup to write (.toml).")] = None,
+    setup: Annotated[
+        Path,
+        typer.Option(
+            "--setup",
+            help="TOML file with [rod], [sensor] and, where it is known, the swept [object].",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Calibrated setup to write (.toml).")
+    ] = None,
     free: Annotated[
-        str | None, typer.Option("--free", help="What to calibrate, NAME,NAME,...; by default rod, clamp, tare and drift.")
+        str | None,
+        typer.Option(
+            "--free",
+            help="What to calibrate, NAME,NAME,...; by default rod, clamp, tare and drift.",
+        ),
     ] = None,
     prior: Annotated[
-        list[str] | None, typer.Option("--prior", help="NAME=DEVIATION of a free parameter, SI units; may be given again.")
+        list[str] | None,
+        typer.Option(
+            "--prior", help="NAME=DEVIATION of a free parameter, SI units; may be given again."
+        ),
     ] = None,
-    friction: Annotated[float, typer.Option("--friction", help="Coulomb's coefficient between rod and object.")] = 0.0,
-    report: Annotated[Path | None, typer.Option("--report", help="Folder for figures of the residuals and a summary.")] = None,
+    friction: Annotated[
+        float, typer.Option("--friction", help="Coulomb's coefficient between rod and object.")
+    ] = 0.0,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="Folder for figures of the residuals and a summary."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Find stiffness, length and mount of the rod from sweeps over an object, best over one that is known."""
+    """Find stiffness, length and mount of the rod from sweeps over an object, best over one that is
+    known.
+    """
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
     from vibrissa.contacts import RecordingWarning  # noqa: PLC0415
     from vibrissa.io.calibration import check_source, toml_library, write_calibration  # noqa: PLC0415
@@ -56,8 +82,8 @@ def calibrate(
     names = None if free is None else [name.strip() for name in free.split(",")]
     with reporting() as step:
         step("loading")
-        from vibrissa.calibrate import CalibrationError  # noqa: PLC0415
-        from vibrissa.calibrate import calibrate as run  # noqa: PLC0415
+        from vibrissa.calibration import CalibrationError  # noqa: PLC0415
+        from vibrissa.calibration import calibrate as run  # noqa: PLC0415
 
         step("calibrating")
         try:
@@ -116,7 +142,8 @@ def _text(found: "Calibration[Any]") -> str:
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = [
         "  ".join(
-            cell.rjust(width) if column > 1 else cell.ljust(width) for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            cell.rjust(width) if column > 1 else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
         for row in rows
     ]

@@ -11,10 +11,14 @@ if TYPE_CHECKING:
 
 
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for figures, tables and datasets.")] = Path("demo"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for figures, tables and datasets.")
+    ] = Path("demo"),
     as_json: Annotated[bool, typer.Option("--json", help="Print the statements as JSON.")] = False,
 ) -> None:
-    """Compute the whole paper: figures 2, 3a and 3b, its statements checked, and the sweeps it suggests."""
+    """Compute the whole paper: figures 2, 3a and 3b, its statements checked, and the sweeps it
+    suggests.
+    """
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
     from vibrissa.io.errors import writable_folder  # noqa: PLC0415
 
@@ -28,8 +32,20 @@ def demo(
 
         result = run_demo(folder, report)
     if as_json:
-        rows = [{"statement": part.text, "measured": part.measured, "holds": part.holds} for part in result.statements]
-        typer.echo(json.dumps({"statements": rows, "coverage": result.coverage, "files": [str(path) for path in result.files]}, indent=1))
+        rows = [
+            {"statement": part.text, "measured": part.measured, "holds": part.holds}
+            for part in result.statements
+        ]
+        typer.echo(
+            json.dumps(
+                {
+                    "statements": rows,
+                    "coverage": result.coverage,
+                    "files": [str(path) for path in result.files],
+                },
+                indent=1,
+            )
+        )
     else:
         _print(result, folder)
     if not all(part.holds for part in result.statements):
@@ -43,7 +59,9 @@ def _print(result: "Demo", folder: Path) -> None:
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=160)
-    table = Table(title="Statements of the paper's section III", title_justify="left", show_lines=False)
+    table = Table(
+        title="Statements of the paper's section III", title_justify="left", show_lines=False
+    )
     for name, ratio in (("statement", 5), ("measured here", 6)):
         table.add_column(name, ratio=ratio, overflow="fold")
     table.add_column("holds")
@@ -51,5 +69,7 @@ def _print(result: "Demo", folder: Path) -> None:
         table.add_row(part.text, part.measured, "yes" if part.holds else "NO")
     console.print(table)
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result.coverage.items())
-    console.print(f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}", soft_wrap=True)
+    console.print(
+        f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}", soft_wrap=True
+    )
     console.print(f"{len(result.files)} files in {folder}", soft_wrap=True)

@@ -17,8 +17,12 @@ _SHOWN = 8
 
 def inspect(
     recording: Annotated[Path, typer.Argument(help="Log of the sensor.", show_default=False)],
-    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)],
-    figure: Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")] = None,
+    setup: Annotated[
+        Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)
+    ],
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Tare, drift, noise and faults of a recording: each with its interval and count."""
@@ -47,7 +51,9 @@ def inspect(
 
 
 def _said(recording: Path, found: "Inspection", loaded: "Setup") -> list[str]:
-    """What the recording says against its setup, as `reconstruct` would: the lines of the inspection, and those of its contacts where there are any."""
+    """What the recording says against its setup, as `reconstruct` would: the lines of the
+    inspection, and those of its contacts where there are any.
+    """
     import warnings  # noqa: PLC0415
 
     from vibrissa.cli.said import listening  # noqa: PLC0415
@@ -57,10 +63,15 @@ def _said(recording: Path, found: "Inspection", loaded: "Setup") -> list[str]:
         for line in found.warnings:
             warnings.warn(f"{recording}: {line}", RecordingWarning, stacklevel=2)
         if not found.unusable and found.sensor.force_noise is not None:
-            from vibrissa.reconstruct import reconstruct as run  # noqa: PLC0415
+            from vibrissa.inverse import reconstruct as run  # noqa: PLC0415
 
             # The checks of the contacts warn by themselves.
-            run(loaded.rod, found.sensor.reactions(found.cleaned, found.tare, tolerances=loaded.parameter_covariance))
+            run(
+                loaded.rod,
+                found.sensor.reactions(
+                    found.cleaned, found.tare, tolerances=loaded.parameter_covariance
+                ),
+            )
     return said
 
 
@@ -90,9 +101,15 @@ def _summary(found: "Inspection", loaded: "Setup") -> dict[str, object]:
         },
         "tare": None
         if tare is None
-        else {"found": tare.found, "intervals": [list(part) for part in tare.intervals], "rows": list(tare.counts)},
+        else {
+            "found": tare.found,
+            "intervals": [list(part) for part in tare.intervals],
+            "rows": list(tare.counts),
+        },
         "rest": [list(part) for part in found.rest.intervals],
-        "mount": None if tare is None or tare.mount is None else {"mass": tare.mount.mass, "center": list(tare.mount.center)},
+        "mount": None
+        if tare is None or tare.mount is None
+        else {"mass": tare.mount.mass, "center": list(tare.mount.center)},
         "single_contact_misfit": _number(found.single_contact_misfit),
         "notes": list(found.notes),
         "counts": dict(Counter(str(fault.kind) for fault in found.faults)),
@@ -134,20 +151,41 @@ def _print(found: "Inspection", loaded: "Setup", summary: dict[str, object]) -> 
     if found.tare is not None and found.tare.mount is not None:
         x, y, z = (1e3 * part for part in found.tare.mount.center)
         how = "estimated" if found.tare.mount.estimated else "given"
-        lines.append(f"mount, {how}: {1e3 * found.tare.mount.mass:.4g} g at ({x:.3g}, {y:.3g}, {z:.3g}) mm of the sensor frame")
+        lines.append(
+            f"mount, {how}: {1e3 * found.tare.mount.mass:.4g} g at ({x:.3g}, {y:.3g}, {z:.3g}) mm of the sensor frame"
+        )
     if math.isfinite(found.single_contact_misfit):
-        lines.append(f"m0·f0 = 0 is violated by {found.single_contact_misfit:.2f} standard deviations in the median (0.67 is noise alone)")
+        lines.append(
+            f"m0·f0 = 0 is violated by {found.single_contact_misfit:.2f} standard deviations in the median (0.67 is noise alone)"
+        )
     for line in lines:
         console.print(line, soft_wrap=True, markup=False)
     table = Table()
-    for name in ("channel", "tare", "noise at rest", "stated", "drift a second", "± one standard deviation"):
+    for name in (
+        "channel",
+        "tare",
+        "noise at rest",
+        "stated",
+        "drift a second",
+        "± one standard deviation",
+    ):
         table.add_column(name, justify="left" if name == "channel" else "right")
     for channel, name in enumerate(CHANNELS):
         factor, unit = (1e3, "mN") if channel < 3 else (1e6, "µN m")
         stated = sensor.reading_variance[channel] ** 0.5 if sensor.force_noise is not None else None
         tare = None if found.tare is None else found.tare.offset[channel]
-        numbers = (tare, found.noise[channel], stated, found.drift[channel], found.drift_deviation[channel])
-        table.add_row(f"{name} [{unit}]", *(_shown(value, factor) for value in numbers), end_section=channel == 2)
+        numbers = (
+            tare,
+            found.noise[channel],
+            stated,
+            found.drift[channel],
+            found.drift_deviation[channel],
+        )
+        table.add_row(
+            f"{name} [{unit}]",
+            *(_shown(value, factor) for value in numbers),
+            end_section=channel == 2,
+        )
     console.print(table, markup=False)
     _print_faults(found, first)
 
@@ -187,7 +225,12 @@ def _print_faults(found: "Inspection", first: float) -> None:
         if left[kind] <= _SHOWN or fault.unusable:
             word = f"{kind} (UNUSABLE)" if fault.unusable else kind
             table.add_row(
-                word, ", ".join(fault.channels), f"{fault.start - first:.4g}", f"{fault.stop - first:.4g}", str(fault.count), fault.text
+                word,
+                ", ".join(fault.channels),
+                f"{fault.start - first:.4g}",
+                f"{fault.stop - first:.4g}",
+                str(fault.count),
+                fault.text,
             )
     console.print(table, markup=False)
     for kind, count in left.items():

@@ -20,19 +20,55 @@ SINKS = "FILE.mcap, rosbag2:FOLDER, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:-
 
 def live(
     source: Annotated[
-        str, typer.Option("--source", help="netft://HOST[:PORT], tcp://HOST:PORT, serial:DEVICE[?baud=N] or replay:FILE[?speed=X].")
+        str,
+        typer.Option(
+            "--source",
+            help="netft://HOST[:PORT], tcp://HOST:PORT, serial:DEVICE[?baud=N] or replay:FILE[?speed=X].",
+        ),
     ],
-    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and, for a sensor, [rdt] and [pose].")],
-    sink: Annotated[list[str] | None, typer.Option("--sink", help=f"{SINKS}; may be given again.")] = None,
-    duration: Annotated[float | None, typer.Option("--duration", help="Seconds after the first sample at which to end.")] = None,
-    batch: Annotated[float, typer.Option("--batch", help="Seconds of samples that are worked on together.")] = 0.005,
-    silence: Annotated[float, typer.Option("--silence", help="Seconds without a sample after which to give up; 0 for never.")] = 5.0,
-    friction: Annotated[float | None, typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals.")] = None,
-    smooth: Annotated[bool, typer.Option("--smooth", help="Smooth the contacts as they come: each from all samples up to it.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON; to stderr if a sink takes stdout.")] = False,
+    setup: Annotated[
+        Path,
+        typer.Option(
+            "--setup", help="TOML file with [rod], [sensor] and, for a sensor, [rdt] and [pose]."
+        ),
+    ],
+    sink: Annotated[
+        list[str] | None, typer.Option("--sink", help=f"{SINKS}; may be given again.")
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", help="Seconds after the first sample at which to end."),
+    ] = None,
+    batch: Annotated[
+        float, typer.Option("--batch", help="Seconds of samples that are worked on together.")
+    ] = 0.005,
+    silence: Annotated[
+        float,
+        typer.Option(
+            "--silence", help="Seconds without a sample after which to give up; 0 for never."
+        ),
+    ] = 5.0,
+    friction: Annotated[
+        float | None,
+        typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals."),
+    ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option(
+            "--smooth", help="Smooth the contacts as they come: each from all samples up to it."
+        ),
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace files that are there.")
+    ] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print the summary as JSON; to stderr if a sink takes stdout."),
+    ] = False,
 ) -> None:
-    """Reconstruct contacts from a running sensor, record them and the raw wrench. Ends with the source, after --duration, or on an interrupt."""
+    """Reconstruct contacts from a running sensor, record them and the raw wrench. Ends with the
+    source, after --duration, or on an interrupt.
+    """
     from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
     from vibrissa.live.address import parse_address  # noqa: PLC0415
@@ -44,14 +80,28 @@ def live(
         ("--friction", friction, -1.0),
     ):
         if value is not None and not (max(least, 0.0) <= value < float("inf") and value > least):
-            raise InputError(f"{name} = {value}; allowed is a finite number {'greater than' if least == 0 else 'of at least'} 0")
+            raise InputError(
+                f"{name} = {value}; allowed is a finite number {'greater than' if least == 0 else 'of at least'} 0"
+            )
     address = parse_address(source)
     targets = [_target(text, overwrite=overwrite) for text in sink or []]
     _check_different(targets)
     loaded = load_setup(setup)
-    report = _run(address, loaded, setup.parent, targets, duration=duration, batch=batch, silence=silence, friction=friction, smooth=smooth)
+    report = _run(
+        address,
+        loaded,
+        setup.parent,
+        targets,
+        duration=duration,
+        batch=batch,
+        silence=silence,
+        friction=friction,
+        smooth=smooth,
+    )
     if as_json:
-        typer.echo(json.dumps(report.as_dict(), indent=1), err=any(path is None for _, path in targets))
+        typer.echo(
+            json.dumps(report.as_dict(), indent=1), err=any(path is None for _, path in targets)
+        )
     else:
         typer.echo(_text(report), err=True)
     if report.silent:
@@ -81,18 +131,36 @@ def _run(
     origin = _source(address, loaded)
     poses = poses_of(loaded, folder, needed=address.kind == "netft")
     if smooth and loaded.sensor.force_noise is None:
-        raise InputError("sensor.force_noise is not given with --smooth; allowed is a setup with force_noise and torque_noise")
+        raise InputError(
+            "sensor.force_noise is not given with --smooth; allowed is a setup with force_noise and torque_noise"
+        )
     stage = SmoothingStage(loaded.rod, friction=friction) if smooth else None
-    processor = Processor(loaded.rod, loaded.sensor, poses, stage=stage, friction=friction, tolerances=loaded.parameter_covariance)
+    processor = Processor(
+        loaded.rod,
+        loaded.sensor,
+        poses,
+        stage=stage,
+        friction=friction,
+        tolerances=loaded.parameter_covariance,
+    )
     with interrupts() as stop, one_line():
         sinks = partial(_sinks, [(_maker(kind, loaded), path) for kind, path in targets])
         processor.warm_up()
-        # No pause for what was made up to here, and short turns: the thread that reads must not wait for the one that works.
+        # No pause for what was made up to here, and short turns: the thread that reads must not
+        # wait for the one that works.
         gc.collect()
         gc.freeze()
         sys.setswitchinterval(1e-3)
         return stream(
-            origin, processor, sinks, poses=poses, duration=duration, batch_seconds=batch, silence=silence, stop=stop, notice=_say
+            origin,
+            processor,
+            sinks,
+            poses=poses,
+            duration=duration,
+            batch_seconds=batch,
+            silence=silence,
+            stop=stop,
+            notice=_say,
         )
 
 
@@ -112,9 +180,15 @@ def _source(address: "Address", loaded: "Setup") -> "Source":
         case "replay":
             return ReplaySource(read_cleaned(address.path, loaded), address.speed)
         case "tcp":
-            return LineSource(TcpLine(address.path, address.port), on_host_clock=isinstance(loaded.pose, UdpPoseTable))
+            return LineSource(
+                TcpLine(address.path, address.port),
+                on_host_clock=isinstance(loaded.pose, UdpPoseTable),
+            )
         case "serial":
-            return LineSource(SerialLine(address.path, address.baud), on_host_clock=isinstance(loaded.pose, UdpPoseTable))
+            return LineSource(
+                SerialLine(address.path, address.baud),
+                on_host_clock=isinstance(loaded.pose, UdpPoseTable),
+            )
     table = rdt_of(loaded)
     return NetFtSource(
         address.path,
@@ -135,12 +209,20 @@ def _target(text: str, *, overwrite: bool) -> "tuple[str, Path | None]":
     if text == "jsonl:-":
         return "jsonl", None
     given, _, rest = text.partition(":")
-    kind, path = (given, Path(rest)) if given in ("jsonl", "rosbag2") else (Path(text).suffix.lower()[1:], Path(text))
-    if kind not in ("mcap", "ply", "jsonl", "rosbag2") or not (path.name or (kind == "rosbag2" and rest)):
+    kind, path = (
+        (given, Path(rest))
+        if given in ("jsonl", "rosbag2")
+        else (Path(text).suffix.lower()[1:], Path(text))
+    )
+    if kind not in ("mcap", "ply", "jsonl", "rosbag2") or not (
+        path.name or (kind == "rosbag2" and rest)
+    ):
         raise InputError(f"sink {text!r}; allowed are {SINKS}")
     if kind == "rosbag2":
         if path.exists() and not (path.is_dir() and (overwrite or not any(path.iterdir()))):
-            raise InputError(f"sink {path}: is there already; allowed is a new or empty folder, or a folder with --overwrite")
+            raise InputError(
+                f"sink {path}: is there already; allowed is a new or empty folder, or a folder with --overwrite"
+            )
         return kind, writable_folder(path)
     if path.exists() and path.is_file() and not overwrite:
         raise InputError(f"sink {path}: is there already; allowed is a new file, or --overwrite")
@@ -154,11 +236,15 @@ def _check_different(targets: "list[tuple[str, Path | None]]") -> None:
     places = [None if path is None else path.resolve() for _, path in targets]
     for place in places:
         if places.count(place) > 1:
-            raise InputError(f"sink {'jsonl:-' if place is None else place}: is given twice; allowed is one sink for each file")
+            raise InputError(
+                f"sink {'jsonl:-' if place is None else place}: is given twice; allowed is one sink for each file"
+            )
 
 
 def _maker(kind: str, loaded: "Setup") -> "Callable[[Any], Sink]":
-    """What makes a sink of a path; its libraries are loaded now, so that one that is missing is said before anyone waits."""
+    """What makes a sink of a path; its libraries are loaded now, so that one that is missing is
+    said before anyone waits.
+    """
     from vibrissa.io.sinks import JsonLinesSink, PlySink  # noqa: PLC0415
 
     if kind == "jsonl":
@@ -168,9 +254,16 @@ def _maker(kind: str, loaded: "Setup") -> "Callable[[Any], Sink]":
     from vibrissa.io.rosbag import McapSink, Rosbag2Sink  # noqa: PLC0415
     from vibrissa.io.rosbag.library import library  # noqa: PLC0415
 
-    for name in ("mcap.records", "mcap.data_stream", "rosbags.typesys", *(("ruamel.yaml",) if kind == "rosbag2" else ())):
+    for name in (
+        "mcap.records",
+        "mcap.data_stream",
+        "rosbags.typesys",
+        *(("ruamel.yaml",) if kind == "rosbag2" else ()),
+    ):
         library(name)
-    return partial(Rosbag2Sink if kind == "rosbag2" else McapSink, wrench_frame=loaded.sensor.wrench_frame)
+    return partial(
+        Rosbag2Sink if kind == "rosbag2" else McapSink, wrench_frame=loaded.sensor.wrench_frame
+    )
 
 
 def _sinks(makers: "list[tuple[Callable[[Any], Sink], Path | None]]") -> "Iterator[Sink]":
@@ -190,14 +283,26 @@ def _text(report: "Report") -> str:
     if counts.flagged:
         from vibrissa.live.rdt import STATUS_BITS  # noqa: PLC0415
 
-        bits = ", ".join(f"{bit}: {STATUS_BITS.get(bit, 'not known')}" for bit in range(32) if counts.status >> bit & 1)
-        lines.append(f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them in error")
+        bits = ", ".join(
+            f"{bit}: {STATUS_BITS.get(bit, 'not known')}"
+            for bit in range(32)
+            if counts.status >> bit & 1
+        )
+        lines.append(
+            f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them in error"
+        )
     if report.without_pose or report.malformed_poses:
-        lines.append(f"{report.without_pose} rows without a pose, {report.malformed_poses} poses malformed")
+        lines.append(
+            f"{report.without_pose} rows without a pose, {report.malformed_poses} poses malformed"
+        )
     if report.silences:
-        lines.append(f"silent {report.silences} times, for {report.silent_seconds:.2f} s altogether")
+        lines.append(
+            f"silent {report.silences} times, for {report.silent_seconds:.2f} s altogether"
+        )
     if report.unused:
-        lines.append(f"{report.unused} samples recorded without a row: the end came before their tare or their pose")
+        lines.append(
+            f"{report.unused} samples recorded without a row: the end came before their tare or their pose"
+        )
     if report.latency_median is not None and report.latency_999 is not None:
         lines.append(
             f"latency from arrival to contact: median {report.latency_median * 1e3:.2f} ms, 99.9th percentile {report.latency_999 * 1e3:.2f} ms"

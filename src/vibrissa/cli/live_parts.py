@@ -1,4 +1,6 @@
-"""What `live` and `simulate-sensor` both take from a setup: how the sensor counts, and where it moves."""
+"""What `live` and `simulate-sensor` both take from a setup: how the sensor counts, and where it
+moves.
+"""
 
 import signal
 import threading
@@ -23,7 +25,9 @@ _COUNTS, _RATE = 1e6, 1000.0
 def interrupts() -> Iterator[threading.Event]:
     """An event that an interrupt or a request to terminate sets."""
     stop = threading.Event()
-    before = {kind: signal.signal(kind, lambda *_: stop.set()) for kind in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        kind: signal.signal(kind, lambda *_: stop.set()) for kind in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield stop
     finally:
@@ -39,7 +43,11 @@ def one_line() -> Iterator[None]:
     try:
         yield
     except (OSError, ImportError, ValueError, SilentSourceError) as error:
-        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename is not None else str(error)
+        text = (
+            f"{error.filename}: {error.strerror}"
+            if isinstance(error, OSError) and error.filename is not None
+            else str(error)
+        )
         typer.echo(f"vibrissa: error: {' '.join(text.splitlines())}", err=True)
         raise typer.Exit(1) from error
 
@@ -50,7 +58,10 @@ def rdt_of(loaded: "Setup") -> "RdtTable":
 
     if loaded.rdt is not None:
         return loaded.rdt
-    typer.echo(f"the setup has no [rdt]: {_COUNTS:g} counts for 1 N and 1 N m, {_RATE:g} records a second are taken", err=True)
+    typer.echo(
+        f"the setup has no [rdt]: {_COUNTS:g} counts for 1 N and 1 N m, {_RATE:g} records a second are taken",
+        err=True,
+    )
     return RdtTable(counts_per_force=_COUNTS, counts_per_torque=_COUNTS, rate=_RATE)
 
 
@@ -63,7 +74,12 @@ def poses_of(loaded: "Setup", folder: Path, *, needed: bool) -> "PoseSource":
         If the table names a file that cannot be used, or an address that is none.
     """
     from vibrissa.io.errors import InputError  # noqa: PLC0415
-    from vibrissa.io.live_setup import CasePoseTable, ConstantPoseTable, TrailPoseTable, UdpPoseTable  # noqa: PLC0415
+    from vibrissa.io.live_setup import (  # noqa: PLC0415
+        CasePoseTable,
+        ConstantPoseTable,
+        TrailPoseTable,
+        UdpPoseTable,
+    )
     from vibrissa.live.address import host_and_port  # noqa: PLC0415
     from vibrissa.live.poses import ConstantPose, StreamedPoses  # noqa: PLC0415
 
@@ -106,5 +122,7 @@ def _from_case(table: "CasePoseTable", folder: Path, sensor: "Sensor") -> "Timed
     from vibrissa.live.scene import motion, sensor_poses  # noqa: PLC0415
 
     trail: Trail = load_case(folder / table.path).trail
-    time, position, orientation = motion(trail, rest=table.rest, sweep=table.sweep, pause=table.pause)
+    time, position, orientation = motion(
+        trail, rest=table.rest, sweep=table.sweep, pause=table.pause
+    )
     return TimedPoses(time, *sensor_poses(sensor, position, orientation))

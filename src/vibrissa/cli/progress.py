@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Steps:
-    """Reports the name of the step that begins, when called, and with `share` how much of it is done, from 0 to 1."""
+    """Reports the name of the step that begins, when called, and with `share` how much of it is
+    done, from 0 to 1.
+    """
 
     begin: Callable[[str], None]
     share: Callable[[float], None]
@@ -28,7 +30,12 @@ def reporting() -> Iterator[Steps]:
         return
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=30), TimeElapsedColumn())
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=30),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield Steps(

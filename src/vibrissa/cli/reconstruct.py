@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from vibrissa.reconstruct import Reconstruction, Touch
+    from vibrissa.inverse import Reconstruction, Touch
 
-_NOISE_ONLY = (
-    "error bars hold noise only: state how well rod, clamp, gains and clocks are known in [tolerances] of the setup, or calibrate it"
-)
+_NOISE_ONLY = "error bars hold noise only: state how well rod, clamp, gains and clocks are known in [tolerances] of the setup, or calibrate it"
 
 _SAG = 2e-3
 """Of the rod's length: 0.1 mm on 50 mm, twice what smoothed contacts are known to."""
@@ -19,16 +17,37 @@ _SAG = 2e-3
 
 def reconstruct(
     recording: Annotated[
-        Path, typer.Argument(help="Log of the sensor: CSV, Parquet, HDF5, NetCDF, .mat, rosbag2 or MCAP.", show_default=False)
+        Path,
+        typer.Argument(
+            help="Log of the sensor: CSV, Parquet, HDF5, NetCDF, .mat, rosbag2 or MCAP.",
+            show_default=False,
+        ),
     ],
-    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)],
+    setup: Annotated[
+        Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)
+    ],
     output: Annotated[
-        list[Path] | None, typer.Option("--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again.")
+        list[Path] | None,
+        typer.Option(
+            "--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again."
+        ),
     ] = None,
-    figure: Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")] = None,
-    friction: Annotated[float | None, typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals.")] = None,
-    smooth: Annotated[bool, typer.Option("--smooth", help="Smooth the contacts along the sweep; needs the sensor's noise.")] = False,
-    find_friction: Annotated[bool, typer.Option("--estimate-friction", help="Estimate it from how the contacts move.")] = False,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")
+    ] = None,
+    friction: Annotated[
+        float | None,
+        typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals."),
+    ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option(
+            "--smooth", help="Smooth the contacts along the sweep; needs the sensor's noise."
+        ),
+    ] = False,
+    find_friction: Annotated[
+        bool, typer.Option("--estimate-friction", help="Estimate it from how the contacts move.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Find where the rod touched, from a recording of forces and torques alone."""
@@ -47,18 +66,20 @@ def reconstruct(
         raise InputError(f"--friction = {friction}; allowed is a finite number of at least 0")
     loaded = load_setup(setup)
     if smooth and loaded.sensor.force_noise is None:
-        raise InputError(f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and torque_noise")
+        raise InputError(
+            f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and torque_noise"
+        )
     with listening() as said, reporting() as report:
         report("reading")
         reactions = read_recording(recording, loaded)
         report("loading")
-        from vibrissa.reconstruct import reconstruct as run  # noqa: PLC0415
+        from vibrissa.inverse import reconstruct as run  # noqa: PLC0415
 
         report("reconstructing")
         found = run(loaded.rod, reactions, friction=friction)
         estimated = _estimated(found) if find_friction else {}
         if smooth:
-            from vibrissa.reconstruct import smooth as smoothed  # noqa: PLC0415
+            from vibrissa.inverse import smooth as smoothed  # noqa: PLC0415
 
             report("smoothing")
             found = smoothed(found, progress=lambda done, count: report.share(done / count))
@@ -68,7 +89,9 @@ def reconstruct(
         if figure is not None:
             report(f"drawing {figure}")
             _draw(found, figure)
-    summary = _summary(found) | estimated | {"warnings": list(dict.fromkeys([*said, *found.warnings]))}
+    summary = (
+        _summary(found) | estimated | {"warnings": list(dict.fromkeys([*said, *found.warnings]))}
+    )
     typer.echo(json.dumps(summary, indent=1) if as_json else _text(summary))
 
 
@@ -81,7 +104,11 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
     summary: dict[str, object] = {
         "samples": found.kind.size,
         "kinds": {kind.name: int(np.sum(found.kind == kind)) for kind in ContactKind},
-        "status": {status.name: int(np.sum(found.status == status)) for status in Status if np.any(found.status == status)},
+        "status": {
+            status.name: int(np.sum(found.status == status))
+            for status in Status
+            if np.any(found.status == status)
+        },
     }
     if found.friction is not None:
         summary["friction"] = found.friction
@@ -90,9 +117,15 @@ def _summary(found: "Reconstruction") -> dict[str, object]:
         summary["unit"] = found.rod.unit_of("length")
         deviations = np.sqrt(np.linalg.eigvalsh(found.covariance[contact]))
         summary["median_standard_deviations"] = np.median(deviations, axis=0).tolist()
-        residual = found.single_contact_residual[contact & np.isfinite(found.single_contact_residual)]
+        residual = found.single_contact_residual[
+            contact & np.isfinite(found.single_contact_residual)
+        ]
         summary["single_contact_residual_rms"] = float(np.sqrt(np.mean(residual**2)))
-    notes = [_NOISE_ONLY] if found.covariance is not None and found.reactions.setup_errors is None else []
+    notes = (
+        [_NOISE_ONLY]
+        if found.covariance is not None and found.reactions.setup_errors is None
+        else []
+    )
     sag = found.rod.own_sag()
     if sag is not None and sag > _SAG * found.rod.length:
         notes.append(
@@ -113,18 +146,24 @@ def _touch(found: "Reconstruction", touch: "Touch") -> dict[str, object]:
 
     time = np.arange(found.kind.size) if found.reactions.time is None else found.reactions.time
     names = ("start", "start_deviation", "end", "end_deviation")
-    times = {name: [float(time[row]) for row in getattr(touch, name)] for name in ("changes", "jumps")}
+    times = {
+        name: [float(time[row]) for row in getattr(touch, name)] for name in ("changes", "jumps")
+    }
     return {name: getattr(touch, name) for name in names} | times
 
 
 def _estimated(found: "Reconstruction") -> dict[str, object]:
-    from vibrissa.reconstruct import estimate_friction  # noqa: PLC0415
+    from vibrissa.inverse import estimate_friction  # noqa: PLC0415
 
     try:
         estimate = estimate_friction(found)
     except ValueError as error:
         return {"friction_estimate": None, "friction_estimate_fails": str(error)}
-    return {"friction_estimate": estimate.friction, "friction_standard_error": estimate.standard_error, "friction_window": estimate.window}
+    return {
+        "friction_estimate": estimate.friction,
+        "friction_standard_error": estimate.standard_error,
+        "friction_window": estimate.window,
+    }
 
 
 def _text(summary: dict[str, object]) -> str:
@@ -133,14 +172,23 @@ def _text(summary: dict[str, object]) -> str:
     kinds, status = summary["kinds"], summary["status"]
     assert isinstance(kinds, dict)
     assert isinstance(status, dict)
-    lines = [f"{summary['samples']} samples: " + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())]
-    lines += [f"{count} rows {name}: {Status[name].text}" for name, count in status.items() if name != "OK"]
+    lines = [
+        f"{summary['samples']} samples: "
+        + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())
+    ]
+    lines += [
+        f"{count} rows {name}: {Status[name].text}"
+        for name, count in status.items()
+        if name != "OK"
+    ]
     deviations = summary.get("median_standard_deviations")
     if isinstance(deviations, list):
         factor, unit = (1e3, "mm") if summary["unit"] == "m" else (1.0, "L")
         shown = ", ".join(f"{factor * value:.3g}" for value in deviations)
         lines.append(f"standard deviations of the points along their axes, median: {shown} {unit}")
-        lines.append(f"m0·f0 = 0 is violated by {summary['single_contact_residual_rms']:.2f} standard deviations (rms; 1 is noise alone)")
+        lines.append(
+            f"m0·f0 = 0 is violated by {summary['single_contact_residual_rms']:.2f} standard deviations (rms; 1 is noise alone)"
+        )
     contacts = summary.get("contacts")
     if isinstance(contacts, list):
         lines += [_contact_line(contact) for contact in contacts]
@@ -148,7 +196,9 @@ def _text(summary: dict[str, object]) -> str:
     notes = summary.get("notes")
     lines += notes if isinstance(notes, list) else []
     if "normal_half_angle" in summary:
-        lines.append(f"the object's normals lie within {summary['normal_half_angle']:.4g} rad of the contact forces")
+        lines.append(
+            f"the object's normals lie within {summary['normal_half_angle']:.4g} rad of the contact forces"
+        )
     if "friction_estimate" in summary:
         lines.append(_friction_line(summary))
     return "\n".join(lines)

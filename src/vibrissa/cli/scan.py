@@ -7,15 +7,25 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from vibrissa.forward import Scan
     from vibrissa.io import Case
-    from vibrissa.scan import Scan
 
 
 def scan(
-    case: Annotated[Path, typer.Argument(help="TOML file with [rod], [object] and [[trail]].", show_default=False)],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="NetCDF file to write.")] = None,
-    figure: Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")] = None,
-    speed: Annotated[float | None, typer.Option("--speed", help="Speed of the clamp [m/s]: is the sweep quasi-static?")] = None,
+    case: Annotated[
+        Path,
+        typer.Argument(help="TOML file with [rod], [object] and [[trail]].", show_default=False),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="NetCDF file to write.")
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option("--speed", help="Speed of the clamp [m/s]: is the sweep quasi-static?"),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Sweep a rod along an object: equilibria, support reactions and events."""
@@ -31,12 +41,18 @@ def scan(
     _check_speed(loaded.rod.linear_density, speed, case)
     with reporting() as report:
         report("loading")
+        from vibrissa.forward import scan as run  # noqa: PLC0415
         from vibrissa.io.contacts import write_dataset  # noqa: PLC0415
-        from vibrissa.scan import scan as run  # noqa: PLC0415
 
         report("scanning")
         _check_start(case, loaded)
-        result = run(loaded.rod, loaded.surface, loaded.trail, friction=loaded.friction, finite_radius=loaded.finite_radius)
+        result = run(
+            loaded.rod,
+            loaded.surface,
+            loaded.trail,
+            friction=loaded.friction,
+            finite_radius=loaded.finite_radius,
+        )
         if output is not None:
             report("writing")
             write_dataset(output, result.to_dataset())
@@ -56,11 +72,15 @@ def _check_speed(linear_density: float | None, speed: float | None, case: Path) 
     if not 0 < speed < float("inf"):
         raise InputError(f"--speed = {speed}; allowed is a finite number greater than 0")
     if linear_density is None:
-        raise InputError(f"{case}: rod.density: missing; allowed is a number greater than 0, needed for --speed")
+        raise InputError(
+            f"{case}: rod.density: missing; allowed is a number greater than 0, needed for --speed"
+        )
 
 
 def _check_start(case: Path, loaded: "Case") -> None:
-    """A rod clamped inside the object at the start of a trail is a mistake in the case, not a row that fails."""
+    """A rod clamped inside the object at the start of a trail is a mistake in the case, not a row
+    that fails.
+    """
     from vibrissa.io.errors import InputError  # noqa: PLC0415
 
     starts = loaded.trail.position.reshape(-1, loaded.trail.count, 3)[:, 0]
@@ -82,7 +102,11 @@ def _summary(result: "Scan", speed: float | None) -> dict[str, object]:
         "friction": result.friction,
         "motions": {motion.name: int(np.sum(result.motion == motion)) for motion in Motion},
         "kinds": {kind.name: int(np.sum(result.kind == kind)) for kind in ContactKind},
-        "status": {status.name: int(np.sum(result.status == status)) for status in Status if np.any(result.status == status)},
+        "status": {
+            status.name: int(np.sum(result.status == status))
+            for status in Status
+            if np.any(result.status == status)
+        },
         "largest_force": float(np.nanmax(force)) if np.isfinite(force).any() else None,
         "events": [
             {
@@ -97,7 +121,10 @@ def _summary(result: "Scan", speed: float | None) -> dict[str, object]:
     }
     if speed is not None:
         validity = result.quasi_static(speed)
-        summary["quasi_static"] = {name: getattr(validity, name) for name in ("natural_frequency", "sweep_frequency", "ratio", "holds")}
+        summary["quasi_static"] = {
+            name: getattr(validity, name)
+            for name in ("natural_frequency", "sweep_frequency", "ratio", "holds")
+        }
     return summary
 
 
@@ -109,17 +136,28 @@ def _text(result: "Scan", summary: dict[str, object]) -> str:
     assert isinstance(status, dict)
     force = result.rod.unit_of("force")
     unit = "EI/L²" if force == "1" else force
-    lines = [f"{summary['positions']} positions: " + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())]
+    lines = [
+        f"{summary['positions']} positions: "
+        + ", ".join(f"{count} {name.lower()}" for name, count in kinds.items())
+    ]
     motions = summary["motions"]
     if result.friction > 0 and isinstance(motions, dict):
-        moving = ", ".join(f"{count} {name.lower()}" for name, count in motions.items() if name != "NONE")
+        moving = ", ".join(
+            f"{count} {name.lower()}" for name, count in motions.items() if name != "NONE"
+        )
         lines.append(f"friction {result.friction:g}: {moving}")
     if summary["largest_force"] is not None:
         lines.append(f"largest support force {summary['largest_force']:.6g} {unit}")
-    lines += [f"{count} rows {name}: {Status[name].text}" for name, count in status.items() if name != "OK"]
+    lines += [
+        f"{count} rows {name}: {Status[name].text}"
+        for name, count in status.items()
+        if name != "OK"
+    ]
     for event in result.events:
         place = ", ".join(f"{value:.9g}" for value in event.clamp)
-        lines.append(f"trail {event.trail}: {event.kind.name} at {event.parameter:.9f} of it, clamp ({place})")
+        lines.append(
+            f"trail {event.trail}: {event.kind.name} at {event.parameter:.9f} of it, clamp ({place})"
+        )
     validity = summary.get("quasi_static")
     if isinstance(validity, dict):
         verdict = "holds" if validity["holds"] else "does not hold"
@@ -137,5 +175,9 @@ def _draw(result: "Scan", path: Path) -> None:
     from vibrissa import plot  # noqa: PLC0415
 
     with plot.journal():
-        axes = plot.reactions_over_plane(result) if result.kind.ndim == 2 else plot.reactions_along(result)
+        axes = (
+            plot.reactions_over_plane(result)
+            if result.kind.ndim == 2
+            else plot.reactions_along(result)
+        )
         plot.save_as(axes, path)

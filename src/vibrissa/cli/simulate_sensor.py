@@ -14,31 +14,67 @@ if TYPE_CHECKING:
 
 
 def simulate_sensor(
-    case: Annotated[Path, typer.Argument(help="TOML file with [rod], [object] and [[trail]].", show_default=False)],
-    setup: Annotated[Path, typer.Option("--setup", help="TOML file with [rod], [sensor] and [rdt].", show_default=False)],
-    rate: Annotated[float | None, typer.Option("--rate", help="Records a second; default is the setup's.")] = None,
+    case: Annotated[
+        Path,
+        typer.Argument(help="TOML file with [rod], [object] and [[trail]].", show_default=False),
+    ],
+    setup: Annotated[
+        Path,
+        typer.Option(
+            "--setup", help="TOML file with [rod], [sensor] and [rdt].", show_default=False
+        ),
+    ],
+    rate: Annotated[
+        float | None, typer.Option("--rate", help="Records a second; default is the setup's.")
+    ] = None,
     host: Annotated[str, typer.Option("--host", help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, typer.Option("--port", help="Port to listen at.")] = 49152,
-    duration: Annotated[float | None, typer.Option("--duration", help="Seconds after the first request at which to end.")] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", help="Seconds after the first request at which to end."),
+    ] = None,
     rest: Annotated[
-        float | None, typer.Option("--rest", help="Seconds at rest before the first trail; default is the tare's and 0.1 s.")
+        float | None,
+        typer.Option(
+            "--rest",
+            help="Seconds at rest before the first trail; default is the tare's and 0.1 s.",
+        ),
     ] = None,
     sweep: Annotated[float, typer.Option("--sweep", help="Seconds for each trail.")] = 10.0,
     pause: Annotated[float, typer.Option("--pause", help="Seconds between trails.")] = 0.5,
-    repeat: Annotated[bool, typer.Option("--repeat", help="Play the case again and again.")] = False,
-    tare: Annotated[str, typer.Option("--tare", help="Offsets of the sensor: fx,fy,fz,tx,ty,tz [N], [N m].")] = "0,0,0,0,0,0",
-    pose: Annotated[str | None, typer.Option("--pose", help="udp://HOST:PORT to which poses are sent as JSON.")] = None,
+    repeat: Annotated[
+        bool, typer.Option("--repeat", help="Play the case again and again.")
+    ] = False,
+    tare: Annotated[
+        str, typer.Option("--tare", help="Offsets of the sensor: fx,fy,fz,tx,ty,tz [N], [N m].")
+    ] = "0,0,0,0,0,0",
+    pose: Annotated[
+        str | None, typer.Option("--pose", help="udp://HOST:PORT to which poses are sent as JSON.")
+    ] = None,
     pose_rate: Annotated[float, typer.Option("--pose-rate", help="Poses a second.")] = 250.0,
-    buffer: Annotated[int, typer.Option("--buffer", help="Records a datagram in buffered mode.")] = 20,
+    buffer: Annotated[
+        int, typer.Option("--buffer", help="Records a datagram in buffered mode.")
+    ] = 20,
     drop: Annotated[float, typer.Option("--drop", help="Share of datagrams that are lost.")] = 0.0,
-    duplicate: Annotated[float, typer.Option("--duplicate", help="Share of datagrams that come twice.")] = 0.0,
-    reorder: Annotated[float, typer.Option("--reorder", help="Share of datagrams that come after the next one.")] = 0.0,
-    malformed: Annotated[float, typer.Option("--malformed", help="Share of datagrams that are followed by a broken one.")] = 0.0,
-    error: Annotated[float, typer.Option("--error", help="Share of datagrams whose status says error.")] = 0.0,
+    duplicate: Annotated[
+        float, typer.Option("--duplicate", help="Share of datagrams that come twice.")
+    ] = 0.0,
+    reorder: Annotated[
+        float, typer.Option("--reorder", help="Share of datagrams that come after the next one.")
+    ] = 0.0,
+    malformed: Annotated[
+        float,
+        typer.Option("--malformed", help="Share of datagrams that are followed by a broken one."),
+    ] = 0.0,
+    error: Annotated[
+        float, typer.Option("--error", help="Share of datagrams whose status says error.")
+    ] = 0.0,
     seed: Annotated[int, typer.Option("--seed", help="Of noise and flaws.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts of the setup."""
+    """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts
+    of the setup.
+    """
     import numpy as np  # noqa: PLC0415
 
     from vibrissa.cli.live_parts import interrupts, one_line, rdt_of  # noqa: PLC0415
@@ -63,7 +99,9 @@ def simulate_sensor(
         positive(pose_rate, "pose_rate")
         flaws = Flaws(drop, duplicate, reorder, malformed, error)
         offsets, listener = _offsets(tare), None if pose is None else host_and_port(pose)
-        resting = (TARE_SECONDS if setting.sensor.tare_seconds is None else setting.sensor.tare_seconds) + 0.1
+        resting = (
+            TARE_SECONDS if setting.sensor.tare_seconds is None else setting.sensor.tare_seconds
+        ) + 0.1
         with one_line():
             listening(host, port).close()
         typer.echo("scanning", err=True)
@@ -98,7 +136,10 @@ def simulate_sensor(
         raise InputError(str(failure)) from failure
     with interrupts() as stop, one_line():
         simulator.open()
-        typer.echo(f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts {scene.duration:g} s", err=True)
+        typer.echo(
+            f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts {scene.duration:g} s",
+            err=True,
+        )
         try:
             sent = simulator.run(duration=duration, stop=stop)
         finally:
@@ -122,5 +163,9 @@ def _text(sent: "Sent") -> str:
     return (
         f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} poses; {sent.malformed_requests} requests malformed; "
         f"largest delay {sent.latest * 1e3:.2f} ms"
-        + (f"; the stream was taken by another client {sent.takeovers} times" if sent.takeovers else "")
+        + (
+            f"; the stream was taken by another client {sent.takeovers} times"
+            if sent.takeovers
+            else ""
+        )
     )

@@ -7,12 +7,12 @@ from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from vibrissa.contacts import Status
+from vibrissa.forward import Scan, scan
 from vibrissa.geometry.checks import not_negative, positive, whole_number
 from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
+from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.reactions import Reactions
-from vibrissa.reconstruct import Reconstruction, reconstruct
 from vibrissa.rod import Rod
-from vibrissa.scan import Scan, scan
 from vibrissa.sensor import Sensor
 from vibrissa.sensor.maps import to_reactions
 from vibrissa.sensor.model import filtered_readings
@@ -28,21 +28,26 @@ _WITHIN_95 = float(np.sqrt(chi2.isf(0.05, 3)))
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError:
-    """What a sensor will make of the contacts of a scan, one row a position (…), in units of the rod.
+    """What a sensor will make of the contacts of a scan, one row a position (…), in units of the
+    rod.
 
     Attributes
     ----------
     scan
         The scene: contacts and reactions without a sensor.
     found
-        The reconstruction of the exact reactions, with the covariances that the sensor's errors give.
+        The reconstruction of the exact reactions, with the covariances that the sensor's errors
+        give.
     covariance
-        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose, and tolerances where they are given; NaN where no contact is
-        detected, or the scan has no solution.
+        Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose, and
+        tolerances where they are given; NaN where no contact is detected, or the scan has no
+        solution.
     lag
-        Systematic error of the contact point (…, 3) by the sensor's filter and delay at the given speed; 0 without them.
+        Systematic error of the contact point (…, 3) by the sensor's filter and delay at the given
+        speed; 0 without them.
     saturated
-        Where a reading would leave the sensor's range (…), tare and the mount's weight included as given.
+        Where a reading would leave the sensor's range (…), tare and the mount's weight included as
+        given.
     """
 
     scan: Scan
@@ -53,12 +58,16 @@ class ExpectedError:
 
     @property
     def detected(self) -> Bool[np.ndarray, "*trail n"]:
-        """Where the load exceeds the noise so far that a contact is told from none (…); false where the scan has no solution."""
+        """Where the load exceeds the noise so far that a contact is told from none (…); false where
+        the scan has no solution.
+        """
         return self.found.in_contact & self.scan.in_contact & (self.scan.status < Status.HEAD_ON)
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, "*trail n 3"]:
-        """Along the axes of the covariance (…, 3), in rising order; NaN where no contact is detected."""
+        """Along the axes of the covariance (…, 3), in rising order; NaN where no contact is
+        detected.
+        """
         known = np.isfinite(self.covariance).all(axis=(-2, -1))
         values = np.linalg.eigvalsh(np.where(known[..., None, None], self.covariance, np.eye(3)))
         return np.where(known[..., None], np.sqrt(np.maximum(values, 0)), np.nan)
@@ -70,7 +79,9 @@ class ExpectedError:
 
     @property
     def root_mean_square(self) -> Float[np.ndarray, "*trail n"]:
-        """Expected distance of the point found from the true one (…), root mean square, with the lag."""
+        """Expected distance of the point found from the true one (…), root mean square, with the
+        lag.
+        """
         return np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1) + np.sum(self.lag**2, axis=-1))
 
 
@@ -91,8 +102,9 @@ def expected_error(
 ) -> ExpectedError:
     """Will this sensor do for this rod? The expected contact error at every position of a scene.
 
-    The scan's exact reactions are reconstructed with the covariance that `Sensor.reactions` would state for them: errors are carried to first order, which
-    next to first contact overstates them: a contact lies within the rod's reach.
+    The scan's exact reactions are reconstructed with the covariance that `Sensor.reactions` would
+    state for them: errors are carried to first order, which next to first contact overstates them:
+    a contact lies within the rod's reach.
 
     Parameters
     ----------
@@ -105,15 +117,18 @@ def expected_error(
     rest
         Length of the rest in which the tare is taken [s]; 0 for none.
     speed
-        Of the clamp [m/s]: sets how far drift, pink noise and random walk have gone at each position, and what filter and delay shift. By default one position follows
-        the other at the given rate, and nothing is shifted.
+        Of the clamp [m/s]: sets how far drift, pink noise and random walk have gone at each
+        position, and what filter and delay shift. By default one position follows the other at the
+        given rate, and nothing is shifted.
     samples
         Readings averaged at each position.
     false_alarm
         As for `vibrissa.reconstruct`.
     tolerances
-        How well the numbers of the setup are known. The covariance then holds what they do to all contacts together (`found.shared`), which no averaging takes away,
-        beside the noise (`found.covariance_noise`). A delay of the poses moves contacts by the way of the clamp within it, at the speed that is given.
+        How well the numbers of the setup are known. The covariance then holds what they do to all
+        contacts together (`found.shared`), which no averaging takes away, beside the noise
+        (`found.covariance_noise`). A delay of the poses moves contacts by the way of the clamp
+        within it, at the speed that is given.
 
     Returns
     -------
@@ -123,17 +138,24 @@ def expected_error(
     Raises
     ------
     ValueError
-        If the sensor's noise is not known, a figure is out of range, or a tolerance of `pose_delay` comes without `speed`.
+        If the sensor's noise is not known, a figure is out of range, or a tolerance of `pose_delay`
+        comes without `speed`.
     TypeError
         If `tolerances` is not a `Tolerances`.
     """
     if sensor.force_noise is None:
-        raise ValueError("sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset")
+        raise ValueError(
+            "sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset"
+        )
     if tolerances is not None and not isinstance(tolerances, Tolerances):
         raise TypeError(f"tolerances = {tolerances!r}; allowed is vibrissa.Tolerances")
     if tolerances is not None and tolerances.pose_delay > 0 and speed is None:
         raise ValueError("speed = None; a tolerance of pose_delay needs the clamp's speed")
-    rate, rest, samples = positive(rate, "rate"), not_negative(rest, "rest"), whole_number(samples, "samples")
+    rate, rest, samples = (
+        positive(rate, "rate"),
+        not_negative(rest, "rest"),
+        whole_number(samples, "samples"),
+    )
     swept = scan(rod, surface, trail, friction=friction, finite_radius=finite_radius)
     averaged, rate = _averaged(sensor, samples), rate / samples
     lanes = [_lane(averaged, part, rate, rest, speed) for part in _lanes(swept)]
@@ -157,7 +179,12 @@ def expected_error(
     if sensor.low_pass is not None and speed is not None:
         late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
         shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
-        lag = np.nan_to_num(reconstruct(rod, shifted, friction=friction or None, false_alarm=false_alarm, check=False).point - found.point)
+        lag = np.nan_to_num(
+            reconstruct(
+                rod, shifted, friction=friction or None, false_alarm=false_alarm, check=False
+            ).point
+            - found.point
+        )
     saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
     solved = (swept.status < Status.HEAD_ON)[..., None, None]
     return ExpectedError(swept, found, np.where(solved, found.covariance, np.nan), lag, saturated)
@@ -168,7 +195,9 @@ def _averaged(sensor: Sensor, samples: int) -> Sensor:
     if samples == 1:
         return sensor
     pairs = zip(sensor.noise.tolist(), sensor.resolution.tolist(), strict=True)
-    steps = [float(np.sqrt(12 * quantisation_of_mean(noise, step, samples))) for noise, step in pairs]
+    steps = [
+        float(np.sqrt(12 * quantisation_of_mean(noise, step, samples))) for noise, step in pairs
+    ]
     fx, fy, fz, tx, ty, tz = (sensor.noise / samples**0.5).tolist()
     return replace(
         sensor,
@@ -189,13 +218,23 @@ def _lanes(swept: Scan) -> list[Reactions]:
         swept.reactions.moment.reshape(-1, count, 3),
         strict=True,
     )
-    return [Reactions(Trail(position, orientation), force, moment) for position, orientation, force, moment in parts]
+    return [
+        Reactions(Trail(position, orientation), force, moment)
+        for position, orientation, force, moment in parts
+    ]
 
 
 def _lane(
     sensor: Sensor, reactions: Reactions, rate: float, rest: float, speed: float | None
-) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6"], Bool[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Of one trail: the reactions' covariance, the reactions that come late, where the range ends, and the stamps."""
+) -> tuple[
+    Float[np.ndarray, "n 6 6"],
+    Float[np.ndarray, "n 6"],
+    Bool[np.ndarray, "n"],
+    Float[np.ndarray, "n"],
+]:
+    """Of one trail: the reactions' covariance, the reactions that come late, where the range ends,
+    and the stamps.
+    """
     orientation = multiplied(reactions.trail.orientation, inverse(sensor.clamp_orientation))
     axes = rotation_matrices(orientation)
     time = _stamps(reactions.trail, rate, rest, speed)
@@ -203,17 +242,31 @@ def _lane(
     count = int(rest * rate)
     tare = no_tare(sensor, time)
     if count >= 2:
-        ends = ((0.0, rest), (float(time[-1]), float(time[-1]) + rest))[: 2 if sensor.estimate_drift else 1]
+        ends = ((0.0, rest), (float(time[-1]), float(time[-1]) + rest))[
+            : 2 if sensor.estimate_drift else 1
+        ]
         tare = planned_tare(sensor, ends, (count,) * len(ends))
     # Pink noise knows the whole recording, the rest included.
     covariance = carried(maps, tare.covariance(sensor, time, orientation, since=0.0))
-    timed = Reactions(reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time)
+    timed = Reactions(
+        reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time
+    )
     late = filtered_readings(sensor, timed, orientation)
     shown = filtered_readings(replace(sensor, low_pass=None), timed, orientation)
-    limits = [np.full(3, np.inf) if part is None else np.asarray(part) for part in (sensor.force_range, sensor.torque_range)]
-    saturated = np.any(np.abs(shown) > np.concatenate(limits), axis=1) & np.isfinite(reactions.force).all(axis=1)
+    limits = [
+        np.full(3, np.inf) if part is None else np.asarray(part)
+        for part in (sensor.force_range, sensor.torque_range)
+    ]
+    saturated = np.any(np.abs(shown) > np.concatenate(limits), axis=1) & np.isfinite(
+        reactions.force
+    ).all(axis=1)
     exact = np.concatenate([reactions.force, reactions.moment], axis=1)
-    return np.broadcast_to(covariance, (len(time), 6, 6)), exact + np.einsum("nij,nj->ni", maps, late - shown), saturated, time
+    return (
+        np.broadcast_to(covariance, (len(time), 6, 6)),
+        exact + np.einsum("nij,nj->ni", maps, late - shown),
+        saturated,
+        time,
+    )
 
 
 def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Float[np.ndarray, "n"]:
@@ -227,4 +280,7 @@ def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Floa
 def _origin(sensor: Sensor, trail: Trail) -> Float[np.ndarray, "*trail n 3"]:
     """Of the sensor's frame (…, 3), about which errors of the robot's orientation turn."""
     orientation = multiplied(trail.orientation, inverse(sensor.clamp_orientation))
-    return np.asarray(trail.position - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position))
+    return np.asarray(
+        trail.position
+        - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position)
+    )

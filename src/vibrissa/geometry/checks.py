@@ -1,4 +1,6 @@
-"""Validation of arguments: each failure names the parameter, the value received and what is allowed."""
+"""Validation of arguments: each failure names the parameter, the value received and what is
+allowed.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -36,13 +38,16 @@ def whole_number(value: int, name: str) -> int:
     return int(value)
 
 
-def finite_array(value: ArrayLike, name: str, *, last: int | None = None, ndim: int | None = None) -> Float[np.ndarray, "..."]:
+def finite_array(
+    value: ArrayLike, name: str, *, last: int | None = None, ndim: int | None = None
+) -> Float[np.ndarray, "..."]:
     """Return a float64 copy of `value`.
 
     Raises
     ------
     ValueError
-        If it does not convert, has another number of axes than `ndim`, another last axis than `last`, or entries that are not finite.
+        If it does not convert, has another number of axes than `ndim`, another last axis than
+        `last`, or entries that are not finite.
     """
     try:
         array = np.array(value, dtype=np.float64)
@@ -59,7 +64,9 @@ def finite_array(value: ArrayLike, name: str, *, last: int | None = None, ndim: 
 
 
 def unit_vector(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
-    """Return `value` scaled to length 1; raise ValueError unless it is a finite 3-vector of non-zero length."""
+    """Return `value` scaled to length 1; raise ValueError unless it is a finite 3-vector of
+    non-zero length.
+    """
     vector = finite_array(value, name, last=3, ndim=1)
     length = float(np.linalg.norm(vector))
     if length == 0:

@@ -17,15 +17,23 @@ def turns_about(axis: Float[np.ndarray, "3"], angles: Float[np.ndarray, "n"]) ->
 
 
 def equal_angles(start: float, stop: float, count: int) -> Float[np.ndarray, "count"]:
-    """Equally spaced angles [rad]; raise ValueError for steps of half a turn or more, as the way from one pose to the next is the shorter one."""
+    """Equally spaced angles [rad]; raise ValueError for steps of half a turn or more, as the way
+    from one pose to the next is the shorter one.
+    """
     if count > 1 and abs(stop - start) >= np.pi * (count - 1):
         least = int(abs(stop - start) / np.pi) + 2
-        raise ValueError(f"count = {count}: steps of half a turn or more from {start:g} to {stop:g} rad; allowed is at least {least}")
+        raise ValueError(
+            f"count = {count}: steps of half a turn or more from {start:g} to {stop:g} rad; allowed is at least {least}"
+        )
     return np.linspace(start, stop, count)
 
 
-def arm_of(point: Float[np.ndarray, "3"], pivot: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Vector to the point from the line through `pivot` along the unit vector `axis`, at right angles; zero where it is rounding."""
+def arm_of(
+    point: Float[np.ndarray, "3"], pivot: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Vector to the point from the line through `pivot` along the unit vector `axis`, at right
+    angles; zero where it is rounding.
+    """
     arm = point - pivot
     across = arm - (arm @ axis) * axis
     rounding = _ROUNDING * max(np.linalg.norm(point), np.linalg.norm(pivot))
@@ -33,36 +41,75 @@ def arm_of(point: Float[np.ndarray, "3"], pivot: Float[np.ndarray, "3"], axis: F
 
 
 def turned_about(
-    point: Float[np.ndarray, "3"], pivot: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], angles: Float[np.ndarray, "n"]
+    point: Float[np.ndarray, "3"],
+    pivot: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+    angles: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 3"]:
     """A point turned about the line through `pivot` along the unit vector `axis`."""
     across = arm_of(point, pivot, axis)
-    return point - across + np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(axis, across)
+    return (
+        point
+        - across
+        + np.cos(angles)[:, None] * across
+        + np.sin(angles)[:, None] * np.cross(axis, across)
+    )
 
 
-def matrix_parts(value: ArrayLike, name: str) -> tuple[Float[np.ndarray, "*trail n 3"], Float[np.ndarray, "*trail n 4"]]:
+def matrix_parts(
+    value: ArrayLike, name: str
+) -> tuple[Float[np.ndarray, "*trail n 3"], Float[np.ndarray, "*trail n 4"]]:
     """Positions and quaternions of homogeneous matrices (…, 4, 4).
 
     Raises
     ------
     ValueError
-        If the shape is another, an entry is not finite, or a matrix is no rotation and translation to 1e-3.
+        If the shape is another, an entry is not finite, or a matrix is no rotation and translation
+        to 1e-3.
     """
     matrices = finite_array(value, name, last=4)
     if matrices.ndim not in (3, 4) or matrices.shape[-2] != 4:
-        raise ValueError(f"{name} has shape {matrices.shape}; allowed is (n, 4, 4) for one trail or (m, n, 4, 4) for several")
+        raise ValueError(
+            f"{name} has shape {matrices.shape}; allowed is (n, 4, 4) for one trail or (m, n, 4, 4) for several"
+        )
     turn, last_row = matrices[..., :3, :3], matrices[..., 3, :]
-    _refuse(name, np.abs(last_row - [0, 0, 0, 1]).max(axis=-1), last_row, "has the last row", "[0, 0, 0, 1]")
+    _refuse(
+        name,
+        np.abs(last_row - [0, 0, 0, 1]).max(axis=-1),
+        last_row,
+        "has the last row",
+        "[0, 0, 0, 1]",
+    )
     uneven = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(-1, -2))
-    _refuse(name, uneven, uneven, "has rotation columns that differ from unit vectors at right angles by", f"at most {_MATRIX_TOLERANCE:g}")
+    _refuse(
+        name,
+        uneven,
+        uneven,
+        "has rotation columns that differ from unit vectors at right angles by",
+        f"at most {_MATRIX_TOLERANCE:g}",
+    )
     determinant = np.linalg.det(turn)
-    _refuse(name, 1 - determinant, determinant, "has a rotation of the determinant", "+1, a right-handed frame")
+    _refuse(
+        name,
+        1 - determinant,
+        determinant,
+        "has a rotation of the determinant",
+        "+1, a right-handed frame",
+    )
     flat = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
     return matrices[..., :3, 3].copy(), flat.reshape(*turn.shape[:-2], 4)
 
 
-def _refuse(name: str, excess: Float[np.ndarray, "..."], values: Float[np.ndarray, "..."], finding: str, allowed: str) -> None:
+def _refuse(
+    name: str,
+    excess: Float[np.ndarray, "..."],
+    values: Float[np.ndarray, "..."],
+    finding: str,
+    allowed: str,
+) -> None:
     bad = np.argwhere(excess > _MATRIX_TOLERANCE)
     if bad.size:
         where = bad[0].tolist()
-        raise ValueError(f"{name}{where} {finding} {np.round(values[tuple(where)], 6).tolist()}; allowed is {allowed}")
+        raise ValueError(
+            f"{name}{where} {finding} {np.round(values[tuple(where)], 6).tolist()}; allowed is {allowed}"
+        )

@@ -1,4 +1,6 @@
-"""Unit quaternions x, y, z, w (REP-103) as arrays; they map the axes of a body frame onto world axes."""
+"""Unit quaternions x, y, z, w (REP-103) as arrays; they map the axes of a body frame onto world
+axes.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +30,9 @@ def unit_quaternions(value: "ArrayLike | Rotation", name: str) -> Quaternions:
     if zero.size or (quaternion.ndim == 1 and norm[0] < _AXIS_TOLERANCE):
         where = zero[0].tolist() if quaternion.ndim > 1 else ""
         value = quaternion[tuple(where)].tolist() if where else quaternion.tolist()
-        raise ValueError(f"{name}{where} = {value} has zero norm; allowed is any quaternion x, y, z, w of non-zero norm")
+        raise ValueError(
+            f"{name}{where} = {value} has zero norm; allowed is any quaternion x, y, z, w of non-zero norm"
+        )
     return quaternion / norm
 
 
@@ -40,7 +44,9 @@ def lengths(vectors: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch
 def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
     """World direction of the body's +z axis: the way the rod leaves its clamp."""
     x, y, z, w = np.moveaxis(quaternion, -1, 0)
-    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], axis=-1)
+    return np.stack(
+        [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], axis=-1
+    )
 
 
 def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"]:
@@ -51,7 +57,9 @@ def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"
 
 def rotation_vectors(first: Quaternions, last: Quaternions) -> Float[np.ndarray, "*batch 3"]:
     """Rotation vectors (…, 3) [rad], world axes, that take the orientations `first` to `last`."""
-    turned = Rotation.from_quat(last.reshape(-1, 4)) * Rotation.from_quat(first.reshape(-1, 4)).inv()
+    turned = (
+        Rotation.from_quat(last.reshape(-1, 4)) * Rotation.from_quat(first.reshape(-1, 4)).inv()
+    )
     return np.asarray(turned.as_rotvec().reshape(*first.shape[:-1], 3))
 
 

@@ -14,7 +14,8 @@ _ITERATIONS = 60
 def along_spline(
     points: Float[np.ndarray, "k 3"], turns: Float[np.ndarray, "k 4"], count: int
 ) -> tuple[Float[np.ndarray, "count 3"], Float[np.ndarray, "count 4"]]:
-    """Poses equally spaced in arc length on the cubic spline through way-points, over the length of their chords; turns by SciPy's `RotationSpline`.
+    """Poses equally spaced in arc length on the cubic spline through way-points, over the length of
+    their chords; turns by SciPy's `RotationSpline`.
 
     Raises
     ------
@@ -22,10 +23,14 @@ def along_spline(
         If there are fewer than two points, or two successive ones coincide.
     """
     if len(points) < 2:
-        raise ValueError(f"points has shape {points.shape}; allowed are at least two way-points (k, 3)")
+        raise ValueError(
+            f"points has shape {points.shape}; allowed are at least two way-points (k, 3)"
+        )
     chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     if not np.all(chords > 0):
-        raise ValueError(f"points[{int(np.argmin(chords)) + 1}] is the way-point before it; allowed are successive points that differ")
+        raise ValueError(
+            f"points[{int(np.argmin(chords)) + 1}] is the way-point before it; allowed are successive points that differ"
+        )
     knots = np.concatenate([[0.0], np.cumsum(chords)]) / chords.sum()
     curve = CubicSpline(knots, points)
     parameter = _equally_spaced(curve, count)
@@ -33,7 +38,9 @@ def along_spline(
 
 
 def _equally_spaced(curve: CubicSpline, count: int) -> Float[np.ndarray, "count"]:
-    """Parameters at which the curve has gone equal shares of its length: Newton's method, bracketed by cells of known length."""
+    """Parameters at which the curve has gone equal shares of its length: Newton's method, bracketed
+    by cells of known length.
+    """
     velocity = curve.derivative()
 
     def gone(start: np.ndarray, stop: np.ndarray) -> np.ndarray:

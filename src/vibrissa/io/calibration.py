@@ -1,4 +1,6 @@
-"""A calibrated setup as a file: the setup it came from with the numbers found, and what is known of them in a table [calibration]."""
+"""A calibrated setup as a file: the setup it came from with the numbers found, and what is known of
+them in a table [calibration].
+"""
 
 import os
 from collections.abc import Iterator, MutableMapping, Sequence
@@ -17,7 +19,7 @@ from vibrissa.libraries import extra_library
 from vibrissa.tolerances import PARAMETERS
 
 if TYPE_CHECKING:
-    from vibrissa.calibrate import Calibration
+    from vibrissa.calibration import Calibration
     from vibrissa.io.setup import Setup
 
 FORMAT = 1
@@ -25,9 +27,12 @@ FORMAT = 1
 _CHANNELS = 6
 _STIFFNESS = ("youngs_modulus", "bending_stiffness")
 _ENTRIES = dict.fromkeys(_STIFFNESS, ("bending_stiffness",)) | {
-    f"{kind}_gain": tuple(f"gain_{kind}_{axis}" for axis in ("x", "y", "z")) for kind in ("force", "torque")
+    f"{kind}_gain": tuple(f"gain_{kind}_{axis}" for axis in ("x", "y", "z"))
+    for kind in ("force", "torque")
 }
-"""Names of calibrations that are those of no parameter of `vibrissa.tolerances.PARAMETERS`, and what they stand for there."""
+"""Names of calibrations that are those of no parameter of `vibrissa.tolerances.PARAMETERS`, and
+what they stand for there.
+"""
 
 Names = Annotated[list[str], Field(description="a list of names")]
 
@@ -45,7 +50,9 @@ class EstimateTable(Table):
 class CalibrationTable(Table):
     """What is known of a calibrated setup's numbers."""
 
-    format: Annotated[Literal[1], Field(description="1, the format that this version of vibrissa reads")]
+    format: Annotated[
+        Literal[1], Field(description="1, the format that this version of vibrissa reads")
+    ]
     vibrissa: Annotated[str, Field(description="a version of vibrissa")]
     date: Annotated[datetime, Field(description="a date and time")]
     recordings: Names
@@ -63,15 +70,21 @@ class CalibrationTable(Table):
     tare: Annotated[list[list[Finite]], Field(description="six finite numbers a recording")]
     drift: Annotated[list[list[Finite]], Field(description="six finite numbers a recording")]
     disturbed: NotNegative | None = None
-    held_out: Annotated[list[NotNegative] | None, Field(description="a list of numbers of at least 0")] = None
+    held_out: Annotated[
+        list[NotNegative] | None, Field(description="a list of numbers of at least 0")
+    ] = None
     warnings: Annotated[list[str] | None, Field(description="a list of sentences")] = None
     estimates: Annotated[dict[str, EstimateTable], Field(description="a table for each estimate")]
 
     def check(self) -> None:
-        """Raise ValueError unless names are those of estimates, and matrices have the sizes that belong to them."""
+        """Raise ValueError unless names are those of estimates, and matrices have the sizes that
+        belong to them.
+        """
         for place, name in enumerate(self.names):
             if name not in self.estimates or name in self.names[:place]:
-                raise ValueError(f"calibration.names[{place}] = {name!r}; allowed is each once of {', '.join(self.estimates)}")
+                raise ValueError(
+                    f"calibration.names[{place}] = {name!r}; allowed is each once of {', '.join(self.estimates)}"
+                )
         for key, matrix, rows, columns in (
             ("correlation", self.correlation, len(self.names), len(self.names)),
             ("tare", self.tare, len(self.tare), _CHANNELS),
@@ -82,18 +95,32 @@ class CalibrationTable(Table):
                 raise ValueError(f"calibration.{key} has {len(matrix)} rows; allowed are {rows}")
             wrong = next((len(row) for row in matrix if len(row) != columns), None)
             if wrong is not None:
-                raise ValueError(f"calibration.{key} has a row of {wrong} numbers; allowed are {columns}")
+                raise ValueError(
+                    f"calibration.{key} has a row of {wrong} numbers; allowed are {columns}"
+                )
 
     def covariance(self) -> np.ndarray:
         """Covariance (k, k) of the numbers `names`, in their units."""
-        deviations = np.array([self.estimates[name].standard_deviation or 0.0 for name in self.names])
-        return np.array(self.correlation).reshape(len(deviations), -1) * np.outer(deviations, deviations)
+        deviations = np.array(
+            [self.estimates[name].standard_deviation or 0.0 for name in self.names]
+        )
+        return np.array(self.correlation).reshape(len(deviations), -1) * np.outer(
+            deviations, deviations
+        )
 
-    def parameter_covariance(self, stated: Float[np.ndarray, "15 15"]) -> Float[np.ndarray, "15 15"]:
-        """Of the errors of `vibrissa.tolerances.PARAMETERS`: those that the calibration determined with its own covariance, the others as stated."""
+    def parameter_covariance(
+        self, stated: Float[np.ndarray, "15 15"]
+    ) -> Float[np.ndarray, "15 15"]:
+        """Of the errors of `vibrissa.tolerances.PARAMETERS`: those that the calibration determined
+        with its own covariance, the others as stated.
+        """
         of_names = np.zeros((len(PARAMETERS), len(self.names)))
         for column, name in enumerate(self.names):
-            rows = [PARAMETERS.index(entry) for entry in _ENTRIES.get(name, (name,)) if entry in PARAMETERS]
+            rows = [
+                PARAMETERS.index(entry)
+                for entry in _ENTRIES.get(name, (name,))
+                if entry in PARAMETERS
+            ]
             relative = name in _STIFFNESS or "gain" in name
             of_names[rows, column] = 1 / self.estimates[name].value if relative else 1.0
         own = np.any(of_names != 0, axis=1, keepdims=True)
@@ -110,15 +137,21 @@ def toml_library() -> Any:
         If it is not installed; the text names the command that does it.
     """
     try:
-        return extra_library("tomlkit", extra="calibrate", need="writing a calibrated setup needs it")
+        return extra_library(
+            "tomlkit", extra="calibrate", need="writing a calibrated setup needs it"
+        )
     except ImportError as error:
         raise InputError(str(error)) from error
 
 
 def check_source(setup: "Setup", path: str | Path) -> None:
-    """Raise InputError if the setup of this file cannot hold a calibrated rod: before the work is done."""
+    """Raise InputError if the setup of this file cannot hold a calibrated rod: before the work is
+    done.
+    """
     if setup.rod.units != "SI":
-        raise InputError(f"{path}: rod.kind = 'unit' cannot hold a calibrated rod; allowed are cylinder and uniform")
+        raise InputError(
+            f"{path}: rod.kind = 'unit' cannot hold a calibrated rod; allowed are cylinder and uniform"
+        )
 
 
 def write_calibration(
@@ -129,7 +162,8 @@ def write_calibration(
     *,
     date: datetime | None = None,
 ) -> Path:
-    """Write a setup that the other commands take: that of the file `setup` with the calibrated numbers and a table [calibration].
+    """Write a setup that the other commands take: that of the file `setup` with the calibrated
+    numbers and a table [calibration].
 
     Parameters
     ----------
@@ -147,7 +181,8 @@ def write_calibration(
     Raises
     ------
     InputError
-        If a file cannot be read or written, the setup's rod is one in the model's units, or tomlkit is not installed.
+        If a file cannot be read or written, the setup's rod is one in the model's units, or tomlkit
+        is not installed.
     """
     library = toml_library()
     source, file = Path(setup), writable(Path(path))
@@ -157,14 +192,18 @@ def write_calibration(
     if "object" in document:
         _set_object(document["object"], calibration)
     _set_files(document, source.parent.resolve(), file.parent.resolve())
-    table = _table(calibration, source, recordings, date or datetime.now(UTC).replace(microsecond=0))
+    table = _table(
+        calibration, source, recordings, date or datetime.now(UTC).replace(microsecond=0)
+    )
     document.pop("calibration", None)
     document.add("calibration", _item(library, table))
     file.write_text(library.dumps(document), encoding="utf-8")
     return file
 
 
-def _set_rod(table: MutableMapping[str, Any], calibration: "Calibration[Any]", source: Path) -> None:
+def _set_rod(
+    table: MutableMapping[str, Any], calibration: "Calibration[Any]", source: Path
+) -> None:
     rod = calibration.setup.rod
     match table["kind"]:
         case "cylinder":
@@ -172,13 +211,21 @@ def _set_rod(table: MutableMapping[str, Any], calibration: "Calibration[Any]", s
         case "uniform":
             stiffness = {"bending_stiffness": rod.bending_stiffness}
         case kind:
-            raise InputError(f"{source}: rod.kind = {kind!r} cannot hold a calibrated rod; allowed are cylinder and uniform")
+            raise InputError(
+                f"{source}: rod.kind = {kind!r} cannot hold a calibrated rod; allowed are cylinder and uniform"
+            )
     _change(table, {"length": rod.length} | stiffness)
 
 
 def _set_sensor(table: MutableMapping[str, Any], calibration: "Calibration[Any]") -> None:
     sensor = calibration.setup.sensor
-    _change(table, {"clamp_position": sensor.clamp_position.tolist(), "clamp_orientation": sensor.clamp_orientation.tolist()})
+    _change(
+        table,
+        {
+            "clamp_position": sensor.clamp_position.tolist(),
+            "clamp_orientation": sensor.clamp_orientation.tolist(),
+        },
+    )
     if "gain" in table or set(sensor.gain) != {1.0}:
         _change(table, {"gain": list(sensor.gain)})
 
@@ -189,8 +236,13 @@ def _set_object(table: MutableMapping[str, Any], calibration: "Calibration[Any]"
         return
     rotation = Rotation.from_matrix(turn)
     before = Rotation.from_quat(list(table.get("rotation", NO_TURN)))
-    translation = rotation.apply(np.array(list(table.get("translation", ORIGIN)), dtype=float)) + move
-    _change(table, {"rotation": (rotation * before).as_quat().tolist(), "translation": translation.tolist()})
+    translation = (
+        rotation.apply(np.array(list(table.get("translation", ORIGIN)), dtype=float)) + move
+    )
+    _change(
+        table,
+        {"rotation": (rotation * before).as_quat().tolist(), "translation": translation.tolist()},
+    )
 
 
 def _change(table: MutableMapping[str, Any], values: dict[str, Any]) -> None:
@@ -205,7 +257,9 @@ def _set_files(document: Any, old: Path, new: Path) -> None:
     """Meshes and motions are seen from the folder of the TOML file that names them."""
     if old == new:
         return
-    named = [(table, "file") for table in _tables(document.get("object"))] + [(document.get("pose", {}), "path")]
+    named = [(table, "file") for table in _tables(document.get("object"))] + [
+        (document.get("pose", {}), "path")
+    ]
     for table, key in named:
         if key in table and not Path(str(table[key])).is_absolute():
             table[key] = Path(os.path.relpath(old / str(table[key]), new)).as_posix()
@@ -223,7 +277,13 @@ def _tables(value: Any) -> Iterator[MutableMapping[str, Any]]:
 
 def _item(library: Any, table: dict[str, Any]) -> Any:
     """A table in which each row of a matrix has its own line."""
-    item = library.item({name: value for name, value in table.items() if name not in _MATRICES and name != "estimates"})
+    item = library.item(
+        {
+            name: value
+            for name, value in table.items()
+            if name not in _MATRICES and name != "estimates"
+        }
+    )
     for name in _MATRICES:
         array = library.array()
         for row in table[name]:
@@ -238,12 +298,15 @@ def _item(library: Any, table: dict[str, Any]) -> Any:
 _MATRICES = ("correlation", "tare", "drift")
 
 
-def _table(calibration: "Calibration[Any]", source: Path, recordings: Sequence[str | Path], date: datetime) -> dict[str, Any]:
+def _table(
+    calibration: "Calibration[Any]", source: Path, recordings: Sequence[str | Path], date: datetime
+) -> dict[str, Any]:
     from vibrissa import __version__  # noqa: PLC0415
 
     found, known = calibration.fitness, calibration.identifiability
     estimates = {
-        name: {"unit": one.unit, "given": one.given, "value": one.value} | ({"standard_deviation": one.deviation} if one.determined else {})
+        name: {"unit": one.unit, "given": one.given, "value": one.value}
+        | ({"standard_deviation": one.deviation} if one.determined else {})
         for name, one in calibration.estimates.items()
     }
     return {

@@ -11,9 +11,14 @@ import numpy as np
 from vibrissa.io.errors import writable
 
 if TYPE_CHECKING:
-    from vibrissa.calibrate import Calibration, Estimate
+    from vibrissa.calibration import Calibration, Estimate
 
-_SHOWN = {"Pa": (1e-9, "GPa"), "m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "N m2": (1e6, "N mm²")}
+_SHOWN = {
+    "Pa": (1e-9, "GPa"),
+    "m": (1e3, "mm"),
+    "rad": (180 / math.pi, "°"),
+    "N m2": (1e6, "N mm²"),
+}
 
 
 def summary(calibration: "Calibration[Any]") -> dict[str, Any]:

@@ -40,16 +40,20 @@ class CaseFile(Table):
     rod: RodTable
     object: ObjectTable
     contact: ContactTable = ContactTable()
-    trail: Annotated[list[TrailTable], Field(min_length=1, description="at least one table [[trail]]")]
+    trail: Annotated[
+        list[TrailTable], Field(min_length=1, description="at least one table [[trail]]")
+    ]
 
 
 def load_case(path: str | Path) -> Case:
-    """Read a case from TOML: tables [rod], [object], one or more [[trail]] of equal length, and [contact] if there is friction or a finite radius.
+    """Read a case from TOML: tables [rod], [object], one or more [[trail]] of equal length, and
+    [contact] if there is friction or a finite radius.
 
     Raises
     ------
     InputError
-        If the file cannot be read, a key is missing, unknown or out of range, or the trails differ in length or hold more than 10,000,000 positions.
+        If the file cannot be read, a key is missing, unknown or out of range, or the trails differ
+        in length or hold more than 10,000,000 positions.
     """
     file = Path(path)
     table = load_table(file, CaseFile)
@@ -59,7 +63,15 @@ def load_case(path: str | Path) -> Case:
         trail = sweeps[0] if len(sweeps) == 1 else Trail.stack(sweeps)
         rod = table.rod.build()
         if table.contact.finite_radius and rod.radius is None:
-            raise ValueError("contact.finite_radius = true: rod.radius is missing; allowed is a number greater than 0")
-        return Case(rod, objects.built(table.object, file.parent), trail, table.contact.friction, table.contact.finite_radius)
+            raise ValueError(
+                "contact.finite_radius = true: rod.radius is missing; allowed is a number greater than 0"
+            )
+        return Case(
+            rod,
+            objects.built(table.object, file.parent),
+            trail,
+            table.contact.friction,
+            table.contact.finite_radius,
+        )
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

@@ -11,11 +11,18 @@ from pydantic.fields import FieldInfo
 from vibrissa.io.errors import InputError, readable
 from vibrissa.rod import Rod
 
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False, description="a number greater than 0")]
-NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False, description="a number of at least 0")]
+Positive = Annotated[
+    float, Field(strict=True, gt=0, allow_inf_nan=False, description="a number greater than 0")
+]
+NotNegative = Annotated[
+    float, Field(strict=True, ge=0, allow_inf_nan=False, description="a number of at least 0")
+]
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False, description="a finite number")]
 Vector = Annotated[tuple[Finite, Finite, Finite], Field(description="three finite numbers")]
-Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], Field(description="a quaternion x, y, z, w of non-zero norm")]
+Quaternion = Annotated[
+    tuple[Finite, Finite, Finite, Finite],
+    Field(description="a quaternion x, y, z, w of non-zero norm"),
+]
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -43,7 +50,11 @@ class CylinderRod(Table):
     def build(self) -> Rod:
         """Return the rod."""
         return Rod.cylinder(
-            length=self.length, radius=self.radius, youngs_modulus=self.youngs_modulus, density=self.density, yield_strain=self.yield_strain
+            length=self.length,
+            radius=self.radius,
+            youngs_modulus=self.youngs_modulus,
+            density=self.density,
+            yield_strain=self.yield_strain,
         )
 
 
@@ -59,7 +70,9 @@ class UniformRod(Table):
 
     def build(self) -> Rod:
         """Return the rod."""
-        return Rod(self.length, self.bending_stiffness, self.radius, self.linear_density, self.yield_strain)
+        return Rod(
+            self.length, self.bending_stiffness, self.radius, self.linear_density, self.yield_strain
+        )
 
 
 class UnitRod(Table):
@@ -72,7 +85,10 @@ class UnitRod(Table):
         return Rod.unit()
 
 
-RodTable = Annotated[CylinderRod | UniformRod | UnitRod, Field(discriminator="kind", description="cylinder, uniform or unit")]
+RodTable = Annotated[
+    CylinderRod | UniformRod | UnitRod,
+    Field(discriminator="kind", description="cylinder, uniform or unit"),
+]
 
 
 Model = TypeVar("Model", bound=Table)
@@ -84,7 +100,8 @@ def load_table(path: Path, model: type[Model]) -> Model:
     Raises
     ------
     InputError
-        If the file cannot be read, is not TOML, or a key is missing, unknown or out of range: one line with the first finding.
+        If the file cannot be read, is not TOML, or a key is missing, unknown or out of range: one
+        line with the first finding.
     """
     readable(path)
     size = path.stat().st_size
@@ -97,7 +114,9 @@ def load_table(path: Path, model: type[Model]) -> Model:
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML ({error}); allowed is a TOML file in UTF-8") from error
+        raise InputError(
+            f"{path}: not valid TOML ({error}); allowed is a TOML file in UTF-8"
+        ) from error
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -106,10 +125,17 @@ def load_table(path: Path, model: type[Model]) -> Model:
 
 def _check_keys(path: Path, text: str) -> None:
     """The parser's time and memory go with the square of a dotted key's length."""
-    stretches = (part for line in text.splitlines() if not line.lstrip().startswith("#") for part in split(r"[,=\[\]{}]", line))
+    stretches = (
+        part
+        for line in text.splitlines()
+        if not line.lstrip().startswith("#")
+        for part in split(r"[,=\[\]{}]", line)
+    )
     most = max((part.count(".") for part in stretches), default=0)
     if most > _MOST_POINTS:
-        raise InputError(f"{path}: {most} points in a row of names; allowed are at most {_MOST_POINTS}")
+        raise InputError(
+            f"{path}: {most} points in a row of names; allowed are at most {_MOST_POINTS}"
+        )
 
 
 def _one_line(error: ValidationError, model: type[Table]) -> str:
@@ -173,12 +199,19 @@ def _tags(table: type[Table]) -> tuple[str, ...]:
 
 
 def _described(field: FieldInfo | None, *, of_an_item: bool) -> str:
-    """What a field's own schema says it allows; of an item of a list, and where need be, that of the type inside it."""
+    """What a field's own schema says it allows; of an item of a list, and where need be, that of
+    the type inside it.
+    """
     if field is None:
         return "a TOML table"
     if field.description and not of_an_item:
         return field.description
-    nested = [part.description for inner in get_args(field.annotation) for part in get_args(inner) if getattr(part, "description", None)]
+    nested = [
+        part.description
+        for inner in get_args(field.annotation)
+        for part in get_args(inner)
+        if getattr(part, "description", None)
+    ]
     if nested:
         return str(nested[0])
     if field.description:
@@ -186,5 +219,7 @@ def _described(field: FieldInfo | None, *, of_an_item: bool) -> str:
     tables = _tables_in(field.annotation)
     if tables:
         fields = tables[0].model_fields
-        return "a table with " + ", ".join([name for name, inner in fields.items() if inner.is_required()] or fields)
+        return "a table with " + ", ".join(
+            [name for name, inner in fields.items() if inner.is_required()] or fields
+        )
     return " or ".join(map(repr, get_args(field.annotation))) or str(field.annotation)

@@ -8,7 +8,9 @@ __all__ = ["InputError", "readable", "writable", "writable_folder"]
 
 
 def writable(path: Path) -> Path:
-    """Return the path of a file to be written, its folder made if need be; raise InputError where that cannot be."""
+    """Return the path of a file to be written, its folder made if need be; raise InputError where
+    that cannot be.
+    """
     _folder(path.parent)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; allowed is a file")
@@ -17,7 +19,9 @@ def writable(path: Path) -> Path:
 
 
 def writable_folder(path: Path) -> Path:
-    """Return the path of a folder to write into, made if need be; raise InputError where that cannot be."""
+    """Return the path of a folder to write into, made if need be; raise InputError where that
+    cannot be.
+    """
     _folder(path)
     _probe(path)
     return path

@@ -6,17 +6,24 @@ from pydantic import Field, StringConstraints
 
 from vibrissa.io.config import NO_TURN, ORIGIN, NotNegative, Positive, Quaternion, Table, Vector
 
-Path = Annotated[str, StringConstraints(strict=True, min_length=1), Field(description="the path of a file, seen from the setup's folder")]
+Path = Annotated[
+    str,
+    StringConstraints(strict=True, min_length=1),
+    Field(description="the path of a file, seen from the setup's folder"),
+]
 Bits = Annotated[int, Field(strict=True, ge=0, lt=1 << 32, description="a whole number of 32 bits")]
 Boolean = Annotated[bool, Field(strict=True, description="true or false")]
 Listen = Annotated[
-    str, StringConstraints(strict=True, pattern=r"^udp://.+$"), Field(description="udp://HOST:PORT, such as udp://127.0.0.1:49153")
+    str,
+    StringConstraints(strict=True, pattern=r"^udp://.+$"),
+    Field(description="udp://HOST:PORT, such as udp://127.0.0.1:49153"),
 ]
 Port = Annotated[int, Field(strict=True, ge=1, le=65535, description="a port from 1 to 65535")]
 
 
 class RdtTable(Table):
-    """An Ethernet sensor that speaks RDT: counts for one newton and for one newton metre, records a second, whether it sends several a datagram.
+    """An Ethernet sensor that speaks RDT: counts for one newton and for one newton metre, records a
+    second, whether it sends several a datagram.
 
     `error_bits` are those of the status of which one makes a sample invalid.
     """
@@ -46,14 +53,18 @@ class UdpPoseTable(Table):
 
 
 class TrailPoseTable(Table):
-    """A motion of the sensor frame from a CSV file with the columns time,x,y,z,qx,qy,qz,qw; it begins with the first sample."""
+    """A motion of the sensor frame from a CSV file with the columns time,x,y,z,qx,qy,qz,qw; it
+    begins with the first sample.
+    """
 
     kind: Literal["trail"]
     path: Path
 
 
 class CasePoseTable(Table):
-    """The motion of a case's trails, as `vibrissa simulate-sensor` plays it: clamp poses; it begins with the first sample."""
+    """The motion of a case's trails, as `vibrissa simulate-sensor` plays it: clamp poses; it begins
+    with the first sample.
+    """
 
     kind: Literal["case"]
     path: Path

@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
-from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Positive, Quaternion, Table, Vector
+from vibrissa.io.config import (
+    NO_TURN,
+    ORIGIN,
+    Finite,
+    NotNegative,
+    Positive,
+    Quaternion,
+    Table,
+    Vector,
+)
 from vibrissa.surfaces import (
     Box,
     Capsule,
@@ -25,9 +34,25 @@ from vibrissa.surfaces import (
     Union,
 )
 
-Exponent = Annotated[float, Field(strict=True, gt=0, le=2, allow_inf_nan=False, description="a number greater than 0 and at most 2")]
+Exponent = Annotated[
+    float,
+    Field(
+        strict=True,
+        gt=0,
+        le=2,
+        allow_inf_nan=False,
+        description="a number greater than 0 and at most 2",
+    ),
+]
 CreaseAngle = Annotated[
-    float, Field(strict=True, gt=0, le=pi, allow_inf_nan=False, description="an angle greater than 0 and at most π [rad]")
+    float,
+    Field(
+        strict=True,
+        gt=0,
+        le=pi,
+        allow_inf_nan=False,
+        description="an angle greater than 0 and at most π [rad]",
+    ),
 ]
 
 
@@ -39,7 +64,11 @@ class PlacedTable(Table):
 
     def placed(self, surface: Surface) -> Surface:
         """Return the surface where the table puts it."""
-        return surface if (self.rotation, self.translation) == (NO_TURN, ORIGIN) else surface.placed(self.rotation, self.translation)
+        return (
+            surface
+            if (self.rotation, self.translation) == (NO_TURN, ORIGIN)
+            else surface.placed(self.rotation, self.translation)
+        )
 
 
 class ParaboloidTable(PlacedTable):
@@ -198,7 +227,9 @@ class MeshTable(PlacedTable):
     reach: NotNegative | None = None
 
     def build(self, folder: Path) -> Surface:
-        """Return the surface; a path that is not absolute starts at `folder`. Raise ValueError also where a library for meshes is missing."""
+        """Return the surface; a path that is not absolute starts at `folder`. Raise ValueError also
+        where a library for meshes is missing.
+        """
         angle = {} if self.crease_angle is None else {"crease_angle": self.crease_angle}
         try:
             return self.placed(Mesh.load(folder / self.file, self.scale, reach=self.reach, **angle))
@@ -210,7 +241,13 @@ class UnionTable(PlacedTable):
     """Several objects as one; each part is the table of an object, placed in its own right."""
 
     kind: Literal["union"]
-    parts: Annotated[list["ObjectTable"], Field(min_length=1, description="a list of at least one object, each a table with its own kind")]
+    parts: Annotated[
+        list["ObjectTable"],
+        Field(
+            min_length=1,
+            description="a list of at least one object, each a table with its own kind",
+        ),
+    ]
 
     def build(self, folder: Path) -> Surface:
         """Return the surface; files of its parts are seen from `folder`."""
@@ -252,5 +289,11 @@ OffsetTable.model_rebuild()
 
 
 def built(table: ObjectTable, folder: Path) -> Surface:
-    """Surface of a table in a file of this folder; raise ValueError as the surface's own constructor does."""
-    return table.build(folder) if isinstance(table, MeshTable | UnionTable | OffsetTable) else table.build()
+    """Surface of a table in a file of this folder; raise ValueError as the surface's own
+    constructor does.
+    """
+    return (
+        table.build(folder)
+        if isinstance(table, MeshTable | UnionTable | OffsetTable)
+        else table.build()
+    )

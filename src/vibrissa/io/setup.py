@@ -10,7 +10,17 @@ from jaxtyping import Float
 from pydantic import Field, PlainValidator
 
 from vibrissa.io.calibration import CalibrationTable
-from vibrissa.io.config import ORIGIN, Finite, NotNegative, Positive, Quaternion, RodTable, Table, Vector, load_table
+from vibrissa.io.config import (
+    ORIGIN,
+    Finite,
+    NotNegative,
+    Positive,
+    Quaternion,
+    RodTable,
+    Table,
+    Vector,
+    load_table,
+)
 from vibrissa.io.errors import InputError
 from vibrissa.io.live_setup import PoseTable, RdtTable
 from vibrissa.io.objects import ObjectTable, built
@@ -23,7 +33,8 @@ from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 
 Gain = Annotated[
-    tuple[Positive, Positive, Positive, Positive, Positive, Positive], Field(description="six numbers greater than 0, forces and torques")
+    tuple[Positive, Positive, Positive, Positive, Positive, Positive],
+    Field(description="six numbers greater than 0, forces and torques"),
 ]
 
 
@@ -40,7 +51,8 @@ class Setup:
     surface
         The object that was scanned, or None.
     recording
-        How its recordings are laid out, or None for CSV as `write_recording` writes it, and for the names of that header elsewhere.
+        How its recordings are laid out, or None for CSV as `write_recording` writes it, and for the
+        names of that header elsewhere.
     rdt, pose
         Of a live sensor, or None: how it counts and sends, and where its pose comes from.
     calibration
@@ -60,15 +72,20 @@ class Setup:
 
     @property
     def parameter_covariance(self) -> Float[np.ndarray, "15 15"] | None:
-        """Of the errors of `vibrissa.tolerances.PARAMETERS`: what a calibration determined with its joint covariance, the rest as stated; None where neither is there."""
+        """Of the errors of `vibrissa.tolerances.PARAMETERS`: what a calibration determined with its
+        joint covariance, the rest as stated; None where neither is there.
+        """
         if self.calibration is None:
             return None if self.tolerances is None else self.tolerances.covariance
         return self.calibration.parameter_covariance((self.tolerances or Tolerances()).covariance)
 
 
-Interval = Annotated[tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")]
+Interval = Annotated[
+    tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")
+]
 Row = Annotated[
-    tuple[Finite, Finite, Finite, Finite, Finite, Finite], Field(description="six rows of six finite numbers, fx, fy, fz, tx, ty, tz each")
+    tuple[Finite, Finite, Finite, Finite, Finite, Finite],
+    Field(description="six rows of six finite numbers, fx, fy, fz, tx, ty, tz each"),
 ]
 
 
@@ -77,7 +94,12 @@ def _one_or_more(value: object, least: float, most: int) -> tuple[float, ...]:
     numbers = value if isinstance(value, list | tuple) else [value]
     if len(numbers) not in (1, most) or (len(numbers) == 1 and numbers is value):
         raise ValueError(f"allowed is one number, or {most}")
-    if any(isinstance(number, bool) or not isinstance(number, int | float) or not least <= number < math.inf for number in numbers):
+    if any(
+        isinstance(number, bool)
+        or not isinstance(number, int | float)
+        or not least <= number < math.inf
+        for number in numbers
+    ):
         raise ValueError("allowed are finite numbers")
     return tuple(map(float, numbers))
 
@@ -110,7 +132,9 @@ Deviations = Annotated[
     PlainValidator(lambda value: _one_or_more(value, 0.0, 6)),
     Field(description="a number of at least 0, or six, one for each channel"),
 ]
-Ranges = Annotated[tuple[Positive, Positive, Positive], Field(description="three numbers greater than 0")]
+Ranges = Annotated[
+    tuple[Positive, Positive, Positive], Field(description="three numbers greater than 0")
+]
 
 
 class MountTable(Table):
@@ -139,19 +163,29 @@ class LowPassTable(Table):
 
 
 class SensorTable(Table):
-    """Fields of `vibrissa.sensor.Sensor`; SI units. What is left out comes from the preset, if one is named."""
+    """Fields of `vibrissa.sensor.Sensor`; SI units. What is left out comes from the preset, if one
+    is named.
+    """
 
     clamp_position: Vector
     clamp_orientation: Quaternion
     wrench: Annotated[
         Literal["on_sensor", "on_rod"],
-        Field(description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' (the support reaction)"),
+        Field(
+            description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' (the support reaction)"
+        ),
     ]
-    preset: Annotated[str, Field(pattern=f"^({'|'.join(PRESETS)})?$", description=", ".join(PRESETS))] = ""
-    wrench_frame: Annotated[Literal["sensor", "world"], Field(description="'sensor' or 'world'")] = "sensor"
+    preset: Annotated[
+        str, Field(pattern=f"^({'|'.join(PRESETS)})?$", description=", ".join(PRESETS))
+    ] = ""
+    wrench_frame: Annotated[
+        Literal["sensor", "world"], Field(description="'sensor' or 'world'")
+    ] = "sensor"
     wrench_point: Vector = ORIGIN
     tare_seconds: NotNegative | None = None
-    rest_intervals: Annotated[tuple[Interval, ...], Field(description="a list of pairs (start, stop) of seconds")] = ()
+    rest_intervals: Annotated[
+        tuple[Interval, ...], Field(description="a list of pairs (start, stop) of seconds")
+    ] = ()
     force_noise: Noise | None = None
     torque_noise: Noise | None = None
     noise_corner: NotNegative = 0.0
@@ -166,7 +200,12 @@ class SensorTable(Table):
     force_drift: Vector = ORIGIN
     torque_drift: Vector = ORIGIN
     estimate_drift: Annotated[bool, Field(strict=True, description="true or false")] = False
-    cross_talk: Annotated[tuple[Row, Row, Row, Row, Row, Row], Field(description="six rows of six finite numbers")] | None = None
+    cross_talk: (
+        Annotated[
+            tuple[Row, Row, Row, Row, Row, Row], Field(description="six rows of six finite numbers")
+        ]
+        | None
+    ) = None
     low_pass: LowPassTable | None = None
     mount: MountTable | None = None
     gain: Gain = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -219,7 +258,8 @@ class SetupFile(Table):
 
 
 def load_setup(path: str | Path) -> Setup:
-    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt], [pose], [tolerances] and, where it was calibrated, [calibration].
+    """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt],
+    [pose], [tolerances] and, where it was calibrated, [calibration].
 
     Raises
     ------
@@ -234,7 +274,14 @@ def load_setup(path: str | Path) -> Setup:
             table.calibration.check()
         tolerances = None if table.tolerances is None else table.tolerances.build()
         return Setup(
-            table.rod.build(), table.sensor.build(), surface, table.recording, table.rdt, table.pose, table.calibration, tolerances
+            table.rod.build(),
+            table.sensor.build(),
+            surface,
+            table.recording,
+            table.rdt,
+            table.pose,
+            table.calibration,
+            tolerances,
         )
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error

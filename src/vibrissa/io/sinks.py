@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.inverse import Reconstruction
 from vibrissa.io.rosbag.disk import naming_file, whole_file
-from vibrissa.reconstruct import Reconstruction
 from vibrissa.sensor import RawRecording
 
 _KINDS = [kind.name for kind in ContactKind]
@@ -21,15 +21,23 @@ _COUNT_DIGITS = 20
 # Bytes of one call of the system: a batch of 64 rows has some 40 kB.
 _MOST_WRITTEN = 1 << 20
 _VERTEX = np.dtype(
-    [*((name, "<f8") for name in ("x", "y", "z", "nx", "ny", "nz", "arc_length", "standard_deviation")), ("kind", "u1"), ("status", "u1")]
+    [
+        *(
+            (name, "<f8")
+            for name in ("x", "y", "z", "nx", "ny", "nz", "arc_length", "standard_deviation")
+        ),
+        ("kind", "u1"),
+        ("status", "u1"),
+    ]
 )
 
 
 class JsonLinesSink:
     """One JSON object a row and line, written as soon as it is known.
 
-    Keys: `stamp` [ns], `kind`, `status`, `position` and `orientation` of the sensor, `force` and `torque` without tare, and, with a contact, `point`,
-    `normal`, `arc_length` and `standard_deviations` (along x, y, z, where the noise is known); else these are null.
+    Keys: `stamp` [ns], `kind`, `status`, `position` and `orientation` of the sensor, `force` and
+    `torque` without tare, and, with a contact, `point`, `normal`, `arc_length` and
+    `standard_deviations` (along x, y, z, where the noise is known); else these are null.
 
     Where the disk is full, the file ends with a whole line.
 
@@ -48,14 +56,22 @@ class JsonLinesSink:
         self._path, self._size = path, 0
         with naming_file(path or Path("standard output")):
             flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-            self._descriptor = os.open(path, flags, 0o644) if path is not None else os.dup(sys.stdout.fileno())
+            self._descriptor = (
+                os.open(path, flags, 0o644) if path is not None else os.dup(sys.stdout.fileno())
+            )
 
     def wrench(
-        self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
+        self,
+        stamp: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"],
+        force: Float[np.ndarray, "n 3"],
+        torque: Float[np.ndarray, "n 3"],
     ) -> None:
         """Raw samples are not written."""
 
-    def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:
+    def contacts(
+        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
+    ) -> None:
         """Write whole lines."""
         lines = [json.dumps(row, allow_nan=False) for row in _rows(stamp, raw, found)]
         text = "".join(line + "\n" for line in lines).encode()
@@ -79,8 +95,14 @@ class JsonLinesSink:
         os.close(self._descriptor)
 
 
-def _rows(stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> list[dict[str, object]]:
-    deviations = None if found.covariance is None else np.sqrt(np.diagonal(found.covariance, axis1=-2, axis2=-1)).tolist()
+def _rows(
+    stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
+) -> list[dict[str, object]]:
+    deviations = (
+        None
+        if found.covariance is None
+        else np.sqrt(np.diagonal(found.covariance, axis1=-2, axis2=-1)).tolist()
+    )
     columns = (
         stamp,
         found.kind,
@@ -95,7 +117,9 @@ def _rows(stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction)
     )
     rows: list[dict[str, object]] = []
     for place, values in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
-        moment, kind, status, position, orientation, force, torque, point, normal, arc_length = values
+        moment, kind, status, position, orientation, force, torque, point, normal, arc_length = (
+            values
+        )
         rows.append(
             {
                 "stamp": moment,
@@ -122,7 +146,8 @@ def _known(values: list[float]) -> list[float] | None:
 class PlySink:
     """Contacts as points with normals in a PLY file that is whole whenever the process is killed.
 
-    Points are written behind those that the header counts; then the header, which lies within a page, is overwritten in one piece with the new count.
+    Points are written behind those that the header counts; then the header, which lies within a
+    page, is overwritten in one piece with the new count.
 
     Parameters
     ----------
@@ -151,23 +176,36 @@ class PlySink:
             f"element vertex {self._count}",
         ]
         kinds = {"<f8": "double", "|u1": "uchar"}
-        lines += [f"property {kinds[part[0].str]} {name}" for name, part in (_VERTEX.fields or {}).items()]
+        lines += [
+            f"property {kinds[part[0].str]} {name}" for name, part in (_VERTEX.fields or {}).items()
+        ]
         filler = "." * (_COUNT_DIGITS - len(str(self._count)))
         return "\n".join([*lines, f"comment {filler}", "end_header", ""]).encode()
 
     def wrench(
-        self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
+        self,
+        stamp: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"],
+        force: Float[np.ndarray, "n 3"],
+        torque: Float[np.ndarray, "n 3"],
     ) -> None:
         """Raw samples are not written."""
 
-    def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:  # noqa: ARG002
+    def contacts(
+        self,
+        stamp: Int[np.ndarray, "n"],  # noqa: ARG002
+        raw: RawRecording,  # noqa: ARG002
+        found: Reconstruction,
+    ) -> None:
         """Keep the rows with a contact."""
         rows = found.in_contact
         vertices = np.zeros(int(np.count_nonzero(rows)), dtype=_VERTEX)
         deviation = np.full(len(vertices), np.nan)
         if found.covariance is not None:
             deviation = np.sqrt(np.trace(found.covariance[rows], axis1=-2, axis2=-1))
-        values = np.column_stack([found.point[rows], found.normal[rows], found.arc_length[rows], deviation])
+        values = np.column_stack(
+            [found.point[rows], found.normal[rows], found.arc_length[rows], deviation]
+        )
         for column, name in enumerate((_VERTEX.names or ())[:8]):
             vertices[name] = values[:, column]
         vertices["kind"], vertices["status"] = found.kind[rows], found.status[rows]

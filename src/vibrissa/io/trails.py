@@ -9,9 +9,20 @@ from vibrissa.io.config import NO_TURN, Finite, Quaternion, Table, Vector
 from vibrissa.trail import Trail
 
 MOST_POSITIONS = 10_000_000
-Count = Annotated[int, Field(strict=True, ge=1, le=10_000_000, description="a whole number of at least 1, and at most 10,000,000")]
+Count = Annotated[
+    int,
+    Field(
+        strict=True,
+        ge=1,
+        le=10_000_000,
+        description="a whole number of at least 1, and at most 10,000,000",
+    ),
+]
 Quaternions = Annotated[
-    tuple[Quaternion, ...], Field(min_length=1, description="a list of one quaternion x, y, z, w, or one for each position")
+    tuple[Quaternion, ...],
+    Field(
+        min_length=1, description="a list of one quaternion x, y, z, w, or one for each position"
+    ),
 ]
 
 
@@ -42,19 +53,31 @@ class RasterTable(Table):
 
     def build(self) -> Trail:
         """Return the trails."""
-        return Trail.raster(start=self.start, stop=self.stop, count=self.count, step=self.step, trails=self.trails, axis=self.axis)
+        return Trail.raster(
+            start=self.start,
+            stop=self.stop,
+            count=self.count,
+            step=self.step,
+            trails=self.trails,
+            axis=self.axis,
+        )
 
 
 class PosesTable(Table):
     """Positions, and one orientation for all or one each."""
 
     kind: Literal["poses"]
-    position: Annotated[tuple[Vector, ...], Field(min_length=1, description="a list of at least one position of three finite numbers")]
+    position: Annotated[
+        tuple[Vector, ...],
+        Field(min_length=1, description="a list of at least one position of three finite numbers"),
+    ]
     orientation: Quaternions = (NO_TURN,)
 
     def build(self) -> Trail:
         """Return the trail."""
-        return Trail(self.position, self.orientation[0] if len(self.orientation) == 1 else self.orientation)
+        return Trail(
+            self.position, self.orientation[0] if len(self.orientation) == 1 else self.orientation
+        )
 
 
 class ArcTable(Table):
@@ -115,14 +138,23 @@ class SplineTable(Table):
     """A smooth curve through way-points."""
 
     kind: Literal["spline"]
-    points: Annotated[tuple[Vector, ...], Field(min_length=2, description="a list of at least two way-points of three finite numbers")]
+    points: Annotated[
+        tuple[Vector, ...],
+        Field(
+            min_length=2, description="a list of at least two way-points of three finite numbers"
+        ),
+    ]
     count: Count
     orientations: Quaternions | None = None
     rod_axis: Vector | None = None
 
     def build(self) -> Trail:
         """Return the trail."""
-        turns = self.orientations[0] if self.orientations is not None and len(self.orientations) == 1 else self.orientations
+        turns = (
+            self.orientations[0]
+            if self.orientations is not None and len(self.orientations) == 1
+            else self.orientations
+        )
         return Trail.spline(self.points, self.count, orientations=turns, rod_axis=self.rod_axis)
 
 
@@ -131,7 +163,9 @@ class CsvTable(Table):
 
     kind: Literal["csv"]
     path: Annotated[
-        str, StringConstraints(strict=True, min_length=1), Field(description="the path of a CSV file, seen from the case's folder")
+        str,
+        StringConstraints(strict=True, min_length=1),
+        Field(description="the path of a CSV file, seen from the case's folder"),
     ]
 
     def build(self, folder: Path) -> Trail:
@@ -157,5 +191,7 @@ def check_count(tables: list[TrailTable]) -> None:
 
 
 def built(table: TrailTable, folder: Path) -> Trail:
-    """Trail of a table in a file of this folder; raise ValueError as the trail's own constructor does."""
+    """Trail of a table in a file of this folder; raise ValueError as the trail's own constructor
+    does.
+    """
     return table.build(folder) if isinstance(table, CsvTable) else table.build()

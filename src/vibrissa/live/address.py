@@ -1,4 +1,6 @@
-"""Addresses of sources: `netft://HOST:PORT`, `tcp://HOST:PORT`, `serial:DEVICE`, `replay:FILE`, with options after a question mark."""
+"""Addresses of sources: `netft://HOST:PORT`, `tcp://HOST:PORT`, `serial:DEVICE`, `replay:FILE`,
+with options after a question mark.
+"""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,8 +10,15 @@ from vibrissa.files import InputError
 from vibrissa.live.rdt import PORT
 
 Kind = Literal["netft", "tcp", "serial", "replay"]
-FORMS = "netft://HOST[:PORT], tcp://HOST:PORT, serial:DEVICE[?baud=115200] and replay:FILE[?speed=1]"
-_OPTIONS: dict[str, tuple[str, ...]] = {"netft": (), "tcp": (), "serial": ("baud",), "replay": ("speed",)}
+FORMS = (
+    "netft://HOST[:PORT], tcp://HOST:PORT, serial:DEVICE[?baud=115200] and replay:FILE[?speed=1]"
+)
+_OPTIONS: dict[str, tuple[str, ...]] = {
+    "netft": (),
+    "tcp": (),
+    "serial": ("baud",),
+    "replay": ("speed",),
+}
 _FASTEST_BAUD = 20_000_000
 
 
@@ -53,10 +62,16 @@ def parse_address(text: str) -> Address:
             host, port = host_and_port(text.partition("?")[0], PORT if kind == "netft" else None)
             return Address(kind, host, port)
         case "serial" | "replay":
-            path, _, query = rest.rpartition("?") if "?" in rest and "=" in rest.rpartition("?")[2] else (rest, "", "")
+            path, _, query = (
+                rest.rpartition("?")
+                if "?" in rest and "=" in rest.rpartition("?")[2]
+                else (rest, "", "")
+            )
             options = _check_options(text, kind, query)
             if not path:
-                raise InputError(f"source {text!r}: no {'device' if kind == 'serial' else 'file'}; allowed are {FORMS}")
+                raise InputError(
+                    f"source {text!r}: no {'device' if kind == 'serial' else 'file'}; allowed are {FORMS}"
+                )
             return Address(kind, path, speed=_speed(text, options), baud=_baud(text, options))
     raise InputError(f"source {text!r}; allowed are {FORMS}")
 
@@ -73,10 +88,21 @@ def host_and_port(text: str, default: int | None = None) -> tuple[str, int]:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise InputError(f"address {text!r}: {error}; allowed is {text.partition(':')[0]}://HOST:PORT") from error
+        raise InputError(
+            f"address {text!r}: {error}; allowed is {text.partition(':')[0]}://HOST:PORT"
+        ) from error
     port = default if port is None else port
-    if not host or not port or parts.path.strip("/") or parts.username is not None or parts.query or parts.fragment:
-        raise InputError(f"address {text!r}; allowed is {parts.scheme}://HOST:PORT with a port from 1 to 65535")
+    if (
+        not host
+        or not port
+        or parts.path.strip("/")
+        or parts.username is not None
+        or parts.query
+        or parts.fragment
+    ):
+        raise InputError(
+            f"address {text!r}; allowed is {parts.scheme}://HOST:PORT with a port from 1 to 65535"
+        )
     return host, port
 
 
@@ -96,12 +122,16 @@ def _speed(text: str, options: dict[str, str]) -> float:
     except ValueError:
         speed = float("nan")
     if not speed > 0:
-        raise InputError(f"source {text!r}: speed = {value!r}; allowed is a number greater than 0, or max")
+        raise InputError(
+            f"source {text!r}: speed = {value!r}; allowed is a number greater than 0, or max"
+        )
     return speed
 
 
 def _baud(text: str, options: dict[str, str]) -> int:
     value = options.get("baud", "115200")
     if not value.isascii() or not value.isdigit() or not 0 < int(value[:10]) <= _FASTEST_BAUD:
-        raise InputError(f"source {text!r}: baud = {value!r}; allowed is a whole number from 1 to {_FASTEST_BAUD}")
+        raise InputError(
+            f"source {text!r}: baud = {value!r}; allowed is a whole number from 1 to {_FASTEST_BAUD}"
+        )
     return int(value)

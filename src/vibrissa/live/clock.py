@@ -11,7 +11,8 @@ _RESYNC = 100_000_000
 LEAST_STEP = 1000
 """Between stamps [ns]: what 64-bit seconds tell apart over a century."""
 _RATE_WINDOW = 500_000_000
-# Spans in windows, and the share of the time by which the sender has to run off: over long spans what delays do matters less.
+# Spans in windows, and the share of the time by which the sender has to run off: over long spans
+# what delays do matters less.
 _RATE_SPANS = ((1, 0.2), (2, 0.05), (4, 0.01), (16, 3e-3), (64, 6e-4))
 _ALIKE = 0.2
 
@@ -30,8 +31,10 @@ def epoch_offset() -> int:
 class RateWatch:
     """Notices a sender whose rate is another than was thought.
 
-    In each window of half a second the least delay is taken, which a sender or a receiver that stalls for a moment does not change. Where it runs off, alike
-    over two spans of windows, by a fifth of the time over one window, or by less over more of them, down to 0.06 % over 64, the rate is wrong.
+    In each window of half a second the least delay is taken, which a sender or a receiver that
+    stalls for a moment does not change. Where it runs off, alike over two spans of windows, by a
+    fifth of the time over one window, or by less over more of them, down to 0.06 % over 64, the
+    rate is wrong.
     """
 
     def __init__(self) -> None:
@@ -40,7 +43,9 @@ class RateWatch:
         self._seen: deque[int] = deque(maxlen=2 * _RATE_SPANS[-1][0] + 1)
 
     def factor(self, own: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> float | None:
-        """By how much the sender's period is longer than `own` (n,) [ns] supposes, if another; arrivals (n,) [ns]."""
+        """By how much the sender's period is longer than `own` (n,) [ns] supposes, if another;
+        arrivals (n,) [ns].
+        """
         delay = int(np.min(arrival - own))
         if self._begun is None:
             self._begun, self._least = int(arrival[0]), delay
@@ -62,7 +67,11 @@ class RateWatch:
                 return None
             ends = np.array([self._seen[-1 - place * span] for place in (2, 1, 0)])
             first, second = (np.diff(ends) / (span * _RATE_WINDOW)).tolist()
-            if abs(first) >= tolerance and abs(second - first) <= _ALIKE * abs(first) and max(first, second) < 1:
+            if (
+                abs(first) >= tolerance
+                and abs(second - first) <= _ALIKE * abs(first)
+                and max(first, second) < 1
+            ):
                 self._begun = None
                 self._seen.clear()
                 return 1 / (1 - (first + second) / 2)
@@ -72,8 +81,9 @@ class RateWatch:
 class SampleClock:
     """Stamps of samples that were taken at the sender's own times and arrived after uneven delays.
 
-    Delays are never negative, so the sender's clock, moved until it lies below all arrivals, is the best that the host can know. It follows arrivals downwards at once,
-    and upwards by 500 ppm at most, more than quartzes differ. Where it is off by 0.1 s the stream is taken to have paused.
+    Delays are never negative, so the sender's clock, moved until it lies below all arrivals, is the
+    best that the host can know. It follows arrivals downwards at once, and upwards by 500 ppm at
+    most, more than quartzes differ. Where it is off by 0.1 s the stream is taken to have paused.
     """
 
     def __init__(self) -> None:
@@ -86,8 +96,12 @@ class SampleClock:
         """Forget the sender's clock: it began anew."""
         self._offset = None
 
-    def stamps(self, own: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Stamps (n,) [ns] on the clock of `arrival`, increasing, for the sender's times `own` (n,) [ns], increasing."""
+    def stamps(
+        self, own: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]
+    ) -> Int[np.ndarray, "n"]:
+        """Stamps (n,) [ns] on the clock of `arrival`, increasing, for the sender's times `own` (n,)
+        [ns], increasing.
+        """
         if not len(own):
             return np.empty(0, dtype=np.int64)
         if self._offset is None:

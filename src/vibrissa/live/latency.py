@@ -9,7 +9,9 @@ _BINS = 2000
 
 
 class Latency:
-    """Counts times in bins that widen by 1 %, from 1 µs to some minutes, so that every percentile is right to 1 %."""
+    """Counts times in bins that widen by 1 %, from 1 µs to some minutes, so that every percentile
+    is right to 1 %.
+    """
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, dtype=np.int64)
@@ -25,7 +27,9 @@ class Latency:
         return int(self._counts.sum())
 
     def percentile(self, percent: float) -> float | None:
-        """Time [s] that this share of all does not exceed: the upper end of its bin; None where there was none."""
+        """Time [s] that this share of all does not exceed: the upper end of its bin; None where
+        there was none.
+        """
         if not self.count:
             return None
         place = int(np.searchsorted(np.cumsum(self._counts), self.count * percent / 100))

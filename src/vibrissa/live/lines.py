@@ -36,25 +36,31 @@ class WrongColumnsError(ValueError):
 
 
 def parse_header(line: bytes) -> tuple[str, ...] | None:
-    """Names of columns in any order, or None where the line is none of names. Further columns may be among them.
+    """Names of columns in any order, or None where the line is none of names. Further columns may
+    be among them.
 
     Raises
     ------
     WrongColumnsError
-        If it names several columns of a recording, but neither all of `POSED` nor all of `BARE` without a pose.
+        If it names several columns of a recording, but neither all of `POSED` nor all of `BARE`
+        without a pose.
     ValueError
         If it holds other words.
     """
     cells = line.decode("utf-8", "replace").lstrip("\ufeff").split(",")
     names = tuple(cell.strip().strip('"').strip().lower() for cell in cells)
-    words = [name for name in names if name[:1].isalpha() and name not in ("nan", "inf", "infinity")]
+    words = [
+        name for name in names if name[:1].isalpha() and name not in ("nan", "inf", "infinity")
+    ]
     if 2 * len(words) < len(names) or not words:
         return None
     known = [name for name in names if name in POSED]
     if sorted(known) in (sorted(POSED), sorted(BARE)):
         return names
     kind = WrongColumnsError if len(known) > 1 else ValueError
-    raise kind(f"columns {','.join(names)[:200]}; allowed are {','.join(POSED)} or {','.join(BARE)}, in any order, and others besides")
+    raise kind(
+        f"columns {','.join(names)[:200]}; allowed are {','.join(POSED)} or {','.join(BARE)}, in any order, and others besides"
+    )
 
 
 def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, float]:
@@ -70,7 +76,8 @@ def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, f
     Raises
     ------
     ValueError
-        If there are more cells or fewer, one is no finite number up to 1e12, the time is beyond 4e9 s, or the quaternion is not of unit norm.
+        If there are more cells or fewer, one is no finite number up to 1e12, the time is beyond 4e9
+        s, or the quaternion is not of unit norm.
     """
     cells = line.split(b",")
     names = columns or {len(POSED): POSED, len(BARE): BARE}.get(len(cells), POSED)
@@ -83,7 +90,10 @@ def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, f
         raise ValueError(f"time = {row['time']:g}; allowed are seconds, up to {_LATEST:g}")
     if not all(abs(value) <= _LARGEST for value in row.values()):
         raise ValueError("a number that is not finite, or beyond 1e12; allowed are finite numbers")
-    if "qw" in row and abs(math.hypot(*(row[name] for name in POSED[4:8])) - 1) > _QUATERNION_TOLERANCE:
+    if (
+        "qw" in row
+        and abs(math.hypot(*(row[name] for name in POSED[4:8])) - 1) > _QUATERNION_TOLERANCE
+    ):
         raise ValueError("a quaternion of another norm; allowed is 1")
     return row
 
@@ -97,7 +107,9 @@ class Line(ABC):
 
     @abstractmethod
     def receive(self, timeout: float) -> bytes:
-        """Bytes that have come; none where there is none within `timeout` seconds. Raise EndOfStreamError at the end."""
+        """Bytes that have come; none where there is none within `timeout` seconds. Raise
+        EndOfStreamError at the end.
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -170,16 +182,18 @@ class SerialLine(Line):
 class LineSource(Source):
     """Samples from lines of CSV; columns as in a recording, or without the pose.
 
-    A first line may name the columns, in any order. `time` is the sender's: stamps are these times, counted from the arrival of the first line. Where they run back by
-    a second, or ahead by a minute, the sender's clock was set, and they go on from the last one by the time that passed here.
+    A first line may name the columns, in any order. `time` is the sender's: stamps are these times,
+    counted from the arrival of the first line. Where they run back by a second, or ahead by a
+    minute, the sender's clock was set, and they go on from the last one by the time that passed
+    here.
 
     Parameters
     ----------
     line
         Where the bytes come from.
     on_host_clock
-        Whether stamps are to follow the host's clock (`SampleClock`), as poses need that come from elsewhere; lines that are sent faster than their times say are then
-        stamped as they come.
+        Whether stamps are to follow the host's clock (`SampleClock`), as poses need that come from
+        elsewhere; lines that are sent faster than their times say are then stamped as they come.
 
     Raises
     ------
@@ -226,9 +240,19 @@ class LineSource(Source):
                 rows.append(row)
                 own.append(self._own)
                 anew.append(self._anew)
-        return self._samples(rows, np.array(own, dtype=np.int64), np.array(anew), now) if rows else None
+        return (
+            self._samples(rows, np.array(own, dtype=np.int64), np.array(anew), now)
+            if rows
+            else None
+        )
 
-    def _samples(self, rows: list[dict[str, float]], own: Int[np.ndarray, "n"], anew: Bool[np.ndarray, "n"], now: int) -> Samples:
+    def _samples(
+        self,
+        rows: list[dict[str, float]],
+        own: Int[np.ndarray, "n"],
+        anew: Bool[np.ndarray, "n"],
+        now: int,
+    ) -> Samples:
         posed, count = "qw" in rows[0], len(rows)
         table = {name: np.array([row[name] for row in rows]) for name in (POSED if posed else BARE)}
         arrival = np.full(count, now, dtype=np.int64)
@@ -236,7 +260,8 @@ class LineSource(Source):
         self.counts.samples += count
         self._number += count
         return Samples(
-            (self._begun + own if self._clock is None else self._clock.stamps(own, arrival)) + self._epoch,
+            (self._begun + own if self._clock is None else self._clock.stamps(own, arrival))
+            + self._epoch,
             np.arange(self._number - count, self._number, dtype=np.int64),
             _columns_of(table, POSED[8:11]),
             _columns_of(table, POSED[11:]),
@@ -270,7 +295,9 @@ class LineSource(Source):
                 return None
             row = parse_line(line, self._columns)
             if self._posed not in (None, "qw" in row):
-                raise ValueError("poses that begin or end in the middle; allowed are the columns of the first line")
+                raise ValueError(
+                    "poses that begin or end in the middle; allowed are the columns of the first line"
+                )
         except ValueError as error:
             if isinstance(error, WrongColumnsError) and not (self._first and _end_of_header(line)):
                 raise
@@ -284,7 +311,9 @@ class LineSource(Source):
         return row if self._follows(row["time"], now) else None
 
     def _follows(self, moment: float, now: int) -> bool:
-        """Whether this is later than the last line, or of a clock that was set; `_own` is then its time [ns] since the first line."""
+        """Whether this is later than the last line, or of a clock that was set; `_own` is then its
+        time [ns] since the first line.
+        """
         least, self._anew = 0, False
         if self._last is None:
             self._anchor = moment, 0

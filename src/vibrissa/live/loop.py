@@ -44,15 +44,18 @@ def stream(
     source, processor
         Opened and warmed up here; the source is closed here.
     sinks
-        Closed here. Or a function that makes them, which is called when the first sample is there: then a source that cannot be reached leaves no empty files.
+        Closed here. Or a function that makes them, which is called when the first sample is there:
+        then a source that cannot be reached leaves no empty files.
     poses
         Those of the processor, opened and closed here; None where the source gives poses.
     duration
         Seconds after the first sample at which to end; None for no end.
     silence
-        Seconds without any sample after which a source is taken for dead, and the stream ends; 0 for never.
+        Seconds without any sample after which a source is taken for dead, and the stream ends; 0
+        for never.
     batch_seconds
-        Samples of so many seconds are worked on together: less costs more of the processor, more costs latency.
+        Samples of so many seconds are worked on together: less costs more of the processor, more
+        costs latency.
     stop
         Ends the stream when set.
     notice
@@ -74,7 +77,13 @@ def stream(
     """
     if duration is not None:
         positive(duration, "duration")
-    loop = _Loop(source, processor, sinks, notice or (lambda _: None), positive(batch_seconds, "batch_seconds"))
+    loop = _Loop(
+        source,
+        processor,
+        sinks,
+        notice or (lambda _: None),
+        positive(batch_seconds, "batch_seconds"),
+    )
     try:
         processor.warm_up()
         if poses is not None:
@@ -130,12 +139,18 @@ class _Loop:
                 self._heard(samples)
                 self._take(samples)
             elif not self._recorded and not self._reader.ended and self._silence.begins(begun):
-                self.warn("no samples come: is the sensor on, its cable in, or has another program taken its stream?")
+                self.warn(
+                    "no samples come: is the sensor on, its cable in, or has another program taken its stream?"
+                )
             self._work()
             if self._reader.ended and samples is None:
                 self._check_end()
                 break
-            if duration is not None and self._first is not None and time.monotonic_ns() - self._first > duration * 1e9:
+            if (
+                duration is not None
+                and self._first is not None
+                and time.monotonic_ns() - self._first > duration * 1e9
+            ):
                 break
             if silence and time.monotonic_ns() - last > silence * 1e9:
                 if self._first is None:
@@ -152,7 +167,11 @@ class _Loop:
 
     def _unread(self) -> str:
         malformed, why = self.report.counts.malformed, self._reader.complaint
-        return f"; {malformed} lines or datagrams could not be read, the last one for: {why}" if malformed else ""
+        return (
+            f"; {malformed} lines or datagrams could not be read, the last one for: {why}"
+            if malformed
+            else ""
+        )
 
     def _begin(self, samples: Samples) -> None:
         if self._first is None:
@@ -191,7 +210,9 @@ class _Loop:
             shown = ", ".join(f"{value:.6g}" for value in self._processor.tare)
             self._notice(f"tare: {shown} (N, N m)")
             if self._processor.moved_during_tare:
-                self.warn(f"the wrench varied by {self._processor.restless:.1f} times its noise during the tare: is the rod free?")
+                self.warn(
+                    f"the wrench varied by {self._processor.restless:.1f} times its noise during the tare: is the rod free?"
+                )
 
     def _work(self) -> None:
         for result in self._processor.ready(time.time_ns()):
@@ -226,7 +247,11 @@ class _Loop:
             self._take(samples)
         until = time.monotonic() + _LAST_WAIT
         self._work()
-        while self._processor.waiting and self._processor.tare is not None and time.monotonic() < until:
+        while (
+            self._processor.waiting
+            and self._processor.tare is not None
+            and time.monotonic() < until
+        ):
             time.sleep(0.01)
             self._work()
         if self._reader.error is not None:
@@ -236,11 +261,20 @@ class _Loop:
         """Stop reading, and sum up."""
         self._reader.stop()
         report = self.report
-        report.overflow, report.unused, report.without_pose = self._reader.overflow, self._processor.waiting, self._processor.without_pose
+        report.overflow, report.unused, report.without_pose = (
+            self._reader.overflow,
+            self._processor.waiting,
+            self._processor.without_pose,
+        )
         report.moved_during_tare = self._processor.moved_during_tare
         report.unsure, report.zero_changes = self._processor.unsure, self._processor.zero_changes
-        report.silences, report.silent_seconds = self._silence.until(0 if self._reader.ended else time.monotonic_ns())
-        report.latency_median, report.latency_999 = self._latency.percentile(50), self._latency.percentile(99.9)
+        report.silences, report.silent_seconds = self._silence.until(
+            0 if self._reader.ended else time.monotonic_ns()
+        )
+        report.latency_median, report.latency_999 = (
+            self._latency.percentile(50),
+            self._latency.percentile(99.9),
+        )
         if self._first is not None:
             report.seconds = (time.monotonic_ns() - self._first) * 1e-9
             report.cpu_share = (time.process_time() - self._cpu) / report.seconds

@@ -39,8 +39,9 @@ _AWAY = {errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDO
 class NetFtSource(Source):
     """Records of a sensor that is asked to stream.
 
-    Datagrams from other addresses are ignored, since the socket is connected. Arrival is when the kernel had the datagram, where it says so. A sensor that falls silent
-    is asked again every second.
+    Datagrams from other addresses are ignored, since the socket is connected. Arrival is when the
+    kernel had the datagram, where it says so. A sensor that falls silent is asked again every
+    second.
 
     Parameters
     ----------
@@ -77,7 +78,11 @@ class NetFtSource(Source):
     ) -> None:
         self._address = (host, port)
         self._scale = np.repeat(
-            [1 / positive(counts_per_force, "counts_per_force"), 1 / positive(counts_per_torque, "counts_per_torque")], 3
+            [
+                1 / positive(counts_per_force, "counts_per_force"),
+                1 / positive(counts_per_torque, "counts_per_torque"),
+            ],
+            3,
         )
         self._command = rdt.Command.BUFFERED if buffered else rdt.Command.REAL_TIME
         self._bias = bias
@@ -101,7 +106,9 @@ class NetFtSource(Source):
     def open(self) -> None:
         """Connect, and ask for records without end."""
         with naming(f"netft://{self._address[0]}:{self._address[1]}"):
-            family, kind, protocol, _, address = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0]
+            family, kind, protocol, _, address = socket.getaddrinfo(
+                *self._address, type=socket.SOCK_DGRAM
+            )[0]
         self._epoch = epoch_offset()
         self._socket = socket.socket(family, kind, protocol)
         _widen(self._socket)
@@ -135,8 +142,12 @@ class NetFtSource(Source):
             came.append(np.full(len(records), when, dtype=np.int64))
         records = np.concatenate(parsed) if parsed else np.empty(0, dtype=rdt.RECORD)
         moments = np.concatenate(came) if came else np.empty(0, dtype=np.int64)
-        ordered, number, moments = self._settled(*self._sequencer.accept(records, moments, time.monotonic_ns()))
-        parts = [self._samples(ordered[part], number[part], moments[part]) for part in _streams(number)]
+        ordered, number, moments = self._settled(
+            *self._sequencer.accept(records, moments, time.monotonic_ns())
+        )
+        parts = [
+            self._samples(ordered[part], number[part], moments[part]) for part in _streams(number)
+        ]
         return joined(parts) if parts else None
 
     def _settled(self, *rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -151,7 +162,9 @@ class NetFtSource(Source):
         self._early = None
         return held[0], held[1], held[2]
 
-    def _samples(self, records: np.ndarray, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> Samples:
+    def _samples(
+        self, records: np.ndarray, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]
+    ) -> Samples:
         status = records["status"].astype(np.int64)
         valid = (status & self._error_bits) == 0
         self.counts.samples += len(records)
@@ -163,10 +176,20 @@ class NetFtSource(Source):
         anew[0] = self._begins_anew(number, arrival)
         stamp = self._clock.stamps(self._own_time(number, arrival), arrival) + self._epoch
         self._came = int(arrival[-1])
-        return Samples(stamp, number, np.ascontiguousarray(wrench[:, :3]), np.ascontiguousarray(wrench[:, 3:]), valid, arrival, anew=anew)
+        return Samples(
+            stamp,
+            number,
+            np.ascontiguousarray(wrench[:, :3]),
+            np.ascontiguousarray(wrench[:, 3:]),
+            valid,
+            arrival,
+            anew=anew,
+        )
 
     def _begins_anew(self, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> bool:
-        """Whether these are of another stream than the last ones; its numbers do not say what was lost between the two, but the time does."""
+        """Whether these are of another stream than the last ones; its numbers do not say what was
+        lost between the two, but the time does.
+        """
         if self._last is None or int(number[0]) - self._last[0] <= AHEAD:
             return False
         lost = max(round((int(arrival[0]) - self._came) / self._period) - 1, 0)
@@ -174,16 +197,25 @@ class NetFtSource(Source):
         self.counts.gaps += lost > 0
         return True
 
-    def _own_time(self, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """The sensor's clock [ns], from its numbers and its rate: as set, or as seen where the two differ. In a stream that began anew it goes on."""
+    def _own_time(
+        self, number: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]
+    ) -> Int[np.ndarray, "n"]:
+        """The sensor's clock [ns], from its numbers and its rate: as set, or as seen where the two
+        differ. In a stream that began anew it goes on.
+        """
         if self._last is None or int(number[0]) - self._last[0] > AHEAD:
-            self._anchor = int(number[0]), 0 if self._last is None else self._last[1] + round(self._period)
+            self._anchor = (
+                int(number[0]),
+                0 if self._last is None else self._last[1] + round(self._period),
+            )
             self._watch = RateWatch()
             self._clock.restart()
         own = self._since_anchor(number)
         factor = self._watch.factor(own, arrival)
         if factor is not None:
-            self.counts.rate_changes += abs(factor - 1) > (_OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE)
+            self.counts.rate_changes += abs(factor - 1) > (
+                _OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE
+            )
             self._anchor = int(number[0]), int(own[0])
             self._period *= factor
             self._clock.restart()
@@ -234,7 +266,11 @@ class NetFtSource(Source):
     def _kernel_stamp(self, ancillary: list[tuple[int, int, bytes]]) -> int:
         now = time.monotonic_ns()
         for level, kind, data in ancillary:
-            if level == socket.SOL_SOCKET and kind == _STAMP_OPTION and len(data) == _KERNEL_STAMP.size:
+            if (
+                level == socket.SOL_SOCKET
+                and kind == _STAMP_OPTION
+                and len(data) == _KERNEL_STAMP.size
+            ):
                 seconds, nanoseconds = _KERNEL_STAMP.unpack(data)
                 return min(now, seconds * 1_000_000_000 + nanoseconds - self._epoch)
         return now
@@ -266,7 +302,9 @@ def _streams(number: Int[np.ndarray, "n"]) -> Iterator[slice]:
 
 
 def _widen(connection: socket.socket) -> None:
-    """Let the kernel hold many datagrams while Python is busy: beyond the usual limit where this process may."""
+    """Let the kernel hold many datagrams while Python is busy: beyond the usual limit where this
+    process may.
+    """
     for option in (socket.SO_RCVBUF, *((_FORCE_BUFFER,) if sys.platform == "linux" else ())):
         with suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BUFFER)

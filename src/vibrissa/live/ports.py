@@ -15,9 +15,13 @@ def naming(address: str) -> Iterator[None]:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket for datagrams to this address; raise OSError, which names address and port, where another program has it or it is none of this machine's."""
+    """A socket for datagrams to this address; raise OSError, which names address and port, where
+    another program has it or it is none of this machine's.
+    """
     with naming(f"udp://{host}:{port}"):
-        opened = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+        opened = socket.socket(
+            socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM
+        )
         try:
             opened.bind((host, port))
         except OSError:

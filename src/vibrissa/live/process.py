@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.live.poses import Poses, PoseSource
 from vibrissa.live.samples import Samples, joined
 from vibrissa.live.zero import Verdict, ZeroWatch
 from vibrissa.reactions import VELOCITY_SPAN, velocities
-from vibrissa.reconstruct import Reconstruction, reconstruct
 from vibrissa.rod import Rod
 from vibrissa.sensor import CHANNELS, RawRecording, Sensor
 from vibrissa.sensor.noise import Pink, RandomWalk
@@ -27,7 +27,13 @@ _WARM_SIZES = (1, MOST_ROWS)
 _LEAST_TARE = 2
 TARE_SECONDS = 1.0
 """Where the setup gives none."""
-_ONE_ROW = RawRecording(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3)), np.zeros((1, 3)))
+_ONE_ROW = RawRecording(
+    np.zeros(1),
+    np.zeros((1, 3)),
+    np.array([[0.0, 0.0, 0.0, 1.0]]),
+    np.zeros((1, 3)),
+    np.zeros((1, 3)),
+)
 _ROW = ("time", "position", "orientation", "force", "torque")
 _RESTLESS = 3.0
 # For how long pink noise is stated as it is: of slower noise than a day's a tare knows.
@@ -36,7 +42,8 @@ _DAY = 86_400.0
 
 @runtime_checkable
 class Stage(Protocol):
-    """What stands between the inverse and the sinks, such as a filter in time. `vibrissa.live.Processor` calls it with each batch, in order.
+    """What stands between the inverse and the sinks, such as a filter in time.
+    `vibrissa.live.Processor` calls it with each batch, in order.
 
     Its method `reset()`, if it has one, is called where the sensor's zero was taken anew.
     """
@@ -46,7 +53,9 @@ class Stage(Protocol):
 
 
 class Result(NamedTuple):
-    """One batch: stamps (n,) [ns], arrivals (n,) [ns], whether it waited for the tare, poses and tared wrench (NaN where not known), contacts."""
+    """One batch: stamps (n,) [ns], arrivals (n,) [ns], whether it waited for the tare, poses and
+    tared wrench (NaN where not known), contacts.
+    """
 
     stamp: Int[np.ndarray, "n"]
     arrival: Int[np.ndarray, "n"]
@@ -58,15 +67,18 @@ class Result(NamedTuple):
 class Processor:
     """Turns samples into contacts.
 
-    Rows are held until the tare is over, and until their pose is known. A row that the sensor calls invalid, or that has no pose, is given on without contact,
-    with `Status.BAD_DATA`. The tare begins with the first valid one. After a sensor was restarted its zero is compared with that before, and taken anew where it is
-    another and the rod is known to be free (`vibrissa.live.zero`); until that is known, rows have the status `SETUP_CONTRADICTED`.
+    Rows are held until the tare is over, and until their pose is known. A row that the sensor calls
+    invalid, or that has no pose, is given on without contact, with `Status.BAD_DATA`. The tare
+    begins with the first valid one. After a sensor was restarted its zero is compared with that
+    before, and taken anew where it is another and the rod is known to be free
+    (`vibrissa.live.zero`); until that is known, rows have the status `SETUP_CONTRADICTED`.
 
     Parameters
     ----------
     rod, sensor
-        Of the setup; the first `sensor.tare_seconds` of samples, taken from the stream, are its tare: one second where that is None. Rest intervals and an
-        estimated drift need a whole recording and are not used.
+        Of the setup; the first `sensor.tare_seconds` of samples, taken from the stream, are its
+        tare: one second where that is None. Rest intervals and an estimated drift need a whole
+        recording and are not used.
     poses
         Of the sensor frame, for sources that do not know it.
     stage
@@ -89,7 +101,9 @@ class Processor:
     ) -> None:
         self._rod, self._poses, self._stage, self._friction = rod, poses, stage, friction
         seconds = TARE_SECONDS if sensor.tare_seconds is None else sensor.tare_seconds
-        self._sensor = replace(sensor, tare_seconds=seconds, rest_intervals=(), estimate_drift=False)
+        self._sensor = replace(
+            sensor, tare_seconds=seconds, rest_intervals=(), estimate_drift=False
+        )
         self._errors = None if tolerances is None else sensor.setup_errors(tolerances)
         self._passed: deque[RawRecording] = deque()
         self._tare = self._sensor.tare(_ONE_ROW) if seconds == 0 else None
@@ -109,8 +123,16 @@ class Processor:
         """Compile, for every size of batch that may come, before samples do."""
         for rows in _WARM_SIZES:
             turn = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1))
-            raw = RawRecording(np.arange(rows) * 1.0, np.zeros((rows, 3)), turn, np.ones((rows, 3)), np.zeros((rows, 3)))
-            reactions = self._sensor.reactions(raw, self._tare or self._nothing, tolerances=self._errors)
+            raw = RawRecording(
+                np.arange(rows) * 1.0,
+                np.zeros((rows, 3)),
+                turn,
+                np.ones((rows, 3)),
+                np.zeros((rows, 3)),
+            )
+            reactions = self._sensor.reactions(
+                raw, self._tare or self._nothing, tolerances=self._errors
+            )
             reconstruct(self._rod, reactions, friction=self._friction, check=False)
 
     def push(self, samples: Samples) -> None:
@@ -128,19 +150,31 @@ class Processor:
             self._tare = replace(self._tare, coloured=self._coloured(0.0, samples.stamp))
 
     def _since_restart(self, samples: Samples) -> Samples:
-        """Before the tare is over: what came from the sensor before its restart is of another zero, and not valid."""
-        self._waiting = [replace(part, valid=np.zeros(len(part), dtype=bool)) for part in self._waiting]
+        """Before the tare is over: what came from the sensor before its restart is of another zero,
+        and not valid.
+        """
+        self._waiting = [
+            replace(part, valid=np.zeros(len(part), dtype=bool)) for part in self._waiting
+        ]
         last = int(np.flatnonzero(samples.restarts)[-1])
         return replace(samples, valid=samples.valid & (np.arange(len(samples)) >= last))
 
-    def _coloured(self, start: float, stamp: Int[np.ndarray, "n"]) -> tuple[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]], ...]:
+    def _coloured(
+        self, start: float, stamp: Int[np.ndarray, "n"]
+    ) -> tuple[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]], ...]:
         """Pink noise and random walk of a stream that began at `start` [s] and goes on."""
-        return tuple(self._sensor.coloured_within(start, _DAY, float(np.median(np.diff(stamp))) * 1e-9))
+        return tuple(
+            self._sensor.coloured_within(start, _DAY, float(np.median(np.diff(stamp))) * 1e-9)
+        )
 
     def _try_tare(self) -> None:
-        """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from a recording."""
+        """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from
+        a recording.
+        """
         assert self._sensor.tare_seconds is not None
-        first = next((part.stamp[np.argmax(part.valid)] for part in self._waiting if part.valid.any()), None)
+        first = next(
+            (part.stamp[np.argmax(part.valid)] for part in self._waiting if part.valid.any()), None
+        )
         if first is None or self._waiting[-1].stamp[-1] < first + self._sensor.tare_seconds * 1e9:
             return
         samples = joined(self._waiting)
@@ -152,17 +186,29 @@ class Processor:
             raise ValueError(
                 f"tare_seconds = {self._sensor.tare_seconds}: {count} samples came within it; allowed are at least {_LEAST_TARE}"
             )
-        raw = self._raw(rest, self._posed(rest) if self._sensor.mount is not None else _standing(len(rest)))
-        self._tare = replace(self._sensor.tare(raw), coloured=self._coloured(float(raw.time[0]), rest.stamp))
+        raw = self._raw(
+            rest, self._posed(rest) if self._sensor.mount is not None else _standing(len(rest))
+        )
+        self._tare = replace(
+            self._sensor.tare(raw), coloured=self._coloured(float(raw.time[0]), rest.stamp)
+        )
         self.tare = self._tare.offset
         self.restless = self._restlessness(raw.wrench[rows])
         stated = self._sensor.force_noise is not None
-        noise = np.sqrt(self._sensor.reading_variance) if stated else raw.wrench[rows].std(axis=0, ddof=1)
-        self._zero = ZeroWatch(noise, self._sensor.resolution, self._rod.length, self._sensor.tare_seconds)
+        noise = (
+            np.sqrt(self._sensor.reading_variance)
+            if stated
+            else raw.wrench[rows].std(axis=0, ddof=1)
+        )
+        self._zero = ZeroWatch(
+            noise, self._sensor.resolution, self._rod.length, self._sensor.tare_seconds
+        )
         self._held_by_tare = len(samples)
 
     def _restlessness(self, wrench: Float[np.ndarray, "n 6"]) -> float:
-        """Largest standard deviation of the tare's samples over the sensor's noise; 0 where that is not known."""
+        """Largest standard deviation of the tare's samples over the sensor's noise; 0 where that is
+        not known.
+        """
         if self._sensor.force_noise is None:
             return 0.0
         return float(np.max(wrench.std(axis=0, ddof=1) / self._sensor.noise))
@@ -173,11 +219,17 @@ class Processor:
         return self.restless > _RESTLESS
 
     def ready(self, now: int) -> Iterator[Result]:
-        """Batches that can be worked on at `now` [ns since 1970], for sources whose stamps are of the host's clock."""
+        """Batches that can be worked on at `now` [ns since 1970], for sources whose stamps are of
+        the host's clock.
+        """
         while self._waiting and (self._tare is not None or not self._waiting[0].valid[0]):
             samples = joined(self._waiting)
             self._waiting = [samples]
-            known = len(samples) if samples.position is not None else self._poses.ready(samples.stamp, now)
+            known = (
+                len(samples)
+                if samples.position is not None
+                else self._poses.ready(samples.stamp, now)
+            )
             if self._tare is None and samples.valid.any():
                 known = min(known, int(np.argmax(samples.valid)))
             if known == 0:
@@ -200,22 +252,37 @@ class Processor:
         known = poses.known
         self.without_pose += int(np.count_nonzero(~known))
         raw = self._raw(samples, poses)
-        reactions = self._sensor.reactions(raw, tare, tolerances=self._errors, velocity=self._velocity(raw, known))
+        reactions = self._sensor.reactions(
+            raw, tare, tolerances=self._errors, velocity=self._velocity(raw, known)
+        )
         found = reconstruct(self._rod, reactions, friction=self._friction, check=False)
         tared = raw.wrench - tare.readings(self._sensor, raw.time, raw.orientation)
         unsure = self._zero is not None and self._zero.pending
         self._watch(raw, tared, found)
         raw = replace(raw, force=tared[:, :3], torque=tared[:, 3:])
         if not known.all():
-            raw = replace(raw, **{name: np.where(known[:, None], getattr(raw, name), np.nan) for name in ("position", "orientation")})
+            raw = replace(
+                raw,
+                **{
+                    name: np.where(known[:, None], getattr(raw, name), np.nan)
+                    for name in ("position", "orientation")
+                },
+            )
         held, self._held_by_tare = self._held_by_tare > 0, max(self._held_by_tare - len(samples), 0)
         found = found if self._stage is None else self._stage.push(found)
         if unsure:
             self.unsure += len(samples)
-            found = replace(found, status=np.where(found.status == Status.OK, Status.SETUP_CONTRADICTED, found.status).astype(np.int8))
+            found = replace(
+                found,
+                status=np.where(
+                    found.status == Status.OK, Status.SETUP_CONTRADICTED, found.status
+                ).astype(np.int8),
+            )
         return Result(samples.stamp, samples.arrival, held, raw, found)
 
-    def _watch(self, raw: RawRecording, tared: Float[np.ndarray, "n 6"], found: Reconstruction) -> None:
+    def _watch(
+        self, raw: RawRecording, tared: Float[np.ndarray, "n 6"], found: Reconstruction
+    ) -> None:
         """Follow the zero, and take it anew where it is another."""
         if self._zero is None:
             return
@@ -227,34 +294,56 @@ class Processor:
         assert self._tare is not None
         rest, before = self._zero.rest(), self._tare.offset
         stamp = np.round(rest.time * 1e9).astype(np.int64)
-        self._tare = replace(self._sensor.tare(rest), coloured=self._coloured(float(rest.time[0]), stamp))
+        self._tare = replace(
+            self._sensor.tare(rest), coloured=self._coloured(float(rest.time[0]), stamp)
+        )
         self.tare = self._tare.offset
         self.zero_changes += 1
         reset = getattr(self._stage, "reset", None)
         if reset is not None:
             reset()
-        moved = ", ".join(f"{name} {value:+.4g}" for name, value in zip(CHANNELS, self.tare - before, strict=True))
-        self._news.append((f"the sensor's zero is another after its restart ({moved} N, N m): it is tared again", True))
+        moved = ", ".join(
+            f"{name} {value:+.4g}" for name, value in zip(CHANNELS, self.tare - before, strict=True)
+        )
+        self._news.append(
+            (
+                f"the sensor's zero is another after its restart ({moved} N, N m): it is tared again",
+                True,
+            )
+        )
 
     def news(self) -> list[tuple[str, bool]]:
         """What happened since this was asked last, in lines, and whether each is a warning."""
         said, self._news = self._news, []
         return said
 
-    def _velocity(self, raw: RawRecording, known: Bool[np.ndarray, "n"]) -> Float[np.ndarray, "n 6"] | None:
-        """Of the clamp, one for the batch: between its last pose and one some 50 ms before; None where no pose comes late."""
+    def _velocity(
+        self, raw: RawRecording, known: Bool[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n 6"] | None:
+        """Of the clamp, one for the batch: between its last pose and one some 50 ms before; None
+        where no pose comes late.
+        """
         if self._errors is None or not self._errors.covariance[-1, -1]:
             return None
         last = np.flatnonzero(known)[-1:]
-        self._passed.extend(RawRecording(*(getattr(raw, name)[last] for name in _ROW)) for _ in last)
-        while len(self._passed) > 2 and self._passed[-1].time[0] - self._passed[1].time[0] >= VELOCITY_SPAN:
+        self._passed.extend(
+            RawRecording(*(getattr(raw, name)[last] for name in _ROW)) for _ in last
+        )
+        while (
+            len(self._passed) > 2
+            and self._passed[-1].time[0] - self._passed[1].time[0] >= VELOCITY_SPAN
+        ):
             self._passed.popleft()
         if len(self._passed) < 2 or self._passed[-1].time[0] <= self._passed[0].time[0]:
             self._passed = deque(list(self._passed)[-1:])
             return np.zeros((len(raw.time), 6))
         ends = (self._passed[0], self._passed[-1])
-        time, position, orientation = (np.concatenate([getattr(end, name) for end in ends]) for name in _ROW[:3])
-        clamp = position + np.einsum("nij,j->ni", rotation_matrices(orientation), self._sensor.clamp_position)
+        time, position, orientation = (
+            np.concatenate([getattr(end, name) for end in ends]) for name in _ROW[:3]
+        )
+        clamp = position + np.einsum(
+            "nij,j->ni", rotation_matrices(orientation), self._sensor.clamp_position
+        )
         return np.broadcast_to(velocities(time, clamp, orientation)[1], (len(raw.time), 6))
 
     def _raw(self, samples: Samples, poses: Poses) -> RawRecording:
@@ -262,7 +351,13 @@ class Processor:
         assert self._origin is not None
         wrench = np.concatenate([samples.force, samples.torque], axis=1)
         wrench[~(samples.valid & poses.known)] = np.nan
-        return RawRecording((samples.stamp - self._origin) * 1e-9, poses.position, poses.orientation, wrench[:, :3], wrench[:, 3:])
+        return RawRecording(
+            (samples.stamp - self._origin) * 1e-9,
+            poses.position,
+            poses.orientation,
+            wrench[:, :3],
+            wrench[:, 3:],
+        )
 
     def _posed(self, samples: Samples) -> Poses:
         if samples.position is not None and samples.orientation is not None:
@@ -271,4 +366,6 @@ class Processor:
 
 
 def _standing(count: int) -> Poses:
-    return Poses(np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)), np.ones(count, dtype=bool))
+    return Poses(
+        np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)), np.ones(count, dtype=bool)
+    )

@@ -1,4 +1,6 @@
-"""RDT, the raw data transfer of Ethernet force/torque sensors over UDP: requests and records as bytes. Nothing here touches a socket."""
+"""RDT, the raw data transfer of Ethernet force/torque sensors over UDP: requests and records as
+bytes. Nothing here touches a socket.
+"""
 
 import struct
 from enum import IntEnum
@@ -10,7 +12,8 @@ PORT = 49152
 MOST_RECORDS = 40
 """In one datagram: what the sensors' buffered mode sends at most."""
 ERROR_BIT = 1 << 31
-"""Of the status: set by the sensor where its reading is not to be trusted; the lower bits say why."""
+"""Of the status: set by the sensor where its reading is not to be trusted; the lower bits say why.
+"""
 STATUS_BITS = {
     0: "temperature out of range",
     1: "supply voltage out of range",
@@ -25,13 +28,18 @@ STATUS_BITS = {
     30: "force or torque out of range",
     31: "error",
 }
-"""What bits of the status mean (ATI Industrial Automation, "Manual, F/T Sensor, Ethernet Axia", documents 9610-05-Ethernet Axia-09, table 4.9, and 9620-05-C-Ethernet
-Axia-02, table 5.7); other sensors may give the lower ones other meanings."""
+"""What bits of the status mean (ATI Industrial Automation, "Manual, F/T Sensor, Ethernet Axia",
+documents 9610-05-Ethernet Axia-09, table 4.9, and 9620-05-C-Ethernet Axia-02, table 5.7); other
+sensors may give the lower ones other meanings."""
 MODULUS = 1 << 32
 """Sequence numbers count up to here, and start at 0 again."""
 
-RECORD = np.dtype([("rdt_sequence", ">u4"), ("ft_sequence", ">u4"), ("status", ">u4"), ("counts", ">i4", (6,))])
-"""One sample: number of the record in this stream, number of the sensor's own sample, status, and counts of fx, fy, fz, tx, ty, tz."""
+RECORD = np.dtype(
+    [("rdt_sequence", ">u4"), ("ft_sequence", ">u4"), ("status", ">u4"), ("counts", ">i4", (6,))]
+)
+"""One sample: number of the record in this stream, number of the sensor's own sample, status, and
+counts of fx, fy, fz, tx, ty, tz.
+"""
 
 _REQUEST = struct.Struct(">HHI")
 _HEADER = 0x1234
@@ -85,7 +93,9 @@ def parse_request(data: bytes) -> Request:
     if header != _HEADER:
         raise ValueError(f"request begins with {header:#06x}; allowed is {_HEADER:#06x}")
     if command not in list(Command):
-        raise ValueError(f"command = {command:#06x}; allowed are {', '.join(f'{known:#06x}' for known in Command)}")
+        raise ValueError(
+            f"command = {command:#06x}; allowed are {', '.join(f'{known:#06x}' for known in Command)}"
+        )
     return Request(Command(command), count)
 
 
@@ -99,5 +109,7 @@ def parse_records(data: bytes) -> np.ndarray:
     """
     count, rest = divmod(len(data), RECORD.itemsize)
     if rest or not 1 <= count <= MOST_RECORDS:
-        raise ValueError(f"datagram of {len(data)} bytes; allowed are 1 to {MOST_RECORDS} records of {RECORD.itemsize} bytes")
+        raise ValueError(
+            f"datagram of {len(data)} bytes; allowed are 1 to {MOST_RECORDS} records of {RECORD.itemsize} bytes"
+        )
     return np.frombuffer(data, dtype=RECORD)

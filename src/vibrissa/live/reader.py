@@ -54,7 +54,11 @@ class Reader:
 
     def _put(self, samples: Samples) -> None:
         with self._arrived:
-            while self._queued + len(samples) > _MOST_QUEUED and self._source.waits and not self._stop.is_set():
+            while (
+                self._queued + len(samples) > _MOST_QUEUED
+                and self._source.waits
+                and not self._stop.is_set()
+            ):
                 self._arrived.wait(_READ_WAIT)
             if self._queued + len(samples) > _MOST_QUEUED:
                 self.overflow += len(samples)

@@ -60,7 +60,9 @@ class ReplaySource(Source):
         part, count = slice(first, last), last - first
         self.counts.samples += count
         # As fast as possible, nothing is ever late: a row arrives when it is read.
-        arrival = np.maximum(self._due[part] + self._start, time.monotonic_ns() if self._due[-1] == 0 else 0)
+        arrival = np.maximum(
+            self._due[part] + self._start, time.monotonic_ns() if self._due[-1] == 0 else 0
+        )
         return Samples(
             self._stamp[part],
             np.arange(first, last, dtype=np.int64),

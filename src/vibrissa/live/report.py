@@ -22,27 +22,32 @@ class Report:
     rows
         Rows given to the sinks.
     unused
-        Samples recorded, but left without a row: the stream ended before the tare was over, or before their pose came.
+        Samples recorded, but left without a row: the stream ended before the tare was over, or
+        before their pose came.
     overflow
         Samples thrown away since this process could not keep up.
     without_pose
         Rows whose pose was not known.
     malformed_poses, misplaced_poses
-        Datagrams of the pose stream that could not be read; poses whose stamps lie more than a second from their arrival.
+        Datagrams of the pose stream that could not be read; poses whose stamps lie more than a
+        second from their arrival.
     seconds
         From the first sample to the end.
     cpu_share
         Of one core, over that time.
     latency_median, latency_999
-        From the arrival of a sample to its contact [s], and its 99.9th percentile; rows that waited for the tare, or behind such, left out. None where there were none.
+        From the arrival of a sample to its contact [s], and its 99.9th percentile; rows that waited
+        for the tare, or behind such, left out. None where there were none.
     moved_during_tare
         Whether the wrench varied by more than three times its noise while it was taken for zero.
     silent
         Whether the stream ended since the source fell silent.
     silences, silent_seconds
-        How often a running source gave nothing for half a second or more, and for how long altogether.
+        How often a running source gave nothing for half a second or more, and for how long
+        altogether.
     unsure, zero_changes
-        Rows flagged since a sensor had been restarted and its zero was not known; how often that was another, and taken anew.
+        Rows flagged since a sensor had been restarted and its zero was not known; how often that
+        was another, and taken anew.
     warnings
         What was said while it ran, and what the figures above say at the end, one line each.
     """

@@ -19,7 +19,8 @@ class Samples:
     Attributes
     ----------
     stamp
-        (n,) [ns]: when a sample was taken, increasing; by the host's clock, or by a recording's own.
+        (n,) [ns]: when a sample was taken, increasing; by the host's clock, or by a recording's
+        own.
     sequence
         (n,): number of the sample, from the sensor where it counts.
     force, torque
@@ -29,9 +30,11 @@ class Samples:
     arrival
         (n,) [ns] of the monotonic clock: when the host had it.
     position, orientation
-        Pose of the sensor frame in the world, (n, 3) [m] and x, y, z, w (n, 4), where the source knows; else None.
+        Pose of the sensor frame in the world, (n, 3) [m] and x, y, z, w (n, 4), where the source
+        knows; else None.
     anew
-        (n,): true for the first row after the sender's numbers or clock began anew, as those of a sensor that was restarted do; None for none.
+        (n,): true for the first row after the sender's numbers or clock began anew, as those of a
+        sensor that was restarted do; None for none.
 
     Raises
     ------
@@ -51,11 +54,21 @@ class Samples:
 
     def __post_init__(self) -> None:
         count = len(self.stamp)
-        for name, shape in (("sequence", ()), ("force", (3,)), ("torque", (3,)), ("valid", ()), ("arrival", ())):
+        for name, shape in (
+            ("sequence", ()),
+            ("force", (3,)),
+            ("torque", (3,)),
+            ("valid", ()),
+            ("arrival", ()),
+        ):
             if getattr(self, name).shape != (count, *shape):
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}; allowed is {(count, *shape)}")
+                raise ValueError(
+                    f"{name} has shape {getattr(self, name).shape}; allowed is {(count, *shape)}"
+                )
         if (self.position is None) != (self.orientation is None):
-            raise ValueError("position and orientation: one is given without the other; allowed are both or none")
+            raise ValueError(
+                "position and orientation: one is given without the other; allowed are both or none"
+            )
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -96,7 +109,15 @@ def joined(parts: Sequence[Samples]) -> Samples:
     posed = {part.position is not None for part in parts}
     if len(posed) > 1:
         raise ValueError("parts: some have poses and some none; allowed are samples of one source")
-    names = ["stamp", "sequence", "force", "torque", "valid", "arrival", *(("position", "orientation") if posed.pop() else ())]
+    names = [
+        "stamp",
+        "sequence",
+        "force",
+        "torque",
+        "valid",
+        "arrival",
+        *(("position", "orientation") if posed.pop() else ()),
+    ]
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return Samples(**columns, anew=np.concatenate([part.restarts for part in parts]))
 
@@ -110,7 +131,8 @@ class Counts:
     samples
         Given on.
     lost
-        Numbers that never came, or too late to be put in order; where the numbers began anew, as many as the time without samples would have held.
+        Numbers that never came, or too late to be put in order; where the numbers began anew, as
+        many as the time without samples would have held.
     gaps
         How often numbers were missing.
     late
@@ -148,7 +170,9 @@ class Counts:
 
 
 class Source(ABC):
-    """Where samples come from. Used by one thread: `open`, then `read` until it raises, then `close`."""
+    """Where samples come from. Used by one thread: `open`, then `read` until it raises, then
+    `close`.
+    """
 
     counts: Counts
     waits = False
@@ -164,7 +188,9 @@ class Source(ABC):
 
     @abstractmethod
     def read(self, timeout: float) -> Samples | None:
-        """Samples that have come, or None where there is none within `timeout` seconds; raise EndOfStreamError after the last."""
+        """Samples that have come, or None where there is none within `timeout` seconds; raise
+        EndOfStreamError after the last.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.forward import scan
 from vibrissa.geometry.checks import not_negative, positive
 from vibrissa.live.poses import between
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.scan import scan
 from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
@@ -21,7 +21,8 @@ _MOST_POSITIONS = 4001
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Reactions at the clamp over time: at rest before the first trail, along it, then on to the next one.
+    """Reactions at the clamp over time: at rest before the first trail, along it, then on to the
+    next one.
 
     Attributes
     ----------
@@ -48,7 +49,8 @@ class Scene:
         """Reactions (n, …) at these times [s], increasing; after the end, the clamp stands."""
         position, orientation = between(self.time, self.position, self.orientation, time)
         force, moment = (
-            np.stack([np.interp(time, self.time, part[:, axis]) for axis in range(3)], axis=1) for part in (self.force, self.moment)
+            np.stack([np.interp(time, self.time, part[:, axis]) for axis in range(3)], axis=1)
+            for part in (self.force, self.moment)
         )
         return Reactions(Trail(position, orientation), force, moment, time=time)
 
@@ -75,7 +77,8 @@ def swept(
     sweep
         Seconds for each trail.
     pause
-        Seconds from one trail's end to the next one's start: straight, and with reactions that go over evenly, none if the ends are free of contact.
+        Seconds from one trail's end to the next one's start: straight, and with reactions that go
+        over evenly, none if the ends are free of contact.
 
     Raises
     ------
@@ -85,7 +88,10 @@ def swept(
     fine = _refined(trail)
     time, position, orientation = motion(fine, rest=rest, sweep=sweep, pause=pause)
     result = scan(rod, surface, fine, friction=friction, finite_radius=finite_radius)
-    force, moment = (np.nan_to_num(part).reshape(-1, 3) for part in (result.reactions.force, result.reactions.moment))
+    force, moment = (
+        np.nan_to_num(part).reshape(-1, 3)
+        for part in (result.reactions.force, result.reactions.moment)
+    )
     if rest:
         force, moment = (np.concatenate([part[:1], part]) for part in (force, moment))
     return Scene(time, position, orientation, force, moment)
@@ -94,7 +100,9 @@ def swept(
 def motion(
     trail: Trail, *, rest: float, sweep: float, pause: float
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 4"]]:
-    """Time (k,) [s] and clamp poses (k, …) of trails that are swept one after the other; arguments and errors as for `swept`."""
+    """Time (k,) [s] and clamp poses (k, …) of trails that are swept one after the other; arguments
+    and errors as for `swept`.
+    """
     not_negative(rest, "rest")
     positive(sweep, "sweep")
     positive(pause, "pause")
@@ -102,10 +110,19 @@ def motion(
         raise ValueError(f"trail has {trail.count} positions; allowed are at least 2")
     position, orientation = trail.position.reshape(-1, 3), trail.orientation.reshape(-1, 4)
     lanes = len(position) // trail.count
-    time = np.concatenate([rest + lane * (sweep + pause) + np.linspace(0.0, sweep, trail.count) for lane in range(lanes)])
+    time = np.concatenate(
+        [
+            rest + lane * (sweep + pause) + np.linspace(0.0, sweep, trail.count)
+            for lane in range(lanes)
+        ]
+    )
     if not rest:
         return time, position, orientation
-    return np.concatenate([[0.0], time]), np.concatenate([position[:1], position]), np.concatenate([orientation[:1], orientation])
+    return (
+        np.concatenate([[0.0], time]),
+        np.concatenate([position[:1], position]),
+        np.concatenate([orientation[:1], orientation]),
+    )
 
 
 def sensor_poses(
@@ -113,7 +130,9 @@ def sensor_poses(
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 4"]]:
     """Poses of the sensor frame (k, …) that go with these of the clamp."""
     still = np.zeros((len(position), 3))
-    reactions = Reactions(Trail(position, orientation), still, still, time=np.arange(len(position), dtype=float))
+    reactions = Reactions(
+        Trail(position, orientation), still, still, time=np.arange(len(position), dtype=float)
+    )
     raw = replace(sensor, position_noise=0.0).measure(reactions, np.random.default_rng(0))
     return raw.position, raw.orientation
 
@@ -128,7 +147,9 @@ def _refined(trail: Trail) -> Trail:
     lanes = [
         Trail(*between(places, position, orientation, wanted))
         for position, orientation in zip(
-            trail.position.reshape(-1, trail.count, 3), trail.orientation.reshape(-1, trail.count, 4), strict=True
+            trail.position.reshape(-1, trail.count, 3),
+            trail.orientation.reshape(-1, trail.count, 4),
+            strict=True,
         )
     ]
     return lanes[0] if trail.position.ndim == 2 else Trail.stack(lanes)
@@ -144,7 +165,9 @@ def measured(
     block: int = 512,
     repeat: bool = False,
 ) -> Iterator[RawRecording]:
-    """What the sensor logs of a scene, block by block, without end: sample i at i/rate; `repeat` plays the scene again and again."""
+    """What the sensor logs of a scene, block by block, without end: sample i at i/rate; `repeat`
+    plays the scene again and again.
+    """
     first = 0
     while True:
         time = np.arange(first, first + block) / rate
@@ -152,7 +175,9 @@ def measured(
         for start, stop in _increasing_runs(within):
             part = scene.reactions(within[start:stop])
             raw = sensor.measure(part, rng, force_tare=tare[:3], torque_tare=tare[3:])
-            yield RawRecording(time[start:stop], raw.position, raw.orientation, raw.force, raw.torque)
+            yield RawRecording(
+                time[start:stop], raw.position, raw.orientation, raw.force, raw.torque
+            )
         first += block
 
 

@@ -1,4 +1,6 @@
-"""Records in the order of their numbers: gaps counted, swapped neighbours put right, doubles dropped."""
+"""Records in the order of their numbers: gaps counted, swapped neighbours put right, doubles
+dropped.
+"""
 
 from collections import deque
 from collections.abc import Iterable
@@ -22,9 +24,11 @@ _FOLLOWS = 40
 class Sequencer:
     """Gives records on in the order of their 32-bit numbers, which wrap.
 
-    A record whose predecessor is missing is held for up to `patience` seconds; then the gap is taken for lost. A record that came before, byte for byte, is a double.
-    One whose number fits nowhere, since it was given on with another content, or lies back by more than 1000 or ahead by more than a million, is kept aside: where
-    the next one goes on from it, the stream began anew, else it was damage.
+    A record whose predecessor is missing is held for up to `patience` seconds; then the gap is
+    taken for lost. A record that came before, byte for byte, is a double. One whose number fits
+    nowhere, since it was given on with another content, or lies back by more than 1000 or ahead by
+    more than a million, is kept aside: where the next one goes on from it, the stream began anew,
+    else it was damage.
 
     Parameters
     ----------
@@ -46,7 +50,8 @@ class Sequencer:
     def accept(
         self, records: np.ndarray, arrival: Int[np.ndarray, "n"], now: int
     ) -> tuple[np.ndarray, Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Take records as they came and return those that are in order by now, their unwrapped numbers (m,) and arrivals (m,).
+        """Take records as they came and return those that are in order by now, their unwrapped
+        numbers (m,) and arrivals (m,).
 
         Parameters
         ----------
@@ -58,7 +63,12 @@ class Sequencer:
             The present [ns], on the clock of `arrival`.
         """
         number = records["rdt_sequence"].astype(np.int64)
-        if not self._held and len(records) and np.all(np.diff(number) == 1) and self._continues(int(number[0])):
+        if (
+            not self._held
+            and len(records)
+            and np.all(np.diff(number) == 1)
+            and self._continues(int(number[0]))
+        ):
             self._forget_aside()
             start = int(number[0]) if self._next is None else self._next
             self._next = start + len(records)
@@ -73,7 +83,9 @@ class Sequencer:
     def _continues(self, wrapped: int) -> bool:
         return self._next is None or wrapped == self._next % MODULUS
 
-    def _take(self, row: np.void, came: int, wrapped: int, out: list[tuple[int, np.void, int]]) -> None:
+    def _take(
+        self, row: np.void, came: int, wrapped: int, out: list[tuple[int, np.void, int]]
+    ) -> None:
         if self._next is None:
             self._next = wrapped
         ahead = (wrapped - self._next + _HALF) % MODULUS - _HALF
@@ -100,8 +112,12 @@ class Sequencer:
                 return records[number - start].tobytes() == row.tobytes()
         return False
 
-    def _doubt(self, row: np.void, came: int, wrapped: int, out: list[tuple[int, np.void, int]]) -> None:
-        """Keep a record that fits nowhere aside, or take it for a new stream's if the last such one was just before it."""
+    def _doubt(
+        self, row: np.void, came: int, wrapped: int, out: list[tuple[int, np.void, int]]
+    ) -> None:
+        """Keep a record that fits nowhere aside, or take it for a new stream's if the last such one
+        was just before it.
+        """
         before = self._aside
         if before is None or not 1 <= (wrapped - before[0]) % MODULUS <= _FOLLOWS:
             self._forget_aside()
@@ -122,7 +138,9 @@ class Sequencer:
         self._counts.malformed += self._aside is not None
         self._aside = None
 
-    def _give(self, number: int, row: np.void, came: int, out: list[tuple[int, np.void, int]]) -> None:
+    def _give(
+        self, number: int, row: np.void, came: int, out: list[tuple[int, np.void, int]]
+    ) -> None:
         out.append((number, row, came))
         self._remember(number, np.asarray(row).reshape(1))
         self._next = number + 1
@@ -171,6 +189,12 @@ class Sequencer:
             del self._missed[next(iter(self._missed))]
 
 
-def _gathered(out: list[tuple[int, np.void, int]], kind: np.dtype) -> tuple[np.ndarray, Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+def _gathered(
+    out: list[tuple[int, np.void, int]], kind: np.dtype
+) -> tuple[np.ndarray, Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
     rows = np.array([row for _, row, _ in out], dtype=kind)
-    return rows, np.array([number for number, _, _ in out], dtype=np.int64), np.array([came for _, _, came in out], dtype=np.int64)
+    return (
+        rows,
+        np.array([number for number, _, _ in out], dtype=np.int64),
+        np.array([came for _, _, came in out], dtype=np.int64),
+    )

@@ -22,13 +22,17 @@ class SilenceWatch:
 
     @property
     def _least(self) -> float:
-        """Shortest pause [ns] that is one; none is, before so many samples have shown the sensor's pace."""
+        """Shortest pause [ns] that is one; none is, before so many samples have shown the sensor's
+        pace.
+        """
         if self._first is None or self._samples < _STEPS:
             return np.inf
         return max(_LEAST, _STEPS * (self._last - self._first - self._ended) / (self._samples - 1))
 
     def came(self, arrival: Int[np.ndarray, "n"]) -> float | None:
-        """Take note of samples (n,), and return the longest silence [s] before one of them; None for none."""
+        """Take note of samples (n,), and return the longest silence [s] before one of them; None
+        for none.
+        """
         if self._first is None:
             self._first = self._last = int(arrival[0])
         pauses = np.diff(arrival, prepend=self._last)

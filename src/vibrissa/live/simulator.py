@@ -88,7 +88,8 @@ class Sent:
 class SensorSimulator:
     """Streams samples over UDP to whoever asked last, at an even rate by the monotonic clock.
 
-    There is one stream: a client that asks takes it from the one that had it, which then finds its sensor silent. `notice` is told.
+    There is one stream: a client that asks takes it from the one that had it, which then finds its
+    sensor silent. `notice` is told.
 
     Parameters
     ----------
@@ -138,8 +139,19 @@ class SensorSimulator:
         if not 1 <= buffer <= rdt.MOST_RECORDS:
             raise ValueError(f"buffer = {buffer}; allowed are 1 to {rdt.MOST_RECORDS} records")
         self._samples = samples
-        self._scale = np.repeat([positive(counts_per_force, "counts_per_force"), positive(counts_per_torque, "counts_per_torque")], 3)
-        self._rate, self._address, self._buffer, self._flaws = positive(rate, "rate"), (host, port), buffer, flaws
+        self._scale = np.repeat(
+            [
+                positive(counts_per_force, "counts_per_force"),
+                positive(counts_per_torque, "counts_per_torque"),
+            ],
+            3,
+        )
+        self._rate, self._address, self._buffer, self._flaws = (
+            positive(rate, "rate"),
+            (host, port),
+            buffer,
+            flaws,
+        )
         self._rng = np.random.default_rng(seed)
         self._poses = poses
         self._pose_every = max(1, round(rate / positive(pose_rate, "pose_rate")))
@@ -173,7 +185,9 @@ class SensorSimulator:
             self._socket = None
 
     def run(self, *, duration: float | None = None, stop: threading.Event | None = None) -> Sent:
-        """Answer requests until `stop` is set, the samples end, or `duration` seconds after the first request for records."""
+        """Answer requests until `stop` is set, the samples end, or `duration` seconds after the
+        first request for records.
+        """
         assert self._socket is not None, "open() comes first"
         ended, epoch = stop or threading.Event(), epoch_offset()
         while not ended.is_set() and not self._streaming:
@@ -238,7 +252,9 @@ class SensorSimulator:
         if self._listener is not None and self._listener != sender:
             self.sent.takeovers += 1
             before, after = (f"{client[0]}:{client[1]}" for client in (self._listener, sender))
-            self._notice(f"{after} asked for the stream, and {before} loses it: there is one stream, for the client that asked last")
+            self._notice(
+                f"{after} asked for the stream, and {before} loses it: there is one stream, for the client that asked last"
+            )
 
     def _fill(self) -> bool:
         """Have a block with rows left; False where the samples have ended."""
@@ -248,7 +264,9 @@ class SensorSimulator:
                 return False
             wrench = np.concatenate([block.force, block.torque], axis=1)
             self._block, self._place = block, 0
-            self._counts = np.clip(np.rint(wrench * self._scale), -_LARGEST_COUNT, _LARGEST_COUNT).astype(np.int64)
+            self._counts = np.clip(
+                np.rint(wrench * self._scale), -_LARGEST_COUNT, _LARGEST_COUNT
+            ).astype(np.int64)
         return True
 
     def _send(self, start: int, due: int, epoch: int) -> bool:
@@ -274,8 +292,12 @@ class SensorSimulator:
             counts = counts[: self._wanted - self._sequence]
         records = np.zeros(len(counts), dtype=rdt.RECORD)
         self._sequence += len(counts)
-        records["rdt_sequence"] = (self._sequence - len(counts) + 1 + np.arange(len(counts))) % rdt.MODULUS
-        records["ft_sequence"] = (self.sent.records - len(counts) + np.arange(len(counts))) % rdt.MODULUS
+        records["rdt_sequence"] = (
+            self._sequence - len(counts) + 1 + np.arange(len(counts))
+        ) % rdt.MODULUS
+        records["ft_sequence"] = (
+            self.sent.records - len(counts) + np.arange(len(counts))
+        ) % rdt.MODULUS
         records["counts"] = np.clip(counts - self._bias, -_LARGEST_COUNT, _LARGEST_COUNT)
         if self._happens("error"):
             records["status"][0] = rdt.ERROR_BIT
@@ -315,5 +337,7 @@ class SensorSimulator:
         assert self._socket is not None
         position: Float[np.ndarray, 3] = self._block.position[self._place]
         with suppress(BlockingIOError, ConnectionRefusedError):
-            self._socket.sendto(pose_bytes(stamp, position, self._block.orientation[self._place]), self._poses)
+            self._socket.sendto(
+                pose_bytes(stamp, position, self._block.orientation[self._place]), self._poses
+            )
         self.sent.poses += 1

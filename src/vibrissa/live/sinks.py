@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrissa.reconstruct import Reconstruction
+from vibrissa.inverse import Reconstruction
 from vibrissa.sensor import RawRecording
 
 
@@ -15,12 +15,22 @@ class Sink(Protocol):
     """Takes what a stream gives, in order. What it raises ends the stream."""
 
     def wrench(
-        self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
+        self,
+        stamp: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"],
+        force: Float[np.ndarray, "n 3"],
+        torque: Float[np.ndarray, "n 3"],
     ) -> None:
-        """Raw samples as soon as they are there: stamps (n,) [ns], numbers (n,), and the wrench (n, 3) [N], [N m], tare included."""
+        """Raw samples as soon as they are there: stamps (n,) [ns], numbers (n,), and the wrench (n,
+        3) [N], [N m], tare included.
+        """
 
-    def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:
-        """Rows once their pose is known and the tare is over: stamps (n,) [ns], poses and tared wrench, and what was found."""
+    def contacts(
+        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
+    ) -> None:
+        """Rows once their pose is known and the tare is over: stamps (n,) [ns], poses and tared
+        wrench, and what was found.
+        """
 
     def flush(self) -> None:
         """Make safe what was given so far; called at least every 50 ms."""
@@ -30,17 +40,28 @@ class Sink(Protocol):
 
 
 class Callback:
-    """Calls a function with stamps (n,) [ns since 1970] and contacts, one batch after the other, on the thread of the stream."""
+    """Calls a function with stamps (n,) [ns since 1970] and contacts, one batch after the other, on
+    the thread of the stream.
+    """
 
     def __init__(self, function: Callable[[Int[np.ndarray, "n"], Reconstruction], object]) -> None:
         self._function = function
 
     def wrench(
-        self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
+        self,
+        stamp: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"],
+        force: Float[np.ndarray, "n 3"],
+        torque: Float[np.ndarray, "n 3"],
     ) -> None:
         """Raw samples are not given on."""
 
-    def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:  # noqa: ARG002
+    def contacts(
+        self,
+        stamp: Int[np.ndarray, "n"],
+        raw: RawRecording,  # noqa: ARG002
+        found: Reconstruction,
+    ) -> None:
         """Call the function."""
         self._function(stamp, found)
 

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse import CausalSmoother, Reconstruction
 from vibrissa.reactions import Reactions
-from vibrissa.reconstruct import CausalSmoother, Reconstruction
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
 from vibrissa.trail import Trail
@@ -16,7 +16,8 @@ _UNITS = 1e-6
 
 
 class SmoothingStage:
-    """A `vibrissa.live.Stage` that gives each row what the samples up to it say together (`vibrissa.CausalSmoother`).
+    """A `vibrissa.live.Stage` that gives each row what the samples up to it say together
+    (`vibrissa.CausalSmoother`).
 
     Parameters
     ----------
@@ -34,7 +35,8 @@ class SmoothingStage:
         CausalSmoother(rod, _UNITS * np.eye(6)).update_all(_one_sample())
 
     def push(self, found: Reconstruction) -> Reconstruction:
-        """Return the batch with kind, point, normal, arc length and their covariances from the filter; where time runs back, it begins anew.
+        """Return the batch with kind, point, normal, arc length and their covariances from the
+        filter; where time runs back, it begins anew.
 
         Raises
         ------
@@ -43,7 +45,9 @@ class SmoothingStage:
         """
         reactions = found.reactions
         if reactions.covariance is None or reactions.time is None:
-            raise ValueError("force_noise = None: smoothing needs the noise of the wrench; give force_noise and torque_noise in [sensor]")
+            raise ValueError(
+                "force_noise = None: smoothing needs the noise of the wrench; give force_noise and torque_noise in [sensor]"
+            )
         if self._smoother is None:
             self._smoother = CausalSmoother(
                 self._rod,
@@ -67,7 +71,9 @@ class SmoothingStage:
             covariance=np.array([row.covariance for row in rows]).reshape(-1, 3, 3),
             normal_covariance=np.array([row.normal_covariance for row in rows]).reshape(-1, 3, 3),
             covariance_noise=np.array([row.covariance_noise for row in rows]).reshape(-1, 3, 3),
-            normal_covariance_noise=np.array([row.normal_covariance_noise for row in rows]).reshape(-1, 3, 3),
+            normal_covariance_noise=np.array([row.normal_covariance_noise for row in rows]).reshape(
+                -1, 3, 3
+            ),
             sensitivity=np.array([row.sensitivity for row in rows]).reshape(-1, 6, len(PARAMETERS)),
             arc_length_deviation=None,
             status=np.maximum(bad, [int(row.status) for row in rows]).astype(np.int8),

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from vibrissa.contacts import Status
-from vibrissa.reconstruct import Reconstruction
+from vibrissa.inverse import Reconstruction
 from vibrissa.sensor import RawRecording
 
 _CHECK = 0.25
@@ -20,7 +20,8 @@ _FEWEST = 5
 _RESTLESS = 3.0
 """Standard deviations of the noise beyond which readings are not at rest, as for the first tare."""
 _DEVIATIONS = 6.0
-# Parts of the rod's length, and radians, within which a pose is the same: a robot comes back to a place to a tenth of that.
+# Parts of the rod's length, and radians, within which a pose is the same: a robot comes back to a
+# place to a tenth of that.
 _NEAR, _NEAR_TURN = 0.01, 0.01
 # Share of samples that noise may make look like contacts, or like none.
 _FEW = 0.1
@@ -35,7 +36,9 @@ class Verdict(Enum):
 
 
 class _Rows(NamedTuple):
-    """Rows in time: as logged, without tare, and whether single samples touch, or are a sound contact."""
+    """Rows in time: as logged, without tare, and whether single samples touch, or are a sound
+    contact.
+    """
 
     raw: RawRecording
     tared: Float[np.ndarray, "n 6"]
@@ -46,9 +49,11 @@ class _Rows(NamedTuple):
 class ZeroWatch:
     """Compares resting levels before and after a restart.
 
-    The zero is taken for **the same** where quiet readings are zero again, or where the sensor has not moved and they are what they were. It can be **taken anew** from
-    quiet readings of the tare's length at a pose at which the rod was free: that of the tare, or that of the restart if the rod was free then. Where the sensor never
-    moved, a pose says nothing, and readings that a contact would explain are not taken for a zero. Else it stays **unknown**.
+    The zero is taken for **the same** where quiet readings are zero again, or where the sensor has
+    not moved and they are what they were. It can be **taken anew** from quiet readings of the
+    tare's length at a pose at which the rod was free: that of the tare, or that of the restart if
+    the rod was free then. Where the sensor never moved, a pose says nothing, and readings that a
+    contact would explain are not taken for a zero. Else it stays **unknown**.
 
     Parameters
     ----------
@@ -60,7 +65,13 @@ class ZeroWatch:
         Of the tare.
     """
 
-    def __init__(self, noise: Float[np.ndarray, "6"], resolution: Float[np.ndarray, "6"], length: float, seconds: float) -> None:
+    def __init__(
+        self,
+        noise: Float[np.ndarray, "6"],
+        resolution: Float[np.ndarray, "6"],
+        length: float,
+        seconds: float,
+    ) -> None:
         self._noise, self._resolution = noise, resolution
         self._near, self._seconds = _NEAR * length, seconds
         self._check = min(_CHECK, seconds)
@@ -81,15 +92,21 @@ class ZeroWatch:
         if self._before is not None and self._before.touching.mean() <= _FEW:
             self._free.append((self._before.raw.position[-1], self._before.raw.orientation[-1]))
 
-    def take(self, raw: RawRecording, tared: Float[np.ndarray, "n 6"], found: Reconstruction) -> Verdict:
-        """Rows as logged, NaN where they are not good, without tare (n, 6), and their contacts sample by sample."""
+    def take(
+        self, raw: RawRecording, tared: Float[np.ndarray, "n 6"], found: Reconstruction
+    ) -> Verdict:
+        """Rows as logged, NaN where they are not good, without tare (n, 6), and their contacts
+        sample by sample.
+        """
         good = np.isfinite(tared).all(axis=1) & np.isfinite(raw.position).all(axis=1)
         if not good.any():
             return Verdict.UNKNOWN
         columns = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
         kept = RawRecording(*(column[good] for column in columns))
         touching = found.in_contact[good]
-        self._blocks.append(_Rows(kept, tared[good], touching, touching & (found.status[good] == Status.OK)))
+        self._blocks.append(
+            _Rows(kept, tared[good], touching, touching & (found.status[good] == Status.OK))
+        )
         now = float(kept.time[-1])
         while self._blocks[0].raw.time[-1] < now - _LONGER[1] * self._seconds:
             self._blocks.popleft()
@@ -112,7 +129,9 @@ class ZeroWatch:
         if short is None or not self._quiet(short):
             return Verdict.UNKNOWN
         level = short.tared.mean(axis=0)
-        tolerance = _DEVIATIONS * np.sqrt(self._noise**2 / len(short.tared) + (self._resolution / 4) ** 2)
+        tolerance = _DEVIATIONS * np.sqrt(
+            self._noise**2 / len(short.tared) + (self._resolution / 4) ** 2
+        )
         if np.all(np.abs(level) <= tolerance):
             return Verdict.SAME
         before = self._before
@@ -124,7 +143,11 @@ class ZeroWatch:
         ):
             return Verdict.SAME
         whole = self._last(_LONGER[0] * self._seconds)
-        if whole is None or not self._quiet(whole) or not any(self._at(whole.raw, pose) for pose in self._free):
+        if (
+            whole is None
+            or not self._quiet(whole)
+            or not any(self._at(whole.raw, pose) for pose in self._free)
+        ):
             return Verdict.UNKNOWN
         if not self._moved and whole.explained.mean() > _FEW:
             return Verdict.UNKNOWN
@@ -133,8 +156,12 @@ class ZeroWatch:
     def _joined(self) -> _Rows:
         parts = list(self._blocks)
         names = ("time", "position", "orientation", "force", "torque")
-        raw = RawRecording(*(np.concatenate([getattr(part.raw, name) for part in parts]) for name in names))
-        tared, touching, explained = (np.concatenate([part[field] for part in parts]) for field in (1, 2, 3))
+        raw = RawRecording(
+            *(np.concatenate([getattr(part.raw, name) for part in parts]) for name in names)
+        )
+        tared, touching, explained = (
+            np.concatenate([part[field] for part in parts]) for field in (1, 2, 3)
+        )
         return _Rows(raw, tared, touching, explained)
 
     def _last(self, seconds: float) -> _Rows | None:
@@ -146,7 +173,12 @@ class ZeroWatch:
         first = int(np.searchsorted(time, time[-1] - seconds))
         if len(time) - first < _FEWEST or (first == 0 and time[-1] - time[0] < 0.99 * seconds):
             return None
-        raw = RawRecording(*(getattr(rows.raw, name)[first:] for name in ("time", "position", "orientation", "force", "torque")))
+        raw = RawRecording(
+            *(
+                getattr(rows.raw, name)[first:]
+                for name in ("time", "position", "orientation", "force", "torque")
+            )
+        )
         return _Rows(raw, rows.tared[first:], rows.touching[first:], rows.explained[first:])
 
     def _quiet(self, rows: _Rows) -> bool:

@@ -1,13 +1,18 @@
-"""Uniform straight rod under one contact force: the inverse map in closed form (mechanics.md, "Uniform straight rod").
+"""Uniform straight rod under one contact force: the inverse map in closed form (mechanics.md,
+"Uniform straight rod").
 
-In the plane of the clamp tangent t0 and the contact force F let θ(s) be the angle of the tangent from t0 towards the side b to which the rod
-bends, δ the angle of F = f n̂, and a = (θ + π − δ)/2. Then θ'' = f sin(θ − δ) (paper, eq. 10), a' = √f √(k² − sin² a), and the contact is the first
-zero of the curvature, sin a = k. With ℓ = κ₀/f the lever arm and w = f ℓ²/4, everything follows from sin a₀ and w:
+In the plane of the clamp tangent t0 and the contact force F let θ(s) be the angle of the tangent
+from t0 towards the side b to which the rod bends, δ the angle of F = f n̂, and a = (θ + π − δ)/2.
+Then θ'' = f sin(θ − δ) (paper, eq. 10), a' = √f √(k² − sin² a), and the contact is the first zero
+of the curvature, sin a = k. With ℓ = κ₀/f the lever arm and w = f ℓ²/4, everything follows from sin
+a₀ and w:
 
     k² = sin² a₀ + w,   s₁ = ℓ σ(sin a₀, w),   I₁ = ℓ ι(sin a₀, w),   r = r_⊥ − I₁ n̂,   |r_⊥| = ℓ.
 
-Legendre's integrals are taken at half the argument: sin² β = sin(α − a₀) / (sin α (cos a₀ + cos α)) with sin α = k, F(χ') = 2 F(β). That keeps β below
-90° where the force passes behind the clamp axis (a₀ < 0), and has no square-root singularity at first contact, f → 0, where w may even turn negative.
+Legendre's integrals are taken at half the argument: sin² β = sin(α − a₀) / (sin α (cos a₀ + cos α))
+with sin α = k, F(χ') = 2 F(β). That keeps β below 90° where the force passes behind the clamp axis
+(a₀ < 0), and has no square-root singularity at first contact, f → 0, where w may even turn
+negative.
 """
 
 from typing import NamedTuple
@@ -26,7 +31,9 @@ _MEANS = 6
 
 
 class BasePlane(NamedTuple):
-    """What the bending plane shows at the base: all that the closed form needs besides the force's magnitude."""
+    """What the bending plane shows at the base: all that the closed form needs besides the force's
+    magnitude.
+    """
 
     sin_a0: Scalar
     """Sine of a₀ = (π − δ)/2."""
@@ -64,7 +71,8 @@ def base_plane(direction: Vector, to_contact_side: Vector, tangent: Vector) -> B
 
 
 def contact_on_rod(plane: BasePlane, force: Scalar, inflections: int = 0) -> ContactOnRod:
-    """Arc length and advance of a zero of the curvature under a contact force of magnitude `force` [EI/L²]: the first, or one behind some inflections.
+    """Arc length and advance of a zero of the curvature under a contact force of magnitude `force`
+    [EI/L²]: the first, or one behind some inflections.
 
     From one zero to the next, s grows by 2K/√f and the advance by (4E − 2K)/√f.
     """
@@ -96,22 +104,30 @@ def bending_energy(contact: ContactOnRod, force: Scalar) -> Scalar:
 
 
 def largest_curvature(plane: BasePlane, contact: ContactOnRod, force: Scalar) -> Scalar:
-    """Largest curvature along the rod [1/L]: κ = 2√f √(k² − sin² a), so f ℓ at the clamp, or 2√f k further out where a passes through zero (a₀ < 0)."""
+    """Largest curvature along the rod [1/L]: κ = 2√f √(k² − sin² a), so f ℓ at the clamp, or 2√f k
+    further out where a passes through zero (a₀ < 0).
+    """
     inside = 2 * jnp.sqrt(jnp.maximum(force * contact.modulus, 0.0))
     return jnp.where(plane.sin_a0 < 0, inside, force * plane.lever_arm)
 
 
 @jax.custom_jvp
 def unit_lever(sin_a0: Scalar, w: Scalar) -> tuple[Scalar, Scalar]:
-    """σ = s₁/ℓ and ι = I₁/ℓ as functions of sin a₀ and w = f ℓ²/4; NaN where the curvature has no zero (k² ≥ 1)."""
+    """σ = s₁/ℓ and ι = I₁/ℓ as functions of sin a₀ and w = f ℓ²/4; NaN where the curvature has no
+    zero (k² ≥ 1).
+    """
     return _unit_lever(sin_a0, w)
 
 
 @unit_lever.defjvp
-def _unit_lever_jvp(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+def _unit_lever_jvp(
+    primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
+) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     # Both partial derivatives once, however many directions Newton asks for.
     sin_a0, w = primals
-    values, (sigma_a, iota_a) = jax.jvp(_unit_lever, primals, (jnp.ones_like(sin_a0), jnp.zeros_like(w)))
+    values, (sigma_a, iota_a) = jax.jvp(
+        _unit_lever, primals, (jnp.ones_like(sin_a0), jnp.zeros_like(w))
+    )
     _, (sigma_w, iota_w) = jax.jvp(_unit_lever, primals, (jnp.zeros_like(sin_a0), jnp.ones_like(w)))
     da, dw = tangents
     return values, (sigma_a * da + sigma_w * dw, iota_a * da + iota_w * dw)
@@ -121,13 +137,20 @@ def _unit_lever(sin_a0: Scalar, w: Scalar) -> tuple[Scalar, Scalar]:
     cos_a0 = jnp.sqrt(1 - sin_a0 * sin_a0)
     k2 = sin_a0 * sin_a0 + w
     k, k_co = jnp.sqrt(k2), jnp.sqrt(1 - k2)
-    # sin(α − a₀): as w / sin(α + a₀) it does not cancel where a₀ > 0, as a difference it does not where a₀ < 0.
+    # sin(α − a₀): as w / sin(α + a₀) it does not cancel where a₀ > 0, as a difference it does not
+    # where a₀ < 0.
     ahead = sin_a0 >= 0
     sum_sine = jnp.where(ahead, k * cos_a0 + k_co * sin_a0, 1.0)
     difference_sine = k * cos_a0 - k_co * sin_a0
     denominator = k * (cos_a0 + k_co)
     X = jnp.where(ahead, w / sum_sine, difference_sine) / denominator
-    sin_beta = 0.5 * jnp.sqrt(jnp.where(ahead, 1 / (sum_sine * denominator), difference_sine / (jnp.where(ahead, 1.0, w) * denominator)))
+    sin_beta = 0.5 * jnp.sqrt(
+        jnp.where(
+            ahead,
+            1 / (sum_sine * denominator),
+            difference_sine / (jnp.where(ahead, 1.0, w) * denominator),
+        )
+    )
     first, second = legendre_over_sine(X, k2)
     sigma = 2 * sin_beta * first
     iota = 4 * sin_beta * second - (k * X + sin_a0) / cos_a0 - sigma
@@ -136,7 +159,9 @@ def _unit_lever(sin_a0: Scalar, w: Scalar) -> tuple[Scalar, Scalar]:
 
 @jax.custom_jvp
 def legendre_over_sine(X: Scalar, k2: Scalar) -> tuple[Scalar, Scalar]:
-    """F(β, k)/sin β and E(β, k)/sin β with X = sin² β: analytic through β = 0 (DLMF 19.25.5, 19.25.9)."""
+    """F(β, k)/sin β and E(β, k)/sin β with X = sin² β: analytic through β = 0 (DLMF 19.25.5,
+    19.25.9).
+    """
     rf, rd, _ = carlson_rf_rd(1 - X, 1 - k2 * X)
     return rf, rf - k2 * X * rd / 3
 
@@ -145,7 +170,8 @@ def legendre_over_sine(X: Scalar, k2: Scalar) -> tuple[Scalar, Scalar]:
 def _legendre_over_sine_jvp(
     primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
 ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-    # ∂R_F/∂x = −R_D(y, z, x)/6 (DLMF 19.18.1), and the three R_D add up to 3/√(xyz) (DLMF 19.21.8): nothing cancels at X = 0.
+    # ∂R_F/∂x = −R_D(y, z, x)/6 (DLMF 19.18.1), and the three R_D add up to 3/√(xyz) (DLMF 19.21.8):
+    # nothing cancels at X = 0.
     X, k2 = primals
     x, y = 1 - X, 1 - k2 * X
     rf, rd_z, rd_y = carlson_rf_rd(x, y)

@@ -1,4 +1,6 @@
-"""Numerics that know no physics. Importing it switches JAX to 64-bit floats, which every equation here needs."""
+"""Numerics that know no physics. Importing it switches JAX to 64-bit floats, which every equation
+here needs.
+"""
 
 import jax
 

@@ -1,7 +1,8 @@
 """Blocks of lanes: how many trails or samples share one compiled loop.
 
-Inside a kernel the last axis is the lane, one trail or one position each, so that every operation is plain vector arithmetic. A block of 64 lanes keeps
-its intermediates in the core's nearest cache. Kernels are called with few different numbers of blocks, since each compiles anew.
+Inside a kernel the last axis is the lane, one trail or one position each, so that every operation
+is plain vector arithmetic. A block of 64 lanes keeps its intermediates in the core's nearest cache.
+Kernels are called with few different numbers of blocks, since each compiles anew.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,7 +30,8 @@ def runs(count: int, width: int, sizes: tuple[int, ...] = SIZES) -> Iterator[tup
     first = 0
     while first < count:
         left = -(-(count - first) // width)
-        # The smallest that holds the rest; the next smaller one again and again where that would mostly be filling.
+        # The smallest that holds the rest; the next smaller one again and again where that would
+        # mostly be filling.
         blocks = next((size for size in sizes if size >= left), sizes[-1])
         smaller = [size for size in sizes if size < blocks]
         if smaller and left < blocks / 4:
@@ -39,7 +41,9 @@ def runs(count: int, width: int, sizes: tuple[int, ...] = SIZES) -> Iterator[tup
         first = last
 
 
-def to_blocks(rows: Shaped[np.ndarray, "lanes ..."], lanes: int, blocks: int) -> Shaped[np.ndarray, "blocks ... width"]:
+def to_blocks(
+    rows: Shaped[np.ndarray, "lanes ..."], lanes: int, blocks: int
+) -> Shaped[np.ndarray, "blocks ... width"]:
     """Rows (lanes, …) as blocks (blocks, …, width); the last row fills up the last block."""
     missing = lanes * blocks - len(rows)
     filled = np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]) if missing else rows
@@ -47,20 +51,30 @@ def to_blocks(rows: Shaped[np.ndarray, "lanes ..."], lanes: int, blocks: int) ->
     return np.ascontiguousarray(split.transpose(0, *range(2, split.ndim), 1))
 
 
-def from_blocks(blocks: Shaped[np.ndarray, "blocks ... width"], count: int) -> Shaped[np.ndarray, "lanes ..."]:
-    """Undo `to_blocks`, without the filling. In memory the lanes stay innermost: each column of the result is contiguous."""
+def from_blocks(
+    blocks: Shaped[np.ndarray, "blocks ... width"], count: int
+) -> Shaped[np.ndarray, "lanes ..."]:
+    """Undo `to_blocks`, without the filling. In memory the lanes stay innermost: each column of the
+    result is contiguous.
+    """
     columns = np.moveaxis(blocks, 0, -2)
     return np.moveaxis(columns.reshape(*columns.shape[:-2], -1)[..., :count], -1, 0)
 
 
 def in_blocks(
-    kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "count ..."], width: int = WIDE, sizes: tuple[int, ...] = SIZES
+    kernel: Callable[..., Array],
+    *rows: Shaped[np.ndarray, "count ..."],
+    width: int = WIDE,
+    sizes: tuple[int, ...] = SIZES,
 ) -> Float[np.ndarray, "count ..."]:
     """Apply a compiled kernel of blocks (blocks, …, width) to rows (count, …)."""
     count = len(rows[0])
     out: np.ndarray | None = None
     for first, last, blocks in runs(count, width, sizes):
-        part = from_blocks(np.asarray(kernel(*(to_blocks(part[first:last], width, blocks) for part in rows))), last - first)
+        part = from_blocks(
+            np.asarray(kernel(*(to_blocks(part[first:last], width, blocks) for part in rows))),
+            last - first,
+        )
         if first == 0 and last == count:
             return part
         out = np.moveaxis(np.empty((*part.shape[1:], count)), -1, 0) if out is None else out
@@ -70,6 +84,8 @@ def in_blocks(
     return out
 
 
-def single(kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "1 ..."]) -> Float[np.ndarray, "1 ..."]:
+def single(
+    kernel: Callable[..., Array], *rows: Shaped[np.ndarray, "1 ..."]
+) -> Float[np.ndarray, "1 ..."]:
     """The same for one row, in a block of one lane: the quickest answer to one question."""
     return np.asarray(kernel(*(part.reshape(1, *part.shape[1:], 1) for part in rows)))[..., 0]

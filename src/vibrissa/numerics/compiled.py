@@ -14,7 +14,9 @@ Result = TypeVar("Result")
 
 @lru_cache(maxsize=1)
 def _options() -> dict[str, bool]:
-    """XLA's older loop emitter keeps Newton's method in one vectorised loop: measured twice as fast here, and quicker to compile."""
+    """XLA's older loop emitter keeps Newton's method in one vectorised loop: measured twice as fast
+    here, and quicker to compile.
+    """
     options = {"xla_cpu_use_fusion_emitters": False}
     try:
         jax.jit(lambda x: x + 1, compiler_options=options)(0.0)
@@ -24,7 +26,9 @@ def _options() -> dict[str, bool]:
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """`jax.jit` with the options above, set up at the first call so that importing a module does not start a backend."""
+    """`jax.jit` with the options above, set up at the first call so that importing a module does
+    not start a backend.
+    """
 
     @lru_cache(maxsize=1)
     def build() -> Callable[Parameters, Result]:
@@ -43,7 +47,9 @@ def operation_count(function: Callable[[Array], Array], argument: Array) -> int:
 
 
 def _operations(jaxpr: Jaxpr) -> int:
-    return sum(1 + sum(map(_operations, _inner(equation.params.values()))) for equation in jaxpr.eqns)
+    return sum(
+        1 + sum(map(_operations, _inner(equation.params.values()))) for equation in jaxpr.eqns
+    )
 
 
 def _inner(parameters: Iterable[object]) -> Iterator[Jaxpr]:

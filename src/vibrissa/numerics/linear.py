@@ -1,15 +1,20 @@
-"""Small dense systems, unrolled: a batch of them compiles to plain vector arithmetic, without a library call a matrix."""
+"""Small dense systems, unrolled: a batch of them compiles to plain vector arithmetic, without a
+library call a matrix.
+"""
 
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
 
-def solve_4x4(matrix: Float[Array, "4 4"], right: Float[Array, "4"]) -> tuple[Float[Array, "4"], Float[Array, ""]]:
-    """Solution and determinant by Laplace expansion in 2×2 minors of the upper and the lower two rows.
+def solve_4x4(
+    matrix: Float[Array, "4 4"], right: Float[Array, "4"]
+) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+    """Solution and determinant by Laplace expansion in 2×2 minors of the upper and the lower two
+    rows.
 
-    The solution is not finite where the matrix is singular. Relative error about 1e-16 times the condition number squared: enough for Newton's method,
-    whose residual is computed anew.
+    The solution is not finite where the matrix is singular. Relative error about 1e-16 times the
+    condition number squared: enough for Newton's method, whose residual is computed anew.
     """
     a = matrix
     s01, s02, s03 = _minor(a, 0, 0, 1), _minor(a, 0, 0, 2), _minor(a, 0, 0, 3)
@@ -31,7 +36,15 @@ def solve_4x4(matrix: Float[Array, "4 4"], right: Float[Array, "4"]) -> tuple[Fl
             a[3, i] * u0 - a[3, j] * u1 + a[3, k] * u2,
             -(a[2, i] * u0 - a[2, j] * u1 + a[2, k] * u2),
         )
-        values.append(sign * (cofactors[0] * right[0] + cofactors[1] * right[1] + cofactors[2] * right[2] + cofactors[3] * right[3]))
+        values.append(
+            sign
+            * (
+                cofactors[0] * right[0]
+                + cofactors[1] * right[1]
+                + cofactors[2] * right[2]
+                + cofactors[3] * right[3]
+            )
+        )
     return jnp.stack(values) / determinant, determinant
 
 
@@ -43,12 +56,18 @@ def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Ar
     """Solution by Cramer's rule."""
     first, second, third = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     across = jnp.cross(second, third)
-    values = (jnp.dot(right, across), jnp.dot(first, jnp.cross(right, third)), jnp.dot(first, jnp.cross(second, right)))
+    values = (
+        jnp.dot(right, across),
+        jnp.dot(first, jnp.cross(right, third)),
+        jnp.dot(first, jnp.cross(second, right)),
+    )
     return jnp.stack(values) / jnp.dot(first, across)
 
 
 def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Solution by Gaussian elimination with partial pivoting, rows kept as separate vectors; not finite where the matrix is singular."""
+    """Solution by Gaussian elimination with partial pivoting, rows kept as separate vectors; not
+    finite where the matrix is singular.
+    """
     size = matrix.shape[0]
     rows = [jnp.concatenate([matrix[i], right[i, None]]) for i in range(size)]
     for column in range(size):
@@ -61,6 +80,9 @@ def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Floa
             rows[other] = rows[other] - rows[other][column] / pivot[column] * pivot
     values = [jnp.zeros(())] * size
     for row in reversed(range(size)):
-        known = sum((rows[row][column] * values[column] for column in range(row + 1, size)), start=jnp.zeros(()))
+        known = sum(
+            (rows[row][column] * values[column] for column in range(row + 1, size)),
+            start=jnp.zeros(()),
+        )
         values[row] = (rows[row][size] - known) / rows[row][row]
     return jnp.stack(values)

@@ -7,7 +7,9 @@ from jaxtyping import Float
 Scalar = Float[Array, ""]
 
 TINY = 1e-90
-"""Squares of smaller lengths, and their inverses in second derivatives, would leave the range of the numbers."""
+"""Squares of smaller lengths, and their inverses in second derivatives, would leave the range of
+the numbers.
+"""
 
 
 def magnitude(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -22,13 +24,17 @@ def positive_part(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 def norm(*components: Scalar) -> Scalar:
     """Euclidean length of a vector, given by its components, with zero derivatives at the origin."""
-    square = sum((component * component for component in components[1:]), components[0] * components[0])
+    square = sum(
+        (component * component for component in components[1:]), components[0] * components[0]
+    )
     away = square > TINY**2
     return jnp.where(away, jnp.sqrt(jnp.where(away, square, 1.0)), 0.0)
 
 
 def power(base: Float[Array, "*n"], exponent: Scalar | float) -> Float[Array, "*n"]:
-    """x^p for x ≥ 0 and p > 0. Where p is below 2, unless 1, derivatives grow without limit towards zero; at zero itself they are given as 0."""
+    """x^p for x ≥ 0 and p > 0. Where p is below 2, unless 1, derivatives grow without limit towards
+    zero; at zero itself they are given as 0.
+    """
     singular = (base < TINY) & (exponent < 2)
     bent = jnp.where(singular, 0.0, jnp.power(jnp.where(singular, 1.0, base), exponent))
     return jnp.where(exponent == 1, base, bent)

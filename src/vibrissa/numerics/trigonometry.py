@@ -1,4 +1,6 @@
-"""Sine and cosine as polynomials: XLA calls the C library for each number in double precision, which keeps a loop from being vectorised."""
+"""Sine and cosine as polynomials: XLA calls the C library for each number in double precision,
+which keeps a loop from being vectorised.
+"""
 
 import math
 
@@ -18,7 +20,9 @@ def sine(angle: Float[Array, "..."]) -> Float[Array, "..."]:
 def cosine(angle: Float[Array, "..."]) -> Float[Array, "..."]:
     """Cosine of an angle in [0, π], likewise."""
     offset = angle - math.pi / 2
-    return -offset * _alternating(offset * offset, [math.factorial(2 * term + 1) for term in range(_TERMS)])
+    return -offset * _alternating(
+        offset * offset, [math.factorial(2 * term + 1) for term in range(_TERMS)]
+    )
 
 
 def _alternating(square: Float[Array, "..."], factorials: list[int]) -> Float[Array, "..."]:

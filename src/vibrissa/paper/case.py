@@ -20,7 +20,13 @@ REACH_X, REACH_Y = 1.0, 0.7
 
 def trails(count: int = 241, reach: float = 1.2) -> Trail:
     """The eleven trails y0 = −0.5 : 0.1 : 0.5, from x0 = `reach` to −`reach`."""
-    return Trail.raster(start=(reach, Y0[0], 0), stop=(-reach, Y0[0], 0), count=count, step=(0, 0.1, 0), trails=len(Y0))
+    return Trail.raster(
+        start=(reach, Y0[0], 0),
+        stop=(-reach, Y0[0], 0),
+        count=count,
+        step=(0, 0.1, 0),
+        trails=len(Y0),
+    )
 
 
 def plane_trail(count: int = 521) -> Trail:
@@ -30,7 +36,9 @@ def plane_trail(count: int = 521) -> Trail:
 
 def perpendicular_trails(count: int = 241, reach: float = 1.2) -> Trail:
     """Sweeps across the trails, along −y, at x0 = −1 : 0.2 : 1, from y0 = `reach` to −`reach`."""
-    return Trail.raster(start=(-1.0, reach, 0), stop=(-1.0, -reach, 0), count=count, step=(0.2, 0, 0), trails=11)
+    return Trail.raster(
+        start=(-1.0, reach, 0), stop=(-1.0, -reach, 0), count=count, step=(0.2, 0, 0), trails=11
+    )
 
 
 def crossed(count: int = 301, reach: float = 1.5) -> Trail:
@@ -39,25 +47,35 @@ def crossed(count: int = 301, reach: float = 1.5) -> Trail:
 
 
 def lifted(trail: Trail, height: float) -> Trail:
-    """The same trails nearer to the object by `height`: the paper's distance h becomes 0.4 − height."""
+    """The same trails nearer to the object by `height`: the paper's distance h becomes 0.4 −
+    height.
+    """
     return Trail(trail.position + np.array([0.0, 0.0, height]), trail.orientation)
 
 
-def height(x: Float[np.ndarray, "*batch"], y: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+def height(
+    x: Float[np.ndarray, "*batch"], y: Float[np.ndarray, "*batch"]
+) -> Float[np.ndarray, "*batch"]:
     """C(x, y)."""
     return np.asarray(SURFACE.a * x**2 + SURFACE.b * y**2 + SURFACE.h)
 
 
 def region(step: float = 0.015) -> Float[np.ndarray, "n 3"]:
-    """Points of the surface over |x| ≤ 1, |y| ≤ 0.7, evenly spread over its area: a grid thinned by the share of area each cell has."""
-    x, y = np.meshgrid(np.arange(-REACH_X, REACH_X, step) + step / 2, np.arange(-REACH_Y, REACH_Y, step) + step / 2)
+    """Points of the surface over |x| ≤ 1, |y| ≤ 0.7, evenly spread over its area: a grid thinned by
+    the share of area each cell has.
+    """
+    x, y = np.meshgrid(
+        np.arange(-REACH_X, REACH_X, step) + step / 2, np.arange(-REACH_Y, REACH_Y, step) + step / 2
+    )
     area = np.sqrt(1 + (2 * SURFACE.a * x) ** 2 + (2 * SURFACE.b * y) ** 2)
     kept = np.random.default_rng(0).random(x.shape) < area / area.max()
     x, y = x[kept], y[kept]
     return np.column_stack([x, y, height(x, y)])
 
 
-def patch(count: int = 61) -> tuple[Float[np.ndarray, "i j"], Float[np.ndarray, "i j"], Float[np.ndarray, "i j"]]:
+def patch(
+    count: int = 61,
+) -> tuple[Float[np.ndarray, "i j"], Float[np.ndarray, "i j"], Float[np.ndarray, "i j"]]:
     """Grids x, y, z of the surface for figures."""
     x, y = np.meshgrid(np.linspace(-1.15, 1.15, count), np.linspace(-0.8, 0.8, count))
     return x, y, height(x, y)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vibrissa.forward import Scan, scan
+from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.io import write_dataset
 from vibrissa.paper import case
 from vibrissa.paper.statements import Statement, statements
-from vibrissa.reconstruct import Reconstruction, reconstruct
-from vibrissa.scan import Scan, scan
 from vibrissa.shape import coverage
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ class Demo:
 
 
 def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
-    """The paper, forward and inverse: figures 2, 3a and 3b, the plane case, further sweeps, and the table of statements.
+    """The paper, forward and inverse: figures 2, 3a and 3b, the plane case, further sweeps, and the
+    table of statements.
 
     Parameters
     ----------
@@ -56,7 +57,10 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
         write_dataset(folder / "paper_scan.nc", paper.to_dataset()),
         write_dataset(folder / "paper_contacts.nc", found.to_dataset()),
         write_dataset(folder / "plane_scan.nc", plane.to_dataset()),
-        *(write_dataset(folder / f"{name}_scan.nc", part.to_dataset()) for name, part in further.items()),
+        *(
+            write_dataset(folder / f"{name}_scan.nc", part.to_dataset())
+            for name, part in further.items()
+        ),
         _write_table(folder / "statements.csv", checked),
     ]
     files += _figures(folder, report, paper, found, plane, covered)
@@ -64,7 +68,9 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
 
 
 def _further() -> dict[str, Scan]:
-    """Carry out the paper's suggestion: sweeps perpendicular to the trails, and at other distances h."""
+    """Carry out the paper's suggestion: sweeps perpendicular to the trails, and at other distances
+    h.
+    """
     sweeps = {
         "perpendicular": case.perpendicular_trails(),
         "nearer": case.lifted(case.crossed(), 0.2),
@@ -73,7 +79,9 @@ def _further() -> dict[str, Scan]:
     return {name: scan(case.ROD, case.SURFACE, trail) for name, trail in sweeps.items()}
 
 
-def _covered(found: Reconstruction, further: dict[str, Scan]) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
+def _covered(
+    found: Reconstruction, further: dict[str, Scan]
+) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
     samples = case.region()
     rows = [lane for lane in range(len(case.Y0)) if lane != case.PLANE]
     contacts = found.point[rows].reshape(-1, 3)
@@ -84,7 +92,8 @@ def _covered(found: Reconstruction, further: dict[str, Scan]) -> list[tuple[str,
         ("and other distances", ("nearer", "farther")),
     ):
         for extra in more:
-            # Only positions that pass every check count: a real rod would not be where the others say.
+            # Only positions that pass every check count: a real rod would not be where the others
+            # say.
             again = reconstruct(case.ROD, further[extra].reactions)
             sound = (further[extra].status == 0) & again.in_contact
             contacts = np.vstack([contacts, again.point[sound]])
@@ -97,7 +106,9 @@ def _write_table(path: Path, checked: list[Statement]) -> Path:
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(["statement", "measured", "holds"])
-        writer.writerows([part.text, part.measured, "yes" if part.holds else "no"] for part in checked)
+        writer.writerows(
+            [part.text, part.measured, "yes" if part.holds else "no"] for part in checked
+        )
     return path
 
 
@@ -115,7 +126,10 @@ def _figures(
     drawings: list[tuple[str, Callable[[], Axes | list[Axes]]]] = [
         ("figure2_reactions", lambda: plot.reactions_over_plane(paper, skip=(case.PLANE,))),
         ("figure3a_elastic_lines", lambda: plot.elastic_lines(paper, lanes=shown)),
-        ("figure3b_contacts", lambda: plot.contact_sequences(paper, found, case.patch(), skip=(case.PLANE,))),
+        (
+            "figure3b_contacts",
+            lambda: plot.contact_sequences(paper, found, case.patch(), skip=(case.PLANE,)),
+        ),
         ("plane_case", lambda: plot.reactions_along(plane)),
         ("coverage", lambda: plot.coverage_figure(case.region(), covered)),
     ]

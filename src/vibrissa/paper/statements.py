@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.contacts import ContactKind
+from vibrissa.forward import EventKind, Scan
+from vibrissa.inverse import Reconstruction
 from vibrissa.paper.case import PLANE, Y0
-from vibrissa.reconstruct import Reconstruction
-from vibrissa.scan import EventKind, Scan
 
 _ZERO = 1e-9
 
@@ -66,11 +66,21 @@ def _signs(scan: Scan, rows: list[int]) -> list[Statement]:
             f"{wrong[0]} of {total} otherwise; least {least:.3g} EI/L²",
             wrong[0] == 0,
         ),
-        Statement("f0x changes its sign at x0 = 0, from − to + along the sweep", f"{wrong[1]} of {total} otherwise", wrong[1] == 0),
+        Statement(
+            "f0x changes its sign at x0 = 0, from − to + along the sweep",
+            f"{wrong[1]} of {total} otherwise",
+            wrong[1] == 0,
+        ),
         Statement("f0y has the sign of −y0", f"{wrong[2]} of {total} otherwise", wrong[2] == 0),
         Statement("m0x has the sign of y0", f"{wrong[3]} of {total} otherwise", wrong[3] == 0),
-        Statement("m0y changes its sign at x0 = 0, from − to + along the sweep", f"{wrong[4]} of {total} otherwise", wrong[4] == 0),
-        Statement("m0z = 0: the rod is not twisted", f"largest |m0z| {twist:.1e} EI/L", twist < _ZERO),
+        Statement(
+            "m0y changes its sign at x0 = 0, from − to + along the sweep",
+            f"{wrong[4]} of {total} otherwise",
+            wrong[4] == 0,
+        ),
+        Statement(
+            "m0z = 0: the rod is not twisted", f"largest |m0z| {twist:.1e} EI/L", twist < _ZERO
+        ),
     ]
 
 
@@ -85,31 +95,58 @@ def _symmetries(scan: Scan, rows: list[int]) -> list[Statement]:
         (across, "symmetric about y0 = 0: f0y and m0x odd, f0x, f0z and m0y even"),
     ):
         error = float(np.abs(mirrored - values).max())
-        results.append(Statement(f"The reactions are {text}", f"largest deviation {error:.1e}", error < _ZERO))
+        results.append(
+            Statement(f"The reactions are {text}", f"largest deviation {error:.1e}", error < _ZERO)
+        )
     return results
 
 
 def _sizes(scan: Scan, rows: list[int]) -> list[Statement]:
     distances = np.abs(Y0[rows])
     results = []
-    for name, values, unit in (("force", scan.reactions.force, "EI/L²"), ("moment", scan.reactions.moment, "EI/L")):
+    for name, values, unit in (
+        ("force", scan.reactions.force, "EI/L²"),
+        ("moment", scan.reactions.moment, "EI/L"),
+    ):
         largest = np.linalg.norm(values, axis=-1)[rows].max(axis=1)
         by_distance = [float(largest[distances == y].max()) for y in np.unique(distances)]
         shown = ", ".join(f"{value:.3f}" for value in by_distance)
         falling = all(a > b for a, b in pairwise(by_distance))
-        results.append(Statement(f"The support {name} is largest for small |y0|", f"largest at |y0| = 0.1 … 0.5: {shown} {unit}", falling))
+        results.append(
+            Statement(
+                f"The support {name} is largest for small |y0|",
+                f"largest at |y0| = 0.1 … 0.5: {shown} {unit}",
+                falling,
+            )
+        )
     return results
 
 
 def _phases(scan: Scan, rows: list[int]) -> list[Statement]:
     kinds = scan.kind[rows]
-    touching = {abs(float(y)) for y, row in zip(Y0[rows], kinds, strict=True) if (row == ContactKind.TANGENTIAL).any()}
+    touching = {
+        abs(float(y))
+        for y, row in zip(Y0[rows], kinds, strict=True)
+        if (row == ContactKind.TANGENTIAL).any()
+    }
     tip_only = sorted({abs(float(y)) for y in Y0[rows]} - touching)
     snaps = sum(event.kind == EventKind.SNAP for event in scan.events if event.trail in rows)
-    released = [event for event in scan.events if event.kind == EventKind.DETACH and event.trail in rows]
-    met = {event.trail: event.clamp[0] for event in scan.events if event.kind == EventKind.FIRST_CONTACT}
-    mirrored = max((abs(float(event.clamp[0] + met[event.trail])) for event in released), default=np.inf)
-    shortest = [float(np.nanmin(scan.arc_length[lane])) for lane in rows if (scan.kind[lane] == ContactKind.TANGENTIAL).any()]
+    released = [
+        event for event in scan.events if event.kind == EventKind.DETACH and event.trail in rows
+    ]
+    met = {
+        event.trail: event.clamp[0]
+        for event in scan.events
+        if event.kind == EventKind.FIRST_CONTACT
+    }
+    mirrored = max(
+        (abs(float(event.clamp[0] + met[event.trail])) for event in released), default=np.inf
+    )
+    shortest = [
+        float(np.nanmin(scan.arc_length[lane]))
+        for lane in rows
+        if (scan.kind[lane] == ContactKind.TANGENTIAL).any()
+    ]
     return [
         Statement(
             "For large |y0| the rod touches with its tip only",
@@ -126,7 +163,11 @@ def _phases(scan: Scan, rows: list[int]) -> list[Statement]:
             f"{snaps} snaps, {len(released)} smooth detachments",
             snaps == 0 and len(released) == len(rows),
         ),
-        Statement("Detachment mirrors first contact", f"largest difference {mirrored:.1e} L", mirrored < _ZERO),
+        Statement(
+            "Detachment mirrors first contact",
+            f"largest difference {mirrored:.1e} L",
+            mirrored < _ZERO,
+        ),
     ]
 
 
@@ -163,12 +204,16 @@ def _plane(plane: Scan) -> list[Statement]:
     return [
         Statement(
             "On y0 = 0 the rod stays in the plane and snaps off",
-            "no snap" if snap is None else f"snap at x0 = {snap.clamp[0]:.8f} L with f up to {force:.2f} EI/L²",
+            "no snap"
+            if snap is None
+            else f"snap at x0 = {snap.clamp[0]:.8f} L with f up to {force:.2f} EI/L²",
             snap is not None and abs(float(snap.clamp[0]) + 1.34212374) < 1e-8,
         ),
         Statement(
             "(beyond the paper) that plane branch is laterally unstable",
-            "no instability" if lateral is None else f"from x0 = {lateral.clamp[0]:.12f} L on, contact at x = {lateral.point[0]:.12f} L",
+            "no instability"
+            if lateral is None
+            else f"from x0 = {lateral.clamp[0]:.12f} L on, contact at x = {lateral.point[0]:.12f} L",
             lateral is not None and abs(float(lateral.clamp[0]) - 0.474512782442167) < _ZERO,
         ),
     ]
@@ -209,9 +254,16 @@ def _edges(point: Float[np.ndarray, "n 3"], kind: np.ndarray) -> list[float]:
     steps = _steps(point)
     angles = []
     for change in _changes(kind):
-        # The step across the change is neither here nor there: compare the one before it with the one behind it.
+        # The step across the change is neither here nor there: compare the one before it with the
+        # one behind it.
         before, after = steps[change - 1], steps[change + 1]
-        angles.append(float(np.degrees(np.arccos(before @ after / np.linalg.norm(before) / np.linalg.norm(after)))))
+        angles.append(
+            float(
+                np.degrees(
+                    np.arccos(before @ after / np.linalg.norm(before) / np.linalg.norm(after))
+                )
+            )
+        )
     return angles
 
 

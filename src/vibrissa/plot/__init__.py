@@ -1,6 +1,11 @@
 """Figures, one a function. The only room that knows matplotlib."""
 
-from vibrissa.plot.calibration import parameter_correlation, residual_histogram, residuals_over_force, residuals_over_time
+from vibrissa.plot.calibration import (
+    parameter_correlation,
+    residual_histogram,
+    residuals_over_force,
+    residuals_over_time,
+)
 from vibrissa.plot.contacts import contacts_figure
 from vibrissa.plot.coverage import coverage_figure
 from vibrissa.plot.design import expected_error_map

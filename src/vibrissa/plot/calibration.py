@@ -7,7 +7,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from scipy.stats import norm
 
-from vibrissa.calibrate import Calibration, Residuals
+from vibrissa.calibration import Calibration, Residuals
 from vibrissa.plot.style import COLUMN, PAGE
 
 _CHANNELS = ("$f_x$", "$f_y$", "$f_z$", "$m_x$", "$m_y$", "$m_z$")
@@ -19,16 +19,32 @@ _GAP = 2.0
 
 
 def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
-    """Residuals of the six channels [standard deviations of a row] over time, with their running mean: white noise about zero where the model is right."""
+    """Residuals of the six channels [standard deviations of a row] over time, with their running
+    mean: white noise about zero where the model is right.
+    """
     residuals = calibration.residuals
     left = _deviations(residuals)
-    figure, panels = plt.subplots(6, 1, figsize=(PAGE, 6.6), sharex=True, sharey=True, layout="constrained")
+    figure, panels = plt.subplots(
+        6, 1, figsize=(PAGE, 6.6), sharex=True, sharey=True, layout="constrained"
+    )
     for recording in np.unique(residuals.recording):
         rows = residuals.contact & (residuals.recording == recording) & (residuals.weight > 0)
         colour = _COLOURS[int(recording) % len(_COLOURS)]
         for axes, values in zip(panels, left[rows].T, strict=True):
-            axes.plot(residuals.time[rows], values, ".", color=colour, markersize=1.6, alpha=0.45, markeredgewidth=0)
-            axes.plot(*_broken(*_means(residuals.time[rows], values)), color=colour, label=f"recording {int(recording) + 1}")
+            axes.plot(
+                residuals.time[rows],
+                values,
+                ".",
+                color=colour,
+                markersize=1.6,
+                alpha=0.45,
+                markeredgewidth=0,
+            )
+            axes.plot(
+                *_broken(*_means(residuals.time[rows], values)),
+                color=colour,
+                label=f"recording {int(recording) + 1}",
+            )
     for axes, name in zip(panels, _CHANNELS, strict=True):
         axes.axhline(0.0, color="0.4", linewidth=0.5)
         axes.set_ylabel(f"{name} [$\\sigma$]")
@@ -40,12 +56,20 @@ def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
 
 
 def residual_histogram(calibration: Calibration[Any]) -> Axes:
-    """Residuals of all channels in contact, made independent of each other, against the normal distribution."""
+    """Residuals of all channels in contact, made independent of each other, against the normal
+    distribution.
+    """
     residuals = calibration.residuals
     values = residuals.whitened[residuals.contact & (residuals.weight > 0)].ravel()
     _, axes = plt.subplots(figsize=(COLUMN * 1.2, COLUMN * 0.9), layout="constrained")
     bins = np.linspace(-_LIMIT, _LIMIT, 61)
-    axes.hist(np.clip(values, -_LIMIT, _LIMIT), bins=bins.tolist(), density=True, color="#9ecae1", label="residuals")
+    axes.hist(
+        np.clip(values, -_LIMIT, _LIMIT),
+        bins=bins.tolist(),
+        density=True,
+        color="#9ecae1",
+        label="residuals",
+    )
     grid = np.linspace(-_LIMIT, _LIMIT, 401)
     axes.plot(grid, norm.pdf(grid), color="black", label="normal distribution")
     axes.set_yscale("log")
@@ -57,13 +81,17 @@ def residual_histogram(calibration: Calibration[Any]) -> Axes:
 
 
 def residuals_over_force(calibration: Calibration[Any]) -> list[Axes]:
-    """Residuals of the six channels [standard deviations of a row] over the contact force, with their running mean: a slope hints at gain or stiffness."""
+    """Residuals of the six channels [standard deviations of a row] over the contact force, with
+    their running mean: a slope hints at gain or stiffness.
+    """
     residuals = calibration.residuals
     rows = residuals.contact & (residuals.weight > 0)
     force, left = np.linalg.norm(residuals.reading[rows, :3], axis=1), _deviations(residuals)[rows]
     order = np.argsort(force)
     unit = "N" if calibration.setup.rod.units == "SI" else "EI/L^2"
-    _, panels = plt.subplots(2, 3, figsize=(PAGE, 3.6), sharex=True, sharey=True, layout="constrained")
+    _, panels = plt.subplots(
+        2, 3, figsize=(PAGE, 3.6), sharex=True, sharey=True, layout="constrained"
+    )
     for axes, values, name in zip(panels.ravel(), left.T, _CHANNELS, strict=True):
         axes.plot(force, values, ".", color=_DOT, markersize=1.5, markeredgewidth=0)
         axes.plot(*_means(force[order], values[order]), color=_LINE)
@@ -105,10 +133,13 @@ _MOST_NUMBERS = 16
 
 
 def _deviations(residuals: Residuals) -> np.ndarray:
-    """Reading less prediction in standard deviations of each channel, as the rows in contact scatter about their running mean."""
+    """Reading less prediction in standard deviations of each channel, as the rows in contact
+    scatter about their running mean.
+    """
     left = residuals.reading - residuals.predicted
     rows = residuals.contact & (residuals.weight > 0)
-    # Differences of neighbours hold the noise alone, whatever the model leaves: √2 of it, by the median so that outliers do not count.
+    # Differences of neighbours hold the noise alone, whatever the model leaves: √2 of it, by the
+    # median so that outliers do not count.
     noise = np.median(np.abs(np.diff(left[rows], axis=0)), axis=0) / (0.6745 * np.sqrt(2))
     return np.asarray(left / noise)
 
@@ -116,11 +147,17 @@ def _deviations(residuals: Residuals) -> np.ndarray:
 def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The line ends where rows were left out."""
     steps = np.diff(time)
-    gaps = 1 + np.flatnonzero(steps > _GAP * np.median(steps)) if len(steps) else np.empty(0, dtype=int)
+    gaps = (
+        1 + np.flatnonzero(steps > _GAP * np.median(steps))
+        if len(steps)
+        else np.empty(0, dtype=int)
+    )
     return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def _means(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Means over groups of neighbours."""
     parts = min(_MEANS, max(1, len(x) // 5))
-    return tuple(np.array([np.mean(part) for part in np.array_split(array, parts)]) for array in (x, values))  # type: ignore[return-value]
+    return tuple(
+        np.array([np.mean(part) for part in np.array_split(array, parts)]) for array in (x, values)
+    )  # type: ignore[return-value]

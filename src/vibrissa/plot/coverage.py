@@ -11,9 +11,11 @@ _COVERED, _OPEN = "#9ecae1", "#f0f0f0"
 
 
 def coverage_figure(
-    samples: Float[np.ndarray, "n 3"], cases: list[tuple[str, Float[np.ndarray, "_ 3"], Bool[np.ndarray, "_"], float]]
+    samples: Float[np.ndarray, "n 3"],
+    cases: list[tuple[str, Float[np.ndarray, "_ 3"], Bool[np.ndarray, "_"], float]],
 ) -> list[Axes]:
-    """One panel a case: covered samples, open samples, and the contacts, over x and y in rod lengths.
+    """One panel a case: covered samples, open samples, and the contacts, over x and y in rod
+    lengths.
 
     Parameters
     ----------
@@ -22,8 +24,12 @@ def coverage_figure(
     cases
         For each: name, contacts (k, 3), which samples are covered (n,), and their share.
     """
-    span = 1.04 * np.max([np.nanmax(np.abs(contacts[:, :2]), axis=0) for _, contacts, _, _ in cases], axis=0)
-    _, panels = plt.subplots(1, len(cases), figsize=(PAGE, 2.2), sharey=True, layout="constrained", squeeze=False)
+    span = 1.04 * np.max(
+        [np.nanmax(np.abs(contacts[:, :2]), axis=0) for _, contacts, _, _ in cases], axis=0
+    )
+    _, panels = plt.subplots(
+        1, len(cases), figsize=(PAGE, 2.2), sharey=True, layout="constrained", squeeze=False
+    )
     for axes, (name, contacts, covered, share) in zip(panels[0], cases, strict=True):
         axes.scatter(*samples[~covered, :2].T, s=1.2, color=_OPEN, linewidths=0, rasterized=True)
         axes.scatter(*samples[covered, :2].T, s=1.2, color=_COVERED, linewidths=0, rasterized=True)

@@ -5,8 +5,8 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from vibrissa.contacts import Status
+from vibrissa.forward import EventKind, Scan
 from vibrissa.plot.style import COLUMN, length_factor, length_label
-from vibrissa.scan import EventKind, Scan
 
 _MARKS = {
     EventKind.FIRST_CONTACT: ("o", "first contact"),
@@ -24,24 +24,44 @@ _MARKS = {
 
 
 def reactions_along(scan: Scan) -> list[Axes]:
-    """Contact force and arc length over the clamp's x0 on one trail (n, …), with its events; broken lines where the branch is laterally unstable."""
+    """Contact force and arc length over the clamp's x0 on one trail (n, …), with its events; broken
+    lines where the branch is laterally unstable.
+    """
     factor = length_factor(scan.rod)
     x = factor * scan.trail.position[:, 0]
     force = np.where(scan.in_contact, np.linalg.norm(scan.reactions.force, axis=-1), np.nan)
     si = scan.rod.units == "SI"
-    rows = [(force, "$f$ [N]" if si else "$f$ [$EI/L^2$]"), (factor * scan.arc_length, length_label("s_1", scan.rod))]
-    figure, panels = plt.subplots(2, 1, figsize=(COLUMN * 1.25, COLUMN * 1.25), sharex=True, layout="constrained")
+    rows = [
+        (force, "$f$ [N]" if si else "$f$ [$EI/L^2$]"),
+        (factor * scan.arc_length, length_label("s_1", scan.rod)),
+    ]
+    figure, panels = plt.subplots(
+        2, 1, figsize=(COLUMN * 1.25, COLUMN * 1.25), sharex=True, layout="constrained"
+    )
     unstable = scan.status == Status.LATERALLY_UNSTABLE
     for axes, (values, label) in zip(panels, rows, strict=True):
         axes.plot(x, np.where(unstable, np.nan, values), color="black", label="stable")
         if unstable.any():
-            axes.plot(x, np.where(unstable, values, np.nan), color="black", linestyle=(0, (3, 2)), label="laterally unstable")
+            axes.plot(
+                x,
+                np.where(unstable, values, np.nan),
+                color="black",
+                linestyle=(0, (3, 2)),
+                label="laterally unstable",
+            )
         axes.set_ylabel(label)
         for event in scan.events:
             marker, name = _MARKS[event.kind]
             at = factor * event.clamp[0]
             axes.plot(
-                at, _value_at(x, values, at), marker=marker, color="#c1121f", markersize=5, linestyle="none", label=name, clip_on=False
+                at,
+                _value_at(x, values, at),
+                marker=marker,
+                color="#c1121f",
+                markersize=5,
+                linestyle="none",
+                label=name,
+                clip_on=False,
             )
     panels[-1].set_xlabel(length_label("x_0", scan.rod))
     panels[-1].invert_xaxis()

@@ -6,14 +6,15 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from vibrissa.contacts import ContactKind
+from vibrissa.forward import Scan
 from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor, length_label
-from vibrissa.scan import Scan
 
 _STRAIGHT = "black"
 
 
 def elastic_lines(scan: Scan, *, every: int = 10, lanes: tuple[int, ...] | None = None) -> Axes3D:
-    """The rod at every `every`-th position of some trails: red in tip contact, blue in tangential contact, black where it is straight.
+    """The rod at every `every`-th position of some trails: red in tip contact, blue in tangential
+    contact, black where it is straight.
 
     Parameters
     ----------
@@ -35,7 +36,9 @@ def elastic_lines(scan: Scan, *, every: int = 10, lanes: tuple[int, ...] | None 
     for kind, colour in KIND_COLOURS.items():
         axes.plot([], [], [], color=colour, label=KIND_NAMES[kind])
     axes.plot([], [], [], color=_STRAIGHT, label="straight part")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.92), ncols=3, handlelength=1.4, columnspacing=1.2)
+    axes.legend(
+        loc="upper center", bbox_to_anchor=(0.5, 0.92), ncols=3, handlelength=1.4, columnspacing=1.2
+    )
     dress(axes, scan)
     return axes
 

@@ -7,8 +7,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import CenteredNorm
 from matplotlib.ticker import MaxNLocator
 
+from vibrissa.forward import Scan
 from vibrissa.plot.style import PAGE, length_factor, length_label
-from vibrissa.scan import Scan
 
 _FORCES = ("f_{0x}", "f_{0y}", "f_{0z}")
 _MOMENTS = ("m_{0x}", "m_{0y}", "m_{0z}")

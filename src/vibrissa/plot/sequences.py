@@ -5,10 +5,10 @@ from jaxtyping import Float
 from matplotlib import pyplot as plt
 from mpl_toolkits.mplot3d import Axes3D
 
+from vibrissa.forward import Scan
+from vibrissa.inverse import Reconstruction
 from vibrissa.plot.lines import dress
 from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor
-from vibrissa.reconstruct import Reconstruction
-from vibrissa.scan import Scan
 
 
 def contact_sequences(
@@ -33,13 +33,34 @@ def contact_sequences(
     axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)
     factor = length_factor(scan.rod)
     x, y, z = (factor * part for part in surface)
-    axes.plot_surface(x, y, z, color="0.88", alpha=0.55, linewidth=0, antialiased=True, rstride=1, cstride=1, zorder=1)
+    axes.plot_surface(
+        x,
+        y,
+        z,
+        color="0.88",
+        alpha=0.55,
+        linewidth=0,
+        antialiased=True,
+        rstride=1,
+        cstride=1,
+        zorder=1,
+    )
     axes.plot_wireframe(x, y, z, color="0.7", linewidth=0.25, rstride=6, cstride=6, zorder=2)
     shown = [lane for lane in range(len(found.kind)) if lane not in skip]
     for kind, colour in KIND_COLOURS.items():
         rows = found.kind[shown] == kind
         points = factor * found.point[shown][rows]
-        axes.scatter(*points.T, color=colour, s=1.6, linewidths=0, depthshade=False, label=KIND_NAMES[kind], zorder=3)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.95), ncols=2, markerscale=4, handletextpad=0.2)
+        axes.scatter(
+            *points.T,
+            color=colour,
+            s=1.6,
+            linewidths=0,
+            depthshade=False,
+            label=KIND_NAMES[kind],
+            zorder=3,
+        )
+    axes.legend(
+        loc="upper center", bbox_to_anchor=(0.5, 0.95), ncols=2, markerscale=4, handletextpad=0.2
+    )
     dress(axes, scan)
     return axes

@@ -72,7 +72,12 @@ def _figure(axes: Axes | Sequence[Axes]) -> Figure:
 
 def _write(figure: Figure, path: Path) -> None:
     # Without a date in its metadata the same figure gives the same file.
-    figure.savefig(path, bbox_inches="tight", pad_inches=0.04, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
+    figure.savefig(
+        path,
+        bbox_inches="tight",
+        pad_inches=0.04,
+        metadata={"CreationDate": None} if path.suffix == ".pdf" else None,
+    )
 
 
 def length_label(symbol: str, rod: Rod) -> str:

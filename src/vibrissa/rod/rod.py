@@ -11,7 +11,9 @@ FIRST_CLAMPED_ROOT = 1.8751040687119611
 
 _LARGEST_RADIUS = 1e6
 _SPECIFIC_STIFFNESS = 25e6
-"""E/ρ [J/kg] of steel, aluminium and titanium, each within a tenth; of copper, nitinol and gold it is lower."""
+"""E/ρ [J/kg] of steel, aluminium and titanium, each within a tenth; of copper, nitinol and gold it
+is lower.
+"""
 _GRAVITY = 9.80665
 """Standard acceleration [m/s²]."""
 _SI_UNITS = {"length": "m", "force": "N", "moment": "N m", "energy": "J", "curvature": "m-1"}
@@ -21,7 +23,8 @@ _SI_UNITS = {"length": "m", "force": "N", "moment": "N m", "energy": "J", "curva
 class Rod:
     """Uniform, straight, unshearable, inextensible rod of isotropic section (paper, section II).
 
-    All results come in the units in which the rod is given: SI, or the model's own (L = EI = 1; paper, eq. 1).
+    All results come in the units in which the rod is given: SI, or the model's own (L = EI = 1;
+    paper, eq. 1).
 
     Attributes
     ----------
@@ -36,7 +39,8 @@ class Rod:
     yield_strain
         Largest bending strain allowed [1]; a scan marks positions beyond it.
     units
-        "SI", or "model" for lengths in L, forces in EI/L² and moments in EI/L: what files and figures write beside the numbers.
+        "SI", or "model" for lengths in L, forces in EI/L² and moments in EI/L: what files and
+        figures write beside the numbers.
 
     Raises
     ------
@@ -57,7 +61,9 @@ class Rod:
             if value is not None or name in ("length", "bending_stiffness"):
                 object.__setattr__(self, name, positive(value, name))
         if self.yield_strain is not None and self.radius is None:
-            raise ValueError(f"yield_strain = {self.yield_strain}: needs radius, since bending strain is radius times curvature")
+            raise ValueError(
+                f"yield_strain = {self.yield_strain}: needs radius, since bending strain is radius times curvature"
+            )
 
     @classmethod
     def unit(cls) -> "Rod":
@@ -66,15 +72,31 @@ class Rod:
 
     @classmethod
     def cylinder(
-        cls, *, length: float, radius: float, youngs_modulus: float, density: float | None = None, yield_strain: float | None = None
+        cls,
+        *,
+        length: float,
+        radius: float,
+        youngs_modulus: float,
+        density: float | None = None,
+        yield_strain: float | None = None,
     ) -> "Rod":
         """Return a wire of circular section: EI = E π r⁴/4. SI units: m, m, Pa, kg/m³, 1."""
         second_moment = math.pi / 4 * math.pow(min(positive(radius, "radius"), _LARGEST_RADIUS), 4)
         if radius > _LARGEST_RADIUS:
-            raise ValueError(f"radius = {radius!r}; allowed is a number greater than 0 and at most {_LARGEST_RADIUS:g}")
+            raise ValueError(
+                f"radius = {radius!r}; allowed is a number greater than 0 and at most {_LARGEST_RADIUS:g}"
+            )
         stiffness = positive(youngs_modulus, "youngs_modulus") * second_moment
-        linear_density = None if density is None else positive(density, "density") * math.pi * radius**2
-        return cls(length, stiffness, radius=radius, linear_density=linear_density, yield_strain=yield_strain)
+        linear_density = (
+            None if density is None else positive(density, "density") * math.pi * radius**2
+        )
+        return cls(
+            length,
+            stiffness,
+            radius=radius,
+            linear_density=linear_density,
+            yield_strain=yield_strain,
+        )
 
     @property
     def force_scale(self) -> float:
@@ -91,7 +113,8 @@ class Rod:
         return _SI_UNITS[quantity] if self.units == "SI" else "1"
 
     def first_natural_frequency(self) -> float:
-        """First bending frequency [Hz] of the clamped rod with a free end: β² √(EI/(ρA L⁴)) / 2π, β = 1.8751.
+        """First bending frequency [Hz] of the clamped rod with a free end: β² √(EI/(ρA L⁴)) / 2π, β
+        = 1.8751.
 
         Raises
         ------
@@ -100,15 +123,25 @@ class Rod:
         """
         if self.linear_density is None:
             raise ValueError("linear_density = None: a natural frequency needs the rod's density")
-        return FIRST_CLAMPED_ROOT**2 / (2 * math.pi) * math.sqrt(self.bending_stiffness / (self.linear_density * self.length**4))
+        return (
+            FIRST_CLAMPED_ROOT**2
+            / (2 * math.pi)
+            * math.sqrt(self.bending_stiffness / (self.linear_density * self.length**4))
+        )
 
     def own_sag(self) -> float | None:
-        """Sag [m] of the tip of the level rod under its own weight, ρA g L⁴/(8 EI); None if that is not known.
+        """Sag [m] of the tip of the level rod under its own weight, ρA g L⁴/(8 EI); None if that is
+        not known.
 
-        Without a density, a round SI rod is taken to be of a light or common metal, ρ = E/(25 MJ/kg) as for steel, aluminium and titanium: the least that a wire
-        of this stiffness weighs, since all other metals are heavier.
+        Without a density, a round SI rod is taken to be of a light or common metal, ρ = E/(25
+        MJ/kg) as for steel, aluminium and titanium: the least that a wire of this stiffness weighs,
+        since all other metals are heavier.
         """
         weight = self.linear_density
         if weight is None and self.units == "SI" and self.radius is not None:
             weight = 4 * self.bending_stiffness / (self.radius**2 * _SPECIFIC_STIFFNESS)
-        return None if weight is None or self.units != "SI" else weight * _GRAVITY * self.length**4 / (8 * self.bending_stiffness)
+        return (
+            None
+            if weight is None or self.units != "SI"
+            else weight * _GRAVITY * self.length**4 / (8 * self.bending_stiffness)
+        )

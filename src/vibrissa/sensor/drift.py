@@ -16,18 +16,26 @@ if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
 _DRIFT_DEVIATIONS = 5.5
-# Of the largest load: a zero that moves by more is the load of a clamp that stands in contact rather.
+# Of the largest load: a zero that moves by more is the load of a clamp that stands in contact
+# rather.
 _ANOTHER_LEVEL = 0.2
-# Squares of three standard deviations: what the slopes within both rests must say to tell a drift from a contact.
+# Squares of three standard deviations: what the slopes within both rests must say to tell a drift
+# from a contact.
 _TOLD = 9.0
 _FEWEST = 50
 _DIGITS = 1e-9
 
 
 def drift_of(
-    sensor: "Sensor", raw: RawRecording, early: "Interval", late: "Interval", noise: Float[np.ndarray, "6"]
+    sensor: "Sensor",
+    raw: RawRecording,
+    early: "Interval",
+    late: "Interval",
+    noise: Float[np.ndarray, "6"],
 ) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-    """Rate of the offset from one rest to another (6,) [N/s], [N m/s], a given drift taken off, and its standard deviation."""
+    """Rate of the offset from one rest to another (6,) [N/s], [N m/s], a given drift taken off, and
+    its standard deviation.
+    """
     given = _without_given(sensor, raw)
     (first, before), (last, after) = within(given, early), within(given, late)
     span = float(last.mean() - first.mean())
@@ -39,12 +47,16 @@ def drift_of(
     tare = planned_tare(sensor.without_estimates(), (early,), (len(first),))
     there = tare.covariance(sensor.without_estimates(), raw.time, raw.orientation)
     at = int(np.argmin(np.abs(raw.time - last.mean())))
-    variance = np.diagonal(there if there.ndim == 2 else there[at]) - sensor.reading_variance * (1 - 1 / len(last))
+    variance = np.diagonal(there if there.ndim == 2 else there[at]) - sensor.reading_variance * (
+        1 - 1 / len(last)
+    )
     return rate, np.sqrt(variance) / span
 
 
 def _without_given(sensor: "Sensor", raw: RawRecording) -> RawRecording:
-    return RawRecording(raw.time, raw.position, raw.orientation, *np.split(without_given(sensor, raw), 2, axis=1))
+    return RawRecording(
+        raw.time, raw.position, raw.orientation, *np.split(without_given(sensor, raw), 2, axis=1)
+    )
 
 
 def drift_faults(
@@ -55,9 +67,11 @@ def drift_faults(
     drift: Float[np.ndarray, "6"],
     deviation: Float[np.ndarray, "6"],
 ) -> tuple[list[Fault], Tare | None]:
-    """Channels whose offset moves by more than 5.5 standard deviations, and the tare with a line from rest to rest in its place where the slopes within them agree.
+    """Channels whose offset moves by more than 5.5 standard deviations, and the tare with a line
+    from rest to rest in its place where the slopes within them agree.
 
-    None where drift or weight are estimated anyway, and none where the readings within the rests stand: a clamp that stops in contact has another level, too.
+    None where drift or weight are estimated anyway, and none where the readings within the rests
+    stand: a clamp that stops in contact has another level, too.
     """
     if sensor.estimate_drift or (sensor.mount is not None and sensor.mount.estimated):
         return [], None
@@ -70,21 +84,35 @@ def drift_faults(
     if told < 0 and weight > _TOLD:
         return [], None
     line = _line(sensor, raw, rest, tare, drift) if told > 0 and weight > _TOLD else None
-    advice = "a line from rest to rest is taken off" if line is not None else "estimate_drift = true takes it off"
+    advice = (
+        "a line from rest to rest is taken off"
+        if line is not None
+        else "estimate_drift = true takes it off"
+    )
     faults = []
     for channel, name in enumerate(CHANNELS):
         if moved[channel]:
             unit = CHANNEL_UNITS[channel]
             text = f"the offset of {name} drifts by {drift[channel]:.3g} {unit}/s, {abs(drift[channel]) / deviation[channel]:.3g} standard deviations "
             text += f"more than stated; {advice}"
-            faults.append(Fault(FaultKind.DRIFT, (name,), rest.leading[0], rest.trailing[1], len(raw.time), text))
+            faults.append(
+                Fault(
+                    FaultKind.DRIFT, (name,), rest.leading[0], rest.trailing[1], len(raw.time), text
+                )
+            )
     return faults, line
 
 
 def _slopes(
-    sensor: "Sensor", raw: RawRecording, intervals: tuple["Interval", ...], drift: Float[np.ndarray, "6"], moved: np.ndarray
+    sensor: "Sensor",
+    raw: RawRecording,
+    intervals: tuple["Interval", ...],
+    drift: Float[np.ndarray, "6"],
+    moved: np.ndarray,
 ) -> tuple[float, float]:
-    """Log-likelihood (times two) of the drift over none, from the slopes within the rests, and how much they could tell: (drift/σ)², summed."""
+    """Log-likelihood (times two) of the drift over none, from the slopes within the rests, and how
+    much they could tell: (drift/σ)², summed.
+    """
     told, weight = 0.0, 0.0
     for interval in intervals:
         slope, deviation = slope_at_rest(sensor, raw, interval)
@@ -94,8 +122,12 @@ def _slopes(
     return told, weight
 
 
-def slope_at_rest(sensor: "Sensor", raw: RawRecording, interval: "Interval") -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
-    """Slopes of the readings within a rest (6,) and their standard deviations by the scatter about the lines."""
+def slope_at_rest(
+    sensor: "Sensor", raw: RawRecording, interval: "Interval"
+) -> tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6"]]:
+    """Slopes of the readings within a rest (6,) and their standard deviations by the scatter about
+    the lines.
+    """
     time, values = within(_without_given(sensor, raw), interval)
     lines = np.stack([np.ones(len(time)), time - time.mean()], axis=1)
     found, *_ = np.linalg.lstsq(lines, values, rcond=None)
@@ -105,7 +137,13 @@ def slope_at_rest(sensor: "Sensor", raw: RawRecording, interval: "Interval") -> 
     return found[1], scatter / np.linalg.norm(lines[:, 1])
 
 
-def _line(sensor: "Sensor", raw: RawRecording, rest: "Rest", tare: Tare | None, drift: Float[np.ndarray, "6"]) -> Tare | None:
+def _line(
+    sensor: "Sensor",
+    raw: RawRecording,
+    rest: "Rest",
+    tare: Tare | None,
+    drift: Float[np.ndarray, "6"],
+) -> Tare | None:
     """The tare as a line, unless the zero moves by a noticeable share of the load."""
     assert rest.trailing is not None
     if tare is None or len(tare.intervals) != 1 or tare.intervals[0][1] >= rest.trailing[0]:
@@ -113,16 +151,27 @@ def _line(sensor: "Sensor", raw: RawRecording, rest: "Rest", tare: Tare | None, 
     loads = raw.wrench - tare.offset
     step = drift * (rest.trailing[0] - tare.intervals[0][0])
     for part in (slice(0, 3), slice(3, 6)):
-        if np.linalg.norm(step[part]) > _ANOTHER_LEVEL * np.nanmax(np.linalg.norm(loads[:, part], axis=1)):
+        if np.linalg.norm(step[part]) > _ANOTHER_LEVEL * np.nanmax(
+            np.linalg.norm(loads[:, part], axis=1)
+        ):
             return None
     found = f"{tare.found}, and at the end, as the zero drifts"
-    return fitted_tare(replace(sensor, estimate_drift=True), raw, (*tare.intervals, rest.trailing), found)
+    return fitted_tare(
+        replace(sensor, estimate_drift=True), raw, (*tare.intervals, rest.trailing), found
+    )
 
 
 def lone_drift_faults(sensor: "Sensor", raw: RawRecording, interval: "Interval") -> list[Fault]:
-    """Channels that drift within the rest at the start, where there is none at the end to draw a line to."""
+    """Channels that drift within the rest at the start, where there is none at the end to draw a
+    line to.
+    """
     count = len(within(raw, interval)[0])
-    if sensor.force_noise is None or sensor.noise_corner > 0 or np.any(sensor.random_walk) or count < _FEWEST:
+    if (
+        sensor.force_noise is None
+        or sensor.noise_corner > 0
+        or np.any(sensor.random_walk)
+        or count < _FEWEST
+    ):
         return []
     slope, deviation = slope_at_rest(sensor, raw, interval)
     faults = []

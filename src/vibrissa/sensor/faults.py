@@ -7,12 +7,16 @@ from enum import StrEnum
 class FaultKind(StrEnum):
     """What can be wrong with a recording.
 
-    `SATURATION`: readings at the range, or flat-topped. `DROP_OUT`: rows without numbers, or of zeros amid others. `STUCK`: a channel that repeats its value for
-    longer than noise and resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp equal to one before, or earlier.
-    `UNITS`: numbers that cannot be in metres, newtons, newton metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated. `DRIFT`: the
-    offset moves by more than stated. `POSE_JUMP`: the robot's pose jumps. `REST`: no rest for the tare. `TARE`: forces and moments that belong to no single contact.
-    `HELD`: rows that repeat the reading above them in all channels. `MOUNT`: a sign, clamp or reference point of the setup that the readings contradict.
-    `HUM`: a line in the spectrum at rest. `POSE_NOISE`: poses scatter by more than stated.
+    `SATURATION`: readings at the range, or flat-topped. `DROP_OUT`: rows without numbers, or of
+    zeros amid others. `STUCK`: a channel that repeats its value for longer than noise and
+    resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp
+    equal to one before, or earlier. `UNITS`: numbers that cannot be in metres, newtons, newton
+    metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated.
+    `DRIFT`: the offset moves by more than stated. `POSE_JUMP`: the robot's pose jumps. `REST`: no
+    rest for the tare. `TARE`: forces and moments that belong to no single contact. `HELD`: rows
+    that repeat the reading above them in all channels. `MOUNT`: a sign, clamp or reference point of
+    the setup that the readings contradict. `HUM`: a line in the spectrum at rest. `POSE_NOISE`:
+    poses scatter by more than stated.
     """
 
     SATURATION = "saturation"

@@ -45,7 +45,8 @@ class Inspection:
     raw
         As logged.
     cleaned
-        The recording with increasing stamps, a pose in every row, unit quaternions, and NaN for the wrench of rows that are not usable.
+        The recording with increasing stamps, a pose in every row, unit quaternions, and NaN for the
+        wrench of rows that are not usable.
     faults
         In order of their start.
     usable
@@ -59,11 +60,14 @@ class Inspection:
     noise
         Standard deviation (6,) at rest [N], [N m], a straight line taken off; NaN without rest.
     drift, drift_deviation
-        Rate of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s], a given drift taken off, and its standard deviation; NaN without both.
+        Rate of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s], a given
+        drift taken off, and its standard deviation; NaN without both.
     single_contact_misfit
-        Median size of m0·f0 in its standard deviations over the loaded rows: 0.67 for a single contact and noise alone. NaN without a load.
+        Median size of m0·f0 in its standard deviations over the loaded rows: 0.67 for a single
+        contact and noise alone. NaN without a load.
     sensor
-        As stated, with the noise of readings and poses that was found where that is larger: what the error bars use.
+        As stated, with the noise of readings and poses that was found where that is larger: what
+        the error bars use.
     notes
         What reading left out, recovered or estimated, a sentence each.
     """
@@ -84,20 +88,37 @@ class Inspection:
 
     @property
     def unusable(self) -> tuple[Fault, ...]:
-        """Faults that make the whole recording unusable; mistaken units first, as others may follow from them."""
-        return tuple(sorted((fault for fault in self.faults if fault.unusable), key=lambda fault: fault.kind is not FaultKind.UNITS))
+        """Faults that make the whole recording unusable; mistaken units first, as others may follow
+        from them.
+        """
+        return tuple(
+            sorted(
+                (fault for fault in self.faults if fault.unusable),
+                key=lambda fault: fault.kind is not FaultKind.UNITS,
+            )
+        )
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The findings that contradict the setup or spoil contacts, a line each: those that `read_recording` warns of; none of a snippet of under 250 rows."""
+        """The findings that contradict the setup or spoil contacts, a line each: those that
+        `read_recording` warns of; none of a snippet of under 250 rows.
+        """
         if len(self.usable) < _SNIPPET:
             return ()
-        lines = (fault.text for fault in self.faults if not (fault.unusable or fault.quiet or fault.kind in _NO_WARNING))
+        lines = (
+            fault.text
+            for fault in self.faults
+            if not (fault.unusable or fault.quiet or fault.kind in _NO_WARNING)
+        )
         return tuple(dict.fromkeys(lines))
 
 
 def inspect_raw(
-    raw: RawRecording, sensor: "Sensor", rod: Rod, *, poses: tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 7"]] | None = None
+    raw: RawRecording,
+    sensor: "Sensor",
+    rod: Rod,
+    *,
+    poses: tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 7"]] | None = None,
 ) -> Inspection:
     """Look for faults in a recording, and say what its rest tells of the sensor.
 
@@ -110,7 +131,8 @@ def inspect_raw(
     rod
         For the check of units: contacts lie on it.
     poses
-        Stamps (m,) and poses (m, 7) as recorded, where those of the rows were interpolated between them: for their noise.
+        Stamps (m,) and poses (m, 7) as recorded, where those of the rows were interpolated between
+        them: for their noise.
 
     Raises
     ------
@@ -135,13 +157,22 @@ def inspect_raw(
     if not usable.any():
         text = f"none of {len(usable)} rows is usable; allowed is at least one"
         faults.append(_over_all(FaultKind.DROP_OUT, CHANNELS, cleaned, text, unusable=True))
-    stamps, recorded = (time, np.concatenate([given.position, given.orientation], axis=1)) if poses is None else poses
+    stamps, recorded = (
+        (time, np.concatenate([given.position, given.orientation], axis=1))
+        if poses is None
+        else poses
+    )
     scattered, sensor = pose_noise_faults(sensor, rod, stamps, recorded[:, :3], recorded[:, 3:])
     return _at_rest(raw, cleaned, sensor, rod, usable, faults + scattered)
 
 
 def _at_rest(
-    logged: RawRecording, raw: RawRecording, sensor: "Sensor", rod: Rod, usable: Bool[np.ndarray, "n"], faults: list[Fault]
+    logged: RawRecording,
+    raw: RawRecording,
+    sensor: "Sensor",
+    rod: Rod,
+    usable: Bool[np.ndarray, "n"],
+    faults: list[Fault],
 ) -> Inspection:
     unknown, stated = np.full(6, np.nan), sensor
     rest, tare, misfit = find_rest(sensor, raw), None, float("nan")
@@ -161,10 +192,18 @@ def _at_rest(
         noise = rest_noise(raw, interval)
         mis_scaled = noise_unit_faults(sensor, raw, interval, noise)
         # Where a contact or a drift lies within the tare, its scatter is no noise.
-        faults += mis_scaled or ([] if restless else noise_faults(sensor, raw, interval, noise) + hum_faults(sensor, raw, interval))
+        faults += mis_scaled or (
+            []
+            if restless
+            else noise_faults(sensor, raw, interval, noise) + hum_faults(sensor, raw, interval)
+        )
         faults += [] if both or restless else lone_drift_faults(sensor, raw, interval)
         sensor = noisier(sensor, noise, faults)
-        tare = fitted_tare(sensor, raw, tare.intervals, tare.found) if tare is not None and tare.intervals else tare
+        tare = (
+            fitted_tare(sensor, raw, tare.intervals, tare.found)
+            if tare is not None and tare.intervals
+            else tare
+        )
     if both:
         assert rest.leading is not None
         assert rest.trailing is not None
@@ -184,17 +223,24 @@ def _at_rest(
             text += "check tare, cross-talk and mount"
             faults.append(_over_all(FaultKind.TARE, CHANNELS, raw, text))
     ordered = tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop)))
-    return Inspection(logged, raw, ordered, usable, raw.rate, rest, tare, noise, drift, deviation, misfit, sensor)
+    return Inspection(
+        logged, raw, ordered, usable, raw.rate, rest, tare, noise, drift, deviation, misfit, sensor
+    )
 
 
 def _bounded(raw: RawRecording) -> RawRecording:
     """Numbers that are none, or too large to be any sensor's, made NaN."""
-    parts = (np.where(np.abs(part) < _LARGEST, part, np.nan) for part in (raw.position, raw.orientation, raw.force, raw.torque))
+    parts = (
+        np.where(np.abs(part) < _LARGEST, part, np.nan)
+        for part in (raw.position, raw.orientation, raw.force, raw.torque)
+    )
     return RawRecording(np.where(np.abs(raw.time) < _LATEST, raw.time, np.nan), *parts)
 
 
 def _misfit(reactions: Reactions) -> float:
-    """Median of |m0·f0| in its standard deviations over rows of more than ten of them; NaN with fewer than 20, or where the noise is not known."""
+    """Median of |m0·f0| in its standard deviations over rows of more than ten of them; NaN with
+    fewer than 20, or where the noise is not known.
+    """
     if reactions.covariance is None:
         return float("nan")
     covariance = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))
@@ -208,5 +254,20 @@ def _misfit(reactions: Reactions) -> float:
     return float(np.median(product / spread))
 
 
-def _over_all(kind: FaultKind, channels: tuple[str, ...], raw: RawRecording, text: str, *, unusable: bool = False) -> Fault:
-    return Fault(kind, channels, float(raw.time[0]), float(raw.time[-1]), len(raw.time), text, unusable=unusable)
+def _over_all(
+    kind: FaultKind,
+    channels: tuple[str, ...],
+    raw: RawRecording,
+    text: str,
+    *,
+    unusable: bool = False,
+) -> Fault:
+    return Fault(
+        kind,
+        channels,
+        float(raw.time[0]),
+        float(raw.time[-1]),
+        len(raw.time),
+        text,
+        unusable=unusable,
+    )

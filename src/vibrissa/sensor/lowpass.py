@@ -27,7 +27,8 @@ class LowPass:
     Raises
     ------
     ValueError
-        If the cut-off is not greater than 0, the order neither 1 nor 2, or the delay negative or not finite.
+        If the cut-off is not greater than 0, the order neither 1 nor 2, or the delay negative or
+        not finite.
     """
 
     cutoff: float = math.inf
@@ -43,23 +44,33 @@ class LowPass:
 
     @property
     def lag(self) -> float:
-        """Time [s] by which a slow signal comes late: the delay, and the filter's group delay at zero frequency."""
+        """Time [s] by which a slow signal comes late: the delay, and the filter's group delay at
+        zero frequency.
+        """
         return self.delay + (1 if self.order == 1 else math.sqrt(2)) / (2 * math.pi * self.cutoff)
 
-    def applied(self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """Return the filtered signal on its own stamps, exact for a signal that is linear between them and was constant before the first.
+    def applied(
+        self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]
+    ) -> Float[np.ndarray, "n k"]:
+        """Return the filtered signal on its own stamps, exact for a signal that is linear between
+        them and was constant before the first.
 
-        The state equation x' = A x + b u is solved over each step by one matrix exponential, whatever the step's length (K. J. Åström, B. Wittenmark,
-        "Computer-Controlled Systems", 3rd ed. 1997, section 2.3; for a linear signal, the first-order hold).
+        The state equation x' = A x + b u is solved over each step by one matrix exponential,
+        whatever the step's length (K. J. Åström, B. Wittenmark, "Computer-Controlled Systems", 3rd
+        ed. 1997, section 2.3; for a linear signal, the first-order hold).
         """
         late = signal
         if self.delay:
-            late = np.stack([np.interp(time - self.delay, time, column) for column in signal.T], axis=1)
+            late = np.stack(
+                [np.interp(time - self.delay, time, column) for column in signal.T], axis=1
+            )
         if self.cutoff == math.inf:
             return late
         return self._filtered(time, late)
 
-    def _filtered(self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+    def _filtered(
+        self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]
+    ) -> Float[np.ndarray, "n k"]:
         from scipy.linalg import expm  # noqa: PLC0415
 
         rate, order = 2 * math.pi * self.cutoff, self.order

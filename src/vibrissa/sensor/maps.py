@@ -15,7 +15,8 @@ Matrices = Float[np.ndarray, "n 6 6"]
 
 
 def to_reactions(sensor: "Sensor", axes: Rotations) -> Matrices:
-    """Readings to reactions: cross-talk undone, turned to world axes, carried to the clamp, with the support reaction's sign.
+    """Readings to reactions: cross-talk undone, turned to world axes, carried to the clamp, with
+    the support reaction's sign.
 
     Parameters
     ----------
@@ -40,7 +41,9 @@ def to_readings(sensor: "Sensor", axes: Rotations) -> Matrices:
     if sensor.wrench_frame == "world" and sensor.response is None:
         return at_sensor
     back = np.swapaxes(_both(axes), 1, 2)
-    return crossed(sensor, axes) @ (at_sensor if sensor.wrench_frame == "world" else back @ at_sensor)
+    return crossed(sensor, axes) @ (
+        at_sensor if sensor.wrench_frame == "world" else back @ at_sensor
+    )
 
 
 def crossed(sensor: "Sensor", axes: Rotations) -> Matrices:

@@ -41,16 +41,33 @@ def logged(
         turn = Rotation.from_rotvec(rng.normal(0.0, sensor.orientation_noise, (len(time), 3)))
         orientation = (turn * Rotation.from_quat(orientation)).as_quat()
         if sensor.wrench_frame == "world":
-            # World axes are those of the robot, which turns the wrench by the orientation that it logs.
-            noisy += np.concatenate([turn.apply(shown[:, :3]), turn.apply(shown[:, 3:])], axis=1) - shown
-    read = np.stack([_read(*channel) for channel in zip(noisy.T, sensor.resolution.tolist(), sensor.ranges, strict=True)], axis=1)
+            # World axes are those of the robot, which turns the wrench by the orientation that it
+            # logs.
+            noisy += (
+                np.concatenate([turn.apply(shown[:, :3]), turn.apply(shown[:, 3:])], axis=1) - shown
+            )
+    read = np.stack(
+        [
+            _read(*channel)
+            for channel in zip(noisy.T, sensor.resolution.tolist(), sensor.ranges, strict=True)
+        ],
+        axis=1,
+    )
     return RawRecording(time, position, orientation, read[:, :3], read[:, 3:])
 
 
-def filtered_readings(sensor: "Sensor", reactions: Reactions, orientation: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 6"]:
-    """Readings of reactions and of the mount's weight, with cross-talk, behind the low-pass filter, without noise."""
+def filtered_readings(
+    sensor: "Sensor", reactions: Reactions, orientation: Float[np.ndarray, "n 4"]
+) -> Float[np.ndarray, "n 6"]:
+    """Readings of reactions and of the mount's weight, with cross-talk, behind the low-pass filter,
+    without noise.
+    """
     axes = rotation_matrices(orientation)
-    shown = np.einsum("nij,nj->ni", to_readings(sensor, axes), np.concatenate([reactions.force, reactions.moment], axis=1))
+    shown = np.einsum(
+        "nij,nj->ni",
+        to_readings(sensor, axes),
+        np.concatenate([reactions.force, reactions.moment], axis=1),
+    )
     if sensor.mount is not None:
         shown = shown + weight_readings(sensor, axes) @ sensor.mount.moments
     if sensor.low_pass is not None and reactions.time is not None:
@@ -58,8 +75,12 @@ def filtered_readings(sensor: "Sensor", reactions: Reactions, orientation: Float
     return np.asarray(shown)
 
 
-def _read(values: Float[np.ndarray, "n"], resolution: float, largest: float | None) -> Float[np.ndarray, "n"]:
-    """Limited to the range and rounded, as by a converter: the last step within the range is the largest reading."""
+def _read(
+    values: Float[np.ndarray, "n"], resolution: float, largest: float | None
+) -> Float[np.ndarray, "n"]:
+    """Limited to the range and rounded, as by a converter: the last step within the range is the
+    largest reading.
+    """
     if largest is not None:
         limit = np.floor(largest / resolution + _ROUNDING) * resolution if resolution else largest
         values = np.clip(values, -limit, limit)

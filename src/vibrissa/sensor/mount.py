@@ -24,7 +24,8 @@ class Mount:
     gravity
         Acceleration of free fall in world axes (3,) [m/s²].
     estimated
-        Whether mass and centre are found from the recording's own rest intervals, in at least three orientations, in place of those given.
+        Whether mass and centre are found from the recording's own rest intervals, in at least three
+        orientations, in place of those given.
 
     Raises
     ------
@@ -47,8 +48,11 @@ class Mount:
         """Mass [kg] and first moment of mass [kg m], in which the weight is linear."""
         return np.array([self.mass, *(self.mass * np.asarray(self.center))])
 
-    def weight(self, axes: Float[np.ndarray, "n 3 3"], point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 6 4"]:
-        """Matrices that take `moments` to the weight's force and torque on the sensor about `point`, in sensor axes.
+    def weight(
+        self, axes: Float[np.ndarray, "n 3 3"], point: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "n 6 4"]:
+        """Matrices that take `moments` to the weight's force and torque on the sensor about
+        `point`, in sensor axes.
 
         Parameters
         ----------

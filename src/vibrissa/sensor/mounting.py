@@ -27,7 +27,9 @@ def loaded_rows(reactions: Reactions) -> Bool[np.ndarray, "n"]:
 
 
 def lines_of_action(reactions: Reactions) -> Float[np.ndarray, "n 3"]:
-    """Points (n, 3) on the lines along which the contact forces act, those next to the clamp, seen from it in world axes: a contact lies on its line, no nearer."""
+    """Points (n, 3) on the lines along which the contact forces act, those next to the clamp, seen
+    from it in world axes: a contact lies on its line, no nearer.
+    """
     square = np.sum(reactions.force**2, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.cross(reactions.force, reactions.moment) / square
@@ -36,8 +38,10 @@ def lines_of_action(reactions: Reactions) -> Float[np.ndarray, "n 3"]:
 def mount_faults(reactions: Reactions, rod: Rod) -> list[Fault]:
     """What only a wrong sign, clamp or reference point explains.
 
-    The clamp's work on a rod that is free at first is its bending energy and what friction took, never negative, and contacts push the rod into its clamp: both are
-    the other way round where the wrench has the other sign. The line of the contact force passes the clamp within the rod's length, on the side to which the rod leaves.
+    The clamp's work on a rod that is free at first is its bending energy and what friction took,
+    never negative, and contacts push the rod into its clamp: both are the other way round where the
+    wrench has the other sign. The line of the contact force passes the clamp within the rod's
+    length, on the side to which the rod leaves.
     """
     loaded = loaded_rows(reactions)
     count = int(np.count_nonzero(loaded))
@@ -45,7 +49,14 @@ def mount_faults(reactions: Reactions, rod: Rod) -> list[Fault]:
         return []
     texts = []
     work, scale = _work(reactions, loaded)
-    pulled = float(np.median(np.sum(reactions.force * third_axis(reactions.trail.orientation), axis=1)[loaded])) < 0
+    pulled = (
+        float(
+            np.median(
+                np.sum(reactions.force * third_axis(reactions.trail.orientation), axis=1)[loaded]
+            )
+        )
+        < 0
+    )
     if pulled and work < 0 and -work > _NOTICEABLE * scale:
         texts.append(
             f"the rod is pulled from its clamp and does work on it, {1e3 * work:.3g} mJ, where one that is pushed takes up work: as of a wrench of the other sign; "
@@ -53,7 +64,9 @@ def mount_faults(reactions: Reactions, rod: Rod) -> list[Fault]:
         )
     points = lines_of_action(reactions)[loaded] / rod.length
     away = float(np.median(np.linalg.norm(points, axis=1)))
-    ahead = float(np.median(np.sum(points * third_axis(reactions.trail.orientation)[loaded], axis=1)))
+    ahead = float(
+        np.median(np.sum(points * third_axis(reactions.trail.orientation)[loaded], axis=1))
+    )
     if away > _FURTHEST:
         texts.append(
             f"the contact forces act along lines {away:.3g} rod lengths from the clamp in the median, where no rod is: check clamp_position, wrench_point and length"
@@ -63,11 +76,15 @@ def mount_faults(reactions: Reactions, rod: Rod) -> list[Fault]:
             f"the contact forces act {-ahead:.3g} rod lengths behind the clamp in the median, to where no rod leaves: check clamp_orientation, along whose +z it does"
         )
     time = reactions.time[loaded]
-    return [Fault(FaultKind.MOUNT, CHANNELS, float(time[0]), float(time[-1]), count, text) for text in texts]
+    return [
+        Fault(FaultKind.MOUNT, CHANNELS, float(time[0]), float(time[-1]), count, text)
+        for text in texts
+    ]
 
 
 def _work(reactions: Reactions, loaded: Bool[np.ndarray, "n"]) -> tuple[float, float]:
-    """Lowest of the clamp's work since the first load [J], 0 unless it is most of all that comes up, and the work that the forces could do along the whole way.
+    """Lowest of the clamp's work since the first load [J], 0 unless it is most of all that comes
+    up, and the work that the forces could do along the whole way.
 
     Nothing is told of a recording that begins under load, or of whose load a part is missing.
     """
@@ -81,9 +98,11 @@ def _work(reactions: Reactions, loaded: Bool[np.ndarray, "n"]) -> tuple[float, f
     way, turn = np.diff(position, axis=0), rotation_vectors(orientation[:-1], orientation[1:])
     steps = 0.5 * np.sum((force[1:] + force[:-1]) * way + (moment[1:] + moment[:-1]) * turn, axis=1)
     either = loaded[known][1:] | loaded[known][:-1]
-    most = np.linalg.norm(force[1:], axis=1) * np.linalg.norm(way, axis=1) + np.linalg.norm(moment[1:], axis=1) * np.linalg.norm(
-        turn, axis=1
-    )
+    most = np.linalg.norm(force[1:], axis=1) * np.linalg.norm(way, axis=1) + np.linalg.norm(
+        moment[1:], axis=1
+    ) * np.linalg.norm(turn, axis=1)
     work = np.cumsum(np.where(either, steps, 0.0))
     lowest = float(work.min())
-    return (lowest if -lowest > _NEGATIVE * float(np.abs(work).max()) else 0.0), float(most[either].sum())
+    return (lowest if -lowest > _NEGATIVE * float(np.abs(work).max()) else 0.0), float(
+        most[either].sum()
+    )

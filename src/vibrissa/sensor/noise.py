@@ -1,7 +1,9 @@
 """Coloured noise of a sensor: its samples on any stamps, and what it does to a mean over rest.
 
-Pink noise, whose power spectral density falls with 1/f, is a sum of Ornstein-Uhlenbeck processes whose corner frequencies are spread evenly over the logarithm of the
-frequency (M. S. Keshner, "1/f noise", Proc. IEEE 70 (1982) 212-218). Each of them is sampled exactly on any stamps, and so is a random walk.
+Pink noise, whose power spectral density falls with 1/f, is a sum of Ornstein-Uhlenbeck processes
+whose corner frequencies are spread evenly over the logarithm of the frequency (M. S. Keshner, "1/f
+noise", Proc. IEEE 70 (1982) 212-218). Each of them is sampled exactly on any stamps, and so is a
+random walk.
 """
 
 import math
@@ -13,8 +15,8 @@ from jaxtyping import Float
 Times = Float[np.ndarray, "n"]
 
 _PER_DECADE = 3
-# The slowest corner lies this far below the inverse duration, so that the sum has no edge inside the band; the fastest at half the sampling rate, as what
-# lies above would fold back.
+# The slowest corner lies this far below the inverse duration, so that the sum has no edge inside
+# the band; the fastest at half the sampling rate, as what lies above would fold back.
 _MARGIN = 10.0
 _ROWS = 1024
 _SHORT = 1e-4
@@ -46,10 +48,13 @@ class Pink:
         lowest, highest = 1 / (_MARGIN * duration), 1 / (2 * interval)
         count = max(2, math.ceil(_PER_DECADE * math.log10(highest / lowest)) + 1)
         corners = np.geomspace(lowest, highest, count)
-        # A process of variance v and rate a = 2πc has the one-sided density 4 v a / (a² + (2πf)²); corners spaced by h in ln c add up to (v/h)/f.
+        # A process of variance v and rate a = 2πc has the one-sided density 4 v a / (a² + (2πf)²);
+        # corners spaced by h in ln c add up to (v/h)/f.
         return cls(2 * np.pi * corners, float(np.log(corners[1] / corners[0])))
 
-    def sampled(self, time: Times, rng: np.random.Generator, channels: int) -> Float[np.ndarray, "n channels"]:
+    def sampled(
+        self, time: Times, rng: np.random.Generator, channels: int
+    ) -> Float[np.ndarray, "n channels"]:
         """Stationary noise on the stamps, independent in each channel."""
         total = np.empty((len(time), channels))
         state = math.sqrt(self.variance) * rng.normal(size=(len(self.rates), channels))
@@ -76,7 +81,9 @@ class Pink:
         inside = (time > start) & (time < stop)
         for rate in self.rates:
             outer = (np.exp(-rate * np.maximum(before, 0)) - np.exp(-rate * after)) / rate
-            inner = (2 - np.exp(-rate * np.abs(time - start)) - np.exp(-rate * np.abs(stop - time))) / rate
+            inner = (
+                2 - np.exp(-rate * np.abs(time - start)) - np.exp(-rate * np.abs(stop - time))
+            ) / rate
             total += self.variance * np.where(inside, inner, outer) / length
         return total
 
@@ -85,11 +92,15 @@ class Pink:
         lengths = [max(stop - start, 1e-12) for start, stop in (first, second)]
         if first == second:
             x = self.rates * lengths[0]
-            shares = np.where(x < _SHORT, 1 - x / 3, 2 * (x + np.expm1(-x)) / np.maximum(x, _SHORT) ** 2)
+            shares = np.where(
+                x < _SHORT, 1 - x / 3, 2 * (x + np.expm1(-x)) / np.maximum(x, _SHORT) ** 2
+            )
             return float(self.variance * np.sum(shares))
         early, late = sorted((first, second))
         apart = [-np.expm1(-self.rates * length) / (self.rates * length) for length in lengths]
-        return float(self.variance * np.sum(np.exp(-self.rates * (late[0] - early[1])) * apart[0] * apart[1]))
+        return float(
+            self.variance * np.sum(np.exp(-self.rates * (late[0] - early[1])) * apart[0] * apart[1])
+        )
 
 
 @dataclass(frozen=True)
@@ -104,10 +115,14 @@ class RandomWalk:
 
     origin: float
 
-    def sampled(self, time: Times, rng: np.random.Generator, channels: int) -> Float[np.ndarray, "n channels"]:
+    def sampled(
+        self, time: Times, rng: np.random.Generator, channels: int
+    ) -> Float[np.ndarray, "n channels"]:
         """Noise on the stamps, independent in each channel."""
         steps = np.sqrt(np.diff(time, prepend=self.origin))
-        return np.asarray(np.cumsum(steps[:, None] * rng.normal(size=(len(time), channels)), axis=0))
+        return np.asarray(
+            np.cumsum(steps[:, None] * rng.normal(size=(len(time), channels)), axis=0)
+        )
 
     def variance_at(self, time: Times) -> Times:
         """Of a sample at each time."""
@@ -128,14 +143,18 @@ class RandomWalk:
 
 
 def quantisation_of_mean(noise: float, step: float, count: int) -> float:
-    """Variance of the mean of `count` numbers rounded to `step`, beyond that of their noise, over all true values.
+    """Variance of the mean of `count` numbers rounded to `step`, beyond that of their noise, over
+    all true values.
 
-    Rounding errors average out only as far as noise moves the numbers over the steps: of the step²/12 of one number the share
-    Σ 6/(πj)² exp(−(2πj·noise/step)²) stays (B. Widrow, I. Kollár, "Quantization Noise", Cambridge 2008, eq. 4.10 ff.).
+    Rounding errors average out only as far as noise moves the numbers over the steps: of the
+    step²/12 of one number the share Σ 6/(πj)² exp(−(2πj·noise/step)²) stays (B. Widrow, I. Kollár,
+    "Quantization Noise", Cambridge 2008, eq. 4.10 ff.).
     """
     if step == 0:
         return 0.0
     orders = np.arange(1, 200)
-    kept = float(np.sum(6 / (np.pi * orders) ** 2 * np.exp(-((2 * np.pi * orders * noise / step) ** 2))))
+    kept = float(
+        np.sum(6 / (np.pi * orders) ** 2 * np.exp(-((2 * np.pi * orders * noise / step) ** 2)))
+    )
     kept = 1.0 if noise == 0 else kept
     return step**2 / 12 * (kept + (1 - kept) / count)

@@ -19,17 +19,19 @@ _FEWEST = 60
 _LARGER = 1.5
 # Of the rod's length, or in radians: what is less moves no contact noticeably.
 _LEAST = 1e-4
-# Third differences take off a path of constant acceleration; their variance is 1 + 9 + 9 + 1 times that of white noise.
+# Third differences take off a path of constant acceleration; their variance is 1 + 9 + 9 + 1 times
+# that of white noise.
 _THIRD = np.sqrt(20.0)
 _STANDING = 0.5
 _EVEN = 1.05
 
 
 def pose_noise(steps: Float[np.ndarray, "m 3"]) -> float:
-    """Standard deviation on each axis of poses about a smooth path, from their steps (m, 3): white noise, or that of numbers that come in steps.
+    """Standard deviation on each axis of poses about a smooth path, from their steps (m, 3): white
+    noise, or that of numbers that come in steps.
 
-    White noise by the median of third differences, clamp standing or moving. Poses that stay, then go on by always the same step, are rounded or held: evenly
-    spread over the step.
+    White noise by the median of third differences, clamp standing or moving. Poses that stay, then
+    go on by always the same step, are rounded or held: evenly spread over the step.
     """
     if len(steps) < _FEWEST:
         return 0.0
@@ -52,10 +54,20 @@ def _step(steps: Float[np.ndarray, "m"]) -> float:
 
 
 def pose_noise_faults(
-    sensor: "Sensor", rod: Rod, time: Float[np.ndarray, "n"], position: Float[np.ndarray, "n 3"], orientation: Float[np.ndarray, "n 4"]
+    sensor: "Sensor",
+    rod: Rod,
+    time: Float[np.ndarray, "n"],
+    position: Float[np.ndarray, "n 3"],
+    orientation: Float[np.ndarray, "n 4"],
 ) -> tuple[list[Fault], "Sensor"]:
-    """Findings on noise of the poses (n, …) that is larger than stated, and the sensor with that noise."""
-    whole = np.isfinite(time) & np.isfinite(position).all(axis=1) & (np.linalg.norm(np.nan_to_num(orientation), axis=1) > 0)
+    """Findings on noise of the poses (n, …) that is larger than stated, and the sensor with that
+    noise.
+    """
+    whole = (
+        np.isfinite(time)
+        & np.isfinite(position).all(axis=1)
+        & (np.linalg.norm(np.nan_to_num(orientation), axis=1) > 0)
+    )
     time, position, orientation = time[whole], position[whole], orientation[whole]
     if len(time) < _FEWEST:
         return [], sensor
@@ -70,7 +82,11 @@ def pose_noise_faults(
         if found > _LARGER * stated and np.hypot(found, stated) > least + stated:
             text = f"the {name} scatters by {found:.3g} {unit} about a smooth path, where {name}_noise = {stated:.3g} {unit} is stated"
             text += "; the error bars use it" if sensor.force_noise is not None else ""
-            faults.append(Fault(FaultKind.POSE_NOISE, (name,), float(time[0]), float(time[-1]), len(time), text))
+            faults.append(
+                Fault(
+                    FaultKind.POSE_NOISE, (name,), float(time[0]), float(time[-1]), len(time), text
+                )
+            )
             figures[f"{name}_noise"] = found
     return faults, replace(sensor, **figures) if figures else sensor
 

@@ -16,7 +16,8 @@ _LEAST_STEP = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RawRecording:
-    """Rows of a log, as the sensor and the robot wrote them. A row may hold NaN where a number is missing.
+    """Rows of a log, as the sensor and the robot wrote them. A row may hold NaN where a number is
+    missing.
 
     Attributes
     ----------
@@ -25,7 +26,8 @@ class RawRecording:
     position, orientation
         Pose of the sensor frame in the world: (n, 3) [m] and quaternions x, y, z, w (n, 4).
     force, torque
-        (n, 3) [N], [N m]: sign, frame and reference point are the sensor's (`Sensor`), tare included.
+        (n, 3) [N], [N m]: sign, frame and reference point are the sensor's (`Sensor`), tare
+        included.
     """
 
     time: Float[np.ndarray, "n"]

@@ -1,4 +1,6 @@
-"""Unit mistakes: numbers that cannot be in metres, newtons and newton metres, or poses that cannot be unit quaternions x, y, z, w."""
+"""Unit mistakes: numbers that cannot be in metres, newtons and newton metres, or poses that cannot
+be unit quaternions x, y, z, w.
+"""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -26,14 +28,18 @@ _LIKELY_ARM, _LIKELY_FORCE, _LIKELY_NOISE = (0.1, 1.15), (5e-3, 100.0), 5.0
 
 
 def pose_unit_faults(raw: RawRecording, rod: Rod) -> list[Fault]:
-    """Positions in millimetres, orientations that are no unit quaternions, and quaternions that may have been written w first."""
+    """Positions in millimetres, orientations that are no unit quaternions, and quaternions that may
+    have been written w first.
+    """
     faults = []
     stamps = raw.time[np.isfinite(raw.time)]
     span = (float(stamps[0]), float(stamps[-1]), len(raw.time))
     position = raw.position[np.isfinite(raw.position).all(axis=1)]
     extent = float(np.ptp(position, axis=0).max(initial=0.0)) if len(position) else 0.0
     if extent > _LONGEST_SWEEP * rod.length:
-        text = f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
+        text = (
+            f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
+        )
         faults.append(Fault(FaultKind.UNITS, ("position",), *span, text, unusable=True))
     known = np.isfinite(raw.orientation).all(axis=1) & np.isfinite(raw.time)
     orientation = raw.orientation[known]
@@ -44,7 +50,17 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> list[Fault]:
         guess = ", as of angles in degrees" if norm[first] > 2 else ""
         text = f"qx,qy,qz,qw = {orientation[first].tolist()} has the norm {norm[first]:.3g} ({count} such){guess}; allowed is 1"
         time = raw.time[known][wrong]
-        faults.append(Fault(FaultKind.UNITS, ("orientation",), float(time[0]), float(time[-1]), count, text, unusable=True))
+        faults.append(
+            Fault(
+                FaultKind.UNITS,
+                ("orientation",),
+                float(time[0]),
+                float(time[-1]),
+                count,
+                text,
+                unusable=True,
+            )
+        )
     elif len(orientation) and np.all(orientation[:, 0] == 1):
         text = "qx = 1 throughout: half a turn about x, or quaternions written w first; allowed are x, y, z, w"
         faults.append(Fault(FaultKind.UNITS, ("orientation",), *span, text, quiet=True))
@@ -57,8 +73,12 @@ def wrong_norms(orientation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n"]:
         return np.asarray(np.abs(np.linalg.norm(orientation, axis=1) - 1) > _QUATERNION_TOLERANCE)
 
 
-def wrench_unit_faults(raw: RawRecording, reactions: Reactions, rod: Rod, sensor: "Sensor", tare: Tare) -> list[Fault]:
-    """Tell millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever arm is of its length, and the force of its stiffness."""
+def wrench_unit_faults(
+    raw: RawRecording, reactions: Reactions, rod: Rod, sensor: "Sensor", tare: Tare
+) -> list[Fault]:
+    """Tell millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever
+    arm is of its length, and the force of its stiffness.
+    """
     loaded = loaded_rows(reactions)
     count = int(np.count_nonzero(loaded))
     if count < _FEWEST_LOADED:
@@ -88,12 +108,16 @@ def wrench_unit_faults(raw: RawRecording, reactions: Reactions, rod: Rod, sensor
 
 def arm_and_force(reactions: Reactions, loaded: Bool[np.ndarray, "n"]) -> tuple[float, float]:
     """Medians [m], [N] over the loaded samples."""
-    force, moment = (np.linalg.norm(part[loaded], axis=1) for part in (reactions.force, reactions.moment))
+    force, moment = (
+        np.linalg.norm(part[loaded], axis=1) for part in (reactions.force, reactions.moment)
+    )
     return float(np.median(moment / force)), float(np.median(force))
 
 
 def plausible_load(raw: RawRecording, sensor: "Sensor", tare: Tare | None, rod: Rod) -> bool:
-    """Whether a contact on the rod explains the loads of a recording that is read in some way: lever arm and force are of its length and stiffness."""
+    """Whether a contact on the rod explains the loads of a recording that is read in some way:
+    lever arm and force are of its length and stiffness.
+    """
     if tare is None:
         return False
     again = fitted_tare(sensor, raw, tare.intervals, tare.found) if tare.intervals else tare
@@ -102,7 +126,10 @@ def plausible_load(raw: RawRecording, sensor: "Sensor", tare: Tare | None, rod: 
     if np.count_nonzero(loaded) < _FEWEST_LOADED:
         return False
     arm, typical = arm_and_force(reactions, loaded)
-    return _LIKELY_ARM[0] < arm / rod.length < _LIKELY_ARM[1] and _LIKELY_FORCE[0] < typical / rod.force_scale < _LIKELY_FORCE[1]
+    return (
+        _LIKELY_ARM[0] < arm / rod.length < _LIKELY_ARM[1]
+        and _LIKELY_FORCE[0] < typical / rod.force_scale < _LIKELY_FORCE[1]
+    )
 
 
 _FORCES, _TORQUES = CHANNELS[:3], CHANNELS[3:]
@@ -129,8 +156,12 @@ _RODS = (
 )
 
 
-def _explained(raw: RawRecording, rod: Rod, sensor: "Sensor", tare: Tare) -> tuple[tuple[str, ...], str]:
-    """Channels and words of the mistakes that explain the readings: with them undone, contacts lie on the rod, forces bend it, and the noise at rest is as stated."""
+def _explained(
+    raw: RawRecording, rod: Rod, sensor: "Sensor", tare: Tare
+) -> tuple[tuple[str, ...], str]:
+    """Channels and words of the mistakes that explain the readings: with them undone, contacts lie
+    on the rod, forces bend it, and the noise at rest is as stated.
+    """
     found: list[tuple[tuple[str, ...], str]] = []
     for channels, words, force, torque in _WRENCHES:
         scaled = replace(raw, force=force * raw.force, torque=torque * raw.torque)
@@ -143,18 +174,32 @@ def _explained(raw: RawRecording, rod: Rod, sensor: "Sensor", tare: Tare) -> tup
     if _plausible(raw, nearer, tare, rod.length, rod.force_scale):
         found.append((CHANNELS, "clamp_position in mm"))
     x, y, z = sensor.wrench_point
-    if _plausible(raw, replace(sensor, wrench_point=(1e-3 * x, 1e-3 * y, 1e-3 * z)), tare, rod.length, rod.force_scale):
+    if _plausible(
+        raw,
+        replace(sensor, wrench_point=(1e-3 * x, 1e-3 * y, 1e-3 * z)),
+        tare,
+        rod.length,
+        rod.force_scale,
+    ):
         found.append((CHANNELS, "wrench_point in mm"))
     for words, length, stiffness in _RODS:
-        if _plausible(raw, sensor, tare, length * rod.length, stiffness / length**2 * rod.force_scale):
+        if _plausible(
+            raw, sensor, tare, length * rod.length, stiffness / length**2 * rod.force_scale
+        ):
             found.append((CHANNELS, words))
     if not found:
         return CHANNELS, ""
-    return (found[0][0] if len(found) == 1 else CHANNELS), f" ({' or '.join(words for _, words in found)}?)"
+    return (
+        found[0][0] if len(found) == 1 else CHANNELS
+    ), f" ({' or '.join(words for _, words in found)}?)"
 
 
-def _plausible(raw: RawRecording, sensor: "Sensor", tare: Tare, length: float, force_scale: float) -> bool:
-    """Whether a contact on a rod of that length [m] and of that EI/L² [N] explains the loads, and the stated noise the readings at rest."""
+def _plausible(
+    raw: RawRecording, sensor: "Sensor", tare: Tare, length: float, force_scale: float
+) -> bool:
+    """Whether a contact on a rod of that length [m] and of that EI/L² [N] explains the loads, and
+    the stated noise the readings at rest.
+    """
     try:
         again = fitted_tare(sensor, raw, tare.intervals, tare.found) if tare.intervals else tare
     except ValueError:
@@ -164,7 +209,10 @@ def _plausible(raw: RawRecording, sensor: "Sensor", tare: Tare, length: float, f
     if np.count_nonzero(loaded) < _FEWEST_LOADED:
         return False
     arm, typical = arm_and_force(reactions, loaded)
-    if not (_LIKELY_ARM[0] < arm / length < _LIKELY_ARM[1] and _LIKELY_FORCE[0] < typical / force_scale < _LIKELY_FORCE[1]):
+    if not (
+        _LIKELY_ARM[0] < arm / length < _LIKELY_ARM[1]
+        and _LIKELY_FORCE[0] < typical / force_scale < _LIKELY_FORCE[1]
+    ):
         return False
     if sensor.force_noise is None or not tare.intervals:
         return True

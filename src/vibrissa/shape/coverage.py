@@ -7,7 +7,9 @@ from scipy.spatial import KDTree
 from vibrissa.geometry.checks import finite_array, positive
 
 
-def coverage(contacts: Float[np.ndarray, "k 3"], samples: Float[np.ndarray, "n 3"], distance: float) -> tuple[float, Bool[np.ndarray, "n"]]:
+def coverage(
+    contacts: Float[np.ndarray, "k 3"], samples: Float[np.ndarray, "n 3"], distance: float
+) -> tuple[float, Bool[np.ndarray, "n"]]:
     """Share of surface samples that lie within a distance of a contact, and which.
 
     Parameters

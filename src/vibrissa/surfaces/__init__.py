@@ -5,7 +5,13 @@ from vibrissa.surfaces.functions import HeightField, Implicit
 from vibrissa.surfaces.mesh import Mesh
 from vibrissa.surfaces.offset import Offset
 from vibrissa.surfaces.primitives import Box, Capsule, Cone, Cylinder, Torus
-from vibrissa.surfaces.quadrics import Ellipsoid, EllipticCylinder, EllipticParaboloid, Plane, Sphere
+from vibrissa.surfaces.quadrics import (
+    Ellipsoid,
+    EllipticCylinder,
+    EllipticParaboloid,
+    Plane,
+    Sphere,
+)
 from vibrissa.surfaces.superquadric import Superquadric
 from vibrissa.surfaces.union import Union
 

@@ -20,21 +20,28 @@ from vibrissa.surfaces import closest
 class Surface(eqx.Module):
     """A solid object, given by a level function.
 
-    Implement `level`. It must be traceable by JAX and twice differentiable near the surface. Its gradient must not vanish on the surface; a gradient of
-    about unit length (a distance, at least near the surface) keeps tolerances meaningful. Lengths are in the units of the rod.
+    Implement `level`. It must be traceable by JAX and twice differentiable near the surface. Its
+    gradient must not vanish on the surface; a gradient of about unit length (a distance, at least
+    near the surface) keeps tolerances meaningful. Lengths are in the units of the rod.
     """
 
     may_crease: ClassVar[bool] = True
-    """Whether this kind of solid may have concave edges or narrow gaps; False where it is convex, or round on the scale of its own sizes."""
+    """Whether this kind of solid may have concave edges or narrow gaps; False where it is convex,
+    or round on the scale of its own sizes.
+    """
 
     @property
     def creased(self) -> bool:
-        """Whether a rod may touch the solid a second time close to a contact, so that it is looked at closely there."""
+        """Whether a rod may touch the solid a second time close to a contact, so that it is looked
+        at closely there.
+        """
         return self.may_crease
 
     @property
     def heavy(self) -> bool:
-        """Whether evaluating the level takes so much code that compiled loops should hold it once rather than once for each point."""
+        """Whether evaluating the level takes so much code that compiled loops should hold it once
+        rather than once for each point.
+        """
         return False
 
     @abstractmethod
@@ -42,15 +49,19 @@ class Surface(eqx.Module):
         """g(p): zero on the surface, positive outside, negative in the solid."""
 
     def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        """Signed Euclidean distance from the surface, with right first and second derivatives: outside and near the surface.
+        """Signed Euclidean distance from the surface, with right first and second derivatives:
+        outside and near the surface.
 
-        By Newton's method for the closest point: sure within a third of the radius of curvature, from outside a convex solid of moderate shape also far away.
-        Where it does not arrive, g/‖∇g‖.
+        By Newton's method for the closest point: sure within a third of the radius of curvature,
+        from outside a convex solid of moderate shape also far away. Where it does not arrive,
+        g/‖∇g‖.
         """
         return closest.distance(self, point)
 
     def part_levels(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
-        """Levels of the solids that a union is of, whose least is the level; of any other surface the level alone."""
+        """Levels of the solids that a union is of, whose least is the level; of any other surface
+        the level alone.
+        """
         return self.level(point)[None]
 
     def part_distances(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
@@ -65,27 +76,42 @@ class Surface(eqx.Module):
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Outward unit normals ∇g/‖∇g‖ at points (…, 3)."""
         array = finite_array(points, "points", last=3)
-        gradient = np.asarray(_gradients(self, jnp.asarray(array.reshape(-1, 3)))).reshape(array.shape)
+        gradient = np.asarray(_gradients(self, jnp.asarray(array.reshape(-1, 3)))).reshape(
+            array.shape
+        )
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def levels(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
         """G at points (…, 3)."""
         array = finite_array(points, "points", last=3)
-        return np.asarray(_levels(self, jnp.asarray(array.reshape(-1, 3)))).reshape(array.shape[:-1])
+        return np.asarray(_levels(self, jnp.asarray(array.reshape(-1, 3)))).reshape(
+            array.shape[:-1]
+        )
 
     def distances(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
         """Signed distances from the surface at points (…, 3)."""
         array = finite_array(points, "points", last=3)
-        return np.asarray(_distances(self, jnp.asarray(array.reshape(-1, 3)))[0]).reshape(array.shape[:-1])
+        return np.asarray(_distances(self, jnp.asarray(array.reshape(-1, 3)))[0]).reshape(
+            array.shape[:-1]
+        )
 
     def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
-        """Points p − d ∇d of the surface that are closest to points (…, 3): outside and near the surface."""
+        """Points p − d ∇d of the surface that are closest to points (…, 3): outside and near the
+        surface.
+        """
         array = finite_array(points, "points", last=3)
-        distance, gradient = (np.asarray(part) for part in _distances(self, jnp.asarray(array.reshape(-1, 3))))
+        distance, gradient = (
+            np.asarray(part) for part in _distances(self, jnp.asarray(array.reshape(-1, 3)))
+        )
         return array - (distance[:, None] * gradient).reshape(array.shape)
 
-    def placed(self, rotation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0), translation: ArrayLike = (0.0, 0.0, 0.0)) -> "Placed":
-        """Return the object turned about the origin (quaternion x, y, z, w, or a SciPy `Rotation`), then moved.
+    def placed(
+        self,
+        rotation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0),
+        translation: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> "Placed":
+        """Return the object turned about the origin (quaternion x, y, z, w, or a SciPy `Rotation`),
+        then moved.
 
         Raises
         ------
@@ -94,8 +120,14 @@ class Surface(eqx.Module):
         """
         quaternion = unit_quaternions(rotation, "rotation")
         if quaternion.shape != (4,):
-            raise ValueError(f"rotation has shape {quaternion.shape}; allowed is one quaternion (4,)")
-        return Placed(self, rotation_matrices(quaternion), finite_array(translation, "translation", last=3, ndim=1))
+            raise ValueError(
+                f"rotation has shape {quaternion.shape}; allowed is one quaternion (4,)"
+            )
+        return Placed(
+            self,
+            rotation_matrices(quaternion),
+            finite_array(translation, "translation", last=3, ndim=1),
+        )
 
 
 class ExactSurface(Surface):
@@ -141,7 +173,11 @@ class Placed(Surface):
 
     def _own(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         offset = point - self.translation
-        return self.rotation[0] * offset[0] + self.rotation[1] * offset[1] + self.rotation[2] * offset[2]
+        return (
+            self.rotation[0] * offset[0]
+            + self.rotation[1] * offset[1]
+            + self.rotation[2] * offset[2]
+        )
 
 
 @jax.jit
@@ -155,5 +191,7 @@ def _gradients(surface: Surface, points: Float[Array, "n 3"]) -> Float[Array, "n
 
 
 @jax.jit
-def _distances(surface: Surface, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+def _distances(
+    surface: Surface, points: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
     return jax.vmap(jax.value_and_grad(surface.distance))(points)

@@ -30,7 +30,9 @@ def _scalar_function(function: Function, name: str, *arguments: Float[Array, "..
 
 
 class HeightField(Surface):
-    """The solid above z = C(x, y) (paper, section II); the function takes x and y and must be traceable by JAX."""
+    """The solid above z = C(x, y) (paper, section II); the function takes x and y and must be
+    traceable by JAX.
+    """
 
     height: HeightFunction = eqx.field(static=True)
 

@@ -13,7 +13,9 @@ Scalar = Float[Array, ""]
 
 
 class Offset(ExactSurface):
-    """A solid grown by `radius` on all sides: its surface is where the centre line of a rod of that radius runs when the rod touches. Convex edges become round."""
+    """A solid grown by `radius` on all sides: its surface is where the centre line of a rod of that
+    radius runs when the rod touches. Convex edges become round.
+    """
 
     surface: Surface
     radius: float
@@ -42,5 +44,7 @@ class Offset(ExactSurface):
         return self.surface.part_distances(point) - self.radius
 
     def foot(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
-        """Points of the object itself, not of the grown one, that are closest to points (…, 3) of the centre line: where the rod's skin touches."""
+        """Points of the object itself, not of the grown one, that are closest to points (…, 3) of
+        the centre line: where the rod's skin touches.
+        """
         return self.surface.nearest(points)

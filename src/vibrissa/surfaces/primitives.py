@@ -1,7 +1,9 @@
 """Solids whose level is the exact signed distance, outside and inside.
 
-Gradients have unit length, also on faces, edges and corners, where they belong to one of the faces that meet. They vanish, wholly or in part, on the lines and points
-inside (on the torus's axis also outside) from which the nearest point is not unique and no direction is distinguished. No derivative is ever NaN.
+Gradients have unit length, also on faces, edges and corners, where they belong to one of the faces
+that meet. They vanish, wholly or in part, on the lines and points inside (on the torus's axis also
+outside) from which the nearest point is not unique and no direction is distinguished. No derivative
+is ever NaN.
 """
 
 import jax.numpy as jnp
@@ -19,7 +21,9 @@ Scalar = Float[Array, ""]
 
 
 class Box(ExactSurface):
-    """Rectangular block with its edges along x, y, z; `placed` turns it. Centre (3,) and half of its extents (3,)."""
+    """Rectangular block with its edges along x, y, z; `placed` turns it. Centre (3,) and half of
+    its extents (3,).
+    """
 
     may_crease = False
     center: Float[np.ndarray | Array, "3"]
@@ -34,14 +38,17 @@ class Box(ExactSurface):
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
         x, y, z = (magnitude(point[i] - self.center[i]) - self.half_extents[i] for i in range(3))
-        # The largest on its own where a face is nearest: in the length its second derivatives would cancel only but for rounding.
+        # The largest on its own where a face is nearest: in the length its second derivatives would
+        # cancel only but for rounding.
         face = _larger(_larger(x, y), z)
         edge = ((x > 0) & (y > 0)) | ((y > 0) & (z > 0)) | ((z > 0) & (x > 0))
         return jnp.where(edge, norm(positive_part(x), positive_part(y), positive_part(z)), face)
 
 
 class Cylinder(ExactSurface):
-    """Circular cylinder with flat ends: midpoint (3,) of its axis, direction (3,) of the axis, radius, and length from end to end."""
+    """Circular cylinder with flat ends: midpoint (3,) of its axis, direction (3,) of the axis,
+    radius, and length from end to end.
+    """
 
     may_crease = False
     center: Float[np.ndarray | Array, "3"]
@@ -50,18 +57,27 @@ class Cylinder(ExactSurface):
     length: float
 
     def __init__(self, center: ArrayLike, axis: ArrayLike, radius: float, length: float) -> None:
-        self.center, self.axis = finite_array(center, "center", last=3, ndim=1), unit_vector(axis, "axis")
+        self.center, self.axis = (
+            finite_array(center, "center", last=3, ndim=1),
+            unit_vector(axis, "axis"),
+        )
         self.radius, self.length = positive(radius, "radius"), positive(length, "length")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
         along, across = _about(self.axis, self.center, point)
         side, end = norm(*across) - self.radius, magnitude(along) - self.length / 2
-        return jnp.where((side > 0) & (end > 0), norm(positive_part(side), positive_part(end)), _larger(side, end))
+        return jnp.where(
+            (side > 0) & (end > 0),
+            norm(positive_part(side), positive_part(end)),
+            _larger(side, end),
+        )
 
 
 class Capsule(ExactSurface):
-    """Cylinder with hemispherical ends: midpoint (3,) and direction (3,) of its axis, radius, and length of the straight part, to which each end adds a radius."""
+    """Cylinder with hemispherical ends: midpoint (3,) and direction (3,) of its axis, radius, and
+    length of the straight part, to which each end adds a radius.
+    """
 
     may_crease = False
     center: Float[np.ndarray | Array, "3"]
@@ -70,19 +86,28 @@ class Capsule(ExactSurface):
     length: float
 
     def __init__(self, center: ArrayLike, axis: ArrayLike, radius: float, length: float) -> None:
-        self.center, self.axis = finite_array(center, "center", last=3, ndim=1), unit_vector(axis, "axis")
+        self.center, self.axis = (
+            finite_array(center, "center", last=3, ndim=1),
+            unit_vector(axis, "axis"),
+        )
         self.radius, self.length = positive(radius, "radius"), positive(length, "length")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
         along, (x, y, z) = _about(self.axis, self.center, point)
         beyond = positive_part(magnitude(along) - self.length / 2)
-        # Across plus beyond along the axis: with both in one length, second derivatives are right on the axis in front of an end.
-        return norm(x + beyond * self.axis[0], y + beyond * self.axis[1], z + beyond * self.axis[2]) - self.radius
+        # Across plus beyond along the axis: with both in one length, second derivatives are right
+        # on the axis in front of an end.
+        return (
+            norm(x + beyond * self.axis[0], y + beyond * self.axis[1], z + beyond * self.axis[2])
+            - self.radius
+        )
 
 
 class Cone(ExactSurface):
-    """Circular cone: centre (3,) of its base, direction (3,) of its axis from there to the apex, radius of the base, and height."""
+    """Circular cone: centre (3,) of its base, direction (3,) of its axis from there to the apex,
+    radius of the base, and height.
+    """
 
     may_crease = False
     center: Float[np.ndarray | Array, "3"]
@@ -91,7 +116,10 @@ class Cone(ExactSurface):
     height: float
 
     def __init__(self, center: ArrayLike, axis: ArrayLike, radius: float, height: float) -> None:
-        self.center, self.axis = finite_array(center, "center", last=3, ndim=1), unit_vector(axis, "axis")
+        self.center, self.axis = (
+            finite_array(center, "center", last=3, ndim=1),
+            unit_vector(axis, "axis"),
+        )
         self.radius, self.height = positive(radius, "radius"), positive(height, "height")
 
     def level(self, point: Point) -> Scalar:
@@ -111,7 +139,9 @@ class Cone(ExactSurface):
 
 
 class Torus(ExactSurface):
-    """Ring: centre (3,), direction (3,) of the axis about which it is round, radius of the circle inside the tube, and radius of the tube, which is less."""
+    """Ring: centre (3,), direction (3,) of the axis about which it is round, radius of the circle
+    inside the tube, and radius of the tube, which is less.
+    """
 
     may_crease = False
     center: Float[np.ndarray | Array, "3"]
@@ -119,11 +149,21 @@ class Torus(ExactSurface):
     major_radius: float
     minor_radius: float
 
-    def __init__(self, center: ArrayLike, axis: ArrayLike, major_radius: float, minor_radius: float) -> None:
-        self.center, self.axis = finite_array(center, "center", last=3, ndim=1), unit_vector(axis, "axis")
-        self.major_radius, self.minor_radius = positive(major_radius, "major_radius"), positive(minor_radius, "minor_radius")
+    def __init__(
+        self, center: ArrayLike, axis: ArrayLike, major_radius: float, minor_radius: float
+    ) -> None:
+        self.center, self.axis = (
+            finite_array(center, "center", last=3, ndim=1),
+            unit_vector(axis, "axis"),
+        )
+        self.major_radius, self.minor_radius = (
+            positive(major_radius, "major_radius"),
+            positive(minor_radius, "minor_radius"),
+        )
         if not self.minor_radius < self.major_radius:
-            raise ValueError(f"minor_radius = {minor_radius!r}; allowed is less than major_radius = {major_radius!r}")
+            raise ValueError(
+                f"minor_radius = {minor_radius!r}; allowed is less than major_radius = {major_radius!r}"
+            )
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
@@ -134,7 +174,9 @@ class Torus(ExactSurface):
 def _about(
     axis: Float[np.ndarray | Array, "3"], center: Float[np.ndarray | Array, "3"], point: Point
 ) -> tuple[Scalar, tuple[Scalar, Scalar, Scalar]]:
-    """Part of a point's offset along a unit axis through `center`, and the components of the rest, which is across."""
+    """Part of a point's offset along a unit axis through `center`, and the components of the rest,
+    which is across.
+    """
     x, y, z = (point[i] - center[i] for i in range(3))
     along = axis[0] * x + axis[1] * y + axis[2] * z
     return along, (x - along * axis[0], y - along * axis[1], z - along * axis[2])

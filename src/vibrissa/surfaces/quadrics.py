@@ -67,11 +67,15 @@ class Ellipsoid(Surface):
 
     def level(self, point: Point) -> Scalar:
         """(ρ − 1) times the smallest semi-axis, ρ the norm of the point in units of the semi-axes."""
-        return (jnp.sqrt(jnp.sum(((point - self.center) / self.semi_axes) ** 2)) - 1) * jnp.min(jnp.asarray(self.semi_axes))
+        return (jnp.sqrt(jnp.sum(((point - self.center) / self.semi_axes) ** 2)) - 1) * jnp.min(
+            jnp.asarray(self.semi_axes)
+        )
 
 
 class EllipticCylinder(Surface):
-    """Cylinder without ends along the y axis through `center` (3,), with semi-axes (2,) along x and z; `placed` turns it."""
+    """Cylinder without ends along the y axis through `center` (3,), with semi-axes (2,) along x and
+    z; `placed` turns it.
+    """
 
     may_crease = False
     center: Float[np.ndarray | Array, "3"]
@@ -89,7 +93,9 @@ class EllipticCylinder(Surface):
 
 
 class Plane(ExactSurface):
-    """Half space behind the plane through `point` (3,) with the outward `normal` (3,), of any length but zero."""
+    """Half space behind the plane through `point` (3,) with the outward `normal` (3,), of any
+    length but zero.
+    """
 
     may_crease = False
     point: Float[np.ndarray | Array, "3"]

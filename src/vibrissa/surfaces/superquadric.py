@@ -16,14 +16,18 @@ Scalar = Float[Array, ""]
 
 
 class Superquadric(Surface):
-    r"""Superellipsoid about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` turns it.
+    r"""Superellipsoid about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` turns
+    it.
 
     The solid is :math:`(|x/a|^{2/ε_2} + |y/b|^{2/ε_2})^{ε_2/ε_1} + |z/c|^{2/ε_1} < 1`.
 
-    The exponents (ε₁, ε₂), each above 0 and at most 2, shape the profile along z and the section across: towards 0 they give flat faces, 1 is round, 2 gives straight
-    bevels. The solid is convex. Above 1 the curvature grows without limit towards the symmetry planes, so that a rod in contact there wants an `Offset`.
+    The exponents (ε₁, ε₂), each above 0 and at most 2, shape the profile along z and the section
+    across: towards 0 they give flat faces, 1 is round, 2 gives straight bevels. The solid is
+    convex. Above 1 the curvature grows without limit towards the symmetry planes, so that a rod in
+    contact there wants an `Offset`.
 
-    Source: A. H. Barr, Superquadrics and angle-preserving transformations, IEEE Computer Graphics and Applications 1 (1981).
+    Source: A. H. Barr, Superquadrics and angle-preserving transformations, IEEE Computer Graphics
+    and Applications 1 (1981).
     """
 
     may_crease = False
@@ -39,13 +43,18 @@ class Superquadric(Surface):
             positive(float(axis), f"semi_axes[{index}]")
         for index, exponent in enumerate(self.exponents):
             if not 0 < exponent <= _LARGEST_EXPONENT:
-                raise ValueError(f"exponents[{index}] = {float(exponent)!r}; allowed is a number greater than 0 and at most 2")
+                raise ValueError(
+                    f"exponents[{index}] = {float(exponent)!r}; allowed is a number greater than 0 and at most 2"
+                )
 
     def level(self, point: Float[Array, "3"]) -> Scalar:
-        """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the point: convex, and of slope 1 on that axis."""
+        """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the
+        point: convex, and of slope 1 on that axis.
+        """
         u, v, w = (magnitude(point[i] - self.center[i]) / self.semi_axes[i] for i in range(3))
         along, across = 2 / self.exponents[0], 2 / self.exponents[1]
-        # ρ is of first degree in the point: scaled by constants, which take no part in differentiation, no power over- or underflows.
+        # ρ is of first degree in the point: scaled by constants, which take no part in
+        # differentiation, no power over- or underflows.
         wider = lax.stop_gradient(jnp.maximum(u, v))
         largest = _or_else(jnp.maximum(wider, lax.stop_gradient(w)), 1.0)
         widest = _or_else(wider, largest)

@@ -16,8 +16,9 @@ Scalar = Float[Array, ""]
 class Union(Surface):
     """All points of one or more solids, apart or overlapping.
 
-    The crease where two of them meet is concave: a rod that lies in it touches both, which is no single contact. Inside, where solids overlap, `distance` is that from
-    the nearest surface of the solid that the point lies deepest in.
+    The crease where two of them meet is concave: a rod that lies in it touches both, which is no
+    single contact. Inside, where solids overlap, `distance` is that from the nearest surface of the
+    solid that the point lies deepest in.
     """
 
     parts: tuple[Surface, ...]

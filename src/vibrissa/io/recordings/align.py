@@ -23,13 +23,15 @@ class Recording:
     raw
         Its rows, at the stamps of the wrenches.
     missing
-        (n,): rows that lie in a gap of the poses longer than the setup allows. Poses there are interpolated all the same, so that the motion stays whole.
+        (n,): rows that lie in a gap of the poses longer than the setup allows. Poses there are
+        interpolated all the same, so that the motion stays whole.
     offset
         Clock offset of the poses, with its standard error where it was estimated.
     notes
         What was left out, recovered or estimated, a sentence each.
     poses
-        As recorded, on the clock of the wrenches; None where they stand in the rows of the wrenches.
+        As recorded, on the clock of the wrenches; None where they stand in the rows of the
+        wrenches.
     """
 
     raw: RawRecording
@@ -41,12 +43,16 @@ class Recording:
     @property
     def marked(self) -> RawRecording:
         """The rows, with poses of NaN where they are missing."""
-        position, orientation = (np.where(self.missing[:, None], np.nan, part) for part in (self.raw.position, self.raw.orientation))
+        position, orientation = (
+            np.where(self.missing[:, None], np.nan, part)
+            for part in (self.raw.position, self.raw.orientation)
+        )
         return replace(self.raw, position=position, orientation=orientation)
 
 
 def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) -> Recording:
-    """Poses at the stamps of the wrenches; wrenches before the first and after the last pose are left out.
+    """Poses at the stamps of the wrenches; wrenches before the first and after the last pose are
+    left out.
 
     Parameters
     ----------
@@ -57,7 +63,8 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
     table
         Offset of the clocks, and the longest gap.
     length
-        Of the rod [m]: reactions change over a small part of it, which an estimate of the offset uses.
+        Of the rod [m]: reactions change over a small part of it, which an estimate of the offset
+        uses.
 
     Raises
     ------
@@ -66,17 +73,35 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
     """
     offset = _offset(file, streams, table, length)
     if streams.together and offset.seconds == 0:
-        return Recording(_raw(streams.wrench, streams.pose.values), np.zeros(len(streams.wrench.time), bool), offset, streams.notes)
+        return Recording(
+            _raw(streams.wrench, streams.pose.values),
+            np.zeros(len(streams.wrench.time), bool),
+            offset,
+            streams.notes,
+        )
     recorded = _shifted(streams.pose, offset.seconds)
     pose, wrench = usable(recorded), streams.wrench
-    inside = (within(pose, wrench.time) | np.isnan(wrench.time)) if len(pose.time) else np.zeros(len(wrench.time), bool)
+    inside = (
+        (within(pose, wrench.time) | np.isnan(wrench.time))
+        if len(pose.time)
+        else np.zeros(len(wrench.time), bool)
+    )
     if not inside.any():
-        raise InputError(f"{file}: {_ranges(wrench, pose)}; allowed are stamps that overlap, by time_offset in [recording]")
+        raise InputError(
+            f"{file}: {_ranges(wrench, pose)}; allowed are stamps that overlap, by time_offset in [recording]"
+        )
     wrench = wrench.rows(inside)
     poses = interpolated(pose, wrench.time, np.inf)
     missing = np.isnan(interpolated(pose, wrench.time, table.longest_gap)).any(axis=1)
-    notes = (*streams.notes, *_estimate_note(offset), *_edge_note(inside), *_gap_note(wrench, missing, table))
-    return Recording(_raw(wrench, poses), missing, offset, notes, None if streams.together else recorded)
+    notes = (
+        *streams.notes,
+        *_estimate_note(offset),
+        *_edge_note(inside),
+        *_gap_note(wrench, missing, table),
+    )
+    return Recording(
+        _raw(wrench, poses), missing, offset, notes, None if streams.together else recorded
+    )
 
 
 def _offset(file: Path, streams: Streams, table: RecordingTable, length: float) -> ClockOffset:
@@ -93,7 +118,9 @@ def _shifted(pose: Stream, seconds: float) -> Stream:
 
 
 def _raw(wrench: Stream, pose: Float[np.ndarray, "n 7"]) -> RawRecording:
-    return RawRecording(wrench.time, pose[:, :3], pose[:, 3:], wrench.values[:, :3], wrench.values[:, 3:])
+    return RawRecording(
+        wrench.time, pose[:, :3], pose[:, 3:], wrench.values[:, :3], wrench.values[:, 3:]
+    )
 
 
 def _ranges(wrench: Stream, pose: Stream) -> str:
@@ -107,15 +134,25 @@ def _ranges(wrench: Stream, pose: Stream) -> str:
 def _estimate_note(offset: ClockOffset) -> tuple[str, ...]:
     if offset.standard_error is None:
         return ()
-    return (f"time offset of the poses estimated: {offset.seconds:.4f} ± {offset.standard_error:.4f} s",)
+    return (
+        f"time offset of the poses estimated: {offset.seconds:.4f} ± {offset.standard_error:.4f} s",
+    )
 
 
 def _edge_note(inside: Bool[np.ndarray, "n"]) -> tuple[str, ...]:
     outside = np.count_nonzero(~inside)
-    return (f"{outside} of {len(inside)} wrenches lie before the first or after the last pose and are left out",) if outside else ()
+    return (
+        (
+            f"{outside} of {len(inside)} wrenches lie before the first or after the last pose and are left out",
+        )
+        if outside
+        else ()
+    )
 
 
-def _gap_note(wrench: Stream, missing: Bool[np.ndarray, "n"], table: RecordingTable) -> tuple[str, ...]:
+def _gap_note(
+    wrench: Stream, missing: Bool[np.ndarray, "n"], table: RecordingTable
+) -> tuple[str, ...]:
     if not missing.any():
         return ()
     first = int(np.argmax(missing))

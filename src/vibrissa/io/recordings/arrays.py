@@ -1,4 +1,6 @@
-"""From named columns or arrays to streams: the one place where the names and units of [recording] are used."""
+"""From named columns or arrays to streams: the one place where the names and units of [recording]
+are used.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -54,7 +56,8 @@ def streams(columns: Columns, table: RecordingTable, poses: Columns | None = Non
     Raises
     ------
     InputError
-        If a name is missing, an array is no numbers or of another shape, or columns differ in length.
+        If a name is missing, an array is no numbers or of another shape, or columns differ in
+        length.
     """
     time = _time(columns, table.time, table.time_unit)
     force = _block(columns, table, "force", table.force_unit, units.FORCE)
@@ -73,16 +76,24 @@ def pose_stream(columns: Columns, table: RecordingTable) -> Stream:
     InputError
         As `streams` does.
     """
-    return _poses(columns, table, _time(columns, table.pose_time or table.time, table.pose_time_unit or table.time_unit))
+    return _poses(
+        columns,
+        table,
+        _time(columns, table.pose_time or table.time, table.pose_time_unit or table.time_unit),
+    )
 
 
 def _poses(columns: Columns, table: RecordingTable, time: Float[np.ndarray, "n"]) -> Stream:
     position = _block(columns, table, "position", table.position_unit, units.LENGTH)
-    return _stream(columns, time, [("position", position), ("orientation", _orientation(columns, table))])
+    return _stream(
+        columns, time, [("position", position), ("orientation", _orientation(columns, table))]
+    )
 
 
 def _one_table(columns: Columns, wrench: Stream, pose: Stream) -> Streams:
-    """Rows of which many hold only a wrench or only a pose are streams of different rates, written into one table; of a few, the numbers are missing."""
+    """Rows of which many hold only a wrench or only a pose are streams of different rates, written
+    into one table; of a few, the numbers are missing.
+    """
     if len(pose.time) != len(wrench.time):
         raise InputError(
             f"{columns.file}: position has {len(pose.time)} rows, force {len(wrench.time)}; allowed are poses as often, or pose_time"
@@ -90,56 +101,86 @@ def _one_table(columns: Columns, wrench: Stream, pose: Stream) -> Streams:
     no_wrench, no_pose = (np.all(np.isnan(stream.values), axis=1) for stream in (wrench, pose))
     if np.mean(no_wrench ^ no_pose) < _OTHER_RATE:
         return Streams(wrench, pose, together=True)
-    notes = (f"{np.count_nonzero(~no_wrench)} rows hold a wrench and {np.count_nonzero(~no_pose)} a pose, of {len(wrench.time)}",)
+    notes = (
+        f"{np.count_nonzero(~no_wrench)} rows hold a wrench and {np.count_nonzero(~no_pose)} a pose, of {len(wrench.time)}",
+    )
     return Streams(wrench.rows(~no_wrench | no_pose), pose.rows(~no_pose), notes=notes)
 
 
-def _stream(columns: Columns, time: Float[np.ndarray, "n"], blocks: Sequence[tuple[str, Float[np.ndarray, "_ _"]]]) -> Stream:
+def _stream(
+    columns: Columns,
+    time: Float[np.ndarray, "n"],
+    blocks: Sequence[tuple[str, Float[np.ndarray, "_ _"]]],
+) -> Stream:
     for name, block in blocks:
         if len(block) != len(time):
-            raise InputError(f"{columns.file}: {name} has {len(block)} rows, its time {len(time)}; allowed is one row a stamp")
+            raise InputError(
+                f"{columns.file}: {name} has {len(block)} rows, its time {len(time)}; allowed is one row a stamp"
+            )
     if not 0 < len(time) <= MOST_ROWS:
-        raise InputError(f"{columns.file}: {len(time) or 'no'} rows; allowed are 1 to {MOST_ROWS} samples")
+        raise InputError(
+            f"{columns.file}: {len(time) or 'no'} rows; allowed are 1 to {MOST_ROWS} samples"
+        )
     return Stream(time, np.column_stack([block for _, block in blocks]), columns.lines)
 
 
-def _time(columns: Columns, name: str | tuple[str, str], unit: str | None) -> Float[np.ndarray, "n"]:
+def _time(
+    columns: Columns, name: str | tuple[str, str], unit: str | None
+) -> Float[np.ndarray, "n"]:
     """Stamps [s]; of two names, whole seconds and nanoseconds."""
     if not isinstance(name, str):
-        seconds, nanoseconds = (_time(columns, part, own) for part, own in zip(name, ("s", "ns"), strict=True))
+        seconds, nanoseconds = (
+            _time(columns, part, own) for part, own in zip(name, ("s", "ns"), strict=True)
+        )
         return seconds + nanoseconds
     time = _array(columns, name, "time")
     if time.ndim != 1:
-        raise InputError(f"{columns.file}: time = {name!r} has shape {time.shape}; allowed is one number a row")
+        raise InputError(
+            f"{columns.file}: time = {name!r} has shape {time.shape}; allowed is one number a row"
+        )
     if unit == "stamp":
         return time
     return _scaled(columns, [name], "time", time, unit, units.TIME)
 
 
-def _block(columns: Columns, table: RecordingTable, key: str, unit: str | None, allowed: dict[str, float]) -> Float[np.ndarray, "n 3"]:
+def _block(
+    columns: Columns, table: RecordingTable, key: str, unit: str | None, allowed: dict[str, float]
+) -> Float[np.ndarray, "n 3"]:
     names = _names(columns, table, key)
     return _scaled(columns, names, key, _together(columns, names, key, 3), unit, allowed)
 
 
 def _names(columns: Columns, table: RecordingTable, key: str) -> tuple[str, ...]:
-    """Names that the setup gives; where it gives none, those of the CSV header, or an array that is called what it is."""
+    """Names that the setup gives; where it gives none, those of the CSV header, or an array that is
+    called what it is.
+    """
     names: tuple[str, ...] = getattr(table, key)
     by_default = key not in table.model_fields_set
-    return (key,) if by_default and names[0] not in columns.names and key in columns.names else names
+    return (
+        (key,) if by_default and names[0] not in columns.names and key in columns.names else names
+    )
 
 
-def _together(columns: Columns, names: Sequence[str], key: str, count: int) -> Float[np.ndarray, "n k"]:
+def _together(
+    columns: Columns, names: Sequence[str], key: str, count: int
+) -> Float[np.ndarray, "n k"]:
     arrays = [_array(columns, name, key) for name in names]
     if len({len(array) for array in arrays}) > 1:
         raise InputError(
             f"{columns.file}: {key} = {list(names)} have {[len(array) for array in arrays]} rows; allowed are columns of equal length"
         )
-    if len(arrays) == 1 and arrays[0].ndim == 2 and arrays[0].shape[1] != count == arrays[0].shape[0]:
+    if (
+        len(arrays) == 1
+        and arrays[0].ndim == 2
+        and arrays[0].shape[1] != count == arrays[0].shape[0]
+    ):
         # As MATLAB often holds them: a column a sample.
         arrays = [arrays[0].T]
     block = np.column_stack(arrays)
     if block.shape[1] != count:
-        raise InputError(f"{columns.file}: {key} = {list(names)} has {block.shape[1]} columns; allowed are {count}")
+        raise InputError(
+            f"{columns.file}: {key} = {list(names)} has {block.shape[1]} columns; allowed are {count}"
+        )
     return block
 
 
@@ -147,7 +188,9 @@ def _array(columns: Columns, name: str, key: str) -> Array:
     indexed = fullmatch(r"(.+)\[(\d{1,4})\]", name)
     plain = indexed[1] if indexed and name not in columns.names else name
     if plain not in columns.names:
-        raise InputError(f"{columns.file}: {key} = {name!r} is not in the file; it holds {_some(columns.names)}")
+        raise InputError(
+            f"{columns.file}: {key} = {name!r} is not in the file; it holds {_some(columns.names)}"
+        )
     array = columns.get(plain)
     if array.ndim not in {1, 2} or len(array) > MOST_ROWS:
         raise InputError(
@@ -158,23 +201,42 @@ def _array(columns: Columns, name: str, key: str) -> Array:
     assert indexed is not None
     column = int(indexed[2])
     if array.ndim == 1 or column >= array.shape[1]:
-        raise InputError(f"{columns.file}: {key} = {name!r}, but {plain!r} has shape {array.shape}; columns count from 0")
+        raise InputError(
+            f"{columns.file}: {key} = {name!r}, but {plain!r} has shape {array.shape}; columns count from 0"
+        )
     return array[:, column]
 
 
-def _scaled(columns: Columns, names: Sequence[str], key: str, array: Array, unit: str | None, allowed: dict[str, float]) -> Array:
-    """In SI, by the unit of the setup, or by what the file itself says; where both speak they have to agree."""
+def _scaled(
+    columns: Columns,
+    names: Sequence[str],
+    key: str,
+    array: Array,
+    unit: str | None,
+    allowed: dict[str, float],
+) -> Array:
+    """In SI, by the unit of the setup, or by what the file itself says; where both speak they have
+    to agree.
+    """
     stated = _stated(columns, names, key, unit, allowed)
     if unit is None and len({allowed[one] for one in stated}) > 1:
-        raise InputError(f"{columns.file}: the units of {key} are {sorted(stated)}; allowed is one unit")
-    other = next((one for one in stated if unit is not None and allowed[one] != allowed[unit]), None)
+        raise InputError(
+            f"{columns.file}: the units of {key} are {sorted(stated)}; allowed is one unit"
+        )
+    other = next(
+        (one for one in stated if unit is not None and allowed[one] != allowed[unit]), None
+    )
     if other is not None:
-        raise InputError(f"{columns.file}: {key}_unit = {unit!r}, but the file says {other!r}; allowed is the unit that it has")
+        raise InputError(
+            f"{columns.file}: {key}_unit = {unit!r}, but the file says {other!r}; allowed is the unit that it has"
+        )
     factor = allowed[unit or next(iter(stated), None) or next(iter(allowed))]
     return array if factor == 1 else array * factor
 
 
-def _stated(columns: Columns, names: Sequence[str], key: str, unit: str | None, allowed: dict[str, float]) -> set[str]:
+def _stated(
+    columns: Columns, names: Sequence[str], key: str, unit: str | None, allowed: dict[str, float]
+) -> set[str]:
     """Units that attributes of the arrays name, or brackets at the ends of their names."""
     found = {units.in_brackets(name, allowed) for name in names}
     for name in names:
@@ -205,7 +267,11 @@ def _orientation(columns: Columns, table: RecordingTable) -> Float[np.ndarray, "
             f"{columns.file}: orientation = {list(names)} reaches {largest:.4g} rad, as of degrees; allowed are radians, or angle_unit in [recording]"
         )
     known = np.all(np.isfinite(angles), axis=1)
-    rotation = Rotation.from_rotvec(angles[known]) if form == "rotation_vector" else Rotation.from_euler("xyz", angles[known])
+    rotation = (
+        Rotation.from_rotvec(angles[known])
+        if form == "rotation_vector"
+        else Rotation.from_euler("xyz", angles[known])
+    )
     quaternion = np.full((len(angles), 4), np.nan)
     quaternion[known] = rotation.as_quat()
     return quaternion
@@ -226,7 +292,11 @@ def _check_numbered(columns: Columns, names: Sequence[str]) -> None:
     """Names such as q0 to q3 leave open whether the scalar part comes first, and both are in use."""
     ends = [fullmatch(r"(.*?)[\[(_]?(\d)[\])]?", name.strip()) for name in names]
     places = [int(end[2]) for end in ends if end]
-    if len(places) == 4 and places in ([0, 1, 2, 3], [1, 2, 3, 4]) and len({end[1] for end in ends if end}) == 1:
+    if (
+        len(places) == 4
+        and places in ([0, 1, 2, 3], [1, 2, 3, 4])
+        and len({end[1] for end in ends if end}) == 1
+    ):
         raise InputError(
             f"{columns.file}: orientation = {list(names)} does not say whether the scalar part w comes first or last; allowed are such names with "
             "orientation_form = 'wxyz' or 'xyzw' in [recording]"

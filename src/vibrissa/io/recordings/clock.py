@@ -1,8 +1,11 @@
-"""Offset between the clocks of wrenches and poses, from the data: at rest the reactions stand, and at one place they are the same whenever the clamp comes by.
+"""Offset between the clocks of wrenches and poses, from the data: at rest the reactions stand, and
+at one place they are the same whenever the clamp comes by.
 
-In a quasi-static sweep the reactions are a function of the pose. In short windows that function is fitted along the main direction of the motion, by
-straight pieces, for each offset tried; the right offset leaves the least residual. A window without a change of speed fits equally well with any offset (the
-object is then found shifted along the trail, and nothing contradicts it), so that only stops, starts and turns under load tell.
+In a quasi-static sweep the reactions are a function of the pose. In short windows that function is
+fitted along the main direction of the motion, by straight pieces, for each offset tried; the right
+offset leaves the least residual. A window without a change of speed fits equally well with any
+offset (the object is then found shifted along the trail, and nothing contradicts it), so that only
+stops, starts and turns under load tell.
 """
 
 from collections.abc import Callable
@@ -58,8 +61,9 @@ class ClockOffset:
 def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float) -> ClockOffset:
     """Offset that makes the reactions most nearly a function of the pose, with its standard error.
 
-    The standard error is that of the profile likelihood, with as many independent samples as the residuals' correlation leaves. Friction, which turns with
-    the motion, and a wire that still swings are not in it.
+    The standard error is that of the profile likelihood, with as many independent samples as the
+    residuals' correlation leaves. Friction, which turns with the motion, and a wire that still
+    swings are not in it.
 
     Parameters
     ----------
@@ -71,7 +75,8 @@ def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float)
     Raises
     ------
     ValueError
-        If the streams hardly overlap, or the data do not determine the offset: no change of speed under load, several offsets as good, or the best one at the bound.
+        If the streams hardly overlap, or the data do not determine the offset: no change of speed
+        under load, several offsets as good, or the best one at the bound.
     """
     windows = _windows(wrench, pose, largest, scale)
     if not windows:
@@ -88,10 +93,19 @@ def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float)
     lowest = _lowest(cost, offsets, misfit, step)
     seconds = lowest[0][1]
     error = _standard_error(cost, seconds, largest)
-    if not np.isfinite(error) or error > largest / 10 or np.median(misfit) - lowest[0][0] < _EVIDENCE:
+    if (
+        not np.isfinite(error)
+        or error > largest / 10
+        or np.median(misfit) - lowest[0][0] < _EVIDENCE
+    ):
         raise ValueError(_UNDETERMINED)
     rival = next(
-        (other for value, other in lowest[1:] if value - lowest[0][0] < _EVIDENCE and abs(other - seconds) > 6 * error + step / 10), None
+        (
+            other
+            for value, other in lowest[1:]
+            if value - lowest[0][0] < _EVIDENCE and abs(other - seconds) > 6 * error + step / 10
+        ),
+        None,
     )
     if rival is not None:
         raise ValueError(
@@ -105,7 +119,10 @@ def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float)
 
 
 def _lowest(
-    cost: Callable[[float], float], offsets: Float[np.ndarray, "t"], misfit: Float[np.ndarray, "t"], step: float
+    cost: Callable[[float], float],
+    offsets: Float[np.ndarray, "t"],
+    misfit: Float[np.ndarray, "t"],
+    step: float,
 ) -> list[tuple[float, float]]:
     """The deepest minima, lowest first: misfit and offset of each."""
     higher = np.concatenate([[np.inf], misfit, [np.inf]])
@@ -113,13 +130,17 @@ def _lowest(
     found = []
     for index in minima[np.argsort(misfit[minima])][:_MOST_MINIMA]:
         at = offsets[index]
-        best = minimize_scalar(cost, bounds=(at - step, at + step), method="bounded", options={"xatol": 1e-3 * step})
+        best = minimize_scalar(
+            cost, bounds=(at - step, at + step), method="bounded", options={"xatol": 1e-3 * step}
+        )
         found.append((float(best.fun), float(best.x)))
     return sorted(found)
 
 
 def _standard_error(cost: Callable[[float], float], at: float, largest: float) -> float:
-    """Half the distance at which the misfit has risen by 2, two standard deviations of a normal error, on the side where that is further."""
+    """Half the distance at which the misfit has risen by 2, two standard deviations of a normal
+    error, on the side where that is further.
+    """
     middle, reaches = cost(at), []
     for side in (-1, 1):
         inside, outside = 0.0, _FINEST * largest
@@ -129,14 +150,18 @@ def _standard_error(cost: Callable[[float], float], at: float, largest: float) -
                 return float("inf")
         for _ in range(6):
             half = (inside + outside) / 2
-            inside, outside = (half, outside) if cost(at + side * half) - middle < 2 else (inside, half)
+            inside, outside = (
+                (half, outside) if cost(at + side * half) - middle < 2 else (inside, half)
+            )
         reaches.append(outside)
     return max(reaches) / 2
 
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """Wrenches in a stretch of time, and the clamp's way along the main direction of its motion there, with stamps of its own."""
+    """Wrenches in a stretch of time, and the clamp's way along the main direction of its motion
+    there, with stamps of its own.
+    """
 
     time: Float[np.ndarray, "n"]
     values: Float[np.ndarray, "n 6"]
@@ -148,7 +173,9 @@ class _Window:
 
 
 def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list[_Window]:
-    """Stretches in which the clamp comes back, each with poses beyond its ends by the largest offset."""
+    """Stretches in which the clamp comes back, each with poses beyond its ends by the largest
+    offset.
+    """
     sound = np.isfinite(wrench.time) & np.all(np.isfinite(wrench.values), axis=1)
     if len(pose.time):
         sound &= (wrench.time > pose.time[0] + largest) & (wrench.time < pose.time[-1] - largest)
@@ -162,7 +189,11 @@ def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list
     still = _STANDING * float(np.linalg.norm(_noise(features)))
     length = max(_SHORTEST_WINDOW, 4 * largest)
     found = []
-    for start in np.arange(rows.time[0], rows.time[-1], max(length / _OVERLAP, (rows.time[-1] - rows.time[0]) / _MOST_STRETCHES)):
+    for start in np.arange(
+        rows.time[0],
+        rows.time[-1],
+        max(length / _OVERLAP, (rows.time[-1] - rows.time[0]) / _MOST_STRETCHES),
+    ):
         part = slice(*np.searchsorted(rows.time, (start, start + length)))
         near = slice(*np.searchsorted(pose.time, (start - largest, start + length + largest)))
         if part.stop - part.start < _FEWEST_ROWS or near.stop - near.start < _FEWEST_ROWS:
@@ -171,26 +202,54 @@ def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list
         if _comes_back(pose.time[near], way, fast):
             time, values = _thinned(rows.time[part], rows.values[part])
             found.append(_Window(time, values, pose.time[near], way, floor, _PITCH * scale, still))
-    return [found[index] for index in np.unique(np.linspace(0, len(found) - 1, _MOST_WINDOWS).round().astype(int))] if found else []
+    return (
+        [
+            found[index]
+            for index in np.unique(
+                np.linspace(0, len(found) - 1, _MOST_WINDOWS).round().astype(int)
+            )
+        ]
+        if found
+        else []
+    )
 
 
-def _thinned(time: Float[np.ndarray, "n"], values: Float[np.ndarray, "n 6"]) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 6"]]:
+def _thinned(
+    time: Float[np.ndarray, "n"], values: Float[np.ndarray, "n 6"]
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 6"]]:
     """Means of as many rows each as keep the count below a bound."""
     each = -(-len(time) // _MOST_ROWS)
     whole = len(time) // each * each
-    return time[:whole].reshape(-1, each).mean(axis=1), values[:whole].reshape(-1, each, 6).mean(axis=1)
+    return time[:whole].reshape(-1, each).mean(axis=1), values[:whole].reshape(-1, each, 6).mean(
+        axis=1
+    )
 
 
 def _noise(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
-    """Standard deviation of white noise (k,), by second differences, which a smooth motion hardly enters."""
-    return np.asarray(np.sqrt(np.mean(np.diff(values, 2, axis=0) ** 2, axis=0) / 6)) if len(values) > 2 else np.zeros(values.shape[1])
+    """Standard deviation of white noise (k,), by second differences, which a smooth motion hardly
+    enters.
+    """
+    return (
+        np.asarray(np.sqrt(np.mean(np.diff(values, 2, axis=0) ** 2, axis=0) / 6))
+        if len(values) > 2
+        else np.zeros(values.shape[1])
+    )
 
 
 def _features(pose: Stream) -> Float[np.ndarray, "n 6"]:
-    """Positions, and turns seen from a lever of 0.1 m: twice the quaternion's vector part, of one sign, relative to the first pose."""
+    """Positions, and turns seen from a lever of 0.1 m: twice the quaternion's vector part, of one
+    sign, relative to the first pose.
+    """
     x, y, z, w = (pose.values[:, 3:] / np.linalg.norm(pose.values[:, 3:], axis=1, keepdims=True)).T
     a, b, c, d = pose.values[0, 3:] / np.linalg.norm(pose.values[0, 3:])
-    turn = np.stack([d * x - a * w - b * z + c * y, d * y - b * w - c * x + a * z, d * z - c * w - a * y + b * x], axis=1)
+    turn = np.stack(
+        [
+            d * x - a * w - b * z + c * y,
+            d * y - b * w - c * x + a * z,
+            d * z - c * w - a * y + b * x,
+        ],
+        axis=1,
+    )
     sign = np.where(d * w + a * x + b * y + c * z < 0, -1.0, 1.0)
     return np.hstack([pose.values[:, :3] - pose.values[0, :3], 2 * _LEVER * sign[:, None] * turn])
 
@@ -202,18 +261,24 @@ def _way(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m"]:
 
 
 def _smoothed(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m 6"]:
-    """Parabolas through nine neighbours each: an encoder's noise else moves the least residual from stamp to stamp."""
+    """Parabolas through nine neighbours each: an encoder's noise else moves the least residual from
+    stamp to stamp.
+    """
     return np.asarray(savgol_filter(features, 9, 2, axis=0)) if len(features) >= 9 else features
 
 
-def _speeds(time: Float[np.ndarray, "m"], features: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "l k"]:
+def _speeds(
+    time: Float[np.ndarray, "m"], features: Float[np.ndarray, "m k"]
+) -> Float[np.ndarray, "l k"]:
     """Mean velocities over a twentieth of a second, or four steps."""
     lag = min(max(_FEWEST_STEPS, round(_MOMENT / float(np.median(np.diff(time))))), len(time) - 1)
     return (features[lag:] - features[:-lag]) / (time[lag:] - time[:-lag])[:, None]
 
 
 def _comes_back(time: Float[np.ndarray, "m"], way: Float[np.ndarray, "m"], fast: float) -> bool:
-    """Whether the clamp moves, and is at one place more than once: it stands for a while, or goes back by some of its way."""
+    """Whether the clamp moves, and is at one place more than once: it stands for a while, or goes
+    back by some of its way.
+    """
     speed = _speeds(time, way[:, None])[:, 0] / fast
     forth, back = np.sum(speed[speed > _SLOW]), -np.sum(speed[speed < -_SLOW])
     standing = np.count_nonzero(np.abs(speed) < _SLOW) / len(speed)
@@ -225,21 +290,31 @@ def _spreads(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
     found = []
     for window in windows:
         residual, rank = _residual(window, offset)
-        found.append(0.5 * np.log(np.sum(residual**2, axis=0) / (len(residual) - rank) + window.floor**2 + 1e-300))
+        found.append(
+            0.5
+            * np.log(
+                np.sum(residual**2, axis=0) / (len(residual) - rank) + window.floor**2 + 1e-300
+            )
+        )
     return np.array(found)
 
 
 def _residual(window: _Window, offset: float) -> tuple[Float[np.ndarray, "n 6"], int]:
     """What a function of the pose leaves of the reactions, and the number of its parameters."""
-    basis = _pieces(np.interp(window.time - offset, window.way_time, window.way), window.pitch, window.still)
+    basis = _pieces(
+        np.interp(window.time - offset, window.way_time, window.way), window.pitch, window.still
+    )
     gram = (basis.T @ basis).toarray()
     used = gram.diagonal() > 0
     gram[np.diag_indices_from(gram)] += _RIDGE * gram.max()
-    return window.values - basis @ solve(gram, basis.T @ window.values, assume_a="pos"), int(np.count_nonzero(used))
+    return window.values - basis @ solve(gram, basis.T @ window.values, assume_a="pos"), int(
+        np.count_nonzero(used)
+    )
 
 
 def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> csr_array:
-    """Cubic B-splines (n, k) over the range of the motion, of equal pitch; a constant where the clamp stands.
+    """Cubic B-splines (n, k) over the range of the motion, of equal pitch; a constant where the
+    clamp stands.
 
     Their places go with the range, so that a uniform motion has the same fit wherever it is.
     """
@@ -252,11 +327,22 @@ def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> csr_ar
 
 
 def _weights(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
-    """Independent samples by window and channel: fewer than there are where neighbouring residuals are alike."""
+    """Independent samples by window and channel: fewer than there are where neighbouring residuals
+    are alike.
+    """
     weights = []
     for window in windows:
         residual, rank = _residual(window, offset)
         square = np.sum(residual**2, axis=0)
-        alike = np.clip(np.divide(np.sum(residual[1:] * residual[:-1], axis=0), square, out=np.zeros(6), where=square > 0), 0, 0.98)
+        alike = np.clip(
+            np.divide(
+                np.sum(residual[1:] * residual[:-1], axis=0),
+                square,
+                out=np.zeros(6),
+                where=square > 0,
+            ),
+            0,
+            0.98,
+        )
         weights.append((len(residual) - rank) * (1 - alike) / (1 + alike) / _OVERLAP)
     return np.array(weights)

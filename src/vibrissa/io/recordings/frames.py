@@ -1,4 +1,6 @@
-"""Poses of the sensor by the frames of /tf: the chain from a fixed frame, each link with stamps of its own."""
+"""Poses of the sensor by the frames of /tf: the chain from a fixed frame, each link with stamps of
+its own.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +19,17 @@ _SMALLEST = 0.5
 
 @dataclass(frozen=True)
 class Edges:
-    """Poses of frames in their parents, by (parent, child): streams of `POSE`, or one pose (7,) for all times."""
+    """Poses of frames in their parents, by (parent, child): streams of `POSE`, or one pose (7,) for
+    all times.
+    """
 
     moving: dict[Pair, Stream]
     fixed: dict[Pair, Float[np.ndarray, "7"]]
 
 
 def chained(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str) -> Stream:
-    """Poses of `sensor_frame` in `fixed_frame`, at every stamp of a link where all links are known; no link is extrapolated.
+    """Poses of `sensor_frame` in `fixed_frame`, at every stamp of a link where all links are known;
+    no link is extrapolated.
 
     Parameters
     ----------
@@ -49,13 +54,21 @@ def chained(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str
             f"{path}: no frame between {chain[0][0]!r} and {sensor_frame!r} is on /tf, all are static; allowed is a moving sensor"
         )
     for pair in chain:
-        _check_rotations(path, pair, edges.moving[pair].values if pair in edges.moving else edges.fixed[pair][None])
+        _check_rotations(
+            path,
+            pair,
+            edges.moving[pair].values if pair in edges.moving else edges.fixed[pair][None],
+        )
     first, last = max(link.time[0] for link in moving), min(link.time[-1] for link in moving)
     stamps = np.unique(np.concatenate([link.time for link in moving]))
     time = stamps[(stamps >= first) & (stamps <= last)]
     position, turn = np.zeros((len(time), 3)), Rotation.identity(len(time))
     for pair in chain:
-        link = interpolated(edges.moving[pair], time, np.inf) if pair in edges.moving else np.tile(edges.fixed[pair], (len(time), 1))
+        link = (
+            interpolated(edges.moving[pair], time, np.inf)
+            if pair in edges.moving
+            else np.tile(edges.fixed[pair], (len(time), 1))
+        )
         position = position + turn.apply(link[:, :3]) if len(time) else position
         turn = turn * Rotation.from_quat(link[:, 3:])
     return Stream(time, np.hstack([position, np.asarray(turn.as_quat()).reshape(-1, 4)]))
@@ -65,7 +78,9 @@ def _check_rotations(path: Path, pair: Pair, link: Float[np.ndarray, "n 7"]) -> 
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(link[:, 3:], axis=1)
     if not np.all((norm > _SMALLEST) & (norm < 1 / _SMALLEST) & np.isfinite(link).all(axis=1)):
-        raise InputError(f"{path}: frame {pair[1]!r} in {pair[0]!r} is not finite, or its quaternion has no norm; allowed is the norm 1")
+        raise InputError(
+            f"{path}: frame {pair[1]!r} in {pair[0]!r} is not finite, or its quaternion has no norm; allowed is the norm 1"
+        )
 
 
 def _chain(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str) -> list[Pair]:

@@ -12,11 +12,23 @@ from vibrissa.io.recordings.arrays import MOST_ROWS, Array, Columns
 from vibrissa.io.recordings.limits import Budget
 
 _MOST_NAMES = 2000
-_DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, MemoryError, IndexError, SystemError)
+_DAMAGED = (
+    OSError,
+    RuntimeError,
+    KeyError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    MemoryError,
+    IndexError,
+    SystemError,
+)
 
 
 def columns(file: Path, wanted: Sequence[str], *, matlab: bool = False) -> Columns:
-    """Arrays of an HDF5 file by their paths, `group/array`, or `group/table/column` where an array has named columns.
+    """Arrays of an HDF5 file by their paths, `group/array`, or `group/table/column` where an array
+    has named columns.
 
     Parameters
     ----------
@@ -30,7 +42,8 @@ def columns(file: Path, wanted: Sequence[str], *, matlab: bool = False) -> Colum
     Raises
     ------
     InputError
-        If the file is damaged, an array holds no numbers, lies in another file, or claims more rows or bytes than allowed.
+        If the file is damaged, an array holds no numbers, lies in another file, or claims more rows
+        or bytes than allowed.
     """
     import h5py  # noqa: PLC0415
 
@@ -43,7 +56,9 @@ def columns(file: Path, wanted: Sequence[str], *, matlab: bool = False) -> Colum
             if matlab:
                 names = [name.replace("/", ".") for name in names]
             for name in dict.fromkeys(wanted):
-                node, column = _node(opened, (name.replace(".", "/") if matlab else name).strip("/"))
+                node, column = _node(
+                    opened, (name.replace(".", "/") if matlab else name).strip("/")
+                )
                 if node is None:
                     continue
                 arrays[name] = _numbers(file, name, node, column, budget, matlab=matlab)
@@ -51,12 +66,21 @@ def columns(file: Path, wanted: Sequence[str], *, matlab: bool = False) -> Colum
     except InputError:
         raise
     except _DAMAGED as error:
-        raise InputError(f"{file}: damaged HDF5 ({str(error)[:200]}); allowed is a whole HDF5 file") from error
-    return Columns(file, [*arrays, *(name for name in names if name not in arrays)], arrays.__getitem__, found.get)
+        raise InputError(
+            f"{file}: damaged HDF5 ({str(error)[:200]}); allowed is a whole HDF5 file"
+        ) from error
+    return Columns(
+        file,
+        [*arrays, *(name for name in names if name not in arrays)],
+        arrays.__getitem__,
+        found.get,
+    )
 
 
 def _names(group: Any, prefix: str = "", depth: int = 0) -> Iterator[str]:
-    """Paths of the arrays, and of the columns inside; links into other files are not followed, nor loops of groups."""
+    """Paths of the arrays, and of the columns inside; links into other files are not followed, nor
+    loops of groups.
+    """
     import h5py  # noqa: PLC0415
 
     if depth > 8:
@@ -82,20 +106,31 @@ def _node(opened: Any, path: str) -> tuple[Any, str | None]:
         if isinstance(here, h5py.Dataset):
             rest = "/".join(parts[index:])
             return (here, rest) if rest in (here.dtype.names or ()) else (None, None)
-        if not isinstance(here, h5py.Group) or not part or part not in here or isinstance(here.get(part, getlink=True), h5py.ExternalLink):
+        if (
+            not isinstance(here, h5py.Group)
+            or not part
+            or part not in here
+            or isinstance(here.get(part, getlink=True), h5py.ExternalLink)
+        ):
             return None, None
         here = here[part]
     return (here, None) if isinstance(here, h5py.Dataset) else (None, None)
 
 
-def _numbers(file: Path, name: str, node: Any, column: str | None, budget: Budget, *, matlab: bool) -> Array:
+def _numbers(
+    file: Path, name: str, node: Any, column: str | None, budget: Budget, *, matlab: bool
+) -> Array:
     kind = node.dtype if column is None else node.dtype[column]
     if kind.kind not in "iuf":
         raise InputError(f"{file}: {name!r} is of type {str(kind)[:60]}; allowed are numbers")
     if node.external or node.is_virtual:
-        raise InputError(f"{file}: {name!r} lies in another file; allowed are arrays in the file itself")
+        raise InputError(
+            f"{file}: {name!r} lies in another file; allowed are arrays in the file itself"
+        )
     if node.ndim not in {0, 1, 2} or node.size > 16 * MOST_ROWS:
-        raise InputError(f"{file}: {name!r} has shape {node.shape}; allowed are (n,) and (n, k) of at most {MOST_ROWS} rows")
+        raise InputError(
+            f"{file}: {name!r} has shape {node.shape}; allowed are (n,) and (n, k) of at most {MOST_ROWS} rows"
+        )
     chunk = int(np.prod(node.chunks, dtype=np.float64)) if node.chunks else 0
     budget.take(node.size * max(8, node.dtype.itemsize), repr(name[:60]))
     if chunk * node.dtype.itemsize > budget.allowed:
@@ -112,9 +147,16 @@ def _decoded(stored: np.ndarray, attributes: dict[str, Any]) -> Array:
     with np.errstate(invalid="ignore"):
         numbers = stored.astype(np.float64)
     for key in ("_FillValue", "missing_value"):
-        if key in attributes and np.size(attributes[key]) == 1 and np.asarray(attributes[key]).dtype.kind in "iuf":
+        if (
+            key in attributes
+            and np.size(attributes[key]) == 1
+            and np.asarray(attributes[key]).dtype.kind in "iuf"
+        ):
             numbers[stored == np.ravel(attributes[key])[0]] = np.nan
-    factor, offset = (float(np.ravel(attributes.get(key, default))[0]) for key, default in (("scale_factor", 1.0), ("add_offset", 0.0)))
+    factor, offset = (
+        float(np.ravel(attributes.get(key, default))[0])
+        for key, default in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
     return numbers if (factor, offset) == (1.0, 0.0) else numbers * factor + offset
 
 
@@ -173,7 +215,9 @@ def classic_columns(file: Path, wanted: Sequence[str]) -> Columns:
     except InputError:
         raise
     except (*_DAMAGED, AssertionError) as error:
-        raise InputError(f"{file}: damaged NetCDF ({str(error)[:200]}); allowed is a whole NetCDF file") from error
+        raise InputError(
+            f"{file}: damaged NetCDF ({str(error)[:200]}); allowed is a whole NetCDF file"
+        ) from error
     return Columns(file, names, arrays.__getitem__, found.get)
 
 

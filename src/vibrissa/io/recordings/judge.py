@@ -1,4 +1,6 @@
-"""What makes a recording unusable and has a place in its file; `vibrissa.sensor.inspect_raw` judges the rest. Reading alone refuses none of this."""
+"""What makes a recording unusable and has a place in its file; `vibrissa.sensor.inspect_raw` judges
+the rest. Reading alone refuses none of this.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +16,8 @@ from vibrissa.sensor.units import wrong_norms
 
 
 def check(file: Path, streams: Streams) -> None:
-    """Refuse streams whose stamps run backwards, which leaves open which of them are right, and rotations that are none.
+    """Refuse streams whose stamps run backwards, which leaves open which of them are right, and
+    rotations that are none.
 
     Raises
     ------
@@ -48,7 +51,8 @@ def _check_quaternions(file: Path, pose: Stream) -> None:
 
 
 def pose_faults(pose: Stream) -> list[Fault]:
-    """Faults of poses that have stamps of their own, which bringing them to the stamps of the wrenches would hide.
+    """Faults of poses that have stamps of their own, which bringing them to the stamps of the
+    wrenches would hide.
 
     Parameters
     ----------
@@ -58,7 +62,10 @@ def pose_faults(pose: Stream) -> list[Fault]:
     if not np.isfinite(pose.time).any():
         return []
     channels = ("position", "orientation")
-    found = [replace(fault, channels=channels, text=f"stamps of the poses: {fault.text}") for fault in stamp_faults(pose.time)]
+    found = [
+        replace(fault, channels=channels, text=f"stamps of the poses: {fault.text}")
+        for fault in stamp_faults(pose.time)
+    ]
     quaternion = pose.values[:, 3:]
     whole = np.isfinite(pose.values).all(axis=1) & np.isfinite(pose.time)
     wrong = wrong_norms(quaternion)
@@ -72,8 +79,22 @@ def pose_faults(pose: Stream) -> list[Fault]:
 
 
 def _spanning(
-    kind: FaultKind, channels: tuple[str, ...], pose: Stream, rows: Bool[np.ndarray, "n"], text: str, *, unusable: bool = False
+    kind: FaultKind,
+    channels: tuple[str, ...],
+    pose: Stream,
+    rows: Bool[np.ndarray, "n"],
+    text: str,
+    *,
+    unusable: bool = False,
 ) -> Fault:
     known = np.isfinite(pose.time)
     stamps = pose.time[rows & known] if np.any(rows & known) else pose.time[known]
-    return Fault(kind, channels, float(stamps.min()), float(stamps.max()), int(np.count_nonzero(rows)), text, unusable)
+    return Fault(
+        kind,
+        channels,
+        float(stamps.min()),
+        float(stamps.max()),
+        int(np.count_nonzero(rows)),
+        text,
+        unusable,
+    )

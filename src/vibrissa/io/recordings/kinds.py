@@ -61,7 +61,8 @@ def kind_of(path: Path) -> Kind:
     Raises
     ------
     InputError
-        If the file cannot be read, is of a known format that is no recording, or is not what its suffix says.
+        If the file cannot be read, is of a known format that is no recording, or is not what its
+        suffix says.
     """
     if path.is_dir() and is_bag(path):
         return Kind.BAG
@@ -77,5 +78,7 @@ def kind_of(path: Path) -> Kind:
         raise InputError(f"{path}: is {other}; allowed are {_FORMATS}")
     said = _SUFFIXES.get(path.suffix.lower(), Kind.TEXT)
     if said not in {Kind.TEXT, Kind.MATLAB}:
-        raise InputError(f"{path}: begins with {start[:8]!r}, which is no {said.value}; allowed are {_FORMATS}")
+        raise InputError(
+            f"{path}: begins with {start[:8]!r}, which is no {said.value}; allowed are {_FORMATS}"
+        )
     return said

@@ -1,4 +1,6 @@
-"""How much memory a file may ask for: what it claims is held against its own size before anything is allocated."""
+"""How much memory a file may ask for: what it claims is held against its own size before anything
+is allocated.
+"""
 
 from pathlib import Path
 
@@ -9,9 +11,11 @@ _FACTOR = 100
 
 
 class Budget:
-    """Bytes that the contents of a file may come to: 64 MiB, or 100 times the file where that is more.
+    """Bytes that the contents of a file may come to: 64 MiB, or 100 times the file where that is
+    more.
 
-    Recorded noise hardly compresses, so that a recording stays far below; a few bytes that claim gigabytes do not.
+    Recorded noise hardly compresses, so that a recording stays far below; a few bytes that claim
+    gigabytes do not.
     """
 
     def __init__(self, file: Path, size: int | None = None) -> None:

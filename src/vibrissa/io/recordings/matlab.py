@@ -1,7 +1,7 @@
 """MATLAB's `.mat`, up to version 7; version 7.3 is HDF5.
 
-Level 5 of the format (MathWorks, *MAT-File Format*) is read here, as far as recordings need it: real matrices and structs of them. SciPy's reader ends the whole
-process on damaged files of it.
+Level 5 of the format (MathWorks, *MAT-File Format*) is read here, as far as recordings need it:
+real matrices and structs of them. SciPy's reader ends the whole process on damaged files of it.
 """
 
 import zlib
@@ -18,7 +18,18 @@ from vibrissa.io.recordings.limits import Budget
 
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
-_STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_STORED = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
 _STRUCT, _NUMERIC = 2, range(6, 16)
 _CLASSES = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 17: "object"}
 _COMPLEX = 0x0800
@@ -36,7 +47,8 @@ def columns(file: Path) -> Columns:
     Raises
     ------
     InputError
-        If the file is damaged, unpacks to more than allowed, or what is asked for is no numeric matrix.
+        If the file is damaged, unpacks to more than allowed, or what is asked for is no numeric
+        matrix.
     """
     content = file.read_bytes()
     try:
@@ -45,7 +57,9 @@ def columns(file: Path) -> Columns:
         raise
     # Level 4 has no sign of its own, so that anything may come here, and be anything to the reader.
     except Exception as reason:
-        raise InputError(f"{file}: damaged .mat ({str(reason)[:200]}); allowed is a whole file of MATLAB 4 to 7.3") from reason
+        raise InputError(
+            f"{file}: damaged .mat ({str(reason)[:200]}); allowed is a whole file of MATLAB 4 to 7.3"
+        ) from reason
     return Columns(file, list(found), lambda name: _numbers(file, name, found[name]))
 
 
@@ -86,8 +100,12 @@ def _elements(content: bytes, start: int, order: str) -> Iterator[tuple[int, byt
         at = end if kind == _COMPRESSED else end + (-size) % 8
 
 
-def _matrix(body: bytes, order: str, prefix: str = "", depth: int = 0, named: str | None = None) -> Iterator[tuple[str, np.ndarray | str]]:
-    """A matrix by its name, or in a struct by that of its field; of a plain struct (1, 1) what is in it; of others the name of their class."""
+def _matrix(
+    body: bytes, order: str, prefix: str = "", depth: int = 0, named: str | None = None
+) -> Iterator[tuple[str, np.ndarray | str]]:
+    """A matrix by its name, or in a struct by that of its field; of a plain struct (1, 1) what is
+    in it; of others the name of their class.
+    """
     parts = _elements(body, 0, order)
     (flags,) = unpack_from(f"{order}I", next(parts, (0, b""))[1])
     shape = np.frombuffer(next(parts, (0, b""))[1], dtype=f"{order}i4")
@@ -98,7 +116,14 @@ def _matrix(body: bytes, order: str, prefix: str = "", depth: int = 0, named: st
     elif kind == _STRUCT and np.prod(shape, dtype=np.float64) == 1 and depth < _DEEPEST:
         (length,) = unpack_from(f"{order}i", next(parts, (0, b""))[1])
         names = next(parts, (0, b""))[1]
-        fields = [names[at : at + length].split(b"\0")[0].decode("latin-1") for at in range(0, len(names), length)] if length > 0 else []
+        fields = (
+            [
+                names[at : at + length].split(b"\0")[0].decode("latin-1")
+                for at in range(0, len(names), length)
+            ]
+            if length > 0
+            else []
+        )
         for field, (inner_kind, inner) in zip(fields, parts, strict=False):
             if inner_kind == _MATRIX and inner:
                 yield from _matrix(inner, order, f"{name}.", depth + 1, field)
@@ -115,7 +140,11 @@ def _array(element: tuple[int, bytes], shape: np.ndarray, order: str) -> np.ndar
 
 def _numbers(file: Path, name: str, matrix: np.ndarray | str) -> Array:
     if isinstance(matrix, str) or matrix.dtype.kind not in "iuf" or matrix.ndim > 2:
-        what = matrix if isinstance(matrix, str) else f"of type {matrix.dtype} and shape {matrix.shape}"
+        what = (
+            matrix
+            if isinstance(matrix, str)
+            else f"of type {matrix.dtype} and shape {matrix.shape}"
+        )
         raise InputError(f"{file}: {name!r} is {what}; allowed are real numbers (n, 1) or (n, k)")
     with np.errstate(invalid="ignore"):
         numbers = matrix.astype(np.float64)

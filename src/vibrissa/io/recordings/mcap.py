@@ -1,6 +1,8 @@
-"""MCAP, record by record, as far as the file is whole: a recorder that was killed leaves neither index nor end.
+"""MCAP, record by record, as far as the file is whole: a recorder that was killed leaves neither
+index nor end.
 
-Format: https://mcap.dev/spec. Libraries ask for the end of the file, or take the sizes it claims on trust; here each is held against what is there first.
+Format: https://mcap.dev/spec. Libraries ask for the end of the file, or take the sizes it claims on
+trust; here each is held against what is there first.
 """
 
 import mmap
@@ -66,7 +68,9 @@ def _read(file: Path, content: Content, walk: _Walk) -> None:
         except _DamageError as damage:
             if not whole:
                 break
-            walk.bag.notes.append(f"{file.name}: the record at byte {at} is damaged ({damage}) and left out")
+            walk.bag.notes.append(
+                f"{file.name}: the record at byte {at} is damaged ({damage}) and left out"
+            )
         at = end if whole else at
     count = len(walk.bag.messages) - before
     walk.bag.notes.append(
@@ -75,7 +79,9 @@ def _read(file: Path, content: Content, walk: _Walk) -> None:
 
 
 def _records(content: Content, start: int) -> Iterator[tuple[int, bytes, bool, int]]:
-    """Kind, body where it is of use, whether the record is whole, and where it ends; the last one may not be whole."""
+    """Kind, body where it is of use, whether the record is whole, and where it ends; the last one
+    may not be whole.
+    """
     at = start
     while at + _PREFIX.size <= len(content):
         kind, length = _PREFIX.unpack_from(content, at)
@@ -134,7 +140,11 @@ def _unpacked(compression: str, packed: bytes, size: int) -> bytes:
         return packed[:size]
     if compression not in {"lz4", "zstd"}:
         raise _DamageError(f"compression {compression[:20]!r} is not known")
-    codec = zstandard().ZstdDecompressor() if compression == "zstd" else library("lz4.frame").LZ4FrameDecompressor()
+    codec = (
+        zstandard().ZstdDecompressor()
+        if compression == "zstd"
+        else library("lz4.frame").LZ4FrameDecompressor()
+    )
     try:
         return bytes(codec.decompress(packed, size))
     # Either codec has an error of its own for broken data.

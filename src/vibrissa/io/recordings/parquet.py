@@ -19,7 +19,8 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def columns(file: Path, wanted: Sequence[str]) -> Columns:
-    """Columns of a Parquet file, parts of structs as `column.part`; nulls are NaN, dates seconds since 1970.
+    """Columns of a Parquet file, parts of structs as `column.part`; nulls are NaN, dates seconds
+    since 1970.
 
     Parameters
     ----------
@@ -31,12 +32,17 @@ def columns(file: Path, wanted: Sequence[str]) -> Columns:
     Raises
     ------
     InputError
-        If the file is damaged, a column holds no numbers, or it claims more rows or bytes than allowed.
+        If the file is damaged, a column holds no numbers, or it claims more rows or bytes than
+        allowed.
     """
     arrow, parquet = library("pyarrow"), library("pyarrow.parquet")
     try:
         claims = list(chunks(file))
-        with parquet.ParquetFile(file, thrift_string_size_limit=_STRING_LIMIT, thrift_container_size_limit=_CONTAINER_LIMIT) as opened:
+        with parquet.ParquetFile(
+            file,
+            thrift_string_size_limit=_STRING_LIMIT,
+            thrift_container_size_limit=_CONTAINER_LIMIT,
+        ) as opened:
             names = list(_names(opened.schema_arrow))
             chosen = [name for name in dict.fromkeys(wanted) if name in names]
             _check_claims(file, opened.metadata.num_rows, claims, chosen)
@@ -44,9 +50,24 @@ def columns(file: Path, wanted: Sequence[str]) -> Columns:
             units = {field.name: _unit(field.metadata) for field in opened.schema_arrow}
     except InputError:
         raise
-    except (arrow.ArrowException, OSError, ValueError, KeyError, IndexError, OverflowError, MemoryError) as error:
-        raise InputError(f"{file}: damaged Parquet ({str(error)[:200]}); allowed is a whole Parquet file") from error
-    return Columns(file, names, lambda name: _numbers(file, name, table.column(name).combine_chunks()), units.get)
+    except (
+        arrow.ArrowException,
+        OSError,
+        ValueError,
+        KeyError,
+        IndexError,
+        OverflowError,
+        MemoryError,
+    ) as error:
+        raise InputError(
+            f"{file}: damaged Parquet ({str(error)[:200]}); allowed is a whole Parquet file"
+        ) from error
+    return Columns(
+        file,
+        names,
+        lambda name: _numbers(file, name, table.column(name).combine_chunks()),
+        units.get,
+    )
 
 
 def _names(fields: Any, prefix: str = "", depth: int = 0) -> Iterator[str]:
@@ -81,17 +102,27 @@ def _numbers(file: Path, name: str, column: Any) -> Array:
     """Floats (n,), or (n, k) of a list of equal lengths."""
     arrow = library("pyarrow")
     kind = column.type
-    if arrow.types.is_list(kind) or arrow.types.is_large_list(kind) or arrow.types.is_fixed_size_list(kind):
+    if (
+        arrow.types.is_list(kind)
+        or arrow.types.is_large_list(kind)
+        or arrow.types.is_fixed_size_list(kind)
+    ):
         inner = column.flatten()
         width = len(inner) // max(len(column), 1)
         lengths = {len(row) if row is not None else -1 for row in column}
         if lengths != {width}:
-            raise InputError(f"{file}: column {name!r} holds lists of {sorted(lengths)[:5]} numbers; allowed are lists of equal length")
+            raise InputError(
+                f"{file}: column {name!r} holds lists of {sorted(lengths)[:5]} numbers; allowed are lists of equal length"
+            )
         return _numbers(file, name, inner).reshape(len(column), width)
     try:
         if arrow.types.is_timestamp(kind) or arrow.types.is_duration(kind):
             return _floats(column.cast(arrow.int64())) * _SECONDS[kind.unit]
-        if arrow.types.is_integer(kind) or arrow.types.is_floating(kind) or arrow.types.is_decimal(kind):
+        if (
+            arrow.types.is_integer(kind)
+            or arrow.types.is_floating(kind)
+            or arrow.types.is_decimal(kind)
+        ):
             return _floats(column.cast(arrow.float64(), safe=False))
     except arrow.ArrowException as error:
         raise InputError(

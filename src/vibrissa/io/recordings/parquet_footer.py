@@ -1,7 +1,8 @@
 """What the footer of a Parquet file claims of its columns, read before the library is asked.
 
-The footer is a struct of Thrift's compact protocol (Apache Parquet, `parquet.thrift`; Apache Thrift, *Compact protocol encoding*). pyarrow gives the same
-numbers, but where a footer is damaged its C++ code may end the whole process at that question (an exception that nothing catches).
+The footer is a struct of Thrift's compact protocol (Apache Parquet, `parquet.thrift`; Apache
+Thrift, *Compact protocol encoding*). pyarrow gives the same numbers, but where a footer is damaged
+its C++ code may end the whole process at that question (an exception that nothing catches).
 """
 
 from collections.abc import Iterator
@@ -56,9 +57,17 @@ def chunks(file: Path) -> Iterator[Chunk]:
             if not isinstance(found, dict):
                 raise ValueError("a column without its figures")
             path, values, total = found.get(_PATH), found.get(_VALUES), found.get(_BYTES)
-            if not isinstance(path, list) or not isinstance(values, int) or not isinstance(total, int):
+            if (
+                not isinstance(path, list)
+                or not isinstance(values, int)
+                or not isinstance(total, int)
+            ):
                 raise ValueError("a column without its name, count or size")
-            yield Chunk(tuple(str(part, "utf-8", "replace") for part in path if isinstance(part, bytes)), values, total)
+            yield Chunk(
+                tuple(str(part, "utf-8", "replace") for part in path if isinstance(part, bytes)),
+                values,
+                total,
+            )
 
 
 def _fields(value: object) -> dict[int, object]:

@@ -11,7 +11,8 @@ POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """Stamped rows as they were recorded: not judged, so that stamps may stand or fall and numbers may be NaN.
+    """Stamped rows as they were recorded: not judged, so that stamps may stand or fall and numbers
+    may be NaN.
 
     Attributes
     ----------
@@ -33,7 +34,9 @@ class Stream:
 
     def rows(self, chosen: np.ndarray) -> "Stream":
         """Some of the rows, by a mask or by numbers."""
-        return Stream(self.time[chosen], self.values[chosen], None if self.line is None else self.line[chosen])
+        return Stream(
+            self.time[chosen], self.values[chosen], None if self.line is None else self.line[chosen]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,8 @@ class Streams:
     wrench, pose
         Rows of `WRENCH` and of `POSE`.
     together
-        Whether row i of both is one and the same row of the file, so that nothing needs to be interpolated.
+        Whether row i of both is one and the same row of the file, so that nothing needs to be
+        interpolated.
     notes
         What was left out or recovered, a sentence each.
     """

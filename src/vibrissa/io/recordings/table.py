@@ -1,4 +1,6 @@
-"""The table [recording] of a setup: where a recording's numbers are, in which units, on which clock."""
+"""The table [recording] of a setup: where a recording's numbers are, in which units, on which
+clock.
+"""
 
 from typing import Annotated, Literal
 
@@ -7,7 +9,11 @@ from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
 from vibrissa.io.config import Positive, Table
 from vibrissa.io.recordings import units
 
-Name = Annotated[str, StringConstraints(strict=True, min_length=1), Field(description="the name of a column, array or topic")]
+Name = Annotated[
+    str,
+    StringConstraints(strict=True, min_length=1),
+    Field(description="the name of a column, array or topic"),
+]
 
 
 def _listed(value: object) -> object:
@@ -26,19 +32,34 @@ def _one_or(count: str) -> str:
     return f"one name, of an array with a column for each, or a list of {count} names"
 
 
-Names3 = Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(min_length=1, max_length=3, description=_one_or("three"))]
-Names4 = Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(min_length=1, max_length=4, description=_one_or("three or four"))]
+Names3 = Annotated[
+    tuple[Name, ...],
+    BeforeValidator(_listed),
+    Field(min_length=1, max_length=3, description=_one_or("three")),
+]
+Names4 = Annotated[
+    tuple[Name, ...],
+    BeforeValidator(_listed),
+    Field(min_length=1, max_length=4, description=_one_or("three or four")),
+]
 TimeNames = Annotated[
-    Name | tuple[Name, Name], Field(description="the name of a column or array, or a list of two, of whole seconds and of nanoseconds")
+    Name | tuple[Name, Name],
+    Field(
+        description="the name of a column or array, or a list of two, of whole seconds and of nanoseconds"
+    ),
 ]
 TimeUnit = Annotated[
     Literal["s", "ms", "us", "ns", "min", "h", "stamp"],
-    Field(description="one of s, ms, us, ns, min, h, or stamp for dates of ISO 8601 such as 2026-11-21T20:00:00.125Z"),
+    Field(
+        description="one of s, ms, us, ns, min, h, or stamp for dates of ISO 8601 such as 2026-11-21T20:00:00.125Z"
+    ),
 ]
 
 
 Decimal = Annotated[Literal[".", ","], Field(description="a point or a comma")]
-Lines = Annotated[int, Field(strict=True, ge=0, le=10_000, description="a whole number from 0 to 10,000")]
+Lines = Annotated[
+    int, Field(strict=True, ge=0, le=10_000, description="a whole number from 0 to 10,000")
+]
 
 
 def _unit(names: dict[str, float]) -> object:
@@ -51,22 +72,23 @@ class RecordingTable(Table):
     Attributes
     ----------
     time, force, torque, position, orientation
-        Names of columns or arrays. `"log/ft[2]"` is the third column of the array `ft` in the group or struct `log`. Two names of the time are of whole seconds and of
-        nanoseconds.
+        Names of columns or arrays. `"log/ft[2]"` is the third column of the array `ft` in the group
+        or struct `log`. Two names of the time are of whole seconds and of nanoseconds.
     time_unit, force_unit, torque_unit, position_unit, angle_unit
         Their units; SI, or what the file's own attributes say, where left out.
     orientation_form
         What the orientation's numbers are.
     pose_time, pose_time_unit, pose_file, pose_decimal, pose_skip_lines
-        Stamps of the poses where they have their own, and the file they are in, seen from the recording's folder; `{name}` in it stands for the recording's name
-        without its suffix.
+        Stamps of the poses where they have their own, and the file they are in, seen from the
+        recording's folder; `{name}` in it stands for the recording's name without its suffix.
     delimiter, decimal, skip_lines, encoding
-        Of text; a delimiter that is left out is found from the line of names. A pose file's decimal sign and lines to skip are those of the recording where left out.
+        Of text; a delimiter that is left out is found from the line of names. A pose file's decimal
+        sign and lines to skip are those of the recording where left out.
     wrench_topic, pose_topic, fixed_frame, sensor_frame, stamps
         Of bags: topics, or the frames of /tf; stamps of the messages' headers, or of the log.
     time_offset
-        Added to the stamps of the poses, to bring them onto the clock of the wrench: a pose stamped t belongs to the wrench stamped t + time_offset [s];
-        "estimate" to find it from the data.
+        Added to the stamps of the poses, to bring them onto the clock of the wrench: a pose stamped
+        t belongs to the wrench stamped t + time_offset [s]; "estimate" to find it from the data.
     largest_offset
         Bound of an estimated offset [s].
     longest_gap
@@ -76,17 +98,27 @@ class RecordingTable(Table):
     time: TimeNames = "time"
     time_unit: TimeUnit | None = None
     force: Names3 = ("fx", "fy", "fz")
-    force_unit: Annotated[Literal["N", "mN", "uN", "kN", "gf", "kgf", "lbf"], _unit(units.FORCE)] | None = None
+    force_unit: (
+        Annotated[Literal["N", "mN", "uN", "kN", "gf", "kgf", "lbf"], _unit(units.FORCE)] | None
+    ) = None
     torque: Names3 = ("tx", "ty", "tz")
     torque_unit: (
-        Annotated[Literal["N m", "N cm", "N mm", "mN m", "mN mm", "uN m", "kgf m", "kgf cm", "lbf in"], _unit(units.TORQUE)] | None
+        Annotated[
+            Literal["N m", "N cm", "N mm", "mN m", "mN mm", "uN m", "kgf m", "kgf cm", "lbf in"],
+            _unit(units.TORQUE),
+        ]
+        | None
     ) = None
     position: Names3 = ("px", "py", "pz")
-    position_unit: Annotated[Literal["m", "cm", "mm", "um", "in"], _unit(units.LENGTH)] | None = None
+    position_unit: Annotated[Literal["m", "cm", "mm", "um", "in"], _unit(units.LENGTH)] | None = (
+        None
+    )
     orientation: Names4 = ("qx", "qy", "qz", "qw")
     orientation_form: Annotated[
         Literal["xyzw", "wxyz", "rotation_vector", "roll_pitch_yaw"],
-        Field(description="xyzw or wxyz (quaternions), rotation_vector, or roll_pitch_yaw (about the fixed axes x, then y, then z)"),
+        Field(
+            description="xyzw or wxyz (quaternions), rotation_vector, or roll_pitch_yaw (about the fixed axes x, then y, then z)"
+        ),
     ] = "xyzw"
     angle_unit: Annotated[Literal["rad", "deg"], _unit(units.ANGLE)] | None = None
     pose_time: TimeNames | None = None
@@ -94,17 +126,28 @@ class RecordingTable(Table):
     pose_file: Name | None = None
     pose_decimal: Decimal | None = None
     pose_skip_lines: Lines | None = None
-    delimiter: Annotated[Literal[",", ";", "\t", " ", "|"], Field(description="a comma, semicolon, tabulator, space or bar")] | None = None
+    delimiter: (
+        Annotated[
+            Literal[",", ";", "\t", " ", "|"],
+            Field(description="a comma, semicolon, tabulator, space or bar"),
+        ]
+        | None
+    ) = None
     decimal: Decimal = "."
     skip_lines: Lines = 0
-    encoding: Annotated[Literal["utf-8", "utf-16", "latin-1", "cp1252"], Field(description="utf-8, utf-16, latin-1 or cp1252")] = "utf-8"
+    encoding: Annotated[
+        Literal["utf-8", "utf-16", "latin-1", "cp1252"],
+        Field(description="utf-8, utf-16, latin-1 or cp1252"),
+    ] = "utf-8"
     wrench_topic: Name | None = None
     pose_topic: Name | None = None
     fixed_frame: Name | None = None
     sensor_frame: Name | None = None
     stamps: Annotated[Literal["header", "log"], Field(description="header or log")] = "header"
     time_offset: Annotated[
-        float | Literal["estimate"], PlainValidator(_offset), Field(description="a finite number of seconds, or 'estimate'")
+        float | Literal["estimate"],
+        PlainValidator(_offset),
+        Field(description="a finite number of seconds, or 'estimate'"),
     ] = 0.0
     largest_offset: Positive = 1.0
     longest_gap: Positive = 0.2

@@ -2,7 +2,15 @@
 
 from re import search
 
-FORCE = {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
+FORCE = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "uN": 1e-6,
+    "kN": 1e3,
+    "gf": 9.80665e-3,
+    "kgf": 9.80665,
+    "lbf": 4.4482216152605,
+}
 TORQUE = {
     "N m": 1.0,
     "N cm": 1e-2,
@@ -96,7 +104,9 @@ def is_unit(text: str) -> bool:
 
 
 def in_brackets(name: str, units: dict[str, float]) -> str | None:
-    """Unit in brackets at the end of a name, as in `Fx [mN]` or `Fx (mN)`; None where there is none of these."""
+    """Unit in brackets at the end of a name, as in `Fx [mN]` or `Fx (mN)`; None where there is none
+    of these.
+    """
     found = search(r"[\[(]([^\[\]()]{1,20})[\])]\s*$", name)
     try:
         return known(found[1], units) if found else None

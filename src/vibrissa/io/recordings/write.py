@@ -8,7 +8,9 @@ from vibrissa.io.errors import writable
 from vibrissa.sensor import RawRecording
 
 COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "tx", "ty", "tz")
-"""Time [s]; pose of the sensor frame in the world [m], quaternion x, y, z, w; force [N] and torque [N m] as the setup says."""
+"""Time [s]; pose of the sensor frame in the world [m], quaternion x, y, z, w; force [N] and torque
+[N m] as the setup says.
+"""
 
 _FORMATS = ("%.4f", *["%.6f"] * 3, *["%.9f"] * 4, *["%.5f"] * 3, *["%.7f"] * 3)
 

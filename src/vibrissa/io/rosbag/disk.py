@@ -67,7 +67,9 @@ class FileDisk:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[FileDisk]:
-    """A file that is made beside its place, and put there once the block has ended; where that fails, nothing is left of it."""
+    """A file that is made beside its place, and put there once the block has ended; where that
+    fails, nothing is left of it.
+    """
     part = path.with_name(f".{path.name}.part")
     disk = FileDisk(part, path)
     try:

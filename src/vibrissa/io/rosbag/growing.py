@@ -1,14 +1,18 @@
 """An MCAP file that opens at any moment of its being written.
 
-The file ends, from its first moment on, with an index of the channels, a footer and the closing mark. Before them stands one record of a private kind, which
-readers skip: the room for what comes. A chunk of messages is written into that room, where no reader sees it, with a new record for the rest of the room
-behind it; then nine bytes, the head of the old record, are overwritten with the head of the chunk. Where the room does not suffice, the file is made longer by
-one write of a footer that points to the old index; then the new index is written in front of it, the head of the room's record is overwritten with its new
-length, and last the eight bytes of the footer that say where the index is.
+The file ends, from its first moment on, with an index of the channels, a footer and the closing
+mark. Before them stands one record of a private kind, which readers skip: the room for what comes.
+A chunk of messages is written into that room, where no reader sees it, with a new record for the
+rest of the room behind it; then nine bytes, the head of the old record, are overwritten with the
+head of the chunk. Where the room does not suffice, the file is made longer by one write of a footer
+that points to the old index; then the new index is written in front of it, the head of the room's
+record is overwritten with its new length, and last the eight bytes of the footer that say where the
+index is.
 
-A process can be killed between two pages of a write, not within one. Each write that takes effect lies within a page; all others lie where no reader looks. So
-the file is whole after each of them, and holds all chunks whose heads were written. This holds for a process that ends, not for a machine that loses power:
-nothing waits for the disk.
+A process can be killed between two pages of a write, not within one. Each write that takes effect
+lies within a page; all others lie where no reader looks. So the file is whole after each of them,
+and holds all chunks whose heads were written. This holds for a process that ends, not for a machine
+that loses power: nothing waits for the disk.
 """
 
 import struct
@@ -103,14 +107,23 @@ class GrowingFile:
 
     def _schemas(self, channels: Sequence[Channel]) -> list[Any]:
         return [
-            self._records.Schema(id=number, name=channel.message_type, encoding="ros2msg", data=channel.definition.encode())
+            self._records.Schema(
+                id=number,
+                name=channel.message_type,
+                encoding="ros2msg",
+                data=channel.definition.encode(),
+            )
             for number, channel in enumerate(channels, start=1)
         ]
 
     def _channels(self, channels: Sequence[Channel], qos: str) -> list[Any]:
         return [
             self._records.Channel(
-                id=number, schema_id=number, topic=channel.topic, message_encoding="cdr", metadata={"offered_qos_profiles": qos}
+                id=number,
+                schema_id=number,
+                topic=channel.topic,
+                message_encoding="cdr",
+                metadata={"offered_qos_profiles": qos},
             )
             for number, channel in enumerate(channels, start=1)
         ]
@@ -122,7 +135,9 @@ class GrowingFile:
         return bytes(stream.end())
 
     def _begin(self) -> None:
-        head = _MAGIC + self._bytes([self._records.Header(profile="ros2", library="vibrissa"), *self._declarations])
+        head = _MAGIC + self._bytes(
+            [self._records.Header(profile="ros2", library="vibrissa"), *self._declarations]
+        )
         self._room = _head_place(len(head))
         self._size = _whole_pages(self._room + ROOM)
         filler = _filler(self._room - len(head))
@@ -140,10 +155,21 @@ class GrowingFile:
         return self._index_place + _HEAD.size + 4
 
     def _footer(self, start: int, offsets: int = 0) -> bytes:
-        return self._bytes([self._records.Footer(summary_start=start, summary_offset_start=offsets, summary_crc=0)]) + _MAGIC
+        return (
+            self._bytes(
+                [
+                    self._records.Footer(
+                        summary_start=start, summary_offset_start=offsets, summary_crc=0
+                    )
+                ]
+            )
+            + _MAGIC
+        )
 
     def append(self, blocks: Sequence[Messages]) -> None:
-        """Add a chunk; log times must not be before those of the last one. Raise OSError where the disk does."""
+        """Add a chunk; log times must not be before those of the last one. Raise OSError where the
+        disk does.
+        """
         blocks = [block for block in blocks if len(block.log_time)]
         if not blocks:
             return
@@ -168,13 +194,22 @@ class GrowingFile:
             # Of a disk that is full: the old index still holds, and nothing may be written over it.
             self._size = size
             raise
-        self._disk.write(_HEAD.pack(_PRIVATE, self._index_place - self._room - _HEAD.size), self._room)
-        self._disk.write(struct.pack("<Q", self._index_start), self._size - _FOOTER_BYTES + _HEAD.size)
+        self._disk.write(
+            _HEAD.pack(_PRIVATE, self._index_place - self._room - _HEAD.size), self._room
+        )
+        self._disk.write(
+            struct.pack("<Q", self._index_start), self._size - _FOOTER_BYTES + _HEAD.size
+        )
 
     def _chunk(self, blocks: Sequence[Messages]) -> tuple[bytes, dict[int, tuple[int, int]], int]:
-        """Body of a chunk record and the indexes behind it; place of each index in the body; length of the record."""
+        """Body of a chunk record and the indexes behind it; place of each index in the body; length
+        of the record.
+        """
         data = b"".join(block.data for block in blocks)
-        times = [int(block.log_time[0]) for block in blocks], [int(block.log_time[-1]) for block in blocks]
+        times = (
+            [int(block.log_time[0]) for block in blocks],
+            [int(block.log_time[-1]) for block in blocks],
+        )
         stream = self._builder()
         self._records.Chunk(
             compression="",
@@ -188,7 +223,10 @@ class GrowingFile:
         length, parts, places = len(body), [body], {}
         for channel in sorted({block.channel for block in blocks}):
             index = self._message_index(channel, blocks)
-            places[channel + 1] = (sum(map(len, parts)), (len(index) - _HEAD.size - 6) // _INDEX.itemsize)
+            places[channel + 1] = (
+                sum(map(len, parts)),
+                (len(index) - _HEAD.size - 6) // _INDEX.itemsize,
+            )
             parts.append(index)
         return b"".join(parts), places, length
 
@@ -203,10 +241,15 @@ class GrowingFile:
         data = np.concatenate(rows).tobytes()
         return _HEAD.pack(0x07, 6 + len(data)) + struct.pack("<HI", channel + 1, len(data)) + data
 
-    def _note(self, blocks: Sequence[Messages], indexes: dict[int, tuple[int, int]], length: int) -> None:
+    def _note(
+        self, blocks: Sequence[Messages], indexes: dict[int, tuple[int, int]], length: int
+    ) -> None:
         """Remember the chunk for the index that the file gets when it is closed."""
         body = self._room + _HEAD.size
-        first, last = min(int(block.log_time[0]) for block in blocks), max(int(block.log_time[-1]) for block in blocks)
+        first, last = (
+            min(int(block.log_time[0]) for block in blocks),
+            max(int(block.log_time[-1]) for block in blocks),
+        )
         size = sum(len(block.data) for block in blocks)
         self._first_time, self._last_time = min(self._first_time, first), max(self._last_time, last)
         for channel, (_, count) in indexes.items():
@@ -220,8 +263,12 @@ class GrowingFile:
                 uncompressed_size=size,
                 message_start_time=first,
                 message_end_time=last,
-                message_index_length=sum(_HEAD.size + 6 + count * _INDEX.itemsize for _, count in indexes.values()),
-                message_index_offsets={channel: body + place for channel, (place, _) in indexes.items()},
+                message_index_length=sum(
+                    _HEAD.size + 6 + count * _INDEX.itemsize for _, count in indexes.values()
+                ),
+                message_index_offsets={
+                    channel: body + place for channel, (place, _) in indexes.items()
+                },
             )
         )
 
@@ -262,7 +309,12 @@ class GrowingFile:
         )
         end = self._bytes([self._records.DataEnd(data_section_crc=0)])
         count = len(self._message_counts)
-        groups = [(0x03, self._declarations[:count]), (0x04, self._declarations[count:]), (0x0B, [statistics]), (0x08, self._chunks)]
+        groups = [
+            (0x03, self._declarations[:count]),
+            (0x04, self._declarations[count:]),
+            (0x0B, [statistics]),
+            (0x08, self._chunks),
+        ]
         start = place + len(end)
         parts: list[bytes] = []
         offsets: list[Any] = []
@@ -270,7 +322,11 @@ class GrowingFile:
             data = self._bytes(group)
             if data:
                 begin = start + sum(map(len, parts))
-                offsets.append(self._records.SummaryOffset(group_opcode=kind, group_start=begin, group_length=len(data)))
+                offsets.append(
+                    self._records.SummaryOffset(
+                        group_opcode=kind, group_start=begin, group_length=len(data)
+                    )
+                )
             parts.append(data)
         behind = start + sum(map(len, parts))
         return end + b"".join(parts) + self._bytes(offsets) + self._footer(start, behind)
@@ -281,7 +337,9 @@ def _whole_pages(size: int) -> int:
 
 
 def _head_place(place: int) -> int:
-    """First place from here on at which the head of a record lies within a page; as a filler needs room, not just behind."""
+    """First place from here on at which the head of a record lies within a page; as a filler needs
+    room, not just behind.
+    """
     while (place % PAGE) > PAGE - _HEAD.size:
         place += _HEAD.size
     return place

@@ -1,4 +1,6 @@
-"""What can be saved of an MCAP file that was cut or damaged: by a machine that lost power, a disk, a copy made while it grew."""
+"""What can be saved of an MCAP file that was cut or damaged: by a machine that lost power, a disk,
+a copy made while it grew.
+"""
 
 import io
 import struct
@@ -35,9 +37,13 @@ def mend(path: str | Path, target: str | Path) -> int:
     count = 0
     with source.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
-            raise InputError(f"{source}: does not begin as MCAP does; allowed is an MCAP file, cut or not")
+            raise InputError(
+                f"{source}: does not begin as MCAP does; allowed is an MCAP file, cut or not"
+            )
         with writable(out).open("wb") as target_stream:
-            writer = writer_module.Writer(target_stream, compression=writer_module.CompressionType.NONE)
+            writer = writer_module.Writer(
+                target_stream, compression=writer_module.CompressionType.NONE
+            )
             writer.start(profile="ros2", library="vibrissa")
             schemas: dict[int, int] = {0: 0}
             channels: dict[int, int] = {}
@@ -53,9 +59,17 @@ def _copied(record: Any, writer: Any, schemas: dict[int, int], channels: dict[in
         case "Schema" if record.id not in schemas:
             schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
         case "Channel" if record.id not in channels and record.schema_id in schemas:
-            channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schemas[record.schema_id], record.metadata)
+            channels[record.id] = writer.register_channel(
+                record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
+            )
         case "Message" if record.channel_id in channels:
-            writer.add_message(channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence)
+            writer.add_message(
+                channels[record.channel_id],
+                record.log_time,
+                record.data,
+                record.publish_time,
+                record.sequence,
+            )
             return True
     return False
 
@@ -80,7 +94,9 @@ def _whole_records(stream: Any, stream_reader: Any) -> Iterator[Any]:
 
 
 def _parsed(data: bytes, kind: int, stream_reader: Any) -> list[Any]:
-    reader = stream_reader.StreamReader(io.BytesIO(data), skip_magic=True, emit_chunks=True, record_size_limit=_LARGEST)
+    reader = stream_reader.StreamReader(
+        io.BytesIO(data), skip_magic=True, emit_chunks=True, record_size_limit=_LARGEST
+    )
     record = next(iter(reader.records))
     if kind != 0x06:
         return [record]

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from vibrissa.inverse import Reconstruction
 from vibrissa.io.rosbag.disk import whole_file
 from vibrissa.io.rosbag.growing import GrowingFile, Messages
 from vibrissa.io.rosbag.library import library
 from vibrissa.io.rosbag.messages import QOS, MessageWriter
-from vibrissa.reconstruct import Reconstruction
 from vibrissa.sensor import RawRecording
 
 _MOST_HELD = 1 << 20
@@ -21,9 +21,11 @@ _EVERY = 1.0
 
 
 class McapSink:
-    """Raw wrenches, poses and contacts as ROS 2 messages in an MCAP file that opens whenever the process is killed.
+    """Raw wrenches, poses and contacts as ROS 2 messages in an MCAP file that opens whenever the
+    process is killed.
 
-    Log times never fall: that of a pose or a contact is the stamp of the last sample that had come by then. Their own stamps are in their headers.
+    Log times never fall: that of a pose or a contact is the stamp of the last sample that had come
+    by then. Their own stamps are in their headers.
 
     Parameters
     ----------
@@ -40,7 +42,9 @@ class McapSink:
         If the file cannot be written.
     """
 
-    def __init__(self, path: Path, *, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
+    def __init__(
+        self, path: Path, *, wrench_frame: str = "sensor", world_frame: str = "world"
+    ) -> None:
         self._writer = MessageWriter(wrench_frame, world_frame)
         with whole_file(path) as self._disk:
             self.file = GrowingFile(self._disk, self._writer.channels(), QOS)
@@ -49,18 +53,26 @@ class McapSink:
         self._log_time = 0
 
     def wrench(
-        self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
+        self,
+        stamp: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"],
+        force: Float[np.ndarray, "n 3"],
+        torque: Float[np.ndarray, "n 3"],
     ) -> None:
         """Keep raw samples for the next chunk."""
         log_time = np.maximum.accumulate(np.maximum(stamp, self._log_time))
         self._log_time = int(log_time[-1])
         self._keep(self._writer.wrenches(stamp, sequence, force, torque, log_time))
 
-    def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:
+    def contacts(
+        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
+    ) -> None:
         """Keep poses and contacts for the next chunk."""
         known = np.isfinite(raw.position[:, 0])
         log_time = np.full(int(np.count_nonzero(known)), self._log_time)
-        self._keep(self._writer.poses(stamp[known], raw.position[known], raw.orientation[known], log_time))
+        self._keep(
+            self._writer.poses(stamp[known], raw.position[known], raw.orientation[known], log_time)
+        )
         self._keep(self._writer.cloud(stamp, found, self._log_time))
 
     def _keep(self, messages: Messages) -> None:
@@ -84,10 +96,12 @@ class McapSink:
 
 
 class Rosbag2Sink:
-    """Raw wrenches, poses and contacts as a rosbag2 folder: `NAME_0.mcap` as `McapSink` writes it, and `metadata.yaml`.
+    """Raw wrenches, poses and contacts as a rosbag2 folder: `NAME_0.mcap` as `McapSink` writes it,
+    and `metadata.yaml`.
 
-    Both are whole whenever the process is killed; the metadata, which are replaced in one piece every second, then count what was there up to a second before. They
-    are of version 5, that of ROS 2 Humble, which all later ones read.
+    Both are whole whenever the process is killed; the metadata, which are replaced in one piece
+    every second, then count what was there up to a second before. They are of version 5, that of
+    ROS 2 Humble, which all later ones read.
 
     Parameters
     ----------
@@ -104,20 +118,27 @@ class Rosbag2Sink:
         If the folder cannot be written to.
     """
 
-    def __init__(self, folder: Path, *, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
+    def __init__(
+        self, folder: Path, *, wrench_frame: str = "sensor", world_frame: str = "world"
+    ) -> None:
         folder.mkdir(exist_ok=True)
         self._yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
         self._yaml.default_flow_style = False
         self._metadata = folder / METADATA
         self._name = bag_file(folder).name
-        self._mcap = McapSink(folder / self._name, wrench_frame=wrench_frame, world_frame=world_frame)
+        self._mcap = McapSink(
+            folder / self._name, wrench_frame=wrench_frame, world_frame=world_frame
+        )
         self._described()
 
     def _described(self) -> None:
         """Replace the metadata."""
         file = self._mcap.file
         first, last = file.time_range or (0, 0)
-        span = {"starting_time": {"nanoseconds_since_epoch": first}, "duration": {"nanoseconds": last - first}}
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "duration": {"nanoseconds": last - first},
+        }
         count = {"message_count": sum(file.message_counts)}
         topics = [
             {
@@ -150,12 +171,18 @@ class Rosbag2Sink:
         self._when = time.monotonic()
 
     def wrench(
-        self, stamp: Int[np.ndarray, "n"], sequence: Int[np.ndarray, "n"], force: Float[np.ndarray, "n 3"], torque: Float[np.ndarray, "n 3"]
+        self,
+        stamp: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"],
+        force: Float[np.ndarray, "n 3"],
+        torque: Float[np.ndarray, "n 3"],
     ) -> None:
         """Keep raw samples for the next chunk."""
         self._mcap.wrench(stamp, sequence, force, torque)
 
-    def contacts(self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction) -> None:
+    def contacts(
+        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
+    ) -> None:
         """Keep poses and contacts for the next chunk."""
         self._mcap.contacts(stamp, raw, found)
 

@@ -1,4 +1,5 @@
-"""Smooth sheets of a mesh: its edges divided into smooth ones and creases, and a normal for each corner on each side of a crease.
+"""Smooth sheets of a mesh: its edges divided into smooth ones and creases, and a normal for each
+corner on each side of a crease.
 
 A sheet's corner ("fan") is all the corners of triangles about one vertex that smooth edges connect.
 """
@@ -49,17 +50,23 @@ class Sheets:
     normals: Float[np.ndarray, "fans 3"]
 
     def sag(self) -> Float[np.ndarray, "f"]:
-        """Chordal error of each triangle: how far the smooth surface bulges over its edges, by the normals at their ends."""
+        """Chordal error of each triangle: how far the smooth surface bulges over its edges, by the
+        normals at their ends.
+        """
         v, n = self.vertices[self.faces], self.normals[self.fans]
         edge, turn = v - np.roll(v, 1, axis=1), n - np.roll(n, 1, axis=1)
         return np.max(np.abs(np.sum(edge * turn, axis=-1)), axis=1) / 8
 
 
 def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
-    """Divide a watertight, outward mesh along the edges at which it bends by more than `crease_angle` [rad]."""
+    """Divide a watertight, outward mesh along the edges at which it bends by more than
+    `crease_angle` [rad].
+    """
     neighbours, partner = _across(faces)
     face_normals, _angles = _face_normals(vertices, faces)
-    turn = np.arccos(np.clip(np.sum(face_normals[:, None] * face_normals[neighbours], axis=-1), -1, 1))
+    turn = np.arccos(
+        np.clip(np.sum(face_normals[:, None] * face_normals[neighbours], axis=-1), -1, 1)
+    )
     apex = vertices[np.take_along_axis(faces[neighbours], partner[..., None], axis=2)[..., 0]]
     height = np.einsum("fi,fki->fk", face_normals, apex - vertices[np.roll(faces, -1, axis=1)])
     creases = np.where(turn > crease_angle, np.where(height < 0, 1, -1), 0).astype(np.int8)
@@ -106,7 +113,9 @@ def _across(faces: Faces) -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, "f 3"
     return (found % count).reshape(3, -1).T, (found // count).reshape(3, -1).T
 
 
-def _face_normals(vertices: Vertices, faces: Faces) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3"]]:
+def _face_normals(
+    vertices: Vertices, faces: Faces
+) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3"]]:
     """Unit normals of the triangles, and their angles at the corners."""
     v = vertices[faces]
     along, back = np.roll(v, -1, axis=1) - v, np.roll(v, 1, axis=1) - v
@@ -115,7 +124,12 @@ def _face_normals(vertices: Vertices, faces: Faces) -> tuple[Float[np.ndarray, "
     return normal / size[:, None], np.arctan2(size[:, None], np.sum(along * back, axis=-1))
 
 
-def _fans(faces: Faces, neighbours: Int[np.ndarray, "f 3"], partner: Int[np.ndarray, "f 3"], smooth: Bool[np.ndarray, "f 3"]) -> Faces:
+def _fans(
+    faces: Faces,
+    neighbours: Int[np.ndarray, "f 3"],
+    partner: Int[np.ndarray, "f 3"],
+    smooth: Bool[np.ndarray, "f 3"],
+) -> Faces:
     """Number of the fan of each corner."""
     count = len(faces)
     first, second = [], []
@@ -131,8 +145,12 @@ def _fans(faces: Faces, neighbours: Int[np.ndarray, "f 3"], partner: Int[np.ndar
     return connected_components(graph, directed=False)[1].reshape(count, 3).astype(np.int64)
 
 
-def _by_angle_and_length(vertices: Vertices, faces: Faces, fans: Faces) -> Float[np.ndarray, "fans 3"]:
-    """Normals of the fans weighted by sin(angle)/(product of the edges): exact on spheres (Max, J. Graphics Tools 4, 1999)."""
+def _by_angle_and_length(
+    vertices: Vertices, faces: Faces, fans: Faces
+) -> Float[np.ndarray, "fans 3"]:
+    """Normals of the fans weighted by sin(angle)/(product of the edges): exact on spheres (Max, J.
+    Graphics Tools 4, 1999).
+    """
     v = vertices[faces]
     total = np.zeros((int(fans.max()) + 1, 3))
     for k in range(3):
@@ -144,10 +162,14 @@ def _by_angle_and_length(vertices: Vertices, faces: Faces, fans: Faces) -> Float
     return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 
-def _fitted(vertices: Vertices, faces: Faces, fans: Faces, rough: Float[np.ndarray, "fans 3"]) -> Float[np.ndarray, "fans 3"]:
-    """Normals of the cubic surface through each vertex that comes nearest to those within two edges (Cazals & Pouget 2005).
+def _fitted(
+    vertices: Vertices, faces: Faces, fans: Faces, rough: Float[np.ndarray, "fans 3"]
+) -> Float[np.ndarray, "fans 3"]:
+    """Normals of the cubic surface through each vertex that comes nearest to those within two edges
+    (Cazals & Pouget 2005).
 
-    Kept is the rough normal where those are too few, or where the fitted one differs from it by more than the triangles do.
+    Kept is the rough normal where those are too few, or where the fitted one differs from it by
+    more than the triangles do.
     """
     at = np.empty(len(rough), dtype=np.int64)
     at[fans.ravel()] = faces.ravel()
@@ -169,15 +191,22 @@ def _fitted(vertices: Vertices, faces: Faces, fans: Faces, rough: Float[np.ndarr
 def _rings(fans: Faces, count: int) -> csr_array:
     """Which fans lie within two edges of each other."""
     i, j = fans.ravel(), np.roll(fans, 1, axis=1).ravel()
-    ring = csr_array((np.ones(2 * len(i), dtype=np.int32), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(count, count))
+    ring = csr_array(
+        (np.ones(2 * len(i), dtype=np.int32), (np.concatenate([i, j]), np.concatenate([j, i]))),
+        shape=(count, count),
+    )
     two = csr_array(ring @ ring)
     two.setdiag(0)
     two.eliminate_zeros()
     return two
 
 
-def _padded(rings: csr_array, rows: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "n 24"], Bool[np.ndarray, "n 24"]]:
-    """Neighbours of each row, evenly thinned out where there are more than 24, and which of them count where there are fewer."""
+def _padded(
+    rings: csr_array, rows: Int[np.ndarray, "n"]
+) -> tuple[Int[np.ndarray, "n 24"], Bool[np.ndarray, "n 24"]]:
+    """Neighbours of each row, evenly thinned out where there are more than 24, and which of them
+    count where there are fewer.
+    """
     first, size = rings.indptr[rows], rings.indptr[rows + 1] - rings.indptr[rows]
     place = np.arange(_NEIGHBOURS)
     step = np.maximum(size, _NEIGHBOURS)[:, None] / _NEIGHBOURS
@@ -187,20 +216,31 @@ def _padded(rings: csr_array, rows: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarra
 
 
 def _jets(
-    offset: Float[np.ndarray, "n 24 3"], valid: Bool[np.ndarray, "n 24"], rough: Float[np.ndarray, "n 3"]
+    offset: Float[np.ndarray, "n 24 3"],
+    valid: Bool[np.ndarray, "n 24"],
+    rough: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Normals at the origin of the surfaces w = a₁u + a₂v + quadratic + cubic fitted to points seen along the rough normals."""
+    """Normals at the origin of the surfaces w = a₁u + a₂v + quadratic + cubic fitted to points seen
+    along the rough normals.
+    """
     axis = np.eye(3)[np.argmin(np.abs(rough), axis=1)]
     across = np.cross(rough, axis)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     along = np.cross(rough, across)
     squared = np.where(valid, np.sum(offset * offset, axis=-1), 0.0)
     size = np.sqrt(np.maximum(np.max(squared, axis=1, keepdims=True), 1e-300))
-    u, v, w = (np.einsum("nki,ni->nk", offset, direction) / size for direction in (along, across, rough))
+    u, v, w = (
+        np.einsum("nki,ni->nk", offset, direction) / size for direction in (along, across, rough)
+    )
     count = valid.sum(axis=1, keepdims=True)
     cubic, quadratic = count >= _CUBIC_FROM, count >= _QUADRATIC_FROM
     terms = np.stack(
-        [u, v, *(part * quadratic for part in (u * u, u * v, v * v)), *(part * cubic for part in (u**3, u * u * v, u * v * v, v**3))],
+        [
+            u,
+            v,
+            *(part * quadratic for part in (u * u, u * v, v * v)),
+            *(part * cubic for part in (u**3, u * u * v, u * v * v, v**3)),
+        ],
         axis=-1,
     )
     weight = np.where(valid, 1 / np.maximum(squared / size**2, 1e-6), 0.0)
@@ -214,7 +254,9 @@ def _jets(
 
 
 def _corners(sheet: Sheets) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "fans"]]:
-    """Code of each vertex as in `Patch.corners`, and for each fan the other one where a crease runs through its vertex."""
+    """Code of each vertex as in `Patch.corners`, and for each fan the other one where a crease runs
+    through its vertex.
+    """
     faces, creases, vertices = sheet.faces, sheet.creases, sheet.vertices
     count = len(vertices)
     number, direction, convex = np.zeros(count), np.zeros((count, 3)), np.zeros(count)
@@ -222,7 +264,8 @@ def _corners(sheet: Sheets) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "fa
         rows = np.flatnonzero(creases[:, k])
         start, stop = faces[rows, (k + 1) % 3], faces[rows, (k + 2) % 3]
         along = vertices[stop] - vertices[start]
-        # Each crease is met twice, once from each side and in either direction: a vertex is its start once.
+        # Each crease is met twice, once from each side and in either direction: a vertex is its
+        # start once.
         np.add.at(number, start, 1)
         np.add.at(convex, start, creases[rows, k])
         np.add.at(direction, start, along / np.linalg.norm(along, axis=1, keepdims=True))
@@ -230,7 +273,12 @@ def _corners(sheet: Sheets) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "fa
     fan_vertex[sheet.fans.ravel()] = faces.ravel()
     fans = np.bincount(fan_vertex, minlength=count)
     # Two creases of the same sense that leave in about opposite directions.
-    passing = (number == 2) & (fans == 2) & (np.abs(convex) == 2) & (np.linalg.norm(direction, axis=1) < 2 * (1 - _STRAIGHT))
+    passing = (
+        (number == 2)
+        & (fans == 2)
+        & (np.abs(convex) == 2)
+        & (np.linalg.norm(direction, axis=1) < 2 * (1 - _STRAIGHT))
+    )
     dart = fans <= 1
     code = np.where(dart, 0.0, np.where(passing, np.sign(convex), 2.0))
     order = np.argsort(fan_vertex, kind="stable")

@@ -1,8 +1,11 @@
-"""The level of a mesh as JAX evaluates it: a cubic spline on a grid, and single triangles where the spline would blur.
+"""The level of a mesh as JAX evaluates it: a cubic spline on a grid, and single triangles where the
+spline would blur.
 
-Grid cells whose corners are all plain hold the spline alone: four cubic B-splines an axis, twice continuously differentiable. Each corner that is marked
-sharp, near a crease or where triangles are finer than the grid, brings in the triangles that may be nearest (`patches`), with a weight that is continuously
-differentiable over the cells. Value, gradient and Hessian are one evaluation each, so that Newton's method pays for what it asks.
+Grid cells whose corners are all plain hold the spline alone: four cubic B-splines an axis, twice
+continuously differentiable. Each corner that is marked sharp, near a crease or where triangles are
+finer than the grid, brings in the triangles that may be nearest (`patches`), with a weight that is
+continuously differentiable over the cells. Value, gradient and Hessian are one evaluation each, so
+that Newton's method pays for what it asks.
 """
 
 from collections.abc import Callable
@@ -34,7 +37,9 @@ class Triangles(NamedTuple):
 
 
 class Field(NamedTuple):
-    """Arrays of the level; their lengths are rounded up, so that meshes of about the same size share compiled code."""
+    """Arrays of the level; their lengths are rounded up, so that meshes of about the same size
+    share compiled code.
+    """
 
     origin: Float[AnyArray, "3"]
     spacing: Float[AnyArray, ""]
@@ -70,13 +75,17 @@ def _level_and_gradient(field: Field, point: Vector) -> tuple[Scalar, Vector]:
 
 
 @field_level.defjvp
-def _level_jvp(primals: tuple[Field, Vector], tangents: tuple[Field, Vector]) -> tuple[Scalar, Scalar]:
+def _level_jvp(
+    primals: tuple[Field, Vector], tangents: tuple[Field, Vector]
+) -> tuple[Scalar, Scalar]:
     value, gradient = _level_and_gradient(*primals)
     return value, _dot(gradient, tangents[1])
 
 
 @_level_and_gradient.defjvp
-def _gradient_jvp(primals: tuple[Field, Vector], tangents: tuple[Field, Vector]) -> tuple[tuple[Scalar, Vector], tuple[Scalar, Vector]]:
+def _gradient_jvp(
+    primals: tuple[Field, Vector], tangents: tuple[Field, Vector]
+) -> tuple[tuple[Scalar, Vector], tuple[Scalar, Vector]]:
     jet = _jet(*primals, 2)
     xx, xy, xz, yy, yz, zz = jet.hessian
     gradient, moved = jnp.stack(jet.gradient), tangents[1]
@@ -95,13 +104,19 @@ def spline_level(field: Field, point: Vector) -> Scalar:
 
 
 def _jet(field: Field, point: Vector, order: int) -> Jet:
-    """The level inside the grid; outside, that of the nearest point of the grid, and the distance from there."""
+    """The level inside the grid; outside, that of the nearest point of the grid, and the distance
+    from there.
+    """
     low = [field.origin[a] + field.spacing for a in range(3)]
     high = [field.origin[a] + field.spacing * (field.size[a] - 2) for a in range(3)]
     held = [jnp.clip(point[a], low[a], high[a]) for a in range(3)]
     cell, share = _cell(field, [(held[a] - field.origin[a]) / field.spacing for a in range(3)])
     smooth = _spline(field, cell, share, order)
-    inner = smooth if field.triangles is None else _with_triangles(field, field.triangles, cell, jnp.stack(held), smooth, order)
+    inner = (
+        smooth
+        if field.triangles is None
+        else _with_triangles(field, field.triangles, cell, jnp.stack(held), smooth, order)
+    )
     return _extended(inner, [point[a] - held[a] for a in range(3)], order)
 
 
@@ -119,7 +134,12 @@ def _basis(t: Scalar) -> list[list[Scalar]]:
     """The four cubic B-splines that meet in a cell, with first and second derivatives."""
     s = 1 - t
     return [
-        [s * s * s / 6, (4 - 6 * t * t + 3 * t * t * t) / 6, (4 - 6 * s * s + 3 * s * s * s) / 6, t * t * t / 6],
+        [
+            s * s * s / 6,
+            (4 - 6 * t * t + 3 * t * t * t) / 6,
+            (4 - 6 * s * s + 3 * s * s * s) / 6,
+            t * t * t / 6,
+        ],
         [-s * s / 2, (3 * t * t - 4 * t) / 2, (4 * s - 3 * s * s) / 2, t * t / 2],
         [s, 3 * t - 2, 3 * s - 2, t],
     ]
@@ -129,9 +149,18 @@ def _spline(field: Field, cell: list[Array], share: list[Scalar], order: int) ->
     """Value and derivatives of Σ cᵢⱼₖ Bᵢ(x) Bⱼ(y) Bₖ(z), axis by axis."""
     base = _node(field, [index - 1 for index in cell])
     stride = [field.size[1] * field.size[2], field.size[2]]
-    rows = [[lax.dynamic_slice(field.coefficients, (base + i * stride[0] + j * stride[1],), (4,)) for j in range(4)] for i in range(4)]
+    rows = [
+        [
+            lax.dynamic_slice(field.coefficients, (base + i * stride[0] + j * stride[1],), (4,))
+            for j in range(4)
+        ]
+        for i in range(4)
+    ]
     basis = [_basis(t) for t in share]
-    along_z = [[[_dot4(basis[2][nz], rows[i][j]) for j in range(4)] for i in range(4)] for nz in range(order + 1)]
+    along_z = [
+        [[_dot4(basis[2][nz], rows[i][j]) for j in range(4)] for i in range(4)]
+        for nz in range(order + 1)
+    ]
     found: dict[tuple[int, int, int], Scalar] = {}
     for nz in range(order + 1):
         for ny in range(order + 1 - nz):
@@ -141,22 +170,33 @@ def _spline(field: Field, cell: list[Array], share: list[Scalar], order: int) ->
     return Jet(found[0, 0, 0], *_parts(found, order))
 
 
-def _parts(found: dict[tuple[int, int, int], Scalar], order: int) -> tuple[list[Scalar], list[Scalar]]:
+def _parts(
+    found: dict[tuple[int, int, int], Scalar], order: int
+) -> tuple[list[Scalar], list[Scalar]]:
     unit = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     gradient = [found[axis] for axis in unit] if order > 0 else []
-    hessian = [found[tuple(p + q for p, q in zip(unit[a], unit[b], strict=True))] for a, b in _PAIRS] if order > 1 else []  # type: ignore[index]
+    sums = (tuple(p + q for p, q in zip(unit[a], unit[b], strict=True)) for a, b in _PAIRS)
+    hessian = [found[two] for two in sums] if order > 1 else []  # type: ignore[index]
     return gradient, hessian
 
 
 def _dot4(weights: list[Scalar], values: list[Scalar] | Float[Array, "4"]) -> Scalar:
-    return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2] + weights[3] * values[3]
+    return (
+        weights[0] * values[0]
+        + weights[1] * values[1]
+        + weights[2] * values[2]
+        + weights[3] * values[3]
+    )
 
 
-def _with_triangles(field: Field, triangles: Triangles, cell: list[Array], point: Vector, smooth: Jet, order: int) -> Jet:
+def _with_triangles(
+    field: Field, triangles: Triangles, cell: list[Array], point: Vector, smooth: Jet, order: int
+) -> Jet:
     """Blend in the triangles where a corner of the cell is sharp.
 
-    A loop of no or one turn: lanes that run together skip the work unless one of them needs it, which a condition would not let them do. The point is turned
-    about on the way, lest XLA find that the work is the same in every turn and move it out of the loop.
+    A loop of no or one turn: lanes that run together skip the work unless one of them needs it,
+    which a condition would not let them do. The point is turned about on the way, lest XLA find
+    that the work is the same in every turn and move it out of the loop.
     """
     row = triangles.sharp[triangles.cells[_node(field, cell)]]
     size = 1 + 3 * (order > 0) + 6 * (order > 1)
@@ -168,10 +208,16 @@ def _with_triangles(field: Field, triangles: Triangles, cell: list[Array], point
         needed, point, flat = state
         low = [field.origin[a] + field.spacing * cell[a] for a in range(3)]
         share = [(point[a] - low[a]) / field.spacing for a in range(3)]
-        return jnp.zeros_like(needed), -point, _blended(triangles, row, share, field.spacing, point, flat, order)
+        return (
+            jnp.zeros_like(needed),
+            -point,
+            _blended(triangles, row, share, field.spacing, point, flat, order),
+        )
 
     _, _, flat = lax.while_loop(unfinished, evaluate, (row[2] > 0, point, _flat(smooth)))
-    return Jet(flat[0], [flat[i] for i in range(1, min(size, 4))], [flat[i] for i in range(4, size)])
+    return Jet(
+        flat[0], [flat[i] for i in range(1, min(size, 4))], [flat[i] for i in range(4, size)]
+    )
 
 
 def _flat(jet: Jet) -> Float[Array, "n"]:
@@ -203,20 +249,28 @@ def _blended(
         parts += [smooth[1 + a] + w[0] * gap[1 + a] + w[1 + a] * gap[0] for a in range(3)]
     if order > 1:
         parts += [
-            smooth[k] + w[0] * gap[k] + w[1 + a] * gap[1 + b] + w[1 + b] * gap[1 + a] + w[k] * gap[0]
+            smooth[k]
+            + w[0] * gap[k]
+            + w[1 + a] * gap[1 + b]
+            + w[1 + b] * gap[1 + a]
+            + w[k] * gap[0]
             for k, (a, b) in enumerate(_PAIRS, start=4)
         ]
     return jnp.where(row[2] > 0, jnp.stack(parts), smooth)
 
 
-def _derivatives(function: Callable[[Vector], Scalar], point: Vector, order: int) -> Float[Array, "n"]:
+def _derivatives(
+    function: Callable[[Vector], Scalar], point: Vector, order: int
+) -> Float[Array, "n"]:
     if order == 0:
         return function(point)[None]
     value, gradient = jax.value_and_grad(function)(point)
     if order == 1:
         return jnp.concatenate([value[None], gradient])
     # One direction after the other: a third of the code.
-    hessian = lax.map(lambda direction: jax.jvp(jax.grad(function), (point,), (direction,))[1], jnp.eye(3))
+    hessian = lax.map(
+        lambda direction: jax.jvp(jax.grad(function), (point,), (direction,))[1], jnp.eye(3)
+    )
     return jnp.concatenate([value[None], gradient, jnp.stack([hessian[a, b] for a, b in _PAIRS])])
 
 
@@ -229,7 +283,9 @@ def _nearest_patch(triangles: Triangles, row: Int[Array, "3"], point: Vector) ->
     def look(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         index, best, chosen = state
         candidate = triangles.nearby[first + index]
-        squared = nearest(point, jnp.asarray(triangles.patches[candidate, :9]).reshape(3, 3)).squared
+        squared = nearest(
+            point, jnp.asarray(triangles.patches[candidate, :9]).reshape(3, 3)
+        ).squared
         closer = squared < best
         return index + 1, jnp.where(closer, squared, best), jnp.where(closer, candidate, chosen)
 
@@ -262,7 +318,8 @@ def _extended(inner: Jet, outside: list[Scalar], order: int) -> Jet:
         gradient = [free[a] * gradient[a] + away[a] for a in range(3)]
     if order > 1:
         hessian = [
-            free[a] * free[b] * hessian[k] + jnp.where(beyond, ((1 - free[a]) * (a == b) - away[a] * away[b]) / distance, 0.0)
+            free[a] * free[b] * hessian[k]
+            + jnp.where(beyond, ((1 - free[a]) * (a == b) - away[a] * away[b]) / distance, 0.0)
             for k, (a, b) in enumerate(_PAIRS)
         ]
     return Jet(inner.value + jnp.where(beyond, distance, 0.0), gradient, hessian)

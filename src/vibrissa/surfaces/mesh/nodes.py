@@ -1,4 +1,6 @@
-"""Nearest triangles of the nodes of a grid: rasterised near the surface, handed on from node to node away from it."""
+"""Nearest triangles of the nodes of a grid: rasterised near the surface, handed on from node to
+node away from it.
+"""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -55,12 +57,19 @@ def pieces(corners: Float[np.ndarray, "f 3 3"], longest: float) -> Pieces:
         row = np.arange(len(corners))
         a, b, c = (corners[row, (first + k) % 3] for k in range(3))
         middle = (a + b) / 2
-        corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+        corners = np.concatenate(
+            [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
+        )
         triangle = np.concatenate([triangle, triangle])
-    return Pieces(np.concatenate([part.corners for part in done]), np.concatenate([part.triangle for part in done]))
+    return Pieces(
+        np.concatenate([part.corners for part in done]),
+        np.concatenate([part.triangle for part in done]),
+    )
 
 
-def boxes(grid: Grid, cut: Pieces, reach: float) -> tuple[Int[np.ndarray, "p 3"], Int[np.ndarray, "p 3"]]:
+def boxes(
+    grid: Grid, cut: Pieces, reach: float
+) -> tuple[Int[np.ndarray, "p 3"], Int[np.ndarray, "p 3"]]:
     """First node and number of nodes of each piece's box, grown by `reach`."""
     low = np.ceil((cut.corners.min(axis=1) - reach - grid.origin) / grid.spacing).astype(np.int64)
     high = np.floor((cut.corners.max(axis=1) + reach - grid.origin) / grid.spacing).astype(np.int64)
@@ -68,7 +77,9 @@ def boxes(grid: Grid, cut: Pieces, reach: float) -> tuple[Int[np.ndarray, "p 3"]
     return low, np.maximum(high - low + 1, 0)
 
 
-def pairs(grid: Grid, low: Int[np.ndarray, "p 3"], count: Int[np.ndarray, "p 3"]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def pairs(
+    grid: Grid, low: Int[np.ndarray, "p 3"], count: Int[np.ndarray, "p 3"]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pieces and the nodes in their boxes, in chunks."""
     total = count.prod(axis=1)
     ends = np.cumsum(total)
@@ -82,19 +93,29 @@ def pairs(grid: Grid, low: Int[np.ndarray, "p 3"], count: Int[np.ndarray, "p 3"]
         ny, nz = count[piece, 1], count[piece, 2]
         i, rest = np.divmod(local, ny * nz)
         j, k = np.divmod(rest, nz)
-        node = ((low[piece, 0] + i) * grid.size[1] + low[piece, 1] + j) * grid.size[2] + low[piece, 2] + k
+        node = (
+            ((low[piece, 0] + i) * grid.size[1] + low[piece, 1] + j) * grid.size[2]
+            + low[piece, 2]
+            + k
+        )
         if len(piece):
             yield piece, node
         first = last
 
 
 @compiled
-def _squared(points: Float[Array, "n 3"], triangles: Int[Array, "n"], corners: Float[Array, "k 3 3"]) -> Float[Array, "n"]:
-    return jax.vmap(lambda point, triangle: nearest(point, corners[triangle]).squared)(points, triangles)
+def _squared(
+    points: Float[Array, "n 3"], triangles: Int[Array, "n"], corners: Float[Array, "k 3 3"]
+) -> Float[Array, "n"]:
+    return jax.vmap(lambda point, triangle: nearest(point, corners[triangle]).squared)(
+        points, triangles
+    )
 
 
 def squared_distances(
-    points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "n"], corners: Float[Array, "k 3 3"]
+    points: Float[np.ndarray, "n 3"],
+    triangles: Int[np.ndarray, "n"],
+    corners: Float[Array, "k 3 3"],
 ) -> Float[np.ndarray, "n"]:
     """Squared distances of points from triangles, one each."""
     return chunked(lambda p, t: _squared(p, t, corners), points, triangles)
@@ -108,7 +129,10 @@ def chunked(kernel: Callable[..., Array], *columns: np.ndarray) -> np.ndarray:
         size = next((s for s in (1 << 12, 1 << 15) if s >= left), _CHUNK)
         rows = [part[first : first + size] for part in columns]
         missing = size - len(rows[0])
-        filled = [np.concatenate([row, np.repeat(row[-1:], missing, axis=0)]) if missing else row for row in rows]
+        filled = [
+            np.concatenate([row, np.repeat(row[-1:], missing, axis=0)]) if missing else row
+            for row in rows
+        ]
         parts.append(np.asarray(kernel(*filled))[: min(left, size)])
         first += size
     return np.concatenate(parts) if parts else np.zeros(0)
@@ -129,23 +153,36 @@ class Surveyor:
         rows = patch_rows(sheet, np.arange(len(sheet.faces)))
         neighbours = np.where(sheet.creases == 0, sheet.neighbours, -1)
         # Rounded up, so that meshes of about the same size share compiled code.
-        self._rows = jnp.asarray(np.concatenate([rows, np.repeat(rows[:1], count - len(rows), axis=0)]))
-        self._neighbours = jnp.asarray(np.concatenate([neighbours, np.full((count - len(rows), 3), -1)]))
+        self._rows = jnp.asarray(
+            np.concatenate([rows, np.repeat(rows[:1], count - len(rows), axis=0)])
+        )
+        self._neighbours = jnp.asarray(
+            np.concatenate([neighbours, np.full((count - len(rows), 3), -1)])
+        )
         corners = self._rows[:, :9].reshape(-1, 3, 3)
         self.corners = corners
 
-    def squared(self, points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def squared(
+        self, points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n"]:
         """Squared distances from the flat triangles."""
         return squared_distances(points, triangles, self.corners)
 
-    def levels(self, points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Levels, seen from the triangle given or, across smooth edges, from the one whose normals point at the point."""
+    def levels(
+        self, points: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n"]:
+        """Levels, seen from the triangle given or, across smooth edges, from the one whose normals
+        point at the point.
+        """
         return chunked(lambda p, t: _walked(p, t, self._rows, self._neighbours), points, triangles)
 
 
 @compiled
 def _walked(
-    points: Float[Array, "n 3"], triangles: Int[Array, "n"], rows: Float[Array, "k 60"], neighbours: Int[Array, "k 3"]
+    points: Float[Array, "n 3"],
+    triangles: Int[Array, "n"],
+    rows: Float[Array, "k 60"],
+    neighbours: Int[Array, "k 3"],
 ) -> Float[Array, "n"]:
     def one(point: Float[Array, "3"], triangle: Int[Array, ""]) -> Float[Array, ""]:
         def unfinished(state: tuple[Array, Array, Array, Array]) -> Array:
@@ -166,7 +203,9 @@ def _walked(
 
 
 def track(grid: Grid, sheet: Sheets, surveyor: Surveyor, reach: float) -> Tracked:
-    """Nearest triangle and level of each node; away from the surface by more than `reach`, the level is the distance from about the nearest triangle."""
+    """Nearest triangle and level of each node; away from the surface by more than `reach`, the
+    level is the distance from about the nearest triangle.
+    """
     nodes = int(np.prod(grid.size))
     squared, triangle = np.full(nodes, np.inf), np.full(nodes, -1, dtype=np.int64)
     corners = sheet.vertices[sheet.faces]
@@ -178,7 +217,9 @@ def track(grid: Grid, sheet: Sheets, surveyor: Surveyor, reach: float) -> Tracke
         won = found <= squared[node]
         triangle[node[won]] = cut.triangle[piece[won]]
     near = squared <= (NEAR * grid.spacing) ** 2
-    seed = distance_transform_edt(~near.reshape(grid.size), return_distances=False, return_indices=True)
+    seed = distance_transform_edt(
+        ~near.reshape(grid.size), return_distances=False, return_indices=True
+    )
     seed = np.ravel_multi_index(tuple(seed), grid.size).ravel()
     far = np.flatnonzero(~near)
     triangle[far] = triangle[seed[far]]
@@ -196,14 +237,20 @@ def track(grid: Grid, sheet: Sheets, surveyor: Surveyor, reach: float) -> Tracke
 
 
 def _hand_on(
-    grid: Grid, surveyor: Surveyor, squared: Float[np.ndarray, "nodes"], triangle: Int[np.ndarray, "nodes"], nodes: Int[np.ndarray, "n"]
+    grid: Grid,
+    surveyor: Surveyor,
+    squared: Float[np.ndarray, "nodes"],
+    triangle: Int[np.ndarray, "nodes"],
+    nodes: Int[np.ndarray, "n"],
 ) -> None:
     """Let nodes take over the triangle of a neighbour that is nearer."""
     index = np.column_stack(np.unravel_index(nodes, grid.size))
     points = grid.points(nodes)
     before = triangle.copy()
     for step in _NEIGHBOURS:
-        beside = np.ravel_multi_index(tuple(np.clip(index + step, 0, np.array(grid.size) - 1).T), grid.size)
+        beside = np.ravel_multi_index(
+            tuple(np.clip(index + step, 0, np.array(grid.size) - 1).T), grid.size
+        )
         other = np.flatnonzero(before[beside] != triangle[nodes])
         found = surveyor.squared(points[other], before[beside[other]])
         closer = found < squared[nodes[other]]
@@ -213,16 +260,24 @@ def _hand_on(
 
 def _rounded_up(corners: Float[np.ndarray, "p 3 3"]) -> Float[Array, "k 3 3"]:
     count = 1 << (len(corners) - 1).bit_length()
-    return jnp.asarray(np.concatenate([corners, np.repeat(corners[:1], count - len(corners), axis=0)]))
+    return jnp.asarray(
+        np.concatenate([corners, np.repeat(corners[:1], count - len(corners), axis=0)])
+    )
 
 
 def sharp_neighbourhoods(
-    grid: Grid, sheet: Sheets, surveyor: Surveyor, cells: Int[np.ndarray, "c"], bound: Float[np.ndarray, "c"]
+    grid: Grid,
+    sheet: Sheets,
+    surveyor: Surveyor,
+    cells: Int[np.ndarray, "c"],
+    bound: Float[np.ndarray, "c"],
 ) -> tuple[Int[np.ndarray, "c"], Int[np.ndarray, "c"], Int[np.ndarray, "entries"]]:
-    """Triangles that may be nearest to a point of each cell: first entry and number of entries for each, and the entries.
+    """Triangles that may be nearest to a point of each cell: first entry and number of entries for
+    each, and the entries.
 
-    A triangle can be nearest somewhere in a cell only if it is nearer to the cell's middle than the nearest one there (`bound`) and the cell's diagonal
-    together; the same holds of each eighth of the cell.
+    A triangle can be nearest somewhere in a cell only if it is nearer to the cell's middle than the
+    nearest one there (`bound`) and the cell's diagonal together; the same holds of each eighth of
+    the cell.
     """
     half = np.sqrt(3) / 2 * grid.spacing
     allowed = np.full(int(np.prod(grid.size)), -1.0)
@@ -255,7 +310,11 @@ def sharp_neighbourhoods(
 
 
 def _needed_in_eighths(
-    middles: Grid, surveyor: Surveyor, owner: Int[np.ndarray, "n"], triangle: Int[np.ndarray, "n"], half: float
+    middles: Grid,
+    surveyor: Surveyor,
+    owner: Int[np.ndarray, "n"],
+    triangle: Int[np.ndarray, "n"],
+    half: float,
 ) -> Bool[np.ndarray, "n"]:
     points = middles.points(owner)
     needed = np.zeros(len(owner), dtype=bool)
@@ -268,7 +327,9 @@ def _needed_in_eighths(
     return needed
 
 
-def _box_counts(marked: Bool[np.ndarray, "nx ny nz"]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def _box_counts(
+    marked: Bool[np.ndarray, "nx ny nz"],
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Number of marked nodes in boxes from `low` up to, without, `high`."""
     total = np.zeros(tuple(n + 1 for n in marked.shape), dtype=np.int64)
     total[1:, 1:, 1:] = marked.cumsum(0).cumsum(1).cumsum(2)

@@ -1,11 +1,14 @@
 """The surface over one triangle: curved between smooth corners, rounded off outside a crease.
 
-With barycentric coordinates b_i, corners v_i and corner normals n_i, and with N = Σ b_i n_i and m = N/‖N‖, a point p is
+With barycentric coordinates b_i, corners v_i and corner normals n_i, and with N = Σ b_i n_i and m =
+N/‖N‖, a point p is
 
     Σ b_i (n_i + m)·(p − v_i) / (1 + ‖N‖)
 
-away from it. For the normals of a sphere this is the distance from the sphere, exactly, wherever Σ b_i v_i lies on the line from p to the centre; in general
-it errs by third derivatives of the surface. Where the nearest point lies on a crease, the planes of its two sides give the distance from their corner.
+away from it. For the normals of a sphere this is the distance from the sphere, exactly, wherever Σ
+b_i v_i lies on the line from p to the centre; in general it errs by third derivatives of the
+surface. Where the nearest point lies on a crease, the planes of its two sides give the distance
+from their corner.
 """
 
 from typing import NamedTuple
@@ -23,7 +26,9 @@ COLUMNS = 60
 """Numbers that describe one patch, in the order of the fields of `Patch`."""
 
 INTERIOR, EDGE, CORNER = 0, 1, 4
-"""Nearest feature of a triangle: 0 its interior, 1 to 3 the edge opposite that corner, 4 to 6 the corner."""
+"""Nearest feature of a triangle: 0 its interior, 1 to 3 the edge opposite that corner, 4 to 6 the
+corner.
+"""
 
 _TINY = 1e-300
 _REFINEMENTS = 4
@@ -37,15 +42,21 @@ class Patch(NamedTuple):
     normals: Triangle
     """Of the corners, each on this triangle's side of a crease."""
     beyond: Float[Array, "3 2 3"]
-    """Normals on the other side of each crease edge, at its two ends: edge k runs from corner k + 1 to corner k + 2."""
+    """Normals on the other side of each crease edge, at its two ends: edge k runs from corner k + 1
+    to corner k + 2.
+    """
     around: Triangle
     """Normals on the other side of the crease through each corner."""
     pseudo: Triangle
-    """Angle-weighted normals of all triangles about each corner (Bærentzen & Aanæs 2005): they tell inside from outside."""
+    """Angle-weighted normals of all triangles about each corner (Bærentzen & Aanæs 2005): they tell
+    inside from outside.
+    """
     edges: Vector
     """0 a smooth edge, 1 a convex crease, −1 a concave one."""
     corners: Vector
-    """0 a smooth corner, ±1 one on a convex or concave crease that runs through it, 2 one where creases meet."""
+    """0 a smooth corner, ±1 one on a convex or concave crease that runs through it, 2 one where
+    creases meet.
+    """
 
 
 def unpacked(row: Float[Array, "60"]) -> Patch:
@@ -83,7 +94,9 @@ def nearest(point: Vector, corners: Triangle) -> Nearest:
     flat = dot(ap - v * ab - w * ac, ap - v * ab - w * ac)
     bc, bp = c - b, point - b
     # Along the edges opposite a, b and c.
-    shares = [jnp.clip(share, 0.0, 1.0) for share in (dot(bc, bp) / dot(bc, bc), 1 - d2 / cc, d1 / aa)]
+    shares = [
+        jnp.clip(share, 0.0, 1.0) for share in (dot(bc, bp) / dot(bc, bc), 1 - d2 / cc, d1 / aa)
+    ]
     zero = jnp.zeros_like(v)
     bary = [
         jnp.stack([zero, 1 - shares[0], shares[0]]),
@@ -95,9 +108,15 @@ def nearest(point: Vector, corners: Triangle) -> Nearest:
     for k, (share, candidate) in enumerate(zip(shares, bary, strict=True)):
         offset = ap - candidate[1] * ab - candidate[2] * ac
         squared = dot(offset, offset)
-        at = jnp.where(share <= 0, CORNER + (k + 1) % 3, jnp.where(share >= 1, CORNER + (k + 2) % 3, EDGE + k))
+        at = jnp.where(
+            share <= 0, CORNER + (k + 1) % 3, jnp.where(share >= 1, CORNER + (k + 2) % 3, EDGE + k)
+        )
         closer = ~inside & (squared < best)
-        best, weights, feature = jnp.where(closer, squared, best), jnp.where(closer, candidate, weights), jnp.where(closer, at, feature)
+        best, weights, feature = (
+            jnp.where(closer, squared, best),
+            jnp.where(closer, candidate, weights),
+            jnp.where(closer, at, feature),
+        )
     return Nearest(best, weights, feature)
 
 
@@ -126,14 +145,18 @@ def frozen(point: Vector, patch: Patch) -> Frozen:
     code = jnp.where(at_corner, patch.corners[corner], jnp.where(at_edge, patch.edges[edge], 0.0))
     index = jnp.arange(3)
     first, second = (index == (edge + 1) % 3)[:, None], (index == (edge + 2) % 3)[:, None]
-    beyond = jnp.where(first, patch.beyond[edge, 0], jnp.where(second, patch.beyond[edge, 1], patch.normals))
+    beyond = jnp.where(
+        first, patch.beyond[edge, 0], jnp.where(second, patch.beyond[edge, 1], patch.normals)
+    )
     apex = patch.vertices[corner]
     sign = jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0)
     along = patch.vertices[(edge + 2) % 3] - patch.vertices[(edge + 1) % 3]
     along = along / dot(along, along)
     on_edge = jnp.where(second, along, jnp.where(first, -along, 0.0))
     slopes = jnp.where(at_corner, 0.0, jnp.where(at_edge, on_edge, _slopes(patch.vertices)))
-    return Frozen(point, weights, slopes, code, apex, sign, jnp.where(at_corner, patch.around, beyond))
+    return Frozen(
+        point, weights, slopes, code, apex, sign, jnp.where(at_corner, patch.around, beyond)
+    )
 
 
 def _slopes(vertices: Triangle) -> Triangle:
@@ -145,13 +168,19 @@ def _slopes(vertices: Triangle) -> Triangle:
 
 
 def patch_level(point: Vector, patch: Patch, nearby: Frozen) -> Scalar:
-    """Signed distance from the surface over the triangle, given what is nearest to about this point."""
+    """Signed distance from the surface over the triangle, given what is nearest to about this
+    point.
+    """
     moved = point - nearby.point
     weights = nearby.weights + jnp.stack([dot(slope, moved) for slope in nearby.slopes])
     sides = jnp.stack([patch.normals, nearby.beyond])
-    level, normal = jax.vmap(_sheet, in_axes=(None, None, 0, None))(point, patch.vertices, sides, weights)
+    level, normal = jax.vmap(_sheet, in_axes=(None, None, 0, None))(
+        point, patch.vertices, sides, weights
+    )
     here = level[0]
-    ridge = nearby.code * _outside_both(nearby.code * here, nearby.code * level[1], dot(normal[0], normal[1]))
+    ridge = nearby.code * _outside_both(
+        nearby.code * here, nearby.code * level[1], dot(normal[0], normal[1])
+    )
     apex = point - nearby.corner
     # Squared length, kept from zero so that the derivative stays finite.
     squared = dot(apex, apex)
@@ -160,7 +189,8 @@ def patch_level(point: Vector, patch: Patch, nearby: Frozen) -> Scalar:
 
 
 def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
-    """The same seen along the interpolated normals, and the barycentric coordinates where the line of sight meets the triangle's plane.
+    """The same seen along the interpolated normals, and the barycentric coordinates where the line
+    of sight meets the triangle's plane.
 
     They may lie outside the triangle: the neighbour there sees the point better.
     """
@@ -173,17 +203,25 @@ def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
     # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
     stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
     weights = jnp.where(stopped, near.weights, seen)
-    level = patch_level(point, patch, near._replace(weights=jnp.where(trusted, weights, near.weights)))
+    level = patch_level(
+        point, patch, near._replace(weights=jnp.where(trusted, weights, near.weights))
+    )
     return level, weights
 
 
-def _sheet(point: Vector, vertices: Triangle, normals: Triangle, weights: Vector) -> tuple[Scalar, Vector]:
+def _sheet(
+    point: Vector, vertices: Triangle, normals: Triangle, weights: Vector
+) -> tuple[Scalar, Vector]:
     """Level over a triangle at given barycentric coordinates, and the normal there."""
     total = _mixed(weights, normals)
     length = jnp.sqrt(dot(total, total))
     m = total / length
     lever = [dot(normals[i], vertices[i]) for i in range(3)]
-    value = dot(total, point) - dot(weights, jnp.stack(lever)) + dot(m, point - _mixed(weights, vertices))
+    value = (
+        dot(total, point)
+        - dot(weights, jnp.stack(lever))
+        + dot(m, point - _mixed(weights, vertices))
+    )
     return value / (1 + length), m
 
 
@@ -192,7 +230,9 @@ def _mixed(weights: Vector, rows: Triangle) -> Vector:
 
 
 def _outside_both(first: Scalar, second: Scalar, cosine: Scalar) -> Scalar:
-    """Distance from the corner between two half spaces, given the distances from both and the cosine between their normals."""
+    """Distance from the corner between two half spaces, given the distances from both and the
+    cosine between their normals.
+    """
     sine2 = jnp.maximum(1 - cosine * cosine, 1e-6)
     along_first, along_second = (first - cosine * second) / sine2, (second - cosine * first) / sine2
     squared = along_first * first + along_second * second
@@ -202,7 +242,9 @@ def _outside_both(first: Scalar, second: Scalar, cosine: Scalar) -> Scalar:
 
 
 def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector, Array]:
-    """Barycentric coordinates b at which p − Σ b_i v_i is parallel to Σ b_i n_i, by Newton's method, and whether it arrived near the triangle."""
+    """Barycentric coordinates b at which p − Σ b_i v_i is parallel to Σ b_i n_i, by Newton's
+    method, and whether it arrived near the triangle.
+    """
     v, n = patch.vertices, patch.normals
     m = _mixed(weights, n)
     height = dot(point - _mixed(weights, v), m) / jnp.maximum(dot(m, m), _TINY)

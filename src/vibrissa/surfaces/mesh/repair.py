@@ -1,4 +1,6 @@
-"""What may be wrong with a mesh: mended where that leaves no doubt, an error that counts it where it does not."""
+"""What may be wrong with a mesh: mended where that leaves no doubt, an error that counts it where
+it does not.
+"""
 
 from dataclasses import dataclass, fields
 
@@ -56,7 +58,9 @@ class Repairs:
 
     def __str__(self) -> str:
         """Counts that are not zero, in words."""
-        found = ((getattr(self, field.name), field.name.replace("_", " ")) for field in fields(self))
+        found = (
+            (getattr(self, field.name), field.name.replace("_", " ")) for field in fields(self)
+        )
         return ", ".join(f"{count} {name}" for count, name in found if count) or "nothing"
 
 
@@ -66,7 +70,8 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
     Raises
     ------
     ValueError
-        If there are no faces, indices out of range, vertices that are not finite, or defects that cannot be mended; their text counts each kind.
+        If there are no faces, indices out of range, vertices that are not finite, or defects that
+        cannot be mended; their text counts each kind.
     ImportError
         If libigl is not installed.
     """
@@ -88,7 +93,9 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
     f, turned = _outwards(v, f, flipped)
     crossing = _crossings(v, f)
     if crossing:
-        raise ValueError(f"mesh: {crossing} pairs of triangles cross each other; allowed is a surface that does not intersect itself")
+        raise ValueError(
+            f"mesh: {crossing} pairs of triangles cross each other; allowed is a surface that does not intersect itself"
+        )
     del given
     return v, f, Repairs(merged, unreferenced, degenerate, duplicate, turned, filled)
 
@@ -98,21 +105,29 @@ def _checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces]:
         v = np.array(vertices, dtype=np.float64)
         f = np.asarray(faces)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"vertices, faces: {error}; allowed are arrays (v, 3) of numbers and (f, 3) of indices") from error
+        raise ValueError(
+            f"vertices, faces: {error}; allowed are arrays (v, 3) of numbers and (f, 3) of indices"
+        ) from error
     if v.ndim != 2 or v.shape[1] != 3:
         raise ValueError(f"vertices has shape {v.shape}; allowed is (v, 3)")
     if f.ndim != 2 or f.shape[1] != 3:
         raise ValueError(f"faces has shape {f.shape}; allowed is (f, 3): triangles")
     if not len(v) or not len(f):
-        raise ValueError(f"mesh: {len(v)} vertices and {len(f)} faces; allowed is a closed mesh, of at least 4 each")
+        raise ValueError(
+            f"mesh: {len(v)} vertices and {len(f)} faces; allowed is a closed mesh, of at least 4 each"
+        )
     if not np.issubdtype(f.dtype, np.integer):
         raise ValueError(f"faces has entries of type {f.dtype}; allowed are whole numbers")
     broken = int(np.sum(~np.isfinite(v).all(axis=1)))
     if broken:
-        raise ValueError(f"vertices: {broken} of {len(v)} have coordinates that are not finite; allowed are finite numbers")
+        raise ValueError(
+            f"vertices: {broken} of {len(v)} have coordinates that are not finite; allowed are finite numbers"
+        )
     beyond = int(np.sum((f < 0) | (f >= len(v))))
     if beyond:
-        raise ValueError(f"faces: {beyond} indices lie outside 0 … {len(v) - 1}; allowed are indices of vertices")
+        raise ValueError(
+            f"faces: {beyond} indices lie outside 0 … {len(v) - 1}; allowed are indices of vertices"
+        )
     return finite_array(v, "vertices", last=3), np.ascontiguousarray(f, dtype=np.int64)
 
 
@@ -121,7 +136,9 @@ def _merged(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
     if diagonal == 0:
         raise ValueError("vertices: all lie in one point; allowed is a closed mesh")
     cell = np.round((v - v.min(axis=0)) / (_SAME * diagonal)).astype(np.int64)
-    _, first, index = np.unique(cell.view([("", np.int64)] * 3).ravel(), return_index=True, return_inverse=True)
+    _, first, index = np.unique(
+        cell.view([("", np.int64)] * 3).ravel(), return_index=True, return_inverse=True
+    )
     used = np.zeros(len(v), dtype=bool)
     used[f.ravel()] = True
     # Vertices of no triangle count as such, not as merged.
@@ -139,7 +156,9 @@ def _referenced(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
 
 
 def _without_flat(v: Vertices, f: Faces) -> tuple[Faces, int, int]:
-    """Drop triangles with a vertex twice or on the vertices of another; turn over those whose corners lie on a line, with the neighbour on their long edge."""
+    """Drop triangles with a vertex twice or on the vertices of another; turn over those whose
+    corners lie on a line, with the neighbour on their long edge.
+    """
     proper = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])
     degenerate = int(np.sum(~proper))
     f = f[proper]
@@ -168,11 +187,17 @@ def _flat(v: Vertices, f: Faces) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, 
     return flat, longest[flat]
 
 
-def _turned_over(f: Faces, flat: Int[np.ndarray, "k"], longest: Int[np.ndarray, "k"]) -> tuple[Faces, int]:
-    """Give the middle vertex of a flat triangle to the neighbour on its long edge, which becomes two triangles."""
+def _turned_over(
+    f: Faces, flat: Int[np.ndarray, "k"], longest: Int[np.ndarray, "k"]
+) -> tuple[Faces, int]:
+    """Give the middle vertex of a flat triangle to the neighbour on its long edge, which becomes
+    two triangles.
+    """
     edges: dict[tuple[int, ...], list[int]] = {}
     for k in range(3):
-        for row, pair in enumerate(np.sort(np.column_stack([f[:, k], f[:, (k + 1) % 3]]), axis=1).tolist()):
+        for row, pair in enumerate(
+            np.sort(np.column_stack([f[:, k], f[:, (k + 1) % 3]]), axis=1).tolist()
+        ):
             edges.setdefault(tuple(pair), []).append(row)
     touched: set[int] = set()
     f, new, gone = f.copy(), [], []
@@ -265,7 +290,10 @@ def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
         else:
             middle = len(v) + len(new_vertices)
             new_vertices.append(v[rim].mean(axis=0))
-            new_faces += [[after, before, middle] for before, after in zip(rim, rim[1:] + rim[:1], strict=True)]
+            new_faces += [
+                [after, before, middle]
+                for before, after in zip(rim, rim[1:] + rim[:1], strict=True)
+            ]
         filled += 1
     if not filled:
         return v, f, 0
@@ -274,12 +302,22 @@ def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
 
 
 def _outwards(v: Vertices, f: Faces, turned: Bool[np.ndarray, "_"]) -> tuple[Faces, int]:
-    """Turn whole parts whose inside is outside; number of triangles turned in all. A part inside another one is a cavity."""
+    """Turn whole parts whose inside is outside; number of triangles turned in all. A part inside
+    another one is a cavity.
+    """
     edges = _edges(f)
-    count, part = connected_components(coo_array((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(v), len(v))))
+    count, part = connected_components(
+        coo_array(
+            (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(v), len(v))
+        )
+    )
     of_face = part[f[:, 0]]
     corners = v[f] - v.mean(axis=0)
-    volume = np.bincount(of_face, weights=np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6, minlength=count)
+    volume = np.bincount(
+        of_face,
+        weights=np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6,
+        minlength=count,
+    )
     depth = _nesting(v, f, part, of_face, count)
     wrong = np.flatnonzero((volume < 0) != (depth % 2 == 1))
     reverse = np.isin(of_face, wrong)
@@ -287,7 +325,9 @@ def _outwards(v: Vertices, f: Faces, turned: Bool[np.ndarray, "_"]) -> tuple[Fac
     return np.where(reverse[:, None], f[:, ::-1], f), int(turned.sum())
 
 
-def _nesting(v: Vertices, f: Faces, part: np.ndarray, of_face: np.ndarray, count: int) -> Int[np.ndarray, "parts"]:
+def _nesting(
+    v: Vertices, f: Faces, part: np.ndarray, of_face: np.ndarray, count: int
+) -> Int[np.ndarray, "parts"]:
     """How many other parts each part lies in."""
     depth = np.zeros(count, dtype=np.int64)
     if count == 1:
@@ -300,11 +340,15 @@ def _nesting(v: Vertices, f: Faces, part: np.ndarray, of_face: np.ndarray, count
         within = np.flatnonzero(np.all((low > low[outer]) & (high < high[outer]), axis=1))
         if len(within):
             shell = np.ascontiguousarray(f[of_face == outer])
-            winding = np.asarray(library("igl").winding_number(v, shell, np.ascontiguousarray(sample[within])))
+            winding = np.asarray(
+                library("igl").winding_number(v, shell, np.ascontiguousarray(sample[within]))
+            )
             depth[within] += np.abs(winding) > 0.5
     return depth
 
 
 def _crossings(v: Vertices, f: Faces) -> int:
-    found, crossing, _ = library("igl.predicates").find_self_intersections(v, np.ascontiguousarray(f))
+    found, crossing, _ = library("igl.predicates").find_self_intersections(
+        v, np.ascontiguousarray(f)
+    )
     return len(crossing) if found else 0

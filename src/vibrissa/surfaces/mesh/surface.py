@@ -21,9 +21,13 @@ _LOG = logging.getLogger(__name__)
 
 
 class _Source:
-    """Triangles and repairs; alike for all meshes where JAX compares them, since no compiled code looks at them."""
+    """Triangles and repairs; alike for all meshes where JAX compares them, since no compiled code
+    looks at them.
+    """
 
-    def __init__(self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], repairs: Repairs) -> None:
+    def __init__(
+        self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], repairs: Repairs
+    ) -> None:
         self.vertices, self.faces, self.repairs = vertices, faces, repairs
 
     def __eq__(self, other: object) -> bool:
@@ -36,8 +40,9 @@ class _Source:
 class Mesh(Surface):
     """A closed triangle mesh, smoothed between its creases (mechanics.md, "Meshes").
 
-    The level is the signed distance from a smooth surface through the vertices, of higher order than the triangles. Edges at which the mesh bends by more than
-    `crease_angle` stay sharp: outside them the level is the distance from the edge.
+    The level is the signed distance from a smooth surface through the vertices, of higher order
+    than the triangles. Edges at which the mesh bends by more than `crease_angle` stay sharp:
+    outside them the level is the distance from the edge.
 
     Parameters
     ----------
@@ -48,40 +53,60 @@ class Mesh(Surface):
     crease_angle
         Angle between neighbouring triangles from which their edge is sharp [rad].
     reach
-        Distance from the surface up to which creases keep their shape [units of the rod]; default 2 % of the diagonal, and at least 2.5 grid cells.
+        Distance from the surface up to which creases keep their shape [units of the rod]; default 2
+        % of the diagonal, and at least 2.5 grid cells.
 
     Raises
     ------
     ValueError
-        If the arrays are no mesh, or it has defects that cannot be mended: open edges, edges with more than two triangles, triangles that cross. The text
-        counts them.
+        If the arrays are no mesh, or it has defects that cannot be mended: open edges, edges with
+        more than two triangles, triangles that cross. The text counts them.
     ImportError
         If libigl is not installed; the text says how to get it.
 
     Notes
     -----
-    What can be mended is: `repairs` says what was, and the logger `vibrissa.surfaces.mesh.surface` warns of it.
+    What can be mended is: `repairs` says what was, and the logger `vibrissa.surfaces.mesh.surface`
+    warns of it.
     """
 
     field: Field
     source: _Source = eqx.field(static=True)
 
-    def __init__(self, vertices: ArrayLike, faces: ArrayLike, *, crease_angle: float = 0.7, reach: float | None = None) -> None:
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        *,
+        crease_angle: float = 0.7,
+        reach: float | None = None,
+    ) -> None:
         angle = finite(crease_angle, "crease_angle")
         if not 0 < angle <= np.pi:
-            raise ValueError(f"crease_angle = {crease_angle!r}; allowed is an angle between 0 and π [rad]")
+            raise ValueError(
+                f"crease_angle = {crease_angle!r}; allowed is an angle between 0 and π [rad]"
+            )
         clean_vertices, clean_faces, repairs = mended(vertices, faces)
         diagonal = float(np.linalg.norm(np.ptp(clean_vertices, axis=0)))
         distance = 0.02 * diagonal if reach is None else finite(reach, "reach")
         if not 0 <= distance <= diagonal:
-            raise ValueError(f"reach = {reach!r}; allowed is a distance from 0 to the mesh's diagonal, {diagonal:.6g}")
+            raise ValueError(
+                f"reach = {reach!r}; allowed is a distance from 0 to the mesh's diagonal, {diagonal:.6g}"
+            )
         if repairs:
             _LOG.warning("mesh mended: %s", repairs)
         self.source = _Source(clean_vertices, clean_faces, repairs)
         self.field = build(sheets(clean_vertices, clean_faces, angle), distance)
 
     @classmethod
-    def load(cls, path: str | Path, scale: float | None = None, *, crease_angle: float = 0.7, reach: float | None = None) -> "Mesh":
+    def load(
+        cls,
+        path: str | Path,
+        scale: float | None = None,
+        *,
+        crease_angle: float = 0.7,
+        reach: float | None = None,
+    ) -> "Mesh":
         """Read STL, OBJ, PLY, glTF or GLB.
 
         Parameters
@@ -89,15 +114,16 @@ class Mesh(Surface):
         path
             The file; its suffix says the format.
         scale
-            Length of the file's unit, in units of the rod: 1e-3 for millimetres and a rod in SI. Required for STL, OBJ and PLY, which have no unit; glTF is
-            in metres, so 1 unless given.
+            Length of the file's unit, in units of the rod: 1e-3 for millimetres and a rod in SI.
+            Required for STL, OBJ and PLY, which have no unit; glTF is in metres, so 1 unless given.
         crease_angle, reach
             As for `Mesh`.
 
         Raises
         ------
         ValueError
-            If the file cannot be read, is damaged, or holds no mesh; if `scale` is missing or not positive; as for `Mesh`.
+            If the file cannot be read, is damaged, or holds no mesh; if `scale` is missing or not
+            positive; as for `Mesh`.
         ImportError
             If trimesh or libigl is not installed; the text says how to get them.
         """
@@ -128,7 +154,9 @@ class Mesh(Surface):
         return True
 
     def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        """Signed distance; away from the surface by more than `reach`, to about a grid cell's rounding of creases."""
+        """Signed distance; away from the surface by more than `reach`, to about a grid cell's
+        rounding of creases.
+        """
         return field_level(self.field, point)
 
     def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:

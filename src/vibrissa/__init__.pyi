@@ -1,0 +1,68 @@
+from . import surfaces
+from .calibration import Calibration, CalibrationError, calibrate
+from .contacts import ContactKind, Motion, RecordingWarning, Status
+from .design import ExpectedError, expected_error
+from .forward import Equilibrium, Event, EventKind, Scan, equilibria, scan
+from .inverse import (
+    CausalSmoother,
+    ContactErrors,
+    FrictionEstimate,
+    LiveContact,
+    Reconstruction,
+    Smoothing,
+    Touch,
+    contact_errors,
+    estimate_friction,
+    reconstruct,
+    smooth,
+)
+from .io import Case, Setup, load_case, load_setup, read_recording, write_contacts
+from .reactions import Reactions
+from .rod import Rod
+from .sensor import Sensor
+from .tolerances import Tolerances
+from .trail import Trail
+
+__all__ = [
+    "Calibration",
+    "CalibrationError",
+    "Case",
+    "CausalSmoother",
+    "ContactErrors",
+    "ContactKind",
+    "Equilibrium",
+    "Event",
+    "EventKind",
+    "ExpectedError",
+    "FrictionEstimate",
+    "LiveContact",
+    "Motion",
+    "Reactions",
+    "Reconstruction",
+    "RecordingWarning",
+    "Rod",
+    "Scan",
+    "Sensor",
+    "Setup",
+    "Smoothing",
+    "Status",
+    "Tolerances",
+    "Touch",
+    "Trail",
+    "__version__",
+    "calibrate",
+    "contact_errors",
+    "equilibria",
+    "estimate_friction",
+    "expected_error",
+    "load_case",
+    "load_setup",
+    "read_recording",
+    "reconstruct",
+    "scan",
+    "smooth",
+    "surfaces",
+    "write_contacts",
+]
+
+__version__: str

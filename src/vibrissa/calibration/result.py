@@ -1,0 +1,196 @@
+"""What a calibration returns."""
+
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.stats import norm
+
+from vibrissa.calibration.held_out import HeldOut
+from vibrissa.calibration.statistics import Fitness, Identifiability
+from vibrissa.rod import Rod
+from vibrissa.sensor import Sensor
+from vibrissa.surfaces import Surface
+from vibrissa.tolerances import Tolerances
+
+
+@runtime_checkable
+class SetupLike(Protocol):
+    """A dataclass with rod, sensor and surface, as `vibrissa.Setup`."""
+
+    @property
+    def rod(self) -> Rod:
+        """The rod."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor with its mount."""
+
+    @property
+    def surface(self) -> Surface | None:
+        """The object."""
+
+
+SetupType = TypeVar("SetupType", bound=SetupLike)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One calibrated number.
+
+    Attributes
+    ----------
+    name, unit
+        What it is.
+    given, value
+        Before and after. Of `clamp_orientation` the components of the rotation vector from the
+        given to the calibrated orientation, in the clamp's axes; of `object_position` and
+        `object_orientation` the move from where the object was given, in world axes, the turn about
+        `Calibration.pivot`.
+    deviation
+        Standard deviation; NaN where the parameter was held.
+    determined
+        Whether the data determine it; else it was held as given.
+    holds_for
+        Parameters that were held and from which it cannot be told apart: value and interval are
+        right if those are.
+    """
+
+    name: str
+    unit: str
+    given: float
+    value: float
+    deviation: float
+    determined: bool
+    holds_for: tuple[str, ...] = ()
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval; NaN where the parameter was held.
+
+        Raises
+        ------
+        ValueError
+            If the level is not between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise ValueError(f"level = {level!r}; allowed is a number between 0 and 1")
+        half = float(norm.isf((1 - level) / 2)) * self.deviation
+        return self.value - half, self.value + half
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Rows that were fitted: samples, or means of neighbouring samples.
+
+    Attributes
+    ----------
+    recording, time
+        (n,) index of the recording, and time [s].
+    contact
+        (n,) whether the rod touches; else it is at rest.
+    reading, predicted
+        (n, 6) force [N] and torque [N m] on the rod, in the sensor's axes, about its wrench point,
+        less the tare of the reactions that were given.
+    whitened
+        (n, 6) their difference in standard deviations of a row, made independent of each other:
+        white noise of variance 1 where the model is right.
+    weight
+        (n,) 1, less for rows that do not fit, 0 for rows without equilibrium.
+    chi_square
+        (n,) squared length of what is left of the difference.
+    """
+
+    recording: Int[np.ndarray, "n"]
+    time: Float[np.ndarray, "n"]
+    contact: Bool[np.ndarray, "n"]
+    reading: Float[np.ndarray, "n 6"]
+    predicted: Float[np.ndarray, "n 6"]
+    whitened: Float[np.ndarray, "n 6"]
+    weight: Float[np.ndarray, "n"]
+    chi_square: Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(Generic[SetupType]):
+    """Setup calibrated from sweeps over a known object.
+
+    Attributes
+    ----------
+    setup
+        With the calibrated rod, sensor and, where its pose was free, surface.
+    surface
+        The object, where it was found to be; None where none was known.
+    estimates
+        One for each free number, by name.
+    covariance
+        (k, k) of the numbers that were determined, in the order of `identifiability.names` and the
+        units of the estimates.
+    identifiability
+        What these data cannot tell apart.
+    residuals
+        What the model leaves unexplained.
+    fitness
+        Whether noise explains it.
+    tare, tare_deviation
+        (recordings, 6) what was left of the tare at the middle of each recording, as force [N] and
+        torque [N m] on the rod in the sensor's axes.
+    drift, drift_deviation
+        (recordings, 6) from start to end.
+    pivot
+        (3,) point about which the object was turned.
+    pose
+        Rotation matrix (3, 3) and translation (3,) that take the object from where it was given to
+        where it was found.
+    friction
+        Coulomb's coefficient that was given.
+    unevenness
+        Standard deviation by which the rod touches off the object as given, along its normal,
+        changing along the sweep, as the data show it; 0 for none. Estimates and intervals allow for
+        it.
+    free
+        Names that were free.
+    warnings
+        What speaks against setup, object or result, one sentence each; empty where all is well.
+    held_out
+        Each recording, or of one recording alternate stretches, predicted from the rest; without an
+        object, each of several recordings.
+    first_contact
+        (recordings,) by how much the straight rod as calibrated contradicts where the loads begin,
+        as a distance [m]; 0 where it agrees.
+    tolerances
+        That entered the covariance, or None.
+    """
+
+    setup: SetupType
+    surface: Surface | None
+    estimates: dict[str, Estimate]
+    covariance: Float[np.ndarray, "k k"]
+    identifiability: Identifiability
+    residuals: Residuals
+    fitness: Fitness
+    tare: Float[np.ndarray, "recordings 6"]
+    tare_deviation: Float[np.ndarray, "recordings 6"]
+    drift: Float[np.ndarray, "recordings 6"]
+    drift_deviation: Float[np.ndarray, "recordings 6"]
+    pivot: Float[np.ndarray, "3"]
+    pose: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
+    friction: float
+    unevenness: float
+    free: tuple[str, ...]
+    warnings: list[str]
+    held_out: tuple[HeldOut, ...]
+    first_contact: Float[np.ndarray, "recordings"]
+    tolerances: Tolerances | None
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of an estimate.
+
+        Raises
+        ------
+        ValueError
+            If there is no estimate of that name, or the level is not between 0 and 1.
+        """
+        if name not in self.estimates:
+            raise ValueError(f"name = {name!r}; allowed are {', '.join(self.estimates)}")
+        return self.estimates[name].interval(level)

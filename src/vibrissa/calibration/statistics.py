@@ -1,0 +1,256 @@
+"""What the data determine, how well, and whether the model explains them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
+
+from vibrissa.calibration.fit import WRENCH, Linear, Problem, information, weights, whitened
+
+UNDETERMINED = 0.3
+"""Standard deviation, in the parameters' scales, from which a direction counts as open: 30 % of a
+stiffness, 0.3 L, 0.3 rad.
+"""
+_ROUNDING = 1e-12
+_ALIKE = 0.05
+_LAGS = 20
+_BLOCKS = 12
+_SIGNIFICANT = 1e-3
+_CONFUSED = 0.9
+_SHOWN = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What the data can tell apart.
+
+    Attributes
+    ----------
+    names
+        (k,) of the parameters that were determined.
+    correlation
+        (k, k) of their errors.
+    directions, deviations
+        Eigenvectors (k, k), one a row, weakest first, of the information in the parameters' scales,
+        and the standard deviation (k,) along each, in those scales.
+    alone
+        (k,) standard deviation of each parameter if all others were known.
+    held
+        Parameters that the data leave open, by name, with those they cannot be told apart from:
+        each is kept at its given value.
+    """
+
+    names: tuple[str, ...]
+    correlation: Float[np.ndarray, "k k"]
+    directions: Float[np.ndarray, "k k"]
+    deviations: Float[np.ndarray, "k"]
+    alone: Float[np.ndarray, "k"]
+    held: dict[str, tuple[str, ...]]
+
+    @property
+    def confused(self) -> list[tuple[str, str, float]]:
+        """Pairs of parameters whose errors are correlated by more than 0.9, strongest first: the
+        data hardly tell them apart.
+        """
+        rows, columns = np.triu_indices(len(self.names), 1)
+        pairs = [
+            (self.names[i], self.names[j], float(self.correlation[i, j]))
+            for i, j in zip(rows, columns, strict=True)
+        ]
+        return sorted(
+            (pair for pair in pairs if abs(pair[2]) > _CONFUSED), key=lambda pair: -abs(pair[2])
+        )
+
+    @property
+    def text(self) -> list[str]:
+        """One sentence a finding."""
+        lines = [
+            f"{name}: not determined, kept as given; "
+            + (
+                f"it cannot be told apart from {', '.join(others)}, whose figures hold for this value"
+                if others
+                else "the readings do not depend on it"
+            )
+            for name, others in self.held.items()
+        ]
+        return lines + [
+            f"{first} and {second}: hardly told apart, errors correlated by {value:+.3f}"
+            for first, second, value in self.confused
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitness:
+    """How well the model explains the data.
+
+    Attributes
+    ----------
+    reduced_chi_square
+        Mean square of the residuals in contact over that of noise alone: 1 where the model is
+        right.
+    whiteness
+        Probability (Ljung and Box 1978) of residuals as much correlated in time as these, were they
+        white.
+    inflation
+        (k,) factors by which the variances of the residuals' channels are taken larger than stated;
+        1 where the noise explains the residuals.
+    outliers
+        Share of the rows in contact that fit badly and were given less weight, or none.
+    disturbed
+        Share of them in stretches that no equilibrium explains, as where the rod swings, or sticks
+        and slips: they were left out.
+    """
+
+    reduced_chi_square: float
+    whiteness: float
+    inflation: Float[np.ndarray, "k"]
+    outliers: float
+    disturbed: float
+
+
+def marginal(matrix: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "k k"]:
+    """Information on the first `count` unknowns when the others are unknown, too (Schur's
+    complement).
+    """
+    own, mixed, others = matrix[:count, :count], matrix[:count, count:], matrix[count:, count:]
+    return np.asarray(own - mixed @ np.linalg.solve(others, mixed.T))
+
+
+def undetermined(problem: Problem, linear: Linear) -> tuple[Problem, dict[str, tuple[str, ...]]]:
+    """Hold, one by one, the parameters of directions that are open; return what is left, and each
+    one held with those it goes with.
+    """
+    held: dict[str, tuple[str, ...]] = {}
+    keep = list(range(len(problem.free)))
+    full = marginal(information(problem, linear, linear.sound.astype(float)), len(keep))
+    scales = np.array([parameter.scale for parameter in problem.free])
+    full = full * np.outer(scales, scales)
+    least = max(1 / UNDETERMINED**2, _ROUNDING * float(np.trace(full)))
+    while keep:
+        values, vectors = np.linalg.eigh(full[np.ix_(keep, keep)])
+        if values[0] > least:
+            break
+        loading = np.abs(vectors[:, 0])
+        # Of several that weigh alike the last is held: what comes first is asked for first.
+        place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
+        others = tuple(
+            problem.free[keep[index]].name
+            for index in np.flatnonzero(loading > _ALIKE)
+            if index != place
+        )
+        held[problem.free[keep[place]].name] = others
+        del keep[place]
+    names = [problem.free[index].name for index in keep]
+    held = {
+        name: tuple(other for other in others if other in names) for name, others in held.items()
+    }
+    for index in sorted(set(range(len(problem.free))) - set(keep), reverse=True):
+        problem = problem.without(index)
+    return problem, held
+
+
+def identifiability(
+    problem: Problem,
+    covariance: Float[np.ndarray, "k k"],
+    linear: Linear,
+    held: dict[str, tuple[str, ...]],
+) -> Identifiability:
+    """Of the parameters that were fitted, from the covariance of their steps."""
+    scales = np.array([parameter.scale for parameter in problem.free])
+    deviations = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scales, scales))
+    matrix = information(problem, linear, weights(problem, linear, 1.0))
+    return Identifiability(
+        names=tuple(parameter.name for parameter in problem.free),
+        correlation=covariance / np.outer(deviations, deviations),
+        directions=vectors.T[::-1],
+        deviations=np.sqrt(np.maximum(values[::-1], 0.0)),
+        alone=1 / np.sqrt(np.diag(matrix)[: len(problem.free)]),
+        held=held,
+    )
+
+
+def fitness(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]) -> Fitness:
+    """Judge the residuals in contact, in time order within each recording."""
+    rows = problem.rows
+    chosen = rows.contact & (weight > 0)
+    left = np.sqrt(weight)[:, None] * linear.residual[:, :WRENCH]
+    series = [left[chosen & (rows.recording == recording)] for recording in range(rows.recordings)]
+    series = [part for part in series if len(part) > 2 * _LAGS]
+    used = linear.chi_square[chosen & (weight == 1.0)]
+    total = len(used) * problem.freedom - len(problem.free)
+    reduced = float(np.sum(used) / max(total, 1))
+    whiteness = _ljung_box(series) if series else 1.0
+    worse = chi2.sf(reduced * total, max(total, 1)) < _SIGNIFICANT
+    inflation = np.full(WRENCH, max(1.0, reduced) if worse else 1.0)
+    if whiteness < _SIGNIFICANT:
+        inflation = np.maximum(inflation, _long_run(series))
+    outliers, disturbed = (
+        float(np.mean(rare[rows.contact]))
+        for rare in ((weight < 1) & ~problem.disturbed, problem.disturbed)
+    )
+    return Fitness(reduced, whiteness, inflation, outliers, disturbed)
+
+
+def _ljung_box(series: list[Float[np.ndarray, "_ 6"]]) -> float:
+    statistic = 0.0
+    for part in series:
+        n, centred = len(part), part - part.mean(axis=0)
+        power = np.sum(centred**2, axis=0)
+        for lag in range(1, _LAGS + 1):
+            correlation = np.sum(centred[lag:] * centred[:-lag], axis=0) / power
+            statistic += float(np.sum(correlation**2) * n * (n + 2) / (n - lag))
+    return float(chi2.sf(statistic, _LAGS * WRENCH * len(series)))
+
+
+def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
+    """Variance of means over a twelfth of a recording, times how many samples they hold: the
+    noise's level at the sweep's own time scale.
+    """
+    squares = [
+        len(block) * np.mean(block, axis=0) ** 2
+        for part in series
+        for block in np.array_split(part, _BLOCKS)
+    ]
+    return np.mean(squares, axis=0)
+
+
+def covariance(
+    problem: Problem,
+    linear: Linear,
+    weight: Float[np.ndarray, "n"],
+    inflation: Float[np.ndarray, "6"],
+) -> Float[np.ndarray, "unknowns unknowns"]:
+    """Of all unknowns: the inverse information, or where the residuals are more than noise that of
+    estimates with their long-run variance (a sandwich).
+    """
+    inverse = np.linalg.inv(information(problem, linear, weight))
+    if np.all(inflation == 1):
+        return inverse
+    excess = (
+        np.sqrt(weight)[:, None, None]
+        * linear.jacobian[:, :WRENCH]
+        * np.sqrt(inflation - 1)[None, :, None]
+    )
+    excess = excess[problem.rows.contact].reshape(-1, linear.jacobian.shape[2])
+    return inverse + inverse @ (excess.T @ excess) @ inverse
+
+
+def considered(
+    problem: Problem,
+    linear: Linear,
+    weight: Float[np.ndarray, "n"],
+    columns: Float[np.ndarray, "contacts 6 m"],
+) -> Float[np.ndarray, "unknowns unknowns"]:
+    """Covariance of all unknowns from numbers that are held, whose standard deviations change the
+    readings by `columns`.
+
+    An error h of a held number moves the estimates by −(JᵀWJ)⁻¹ JᵀW ∂r/∂h ("consider parameters":
+    S. F. Schmidt, Advances in Control Systems 3 (1966) 293-340).
+    """
+    crossed = np.einsum(
+        "n,nku,nkm->um", weight, linear.jacobian, whitened(problem, linear, columns), optimize=True
+    )
+    shift = np.linalg.solve(information(problem, linear, weight), crossed)
+    return shift @ shift.T

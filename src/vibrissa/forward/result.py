@@ -1,0 +1,243 @@
+"""What a scan returns."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.forward.events import Event, EventKind
+from vibrissa.forward.slip import Slip, led, slip_along
+from vibrissa.forward.validity import QuasiStatic, quasi_static
+from vibrissa.geometry.rotation import rotation_vectors
+from vibrissa.mechanics.elastic_line import sampled_line
+from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
+from vibrissa.surfaces import Surface
+from vibrissa.trail import Trail
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def _mean_of_ends(values: Float[np.ndarray, "*trail n 3"]) -> Float[np.ndarray, "*trail steps 3"]:
+    return (values[..., 1:, :] + values[..., :-1, :]) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Equilibria of the rod along one trail (n, …) or several (m, n, …), in units of the rod, world
+    axes.
+
+    Attributes
+    ----------
+    rod, surface, trail
+        What was scanned with what, where.
+    kind
+        (…) values of `ContactKind`.
+    point, normal
+        Contact point and outward unit normal of the object there (…, 3); NaN without contact.
+    force_direction
+        Unit vector (…, 3) of the contact force on the rod: the normal without friction, inside the
+        friction cone with it.
+    motion
+        (…) values of `Motion`: without friction a contact always slips.
+    arc_length
+        s₁ (…) [m]: arc length of the contact from the clamp; NaN without contact.
+    reactions
+        Support reactions, on the rod, moment about the clamp; zero without contact, NaN where
+        unsolved.
+    energy
+        Bending energy (…) [J].
+    largest_curvature
+        (…) [1/m] along the rod: at the clamp, or further out where the contact force passes behind
+        the clamp axis.
+    contact_tangent, plane_normal
+        Unit tangent of the rod at the contact and unit normal t0 × n of its bending plane (…, 3).
+    residual
+        Largest residual (…) of the contact conditions of the returned state, dimensionless.
+    depth
+        How deep (…) [m] the elastic line enters the object at the deepest of some 700 points,
+        looked at where fewer leave it open; rounding where it does not.
+    status
+        (…) values of `Status`.
+    events
+        By trail and then in order.
+    friction
+        Coulomb's coefficient that was given.
+    offset
+        The rod's radius where its skin touches, or 0 where its centre line does; `point` is on the
+        object either way.
+    second_contact
+        (…, 3) where the rod also touches the object or passes through it, on rows whose status says
+        so; NaN on the others.
+    """
+
+    rod: Rod
+    surface: Surface
+    trail: Trail
+    kind: Int[np.ndarray, "*trail n"]
+    point: Float[np.ndarray, "*trail n 3"]
+    normal: Float[np.ndarray, "*trail n 3"]
+    force_direction: Float[np.ndarray, "*trail n 3"]
+    motion: Int[np.ndarray, "*trail n"]
+    arc_length: Float[np.ndarray, "*trail n"]
+    reactions: Reactions
+    energy: Float[np.ndarray, "*trail n"]
+    largest_curvature: Float[np.ndarray, "*trail n"]
+    contact_tangent: Float[np.ndarray, "*trail n 3"]
+    plane_normal: Float[np.ndarray, "*trail n 3"]
+    residual: Float[np.ndarray, "*trail n"]
+    depth: Float[np.ndarray, "*trail n"]
+    status: Int[np.ndarray, "*trail n"]
+    events: list[Event]
+    friction: float
+    offset: float
+    second_contact: Float[np.ndarray, "*trail n 3"]
+
+    @property
+    def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
+        """Whether a contact was found (…)."""
+        return self.kind != ContactKind.NONE
+
+    @property
+    def solved(self) -> Bool[np.ndarray, "*trail n"]:
+        """Whether the row holds an equilibrium (…), with contact or without, whatever its checks
+        say.
+        """
+        return np.isfinite(self.energy)
+
+    @property
+    def bending_strain(self) -> Float[np.ndarray, "*trail n"]:
+        """Largest bending strain (…): radius times the largest curvature along the rod.
+
+        Raises
+        ------
+        ValueError
+            If the rod has no radius.
+        """
+        if self.rod.radius is None:
+            raise ValueError("radius = None: a bending strain needs the rod's radius")
+        return self.rod.radius * self.largest_curvature
+
+    @cached_property
+    def slip(self) -> Slip:
+        """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
+        return slip_along(
+            self.point + self.offset * self.normal,
+            self.arc_length,
+            self.contact_tangent,
+            self.plane_normal,
+        )
+
+    @cached_property
+    def clamp_work(self) -> Float[np.ndarray, "*trail n"]:
+        """Work (…) [J] of the clamp on the rod on the way from the position before: by the
+        trapezoidal rule; NaN on the first and next to unsolved rows.
+        """
+        moved = np.diff(self.trail.position, axis=-2)
+        before, after = self.trail.orientation[..., :-1, :], self.trail.orientation[..., 1:, :]
+        force, moment = (
+            _mean_of_ends(part) for part in (self.reactions.force, self.reactions.moment)
+        )
+        return led(
+            np.einsum("...i,...i->...", force, moved)
+            + np.einsum("...i,...i->...", moment, rotation_vectors(before, after))
+        )
+
+    @cached_property
+    def friction_work(self) -> Float[np.ndarray, "*trail n"]:
+        """Work (…) [J] that friction turns into heat on the way from the position before: by the
+        trapezoidal rule.
+
+        NaN where either has no contact, and across a snap, of which statics knows both ends but not
+        the way.
+        """
+        force = _mean_of_ends(-self.reactions.force)
+        heat = led(-np.einsum("...i,...i->...", force, self.slip.sliding[..., 1:, :]))
+        heat[self._behind_a_snap] = np.nan
+        return heat
+
+    def quasi_static(self, speed: float) -> QuasiStatic:
+        """Whether a clamp speed [m/s] is slow enough for statics, given the rod's density.
+
+        Raises
+        ------
+        ValueError
+            If the rod has no density, or the speed is not positive.
+        """
+        return quasi_static(
+            self.rod,
+            self.trail,
+            self.reactions.force,
+            self.reactions.moment,
+            ~self._behind_a_snap,
+            speed,
+        )
+
+    @property
+    def _behind_a_snap(self) -> Bool[np.ndarray, "*trail n"]:
+        """The first position after each snap."""
+        behind = np.zeros(self.kind.shape, dtype=bool)
+        for event in self.events:
+            if event.kind == EventKind.SNAP:
+                trail = (event.trail,) if self.kind.ndim == 2 else ()
+                behind[(*trail, np.searchsorted(self.trail.parameter[trail], event.parameter))] = (
+                    True
+                )
+        return behind
+
+    def elastic_line(
+        self, index: "int | tuple[int, int]", count: int = 200
+    ) -> Float[np.ndarray, "count 3"]:
+        """The rod's shape at a position: `count` points equally spaced in arc length from clamp to
+        tip.
+
+        Parameters
+        ----------
+        index
+            Position i on one trail, or (trail, i) on several.
+        count
+            Number of points, at least 2.
+
+        Raises
+        ------
+        ValueError
+            If the position was not solved, or `count` is less than 2.
+        IndexError
+            If there is no such position.
+        """
+        if count < 2:
+            raise ValueError(f"count = {count}; allowed is at least 2")
+        clamp, axis = self.trail.position[index], self.trail.axis[index]
+        if clamp.ndim != 1:
+            raise ValueError(
+                f"index = {index}; allowed is (trail, i), as the scan holds several trails"
+            )
+        length = self.rod.length
+        if self.kind[index] == ContactKind.NONE:
+            if not self.solved[index]:
+                raise ValueError(
+                    f"index = {index}: this position was not solved: {Status(int(self.status[index])).text}"
+                )
+            return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
+        force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
+        reach = (self.point[index] + self.offset * self.normal[index] - clamp) / length
+        return sampled_line(
+            clamp,
+            axis,
+            length,
+            reach,
+            self.force_direction[index],
+            force,
+            float(self.arc_length[index]) / length,
+            count,
+        )
+
+    def to_dataset(self) -> "xarray.Dataset":
+        """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""
+        from vibrissa.forward.dataset import scan_dataset  # noqa: PLC0415
+
+        return scan_dataset(self)

@@ -1,0 +1,159 @@
+"""Errors of contacts by cause: noise of the wrench, pose of the robot, the rod's stiffness and
+length, the mount of the clamp.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from vibrissa.geometry.checks import finite_array, not_negative
+from vibrissa.inverse.parameters import rig_of
+from vibrissa.inverse.result import Reconstruction
+from vibrissa.inverse.shared import sensitivities
+
+_STIFFNESS, _LENGTH, _POSITION, _ROTATION = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 8)
+"""Of `vibrissa.tolerances.PARAMETERS`."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactErrors:
+    """Covariances of contact points by cause, world axes, units of the rod squared.
+
+    Attributes
+    ----------
+    by_cause
+        Name of the cause to (…, 3, 3); NaN without contact. The causes are independent of each
+        other.
+    shared
+        Causes whose error is one and the same for all contacts of a recording: neither averages nor
+        smoothing reduce it.
+    sensitivity
+        Derivatives (…, 3, k) of the points by the shared parameters: `bending_stiffness` by its
+        relative change, `length`, `clamp_position` and `clamp_rotation` (clamp axes) by themselves.
+        They carry errors from one contact to another.
+    """
+
+    by_cause: dict[str, Float[np.ndarray, "*trail n 3 3"]]
+    shared: tuple[str, ...]
+    sensitivity: dict[str, Float[np.ndarray, "*trail n 3 k"]]
+
+    @property
+    def total(self) -> Float[np.ndarray, "*trail n 3 3"]:
+        """(…, 3, 3), all causes together."""
+        return np.asarray(sum(self.by_cause.values()))
+
+
+def contact_errors(
+    found: Reconstruction,
+    *,
+    youngs_modulus: float = 0.0,
+    bending_stiffness: float = 0.0,
+    length: float = 0.0,
+    clamp_position: ArrayLike = 0.0,
+    clamp_rotation: ArrayLike = 0.0,
+    pose: ArrayLike | None = None,
+    pose_rotation: float = 0.0,
+) -> ContactErrors:
+    """Errors of contact points, by cause, to first order.
+
+    Parameters
+    ----------
+    found
+        Contacts, sample by sample or smoothed.
+    youngs_modulus
+        Standard deviation of Young's modulus as a share of it (0.01 for 1 %).
+    bending_stiffness
+        Standard deviation of EI, in units of the rod [N m²]; besides that of the modulus.
+    length
+        Standard deviation of the rod's length [m].
+    clamp_position
+        Of the clamp in the sensor frame, seen in clamp axes: a standard deviation for each axis
+        [m], or a covariance (3, 3).
+    clamp_rotation
+        Of the clamp's axes, small rotations about clamp axes: a standard deviation [rad], or a
+        covariance (3, 3).
+    pose
+        Of the robot's position in each sample: a standard deviation for each axis [m], or a
+        covariance (3, 3), world axes. Default: that of the reactions.
+    pose_rotation
+        Standard deviation of the robot's orientation in each sample [rad], as a rotation about the
+        clamp; besides that of the reactions.
+
+    Raises
+    ------
+    ValueError
+        If a standard deviation is negative or not finite, a covariance not symmetric and positive
+        semidefinite, or the noise of the wrench is not known.
+
+    Notes
+    -----
+    The reconstruction is the most probable single contact x of a wrench w, so an error dθ of rod or
+    mount moves it by dx = −(HᵀΣ⁻¹H)⁻¹HᵀΣ⁻¹ (∂h/∂θ) dθ, with w = h(x; θ) and H = ∂h/∂x, and the
+    point p(x; θ) by dp = (∂p/∂x) dx + (∂p/∂θ) dθ (`vibrissa.inverse.parameters`). Smoothed contacts
+    move as the smoother's gains weigh the whole sweep. At the tip s₁ = L is part of h: in smoothed
+    tip contacts, and in single samples that were limited to the rod's length.
+    """
+    if found.covariance_noise is None or found.reactions.covariance is None:
+        raise ValueError(
+            "found.covariance = None: errors by cause need the noise of the wrench; give the sensor force_noise and torque_noise"
+        )
+    rod = found.rod
+    stiffness = np.hypot(
+        not_negative(youngs_modulus, "youngs_modulus"),
+        not_negative(bending_stiffness, "bending_stiffness") / rod.bending_stiffness,
+    )
+    own = found.reactions.pose_covariance(found.point)
+    floor = np.zeros((3, 3)) if own is None else own
+    robot = floor if pose is None else _covariance(pose, "pose")
+    slopes = sensitivities(found)[..., :3, :]
+    model = (
+        np.zeros((3, 3))
+        if found.smoothing is None
+        else np.eye(3) * (found.smoothing[0].model_error * rod.length) ** 2
+    )
+    reach = found.point - found.reactions.trail.position
+    arm = np.swapaxes(np.cross(np.eye(3), reach[..., None, :]), -1, -2)
+    sensitivity = {
+        "bending_stiffness": slopes[..., _STIFFNESS] * rod.length,
+        "length": slopes[..., _LENGTH],
+        "clamp_position": slopes[..., _POSITION] @ rig_of(rod, found.reactions).turn.T,
+        "clamp_rotation": slopes[..., _ROTATION] * rod.length,
+    }
+    spreads = {
+        "bending_stiffness": np.eye(1) * stiffness**2,
+        "length": np.eye(1) * not_negative(length, "length") ** 2,
+        "clamp_position": _covariance(clamp_position, "clamp_position"),
+        "clamp_rotation": _covariance(clamp_rotation, "clamp_rotation"),
+    }
+    nothing = np.where(found.in_contact[..., None, None], 0.0, np.nan)
+    by_cause = {
+        "wrench": found.covariance_noise - floor - model,
+        "pose": nothing
+        + robot
+        + not_negative(pose_rotation, "pose_rotation") ** 2 * arm @ np.swapaxes(arm, -1, -2),
+        **{
+            name: nothing + part @ spreads[name] @ np.swapaxes(part, -1, -2)
+            for name, part in sensitivity.items()
+        },
+    }
+    if found.smoothing is not None:
+        by_cause["model"] = nothing + model
+    return ContactErrors(by_cause, tuple(sensitivity), sensitivity)
+
+
+def _covariance(value: ArrayLike, name: str) -> Float[np.ndarray, "3 3"]:
+    """From one standard deviation, or a covariance."""
+    array = finite_array(value, name)
+    if array.ndim == 0:
+        return np.eye(3) * not_negative(float(array), name) ** 2
+    if (
+        array.shape != (3, 3)
+        or not np.allclose(array, array.T)
+        or np.linalg.eigvalsh(array)[0] < -1e-12 * np.abs(array).max()
+    ):
+        raise ValueError(
+            f"{name} = {array.tolist()}; allowed is a number of at least 0, or a symmetric positive semidefinite (3, 3)"
+        )
+    return array

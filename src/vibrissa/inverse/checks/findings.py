@@ -1,0 +1,71 @@
+"""What a sweep says of its setup: the findings."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What one cause of error would have to be to explain a sweep's misfit.
+
+    Attributes
+    ----------
+    name, unit
+        Such as `bending_stiffness`, relative ("1").
+    estimate, deviation
+        One number or several: what is true less what is stated, and its standard deviation.
+    significance
+        Of the misfit that it explains, in standard deviations.
+    explained
+        Share of the misfit that it explains.
+    shift
+        Median shift of the contacts that it implies, in units of the rod.
+    """
+
+    name: str
+    unit: str
+    estimate: tuple[float, ...]
+    deviation: tuple[float, ...]
+    significance: float
+    explained: float
+    shift: float
+
+
+@dataclass(frozen=True, eq=False)
+class SetupCheck:
+    """What a sweep says of its setup.
+
+    Attributes
+    ----------
+    causes
+        Each cause by itself, those that explain most first. They are candidates: several explain
+        the same.
+    reduced_chi_square
+        Mean square of what the constraints leave, in that of noise; 1 where all is as stated.
+    friction
+        Coefficient that tangential contacts show if all else is as stated, or the one given.
+    named
+        Names of causes that explain about as much as each other, one tuple a warning.
+    warnings
+        One line each.
+    shift
+        (…, 3) by how far contacts are off if the likeliest causes are right, of those named
+        together the largest; units of the rod, world axes; 0 where none is named.
+    misread
+        Whether the numbers contradict each other as a whole, as with other units, signs or axes, so
+        that no contact is to be trusted.
+    apart
+        (…) rows that belong to no single contact while all others agree with the setup, as where
+        the rod touches two places; None where there are none.
+    """
+
+    causes: tuple[Cause, ...]
+    reduced_chi_square: float
+    friction: float
+    named: tuple[tuple[str, ...], ...]
+    warnings: tuple[str, ...]
+    shift: Float[np.ndarray, "*trail n 3"]
+    misread: bool = False
+    apart: Bool[np.ndarray, "*trail n"] | None = None

@@ -1,0 +1,212 @@
+"""Short stretches of a sweep, each averaged to one wrench: tame noise, few rows.
+
+The motion is slow against the samples, so that over a hundredth of a contact the wrench is a
+straight line, and its mean that of the middle. The arc length, a ratio of moment and force, is all
+but linear in a mean's noise where it is not in a sample's.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import median_abs_deviation
+
+from vibrissa.contacts import Status
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.result import Reconstruction
+
+_MOST = 96
+"""Stretches in contact: an elastica's curves through so many are straight to 3e-5 of their range,
+and dense equations of three rows each take milliseconds.
+"""
+_MOST_AT_REST = 20
+_FEWEST = 30
+"""Samples in contact below which a sweep is not judged."""
+_OUTLYING = 4.0
+"""Samples farther off the line than this many deviations, by the median, count for nothing: noise
+alone reaches it once in ten thousand.
+"""
+_MARGIN = 0.1
+"""Share of the contact's duration before and after it that is not counted as rest: contact not yet
+told from noise, and a wire that swings.
+"""
+_WINDOW = 9
+"""Samples of which most are in contact where the rod touches: single false alarms and misses do not
+count.
+"""
+_LINE = 4
+"""Fewest samples through which a line is laid."""
+_UNSTEADY = 6.0
+"""Standard deviations of their variance about it from which samples are on no line: the rod swings,
+or the contact has jumped.
+"""
+_UNKNOWN_ZERO = 0.02
+"""Variance of the zero's error in that of a sample where no rest is seen: that of a mean of 50."""
+_WHITE = 0.2
+"""Share of the variance by which differences of neighbours may fall short of white noise's by
+chance and rounding.
+"""
+_LEAST_WHITE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Means over short stretches of one trail, in clamp axes and model units.
+
+    Attributes
+    ----------
+    time
+        (k,) [s], or the number of the sample.
+    wrench
+        (k, 6) support reactions.
+    noise
+        (k, 6, 6) covariance of what is independent from stretch to stretch.
+    zero
+        (k, 6, 6) factor of what an error of the zero adds, one for all samples.
+    position
+        (k, 3) of the clamp, world axes, in rod lengths.
+    turn
+        (k, 3, 3) from clamp to world axes.
+    contact
+        (k,) whether the rod touches; else it is at rest.
+    first, last
+        (k,) samples, the last not included.
+    """
+
+    time: Float[np.ndarray, "k"]
+    wrench: Float[np.ndarray, "k 6"]
+    noise: Float[np.ndarray, "k 6 6"]
+    zero: Float[np.ndarray, "k 6 6"]
+    position: Float[np.ndarray, "k 3"]
+    turn: Float[np.ndarray, "k 3 3"]
+    contact: Bool[np.ndarray, "k"]
+    first: Int[np.ndarray, "k"]
+    last: Int[np.ndarray, "k"]
+
+    def chosen(self, rows: Bool[np.ndarray, "k"]) -> "Stretches":
+        """Some of them."""
+        return Stretches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def stretches_of(found: Reconstruction) -> Stretches | None:
+    """Averaged rows of one trail (n, …) with known noise, in contact and at rest; None with too few
+    in contact.
+    """
+    reactions, rod = found.reactions, found.rod
+    assert reactions.covariance is not None
+    if np.count_nonzero(found.in_contact) < _FEWEST:
+        return None
+    turn = rotation_matrices(reactions.trail.orientation)
+    units = np.repeat([rod.force_scale, rod.moment_scale], 3)
+    wrench = (
+        np.concatenate(
+            [np.einsum("nji,nj->ni", turn, part) for part in (reactions.force, reactions.moment)],
+            axis=1,
+        )
+        / units
+    )
+    sound = np.isfinite(wrench).all(axis=1) & (found.status != Status.BAD_DATA)
+    time = np.arange(len(turn), dtype=np.float64) if reactions.time is None else reactions.time
+    touching = (uniform_filter1d((found.in_contact & sound).astype(float), _WINDOW) > 0.5) & sound
+    if np.count_nonzero(touching) < _FEWEST:
+        return None
+    resting = sound & _away(touching, time)
+    spans = [(*span, True) for span in _spans(touching, _MOST)] + [
+        (*span, False) for span in _spans(resting, _MOST_AT_REST)
+    ]
+    both = np.zeros((len(turn), 6, 6))
+    both[:, :3, :3] = both[:, 3:, 3:] = np.swapaxes(turn, 1, 2)
+    root = np.linalg.cholesky(
+        both @ (reactions.covariance / np.outer(units, units)) @ np.swapaxes(both, 1, 2)
+    )
+    white = _white(np.linalg.solve(root, wrench[..., None])[..., 0], touching | resting)
+    before = np.count_nonzero(resting[: int(np.argmax(touching))])
+    lasting = np.maximum(1 - white - _WHITE, 0) + (1 / before if before else _UNKNOWN_ZERO)
+    means = [_mean(wrench[first:last], time[first:last]) for first, last, _ in spans]
+    first, last, contact = (np.array(column) for column in zip(*spans, strict=True))
+    middle = (first + last) // 2
+    count, scatter = (np.array([mean[place] for mean in means]) for place in (1, 2))
+    noise = root[middle] * white @ np.swapaxes(root[middle], 1, 2)
+    excess = np.max(scatter / np.einsum("kii->ki", noise), axis=1) - 1
+    steady = excess < _UNSTEADY * np.sqrt(2 / np.maximum(count - 2, 1))
+    found_all = Stretches(
+        time=np.array([time[start:stop].mean() for start, stop, _ in spans]),
+        wrench=np.array([mean[0] for mean in means]),
+        noise=noise / count[:, None, None],
+        zero=root[middle] * np.sqrt(lasting),
+        position=np.array(
+            [reactions.trail.position[start:stop].mean(axis=0) for start, stop, _ in spans]
+        )
+        / rod.length,
+        turn=turn[middle],
+        contact=contact,
+        first=first,
+        last=last,
+    )
+    return found_all.chosen(_steady(steady, contact))
+
+
+def _steady(steady: Bool[np.ndarray, "k"], contact: Bool[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
+    """Without the neighbours of stretches in contact that are not: a jump, or what is left of
+    swinging.
+    """
+    bad = contact & ~steady
+    return ~(bad | np.roll(bad, 1) | np.roll(bad, -1)) | ~contact
+
+
+def _away(touching: Bool[np.ndarray, "n"], time: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Samples before and after all contact, by a margin."""
+    index = np.flatnonzero(touching)
+    margin = _MARGIN * (time[index[-1]] - time[index[0]])
+    return np.asarray((time < time[index[0]] - margin) | (time > time[index[-1]] + margin))
+
+
+def _spans(rows: Bool[np.ndarray, "n"], most: int) -> list[tuple[int, int]]:
+    """Runs of rows, cut into about equal parts, `most` in all."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(int)))
+    size = max(1, -(-int(np.count_nonzero(rows)) // most))
+    cuts = [
+        np.linspace(start, stop, max(1, round((stop - start) / size)) + 1).astype(int)
+        for start, stop in edges.reshape(-1, 2)
+    ]
+    return [(int(start), int(stop)) for cut in cuts for start, stop in itertools.pairwise(cut)]
+
+
+def _white(
+    whitened: Float[np.ndarray, "n 6"], rows: Bool[np.ndarray, "n"]
+) -> Float[np.ndarray, "6"]:
+    """Variance of the noise from sample to sample, in that which is stated, by second differences;
+    1 where there are too few.
+    """
+    inner = rows[:-2] & rows[1:-1] & rows[2:]
+    second = (whitened[:-2] - 2 * whitened[1:-1] + whitened[2:])[inner] / np.sqrt(6)
+    if len(second) < _FEWEST:
+        return np.ones(6)
+    return np.maximum(median_abs_deviation(second, axis=0, scale="normal") ** 2, _LEAST_WHITE)
+
+
+def _mean(
+    values: Float[np.ndarray, "m 6"], time: Float[np.ndarray, "m"]
+) -> tuple[Float[np.ndarray, "6"], int, Float[np.ndarray, "6"]]:
+    """Middle of a straight line through the rows, how many count, and their variance about it."""
+    if len(values) < _LINE:
+        return values.mean(axis=0), len(values), np.zeros(6)
+    elapsed = time - time.mean()
+    good = np.ones(len(values), dtype=bool)
+    for last in (False, True):
+        center, middle = values[good].mean(axis=0), elapsed[good].mean()
+        own = elapsed[good] - middle
+        slope = own @ (values[good] - center) / (own @ own)
+        off = values - center - (elapsed - middle)[:, None] * slope
+        if not last:
+            near = np.all(
+                np.abs(off)
+                <= _OUTLYING
+                * np.maximum(median_abs_deviation(off, axis=0, scale="normal"), 1e-300),
+                axis=1,
+            )
+            good = near if np.count_nonzero(near) >= _LINE else good
+    count = int(np.count_nonzero(good))
+    return center - middle * slope, count, np.sum(off[good] ** 2, axis=0) / (count - 2)

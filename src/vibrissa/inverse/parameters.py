@@ -1,0 +1,170 @@
+"""What an error of the setup changes: in the wrench that is measured, and in where the contact is
+seen, at fixed coordinates of the contact on the rod.
+
+All is exact to first order and linear in the wrench, so no derivative has to be taken. Let θ be
+true minus stated values of `vibrissa.tolerances.PARAMETERS`, and w = (f, m) the wrench in clamp
+axes and model units (L = EI = 1). The true rod at the same coordinates in its own units exerts a
+larger wrench where it is stiffer, and a smaller one where it is longer: δf = (θ_EI − 2 θ_L) f, δm =
+(θ_EI − θ_L) m, δr = θ_L r. A true clamp that is moved by s and turned by φ against the stated one
+shows δf = φ × f, δm = φ × m + s × f, δr = s + φ × r, δn = φ × n. Gains act on the six channels in
+the sensor's axes. Poses that come late by τ are seen where the clamp has since left: it is moved by
+v τ and turned by ω τ, and a wrench in world axes is turned with it.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.numerics.blocks import AnyArray
+from vibrissa.numerics.rotation import cross_matrix
+from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
+from vibrissa.tolerances import PARAMETERS, SetupErrors
+
+COUNT = len(PARAMETERS)
+_BLOCK = 512
+
+
+class Rig(NamedTuple):
+    """How the sensor sits to the clamp: clamp axes, model units."""
+
+    turn: Float[AnyArray, "3 3"]
+    """From sensor to clamp axes."""
+    arm: Float[AnyArray, "3"]
+    """From the torque's reference point to the clamp."""
+    in_world_axes: Float[AnyArray, ""]
+    """1 where the wrench was logged in world axes."""
+
+
+class Changes(NamedTuple):
+    """Derivatives by `PARAMETERS`, lengths in units of the rod's: of one sample, or with one row a
+    sample.
+    """
+
+    wrench: Float[AnyArray, "*n 6 15"]
+    """Of the wrench that is measured, (f0, m0), stated clamp axes, model units of the stated rod.
+    """
+    reach: Float[AnyArray, "*n 3 15"]
+    """Of the contact seen from the stated clamp."""
+    direction: Float[AnyArray, "*n 3 15"]
+    """Of the unit vector of the contact force."""
+
+
+def changes(
+    wrench: Float[Array, "6"],
+    reach: Float[Array, "3"],
+    direction: Float[Array, "3"],
+    velocity: Float[Array, "6"],
+    rig: Rig,
+) -> Changes:
+    """Of one sample, clamp axes and model units; `velocity` of the clamp point and of its rotation,
+    a second.
+    """
+    force, moment = wrench[:3], wrench[3:]
+    zero, turn, arm = jnp.zeros((3, 3)), jnp.asarray(rig.turn), cross_matrix(jnp.asarray(rig.arm))
+    f, m, r, n = (-cross_matrix(vector) for vector in (force, moment, reach, direction))
+    shift, spin = velocity[:3], velocity[3:]
+    of_gain = turn * (turn.T @ force)[None, :], turn * (turn.T @ (moment + arm @ force))[None, :]
+    # About the torque's reference point, to which a logged wrench belongs.
+    turned = jnp.cross(spin, force) * rig.in_world_axes
+    late = jnp.cross(spin, moment + arm @ force) * rig.in_world_axes - arm @ turned
+    of_force = [force[:, None], -2 * force[:, None], zero, f, of_gain[0], zero, turned[:, None]]
+    of_moment = [
+        moment[:, None],
+        -moment[:, None],
+        f @ turn,
+        m,
+        -arm @ of_gain[0],
+        of_gain[1],
+        late[:, None],
+    ]
+    of_reach = [
+        zero[:, :1],
+        reach[:, None],
+        turn,
+        r,
+        zero,
+        zero,
+        (shift + jnp.cross(spin, reach))[:, None],
+    ]
+    of_direction = [zero[:, :2], zero, n, zero, zero, jnp.cross(spin, direction)[:, None]]
+    on_wrench = jnp.concatenate(
+        [jnp.concatenate(of_force, axis=1), jnp.concatenate(of_moment, axis=1)]
+    )
+    return Changes(
+        on_wrench, jnp.concatenate(of_reach, axis=1), jnp.concatenate(of_direction, axis=1)
+    )
+
+
+@jax.jit
+def _changes_of_rows(rows: tuple[Array, Array, Array, Array], rig: Rig) -> Changes:
+    return jax.vmap(changes, in_axes=(0, 0, 0, 0, None))(*rows, rig)
+
+
+def changes_of_rows(
+    wrench: Float[np.ndarray, "n 6"],
+    reach: Float[np.ndarray, "n 3"],
+    direction: Float[np.ndarray, "n 3"],
+    velocity: Float[np.ndarray, "n 6"],
+    rig: Rig,
+) -> Changes:
+    """`changes`, one row a sample."""
+    rows, count = (wrench, reach, direction, velocity), len(wrench)
+    capacity = -(-count // _BLOCK) * _BLOCK
+    filled = tuple(
+        np.concatenate([part, np.zeros((capacity - count, part.shape[1]))]) for part in rows
+    )
+    return Changes(*(np.asarray(part)[:count] for part in _changes_of_rows(filled, rig)))
+
+
+def rig_of(rod: Rod, reactions: Reactions) -> Rig:
+    """Of the reactions' sensor; without errors of a setup the sensor's axes are those of the clamp."""
+    return prepared(rod, reactions.setup_errors)[0]
+
+
+def factor_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "15 p"]:
+    """Factor of the covariance of the setup's errors, lengths in units of the rod's; (15, 0) where
+    the setup states none.
+    """
+    return prepared(rod, reactions.setup_errors)[1]
+
+
+def covariance_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "15 15"]:
+    """That covariance."""
+    return prepared(rod, reactions.setup_errors)[2]
+
+
+@lru_cache(maxsize=64)
+def prepared(
+    rod: Rod, errors: SetupErrors | None
+) -> tuple[Rig, Float[np.ndarray, "15 p"], Float[np.ndarray, "15 15"]]:
+    """Rig, factor and covariance of errors of a setup, for this rod."""
+    if errors is None:
+        return (
+            Rig(np.eye(3), np.zeros(3), np.zeros(())),
+            np.zeros((COUNT, 0)),
+            np.zeros((COUNT, COUNT)),
+        )
+    turn = rotation_matrices(errors.clamp_orientation).T
+    rig = Rig(turn, turn @ errors.arm / rod.length, np.array(float(errors.in_world_axes)))
+    lengths = np.array(
+        [name == "length" or name.startswith("clamp_position") for name in PARAMETERS]
+    )
+    factor = errors.factor / np.where(lengths, rod.length, 1.0)[:, None]
+    return rig, factor, factor @ factor.T
+
+
+def velocities_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "*trail n 6"]:
+    """Of the clamp, clamp axes, rod lengths and radians a second."""
+    turn = rotation_matrices(reactions.trail.orientation)
+    parts = np.split(reactions.clamp_velocity(), 2, axis=-1)
+    return np.concatenate(
+        [np.einsum("...ji,...j->...i", turn, part) for part in (parts[0] / rod.length, parts[1])],
+        axis=-1,
+    )

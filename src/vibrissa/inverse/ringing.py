@@ -1,0 +1,158 @@
+"""The rod swinging freely after it was released: loads that oscillate about zero, faster than a
+contact can move, and are no contact.
+"""
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import chdtri
+
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.result import Reconstruction
+from vibrissa.reactions import Reactions
+
+# Two periods and more of first bending frequencies from 20 to 200 Hz: those of wires and whiskers
+# of 30 to 100 mm.
+_WINDOWS = (0.02, 0.06, 0.15)
+_WITHOUT_TIME = (8, 24)
+_FEWEST = 6
+# One and a half periods: a load that passes through zero once, as under the top of an object, is a
+# contact.
+_SIGN_CHANGES = 3
+# Of the mean's square to the oscillation's: over one and a half periods and more the mean of a sine
+# is below a fifth of its amplitude.
+_SLOW = 0.1
+_FALSE_ALARM = 1e-6
+# Without stated noise: of the largest load.
+_NOISELESS = 1e-3
+_LATERAL = 4
+# Standard deviations: noise alone is beyond them in one of 400 samples.
+_CLEAR = 3.0
+# What the wrench says without a contact, too.
+_KEPT = ("chi_square", "single_contact_residual")
+
+
+def ringing(reactions: Reactions) -> Bool[np.ndarray, "n"]:
+    """Rows (n,) of one trail in which the lateral loads oscillate about zero, several times within
+    a window of 0.02 to 0.15 s, by more than their noise.
+
+    A contact pushes: within so short a time its loads keep their sign. After a release the clamp
+    feels the inertia of the rod instead: a decaying oscillation at its first bending frequency,
+    whose mean is zero.
+
+    Raises
+    ------
+    ValueError
+        If the reactions are of several trails.
+    """
+    if reactions.force.ndim != 2:
+        raise ValueError(f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …)")
+    loads = _whitened(reactions)
+    found = np.zeros(len(loads), dtype=bool)
+    for size in _sizes(reactions, len(loads)):
+        found |= _oscillating(loads, size)
+    return found
+
+
+def without_ringing(found: Reconstruction) -> Reconstruction:
+    """The same contacts of one trail, those of a rod that rings taken out: no contact, NaN, and the
+    status RINGING.
+    """
+    rows = found.in_contact & ringing(found.reactions)
+    if not rows.any():
+        return found
+    changed: dict[str, Any] = {}
+    for name in (field.name for field in fields(found)):
+        value = getattr(found, name)
+        if (
+            isinstance(value, np.ndarray)
+            and value.shape[:1] == rows.shape
+            and value.dtype.kind == "f"
+            and name not in _KEPT
+        ):
+            changed[name] = np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), np.nan, value)
+    kind, status = (
+        np.where(rows, int(code), part).astype(part.dtype)
+        for part, code in ((found.kind, ContactKind.NONE), (found.status, Status.RINGING))
+    )
+    return replace(found, **changed, kind=kind, status=status)
+
+
+def _sizes(reactions: Reactions, count: int) -> list[int]:
+    if reactions.time is None:
+        sizes = set(_WITHOUT_TIME)
+    else:
+        step = float(np.median(np.diff(reactions.time))) if count > 1 else math.inf
+        sizes = {max(_FEWEST, round(seconds / step)) for seconds in _WINDOWS}
+    return sorted(size for size in sizes if size <= count)
+
+
+def _whitened(reactions: Reactions) -> Float[np.ndarray, "n 4"]:
+    """Lateral force and moment in clamp axes, in their standard deviations; 0 in rows without
+    numbers.
+    """
+    turn = rotation_matrices(reactions.trail.orientation)
+    force, moment = (
+        np.einsum("nji,nj->ni", turn, part)[:, :2] for part in (reactions.force, reactions.moment)
+    )
+    loads = np.nan_to_num(np.concatenate([force, moment], axis=1))
+    if reactions.covariance is None:
+        scales = np.repeat(
+            [np.abs(part).max(initial=0.0) for part in (loads[:, :2], loads[:, 2:])], 2
+        )
+        return loads / np.where(scales > 0, _NOISELESS * scales, 1.0)
+    covariance = np.broadcast_to(reactions.covariance, (len(turn), 6, 6))
+    both = (
+        np.einsum("nji,njk->nik", turn, covariance[:, :3, :3]),
+        np.einsum("nji,njk->nik", turn, covariance[:, 3:, 3:]),
+    )
+    variance = np.concatenate(
+        [np.einsum("nik,nki->ni", part, turn)[:, :2] for part in both], axis=1
+    )
+    return loads / np.sqrt(variance)
+
+
+def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Bool[np.ndarray, "n"]:
+    """Rows within windows of `size` samples that hold an oscillation."""
+    mean, square = _window_means(loads, size), _window_means(loads**2, size)
+    spread = square - mean**2
+    swing = np.maximum(spread.sum(axis=1) - _LATERAL * (1 - 1 / size), 0.0)
+    loud = size * spread.sum(axis=1) > chdtri(_LATERAL * (size - 1), _FALSE_ALARM)
+    changes = _sign_changes(loads)
+    often = np.rint(size * _window_means(changes.astype(float), size))
+    strongest = np.argmax(spread, axis=1)
+    crossings = np.take_along_axis(often, strongest[:, None], axis=1)[:, 0]
+    # Noise of the mean: its square is below 18 / size in all but one of a thousand windows.
+    slow = (mean**2).sum(axis=1) > _SLOW * swing + 18 / size
+    rows = np.zeros(len(loads), dtype=bool)
+    for first in np.flatnonzero(loud & ~slow & (crossings >= _SIGN_CHANGES)):
+        begin = _first_swing(changes[first : first + size, strongest[first]], int(crossings[first]))
+        rows[first + begin : first + size] = True
+    return rows
+
+
+def _first_swing(changes: Bool[np.ndarray, "size"], crossings: int) -> int:
+    """A quarter of a period before the first change of sign in a window: what lies before may still
+    be the contact.
+    """
+    places = np.flatnonzero(changes)
+    quarter = math.ceil((places[-1] - places[0]) / (crossings - 1) / 2) if crossings > 1 else 0
+    return max(0, int(places[0]) - quarter)
+
+
+def _sign_changes(loads: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n 4"]:
+    """Samples beyond their noise whose sign is another than that of the last such sample."""
+    clear = np.abs(loads) > _CLEAR
+    last = np.maximum.accumulate(np.where(clear, np.arange(len(loads))[:, None], -1), axis=0)
+    before = np.concatenate([np.full((1, loads.shape[1]), -1), last[:-1]])
+    other = np.take_along_axis(loads, np.maximum(before, 0), axis=0) * loads < 0
+    return np.asarray(clear & (before >= 0) & other)
+
+
+def _window_means(values: Float[np.ndarray, "n k"], size: int) -> Float[np.ndarray, "windows k"]:
+    total = np.cumsum(np.pad(values, ((1, 0), (0, 0))), axis=0)
+    return (total[size:] - total[:-size]) / size

@@ -1,0 +1,109 @@
+"""All wrenches of a single contact, by coordinates that change evenly along a sweep. Clamp axes,
+model units.
+
+The moment along a straight rod is constant and zero at its free end, so m0 is square to t0 as well
+as to the force (mechanics.md, "The elastic line is plane"). In the clamp's axes, t0 = e_z, a single
+contact then leaves four numbers: the moment (m_x, m_y), the axial force F_z and the arc length s₁,
+with
+
+    F_⊥ = γ t0 × m0,
+
+where γ is the one for which the curvature first vanishes at s₁. On a straight rod without axial
+force γ = 1/s₁, and 1/s₁ rises with γ throughout. The coordinates are regular through first contact
+(m0 = 0), and where the force passes behind the clamp's axis (γ = 0).
+
+A rod that is not quite straight, or a clamp not quite true, tilts m0 a little out of the plane
+square to t0. The fifth coordinate is that tilt ε:
+
+    m0 = (m_x, m_y, ε m),    F = γ t0 × m0 + F_z (t0 − ε m̂),    m = ‖(m_x, m_y)‖,
+
+which keeps m0·F = 0, what any single contact obeys.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
+
+Scalar = Float[Array, ""]
+
+COORDINATES = 5
+"""m_x, m_y, F_z, s₁, ε."""
+ARC_LENGTH, TILT = 3, 4
+_NEWTON_STEPS = 6
+_LEAST_MOMENT = 1e-6
+
+
+class Bent(NamedTuple):
+    """What the coordinates imply."""
+
+    wrench: Float[Array, "6"]
+    """Support reactions (f0, m0)."""
+    modulus: Scalar
+    """k²."""
+    reach: Float[Array, "3"]
+    """Contact point seen from the clamp."""
+    direction: Float[Array, "3"]
+    """Unit vector of the contact force on the rod."""
+    energy: Scalar
+
+
+def bent(x: Float[Array, "5"]) -> Bent:
+    """Reactions and contact of the rod with these coordinates."""
+    moment, axial, arc_length, tilt = x[:2], x[2], x[ARC_LENGTH], x[TILT]
+    size = jnp.sqrt(jnp.sum(moment**2) + _LEAST_MOMENT**2)
+    gamma = lateral_ratio(size, axial, arc_length)
+    rod, _ = _section(size, axial, gamma)
+    along_moment = -tilt * axial * moment / size
+    force = jnp.stack(
+        [along_moment[0] - gamma * moment[1], along_moment[1] + gamma * moment[0], axial]
+    )
+    m0 = jnp.stack([moment[0], moment[1], tilt * size])
+    f = jnp.sqrt(jnp.sum(force**2) + _LEAST_MOMENT**2)
+    n = force / f
+    reach = jnp.cross(m0, n) / f - rod.advance * n
+    energy = f * (rod.advance - (1 - 2 * rod.modulus) * rod.arc_length)
+    return Bent(jnp.concatenate([-force, m0]), rod.modulus, reach, n, energy)
+
+
+def lateral_ratio(moment: Scalar, axial: Scalar, arc_length: Scalar) -> Scalar:
+    """γ for which the curvature vanishes at an arc length: Newton's method on 1/s₁, which is nearly
+    linear in γ. Differentiable.
+    """
+    fixed = lax.stop_gradient((moment, axial, arc_length))
+
+    def excess(gamma: Scalar) -> Scalar:
+        return _excess(gamma, *fixed)
+
+    def step(_: Array | int, state: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+        gamma, sound = state
+        value, slope = jax.jvp(excess, (gamma,), (jnp.ones_like(gamma),))
+        good = jnp.isfinite(value) & (slope > 0)
+        return jnp.where(good, gamma - value / slope, (gamma + sound) / 2), jnp.where(
+            good, gamma, sound
+        )
+
+    # Under tension a straight rod has γ s₁ = √z coth √z ≤ 1 + z/3 with z = F_z s₁².
+    start = (1 + jnp.maximum(fixed[1] * fixed[2] ** 2, 0.0) / 3) / fixed[2]
+    root = lax.stop_gradient(lax.fori_loop(0, _NEWTON_STEPS, step, (start, start))[0])
+    _, slope = jax.jvp(excess, (root,), (jnp.ones_like(root),))
+    # One step more, with the derivatives of what is given (implicit function theorem).
+    return root - _excess(root, moment, axial, arc_length) / slope
+
+
+def _excess(gamma: Scalar, moment: Scalar, axial: Scalar, arc_length: Scalar) -> Scalar:
+    rod, _ = _section(moment, axial, gamma)
+    return 1 / rod.arc_length - 1 / arc_length
+
+
+def _section(moment: Scalar, axial: Scalar, gamma: Scalar) -> tuple[ContactOnRod, Scalar]:
+    lateral = gamma * moment
+    f = jnp.sqrt(axial**2 + lateral**2)
+    cosine, sine = axial / f, lateral / f
+    # 1 − cos δ = 2 cos² a₀, without cancellation where the force points along the rod.
+    toward = jnp.where(cosine > 0, sine**2 / (1 + jnp.abs(cosine)), 1 - cosine)
+    return contact_on_rod(BasePlane(sine / jnp.sqrt(2 * toward), moment / f), f), f

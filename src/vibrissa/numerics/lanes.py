@@ -1,0 +1,184 @@
+"""A function of one row, applied to many: pytrees in, pytrees out.
+
+Inside a kernel the last axis is the lane, one trail or one sample each, so that every operation is
+plain vector arithmetic; a block of 64 lanes keeps its intermediates in the core's nearest cache. A
+kernel takes a fixed number of blocks, so that it is compiled once for any number of rows. Many rows
+are shared out over threads; `VIBRISSA_THREADS=1` keeps to one.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property, partial
+from typing import Any, Generic, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from vibrissa.numerics.compiled import compiled, telling
+
+Shared = TypeVar("Shared")
+Row = TypeVar("Row")
+Part = TypeVar("Part")
+Found = TypeVar("Found")
+
+AnyArray = Array | np.ndarray
+WIDTH = 64
+BLOCKS = 16
+"""Of a call: 1024 rows, which take far longer than the call itself."""
+
+_within = threading.local()
+
+
+def threads() -> int:
+    """How many threads share out the work: `VIBRISSA_THREADS`, else the cores that the process may
+    use; one within such a thread.
+    """
+    if getattr(_within, "thread", False):
+        return 1
+    wanted = os.environ.get("VIBRISSA_THREADS", "")
+    if wanted:
+        return max(1, int(wanted))
+    usable = getattr(os, "sched_getaffinity", None)
+    return len(usable(0)) if usable else os.cpu_count() or 1
+
+
+def _enter() -> None:
+    _within.thread = True
+
+
+def in_threads(function: Callable[[Part], Found], parts: Sequence[Part]) -> list[Found]:
+    """The function of each part, in their order, on all cores."""
+    count = min(threads(), len(parts))
+    if count <= 1:
+        return [function(part) for part in parts]
+    with ThreadPoolExecutor(count, initializer=_enter) as pool:
+        return list(pool.map(function, parts))
+
+
+class Lanes(Generic[Shared, Row]):
+    """A function of what all rows share and of one row's arguments, for many rows.
+
+    Called with what is shared and with trees of arrays (rows, …), it returns a tree of NumPy arrays
+    (rows, …).
+    """
+
+    def __init__(
+        self,
+        one: Callable[..., Row],
+        *,
+        width: int = WIDTH,
+        blocks: int = BLOCKS,
+        rarely: bool = False,
+        alone: bool = False,
+    ) -> None:
+        self._one, self._width, self._blocks, self._rarely = one, width, blocks, rarely
+        self._alone = alone
+        self._known: set[object] = set()
+        self._compiling = threading.Lock()
+
+    def __call__(self, shared: Shared, *rows: Any) -> Row:
+        """Apply the function to all rows."""
+        leaves = jax.tree.leaves(rows)
+        count, size = len(leaves[0]), self._width * self._blocks
+        if count == 0:
+            return self._nothing(shared, rows)
+        if count == 1 and self._alone:
+            return jax.tree.map(np.asarray, self._guarded(self._single, shared, rows))
+        starts = range(0, count, size)
+
+        def call(first: int) -> Row:
+            last = min(first + size, count)
+            part = jax.tree.map(lambda leaf: _filled(leaf[first:last], size), rows)
+            used = np.asarray(-(-(last - first) // self._width))
+            found = self._guarded(self._kernel, shared, used, part)
+            return jax.tree.map(lambda leaf: np.asarray(leaf)[: last - first], found)
+
+        found = in_threads(call, starts)
+        return (
+            jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+            if len(found) > 1
+            else found[0]
+        )
+
+    def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a kernel; while one thread compiles it, others wait."""
+        known = (kernel, jax.tree.structure(arguments))
+        if known in self._known:
+            return kernel(*arguments)
+        with self._compiling, telling():
+            found = kernel(*arguments)
+            self._known.add(known)
+        return found
+
+    def _nothing(self, shared: Shared, rows: Any) -> Row:
+        one = jax.tree.map(lambda leaf: jnp.zeros(np.shape(leaf)[1:], np.result_type(leaf)), rows)
+        shapes = jax.eval_shape(self._one, shared, *one)
+        return jax.tree.map(lambda shape: np.zeros((0, *shape.shape), shape.dtype), shapes)
+
+    @cached_property
+    def _single(self) -> Callable[..., Any]:
+        """The kernel of one row, quickest to answer one question."""
+
+        def single(shared: Shared, rows: Any) -> Any:
+            first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], rows)
+            return jax.tree.map(lambda leaf: leaf[None], self._one(shared, *first))
+
+        return compiled(single, rarely=self._rarely)
+
+    @cached_property
+    def _kernel(self) -> Callable[..., Any]:
+        width, blocks = self._width, self._blocks
+
+        def kernel(shared: Shared, used: Array, rows: Any) -> Any:
+            """Of the first `used` blocks."""
+            lanes = jax.vmap(partial(self._one, shared), in_axes=-1, out_axes=-1)
+            split = jax.tree.map(
+                lambda leaf: jnp.moveaxis(leaf.reshape(blocks, width, *leaf.shape[1:]), 1, -1), rows
+            )
+
+            def of(index: Array | int) -> Any:
+                return lanes(*jax.tree.map(lambda leaf: leaf[index], split))
+
+            shapes = jax.eval_shape(of, 0)
+            found = jax.tree.map(lambda leaf: jnp.zeros((blocks, *leaf.shape), leaf.dtype), shapes)
+            found = lax.fori_loop(
+                0,
+                used,
+                lambda index, found: jax.tree.map(
+                    lambda whole, part: whole.at[index].set(part), found, of(index)
+                ),
+                found,
+            )
+            return jax.tree.map(
+                lambda leaf: jnp.moveaxis(leaf, -1, 1).reshape(blocks * width, *leaf.shape[1:-1]),
+                found,
+            )
+
+        return compiled(kernel, rarely=self._rarely)
+
+
+def lanes(
+    *, width: int = WIDTH, blocks: int = BLOCKS, rarely: bool = False, alone: bool = False
+) -> Callable[[Callable[..., Row]], Lanes[Any, Row]]:
+    """Make a function of (shared, *row) one of (shared, *rows).
+
+    Parameters
+    ----------
+    width, blocks
+        Lanes of a block, and blocks of a call.
+    rarely
+        Whether the kernel runs on few rows, so that it pays to compile it cheaply.
+    alone
+        Whether single rows are asked for often enough for a kernel of their own.
+    """
+    return lambda one: Lanes(one, width=width, blocks=blocks, rarely=rarely, alone=alone)
+
+
+def _filled(rows: AnyArray, size: int) -> AnyArray:
+    """Rows, the last one repeated up to a number."""
+    missing = size - len(rows)
+    return np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]) if missing else rows

@@ -96,13 +96,8 @@ class Contacts:
 
     def __getitem__(self, rows: Any) -> "Contacts":
         """Return the chosen rows, all fields together."""
-        return Contacts(
-            **{
-                field.name: None if value is None else value[rows]
-                for field in fields(self)
-                for value in (getattr(self, field.name),)
-            }
-        )
+        chosen = (getattr(self, field.name) for field in fields(self))
+        return Contacts(*(None if value is None else value[rows] for value in chosen))
 
     def __len__(self) -> int:
         """Rows along the first axis."""

@@ -69,8 +69,10 @@ class _Carry(NamedTuple):
     mode: Array
 
 
-TOLERANCE = 1e-9
-"""Largest residual from which one more quadratic step is taken, and no other."""
+TOLERANCE = {True: 1e-9, False: 1e-11}
+"""Largest residual from which one more quadratic step is taken, and no other: on a branch; and with
+friction, where what is handed on, of before that step, adds up.
+"""
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, and a bit, has jumped:
 before a smooth change of phase it may move several times as fast as the clamp.
@@ -108,7 +110,11 @@ def solved(
         return found, state[1] + 1
 
     def unfinished(state: tuple[Solved, Array]) -> Array:
-        return active & (state[0].residual > TOLERANCE) & (state[1] < MOST_ITERATIONS[law.branch])
+        return (
+            active
+            & (state[0].residual > TOLERANCE[law.branch])
+            & (state[1] < MOST_ITERATIONS[law.branch])
+        )
 
     nan = jnp.full((), jnp.nan)
     start = Solved(Reached(guess, nan, jnp.full(3, jnp.nan)), jnp.full((), jnp.inf), nan, nan)
@@ -182,7 +188,7 @@ def _advance(
     side = before.state.point - legs.clamp.point[jnp.maximum(index - 1, 0)]
     found = solved(scene, law, guess, clamp, before, side, active)
 
-    converged = found.residual <= TOLERANCE
+    converged = found.residual <= TOLERANCE[law.branch]
     state = found.reached.state
     moved, missed = _length(state.point - here[:3]), _length(state.point - expected[:3])
     tolerated = moved

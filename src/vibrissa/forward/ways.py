@@ -397,7 +397,7 @@ class Rubbing(Way):
             following = Place(target, found.reached, float(found.figure), float(found.phase))
             moved = np.linalg.norm(found.reached.state.point - here.reached.state.point)
             far = moved > JUMP_FLOOR * step + JUMP * motion * step
-            if not found.residual <= TOLERANCE or far:
+            if not found.residual <= TOLERANCE[self._law.branch] or far:
                 step /= 2
                 continue
             if found.reached.state.force < 0:

@@ -103,7 +103,7 @@ def test_the_zero_of_a_restarted_sensor(
     found, news = through(
         processor, restarted(raw, row, np.array([1, -1, 1, 0.01, 0.01, -0.01]) * offset)
     )
-    assert [warns for _, warns in news] == [offset > 0]
+    assert [warns for text, warns in news if "restart" in text] == [offset > 0]
     assert processor.zero_changes == (offset > 0)
     after = found["status"][row:]
     assert 0 < processor.unsure < 120

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.live.poses import (
     ConstantPose,
+    PoseMessage,
     StreamedPoses,
     TimedPoses,
     between,
-    parse_pose,
     pose_bytes,
 )
 
@@ -73,9 +73,12 @@ def test_a_constant_pose() -> None:
 
 def test_messages_there_and_back() -> None:
     position, orientation = turning(np.array([0.4321]))
-    found = parse_pose(pose_bytes(1_700_000_000_123_456_789, position[0], orientation[0]))
-    assert found == (1_700_000_000_123_456_789, tuple(position[0]), tuple(orientation[0]))
-    assert parse_pose(b'{"position": [1, 2, 3], "orientation": [0, 0, 0, 1]}').stamp is None
+    sent = pose_bytes(1_700_000_000_123_456_789, position[0], orientation[0])
+    found = PoseMessage.model_validate_json(sent)
+    assert found.stamp == 1_700_000_000_123_456_789
+    assert (found.position, found.orientation) == (tuple(position[0]), tuple(orientation[0]))
+    unstamped = b'{"position": [1, 2, 3], "orientation": [0, 0, 0, 1]}'
+    assert PoseMessage.model_validate_json(unstamped).stamp is None
 
 
 GOOD = {"stamp": 1, "position": [0, 0, 0], "orientation": [0, 0, 0, 1]}
@@ -100,7 +103,7 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_messages_that_are_none(name: str) -> None:
     with pytest.raises(ValueError):
-        parse_pose(WRONG[name])
+        PoseMessage.model_validate_json(WRONG[name])
 
 
 KEYS = st.sampled_from(["stamp", "position", "orientation"])
@@ -120,7 +123,7 @@ VALUES = st.one_of(
 )
 def test_anything_is_a_pose_or_a_value_error(data: bytes) -> None:
     try:
-        found = parse_pose(data)
+        found = PoseMessage.model_validate_json(data)
     except ValueError:
         return
     assert np.all(np.isfinite(found.position))

@@ -18,6 +18,7 @@ from vibrissa.live.poses import (
     between,
     pose_bytes,
 )
+from vibrissa.trail import Trail
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -33,14 +34,15 @@ def turning(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_between_poses_the_motion_is_straight_and_even() -> None:
     time = np.array([0.0, 0.5, 0.6, 2.0, 2.5])
     wanted = np.linspace(0, 2.5, 301)
-    position, orientation = between(time, *turning(time), wanted)
+    found = between(time, Trail(*turning(time)), wanted)
+    position, orientation = found.position, found.orientation
     true_position, true_orientation = turning(wanted)
     np.testing.assert_allclose(position, true_position, atol=1e-15)
     np.testing.assert_allclose(
         np.abs(np.sum(orientation * true_orientation, axis=1)), 1, atol=1e-14
     )
-    outside, _ = between(time, *turning(time), np.array([-1.0, 3.0]))
-    np.testing.assert_array_equal(outside, turning(time[[0, -1]])[0])
+    outside = between(time, Trail(*turning(time)), np.array([-1.0, 3.0]))
+    np.testing.assert_array_equal(outside.position, turning(time[[0, -1]])[0])
 
 
 def test_a_planned_motion_begins_with_the_first_sample() -> None:

@@ -14,18 +14,20 @@ from operator import attrgetter
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation, Slerp
 
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import unit_quaternions
 from vibrissa.live.ports import listening
+from vibrissa.live.samples import Flags, Nanoseconds, Quaternions, Vectors
+from vibrissa.trail import Trail
 
 _NORM = 1e-3  # by which a unit quaternion's may be off: it is printed with four digits or more
 _LONGEST = 65536  # bytes: no datagram is longer
 _MOST_HELD = 20_000  # poses: 20 s of the fastest robots
+_STAMP = attrgetter("stamp")
 _ANOTHER_CLOCK = 1_000_000_000  # [ns]: clocks that are set agree to less
 
 
@@ -34,9 +36,9 @@ class Poses(NamedTuple):
     (n,).
     """
 
-    position: Float[np.ndarray, "n 3"]
-    orientation: Float[np.ndarray, "n 4"]
-    known: Bool[np.ndarray, "n"]
+    position: Vectors
+    orientation: Quaternions
+    known: Flags
 
 
 class PoseSource(ABC):
@@ -54,36 +56,13 @@ class PoseSource(ABC):
     def close(self) -> None:  # noqa: B027
         """Release sockets; may be called twice."""
 
-    def ready(self, stamp: Int[np.ndarray, "n"], now: int) -> int:  # noqa: ARG002
+    def ready(self, stamp: Nanoseconds, now: int) -> int:  # noqa: ARG002
         """How many of the leading stamps (n,) [ns] can be answered by now [ns]: by default all."""
         return len(stamp)
 
     @abstractmethod
-    def at(self, stamp: Int[np.ndarray, "n"]) -> Poses:
-        """Poses at these times (n,) [ns]."""
-
-
-class ConstantPose(PoseSource):
-    """A sensor that stands.
-
-    Raises
-    ------
-    ValueError
-        If `position` is not (3,), or `orientation` not a quaternion x, y, z, w.
-    """
-
-    def __init__(
-        self, position: ArrayLike = (0.0, 0.0, 0.0), orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0)
-    ) -> None:
-        self._position = finite_array(position, "position", last=3, ndim=1)
-        turn = finite_array(orientation, "orientation", last=4, ndim=1)
-        self._orientation = unit_quaternions(turn, "orientation")
-
-    def at(self, stamp: Int[np.ndarray, "n"]) -> Poses:
-        """The pose."""
-        rows = (len(stamp), 1)
-        known = np.ones(len(stamp), dtype=bool)
-        return Poses(np.tile(self._position, rows), np.tile(self._orientation, rows), known)
+    def at(self, stamp: Nanoseconds) -> Poses:
+        """Poses at these times (n,) [ns], at least one."""
 
 
 class TimedPoses(PoseSource):
@@ -105,45 +84,56 @@ class TimedPoses(PoseSource):
     """
 
     def __init__(self, time: ArrayLike, position: ArrayLike, orientation: ArrayLike) -> None:
-        self._time = finite_array(time, "time", ndim=1)
-        self._position = finite_array(position, "position", last=3, ndim=2)
-        self._orientation = unit_quaternions(orientation, "orientation")
-        counts = [len(part) for part in (self._time, self._position, self._orientation)]
-        if counts[0] == 0 or len(set(counts)) > 1:
+        self._time, self._motion = finite_array(time, "time"), Trail(position, orientation)
+        if self._time.shape != self._motion.shape or np.any(np.diff(self._time) <= 0):
             raise ValueError(
-                f"time, position, orientation have {counts} rows; allowed are equal numbers"
+                f"time has shape {self._time.shape}, the motion {self._motion.shape}; allowed are "
+                "equal numbers, and increasing times"
             )
-        if np.any(np.diff(self._time) <= 0):
-            raise ValueError("time does not increase; allowed are increasing times")
         self._start: int | None = None
 
-    def at(self, stamp: Int[np.ndarray, "n"]) -> Poses:
+    def at(self, stamp: Nanoseconds) -> Poses:
         """Poses at these times; the first stamp ever asked for is the motion's beginning."""
         if self._start is None:
             self._start = int(stamp[0])
-        since = (stamp - self._start) * 1e-9
-        found = between(self._time, self._position, self._orientation, since)
-        return Poses(*found, np.ones(len(stamp), dtype=bool))
+        found = between(self._time, self._motion, (stamp - self._start) * 1e-9)
+        return Poses(found.position, found.orientation, np.ones(len(stamp), dtype=bool))
 
 
-def between(
-    time: Float[np.ndarray, "k"],
-    position: Float[np.ndarray, "k 3"],
-    orientation: Float[np.ndarray, "k 4"],
-    moment: Float[np.ndarray, "n"],
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]:
-    """Poses (n, …) at these times: straight and evenly turned between their neighbours, the
-    outermost beyond the ends.
+class ConstantPose(PoseSource):
+    """A sensor that stands.
+
+    Raises
+    ------
+    ValueError
+        If `position` is not (3,), or `orientation` not a quaternion x, y, z, w.
+    """
+
+    def __init__(
+        self, position: ArrayLike = (0.0, 0.0, 0.0), orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0)
+    ) -> None:
+        self._poses = TimedPoses([0.0], np.asarray(position)[None], orientation)
+
+    def at(self, stamp: Nanoseconds) -> Poses:
+        """The pose."""
+        return self._poses.at(stamp)
+
+
+def between(time: Float[np.ndarray, "k"], motion: Trail, moment: Float[np.ndarray, "n"]) -> Trail:
+    """Poses at these times of a motion with poses (k, …) at `time`: straight and evenly turned
+    between their neighbours, the outermost beyond the ends.
     """
     within = np.clip(moment, time[0], time[-1])
     # Slerp takes all rotations that it is given: only those around the moments are.
     first = max(int(np.searchsorted(time, within.min(), side="right")) - 1, 0)
     around = slice(first, int(np.searchsorted(time, within.max())) + 1)
-    points = linear(time, position, within)
-    if np.all(orientation[around] == orientation[first]):
-        return points, np.tile(orientation[first], (len(within), 1))
-    turns = Slerp(time[around], Rotation.from_quat(orientation[around]))
-    return points, np.asarray(turns(within).as_quat())
+    turns = motion.orientation[around]
+    if np.any(turns != turns[0]):
+        return Trail(
+            linear(time, motion.position, within),
+            Slerp(time[around], Rotation.from_quat(turns))(within),
+        )
+    return Trail(linear(time, motion.position, within), turns[0])
 
 
 def linear(
@@ -177,7 +167,7 @@ class PoseMessage(BaseModel):
         quaternion is not of unit norm.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True)
 
     stamp: Annotated[int, Field(ge=0, lt=2**62)] | None = None  # sums of two fit into 64 bits
     position: tuple[_Number, _Number, _Number]
@@ -192,12 +182,6 @@ def pose_bytes(
     """A `PoseMessage` as it is sent."""
     pose = {"stamp": stamp, "position": position.tolist(), "orientation": orientation.tolist()}
     return json.dumps(pose).encode()
-
-
-class _Stamped(NamedTuple):
-    stamp: int
-    position: tuple[float, ...]
-    orientation: tuple[float, ...]
 
 
 class StreamedPoses(PoseSource):
@@ -221,7 +205,7 @@ class StreamedPoses(PoseSource):
     ) -> None:
         self._address = (host, port)
         self._patience = round(patience * 1e9)
-        self._held: list[_Stamped] = []
+        self._held: list[PoseMessage] = []
         self._lock = threading.Lock()
         self._socket: socket.socket | None = None
         self._thread: threading.Thread | None = None
@@ -253,15 +237,16 @@ class StreamedPoses(PoseSource):
         except ValueError:
             self.malformed += 1
             return
-        stamp = now if message.stamp is None else message.stamp
-        self.misplaced += abs(stamp - now) > _ANOTHER_CLOCK
-        if stamp > now + _ANOTHER_CLOCK:
+        if message.stamp is None:
+            message.stamp = now
+        self.misplaced += abs(message.stamp - now) > _ANOTHER_CLOCK
+        if message.stamp > now + _ANOTHER_CLOCK:
             return
         with self._lock:
             self.received += 1
-            place = bisect_left(self._held, stamp, key=attrgetter("stamp"))
-            if place == len(self._held) or self._held[place].stamp != stamp:
-                self._held.insert(place, _Stamped(stamp, message.position, message.orientation))
+            place = bisect(self._held, message.stamp, key=_STAMP)
+            if not place or self._held[place - 1].stamp != message.stamp:
+                self._held.insert(place, message)
                 del self._held[:-_MOST_HELD]
 
     def close(self) -> None:
@@ -271,32 +256,29 @@ class StreamedPoses(PoseSource):
             self._thread.join(1)
             connection.close()
 
-    def ready(self, stamp: Int[np.ndarray, "n"], now: int) -> int:
+    def ready(self, stamp: Nanoseconds, now: int) -> int:
         """Stamps up to the latest pose, and those that have waited long enough."""
         with self._lock:
-            latest = self._held[-1].stamp if self._held else 0
+            latest = _STAMP(self._held[-1]) if self._held else 0
         return int(np.searchsorted(stamp, max(latest, now - self._patience), side="right"))
 
-    def at(self, stamp: Int[np.ndarray, "n"]) -> Poses:
+    def at(self, stamp: Nanoseconds) -> Poses:
         """Poses at these times; poses before the first of them are forgotten. Farther than the
         patience from the poses on both sides none is known: a straight line would be a guess.
         """
         with self._lock:
-            begin = bisect(self._held, int(stamp[0]), key=attrgetter("stamp"))
-            del self._held[: max(begin - 1, 0)]
-            end = bisect_left(self._held, int(stamp[-1]), key=attrgetter("stamp"))
-            held = self._held[: end + 1]
+            del self._held[: max(bisect(self._held, stamp[0], key=_STAMP) - 1, 0)]
+            held = self._held[: bisect_left(self._held, stamp[-1], key=_STAMP) + 1]
         if not held:
             return ConstantPose().at(stamp)._replace(known=np.zeros(len(stamp), dtype=bool))
         moments = np.array([pose.stamp for pose in held], dtype=np.int64)
-        orientation = np.array([pose.orientation for pose in held])
-        points, turns = between(
-            (moments - moments[0]) * 1e-9,
-            np.array([pose.position for pose in held]),
-            orientation / np.linalg.norm(orientation, axis=1, keepdims=True),
-            (stamp - moments[0]) * 1e-9,
+        position, orientation = (
+            [pose.position for pose in held],
+            [pose.orientation for pose in held],
         )
+        motion = Trail(position, orientation)
+        found = between((moments - moments[0]) * 1e-9, motion, (stamp - moments[0]) * 1e-9)
         after = np.clip(np.searchsorted(moments, stamp), 0, len(moments) - 1)
         before = np.maximum(after - 1, 0)
         nearest = np.minimum(np.abs(moments[after] - stamp), np.abs(stamp - moments[before]))
-        return Poses(points, turns, nearest <= self._patience)
+        return Poses(found.position, found.orientation, nearest <= self._patience)

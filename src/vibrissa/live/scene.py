@@ -29,15 +29,14 @@ class Scene:
     ----------
     time
         (k,) [s], increasing, from 0.
-    position, orientation
-        Of the clamp, (k, 3) and (k, 4).
+    trail
+        Clamp poses (k, …).
     force, moment
         (k, 3) on the rod, world axes.
     """
 
     time: Float[np.ndarray, "k"]
-    position: Float[np.ndarray, "k 3"]
-    orientation: Float[np.ndarray, "k 4"]
+    trail: Trail
     force: Float[np.ndarray, "k 3"]
     moment: Float[np.ndarray, "k 3"]
 
@@ -48,7 +47,7 @@ class Scene:
 
     def reactions(self, time: Float[np.ndarray, "n"]) -> Reactions:
         """Reactions (n, …) at these times [s], increasing; after the end, the clamp stands."""
-        trail = Trail(*between(self.time, self.position, self.orientation, time))
+        trail = between(self.time, self.trail, time)
         force, moment = (linear(self.time, part, time) for part in (self.force, self.moment))
         return Reactions(trail, force, moment, time=time)
 
@@ -84,16 +83,17 @@ def swept(
         If a time is not allowed, or a trail has less than two positions.
     """
     fine = _refined(trail)
-    time, position, orientation = motion(fine, rest=rest, sweep=sweep, pause=pause)
-    result = scan(rod, surface, fine, friction=friction, finite_radius=finite_radius)
-    reactions = (result.reactions.force, result.reactions.moment)
-    force, moment = (_after(rest, np.nan_to_num(part).reshape(-1, 3)) for part in reactions)
-    return Scene(time, position, orientation, force, moment)
+    time, clamp = motion(fine, rest=rest, sweep=sweep, pause=pause)
+    felt = scan(rod, surface, fine, friction=friction, finite_radius=finite_radius).reactions
+    force, moment = (
+        _after(rest, np.nan_to_num(part).reshape(-1, 3)) for part in (felt.force, felt.moment)
+    )
+    return Scene(time, clamp, force, moment)
 
 
 def motion(
     trail: Trail, *, rest: float, sweep: float, pause: float
-) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 4"]]:
+) -> tuple[Float[np.ndarray, "k"], Trail]:
     """Time (k,) [s] and clamp poses (k, …) of trails that are swept one after the other; arguments
     and errors as for `swept`.
     """
@@ -106,7 +106,7 @@ def motion(
     start = rest + (sweep + pause) * np.arange(len(position) // trail.count)
     time = np.add.outer(start, np.linspace(0.0, sweep, trail.count)).ravel()
     time = np.concatenate([[0.0], time]) if rest else time
-    return time, _after(rest, position), _after(rest, orientation)
+    return time, Trail(_after(rest, position), _after(rest, orientation))
 
 
 def _after(rest: float, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "n c"]:
@@ -114,25 +114,21 @@ def _after(rest: float, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "n 
     return np.concatenate([rows[:1], rows]) if rest else rows
 
 
-def sensor_poses(
-    sensor: Sensor, position: Float[np.ndarray, "k 3"], orientation: Float[np.ndarray, "k 4"]
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 4"]]:
+def sensor_poses(sensor: Sensor, clamp: Trail) -> Trail:
     """Poses of the sensor frame (k, …) that go with these of the clamp."""
-    turn = multiplied(orientation, inverse(sensor.clamp_orientation))
-    return position - rotation_matrices(turn) @ sensor.clamp_position, turn
+    turn = multiplied(clamp.orientation, inverse(sensor.clamp_orientation))
+    return Trail(clamp.position - rotation_matrices(turn) @ sensor.clamp_position, turn)
 
 
 def _refined(trail: Trail) -> Trail:
     """The same motion in more steps, so that reactions may be taken for linear between them."""
-    steps = trail.count - 1
-    factor = (_MOST_POSITIONS - 1) // max(steps, 1)
-    if factor <= 1:
-        return trail
-    places, wanted = np.arange(steps + 1.0), np.linspace(0, steps, factor * steps + 1)
-    position = trail.position.reshape(-1, steps + 1, 3)
-    orientation = trail.orientation.reshape(-1, steps + 1, 4)
+    steps = max(trail.count - 1, 1)
+    wanted = np.linspace(0, steps, max((_MOST_POSITIONS - 1) // steps, 1) * steps + 1)
+    position = trail.position.reshape(-1, trail.count, 3)
+    orientation = trail.orientation.reshape(-1, trail.count, 4)
     lanes = [
-        Trail(*between(places, *poses, wanted)) for poses in zip(position, orientation, strict=True)
+        between(np.arange(float(trail.count)), Trail(*poses), wanted)
+        for poses in zip(position, orientation, strict=True)
     ]
     return lanes[0] if trail.position.ndim == 2 else Trail.stack(lanes)
 

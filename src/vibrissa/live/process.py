@@ -2,29 +2,29 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.live.poses import ConstantPose, Poses, PoseSource
-from vibrissa.live.samples import Samples, joined
+from vibrissa.live.samples import Flags, Nanoseconds, Samples, Wrenches, joined
 from vibrissa.live.zero import RESTLESS, Verdict, ZeroWatch
 from vibrissa.reactions import VELOCITY_SPAN, velocities
 from vibrissa.rod import Rod
 from vibrissa.sensor import CHANNELS, RawRecording, Sensor, Tare
 from vibrissa.tolerances import PARAMETERS, Tolerances
 
+Velocities = Float[np.ndarray, "n 6"]
 MOST_ROWS = 64
 """Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
 TARE_SECONDS = 1.0
 """Where the setup gives none."""
-_LEAST_TARE = 2  # samples, as of `Sensor.tare`
 _DAY = 86_400.0  # [s] for which pink noise is stated as it is: slower noise a tare knows
 
 
@@ -45,8 +45,8 @@ class Result(NamedTuple):
     tared wrench (NaN where not known), contacts.
     """
 
-    stamp: Int[np.ndarray, "n"]
-    arrival: Int[np.ndarray, "n"]
+    stamp: Nanoseconds
+    arrival: Nanoseconds
     held: bool
     raw: RawRecording
     found: Reconstruction
@@ -60,6 +60,7 @@ class _Place(NamedTuple):
     orientation: Float[np.ndarray, "4"]
 
 
+@dataclass(eq=False)
 class Processor:
     """Turns samples into contacts.
 
@@ -85,22 +86,21 @@ class Processor:
         As for `vibrissa.Sensor.reactions`.
     """
 
-    def __init__(
-        self,
-        rod: Rod,
-        sensor: Sensor,
-        poses: PoseSource,
-        *,
-        stage: Stage | None = None,
-        friction: float | None = None,
-        tolerances: Tolerances | ArrayLike | None = None,
-    ) -> None:
-        self._rod, self._poses, self._stage, self._friction = rod, poses, stage, friction
-        self._seconds = TARE_SECONDS if sensor.tare_seconds is None else sensor.tare_seconds
+    rod: Rod
+    sensor: Sensor
+    poses: PoseSource
+    _: KW_ONLY
+    stage: Stage | None = None
+    friction: float | None = None
+    tolerances: Tolerances | ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        seconds, given = self.sensor.tare_seconds, self.tolerances
+        self._seconds = TARE_SECONDS if seconds is None else seconds
+        self._errors = None if given is None else self.sensor.setup_errors(given)
         self._sensor = replace(
-            sensor, tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
+            self.sensor, tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
         )
-        self._errors = None if tolerances is None else sensor.setup_errors(tolerances)
         self._nothing = replace(self._sensor, tare_seconds=0.0).tare(_unloaded(1))
         self._tare = None if self._seconds else self._nothing
         self._held_by_tare = 0
@@ -110,9 +110,7 @@ class Processor:
         self._zero: ZeroWatch | None = None
         self._news: list[tuple[str, bool]] = []
         self.restless = 0.0
-        self.without_pose = 0
-        self.unsure = 0
-        self.zero_changes = 0
+        self.without_pose = self.unsure = self.zero_changes = 0
 
     @property
     def tare(self) -> Float[np.ndarray, "6"] | None:
@@ -166,25 +164,18 @@ class Processor:
         # Without a mount that weighs, the tare needs no pose.
         posed = ConstantPose().at(rest.stamp) if self._sensor.mount is None else self._posed(rest)
         raw = self._raw(rest, posed)
-        wrench = raw.wrench[(rest.stamp < end) & rest.valid]
-        if len(wrench) < _LEAST_TARE:
-            raise ValueError(
-                f"tare_seconds = {self._seconds}: {len(wrench)} samples came within it; "
-                f"allowed are at least {_LEAST_TARE}"
-            )
         self._tare = self._going_on(self._sensor.tare(raw), raw.time[0], raw.time)
         self._held_by_tare = len(samples)
         shown = ", ".join(f"{value:.6g}" for value in self._tare.offset)
         self._news.append((f"tare: {shown} (N, N m)", False))
-        noise = spread = wrench.std(axis=0, ddof=1)
+        noise = spread = np.nanstd(raw.wrench[rest.stamp < end], axis=0, ddof=1)
         if self._sensor.force_noise is not None:
             self.restless = float(np.max(spread / self._sensor.noise))
             noise = np.sqrt(self._sensor.reading_variance)
         if self.moved_during_tare:
             text = f"the wrench varied by {self.restless:.1f} times its noise during the tare"
             self._news.append((f"{text}: is the rod free?", True))
-        resolution, length = self._sensor.resolution, self._rod.length
-        self._zero = ZeroWatch(noise, resolution, length, self._seconds)
+        self._zero = ZeroWatch(noise, self._sensor.resolution, self.rod.length, self._seconds)
 
     def _going_on(self, tare: Tare, start: float, time: Float[np.ndarray, "n"]) -> Tare:
         """A tare whose covariance holds pink noise and random walk of a stream that began at
@@ -212,7 +203,7 @@ class Processor:
             return 0
         ends = [len(samples), MOST_ROWS]
         if samples.position is None:
-            ends.append(self._poses.ready(samples.stamp, now))
+            ends.append(self.poses.ready(samples.stamp, now))
         if self._tare is None:
             ends += np.flatnonzero(samples.valid)[:1].tolist()
         ends += (np.flatnonzero(samples.anew[1:])[:1] + 1).tolist()
@@ -230,7 +221,7 @@ class Processor:
         unsure = self._zero is not None and self._zero.pending
         self._watch(raw, tared, found)
         held, self._held_by_tare = self._held_by_tare > 0, max(self._held_by_tare - len(samples), 0)
-        found = found if self._stage is None else self._stage.push(found)
+        found = found if self.stage is None else self.stage.push(found)
         if unsure:
             self.unsure += len(samples)
             status = np.where(found.status == Status.OK, Status.SETUP_CONTRADICTED, found.status)
@@ -245,15 +236,11 @@ class Processor:
         )
         return Result(samples.stamp, samples.arrival, held, shown, found)
 
-    def _found(
-        self, raw: RawRecording, tare: Tare, velocity: Float[np.ndarray, "n 6"] | None
-    ) -> Reconstruction:
+    def _found(self, raw: RawRecording, tare: Tare, velocity: Velocities | None) -> Reconstruction:
         reactions = self._sensor.reactions(raw, tare, tolerances=self._errors, velocity=velocity)
-        return reconstruct(self._rod, reactions, friction=self._friction, check=False)
+        return reconstruct(self.rod, reactions, friction=self.friction, check=False)
 
-    def _watch(
-        self, raw: RawRecording, tared: Float[np.ndarray, "n 6"], found: Reconstruction
-    ) -> None:
+    def _watch(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> None:
         """Follow the zero, and take it anew if it is another."""
         if self._zero is None or self._tare is None:
             return
@@ -265,7 +252,7 @@ class Processor:
         rest, before = self._zero.rest(), self._tare.offset
         self._tare = self._going_on(self._sensor.tare(rest), rest.time[0], rest.time)
         self.zero_changes += 1
-        reset = getattr(self._stage, "reset", None)
+        reset = getattr(self.stage, "reset", None)
         if reset is not None:
             reset()
         changes = zip(CHANNELS, self._tare.offset - before, strict=True)
@@ -278,9 +265,7 @@ class Processor:
         said, self._news = self._news, []
         return said
 
-    def _velocity(
-        self, raw: RawRecording, known: Bool[np.ndarray, "n"]
-    ) -> Float[np.ndarray, "n 6"] | None:
+    def _velocity(self, raw: RawRecording, known: Flags) -> Velocities | None:
         """Of the clamp, one for the batch: between its last pose and one some 50 ms before; None
         if no pose comes late.
         """
@@ -314,7 +299,7 @@ class Processor:
     def _posed(self, samples: Samples) -> Poses:
         if samples.position is not None and samples.orientation is not None:
             return Poses(samples.position, samples.orientation, np.ones(len(samples), dtype=bool))
-        return self._poses.at(samples.stamp)
+        return self.poses.at(samples.stamp)
 
 
 def _unloaded(rows: int) -> RawRecording:

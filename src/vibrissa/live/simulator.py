@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -91,6 +91,7 @@ class _Sample(NamedTuple):
     orientation: Float[np.ndarray, "4"]
 
 
+@dataclass(eq=False)
 class SensorSimulator:
     """Streams samples over UDP to whoever asked last, at an even rate by the monotonic clock.
 
@@ -126,32 +127,29 @@ class SensorSimulator:
         If a number is not allowed.
     """
 
-    def __init__(
-        self,
-        samples: Iterator[RawRecording],
-        *,
-        counts_per_force: float,
-        counts_per_torque: float,
-        rate: float,
-        host: str = "127.0.0.1",
-        port: int = rdt.PORT,
-        buffer: int = 20,
-        flaws: Flaws = Flaws(),
-        seed: int = 0,
-        poses: tuple[str, int] | None = None,
-        pose_rate: float = 250.0,
-        notice: Callable[[str], None] | None = None,
-    ) -> None:
-        if not 1 <= buffer <= rdt.MOST_RECORDS:
-            raise ValueError(f"buffer = {buffer}; allowed are 1 to {rdt.MOST_RECORDS} records")
-        scale = rdt.counts_per_unit(counts_per_force, counts_per_torque)
-        self._samples = _in_counts(samples, scale)
+    samples: Iterator[RawRecording]
+    _: KW_ONLY
+    counts_per_force: float
+    counts_per_torque: float
+    rate: float
+    host: str = "127.0.0.1"
+    port: int = rdt.PORT
+    buffer: int = 20
+    flaws: Flaws = Flaws()
+    seed: int = 0
+    poses: tuple[str, int] | None = None
+    pose_rate: float = 250.0
+    notice: Callable[[str], None] = lambda _: None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.buffer <= rdt.MOST_RECORDS:
+            raise ValueError(f"buffer = {self.buffer}; allowed are 1 to {rdt.MOST_RECORDS} records")
+        scale = rdt.counts_per_unit(self.counts_per_force, self.counts_per_torque)
+        rate, pose_rate = positive(self.rate, "rate"), positive(self.pose_rate, "pose_rate")
+        self._pose_every = max(1, round(rate / pose_rate))
+        self._samples = _in_counts(self.samples, scale)
         self._next: _Sample | None = None
-        self._rate, self._address = positive(rate, "rate"), (host, port)
-        self._buffer, self._flaws, self._poses = buffer, flaws, poses
-        self._pose_every = max(1, round(rate / positive(pose_rate, "pose_rate")))
-        self._rng = np.random.default_rng(seed)
-        self._notice = notice or (lambda _: None)
+        self._rng = np.random.default_rng(self.seed)
         self._socket: socket.socket | None = None
         self._client: tuple[str, int] | None = None
         self._per_datagram = 1
@@ -160,15 +158,11 @@ class SensorSimulator:
         self._swapped: bytes | None = None
         self.sent = Sent()
 
-    @property
-    def port(self) -> int:
-        """The port listened at, once open; also where 0 was asked for."""
-        return int(self._socket.getsockname()[1]) if self._socket is not None else self._address[1]
-
     def open(self) -> None:
-        """Listen. Raise OSError where the port is taken."""
-        self._socket = listening(*self._address)
+        """Listen, and learn the port where any was allowed. Raise OSError where it is taken."""
+        self._socket = listening(self.host, self.port)
         self._socket.settimeout(0)
+        self.port = self._socket.getsockname()[1]
 
     def close(self) -> None:
         """Stop listening."""
@@ -187,7 +181,7 @@ class SensorSimulator:
         start = heard = now = time.monotonic_ns()
         last = np.inf if duration is None else start + duration * 1e9
         while not ended.is_set() and self._next is not None and now < last:
-            due = start + (self.sent.records + self._per_datagram - 1) / self._rate * 1e9
+            due = start + (self.sent.records + self._per_datagram - 1) / self.rate * 1e9
             if due <= now:
                 self._send(start, epoch)
             else:
@@ -219,7 +213,7 @@ class SensorSimulator:
                 if self._client not in (None, sender):
                     self._taken_over(self._client, sender)
                 self._client, self._sequence, self._wanted = sender, 0, request.records
-                self._per_datagram = self._buffer if request.command == rdt.Command.BUFFERED else 1
+                self._per_datagram = self.buffer if request.command == rdt.Command.BUFFERED else 1
             case rdt.Command.BIAS:
                 if self._next is not None:
                     self._bias = self._next.counts
@@ -227,7 +221,7 @@ class SensorSimulator:
     def _taken_over(self, *clients: tuple[str, int] | None) -> None:
         self.sent.takeovers += 1
         before, after = (f"{client[0]}:{client[1]}" for client in clients if client is not None)
-        self._notice(
+        self.notice(
             f"{after} asked for the stream, and {before} loses it: there is one stream, for the "
             "client that asked last"
         )
@@ -236,10 +230,10 @@ class SensorSimulator:
         """The next datagram, if its samples have not ended."""
         rows: list[np.ndarray] = []
         while self._next is not None and len(rows) < self._per_datagram:
-            moment = start + round(self.sent.records / self._rate * 1e9)
-            if self._poses is not None and self.sent.records % self._pose_every == 0:
+            moment = start + round(self.sent.records / self.rate * 1e9)
+            if self.poses is not None and self.sent.records % self._pose_every == 0:
                 _, position, orientation = self._next
-                self._put(pose_bytes(moment + epoch, position, orientation), self._poses)
+                self._put(pose_bytes(moment + epoch, position, orientation), self.poses)
                 self.sent.poses += 1
             rows.append(self._next.counts - self._bias)
             self.sent.records += 1
@@ -256,7 +250,7 @@ class SensorSimulator:
         records["rdt_sequence"] = (self._sequence + 1 + number) % rdt.MODULUS
         records["ft_sequence"] = (self.sent.records - len(counts) + number) % rdt.MODULUS
         records["counts"] = np.clip(counts, -_LARGEST_COUNT, _LARGEST_COUNT)
-        records["status"][0] = rdt.ERROR_BIT * self._happens(self._flaws.error)
+        records["status"][0] = rdt.ERROR_BIT * self._happens(self.flaws.error)
         self._sequence += len(counts)
         self._give(records.tobytes(), len(counts))
         if self._wanted and self._sequence >= self._wanted:
@@ -267,17 +261,17 @@ class SensorSimulator:
 
     def _give(self, data: bytes, records: int) -> None:
         """Send a datagram, or what its flaws make of it."""
-        if self._happens(self._flaws.drop):
+        if self._happens(self.flaws.drop):
             self.sent.dropped += records
             return
         self.sent.sent += records
-        if self._swapped is None and self._happens(self._flaws.reorder):
+        if self._swapped is None and self._happens(self.flaws.reorder):
             self._swapped = data
             return
         going = [data]
-        if self._happens(self._flaws.duplicate):
+        if self._happens(self.flaws.duplicate):
             going.append(data)
-        if self._happens(self._flaws.malformed):
+        if self._happens(self.flaws.malformed):
             going.append(data[:-5])
         if self._swapped is not None:
             going.append(self._swapped)

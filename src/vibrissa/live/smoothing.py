@@ -1,6 +1,7 @@
 """Contacts smoothed as they come."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -69,9 +70,12 @@ class SmoothingStage:
         self._last = float(reactions.time[-1])
         rows = self._smoother.update_all(reactions)
         bad = found.status * ~np.isfinite(reactions.force).all(axis=-1)
+        filtered: dict[str, Any] = {
+            name: np.array([getattr(row, name) for row in rows]) for name in _FILTERED
+        }
         return replace(
             found,
-            **{name: np.array([getattr(row, name) for row in rows]) for name in _FILTERED},
+            **filtered,
             kind=np.array([row.kind for row in rows], dtype=np.int8),
             arc_length_deviation=None,
             status=np.maximum(bad, [row.status for row in rows]).astype(np.int8),

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vibrissa.contacts import Status
 from vibrissa.inverse import Reconstruction
-from vibrissa.live.samples import joined, rows_of
+from vibrissa.live.samples import Flags, Quaternions, Vectors, Wrenches, joined, rows_of
 from vibrissa.sensor import RawRecording
 
 RESTLESS = 3.0
@@ -43,15 +43,16 @@ class _Rows:
     """
 
     time: Float[np.ndarray, "n"]
-    position: Float[np.ndarray, "n 3"]
-    orientation: Float[np.ndarray, "n 4"]
-    force: Float[np.ndarray, "n 3"]
-    torque: Float[np.ndarray, "n 3"]
-    tared: Float[np.ndarray, "n 6"]
-    touching: Bool[np.ndarray, "n"]
-    explained: Bool[np.ndarray, "n"]
+    position: Vectors
+    orientation: Quaternions
+    force: Vectors
+    torque: Vectors
+    tared: Wrenches
+    touching: Flags
+    explained: Flags
 
 
+@dataclass(eq=False)
 class ZeroWatch:
     """Compares resting levels before and after a restart.
 
@@ -61,7 +62,7 @@ class ZeroWatch:
     then. If the sensor never moved, its pose says nothing, and readings that a contact would
     explain are not taken for a zero. Else it stays **unknown**.
 
-    Parameters
+    Attributes
     ----------
     noise, resolution
         Of a reading (6,) [N], [N m].
@@ -69,25 +70,24 @@ class ZeroWatch:
         Of the rod [m].
     seconds
         Of the tare.
+    pending
+        Whether the zero is not known since a restart.
     """
 
-    def __init__(
-        self,
-        noise: Float[np.ndarray, "6"],
-        resolution: Float[np.ndarray, "6"],
-        length: float,
-        seconds: float,
-    ) -> None:
-        self._noise, self._resolution = noise, resolution
-        self._near, self._seconds = _NEAR * length, seconds
-        self._check = min(_CHECK, seconds)
+    noise: Float[np.ndarray, "6"]
+    resolution: Float[np.ndarray, "6"]
+    length: float
+    seconds: float
+    pending: bool = False
+
+    def __post_init__(self) -> None:
+        self._check = min(_CHECK, self.seconds)
         self._blocks: deque[_Rows] = deque()
         self._home: _Rows | None = None
         self._before: _Rows | None = None
         self._free: list[_Rows] = []
         self._moved = False
         self._looked = -np.inf
-        self.pending = False
 
     def restart(self) -> None:
         """What comes from now on is of a sensor whose zero is not known."""
@@ -99,9 +99,7 @@ class ZeroWatch:
         if self._before is not None and self._before.touching.mean() <= _FEW:
             self._free.append(self._before)
 
-    def take(
-        self, raw: RawRecording, tared: Float[np.ndarray, "n 6"], found: Reconstruction
-    ) -> Verdict:
+    def take(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> Verdict:
         """Rows as logged, their wrench without tare (n, 6), NaN where it is not good, and their
         contacts sample by sample.
         """
@@ -114,7 +112,7 @@ class ZeroWatch:
         rows = rows_of(_Rows(*logged, tared, touching, explained), good)
         self._blocks.append(rows)
         now = float(rows.time[-1])
-        while self._blocks[0].time[-1] < now - _KEPT * self._seconds:
+        while self._blocks[0].time[-1] < now - _KEPT * self.seconds:
             self._blocks.popleft()
         if self._home is None:
             self._home = rows_of(rows, slice(1))
@@ -138,7 +136,7 @@ class ZeroWatch:
         level = short.tared.mean(axis=0)
         # The mean of rounded readings is off by up to half a step: by a quarter on average.
         tolerance = _DEVIATIONS * np.sqrt(
-            self._noise**2 / len(short.time) + (self._resolution / 4) ** 2
+            self.noise**2 / len(short.time) + (self.resolution / 4) ** 2
         )
         if np.all(np.abs(level) <= tolerance):
             return Verdict.SAME
@@ -146,7 +144,7 @@ class ZeroWatch:
             change = np.abs(level - before.tared.mean(axis=0))
             if np.all(change <= np.sqrt(2) * tolerance):
                 return Verdict.SAME
-        whole = self._last(_TARED * self._seconds)
+        whole = self._last(_TARED * self.seconds)
         if whole is None or not self._quiet(whole):
             return Verdict.UNKNOWN
         if not self._moved and whole.explained.mean() > _FEW:
@@ -164,10 +162,10 @@ class ZeroWatch:
         return last if enough and len(last.time) >= _FEWEST else None
 
     def _quiet(self, rows: _Rows) -> bool:
-        return bool(np.all(rows.tared.std(axis=0, ddof=1) <= RESTLESS * self._noise))
+        return bool(np.all(rows.tared.std(axis=0, ddof=1) <= RESTLESS * self.noise))
 
     def _at(self, rows: _Rows, place: _Rows) -> bool:
         """Whether the sensor was where the last of other rows was."""
         off = np.linalg.norm(rows.position - place.position[-1], axis=1).max()
         aligned = np.abs(rows.orientation @ place.orientation[-1]).min()
-        return bool(off <= self._near and aligned >= np.cos(_NEAR_TURN / 2))
+        return bool(off <= _NEAR * self.length and aligned >= np.cos(_NEAR_TURN / 2))

@@ -2,6 +2,7 @@
 
 import time
 from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -118,10 +119,11 @@ class Tick(NamedTuple):
     arrival: int
 
 
+@dataclass(eq=False)
 class SequenceClock:
     """Stamps of samples that are numbered and evenly spaced.
 
-    Parameters
+    Attributes
     ----------
     period
         Between samples [ns], as the sensor is set; the one that is seen replaces it.
@@ -129,8 +131,10 @@ class SequenceClock:
         Where another rate is counted, and what was lost where the numbers began anew.
     """
 
-    def __init__(self, period: float, counts: Counts) -> None:
-        self._period, self._counts = period, counts
+    period: float
+    counts: Counts
+
+    def __post_init__(self) -> None:
         self._clock, self._watch = SampleClock(), RateWatch()
         self._anchor = Tick(0, 0, 0)
         self._last: Tick | None = None
@@ -148,10 +152,10 @@ class SequenceClock:
         own = self._own(number)
         factor = self._watch.factor(own, arrival)
         if factor is not None:
-            least = _OTHER_AGAIN if self._counts.rate_changes else _OTHER_RATE
-            self._counts.rate_changes += abs(factor - 1) > least
+            least = _OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE
+            self.counts.rate_changes += abs(factor - 1) > least
             self._anchor = Tick(first, int(own[0]), came)
-            self._period *= factor
+            self.period *= factor
             self._clock.restart()
             own = self._own(number)
         self._last = Tick(int(number[-1]), int(own[-1]), int(arrival[-1]))
@@ -161,11 +165,11 @@ class SequenceClock:
         """Own time [ns] of a new stream. Its numbers do not say what was lost before it, but the
         time does.
         """
-        lost = max(round((came - last.arrival) / self._period) - 1, 0)
-        self._counts.lost += lost
-        self._counts.gaps += lost > 0
-        return last.own + round(self._period)
+        lost = max(round((came - last.arrival) / self.period) - 1, 0)
+        self.counts.lost += lost
+        self.counts.gaps += lost > 0
+        return last.own + round(self.period)
 
     def _own(self, number: Nanoseconds) -> Nanoseconds:
-        since = (number - int(self._anchor.number)) * self._period
+        since = (number - int(self._anchor.number)) * self.period
         return self._anchor.own + np.round(since).astype(np.int64)

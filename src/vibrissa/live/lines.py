@@ -5,6 +5,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,6 +101,9 @@ def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, f
 class Line(ABC):
     """A stream of bytes."""
 
+    _open: Any = None
+    """The socket or device, which has a method `close`."""
+
     @abstractmethod
     def open(self) -> None:
         """Begin."""
@@ -110,70 +114,60 @@ class Line(ABC):
         EndOfStreamError at the end.
         """
 
-    @abstractmethod
     def close(self) -> None:
         """Release the line; may be called twice, and before `open`."""
+        if self._open is not None:
+            with suppress(OSError):
+                self._open.close()
 
 
+@dataclass(eq=False)
 class TcpLine(Line):
     """A server's bytes."""
 
-    def __init__(self, host: str, port: int) -> None:
-        self._address = (host, port)
-        self._socket: socket.socket | None = None
+    host: str
+    port: int
 
     def open(self) -> None:
         """Connect, within 5 s. Raise OSError, which names the address, if nobody answers."""
-        with naming(f"tcp://{self._address[0]}:{self._address[1]}"):
-            self._socket = socket.create_connection(self._address, timeout=5)
+        with naming(f"tcp://{self.host}:{self.port}"):
+            self._open = socket.create_connection((self.host, self.port), timeout=5)
 
     def receive(self, timeout: float) -> bytes:
         """Bytes that have come."""
-        assert self._socket is not None
-        self._socket.settimeout(timeout)
+        self._open.settimeout(timeout)
         try:
-            data = self._socket.recv(_READ)
+            data: bytes = self._open.recv(_READ)
         except TimeoutError:
             return b""
-        except ConnectionResetError:
-            data = b""
+        except ConnectionResetError as error:
+            raise EndOfStreamError from error
         if not data:
             raise EndOfStreamError
         return data
 
-    def close(self) -> None:
-        """Close the socket."""
-        if self._socket is not None:
-            self._socket.close()
 
-
+@dataclass(eq=False)
 class SerialLine(Line):
     """A serial device's bytes; needs pyserial."""
 
-    def __init__(self, device: str, baud: int) -> None:
-        self._device, self._baud = device, baud
-        self._port: Any = None
+    device: str
+    baud: int
 
     def open(self) -> None:
         """Open the device. Raise ImportError if pyserial is missing."""
         serial = extra_library("serial", extra="live", need="serial lines need it")
-        self._port = serial.Serial(self._device, self._baud)
+        self._open = serial.Serial(self.device, self.baud)
 
     def receive(self, timeout: float) -> bytes:
         """Bytes that have come."""
         try:
-            if self._port.timeout != timeout:  # to set it configures the device
-                self._port.timeout = timeout
-            first = self._port.read(1)
-            return bytes(first + self._port.read(self._port.in_waiting) if first else b"")
+            if self._open.timeout != timeout:  # to set it configures the device
+                self._open.timeout = timeout
+            first = self._open.read(1)
+            return bytes(first + self._open.read(self._open.in_waiting) if first else b"")
         except OSError as error:
             raise EndOfStreamError from error
-
-    def close(self) -> None:
-        """Close the device."""
-        if self._port is not None:
-            with suppress(OSError):
-                self._port.close()
 
 
 class _Row(NamedTuple):
@@ -184,6 +178,7 @@ class _Row(NamedTuple):
     anew: bool
 
 
+@dataclass(eq=False)
 class LineSource(Source):
     """Samples from lines of CSV; columns as in a recording, or without the pose.
 
@@ -208,8 +203,11 @@ class LineSource(Source):
 
     waits = True
 
-    def __init__(self, line: Line, *, on_host_clock: bool = False) -> None:
-        self._line = line
+    line: Line
+    _: KW_ONLY
+    on_host_clock: bool = False
+
+    def __post_init__(self) -> None:
         self.counts = Counts()
         self._rest = b""
         self._columns: tuple[str, ...] | None = None
@@ -217,21 +215,21 @@ class LineSource(Source):
         self._posed: bool | None = None
         self._last: Tick | None = None
         self._anchor = Tick(0, 0, 0)
-        self._clock = SampleClock() if on_host_clock else None
+        self._clock = SampleClock() if self.on_host_clock else None
         self._begun = self._epoch = 0
 
     def open(self) -> None:
         """Connect, or open the device."""
         self._epoch = epoch_offset()
-        self._line.open()
+        self.line.open()
 
     def close(self) -> None:
         """Close the line."""
-        self._line.close()
+        self.line.close()
 
     def read(self, timeout: float) -> Samples | None:
         """Samples of the whole lines that have come."""
-        data, now = self._line.receive(timeout), time.monotonic_ns()
+        data, now = self.line.receive(timeout), time.monotonic_ns()
         *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         # A line without end takes no memory: its beginning is enough to reject it.
         self._rest = rest[: _LONGEST_LINE + 1]

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -82,15 +83,18 @@ def stream(
     positive(batch_seconds, "batch_seconds")
     not_negative(silence, "silence")
     with ExitStack() as closing:
-        loop = _Loop(source, processor, sinks, notice or (lambda _: None), closing)
+        make_sinks = sinks if callable(sinks) else None
+        loop = _Loop(source, processor, notice or (lambda _: None), closing, make_sinks)
+        if not callable(sinks):
+            loop.add(sinks)
         processor.warm_up()
         if poses is not None:
             closing.callback(poses.close)
             poses.open()
         closing.callback(source.close)
         source.open()
-        ended = stop or threading.Event()
-        report = loop.run(ended, duration or np.inf, silence or np.inf, batch_seconds)
+        stopping = stop or threading.Event()
+        report = loop.run(stopping, duration or np.inf, silence or np.inf, batch_seconds)
     if poses is not None:
         report.malformed_poses, report.misplaced_poses = poses.malformed, poses.misplaced
     for text in report.losses():
@@ -98,38 +102,37 @@ def stream(
     return report
 
 
+@dataclass(eq=False)
 class _Loop:
-    def __init__(
-        self,
-        source: Source,
-        processor: Processor,
-        sinks: Sequence[Sink] | Callable[[], Iterable[Sink]],
-        notice: Callable[[str], None],
-        closing: ExitStack,
-    ) -> None:
-        self._source, self._processor, self._notice = source, processor, notice
-        self._closing = closing
-        self._make_sinks = sinks if callable(sinks) else None
+    source: Source
+    processor: Processor
+    notice: Callable[[str], None]
+    closing: ExitStack
+    make_sinks: Callable[[], Iterable[Sink]] | None
+
+    def __post_init__(self) -> None:
         self._sinks: list[Sink] = []
-        self._add([] if callable(sinks) else sinks)
-        self._reader, self._silence, self._latency = Reader(source), SilenceWatch(), Latency()
-        self._report = Report(source.counts)
-        self._flushed = self._steady = 0
+        self._reader, self._silence = Reader(self.source), SilenceWatch()
+        self._latency, self._report = Latency(), Report(self.source.counts)
+        self._flushed = 0
+        self._steady = np.inf
+        self.processor.say = self.say
         self._first: int | None = None
         self._cpu = 0.0
 
-    def _add(self, sinks: Iterable[Sink]) -> None:
+    def add(self, sinks: Iterable[Sink]) -> None:
+        """Give to these sinks too, and close them in the end."""
         for sink in sinks:
-            self._closing.callback(sink.close)
+            self.closing.callback(sink.close)
             self._sinks.append(sink)
 
     def run(
         self, stop: threading.Event, duration: float, silence: float, batch_seconds: float
     ) -> Report:
         """Until the source, the duration or `stop` ends it; times in seconds."""
-        self._closing.callback(self._reader.stop)
+        self.closing.callback(self._reader.stop)
         self._reader.start()
-        self._notice("waiting for samples")
+        self.notice("waiting for samples")
         ended = silent = False
         begun = last = time.monotonic_ns()
         while not (stop.is_set() or ended or silent or self._seconds() > duration):
@@ -142,7 +145,7 @@ class _Loop:
                 ended = True
             elif begun - last > silence * 1e9:
                 silent = True
-            elif not self._source.recorded and self._silence.begins(begun):
+            elif not self.source.recorded and self._silence.begins(begun):
                 text = "no samples come: is the sensor on, its cable in, or has another program"
                 self.say(f"{text} taken its stream?", warns=True)
             self._work()
@@ -150,12 +153,12 @@ class _Loop:
         lasting = self._silence.until(0 if ended else begun)
         self._report.silences, self._report.silent_seconds = lasting
         self._finish()
-        why = f"nothing came for {silence:g} s" if silent else "the source ended"
+        why = f"nothing came for {silence:g} s" if silent else "the source ended before a sample"
         if self._first is None and (ended or silent):
-            malformed = self._source.counts.malformed
+            malformed = self.source.counts.malformed
             unread = f"{malformed} lines or datagrams could not be read, the last one for: "
-            unread = f"; {unread}{self._source.complaint}" if malformed else ""
-            raise SilentSourceError(f"{why} before its first sample{unread}")
+            unread = f"; {unread}{self.source.complaint}" if malformed else ""
+            raise SilentSourceError(f"{why}{unread}")
         if silent:
             self._report.silent = True
             self.say(f"{why}: the stream ends here", warns=True)
@@ -168,16 +171,16 @@ class _Loop:
     def say(self, text: str, *, warns: bool = False) -> None:
         """Tell something; a warning is kept for the report, and not told where that is full."""
         if not warns:
-            self._notice(text)
+            self.notice(text)
         elif self._report.warn(text):
-            self._notice(f"warning: {text}")
+            self.notice(f"warning: {text}")
 
     def _take(self, samples: Samples) -> None:
         if self._first is None:
             self._first, self._cpu = int(samples.arrival[0]), time.process_time()
-            self._notice("first sample")
-            self._add(self._make_sinks() if self._make_sinks is not None else ())
-        pause = None if self._source.recorded else self._silence.came(samples.arrival)
+            self.notice("first sample")
+            self.add(self.make_sinks() if self.make_sinks is not None else ())
+        pause = None if self.source.recorded else self._silence.came(samples.arrival)
         said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
         if samples.anew.any():
             said.append(
@@ -188,17 +191,11 @@ class _Loop:
             self.say("; ".join(said), warns=True)
         for sink in self._sinks:
             sink.wrench(samples.stamp, samples.sequence, samples.force, samples.torque)
-        self._processor.push(samples)
-        self._tell_news()
-
-    def _tell_news(self) -> None:
-        for text, warns in self._processor.news():
-            self.say(text, warns=warns)
+        self.processor.push(samples)
 
     def _work(self) -> None:
-        for result in self._processor.ready(time.time_ns()):
+        for result in self.processor.ready(time.time_ns()):
             now = time.monotonic_ns()
-            self._steady = now if result.held else self._steady
             self._latency.add(now - result.arrival[result.arrival > self._steady])
             self._report.rows += len(result.stamp)
             for kind in ContactKind:
@@ -206,8 +203,10 @@ class _Loop:
             for sink in self._sinks:
                 sink.contacts(result.stamp, result.raw, result.found)
             self._flush()
-            self._tell_news()
         self._flush()
+        if self.processor.tare is not None:
+            # Latencies count from here on: earlier rows waited for the tare, or behind such.
+            self._steady = min(self._steady, time.monotonic_ns())
 
     def _flush(self) -> None:
         now = time.monotonic_ns()
@@ -224,15 +223,15 @@ class _Loop:
             self._take(samples)
         until = time.monotonic() + _LAST_WAIT
         self._work()
-        untared = self._processor.tare is None
-        while self._processor.waiting and not untared and time.monotonic() < until:
+        untared = self.processor.tare is None
+        while self.processor.waiting and not untared and time.monotonic() < until:
             time.sleep(0.01)
             self._work()
         if self._reader.error is not None:
             raise self._reader.error
 
     def _summed_up(self) -> Report:
-        report, processor = self._report, self._processor
+        report, processor = self._report, self.processor
         report.overflow, report.unused = self._reader.overflow, processor.waiting
         report.without_pose, report.unsure = processor.without_pose, processor.unsure
         report.moved_during_tare = processor.moved_during_tare

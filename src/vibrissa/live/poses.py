@@ -10,6 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from bisect import bisect, bisect_left
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass
 from operator import attrgetter
 from typing import Annotated, NamedTuple
 
@@ -184,6 +185,7 @@ def pose_bytes(
     return json.dumps(pose).encode()
 
 
+@dataclass(eq=False)
 class StreamedPoses(PoseSource):
     """Poses from JSON datagrams over UDP (`PoseMessage`), interpolated to the stamps of the
     samples.
@@ -195,31 +197,29 @@ class StreamedPoses(PoseSource):
     Parameters
     ----------
     host, port
-        Address to listen at.
+        Address to listen at; port 0 for any free one, which `open` puts in its place.
     patience
         How long a pose may be awaited, and how far back it may lie [s].
     """
 
-    def __init__(
-        self, host: str = "127.0.0.1", port: int = 49153, *, patience: float = 0.05
-    ) -> None:
-        self._address = (host, port)
-        self._patience = round(patience * 1e9)
+    host: str = "127.0.0.1"
+    port: int = 49153
+    _: KW_ONLY
+    patience: float = 0.05
+
+    def __post_init__(self) -> None:
+        self._patience = round(self.patience * 1e9)
         self._held: list[PoseMessage] = []
         self._lock = threading.Lock()
         self._socket: socket.socket | None = None
         self._thread: threading.Thread | None = None
         self.received = 0
 
-    @property
-    def port(self) -> int:
-        """The port listened at, once open; also where 0 was asked for."""
-        return int(self._socket.getsockname()[1]) if self._socket is not None else self._address[1]
-
     def open(self) -> None:
         """Listen, in a thread."""
-        self._socket = listening(*self._address)
+        self._socket = listening(self.host, self.port)
         self._socket.settimeout(0.1)
+        self.port = self._socket.getsockname()[1]
         self._thread = threading.Thread(target=self._listen, name="poses", daemon=True)
         self._thread.start()
 

@@ -1,7 +1,7 @@
 """Samples to contacts: tare, pose, inverse, batch by batch."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -41,13 +41,12 @@ class Stage(Protocol):
 
 
 class Result(NamedTuple):
-    """One batch: stamps (n,) [ns], arrivals (n,) [ns], whether it waited for the tare, poses and
-    tared wrench (NaN where not known), contacts.
+    """One batch: stamps (n,) [ns], arrivals (n,) [ns], poses and tared wrench (NaN where not
+    known), contacts.
     """
 
     stamp: Nanoseconds
     arrival: Nanoseconds
-    held: bool
     raw: RawRecording
     found: Reconstruction
 
@@ -103,24 +102,19 @@ class Processor:
         )
         self._nothing = replace(self._sensor, tare_seconds=0.0).tare(_unloaded(1))
         self._tare = None if self._seconds else self._nothing
-        self._held_by_tare = 0
         self._waiting: list[Samples] = []
         self._origin: int | None = None
         self._passed: deque[_Place] = deque()
         self._zero: ZeroWatch | None = None
-        self._news: list[tuple[str, bool]] = []
-        self.restless = 0.0
+        # Is told, in a line, what happens; `warns` where that is a warning. `stream` sets it.
+        self.say: Callable[..., None] = lambda *_, **__: None
+        self.moved_during_tare = False
         self.without_pose = self.unsure = self.zero_changes = 0
 
     @property
     def tare(self) -> Float[np.ndarray, "6"] | None:
         """What is taken off [N], [N m]; None as long as that is not known."""
         return None if self._tare is None else self._tare.offset
-
-    @property
-    def moved_during_tare(self) -> bool:
-        """Whether the wrench varied by more than three times its noise while it was tared."""
-        return self.restless > RESTLESS
 
     @property
     def waiting(self) -> int:
@@ -165,16 +159,16 @@ class Processor:
         posed = ConstantPose().at(rest.stamp) if self._sensor.mount is None else self._posed(rest)
         raw = self._raw(rest, posed)
         self._tare = self._going_on(self._sensor.tare(raw), raw.time[0], raw.time)
-        self._held_by_tare = len(samples)
         shown = ", ".join(f"{value:.6g}" for value in self._tare.offset)
-        self._news.append((f"tare: {shown} (N, N m)", False))
+        self.say(f"tare: {shown} (N, N m)")
         noise = spread = np.nanstd(raw.wrench[rest.stamp < end], axis=0, ddof=1)
         if self._sensor.force_noise is not None:
-            self.restless = float(np.max(spread / self._sensor.noise))
+            times = float(np.max(spread / self._sensor.noise))
             noise = np.sqrt(self._sensor.reading_variance)
-        if self.moved_during_tare:
-            text = f"the wrench varied by {self.restless:.1f} times its noise during the tare"
-            self._news.append((f"{text}: is the rod free?", True))
+            self.moved_during_tare = times > RESTLESS
+            if self.moved_during_tare:
+                text = f"the wrench varied by {times:.1f} times its noise during the tare"
+                self.say(f"{text}: is the rod free?", warns=True)
         self._zero = ZeroWatch(noise, self._sensor.resolution, self.rod.length, self._seconds)
 
     def _going_on(self, tare: Tare, start: float, time: Float[np.ndarray, "n"]) -> Tare:
@@ -220,7 +214,6 @@ class Processor:
         tared = raw.wrench - tare.readings(self._sensor, raw.time, raw.orientation)
         unsure = self._zero is not None and self._zero.pending
         self._watch(raw, tared, found)
-        held, self._held_by_tare = self._held_by_tare > 0, max(self._held_by_tare - len(samples), 0)
         found = found if self.stage is None else self.stage.push(found)
         if unsure:
             self.unsure += len(samples)
@@ -234,7 +227,7 @@ class Processor:
             tared[:, :3],
             tared[:, 3:],
         )
-        return Result(samples.stamp, samples.arrival, held, shown, found)
+        return Result(samples.stamp, samples.arrival, shown, found)
 
     def _found(self, raw: RawRecording, tare: Tare, velocity: Velocities | None) -> Reconstruction:
         reactions = self._sensor.reactions(raw, tare, tolerances=self._errors, velocity=velocity)
@@ -246,7 +239,7 @@ class Processor:
             return
         verdict = self._zero.take(raw, tared, found)
         if verdict is Verdict.SAME:
-            self._news.append(("the sensor's zero is as it was before the restart", False))
+            self.say("the sensor's zero is as it was before the restart")
         if verdict is not Verdict.CHANGED:
             return
         rest, before = self._zero.rest(), self._tare.offset
@@ -258,12 +251,7 @@ class Processor:
         changes = zip(CHANNELS, self._tare.offset - before, strict=True)
         moved = ", ".join(f"{name} {value:+.4g}" for name, value in changes)
         text = f"the sensor's zero has changed with its restart ({moved} N, N m): it is tared again"
-        self._news.append((text, True))
-
-    def news(self) -> list[tuple[str, bool]]:
-        """What happened since this was asked last, in lines, and whether each is a warning."""
-        said, self._news = self._news, []
-        return said
+        self.say(text, warns=True)
 
     def _velocity(self, raw: RawRecording, known: Flags) -> Velocities | None:
         """Of the clamp, one for the batch: between its last pose and one some 50 ms before; None

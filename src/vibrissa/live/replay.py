@@ -1,7 +1,7 @@
 """A recording played as if it were live."""
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from vibrissa.sensor import RawRecording
 _MOST_ROWS = 512  # of one read: eight batches of the inverse
 
 
+@dataclass(eq=False)
 class ReplaySource(Source):
     """Rows of a recording, each when its time has come; stamps are the recording's own times.
 
@@ -30,12 +31,16 @@ class ReplaySource(Source):
     waits = True
     recorded = True
 
-    def __init__(self, raw: RawRecording, speed: float = 1.0) -> None:
-        if not speed > 0:
-            raise ValueError(f"speed = {speed}; allowed is a number greater than 0, or inf")
+    raw: RawRecording
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        raw = self.raw
+        if not self.speed > 0:
+            raise ValueError(f"speed = {self.speed}; allowed is a number greater than 0, or inf")
         if not len(raw.time):
             raise ValueError("the recording has no rows; allowed is at least one")
-        self._due = np.round((raw.time - raw.time[0]) / speed * 1e9).astype(np.int64)
+        self._due = np.round((raw.time - raw.time[0]) / self.speed * 1e9).astype(np.int64)
         rows = np.arange(len(raw.time))
         self._samples = Samples(
             np.round(raw.time * 1e9).astype(np.int64),

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import KW_ONLY, asdict, dataclass
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -148,7 +149,7 @@ class SensorSimulator:
         rate, pose_rate = positive(self.rate, "rate"), positive(self.pose_rate, "pose_rate")
         self._pose_every = max(1, round(rate / pose_rate))
         self._samples = _in_counts(self.samples, scale)
-        self._next: _Sample | None = None
+        self._next: list[_Sample] = []
         self._rng = np.random.default_rng(self.seed)
         self._socket: socket.socket | None = None
         self._client: tuple[str, int] | None = None
@@ -175,13 +176,13 @@ class SensorSimulator:
         first request for records.
         """
         ended, epoch = stop or threading.Event(), epoch_offset()
-        self._next = next(self._samples, None)
+        self._next = list(islice(self._samples, 1))
         while not ended.is_set() and self._client is None:
             self._listen(0.05)
         start = heard = now = time.monotonic_ns()
         last = np.inf if duration is None else start + duration * 1e9
-        while not ended.is_set() and self._next is not None and now < last:
-            due = start + (self.sent.records + self._per_datagram - 1) / self.rate * 1e9
+        while not ended.is_set() and self._next and now < last:
+            due = start + (self.sent.records + len(self._next) - 1) / self.rate * 1e9
             if due <= now:
                 self._send(start, epoch)
             else:
@@ -210,50 +211,46 @@ class SensorSimulator:
                 if sender == self._client:
                     self._client = None
             case rdt.Command.REAL_TIME | rdt.Command.BUFFERED:
-                if self._client not in (None, sender):
+                if self._client is not None and self._client != sender:
                     self._taken_over(self._client, sender)
                 self._client, self._sequence, self._wanted = sender, 0, request.records
                 self._per_datagram = self.buffer if request.command == rdt.Command.BUFFERED else 1
-            case rdt.Command.BIAS:
-                if self._next is not None:
-                    self._bias = self._next.counts
+            case rdt.Command.BIAS if self._next:
+                self._bias = self._next[0].counts
 
-    def _taken_over(self, *clients: tuple[str, int] | None) -> None:
+    def _taken_over(self, *clients: tuple[str, int]) -> None:
         self.sent.takeovers += 1
-        before, after = (f"{client[0]}:{client[1]}" for client in clients if client is not None)
+        before, after = (f"{host}:{port}" for host, port, *_ in clients)
         self.notice(
             f"{after} asked for the stream, and {before} loses it: there is one stream, for the "
             "client that asked last"
         )
 
     def _send(self, start: int, epoch: int) -> None:
-        """The next datagram, if its samples have not ended."""
-        rows: list[np.ndarray] = []
-        while self._next is not None and len(rows) < self._per_datagram:
-            moment = start + round(self.sent.records / self.rate * 1e9)
-            if self.poses is not None and self.sent.records % self._pose_every == 0:
-                _, position, orientation = self._next
+        """The next datagram, and the poses of its samples."""
+        samples, first = self._next, self.sent.records
+        for number, (_, position, orientation) in enumerate(samples, start=first):
+            moment = start + round(number / self.rate * 1e9)
+            if self.poses is not None and number % self._pose_every == 0:
                 self._put(pose_bytes(moment + epoch, position, orientation), self.poses)
                 self.sent.poses += 1
-            rows.append(self._next.counts - self._bias)
-            self.sent.records += 1
-            self._next = next(self._samples, None)
             self.sent.latest = max(self.sent.latest, (time.monotonic_ns() - moment) * 1e-9)
-        if len(rows) == self._per_datagram and self._client is not None:
-            self._datagram(np.array(rows))
+        self.sent.records += len(samples)
+        self._next = list(islice(self._samples, self._per_datagram))
+        if self._client is not None:
+            wanted = self._wanted - self._sequence if self._wanted else len(samples)
+            self._datagram(np.array([sample.counts for sample in samples[:wanted]]), first)
 
-    def _datagram(self, counts: Int[np.ndarray, "k 6"]) -> None:
-        if self._wanted:
-            counts = counts[: self._wanted - self._sequence]
+    def _datagram(self, counts: Int[np.ndarray, "k 6"], first: int) -> None:
         number = np.arange(len(counts))
         records = np.zeros(len(counts), dtype=rdt.RECORD)
         records["rdt_sequence"] = (self._sequence + 1 + number) % rdt.MODULUS
-        records["ft_sequence"] = (self.sent.records - len(counts) + number) % rdt.MODULUS
-        records["counts"] = np.clip(counts, -_LARGEST_COUNT, _LARGEST_COUNT)
+        records["ft_sequence"] = (first + number) % rdt.MODULUS
+        records["counts"] = np.clip(counts - self._bias, -_LARGEST_COUNT, _LARGEST_COUNT)
         records["status"][0] = rdt.ERROR_BIT * self._happens(self.flaws.error)
         self._sequence += len(counts)
         self._give(records.tobytes(), len(counts))
-        if self._wanted and self._sequence >= self._wanted:
+        if self._sequence == self._wanted:
             self._client = None
 
     def _happens(self, share: float) -> bool:

@@ -1,4 +1,4 @@
-"""The zero of a sensor that was restarted: whether it is as before, and when it can be taken anew."""
+"""The zero of a restarted sensor: whether it is as before, and when it can be taken anew."""
 
 from collections import deque
 from dataclasses import dataclass

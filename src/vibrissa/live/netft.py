@@ -112,16 +112,16 @@ class NetFtSource(Source):
 
     def read(self, timeout: float) -> Samples | None:
         """Samples that have come, in order; None if there are none within `timeout` seconds."""
-        parsed, came = [np.empty(0, dtype=rdt.RECORD)], [np.empty(0, dtype=np.int64)]
+        sound, came = b"", []
         for data, moment in self._datagrams(timeout):
             try:
-                parsed.append(rdt.parse_records(data))
+                came += [moment] * len(rdt.parse_records(data))
+                sound += data
             except ValueError as error:
                 self.reject(str(error))
-            else:
-                came.append(np.full(len(parsed[-1]), moment))
         now = time.monotonic_ns()
-        rows = self._sequencer.accept(np.concatenate(parsed), np.concatenate(came), now)
+        records = np.frombuffer(sound, dtype=rdt.RECORD)
+        rows = self._sequencer.accept(records, np.array(came, dtype=np.int64), now)
         if self._early is not None:
             # The first records are held for a moment: the clock is set by the least late of many.
             self._early.append(rows)
@@ -130,8 +130,8 @@ class NetFtSource(Source):
                 return None
             self._early = None
         breaks = np.flatnonzero(np.diff(rows["number"]) > AHEAD) + 1
-        parts = [self._samples(stream) for stream in np.split(rows, breaks) if len(stream)]
-        return joined(parts) if parts else None
+        streams = np.split(rows, breaks) if len(breaks) else [rows]
+        return joined([self._samples(stream) for stream in streams]) if len(rows) else None
 
     def _samples(self, rows: np.ndarray) -> Samples:
         """Of records of one stream."""

@@ -54,7 +54,7 @@ class Sequencer:
         """Take records (n,) of type `RECORD` as they came, and return those that are in order by
         now, of type `ORDERED`; `now` [ns] is on the clock of `arrival`.
         """
-        rows = records.astype(RECORD).view(_BYTES).tolist()
+        rows = records.view(_BYTES).tolist()
         for row in zip(records["rdt_sequence"].tolist(), rows, arrival.tolist(), strict=True):
             self._take(*row)
         while self._held and (

@@ -140,7 +140,7 @@ class SensorSimulator:
     seed: int = 0
     poses: tuple[str, int] | None = None
     pose_rate: float = 250.0
-    notice: Callable[[str], None] = lambda _: None
+    notice: Callable[[str], None] | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.buffer <= rdt.MOST_RECORDS:
@@ -221,10 +221,11 @@ class SensorSimulator:
     def _taken_over(self, *clients: tuple[str, int]) -> None:
         self.sent.takeovers += 1
         before, after = (f"{host}:{port}" for host, port, *_ in clients)
-        self.notice(
-            f"{after} asked for the stream, and {before} loses it: there is one stream, for the "
-            "client that asked last"
-        )
+        if self.notice is not None:
+            self.notice(
+                f"{after} asked for the stream, and {before} loses it: there is one stream, for "
+                "the client that asked last"
+            )
 
     def _send(self, start: int, epoch: int) -> None:
         """The next datagram, and the poses of its samples."""

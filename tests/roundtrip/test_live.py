@@ -561,6 +561,7 @@ def test_a_sensor_that_falls_silent_ends_the_stream(setup: vb.Setup, raw: RawRec
         processor = Processor(setup.rod, replace(setup.sensor, tare_seconds=0.1), ConstantPose())
         report = stream(source_of(simulator), processor, [], silence=0.5)
     assert report.silent
+    assert report.silences == 1
     assert report.counts.samples == report.rows == 500
 
 

@@ -12,12 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.live.poses import (
     ConstantPose,
+    PoseMessage,
     StreamedPoses,
     TimedPoses,
     between,
-    parse_pose,
     pose_bytes,
 )
+from vibrissa.trail import Trail
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -33,14 +34,15 @@ def turning(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_between_poses_the_motion_is_straight_and_even() -> None:
     time = np.array([0.0, 0.5, 0.6, 2.0, 2.5])
     wanted = np.linspace(0, 2.5, 301)
-    position, orientation = between(time, *turning(time), wanted)
+    found = between(time, Trail(*turning(time)), wanted)
+    position, orientation = found.position, found.orientation
     true_position, true_orientation = turning(wanted)
     np.testing.assert_allclose(position, true_position, atol=1e-15)
     np.testing.assert_allclose(
         np.abs(np.sum(orientation * true_orientation, axis=1)), 1, atol=1e-14
     )
-    outside, _ = between(time, *turning(time), np.array([-1.0, 3.0]))
-    np.testing.assert_array_equal(outside, turning(time[[0, -1]])[0])
+    outside = between(time, Trail(*turning(time)), np.array([-1.0, 3.0]))
+    np.testing.assert_array_equal(outside.position, turning(time[[0, -1]])[0])
 
 
 def test_a_planned_motion_begins_with_the_first_sample() -> None:
@@ -73,9 +75,12 @@ def test_a_constant_pose() -> None:
 
 def test_messages_there_and_back() -> None:
     position, orientation = turning(np.array([0.4321]))
-    found = parse_pose(pose_bytes(1_700_000_000_123_456_789, position[0], orientation[0]))
-    assert found == (1_700_000_000_123_456_789, tuple(position[0]), tuple(orientation[0]))
-    assert parse_pose(b'{"position": [1, 2, 3], "orientation": [0, 0, 0, 1]}').stamp is None
+    sent = pose_bytes(1_700_000_000_123_456_789, position[0], orientation[0])
+    found = PoseMessage.model_validate_json(sent)
+    assert found.stamp == 1_700_000_000_123_456_789
+    assert (found.position, found.orientation) == (tuple(position[0]), tuple(orientation[0]))
+    unstamped = b'{"position": [1, 2, 3], "orientation": [0, 0, 0, 1]}'
+    assert PoseMessage.model_validate_json(unstamped).stamp is None
 
 
 GOOD = {"stamp": 1, "position": [0, 0, 0], "orientation": [0, 0, 0, 1]}
@@ -100,7 +105,7 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_messages_that_are_none(name: str) -> None:
     with pytest.raises(ValueError):
-        parse_pose(WRONG[name])
+        PoseMessage.model_validate_json(WRONG[name])
 
 
 KEYS = st.sampled_from(["stamp", "position", "orientation"])
@@ -120,7 +125,7 @@ VALUES = st.one_of(
 )
 def test_anything_is_a_pose_or_a_value_error(data: bytes) -> None:
     try:
-        found = parse_pose(data)
+        found = PoseMessage.model_validate_json(data)
     except ValueError:
         return
     assert np.all(np.isfinite(found.position))

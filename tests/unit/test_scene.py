@@ -36,7 +36,8 @@ def test_several_trails_follow_each_other() -> None:
     both = vb.Trail.stack(
         [TRAIL, vb.Trail.line(start=(1.0, 0.4, 0), stop=(-1.0, 0.4, 0), count=11)]
     )
-    time, position, _ = motion(both, rest=1.0, sweep=2.0, pause=0.5)
+    time, clamp = motion(both, rest=1.0, sweep=2.0, pause=0.5)
+    position = clamp.position
     assert np.all(np.diff(time) > 0)
     assert (time[0], time[1], time[11], time[12], time[-1]) == (0.0, 1.0, 3.0, 3.5, 5.5)
     np.testing.assert_allclose(position[[0, 1, 11, 12, 22], 1], [0.2, 0.2, 0.2, 0.4, 0.4])
@@ -44,10 +45,8 @@ def test_several_trails_follow_each_other() -> None:
 
 def scene_of_nothing() -> Scene:
     """The motion of the trail, free of contact."""
-    time, position, orientation = motion(TRAIL, rest=0.0, sweep=2.0, pause=1.0)
-    return Scene(
-        time, position, orientation, np.zeros_like(position), np.outer(time, [1.0, 2.0, 3.0])
-    )
+    time, clamp = motion(TRAIL, rest=0.0, sweep=2.0, pause=1.0)
+    return Scene(time, clamp, np.zeros_like(clamp.position), np.outer(time, [1.0, 2.0, 3.0]))
 
 
 def sensor() -> vb.Sensor:
@@ -88,13 +87,11 @@ def test_the_sensor_s_log_read_back_is_the_scene() -> None:
     np.testing.assert_allclose(again.moment, np.outer(within, [1.0, 2.0, 3.0]), atol=1e-12)
     np.testing.assert_allclose(again.trail.position[:, 0], 1 - within, atol=1e-12)
     first = blocks[0]
-    position, orientation = sensor_poses(
-        sensor(),
-        again.trail.position[: len(first.time)],
-        again.trail.orientation[: len(first.time)],
-    )
-    np.testing.assert_allclose(position, first.position, atol=1e-12)
-    np.testing.assert_allclose(orientation, first.orientation, atol=1e-12)
+    rows = slice(len(first.time))
+    clamp = vb.Trail(again.trail.position[rows], again.trail.orientation[rows])
+    poses = sensor_poses(sensor(), clamp)
+    np.testing.assert_allclose(poses.position, first.position, atol=1e-12)
+    np.testing.assert_allclose(poses.orientation, first.orientation, atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "value"), [("rest", -1.0), ("sweep", 0.0), ("pause", np.inf)])

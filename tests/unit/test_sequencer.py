@@ -27,13 +27,13 @@ class Stream:
         records["rdt_sequence"] = [number % 2**32 for number in numbers]
         records["ft_sequence"] = sample
         moment = round(at * MS)
-        rows, found, arrival = self._sequencer.accept(
-            records, np.full(len(numbers), moment, dtype=np.int64), moment
-        )
-        assert len(rows) == len(found) == len(arrival)
-        assert np.array_equal(rows["rdt_sequence"], found % 2**32)
-        self.out += found.tolist()
-        self.wrapped += rows["rdt_sequence"].tolist()
+        arrival = np.full(len(numbers), moment, dtype=np.int64)
+        rows = self._sequencer.accept(records, arrival, moment)
+        wrapped = rows["record"]["rdt_sequence"]
+        assert np.array_equal(wrapped, rows["number"] % 2**32)
+        assert np.all(rows["arrival"] <= moment)
+        self.out += rows["number"].tolist()
+        self.wrapped += wrapped.tolist()
         return self
 
     def has(self, **counts: int) -> bool:

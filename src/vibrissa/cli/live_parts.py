@@ -122,7 +122,6 @@ def _from_case(table: "CasePoseTable", folder: Path, sensor: "Sensor") -> "Timed
     from vibrissa.live.scene import motion, sensor_poses  # noqa: PLC0415
 
     trail: Trail = load_case(folder / table.path).trail
-    time, position, orientation = motion(
-        trail, rest=table.rest, sweep=table.sweep, pause=table.pause
-    )
-    return TimedPoses(time, *sensor_poses(sensor, position, orientation))
+    time, clamp = motion(trail, rest=table.rest, sweep=table.sweep, pause=table.pause)
+    poses = sensor_poses(sensor, clamp)
+    return TimedPoses(time, poses.position, poses.orientation)

@@ -2,24 +2,19 @@
 with options after a question mark.
 """
 
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass
 from typing import Literal
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import urlsplit
 
 from vibrissa.files import InputError
 from vibrissa.live.rdt import PORT
 
-Kind = Literal["netft", "tcp", "serial", "replay"]
 FORMS = (
     "netft://HOST[:PORT], tcp://HOST:PORT, serial:DEVICE[?baud=115200] and replay:FILE[?speed=1]"
 )
-_OPTIONS: dict[str, tuple[str, ...]] = {
-    "netft": (),
-    "tcp": (),
-    "serial": ("baud",),
-    "replay": ("speed",),
-}
-_FASTEST_BAUD = 20_000_000
+_WITH_A_PATH = re.compile(r"(serial|replay):(.+?)(?:\?(\w+)=([^?]*))?")
+_FASTEST_BAUD = 20_000_000  # of any serial port, with room
 
 
 @dataclass(frozen=True)
@@ -40,11 +35,11 @@ class Address:
         Of a serial line.
     """
 
-    kind: Kind
+    kind: Literal["netft", "tcp", "serial", "replay"]
     path: str
     port: int = 0
     speed: float = 1.0
-    baud: int = field(default=115200)
+    baud: int = 115200
 
 
 def parse_address(text: str) -> Address:
@@ -55,29 +50,26 @@ def parse_address(text: str) -> Address:
     InputError
         If the text has none of the forms named above.
     """
-    kind, _, rest = text.partition(":")
-    match kind:
-        case "netft" | "tcp":
-            _check_options(text, kind, text.partition("?")[2])
-            host, port = host_and_port(text.partition("?")[0], PORT if kind == "netft" else None)
-            return Address(kind, host, port)
-        case "serial" | "replay":
-            path, _, query = (
-                rest.rpartition("?")
-                if "?" in rest and "=" in rest.rpartition("?")[2]
-                else (rest, "", "")
-            )
-            options = _check_options(text, kind, query)
-            if not path:
-                raise InputError(
-                    f"source {text!r}: no {'device' if kind == 'serial' else 'file'}; allowed are {FORMS}"
-                )
-            return Address(kind, path, speed=_speed(text, options), baud=_baud(text, options))
-    raise InputError(f"source {text!r}; allowed are {FORMS}")
+    kind = text.partition(":")[0]
+    if kind == "netft":
+        return Address("netft", *host_and_port(text, PORT))
+    if kind == "tcp":
+        return Address("tcp", *host_and_port(text))
+    found = _WITH_A_PATH.fullmatch(text)
+    if found is None:
+        raise InputError(f"source {text!r}; allowed are {FORMS}")
+    kind, path, option, value = found.groups()
+    match kind, option:
+        case "serial", None | "baud":
+            return Address("serial", path, baud=_baud(text, value or "115200"))
+        case "replay", None | "speed":
+            return Address("replay", path, speed=_speed(text, value or "1"))
+    allowed = {"serial": "baud", "replay": "speed"}[kind]
+    raise InputError(f"source {text!r}: unknown option {option!r}; allowed is {allowed}")
 
 
 def host_and_port(text: str, default: int | None = None) -> tuple[str, int]:
-    """Parts of `SCHEME://HOST:PORT`; a host of version 6 of the protocol stands in brackets.
+    """Parts of `SCHEME://HOST:PORT`; an IPv6 address stands in brackets.
 
     Raises
     ------
@@ -86,41 +78,23 @@ def host_and_port(text: str, default: int | None = None) -> tuple[str, int]:
     """
     try:
         parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
+        host, port = parts.hostname, parts.port or (default if parts.port is None else 0)
     except ValueError as error:
-        raise InputError(
-            f"address {text!r}: {error}; allowed is {text.partition(':')[0]}://HOST:PORT"
-        ) from error
-    port = default if port is None else port
-    if (
-        not host
-        or not port
-        or parts.path.strip("/")
-        or parts.username is not None
-        or parts.query
-        or parts.fragment
-    ):
+        scheme = text.partition(":")[0]
+        raise InputError(f"address {text!r}: {error}; allowed is {scheme}://HOST:PORT") from error
+    more = parts.path.strip("/") or parts.query or parts.fragment or parts.username is not None
+    if not host or not port or more:
         raise InputError(
             f"address {text!r}; allowed is {parts.scheme}://HOST:PORT with a port from 1 to 65535"
         )
     return host, port
 
 
-def _check_options(text: str, kind: str, query: str) -> dict[str, str]:
-    options = dict(parse_qsl(query, keep_blank_values=True))
-    unknown = [name for name in options if name not in _OPTIONS[kind]]
-    if unknown:
-        allowed = ", ".join(_OPTIONS[kind]) or "none"
-        raise InputError(f"source {text!r}: unknown option {unknown[0]!r}; allowed are {allowed}")
-    return options
-
-
-def _speed(text: str, options: dict[str, str]) -> float:
-    value = options.get("speed", "1")
+def _speed(text: str, value: str) -> float:
     try:
-        speed = float("inf") if value == "max" else float(value)
+        speed = float("inf" if value == "max" else value)
     except ValueError:
-        speed = float("nan")
+        speed = 0.0
     if not speed > 0:
         raise InputError(
             f"source {text!r}: speed = {value!r}; allowed is a number greater than 0, or max"
@@ -128,10 +102,10 @@ def _speed(text: str, options: dict[str, str]) -> float:
     return speed
 
 
-def _baud(text: str, options: dict[str, str]) -> int:
-    value = options.get("baud", "115200")
-    if not value.isascii() or not value.isdigit() or not 0 < int(value[:10]) <= _FASTEST_BAUD:
+def _baud(text: str, value: str) -> int:
+    if not re.fullmatch("[0-9]{1,8}", value) or not 0 < int(value) <= _FASTEST_BAUD:
         raise InputError(
-            f"source {text!r}: baud = {value!r}; allowed is a whole number from 1 to {_FASTEST_BAUD}"
+            f"source {text!r}: baud = {value!r}; allowed is a whole number from 1 to "
+            f"{_FASTEST_BAUD}"
         )
     return int(value)

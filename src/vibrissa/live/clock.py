@@ -2,39 +2,43 @@
 
 import time
 from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 
-_DRIFT = 500e-6
-_RESYNC = 100_000_000
+from vibrissa.live.samples import Counts, Nanoseconds
+
 LEAST_STEP = 1000
 """Between stamps [ns]: what 64-bit seconds tell apart over a century."""
-_RATE_WINDOW = 500_000_000
+AHEAD = 1_000_000
+"""Sequence numbers farther ahead are those of another stream: minutes of the fastest sensors."""
+_DRIFT = 500e-6  # quartzes differ by 100 ppm at most
+_RESYNC = 100_000_000  # [ns]; networks and busy computers delay by less
+_RATE_WINDOW = 500_000_000  # [ns]; longer than a sender or receiver stalls
 # Spans in windows, and the share of the time by which the sender has to run off: over long spans
-# what delays do matters less.
+# what delays do matters less. Measured: no false alarm with delays of 0.15 s (test_sample_clock).
 _RATE_SPANS = ((1, 0.2), (2, 0.05), (4, 0.01), (16, 3e-3), (64, 6e-4))
-_ALIKE = 0.2
+_ALIKE = 0.2  # share by which two successive spans may differ, as measured there
+# Share beyond which another rate is reported: what setups round to, and what a first, short span
+# may have been wrong by.
+_OTHER_RATE, _OTHER_AGAIN = 0.01, 0.1
 
 
 def epoch_offset() -> int:
-    """What turns the monotonic clock into nanoseconds since 1970: the tightest of a few readings."""
-    best: tuple[int, int] | None = None
-    for _ in range(5):
-        before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        if best is None or after - before < best[0]:
-            best = after - before, now - (before + after) // 2
-    assert best is not None
-    return best[1]
+    """What turns the monotonic clock into nanoseconds since 1970: the tightest of five readings."""
+    readings = ((time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5))
+    before, now, after = min(readings, key=lambda reading: reading[2] - reading[0])
+    return now - (before + after) // 2
 
 
 class RateWatch:
-    """Notices a sender whose rate is another than was thought.
+    """Notices a sender whose rate is not the assumed one.
 
     In each window of half a second the least delay is taken, which a sender or a receiver that
-    stalls for a moment does not change. Where it runs off, alike over two spans of windows, by a
-    fifth of the time over one window, or by less over more of them, down to 0.06 % over 64, the
-    rate is wrong.
+    stalls for a moment does not change. The rate is wrong where this delay grows or shrinks, alike
+    over two successive spans of windows: by a fifth of the time over one window, or by less over
+    more of them, down to 0.06 % over 64.
     """
 
     def __init__(self) -> None:
@@ -42,36 +46,28 @@ class RateWatch:
         self._least = 0
         self._seen: deque[int] = deque(maxlen=2 * _RATE_SPANS[-1][0] + 1)
 
-    def factor(self, own: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]) -> float | None:
-        """By how much the sender's period is longer than `own` (n,) [ns] supposes, if another;
-        arrivals (n,) [ns].
+    def factor(self, own: Nanoseconds, arrival: Nanoseconds) -> float | None:
+        """Factor by which the sender's period is longer than `own` (n,) [ns] assumes, or None if
+        it is not; arrivals (n,) [ns].
         """
-        delay = int(np.min(arrival - own))
+        delay, now = int(np.min(arrival - own)), int(arrival[-1])
         if self._begun is None:
             self._begun, self._least = int(arrival[0]), delay
-        if int(arrival[-1]) - self._begun < _RATE_WINDOW:
+        if now - self._begun < _RATE_WINDOW:
             self._least = min(self._least, delay)
             return None
-        # A window may have been longer than it should; what counts is how long each was.
         self._seen.append(self._least)
         self._begun, self._least = self._begun + _RATE_WINDOW, delay
-        if int(arrival[-1]) - self._begun >= _RATE_WINDOW:
-            self._begun = int(arrival[-1])
+        if now - self._begun >= _RATE_WINDOW:  # a pause: the windows before it tell nothing
+            self._begun = now
             self._seen.clear()
-            return None
-        return self._judged()
-
-    def _judged(self) -> float | None:
         for span, tolerance in _RATE_SPANS:
             if len(self._seen) <= 2 * span:
                 return None
-            ends = np.array([self._seen[-1 - place * span] for place in (2, 1, 0)])
+            ends = [self._seen[-1 - place * span] for place in (2, 1, 0)]
             first, second = (np.diff(ends) / (span * _RATE_WINDOW)).tolist()
-            if (
-                abs(first) >= tolerance
-                and abs(second - first) <= _ALIKE * abs(first)
-                and max(first, second) < 1
-            ):
+            alike = abs(second - first) <= _ALIKE * abs(first)
+            if abs(first) >= tolerance and alike and max(first, second) < 1:
                 self._begun = None
                 self._seen.clear()
                 return 1 / (1 - (first + second) / 2)
@@ -83,7 +79,7 @@ class SampleClock:
 
     Delays are never negative, so the sender's clock, moved until it lies below all arrivals, is the
     best that the host can know. It follows arrivals downwards at once, and upwards by 500 ppm at
-    most, more than quartzes differ. Where it is off by 0.1 s the stream is taken to have paused.
+    most. Where it is off by 0.1 s the stream is taken to have paused.
     """
 
     def __init__(self) -> None:
@@ -96,23 +92,84 @@ class SampleClock:
         """Forget the sender's clock: it began anew."""
         self._offset = None
 
-    def stamps(
-        self, own: Int[np.ndarray, "n"], arrival: Int[np.ndarray, "n"]
-    ) -> Int[np.ndarray, "n"]:
+    def stamps(self, own: Nanoseconds, arrival: Nanoseconds) -> Nanoseconds:
         """Stamps (n,) [ns] on the clock of `arrival`, increasing, for the sender's times `own` (n,)
-        [ns], increasing.
+        [ns], increasing, at least one.
         """
-        if not len(own):
-            return np.empty(0, dtype=np.int64)
+        least, last = int(np.min(arrival - own)), int(own[-1])
         if self._offset is None:
-            self._offset, self._last_own = int(np.min(arrival - own)), int(own[0])
-        slack = int(np.min(arrival - own)) - self._offset
+            self._offset, self._last_own = least, int(own[0])
+        slack = least - self._offset
         if abs(slack) > _RESYNC:
-            self._offset += slack
+            self._offset = least
             self.resyncs += 1
         else:
-            self._offset += min(slack, round(_DRIFT * max(int(own[-1]) - self._last_own, 0)))
+            self._offset += min(slack, round(_DRIFT * max(last - self._last_own, 0)))
         earliest = self._last_stamp + LEAST_STEP * (1 + np.arange(len(own), dtype=np.int64))
         stamp = np.maximum(own + self._offset, earliest)
-        self._last_own, self._last_stamp = int(own[-1]), int(stamp[-1])
+        self._last_own, self._last_stamp = last, int(stamp[-1])
         return stamp
+
+
+class Tick(NamedTuple):
+    """A sample by the sender's count, by the sender's clock [ns], and by its arrival here [ns]."""
+
+    number: float
+    own: int
+    arrival: int
+
+
+@dataclass(eq=False)
+class SequenceClock:
+    """Stamps of samples that are numbered and evenly spaced.
+
+    Attributes
+    ----------
+    period
+        Between samples [ns], as the sensor is set; the one that is seen replaces it.
+    counts
+        Where another rate is counted, and what was lost where the numbers began anew.
+    """
+
+    period: float
+    counts: Counts
+
+    def __post_init__(self) -> None:
+        self._clock, self._watch = SampleClock(), RateWatch()
+        self._anchor = Tick(0, 0, 0)
+        self._last: Tick | None = None
+
+    def stamps(self, number: Nanoseconds, arrival: Nanoseconds) -> tuple[Nanoseconds, bool]:
+        """Stamps (n,) [ns] on the clock of `arrival` for numbers (n,) of one stream, and whether it
+        is another stream than before: there the sensor's clock goes on.
+        """
+        first, came, last = int(number[0]), int(arrival[0]), self._last
+        anew = last is not None and first - last.number > AHEAD
+        if last is None or anew:
+            self._anchor = Tick(first, 0 if last is None else self._lost_before(came, last), came)
+            self._watch = RateWatch()
+            self._clock.restart()
+        own = self._own(number)
+        factor = self._watch.factor(own, arrival)
+        if factor is not None:
+            least = _OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE
+            self.counts.rate_changes += abs(factor - 1) > least
+            self._anchor = Tick(first, int(own[0]), came)
+            self.period *= factor
+            self._clock.restart()
+            own = self._own(number)
+        self._last = Tick(int(number[-1]), int(own[-1]), int(arrival[-1]))
+        return self._clock.stamps(own, arrival), anew
+
+    def _lost_before(self, came: int, last: Tick) -> int:
+        """Own time [ns] of a new stream. Its numbers do not say what was lost before it, but the
+        time does.
+        """
+        lost = max(round((came - last.arrival) / self.period) - 1, 0)
+        self.counts.lost += lost
+        self.counts.gaps += lost > 0
+        return last.own + round(self.period)
+
+    def _own(self, number: Nanoseconds) -> Nanoseconds:
+        since = (number - int(self._anchor.number)) * self.period
+        return self._anchor.own + np.round(since).astype(np.int64)

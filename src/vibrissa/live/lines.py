@@ -1,43 +1,47 @@
 """Lines of CSV over TCP or a serial line."""
 
-import math
 import socket
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int
 
+from vibrissa.files import LARGEST
 from vibrissa.libraries import extra_library
-from vibrissa.live.clock import LEAST_STEP, SampleClock, epoch_offset
+from vibrissa.live.clock import LEAST_STEP, SampleClock, Tick, epoch_offset
 from vibrissa.live.ports import naming
+from vibrissa.live.poses import with_unit_norm
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
 
-POSED = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "tx", "ty", "tz")
+_POSITION = ("px", "py", "pz")
+_ORIENTATION = ("qx", "qy", "qz", "qw")
+_FORCE = ("fx", "fy", "fz")
+_TORQUE = ("tx", "ty", "tz")
+POSED = ("time", *_POSITION, *_ORIENTATION, *_FORCE, *_TORQUE)
 """Columns of a recording: time [s], pose of the sensor, wrench."""
-BARE = ("time", "fx", "fy", "fz", "tx", "ty", "tz")
+BARE = ("time", *_FORCE, *_TORQUE)
 """The same without the pose."""
 
-_LONGEST_LINE = 4096
-_LARGEST = 1e12
-_LATEST = 4e9
-_QUATERNION_TOLERANCE = 1e-3
-_CLOCK_JUMP = 1.0
-_LONGEST_PAUSE = 60.0
-_AFTER_RESTART = 1_000_000
-_READ = 65536
+_LONGEST_LINE = 4096  # bytes: ten times what a recording's line has with all digits
+_LATEST = 4e9  # [s since 1970]: the year 2096
+_CLOCK_JUMP = 1.0  # [s] back: lines are swapped by less, and clocks set by more
+_LONGEST_PAUSE = 60.0  # [s] ahead: sensors pause for less, and clocks are set by more
+_AFTER_RESTART = 1_000_000  # [ns] to the next sample at least: a usual period
+_READ = 65536  # bytes: what a kernel's buffer holds
 
 
 class WrongColumnsError(ValueError):
-    """A line names columns, but not those that are needed: what follows cannot be told."""
+    """A line names other columns than those that are needed: the numbers below it would be taken
+    for others.
+    """
 
 
 def parse_header(line: bytes) -> tuple[str, ...] | None:
-    """Names of columns in any order, or None where the line is none of names. Further columns may
-    be among them.
+    """Names of columns in any order, other names among them; None if the line does not hold names.
 
     Raises
     ------
@@ -49,9 +53,7 @@ def parse_header(line: bytes) -> tuple[str, ...] | None:
     """
     cells = line.decode("utf-8", "replace").lstrip("\ufeff").split(",")
     names = tuple(cell.strip().strip('"').strip().lower() for cell in cells)
-    words = [
-        name for name in names if name[:1].isalpha() and name not in ("nan", "inf", "infinity")
-    ]
+    words = [name for name in names if name[:1].isalpha() and name not in ("nan", "inf")]
     if 2 * len(words) < len(names) or not words:
         return None
     known = [name for name in names if name in POSED]
@@ -59,7 +61,8 @@ def parse_header(line: bytes) -> tuple[str, ...] | None:
         return names
     kind = WrongColumnsError if len(known) > 1 else ValueError
     raise kind(
-        f"columns {','.join(names)[:200]}; allowed are {','.join(POSED)} or {','.join(BARE)}, in any order, and others besides"
+        f"columns {','.join(names)[:200]}; allowed are {','.join(POSED)} or {','.join(BARE)}, "
+        "in any order, and others besides"
     )
 
 
@@ -76,11 +79,11 @@ def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, f
     Raises
     ------
     ValueError
-        If there are more cells or fewer, one is no finite number up to 1e12, the time is beyond 4e9
-        s, or the quaternion is not of unit norm.
+        If the number of cells is another, one is not a finite number up to 1e12, the time is
+        beyond 4e9 s, or the quaternion is not of unit norm.
     """
     cells = line.split(b",")
-    names = columns or {len(POSED): POSED, len(BARE): BARE}.get(len(cells), POSED)
+    names = columns or (BARE if len(cells) == len(BARE) else POSED)
     if len(cells) != len(names):
         raise ValueError(f"{len(cells)} cells; allowed are {len(names) if columns else '14 or 7'}")
     if b"_" in line:
@@ -88,18 +91,18 @@ def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, f
     row = {name: float(cell) for name, cell in zip(names, cells, strict=True) if name in POSED}
     if abs(row["time"]) > _LATEST:
         raise ValueError(f"time = {row['time']:g}; allowed are seconds, up to {_LATEST:g}")
-    if not all(abs(value) <= _LARGEST for value in row.values()):
+    if not all(abs(value) <= LARGEST for value in row.values()):
         raise ValueError("a number that is not finite, or beyond 1e12; allowed are finite numbers")
-    if (
-        "qw" in row
-        and abs(math.hypot(*(row[name] for name in POSED[4:8])) - 1) > _QUATERNION_TOLERANCE
-    ):
-        raise ValueError("a quaternion of another norm; allowed is 1")
+    if "qw" in row:
+        with_unit_norm(tuple(row[name] for name in _ORIENTATION))
     return row
 
 
 class Line(ABC):
     """A stream of bytes."""
+
+    _open: Any = None
+    """The socket or device, which has a method `close`."""
 
     @abstractmethod
     def open(self) -> None:
@@ -107,33 +110,34 @@ class Line(ABC):
 
     @abstractmethod
     def receive(self, timeout: float) -> bytes:
-        """Bytes that have come; none where there is none within `timeout` seconds. Raise
+        """Bytes that have come; empty if there are none within `timeout` seconds. Raise
         EndOfStreamError at the end.
         """
 
-    @abstractmethod
     def close(self) -> None:
-        """Let go."""
+        """Release the line; may be called twice, and before `open`."""
+        if self._open is not None:
+            with suppress(OSError):
+                self._open.close()
 
 
+@dataclass(eq=False)
 class TcpLine(Line):
     """A server's bytes."""
 
-    def __init__(self, host: str, port: int) -> None:
-        self._address = (host, port)
-        self._socket: socket.socket | None = None
+    host: str
+    port: int
 
     def open(self) -> None:
-        """Connect, within 5 s. Raise OSError, which names the address, where nobody answers."""
-        with naming(f"tcp://{self._address[0]}:{self._address[1]}"):
-            self._socket = socket.create_connection(self._address, timeout=5)
+        """Connect, within 5 s. Raise OSError, which names the address, if nobody answers."""
+        with naming(f"tcp://{self.host}:{self.port}"):
+            self._open = socket.create_connection((self.host, self.port), timeout=5)
 
     def receive(self, timeout: float) -> bytes:
         """Bytes that have come."""
-        assert self._socket is not None
-        self._socket.settimeout(timeout)
+        self._open.settimeout(timeout)
         try:
-            data = self._socket.recv(_READ)
+            data: bytes = self._open.recv(_READ)
         except TimeoutError:
             return b""
         except ConnectionResetError as error:
@@ -142,58 +146,54 @@ class TcpLine(Line):
             raise EndOfStreamError
         return data
 
-    def close(self) -> None:
-        """Close the socket."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
 
-
+@dataclass(eq=False)
 class SerialLine(Line):
     """A serial device's bytes; needs pyserial."""
 
-    def __init__(self, device: str, baud: int) -> None:
-        self._device, self._baud = device, baud
-        self._port: Any = None
+    device: str
+    baud: int
 
     def open(self) -> None:
-        """Open the device. Raise ImportError where pyserial is missing."""
+        """Open the device. Raise ImportError if pyserial is missing."""
         serial = extra_library("serial", extra="live", need="serial lines need it")
-        self._port = serial.Serial(self._device, self._baud, timeout=0)
+        self._open = serial.Serial(self.device, self.baud)
 
     def receive(self, timeout: float) -> bytes:
         """Bytes that have come."""
         try:
-            if self._port.timeout != timeout:
-                self._port.timeout = timeout
-            first = self._port.read(1)
-            return bytes(first + self._port.read(self._port.in_waiting) if first else b"")
+            if self._open.timeout != timeout:  # to set it configures the device
+                self._open.timeout = timeout
+            first = self._open.read(1)
+            return bytes(first + self._open.read(self._open.in_waiting) if first else b"")
         except OSError as error:
             raise EndOfStreamError from error
 
-    def close(self) -> None:
-        """Close the device."""
-        if self._port is not None:
-            with suppress(OSError):
-                self._port.close()
-            self._port = None
+
+class _Row(NamedTuple):
+    """Numbers of a line, its time [ns] since the first line, and whether the clock began anew."""
+
+    numbers: dict[str, float]
+    own: int
+    anew: bool
 
 
+@dataclass(eq=False)
 class LineSource(Source):
     """Samples from lines of CSV; columns as in a recording, or without the pose.
 
     A first line may name the columns, in any order. `time` is the sender's: stamps are these times,
-    counted from the arrival of the first line. Where they run back by a second, or ahead by a
-    minute, the sender's clock was set, and they go on from the last one by the time that passed
-    here.
+    counted from the arrival of the first line. Where they jump back by a second or more, or ahead
+    by more than a minute, the sender's clock was set, and stamps continue from the last one by the
+    time that passed here.
 
     Parameters
     ----------
     line
         Where the bytes come from.
     on_host_clock
-        Whether stamps are to follow the host's clock (`SampleClock`), as poses need that come from
-        elsewhere; lines that are sent faster than their times say are then stamped as they come.
+        Whether stamps are to follow the host's clock (`SampleClock`), as poses from elsewhere
+        require; lines that are sent faster than their times say are then stamped as they come.
 
     Raises
     ------
@@ -203,140 +203,109 @@ class LineSource(Source):
 
     waits = True
 
-    def __init__(self, line: Line, *, on_host_clock: bool = False) -> None:
-        self._line = line
+    line: Line
+    _: KW_ONLY
+    on_host_clock: bool = False
+
+    def __post_init__(self) -> None:
         self.counts = Counts()
         self._rest = b""
-        self._skipping = False
         self._columns: tuple[str, ...] | None = None
         self._first = True
         self._posed: bool | None = None
-        self._number = 0
-        self._last: tuple[float, int] | None = None
-        self._own = 0
-        self._anchor = 0.0, 0
-        self._clock = SampleClock() if on_host_clock else None
-        self._begun: int | None = None
-        self._epoch = 0
-        self._anew = False
+        self._last: Tick | None = None
+        self._anchor = Tick(0, 0, 0)
+        self._clock = SampleClock() if self.on_host_clock else None
+        self._begun = self._epoch = 0
 
     def open(self) -> None:
         """Connect, or open the device."""
         self._epoch = epoch_offset()
-        self._line.open()
+        self.line.open()
 
     def close(self) -> None:
-        """Let go of the line."""
-        self._line.close()
+        """Close the line."""
+        self.line.close()
 
     def read(self, timeout: float) -> Samples | None:
         """Samples of the whole lines that have come."""
-        data = self._line.receive(timeout)
-        now = time.monotonic_ns()
-        rows, own, anew = [], [], []
-        for line in self._lines(data):
-            row = self._row(line, now)
-            if row is not None:
-                rows.append(row)
-                own.append(self._own)
-                anew.append(self._anew)
-        return (
-            self._samples(rows, np.array(own, dtype=np.int64), np.array(anew), now)
-            if rows
-            else None
-        )
+        data, now = self.line.receive(timeout), time.monotonic_ns()
+        *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        # A line without end takes no memory: its beginning is enough to reject it.
+        self._rest = rest[: _LONGEST_LINE + 1]
+        rows = [row for line in lines if line.strip() and (row := self._row(line.strip(), now))]
+        return self._samples(rows, now) if rows else None
 
-    def _samples(
-        self,
-        rows: list[dict[str, float]],
-        own: Int[np.ndarray, "n"],
-        anew: Bool[np.ndarray, "n"],
-        now: int,
-    ) -> Samples:
-        posed, count = "qw" in rows[0], len(rows)
-        table = {name: np.array([row[name] for row in rows]) for name in (POSED if posed else BARE)}
-        arrival = np.full(count, now, dtype=np.int64)
-        self._begun = now if self._begun is None else self._begun
+    def _samples(self, rows: list[_Row], now: int) -> Samples:
+        def columns(*names: str) -> np.ndarray:
+            return np.array([[row.numbers[name] for name in names] for row in rows])
+
+        count, first = len(rows), self.counts.samples
         self.counts.samples += count
-        self._number += count
+        if not first:
+            self._begun = now
+        own = np.array([row.own for row in rows], dtype=np.int64)
+        arrival = np.full(count, now)
+        stamp = own + self._begun if self._clock is None else self._clock.stamps(own, arrival)
         return Samples(
-            (self._begun + own if self._clock is None else self._clock.stamps(own, arrival))
-            + self._epoch,
-            np.arange(self._number - count, self._number, dtype=np.int64),
-            _columns_of(table, POSED[8:11]),
-            _columns_of(table, POSED[11:]),
+            stamp + self._epoch,
+            np.arange(first, first + count),
+            columns(*_FORCE),
+            columns(*_TORQUE),
             np.ones(count, dtype=bool),
             arrival,
-            _columns_of(table, POSED[1:4]) if posed else None,
-            _columns_of(table, POSED[4:8]) if posed else None,
-            anew,
+            columns(*_POSITION) if self._posed else None,
+            columns(*_ORIENTATION) if self._posed else None,
+            np.array([row.anew for row in rows]),
         )
 
-    def _lines(self, data: bytes) -> list[bytes]:
-        *lines, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
-        if self._skipping and lines:
-            lines, self._skipping = lines[1:], False
-        if len(self._rest) > _LONGEST_LINE:
-            # The rest of this line is waited for and thrown away.
-            if not self._skipping:
-                self._damaged(f"a line of more than {_LONGEST_LINE} bytes")
-            self._rest, self._skipping = b"", True
-        return [line.strip() for line in lines if line.strip()]
-
-    def _damaged(self, why: str) -> None:
-        self.counts.malformed += 1
-        self.complaint = why
-
-    def _row(self, line: bytes, now: int) -> dict[str, float] | None:
+    def _row(self, line: bytes, now: int) -> _Row | None:
+        first, self._first = self._first, False
         try:
             names = parse_header(line)
             if names is not None:
-                self._columns, self._first = names, False
+                self._columns = names
                 return None
-            row = parse_line(line, self._columns)
-            if self._posed not in (None, "qw" in row):
-                raise ValueError(
-                    "poses that begin or end in the middle; allowed are the columns of the first line"
-                )
+            if len(line) > _LONGEST_LINE:
+                raise ValueError(f"a line of more than {_LONGEST_LINE} bytes")
+            numbers = parse_line(line, self._columns)
+            if self._posed not in (None, "qw" in numbers):
+                raise ValueError("poses begin or end midway; allowed are the first line's columns")
         except ValueError as error:
-            if isinstance(error, WrongColumnsError) and not (self._first and _end_of_header(line)):
-                raise
             # The first line may be the rest of one that began before we listened.
-            if not self._first:
-                self._damaged(str(error))
-            self.complaint = self.complaint or str(error)
-            self._first = False
+            if isinstance(error, WrongColumnsError) and not (first and _end_of_header(line)):
+                raise
+            if first:
+                self.complaint = str(error)
+            else:
+                self.reject(str(error))
             return None
-        self._first, self._posed = False, "qw" in row
-        return row if self._follows(row["time"], now) else None
+        self._posed = "qw" in numbers
+        return self._in_time(numbers, now)
 
-    def _follows(self, moment: float, now: int) -> bool:
-        """Whether this is later than the last line, or of a clock that was set; `_own` is then its
-        time [ns] since the first line.
-        """
-        least, self._anew = 0, False
-        if self._last is None:
-            self._anchor = moment, 0
+    def _in_time(self, numbers: dict[str, float], now: int) -> _Row | None:
+        """The row, if it is later than the last one or of a clock that was set."""
+        moment, last = numbers["time"], self._last
+        if last is None:
+            own, anew = 0, False
+            self._anchor = Tick(moment, 0, now)
         else:
-            least = self._own + LEAST_STEP
-            step = moment - self._last[0]
+            step = moment - last.number
             if -_CLOCK_JUMP < step <= 0:
                 self.counts.duplicates += step == 0
                 self.counts.late += step < 0
-                return False
-            if not 0 < step <= _LONGEST_PAUSE:
+                return None
+            anew = not 0 < step <= _LONGEST_PAUSE
+            if anew:
                 self.counts.restarts += 1
-                self._anew = True
-                self._anchor = moment, self._own + max(now - self._last[1], _AFTER_RESTART)
-        self._last = moment, now
-        self._own = max(self._anchor[1] + round((moment - self._anchor[0]) * 1e9), least)
-        return True
+                passed = max(now - last.arrival, _AFTER_RESTART)
+                self._anchor = Tick(moment, last.own + passed, now)
+            since = round((moment - self._anchor.number) * 1e9)
+            own = max(self._anchor.own + since, last.own + LEAST_STEP)
+        self._last = Tick(moment, own, now)
+        return _Row(numbers, own, anew)
 
 
 def _end_of_header(line: bytes) -> bool:
     """Whether this may be the end of a line with the usual names."""
-    return any(",".join(names).encode().endswith(line.strip().lower()) for names in (POSED, BARE))
-
-
-def _columns_of(table: dict[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
-    return np.stack([table[name] for name in names], axis=1)
+    return any(",".join(names).encode().endswith(line.lower()) for names in (POSED, BARE))

@@ -3,6 +3,8 @@
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,8 +19,9 @@ from vibrissa.live.samples import Samples, Source
 from vibrissa.live.silence import SilenceWatch
 from vibrissa.live.sinks import Sink
 
-_FLUSH = 25_000_000
-_LAST_WAIT = 0.2
+_FLUSH = 25_000_000  # [ns]: half of what sinks are promised
+_WAIT = 0.02  # [s] for samples, before poses that came are looked at
+_LAST_WAIT = 0.2  # [s] for poses of the last samples: four times the usual patience
 
 
 class SilentSourceError(RuntimeError):
@@ -77,158 +80,133 @@ def stream(
     """
     if duration is not None:
         positive(duration, "duration")
-    loop = _Loop(
-        source,
-        processor,
-        sinks,
-        notice or (lambda _: None),
-        positive(batch_seconds, "batch_seconds"),
-    )
-    try:
+    positive(batch_seconds, "batch_seconds")
+    not_negative(silence, "silence")
+    with ExitStack() as closing:
+        make_sinks = sinks if callable(sinks) else None
+        loop = _Loop(source, processor, notice or (lambda _: None), closing, make_sinks)
+        if not callable(sinks):
+            loop.add(sinks)
         processor.warm_up()
         if poses is not None:
+            closing.callback(poses.close)
             poses.open()
+        closing.callback(source.close)
         source.open()
-        loop.run(stop or threading.Event(), duration, not_negative(silence, "silence"))
-    finally:
-        loop.end()
-        source.close()
-        if poses is not None:
-            poses.close()
-        loop.close_sinks()
+        stopping = stop or threading.Event()
+        report = loop.run(stopping, duration or np.inf, silence or np.inf, batch_seconds)
     if poses is not None:
-        loop.report.malformed_poses, loop.report.misplaced_poses = poses.malformed, poses.misplaced
-    for text in loop.report.losses():
-        loop.warn(text)
-    return loop.report
+        report.malformed_poses, report.misplaced_poses = poses.malformed, poses.misplaced
+    for text in report.losses():
+        loop.say(text, warns=True)
+    return report
 
 
+@dataclass(eq=False)
 class _Loop:
-    def __init__(
-        self,
-        source: Source,
-        processor: Processor,
-        sinks: Sequence[Sink] | Callable[[], Iterable[Sink]],
-        notice: Callable[[str], None],
-        batch_seconds: float,
-    ) -> None:
-        self._processor, self._notice, self._recorded = processor, notice, source.recorded
-        self._make_sinks = sinks if callable(sinks) else None
-        self._sinks: list[Sink] = [] if callable(sinks) else list(sinks)
-        self._silence = SilenceWatch()
-        self._reader = Reader(source)
-        self._batch = batch_seconds
-        self._latency = Latency()
+    source: Source
+    processor: Processor
+    notice: Callable[[str], None]
+    closing: ExitStack
+    make_sinks: Callable[[], Iterable[Sink]] | None
+
+    def __post_init__(self) -> None:
+        self._sinks: list[Sink] = []
+        self._reader, self._silence = Reader(self.source), SilenceWatch()
+        self._latency, self._report = Latency(), Report(self.source.counts)
         self._flushed = 0
-        self._steady = 0
+        self._steady = np.inf
+        self.processor.say = self.say
         self._first: int | None = None
         self._cpu = 0.0
-        self._tared = processor.tare is not None
-        self.report = Report(source.counts)
 
-    def run(self, stop: threading.Event, duration: float | None, silence: float) -> None:
+    def add(self, sinks: Iterable[Sink]) -> None:
+        """Give to these sinks too, and close them in the end."""
+        for sink in sinks:
+            self.closing.callback(sink.close)
+            self._sinks.append(sink)
+
+    def run(
+        self, stop: threading.Event, duration: float, silence: float, batch_seconds: float
+    ) -> Report:
+        """Until the source, the duration or `stop` ends it; times in seconds."""
+        self.closing.callback(self._reader.stop)
         self._reader.start()
-        last = time.monotonic_ns()
-        self._notice("waiting for samples")
-        while not stop.is_set():
+        self.notice("waiting for samples")
+        ended = silent = False
+        begun = last = time.monotonic_ns()
+        while not (stop.is_set() or ended or silent or self._seconds() > duration):
             begun = time.monotonic_ns()
-            samples = self._reader.take(0.02)
+            over, samples = self._reader.ended, self._reader.take(_WAIT)
             if samples is not None:
                 last = begun
-                self._begin(samples)
-                self._heard(samples)
                 self._take(samples)
-            elif not self._recorded and not self._reader.ended and self._silence.begins(begun):
-                self.warn(
-                    "no samples come: is the sensor on, its cable in, or has another program taken its stream?"
-                )
+            elif over:
+                ended = True
+            elif begun - last > silence * 1e9:
+                silent = True
+            elif not self.source.recorded and self._silence.begins(begun):
+                text = "no samples come: is the sensor on, its cable in, or has another program"
+                self.say(f"{text} taken its stream?", warns=True)
             self._work()
-            if self._reader.ended and samples is None:
-                self._check_end()
-                break
-            if (
-                duration is not None
-                and self._first is not None
-                and time.monotonic_ns() - self._first > duration * 1e9
-            ):
-                break
-            if silence and time.monotonic_ns() - last > silence * 1e9:
-                if self._first is None:
-                    raise SilentSourceError(f"nothing came for {silence:g} s{self._unread()}")
-                self.report.silent = True
-                self.warn(f"nothing came for {silence:g} s: the stream ends here")
-                break
-            self._pause(begun)
+            time.sleep(max(batch_seconds - (time.monotonic_ns() - begun) * 1e-9, 0.0))
+        lasting = self._silence.until(0 if ended else begun)
+        self._report.silences, self._report.silent_seconds = lasting
         self._finish()
+        why = f"nothing came for {silence:g} s" if silent else "the source ended before a sample"
+        if self._first is None and (ended or silent):
+            malformed = self.source.counts.malformed
+            unread = f"{malformed} lines or datagrams could not be read, the last one for: "
+            unread = f"; {unread}{self.source.complaint}" if malformed else ""
+            raise SilentSourceError(f"{why}{unread}")
+        if silent:
+            self._report.silent = True
+            self.say(f"{why}: the stream ends here", warns=True)
+        return self._summed_up()
 
-    def _check_end(self) -> None:
-        if self._first is None and self._reader.error is None:
-            raise SilentSourceError(f"the source ended before its first sample{self._unread()}")
+    def _seconds(self) -> float:
+        """Since the first sample."""
+        return 0.0 if self._first is None else (time.monotonic_ns() - self._first) * 1e-9
 
-    def _unread(self) -> str:
-        malformed, why = self.report.counts.malformed, self._reader.complaint
-        return (
-            f"; {malformed} lines or datagrams could not be read, the last one for: {why}"
-            if malformed
-            else ""
-        )
-
-    def _begin(self, samples: Samples) -> None:
-        if self._first is None:
-            self._first, self._cpu = int(samples.arrival[0]), time.process_time()
-            self._notice("first sample")
-            for sink in self._make_sinks() if self._make_sinks is not None else ():
-                self._sinks.append(sink)
-
-    def warn(self, text: str) -> None:
-        """Say and keep a warning."""
-        if self.report.warn(text):
-            self._notice(f"warning: {text}")
-
-    def _heard(self, samples: Samples) -> None:
-        """Say where samples come again after a silence, or begin anew."""
-        pause = None if self._recorded else self._silence.came(samples.arrival)
-        said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
-        if samples.restarts.any():
-            said.append(
-                "numbers or clock begin anew: the sensor was restarted, or another program had its stream; its zero is compared with that before"
-            )
-        if said:
-            self.warn("; ".join(said))
-
-    def _pause(self, begun: int) -> None:
-        left = self._batch - (time.monotonic_ns() - begun) * 1e-9
-        if left > 0:
-            time.sleep(left)
+    def say(self, text: str, *, warns: bool = False) -> None:
+        """Tell something; a warning is kept for the report, and not told where that is full."""
+        if not warns:
+            self.notice(text)
+        elif self._report.warn(text):
+            self.notice(f"warning: {text}")
 
     def _take(self, samples: Samples) -> None:
+        if self._first is None:
+            self._first, self._cpu = int(samples.arrival[0]), time.process_time()
+            self.notice("first sample")
+            self.add(self.make_sinks() if self.make_sinks is not None else ())
+        pause = None if self.source.recorded else self._silence.came(samples.arrival)
+        said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
+        if samples.anew.any():
+            said.append(
+                "numbers or clock begin anew: the sensor was restarted, or another program had its "
+                "stream; its zero is compared with that before"
+            )
+        if said:
+            self.say("; ".join(said), warns=True)
         for sink in self._sinks:
             sink.wrench(samples.stamp, samples.sequence, samples.force, samples.torque)
-        self._processor.push(samples)
-        if not self._tared and self._processor.tare is not None:
-            self._tared = True
-            shown = ", ".join(f"{value:.6g}" for value in self._processor.tare)
-            self._notice(f"tare: {shown} (N, N m)")
-            if self._processor.moved_during_tare:
-                self.warn(
-                    f"the wrench varied by {self._processor.restless:.1f} times its noise during the tare: is the rod free?"
-                )
+        self.processor.push(samples)
 
     def _work(self) -> None:
-        for result in self._processor.ready(time.time_ns()):
+        for result in self.processor.ready(time.time_ns()):
             now = time.monotonic_ns()
-            self._steady = now if result.held else self._steady
             self._latency.add(now - result.arrival[result.arrival > self._steady])
-            self.report.rows += len(result.stamp)
-            kinds = np.bincount(result.found.kind, minlength=len(ContactKind))
+            self._report.rows += len(result.stamp)
             for kind in ContactKind:
-                self.report.contacts[kind.name] += int(kinds[kind])
+                self._report.contacts[kind.name] += int(np.sum(result.found.kind == kind))
             for sink in self._sinks:
                 sink.contacts(result.stamp, result.raw, result.found)
             self._flush()
-            for text, warns in self._processor.news():
-                (self.warn if warns else self._notice)(text)
         self._flush()
+        if self.processor.tare is not None:
+            # Latencies count from here on: earlier rows waited for the tare, or behind such.
+            self._steady = min(self._steady, time.monotonic_ns())
 
     def _flush(self) -> None:
         now = time.monotonic_ns()
@@ -242,50 +220,25 @@ class _Loop:
         self._reader.stop()
         samples = self._reader.take(0)
         if samples is not None:
-            self._begin(samples)
-            self._heard(samples)
             self._take(samples)
         until = time.monotonic() + _LAST_WAIT
         self._work()
-        while (
-            self._processor.waiting
-            and self._processor.tare is not None
-            and time.monotonic() < until
-        ):
+        untared = self.processor.tare is None
+        while self.processor.waiting and not untared and time.monotonic() < until:
             time.sleep(0.01)
             self._work()
         if self._reader.error is not None:
             raise self._reader.error
 
-    def end(self) -> None:
-        """Stop reading, and sum up."""
-        self._reader.stop()
-        report = self.report
-        report.overflow, report.unused, report.without_pose = (
-            self._reader.overflow,
-            self._processor.waiting,
-            self._processor.without_pose,
-        )
-        report.moved_during_tare = self._processor.moved_during_tare
-        report.unsure, report.zero_changes = self._processor.unsure, self._processor.zero_changes
-        report.silences, report.silent_seconds = self._silence.until(
-            0 if self._reader.ended else time.monotonic_ns()
-        )
-        report.latency_median, report.latency_999 = (
-            self._latency.percentile(50),
-            self._latency.percentile(99.9),
-        )
+    def _summed_up(self) -> Report:
+        report, processor = self._report, self.processor
+        report.overflow, report.unused = self._reader.overflow, processor.waiting
+        report.without_pose, report.unsure = processor.without_pose, processor.unsure
+        report.moved_during_tare = processor.moved_during_tare
+        report.zero_changes = processor.zero_changes
+        report.latency_median = self._latency.percentile(50)
+        report.latency_999 = self._latency.percentile(99.9)
         if self._first is not None:
-            report.seconds = (time.monotonic_ns() - self._first) * 1e-9
+            report.seconds = self._seconds()
             report.cpu_share = (time.process_time() - self._cpu) / report.seconds
-
-    def close_sinks(self) -> None:
-        """Each of them, also where one fails; the first failure is raised."""
-        failure: Exception | None = None
-        for sink in self._sinks:
-            try:
-                sink.close()
-            except Exception as error:
-                failure = failure or error
-        if failure is not None:
-            raise failure
+        return report

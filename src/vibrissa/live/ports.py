@@ -1,4 +1,4 @@
-"""Sockets that say which address they are of."""
+"""Sockets whose errors name the address."""
 
 import socket
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def naming(address: str) -> Iterator[None]:
-    """What the system refuses names the address."""
+    """Let an OSError raised within name the address."""
     try:
         yield
     except OSError as error:
@@ -15,16 +15,19 @@ def naming(address: str) -> Iterator[None]:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket for datagrams to this address; raise OSError, which names address and port, where
-    another program has it or it is none of this machine's.
+    """A socket for datagrams to this address.
+
+    Raises
+    ------
+    OSError
+        If another program has the port, or the address is not one of this machine; it names both.
     """
-    with naming(f"udp://{host}:{port}"):
-        opened = socket.socket(
-            socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM
-        )
-        try:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    opened = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        with naming(f"udp://{host}:{port}"):
             opened.bind((host, port))
-        except OSError:
-            opened.close()
-            raise
+    except OSError:
+        opened.close()
+        raise
     return opened

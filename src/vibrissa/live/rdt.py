@@ -1,5 +1,5 @@
 """RDT, the raw data transfer of Ethernet force/torque sensors over UDP: requests and records as
-bytes. Nothing here touches a socket.
+bytes. No sockets here.
 """
 
 import struct
@@ -7,6 +7,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+
+from vibrissa.geometry.checks import positive
 
 PORT = 49152
 MOST_RECORDS = 40
@@ -43,7 +46,18 @@ counts of fx, fy, fz, tx, ty, tz.
 
 _REQUEST = struct.Struct(">HHI")
 _HEADER = 0x1234
-_MOST_COUNT = MODULUS - 1
+
+
+def counts_per_unit(counts_per_force: float, counts_per_torque: float) -> Float[np.ndarray, "6"]:
+    """Counts of fx, fy, fz, tx, ty, tz for one newton and for one newton metre.
+
+    Raises
+    ------
+    ValueError
+        If a number is not greater than 0.
+    """
+    force = positive(counts_per_force, "counts_per_force")
+    return np.repeat([force, positive(counts_per_torque, "counts_per_torque")], 3)
 
 
 class Command(IntEnum):
@@ -74,13 +88,13 @@ def request_bytes(command: Command, count: int = 0) -> bytes:
     ValueError
         If `count` does not fit into 32 bits.
     """
-    if not 0 <= count <= _MOST_COUNT:
-        raise ValueError(f"count = {count}; allowed is a whole number from 0 to {_MOST_COUNT}")
+    if not 0 <= count < MODULUS:
+        raise ValueError(f"count = {count}; allowed is a whole number from 0 to {MODULUS - 1}")
     return _REQUEST.pack(_HEADER, command, count)
 
 
 def parse_request(data: bytes) -> Request:
-    """Undo `request_bytes`.
+    """Read the bytes of `request_bytes`.
 
     Raises
     ------
@@ -93,9 +107,8 @@ def parse_request(data: bytes) -> Request:
     if header != _HEADER:
         raise ValueError(f"request begins with {header:#06x}; allowed is {_HEADER:#06x}")
     if command not in list(Command):
-        raise ValueError(
-            f"command = {command:#06x}; allowed are {', '.join(f'{known:#06x}' for known in Command)}"
-        )
+        allowed = ", ".join(f"{known:#06x}" for known in Command)
+        raise ValueError(f"command = {command:#06x}; allowed are {allowed}")
     return Request(Command(command), count)
 
 
@@ -110,6 +123,7 @@ def parse_records(data: bytes) -> np.ndarray:
     count, rest = divmod(len(data), RECORD.itemsize)
     if rest or not 1 <= count <= MOST_RECORDS:
         raise ValueError(
-            f"datagram of {len(data)} bytes; allowed are 1 to {MOST_RECORDS} records of {RECORD.itemsize} bytes"
+            f"datagram of {len(data)} bytes; allowed are 1 to {MOST_RECORDS} records of "
+            f"{RECORD.itemsize} bytes"
         )
     return np.frombuffer(data, dtype=RECORD)

@@ -5,8 +5,8 @@ from collections import deque
 
 from vibrissa.live.samples import EndOfStreamError, Samples, Source, joined
 
-_MOST_QUEUED = 200_000
-_READ_WAIT = 0.05
+_MOST_QUEUED = 200_000  # samples: half a minute of the fastest sensor, some 30 MB
+_READ_WAIT = 0.05  # [s]: how late a stop may be seen
 
 
 class Reader:
@@ -15,22 +15,24 @@ class Reader:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._queue: deque[Samples] = deque()
-        self._arrived = threading.Condition()
-        self._queued = 0
-        self._stop = threading.Event()
+        self._arrived, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="source", daemon=True)
-        self.ended = False
         self.error: BaseException | None = None
         self.overflow = 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come."""
+        return not self._thread.is_alive()
 
     def start(self) -> None:
         """Begin to read."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         self._stop.set()
-        if self._thread.ident is not None:
+        if not self.ended:
             self._thread.join(5)
 
     def _run(self) -> None:
@@ -43,36 +45,20 @@ class Reader:
             pass
         except BaseException as error:
             self.error = error
-        with self._arrived:
-            self.ended = True
-            self._arrived.notify()
-
-    @property
-    def complaint(self) -> str:
-        """What was wrong with the last of what could not be read."""
-        return self._source.complaint
 
     def _put(self, samples: Samples) -> None:
-        with self._arrived:
-            while (
-                self._queued + len(samples) > _MOST_QUEUED
-                and self._source.waits
-                and not self._stop.is_set()
-            ):
-                self._arrived.wait(_READ_WAIT)
-            if self._queued + len(samples) > _MOST_QUEUED:
+        while sum(map(len, list(self._queue))) + len(samples) > _MOST_QUEUED:
+            if not self._source.waits:
                 self.overflow += len(samples)
                 return
-            self._queue.append(samples)
-            self._queued += len(samples)
-            self._arrived.notify()
+            if self._stop.wait(_READ_WAIT):
+                return
+        self._queue.append(samples)
+        self._arrived.set()
 
     def take(self, wait: float) -> Samples | None:
         """Everything that is there, or None after `wait` seconds."""
-        with self._arrived:
-            if not self._queue and not self.ended:
-                self._arrived.wait(wait)
-            parts, self._queued = list(self._queue), 0
-            self._queue.clear()
-            self._arrived.notify()
+        self._arrived.wait(wait)
+        self._arrived.clear()
+        parts = [self._queue.popleft() for _ in range(len(self._queue))]
         return joined(parts) if parts else None

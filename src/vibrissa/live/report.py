@@ -6,7 +6,7 @@ from vibrissa.contacts import ContactKind
 from vibrissa.live.samples import Counts
 
 _MOST_WARNINGS = 100
-"""Said at most: a stream that falters for hours shall not fill memory with that."""
+"""A stream that falters for hours must not fill the memory with that."""
 
 
 @dataclass
@@ -25,7 +25,7 @@ class Report:
         Samples recorded, but left without a row: the stream ended before the tare was over, or
         before their pose came.
     overflow
-        Samples thrown away since this process could not keep up.
+        Samples thrown away because this process could not keep up.
     without_pose
         Rows whose pose was not known.
     malformed_poses, misplaced_poses
@@ -36,18 +36,18 @@ class Report:
     cpu_share
         Of one core, over that time.
     latency_median, latency_999
-        From the arrival of a sample to its contact [s], and its 99.9th percentile; rows that waited
-        for the tare, or behind such, left out. None where there were none.
+        From the arrival of a sample to its contact [s], and its 99.9th percentile; without rows
+        that waited for the tare, or behind such. None if there were none.
     moved_during_tare
-        Whether the wrench varied by more than three times its noise while it was taken for zero.
+        Whether the wrench varied by more than three times its noise while it was tared.
     silent
-        Whether the stream ended since the source fell silent.
+        Whether the stream ended because the source fell silent.
     silences, silent_seconds
         How often a running source gave nothing for half a second or more, and for how long
         altogether.
     unsure, zero_changes
-        Rows flagged since a sensor had been restarted and its zero was not known; how often that
-        was another, and taken anew.
+        Rows flagged because a sensor had been restarted and its zero was not known; how often the
+        zero had changed, and was taken anew.
     warnings
         What was said while it ran, and what the figures above say at the end, one line each.
     """
@@ -77,23 +77,29 @@ class Report:
         return asdict(self)
 
     def warn(self, text: str) -> bool:
-        """Keep a warning; return whether it is to be said."""
-        if len(self.warnings) >= _MOST_WARNINGS:
-            return False
-        self.warnings.append(text)
-        return True
+        """Keep a warning; return whether there was room for it."""
+        room = len(self.warnings) < _MOST_WARNINGS
+        if room:
+            self.warnings.append(text)
+        return room
 
     def losses(self) -> list[str]:
-        """What the figures say against the stream, one line each; nothing where all is well."""
+        """What the figures say against the stream, one line each; nothing if all is well."""
         counts = self.counts
         said = {
             f"{counts.lost} samples are lost, in {counts.gaps} gaps": counts.lost,
             f"{counts.invalid} samples are in error, as the sensor says": counts.invalid,
             f"{counts.malformed} datagrams or lines could not be read": counts.malformed,
-            f"{self.overflow} samples were thrown away: this computer does not keep up": self.overflow,
-            "samples came at another rate than the setup says: stamps follow the rate that was seen": counts.rate_changes,
+            f"{self.overflow} samples were thrown away: this computer does not keep up": (
+                self.overflow
+            ),
+            "samples came at another rate than the setup says: stamps follow the rate seen": (
+                counts.rate_changes
+            ),
             f"{self.without_pose} rows have no pose": self.without_pose,
-            f"{self.misplaced_poses} poses are stamped more than a second from their arrival: set both clocks, or leave the stamp out": self.misplaced_poses,
-            f"{self.unsure} rows came while the sensor's zero was not known after a restart; their status says so": self.unsure,
+            f"{self.misplaced_poses} poses are stamped more than a second from their arrival: "
+            "set both clocks, or leave the stamp out": self.misplaced_poses,
+            f"{self.unsure} rows came while the sensor's zero was not known after a restart; "
+            "their status says so": self.unsure,
         }
         return [text for text, count in said.items() if count]

@@ -2,10 +2,22 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+Nanoseconds = Int[np.ndarray, "n"]
+"""Times (n,): stamps since 1970, or arrivals by the monotonic clock."""
+Flags = Bool[np.ndarray, "n"]
+Vectors = Float[np.ndarray, "n 3"]
+Quaternions = Float[np.ndarray, "n 4"]
+Wrenches = Float[np.ndarray, "n 6"]
+Table = TypeVar("Table")
+"""A dataclass whose fields are columns of equal length, or None."""
+
+_WIDTHS = {"force": (3,), "torque": (3,), "position": (3,), "orientation": (4,)}
 
 
 class EndOfStreamError(Exception):
@@ -19,8 +31,7 @@ class Samples:
     Attributes
     ----------
     stamp
-        (n,) [ns]: when a sample was taken, increasing; by the host's clock, or by a recording's
-        own.
+        (n,) [ns]: when a sample was taken, increasing; on the host's clock, or a recording's own.
     sequence
         (n,): number of the sample, from the sensor where it counts.
     force, torque
@@ -31,95 +42,60 @@ class Samples:
         (n,) [ns] of the monotonic clock: when the host had it.
     position, orientation
         Pose of the sensor frame in the world, (n, 3) [m] and x, y, z, w (n, 4), where the source
-        knows; else None.
+        knows it; else None.
     anew
-        (n,): true for the first row after the sender's numbers or clock began anew, as those of a
-        sensor that was restarted do; None for none.
+        (n,): true for the first row after the sender's numbers or clock began anew, as after a
+        restart of the sensor. By default false throughout.
 
     Raises
     ------
     ValueError
-        If shapes do not fit.
+        If a column has another shape.
     """
 
-    stamp: Int[np.ndarray, "n"]
+    stamp: Nanoseconds
     sequence: Int[np.ndarray, "n"]
-    force: Float[np.ndarray, "n 3"]
-    torque: Float[np.ndarray, "n 3"]
-    valid: Bool[np.ndarray, "n"]
-    arrival: Int[np.ndarray, "n"]
-    position: Float[np.ndarray, "n 3"] | None = None
-    orientation: Float[np.ndarray, "n 4"] | None = None
-    anew: Bool[np.ndarray, "n"] | None = None
+    force: Vectors
+    torque: Vectors
+    valid: Flags
+    arrival: Nanoseconds
+    position: Vectors | None = None
+    orientation: Quaternions | None = None
+    anew: Bool[np.ndarray, "..."] = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __post_init__(self) -> None:
-        count = len(self.stamp)
-        for name, shape in (
-            ("sequence", ()),
-            ("force", (3,)),
-            ("torque", (3,)),
-            ("valid", ()),
-            ("arrival", ()),
-        ):
-            if getattr(self, name).shape != (count, *shape):
-                raise ValueError(
-                    f"{name} has shape {getattr(self, name).shape}; allowed is {(count, *shape)}"
-                )
-        if (self.position is None) != (self.orientation is None):
-            raise ValueError(
-                "position and orientation: one is given without the other; allowed are both or none"
-            )
+        if not self.anew.size:
+            object.__setattr__(self, "anew", np.zeros(len(self), dtype=bool))
+        for name, column in _columns(self).items():
+            allowed = (len(self), *_WIDTHS.get(name, ()))
+            if column.shape != allowed:
+                raise ValueError(f"{name} has shape {column.shape}; allowed is {allowed}")
 
     def __len__(self) -> int:
         return len(self.stamp)
 
     def rows(self, first: int, last: int) -> "Samples":
         """Rows from `first` up to, not including, `last`."""
-        part = slice(first, last)
-        return Samples(
-            self.stamp[part],
-            self.sequence[part],
-            self.force[part],
-            self.torque[part],
-            self.valid[part],
-            self.arrival[part],
-            None if self.position is None else self.position[part],
-            None if self.orientation is None else self.orientation[part],
-            None if self.anew is None else self.anew[part],
-        )
-
-    @property
-    def restarts(self) -> Bool[np.ndarray, "n"]:
-        """`anew`, false (n,) where it is not given."""
-        return np.zeros(len(self), dtype=bool) if self.anew is None else self.anew
+        return rows_of(self, slice(first, last))
 
 
-def joined(parts: Sequence[Samples]) -> Samples:
-    """One after the other.
+def rows_of(table: Table, rows: slice | Flags) -> Table:
+    """These rows of a table."""
+    return type(table)(**{name: column[rows] for name, column in _columns(table).items()})
 
-    Raises
-    ------
-    ValueError
-        If there is none, or only some have poses.
-    """
-    if not parts:
-        raise ValueError("parts is empty; allowed are samples")
+
+def joined(parts: Sequence[Table]) -> Table:
+    """Tables with the same columns, one after the other."""
     if len(parts) == 1:
         return parts[0]
-    posed = {part.position is not None for part in parts}
-    if len(posed) > 1:
-        raise ValueError("parts: some have poses and some none; allowed are samples of one source")
-    names = [
-        "stamp",
-        "sequence",
-        "force",
-        "torque",
-        "valid",
-        "arrival",
-        *(("position", "orientation") if posed.pop() else ()),
-    ]
+    names = {name for part in parts for name in _columns(part)}
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Samples(**columns, anew=np.concatenate([part.restarts for part in parts]))
+    return type(parts[0])(**columns)
+
+
+def _columns(table: Any) -> dict[str, np.ndarray]:
+    given = {part.name: getattr(table, part.name) for part in fields(table)}
+    return {name: column for name, column in given.items() if column is not None}
 
 
 @dataclass
@@ -131,8 +107,8 @@ class Counts:
     samples
         Given on.
     lost
-        Numbers that never came, or too late to be put in order; where the numbers began anew, as
-        many as the time without samples would have held.
+        Numbers that never came, or came too late to be put in order. Where the numbers began anew:
+        the samples that the time in between would have held.
     gaps
         How often numbers were missing.
     late
@@ -152,7 +128,7 @@ class Counts:
     rate_changes
         How often samples came at another rate than was known.
     status
-        All status words together, bit by bit.
+        All status words combined, bit by bit.
     """
 
     samples: int = 0
@@ -180,7 +156,7 @@ class Source(ABC):
     recorded = False
     """Whether pauses are those of a recording, not of a sensor that fell silent."""
     complaint = ""
-    """What was wrong with the last of what could not be read."""
+    """What was wrong with the last line or datagram that could not be read."""
 
     @abstractmethod
     def open(self) -> None:
@@ -188,10 +164,15 @@ class Source(ABC):
 
     @abstractmethod
     def read(self, timeout: float) -> Samples | None:
-        """Samples that have come, or None where there is none within `timeout` seconds; raise
+        """Samples that have come, or None if there are none within `timeout` seconds; raise
         EndOfStreamError after the last.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of sockets and files; may be called twice, and before `open`."""
+        """Release sockets and files; may be called twice, and before `open`."""
+
+    def reject(self, why: str) -> None:
+        """Count a line or datagram that could not be read."""
+        self.counts.malformed += 1
+        self.complaint = why

@@ -1,22 +1,23 @@
 """A scan played in time, as a sensor would feel it."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrissa.forward import scan
 from vibrissa.geometry.checks import not_negative, positive
-from vibrissa.live.poses import between
+from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
+from vibrissa.live.poses import between, linear
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
 
-_MOST_POSITIONS = 4001
+_MOST_POSITIONS = 4001  # of a scan: steps of 10 µm over 40 mm, between which reactions are linear
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +29,14 @@ class Scene:
     ----------
     time
         (k,) [s], increasing, from 0.
-    position, orientation
-        Of the clamp, (k, 3) and (k, 4).
+    trail
+        Clamp poses (k, …).
     force, moment
         (k, 3) on the rod, world axes.
     """
 
     time: Float[np.ndarray, "k"]
-    position: Float[np.ndarray, "k 3"]
-    orientation: Float[np.ndarray, "k 4"]
+    trail: Trail
     force: Float[np.ndarray, "k 3"]
     moment: Float[np.ndarray, "k 3"]
 
@@ -47,12 +47,9 @@ class Scene:
 
     def reactions(self, time: Float[np.ndarray, "n"]) -> Reactions:
         """Reactions (n, …) at these times [s], increasing; after the end, the clamp stands."""
-        position, orientation = between(self.time, self.position, self.orientation, time)
-        force, moment = (
-            np.stack([np.interp(time, self.time, part[:, axis]) for axis in range(3)], axis=1)
-            for part in (self.force, self.moment)
-        )
-        return Reactions(Trail(position, orientation), force, moment, time=time)
+        trail = between(self.time, self.trail, time)
+        force, moment = (linear(self.time, part, time) for part in (self.force, self.moment))
+        return Reactions(trail, force, moment, time=time)
 
 
 def swept(
@@ -86,20 +83,17 @@ def swept(
         If a time is not allowed, or a trail has less than two positions.
     """
     fine = _refined(trail)
-    time, position, orientation = motion(fine, rest=rest, sweep=sweep, pause=pause)
-    result = scan(rod, surface, fine, friction=friction, finite_radius=finite_radius)
+    time, clamp = motion(fine, rest=rest, sweep=sweep, pause=pause)
+    felt = scan(rod, surface, fine, friction=friction, finite_radius=finite_radius).reactions
     force, moment = (
-        np.nan_to_num(part).reshape(-1, 3)
-        for part in (result.reactions.force, result.reactions.moment)
+        _after(rest, np.nan_to_num(part).reshape(-1, 3)) for part in (felt.force, felt.moment)
     )
-    if rest:
-        force, moment = (np.concatenate([part[:1], part]) for part in (force, moment))
-    return Scene(time, position, orientation, force, moment)
+    return Scene(time, clamp, force, moment)
 
 
 def motion(
     trail: Trail, *, rest: float, sweep: float, pause: float
-) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 4"]]:
+) -> tuple[Float[np.ndarray, "k"], Trail]:
     """Time (k,) [s] and clamp poses (k, …) of trails that are swept one after the other; arguments
     and errors as for `swept`.
     """
@@ -109,48 +103,32 @@ def motion(
     if trail.count < 2:
         raise ValueError(f"trail has {trail.count} positions; allowed are at least 2")
     position, orientation = trail.position.reshape(-1, 3), trail.orientation.reshape(-1, 4)
-    lanes = len(position) // trail.count
-    time = np.concatenate(
-        [
-            rest + lane * (sweep + pause) + np.linspace(0.0, sweep, trail.count)
-            for lane in range(lanes)
-        ]
-    )
-    if not rest:
-        return time, position, orientation
-    return (
-        np.concatenate([[0.0], time]),
-        np.concatenate([position[:1], position]),
-        np.concatenate([orientation[:1], orientation]),
-    )
+    start = rest + (sweep + pause) * np.arange(len(position) // trail.count)
+    time = np.add.outer(start, np.linspace(0.0, sweep, trail.count)).ravel()
+    time = np.concatenate([[0.0], time]) if rest else time
+    return time, Trail(_after(rest, position), _after(rest, orientation))
 
 
-def sensor_poses(
-    sensor: Sensor, position: Float[np.ndarray, "k 3"], orientation: Float[np.ndarray, "k 4"]
-) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 4"]]:
+def _after(rest: float, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "n c"]:
+    """The first row also at the beginning of the rest, if there is one."""
+    return np.concatenate([rows[:1], rows]) if rest else rows
+
+
+def sensor_poses(sensor: Sensor, clamp: Trail) -> Trail:
     """Poses of the sensor frame (k, …) that go with these of the clamp."""
-    still = np.zeros((len(position), 3))
-    reactions = Reactions(
-        Trail(position, orientation), still, still, time=np.arange(len(position), dtype=float)
-    )
-    raw = replace(sensor, position_noise=0.0).measure(reactions, np.random.default_rng(0))
-    return raw.position, raw.orientation
+    turn = multiplied(clamp.orientation, inverse(sensor.clamp_orientation))
+    return Trail(clamp.position - rotation_matrices(turn) @ sensor.clamp_position, turn)
 
 
 def _refined(trail: Trail) -> Trail:
     """The same motion in more steps, so that reactions may be taken for linear between them."""
-    factor = max(1, (_MOST_POSITIONS - 1) // (trail.count - 1))
-    if factor == 1:
-        return trail
-    places = np.arange(trail.count, dtype=float)
-    wanted = np.linspace(0, trail.count - 1, factor * (trail.count - 1) + 1)
+    steps = max(trail.count - 1, 1)
+    wanted = np.linspace(0, steps, max((_MOST_POSITIONS - 1) // steps, 1) * steps + 1)
+    position = trail.position.reshape(-1, trail.count, 3)
+    orientation = trail.orientation.reshape(-1, trail.count, 4)
     lanes = [
-        Trail(*between(places, position, orientation, wanted))
-        for position, orientation in zip(
-            trail.position.reshape(-1, trail.count, 3),
-            trail.orientation.reshape(-1, trail.count, 4),
-            strict=True,
-        )
+        between(np.arange(float(trail.count)), Trail(*poses), wanted)
+        for poses in zip(position, orientation, strict=True)
     ]
     return lanes[0] if trail.position.ndim == 2 else Trail.stack(lanes)
 
@@ -165,23 +143,17 @@ def measured(
     block: int = 512,
     repeat: bool = False,
 ) -> Iterator[RawRecording]:
-    """What the sensor logs of a scene, block by block, without end: sample i at i/rate; `repeat`
+    """What the sensor logs of a scene, in blocks of rows, without end: sample i at i/rate; `repeat`
     plays the scene again and again.
     """
-    first = 0
+    first, begin, end = 0, 0.0, scene.duration if repeat else math.inf
     while True:
         time = np.arange(first, first + block) / rate
-        within = np.mod(time, scene.duration) if repeat else time
-        for start, stop in _increasing_runs(within):
-            part = scene.reactions(within[start:stop])
+        time = time[time < end]
+        if len(time):
+            part = scene.reactions(time - begin)
             raw = sensor.measure(part, rng, force_tare=tare[:3], torque_tare=tare[3:])
-            yield RawRecording(
-                time[start:stop], raw.position, raw.orientation, raw.force, raw.torque
-            )
-        first += block
-
-
-def _increasing_runs(time: Float[np.ndarray, "n"]) -> Iterator[tuple[int, int]]:
-    """First and last + 1 of the stretches in which time increases."""
-    breaks = [0, *(np.flatnonzero(np.diff(time) <= 0) + 1).tolist(), len(time)]
-    yield from pairwise(breaks)
+            yield replace(raw, time=time)
+            first += len(time)
+        else:
+            begin, end = end, end + scene.duration

@@ -1,42 +1,38 @@
-"""A source that stops, and comes again."""
+"""A source that falls silent, and comes back."""
 
 import numpy as np
-from jaxtyping import Int
+
+from vibrissa.live.samples import Nanoseconds
 
 _LEAST = 500_000_000
 """Shortest silence [ns]: networks and busy computers hold datagrams back for less."""
 _STEPS = 20
-"""And no shorter than the time of so many samples, for slow sensors."""
+"""Nor is it shorter than the time of so many samples, for slow sensors."""
 
 
 class SilenceWatch:
     """Notices silences of a source by the arrivals of its samples [ns]."""
 
     def __init__(self) -> None:
-        self._first: int | None = None
-        self._last = 0
-        self._samples = 0
+        self._first = self._last = self._samples = self._ended = self.count = 0
         self._noticed = False
-        self.count = 0
-        self._ended = 0
 
-    @property
-    def _least(self) -> float:
-        """Shortest pause [ns] that is one; none is, before so many samples have shown the sensor's
-        pace.
+    def _silent(self, pause: Nanoseconds) -> np.ndarray:
+        """Those pauses (n,) [ns] that are silences; none are until so many samples have shown the
+        sensor's pace.
         """
-        if self._first is None or self._samples < _STEPS:
-            return np.inf
-        return max(_LEAST, _STEPS * (self._last - self._first - self._ended) / (self._samples - 1))
+        if self._samples < _STEPS:
+            return pause[:0]
+        pace = (self._last - self._first - self._ended) / (self._samples - 1)
+        return pause[pause >= max(_LEAST, _STEPS * pace)]
 
-    def came(self, arrival: Int[np.ndarray, "n"]) -> float | None:
+    def came(self, arrival: Nanoseconds) -> float | None:
         """Take note of samples (n,), and return the longest silence [s] before one of them; None
         for none.
         """
-        if self._first is None:
+        if not self._samples:
             self._first = self._last = int(arrival[0])
-        pauses = np.diff(arrival, prepend=self._last)
-        silences = pauses[pauses >= self._least]
+        silences = self._silent(np.diff(arrival, prepend=self._last))
         self._samples += len(arrival)
         self._last = int(arrival[-1])
         self._ended += int(silences.sum())
@@ -46,12 +42,10 @@ class SilenceWatch:
 
     def begins(self, now: int) -> bool:
         """Whether a silence is noticed now; once each."""
-        if self._noticed or now - self._last < self._least:
-            return False
-        self._noticed = True
-        return True
+        before, self._noticed = self._noticed, len(self._silent(np.array([now - self._last]))) > 0
+        return self._noticed and not before
 
     def until(self, now: int) -> tuple[int, float]:
         """How many silences there were, and their seconds, with one that has not ended."""
-        lasting = now - self._last if now - self._last >= self._least else 0
-        return self.count + (lasting > 0), (self._ended + lasting) * 1e-9
+        lasting = self._silent(np.array([now - self._last]))
+        return self.count + len(lasting), (self._ended + int(lasting.sum())) * 1e-9

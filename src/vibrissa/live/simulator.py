@@ -1,4 +1,4 @@
-"""A force/torque sensor that is not there: it answers RDT requests with what a sensor would feel."""
+"""A simulated force/torque sensor: it answers RDT requests with what a sensor would feel."""
 
 import select
 import socket
@@ -6,7 +6,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import KW_ONLY, asdict, dataclass
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,9 +20,8 @@ from vibrissa.live.ports import listening
 from vibrissa.live.poses import pose_bytes
 from vibrissa.sensor import RawRecording
 
-_LISTEN = 0.01
-_LARGEST_COUNT = 2**31 - 1
-_DEFAULT_BUFFER = 20
+_LISTEN = 0.01  # [s] between looks for requests
+_LARGEST_COUNT = 2**31 - 1  # of 32 bits with a sign
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ class Flaws:
     error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self)):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} = {getattr(self, name)}; allowed is a share from 0 to 1")
+        for name, share in asdict(self).items():
+            if not 0 <= share <= 1:
+                raise ValueError(f"{name} = {share}; allowed is a share from 0 to 1")
 
 
 @dataclass
@@ -85,6 +86,13 @@ class Sent:
     takeovers: int = 0
 
 
+class _Sample(NamedTuple):
+    counts: Int[np.ndarray, "6"]
+    position: Float[np.ndarray, "3"]
+    orientation: Float[np.ndarray, "4"]
+
+
+@dataclass(eq=False)
 class SensorSimulator:
     """Streams samples over UDP to whoever asked last, at an even rate by the monotonic clock.
 
@@ -94,7 +102,7 @@ class SensorSimulator:
     Parameters
     ----------
     samples
-        Blocks of what the sensor logs, one row every 1/rate; they end, or they do not.
+        Blocks of what the sensor logs, one row every 1/rate; they may be endless.
     counts_per_force, counts_per_torque
         Counts for one newton and for one newton metre.
     rate
@@ -120,63 +128,42 @@ class SensorSimulator:
         If a number is not allowed.
     """
 
-    def __init__(
-        self,
-        samples: Iterator[RawRecording],
-        *,
-        counts_per_force: float,
-        counts_per_torque: float,
-        rate: float,
-        host: str = "127.0.0.1",
-        port: int = rdt.PORT,
-        buffer: int = _DEFAULT_BUFFER,
-        flaws: Flaws = Flaws(),
-        seed: int = 0,
-        poses: tuple[str, int] | None = None,
-        pose_rate: float = 250.0,
-        notice: Callable[[str], None] | None = None,
-    ) -> None:
-        if not 1 <= buffer <= rdt.MOST_RECORDS:
-            raise ValueError(f"buffer = {buffer}; allowed are 1 to {rdt.MOST_RECORDS} records")
-        self._samples = samples
-        self._scale = np.repeat(
-            [
-                positive(counts_per_force, "counts_per_force"),
-                positive(counts_per_torque, "counts_per_torque"),
-            ],
-            3,
-        )
-        self._rate, self._address, self._buffer, self._flaws = (
-            positive(rate, "rate"),
-            (host, port),
-            buffer,
-            flaws,
-        )
-        self._rng = np.random.default_rng(seed)
-        self._poses = poses
-        self._pose_every = max(1, round(rate / positive(pose_rate, "pose_rate")))
+    samples: Iterator[RawRecording]
+    _: KW_ONLY
+    counts_per_force: float
+    counts_per_torque: float
+    rate: float
+    host: str = "127.0.0.1"
+    port: int = rdt.PORT
+    buffer: int = 20
+    flaws: Flaws = Flaws()
+    seed: int = 0
+    poses: tuple[str, int] | None = None
+    pose_rate: float = 250.0
+    notice: Callable[[str], None] | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.buffer <= rdt.MOST_RECORDS:
+            raise ValueError(f"buffer = {self.buffer}; allowed are 1 to {rdt.MOST_RECORDS} records")
+        scale = rdt.counts_per_unit(self.counts_per_force, self.counts_per_torque)
+        rate, pose_rate = positive(self.rate, "rate"), positive(self.pose_rate, "pose_rate")
+        self._pose_every = max(1, round(rate / pose_rate))
+        self._samples = _in_counts(self.samples, scale)
+        self._next: list[_Sample] = []
+        self._rng = np.random.default_rng(self.seed)
         self._socket: socket.socket | None = None
-        self._listener: tuple[object, ...] | None = None
+        self._client: tuple[str, int] | None = None
         self._per_datagram = 1
-        self._wanted = 0
-        self._sequence = 0
+        self._wanted = self._sequence = 0
         self._bias = np.zeros(6, dtype=np.int64)
-        self._counts = np.empty((0, 6), dtype=np.int64)
-        self._block: RawRecording | None = None
-        self._place = 0
         self._swapped: bytes | None = None
-        self._notice = notice or (lambda _: None)
         self.sent = Sent()
 
-    @property
-    def port(self) -> int:
-        """That is listened at, once open; also where 0 was asked for."""
-        return int(self._socket.getsockname()[1]) if self._socket is not None else self._address[1]
-
     def open(self) -> None:
-        """Listen. Raise OSError where the port is taken."""
-        self._socket = listening(*self._address)
+        """Listen, and learn the port where any was allowed. Raise OSError where it is taken."""
+        self._socket = listening(self.host, self.port)
         self._socket.settimeout(0)
+        self.port = self._socket.getsockname()[1]
 
     def close(self) -> None:
         """Stop listening."""
@@ -188,156 +175,116 @@ class SensorSimulator:
         """Answer requests until `stop` is set, the samples end, or `duration` seconds after the
         first request for records.
         """
-        assert self._socket is not None, "open() comes first"
         ended, epoch = stop or threading.Event(), epoch_offset()
-        while not ended.is_set() and not self._streaming:
+        self._next = list(islice(self._samples, 1))
+        while not ended.is_set() and self._client is None:
             self._listen(0.05)
-        start = time.monotonic_ns()
-        heard = start
-        while not ended.is_set():
-            now = time.monotonic_ns()
-            if duration is not None and now - start >= duration * 1e9:
-                break
-            due = int((now - start) * 1e-9 * self._rate) + 1
-            if due - self.sent.records >= self._per_datagram and not self._send(start, due, epoch):
-                break
+        start = heard = now = time.monotonic_ns()
+        last = np.inf if duration is None else start + duration * 1e9
+        while not ended.is_set() and self._next and now < last:
+            due = start + (self.sent.records + len(self._next) - 1) / self.rate * 1e9
+            if due <= now:
+                self._send(start, epoch)
+            else:
+                time.sleep(min((due - now) * 1e-9, _LISTEN))
             if now - heard > _LISTEN * 1e9:
                 heard = now
                 self._listen(0)
-            self._wait(start)
+            now = time.monotonic_ns()
         return self.sent
 
-    @property
-    def _streaming(self) -> bool:
-        return self._listener is not None
-
-    def _wait(self, start: int) -> None:
-        """Until the next datagram is due."""
-        due = start + (self.sent.records + self._per_datagram - 1) / self._rate * 1e9
-        left = (due - time.monotonic_ns()) * 1e-9
-        if left > 0:
-            time.sleep(min(left, _LISTEN))
-
     def _listen(self, timeout: float) -> None:
-        assert self._socket is not None
+        assert self._socket is not None, "open() comes first"
         while select.select([self._socket], [], [], timeout)[0]:
+            timeout = 0
             try:
                 data, sender = self._socket.recvfrom(2048)
-                request = rdt.parse_request(data)
+                self._obey(rdt.parse_request(data), sender)
             except ValueError:
                 self.sent.malformed_requests += 1
-                continue
-            except ConnectionRefusedError:
-                continue
-            except BlockingIOError:
-                return
-            self._obey(request, sender)
-            timeout = 0
+            except (ConnectionRefusedError, BlockingIOError):
+                pass
 
-    def _obey(self, request: rdt.Request, sender: tuple[object, ...]) -> None:
+    def _obey(self, request: rdt.Request, sender: tuple[str, int]) -> None:
         match request.command:
             case rdt.Command.STOP:
-                if sender == self._listener:
-                    self._listener = None
+                if sender == self._client:
+                    self._client = None
             case rdt.Command.REAL_TIME | rdt.Command.BUFFERED:
-                self._taken_over(sender)
-                self._listener, self._sequence, self._wanted = sender, 0, request.records
-                self._per_datagram = self._buffer if request.command == rdt.Command.BUFFERED else 1
-            case rdt.Command.BIAS:
-                self._fill()
-                if self._place < len(self._counts):
-                    self._bias = self._counts[self._place].copy()
+                if self._client is not None and self._client != sender:
+                    self._taken_over(self._client, sender)
+                self._client, self._sequence, self._wanted = sender, 0, request.records
+                self._per_datagram = self.buffer if request.command == rdt.Command.BUFFERED else 1
+            case rdt.Command.BIAS if self._next:
+                self._bias = self._next[0].counts
 
-    def _taken_over(self, sender: tuple[object, ...]) -> None:
-        if self._listener is not None and self._listener != sender:
-            self.sent.takeovers += 1
-            before, after = (f"{client[0]}:{client[1]}" for client in (self._listener, sender))
-            self._notice(
-                f"{after} asked for the stream, and {before} loses it: there is one stream, for the client that asked last"
+    def _taken_over(self, *clients: tuple[str, int]) -> None:
+        self.sent.takeovers += 1
+        before, after = (f"{host}:{port}" for host, port, *_ in clients)
+        if self.notice is not None:
+            self.notice(
+                f"{after} asked for the stream, and {before} loses it: there is one stream, for "
+                "the client that asked last"
             )
 
-    def _fill(self) -> bool:
-        """Have a block with rows left; False where the samples have ended."""
-        while self._place >= len(self._counts):
-            block = next(self._samples, None)
-            if block is None:
-                return False
-            wrench = np.concatenate([block.force, block.torque], axis=1)
-            self._block, self._place = block, 0
-            self._counts = np.clip(
-                np.rint(wrench * self._scale), -_LARGEST_COUNT, _LARGEST_COUNT
-            ).astype(np.int64)
-        return True
-
-    def _send(self, start: int, due: int, epoch: int) -> bool:
-        """Send what is due, in whole datagrams; False where the samples have ended."""
-        while due - self.sent.records >= self._per_datagram:
-            rows = []
-            for _ in range(self._per_datagram):
-                if not self._fill():
-                    return False
-                moment = start + round(self.sent.records / self._rate * 1e9)
-                self._tell_pose(moment + epoch)
-                rows.append(self._counts[self._place])
-                self._place += 1
-                self.sent.records += 1
+    def _send(self, start: int, epoch: int) -> None:
+        """The next datagram, and the poses of its samples."""
+        samples, first = self._next, self.sent.records
+        for number, (_, position, orientation) in enumerate(samples, start=first):
+            moment = start + round(number / self.rate * 1e9)
+            if self.poses is not None and number % self._pose_every == 0:
+                self._put(pose_bytes(moment + epoch, position, orientation), self.poses)
+                self.sent.poses += 1
             self.sent.latest = max(self.sent.latest, (time.monotonic_ns() - moment) * 1e-9)
-            self._datagram(np.array(rows))
-        return True
+        self.sent.records += len(samples)
+        self._next = list(islice(self._samples, self._per_datagram))
+        if self._client is not None:
+            wanted = self._wanted - self._sequence if self._wanted else len(samples)
+            self._datagram(np.array([sample.counts for sample in samples[:wanted]]), first)
 
-    def _datagram(self, counts: Int[np.ndarray, "k 6"]) -> None:
-        if not self._streaming:
-            return
-        if self._wanted:
-            counts = counts[: self._wanted - self._sequence]
+    def _datagram(self, counts: Int[np.ndarray, "k 6"], first: int) -> None:
+        number = np.arange(len(counts))
         records = np.zeros(len(counts), dtype=rdt.RECORD)
-        self._sequence += len(counts)
-        records["rdt_sequence"] = (
-            self._sequence - len(counts) + 1 + np.arange(len(counts))
-        ) % rdt.MODULUS
-        records["ft_sequence"] = (
-            self.sent.records - len(counts) + np.arange(len(counts))
-        ) % rdt.MODULUS
+        records["rdt_sequence"] = (self._sequence + 1 + number) % rdt.MODULUS
+        records["ft_sequence"] = (first + number) % rdt.MODULUS
         records["counts"] = np.clip(counts - self._bias, -_LARGEST_COUNT, _LARGEST_COUNT)
-        if self._happens("error"):
-            records["status"][0] = rdt.ERROR_BIT
+        records["status"][0] = rdt.ERROR_BIT * self._happens(self.flaws.error)
+        self._sequence += len(counts)
         self._give(records.tobytes(), len(counts))
-        if self._wanted and self._sequence >= self._wanted:
-            self._listener = None
+        if self._sequence == self._wanted:
+            self._client = None
 
-    def _happens(self, name: str) -> bool:
-        share = getattr(self._flaws, name)
+    def _happens(self, share: float) -> bool:
         return bool(share) and self._rng.random() < share
 
     def _give(self, data: bytes, records: int) -> None:
-        if self._happens("drop"):
+        """Send a datagram, or what its flaws make of it."""
+        if self._happens(self.flaws.drop):
             self.sent.dropped += records
             return
         self.sent.sent += records
-        if self._swapped is None and self._happens("reorder"):
+        if self._swapped is None and self._happens(self.flaws.reorder):
             self._swapped = data
             return
-        self._put(data)
-        if self._happens("duplicate"):
-            self._put(data)
-        if self._happens("malformed"):
-            self._put(data[:-5])
+        going = [data]
+        if self._happens(self.flaws.duplicate):
+            going.append(data)
+        if self._happens(self.flaws.malformed):
+            going.append(data[:-5])
         if self._swapped is not None:
-            self._put(self._swapped)
+            going.append(self._swapped)
             self._swapped = None
+        for each in going:
+            self._put(each, self._client)
 
-    def _put(self, data: bytes) -> None:
+    def _put(self, data: bytes, address: tuple[str, int] | None) -> None:
         assert self._socket is not None
+        assert address is not None
         with suppress(BlockingIOError, ConnectionRefusedError):
-            self._socket.sendto(data, self._listener)  # type: ignore[arg-type]
+            self._socket.sendto(data, address)
 
-    def _tell_pose(self, stamp: int) -> None:
-        if self._poses is None or self.sent.records % self._pose_every or self._block is None:
-            return
-        assert self._socket is not None
-        position: Float[np.ndarray, 3] = self._block.position[self._place]
-        with suppress(BlockingIOError, ConnectionRefusedError):
-            self._socket.sendto(
-                pose_bytes(stamp, position, self._block.orientation[self._place]), self._poses
-            )
-        self.sent.poses += 1
+
+def _in_counts(blocks: Iterator[RawRecording], scale: Float[np.ndarray, "6"]) -> Iterator[_Sample]:
+    for block in blocks:
+        counts = np.clip(np.rint(block.wrench * scale), -_LARGEST_COUNT, _LARGEST_COUNT)
+        yield from map(_Sample, counts.astype(np.int64), block.position, block.orientation)

@@ -4,9 +4,10 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from vibrissa.inverse import Reconstruction
+from vibrissa.live.samples import Nanoseconds, Vectors
 from vibrissa.sensor import RawRecording
 
 
@@ -16,18 +17,16 @@ class Sink(Protocol):
 
     def wrench(
         self,
-        stamp: Int[np.ndarray, "n"],
+        stamp: Nanoseconds,
         sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
+        force: Vectors,
+        torque: Vectors,
     ) -> None:
         """Raw samples as soon as they are there: stamps (n,) [ns], numbers (n,), and the wrench (n,
         3) [N], [N m], tare included.
         """
 
-    def contacts(
-        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
-    ) -> None:
+    def contacts(self, stamp: Nanoseconds, raw: RawRecording, found: Reconstruction) -> None:
         """Rows once their pose is known and the tare is over: stamps (n,) [ns], poses and tared
         wrench, and what was found.
         """
@@ -39,34 +38,19 @@ class Sink(Protocol):
         """Finish; called once, also after an error."""
 
 
-class Callback:
+class Callback(Sink):
     """Calls a function with stamps (n,) [ns since 1970] and contacts, one batch after the other, on
     the thread of the stream.
     """
 
-    def __init__(self, function: Callable[[Int[np.ndarray, "n"], Reconstruction], object]) -> None:
+    def __init__(self, function: Callable[[Nanoseconds, Reconstruction], object]) -> None:
         self._function = function
-
-    def wrench(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
-    ) -> None:
-        """Raw samples are not given on."""
 
     def contacts(
         self,
-        stamp: Int[np.ndarray, "n"],
+        stamp: Nanoseconds,
         raw: RawRecording,  # noqa: ARG002
         found: Reconstruction,
     ) -> None:
         """Call the function."""
         self._function(stamp, found)
-
-    def flush(self) -> None:
-        """Nothing is held back."""
-
-    def close(self) -> None:
-        """Nothing is held open."""

@@ -1,30 +1,31 @@
-"""The zero of a sensor that was restarted: whether it is as before, and when it can be taken anew."""
+"""The zero of a restarted sensor: whether it is as before, and when it can be taken anew."""
 
 from collections import deque
+from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vibrissa.contacts import Status
 from vibrissa.inverse import Reconstruction
+from vibrissa.live.samples import Flags, Quaternions, Vectors, Wrenches, joined, rows_of
 from vibrissa.sensor import RawRecording
 
-_CHECK = 0.25
-"""Seconds of quiet readings that are compared with those before: many samples, and soon."""
-_EVERY = 0.05
-_LONGER = 1.01, 1.2
-"""Rows that are looked at and kept, in lengths of the tare: `Sensor.tare` needs some behind it."""
-_FEWEST = 5
-_RESTLESS = 3.0
-"""Standard deviations of the noise beyond which readings are not at rest, as for the first tare."""
-_DEVIATIONS = 6.0
-# Parts of the rod's length, and radians, within which a pose is the same: a robot comes back to a
+RESTLESS = 3.0
+"""Standard deviations of the noise beyond which readings are not at rest."""
+_CHECK = 0.25  # [s] of quiet readings that are compared with those before: many samples, and soon
+_EVERY = 0.05  # [s] between looks: few beside the time of a tare
+# In lengths of the tare: rows that it is taken from (`Sensor.tare` needs some behind its end), and
+# rows that are kept for it.
+_TARED, _KEPT = 1.01, 1.2
+_FEWEST = 5  # rows that give a mean and a deviation
+_WHOLE = 0.99  # share of a time that counts as all of it: samples do not fall on its ends
+_DEVIATIONS = 6.0  # of a mean by which it may be off: once in 10⁸ looks by chance
+# Share of the rod's length, and radians, within which a pose is the same: a robot returns to a
 # place to a tenth of that.
 _NEAR, _NEAR_TURN = 0.01, 0.01
-# Share of samples that noise may make look like contacts, or like none.
-_FEW = 0.1
+_FEW = 0.1  # share of samples that noise may make look like contacts, or like none
 
 
 class Verdict(Enum):
@@ -35,27 +36,33 @@ class Verdict(Enum):
     CHANGED = "changed"
 
 
-class _Rows(NamedTuple):
-    """Rows in time: as logged, without tare, and whether single samples touch, or are a sound
-    contact.
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows in time: as logged, the wrench without tare, and whether a single sample is in contact,
+    or in one that explains it.
     """
 
-    raw: RawRecording
-    tared: Float[np.ndarray, "n 6"]
-    touching: Bool[np.ndarray, "n"]
-    explained: Bool[np.ndarray, "n"]
+    time: Float[np.ndarray, "n"]
+    position: Vectors
+    orientation: Quaternions
+    force: Vectors
+    torque: Vectors
+    tared: Wrenches
+    touching: Flags
+    explained: Flags
 
 
+@dataclass(eq=False)
 class ZeroWatch:
     """Compares resting levels before and after a restart.
 
-    The zero is taken for **the same** where quiet readings are zero again, or where the sensor has
-    not moved and they are what they were. It can be **taken anew** from quiet readings of the
-    tare's length at a pose at which the rod was free: that of the tare, or that of the restart if
-    the rod was free then. Where the sensor never moved, a pose says nothing, and readings that a
-    contact would explain are not taken for a zero. Else it stays **unknown**.
+    The zero is **the same** if quiet readings are zero again, or if the sensor has not moved and
+    they are what they were. It can be **taken anew** from quiet readings of the tare's length at a
+    pose at which the rod was free: that of the tare, or that of the restart if the rod was free
+    then. If the sensor never moved, its pose says nothing, and readings that a contact would
+    explain are not taken for a zero. Else it stays **unknown**.
 
-    Parameters
+    Attributes
     ----------
     noise, resolution
         Of a reading (6,) [N], [N m].
@@ -63,56 +70,53 @@ class ZeroWatch:
         Of the rod [m].
     seconds
         Of the tare.
+    pending
+        Whether the zero is not known since a restart.
     """
 
-    def __init__(
-        self,
-        noise: Float[np.ndarray, "6"],
-        resolution: Float[np.ndarray, "6"],
-        length: float,
-        seconds: float,
-    ) -> None:
-        self._noise, self._resolution = noise, resolution
-        self._near, self._seconds = _NEAR * length, seconds
-        self._check = min(_CHECK, seconds)
+    noise: Float[np.ndarray, "6"]
+    resolution: Float[np.ndarray, "6"]
+    length: float
+    seconds: float
+    pending: bool = False
+
+    def __post_init__(self) -> None:
+        self._check = min(_CHECK, self.seconds)
         self._blocks: deque[_Rows] = deque()
-        self._free: list[tuple[np.ndarray, np.ndarray]] = []
+        self._home: _Rows | None = None
         self._before: _Rows | None = None
-        self._home: tuple[np.ndarray, np.ndarray] | None = None
+        self._free: list[_Rows] = []
         self._moved = False
         self._looked = -np.inf
-        self.pending = False
 
     def restart(self) -> None:
         """What comes from now on is of a sensor whose zero is not known."""
-        self._before = self._last(self._check) if not self.pending else self._before
+        if not self.pending:
+            self._before = self._last(self._check)
         self._blocks.clear()
         self.pending = True
         self._free = [] if self._home is None else [self._home]
         if self._before is not None and self._before.touching.mean() <= _FEW:
-            self._free.append((self._before.raw.position[-1], self._before.raw.orientation[-1]))
+            self._free.append(self._before)
 
-    def take(
-        self, raw: RawRecording, tared: Float[np.ndarray, "n 6"], found: Reconstruction
-    ) -> Verdict:
-        """Rows as logged, NaN where they are not good, without tare (n, 6), and their contacts
-        sample by sample.
+    def take(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> Verdict:
+        """Rows as logged, their wrench without tare (n, 6), NaN where it is not good, and their
+        contacts sample by sample.
         """
-        good = np.isfinite(tared).all(axis=1) & np.isfinite(raw.position).all(axis=1)
+        good = np.isfinite(tared).all(axis=1)
         if not good.any():
             return Verdict.UNKNOWN
-        columns = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
-        kept = RawRecording(*(column[good] for column in columns))
-        touching = found.in_contact[good]
-        self._blocks.append(
-            _Rows(kept, tared[good], touching, touching & (found.status[good] == Status.OK))
-        )
-        now = float(kept.time[-1])
-        while self._blocks[0].raw.time[-1] < now - _LONGER[1] * self._seconds:
+        touching = found.in_contact
+        explained = touching & (found.status == Status.OK)
+        logged = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
+        rows = rows_of(_Rows(*logged, tared, touching, explained), good)
+        self._blocks.append(rows)
+        now = float(rows.time[-1])
+        while self._blocks[0].time[-1] < now - _KEPT * self.seconds:
             self._blocks.popleft()
         if self._home is None:
-            self._home = kept.position[0], kept.orientation[0]
-        self._moved |= not self._at(kept, self._home)
+            self._home = rows_of(rows, slice(1))
+        self._moved |= not self._at(rows, self._home)
         if not self.pending or now - self._looked < _EVERY:
             return Verdict.UNKNOWN
         self._looked = now
@@ -122,70 +126,46 @@ class ZeroWatch:
 
     def rest(self) -> RawRecording:
         """The rows by which the zero was found to be another."""
-        return self._joined().raw
+        rows = joined(self._blocks)
+        return RawRecording(rows.time, rows.position, rows.orientation, rows.force, rows.torque)
 
     def _verdict(self) -> Verdict:
-        short = self._last(self._check)
+        short, before = self._last(self._check), self._before
         if short is None or not self._quiet(short):
             return Verdict.UNKNOWN
         level = short.tared.mean(axis=0)
+        # The mean of rounded readings is off by up to half a step: by a quarter on average.
         tolerance = _DEVIATIONS * np.sqrt(
-            self._noise**2 / len(short.tared) + (self._resolution / 4) ** 2
+            self.noise**2 / len(short.time) + (self.resolution / 4) ** 2
         )
         if np.all(np.abs(level) <= tolerance):
             return Verdict.SAME
-        before = self._before
-        if (
-            before is not None
-            and self._quiet(before)
-            and self._at(short.raw, (before.raw.position[-1], before.raw.orientation[-1]))
-            and np.all(np.abs(level - before.tared.mean(axis=0)) <= np.sqrt(2) * tolerance)
-        ):
-            return Verdict.SAME
-        whole = self._last(_LONGER[0] * self._seconds)
-        if (
-            whole is None
-            or not self._quiet(whole)
-            or not any(self._at(whole.raw, pose) for pose in self._free)
-        ):
+        if before is not None and self._quiet(before) and self._at(short, before):
+            change = np.abs(level - before.tared.mean(axis=0))
+            if np.all(change <= np.sqrt(2) * tolerance):
+                return Verdict.SAME
+        whole = self._last(_TARED * self.seconds)
+        if whole is None or not self._quiet(whole):
             return Verdict.UNKNOWN
         if not self._moved and whole.explained.mean() > _FEW:
             return Verdict.UNKNOWN
-        return Verdict.CHANGED
-
-    def _joined(self) -> _Rows:
-        parts = list(self._blocks)
-        names = ("time", "position", "orientation", "force", "torque")
-        raw = RawRecording(
-            *(np.concatenate([getattr(part.raw, name) for part in parts]) for name in names)
-        )
-        tared, touching, explained = (
-            np.concatenate([part[field] for part in parts]) for field in (1, 2, 3)
-        )
-        return _Rows(raw, tared, touching, explained)
+        free = any(self._at(whole, rows) for rows in self._free)
+        return Verdict.CHANGED if free else Verdict.UNKNOWN
 
     def _last(self, seconds: float) -> _Rows | None:
-        """The last rows of so many seconds; None where there are fewer."""
+        """The last rows of so many seconds; None if there are fewer."""
         if not self._blocks:
             return None
-        rows = self._joined()
-        time = rows.raw.time
-        first = int(np.searchsorted(time, time[-1] - seconds))
-        if len(time) - first < _FEWEST or (first == 0 and time[-1] - time[0] < 0.99 * seconds):
-            return None
-        raw = RawRecording(
-            *(
-                getattr(rows.raw, name)[first:]
-                for name in ("time", "position", "orientation", "force", "torque")
-            )
-        )
-        return _Rows(raw, rows.tared[first:], rows.touching[first:], rows.explained[first:])
+        rows = joined(self._blocks)
+        last = rows_of(rows, rows.time >= rows.time[-1] - seconds)
+        enough = rows.time[-1] - rows.time[0] >= _WHOLE * seconds
+        return last if enough and len(last.time) >= _FEWEST else None
 
     def _quiet(self, rows: _Rows) -> bool:
-        return bool(np.all(rows.tared.std(axis=0, ddof=1) <= _RESTLESS * self._noise))
+        return bool(np.all(rows.tared.std(axis=0, ddof=1) <= RESTLESS * self.noise))
 
-    def _at(self, raw: RawRecording, pose: tuple[np.ndarray, np.ndarray]) -> bool:
-        position, orientation = pose
-        off = np.linalg.norm(raw.position - position, axis=1).max()
-        aligned = np.abs(raw.orientation @ orientation).min()
-        return bool(off <= self._near and aligned >= np.cos(_NEAR_TURN / 2))
+    def _at(self, rows: _Rows, place: _Rows) -> bool:
+        """Whether the sensor was where the last of other rows was."""
+        off = np.linalg.norm(rows.position - place.position[-1], axis=1).max()
+        aligned = np.abs(rows.orientation @ place.orientation[-1]).min()
+        return bool(off <= _NEAR * self.length and aligned >= np.cos(_NEAR_TURN / 2))

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table
-from vibrissa.io.errors import InputError, readable, writable
+from vibrissa.files import InputError, readable
+from vibrissa.io.errors import writable
 from vibrissa.libraries import extra_library
 from vibrissa.tolerances import PARAMETERS
 
@@ -76,28 +77,30 @@ class CalibrationTable(Table):
     warnings: Annotated[list[str] | None, Field(description="a list of sentences")] = None
     estimates: Annotated[dict[str, EstimateTable], Field(description="a table for each estimate")]
 
-    def check(self) -> None:
-        """Raise ValueError unless names are those of estimates, and matrices have the sizes that
-        belong to them.
-        """
+    @model_validator(mode="after")
+    def _fits(self) -> "CalibrationTable":
+        """Names are those of estimates, and matrices have the sizes that belong to them."""
         for place, name in enumerate(self.names):
             if name not in self.estimates or name in self.names[:place]:
                 raise ValueError(
-                    f"calibration.names[{place}] = {name!r}; allowed is each once of {', '.join(self.estimates)}"
+                    f"names[{place}] = {name!r}; "
+                    f"allowed is each once of {', '.join(self.estimates)}"
                 )
-        for key, matrix, rows, columns in (
-            ("correlation", self.correlation, len(self.names), len(self.names)),
-            ("tare", self.tare, len(self.tare), _CHANNELS),
-            ("drift", self.drift, len(self.tare), _CHANNELS),
-            ("inflation", [self.inflation], 1, _CHANNELS),
+        count, recordings = len(self.names), len(self.tare)
+        for key, matrix, shape in (
+            ("correlation", self.correlation, (count, count)),
+            ("tare", self.tare, (recordings, _CHANNELS)),
+            ("drift", self.drift, (recordings, _CHANNELS)),
+            ("inflation", [self.inflation], (1, _CHANNELS)),
         ):
-            if len(matrix) != rows:
-                raise ValueError(f"calibration.{key} has {len(matrix)} rows; allowed are {rows}")
-            wrong = next((len(row) for row in matrix if len(row) != columns), None)
-            if wrong is not None:
-                raise ValueError(
-                    f"calibration.{key} has a row of {wrong} numbers; allowed are {columns}"
-                )
+            if len(matrix) != shape[0]:
+                raise ValueError(f"{key} has {len(matrix)} rows; allowed are {shape[0]}")
+            for row in matrix:
+                if len(row) != shape[1]:
+                    raise ValueError(
+                        f"{key} has a row of {len(row)} numbers; allowed are {shape[1]}"
+                    )
+        return self
 
     def covariance(self) -> np.ndarray:
         """Covariance (k, k) of the numbers `names`, in their units."""

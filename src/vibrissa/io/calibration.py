@@ -13,8 +13,8 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table
 from vibrissa.files import InputError, readable
+from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table
 from vibrissa.io.errors import writable
 from vibrissa.libraries import extra_library
 from vibrissa.tolerances import PARAMETERS

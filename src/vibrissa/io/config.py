@@ -15,17 +15,15 @@ from pydantic import (
     ValidationError,
     WrapValidator,
 )
-from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from vibrissa.files import InputError, readable
 from vibrissa.rod import Rod
 
 
-def number(description: str, **bounds: float) -> FieldInfo:
-    """Field of a finite number or whole number within bounds, never text or a truth value."""
-    field: FieldInfo = Field(strict=True, description=description, **bounds)  # type: ignore[arg-type]
-    return field
+def number(description: str, **bounds: Any) -> Any:
+    """Field of a number within pydantic's bounds, which text and truth values are not."""
+    return Field(strict=True, description=description, **bounds)
 
 
 def _in_one(value: object, check: Callable[[object], object]) -> object:

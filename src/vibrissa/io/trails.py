@@ -39,11 +39,15 @@ class LineTable(MotionTable):
     axis: Vector | None = None
 
 
-class RasterTable(LineTable):
+class RasterTable(MotionTable):
     """Parallel lines, each moved on by `step`."""
 
     noun = Trail.raster
-    kind: Literal["raster"]  # type: ignore[assignment]
+    kind: Literal["raster"]
+    start: Vector
+    stop: Vector
+    count: Count
+    axis: Vector | None = None
     step: Vector
     trails: Count
 

@@ -14,10 +14,9 @@ from vibrissa.io.rosbag.library import library
 from vibrissa.io.rosbag.messages import QOS, MessageWriter
 from vibrissa.sensor import RawRecording
 
-_MOST_HELD = 1 << 20
-METADATA = "metadata.yaml"
-_VERSION = 5
-_EVERY = 1.0
+_MOST_HELD = 1 << 20  # bytes in memory: what a file grows by
+_VERSION = 5  # of the metadata: that of ROS 2 Humble
+_EVERY = 1.0  # seconds between metadata
 
 
 class McapSink:
@@ -124,22 +123,24 @@ class Rosbag2Sink:
         folder.mkdir(exist_ok=True)
         self._yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
         self._yaml.default_flow_style = False
-        self._metadata = folder / METADATA
-        self._name = bag_file(folder).name
+        self._metadata = folder / "metadata.yaml"
+        self._name = f"{folder.resolve().name}_0.mcap"
         self._mcap = McapSink(
             folder / self._name, wrench_frame=wrench_frame, world_frame=world_frame
         )
+        # Raw samples and contacts go to the file as they are.
+        self.wrench, self.contacts = self._mcap.wrench, self._mcap.contacts
         self._described()
 
     def _described(self) -> None:
         """Replace the metadata."""
         file = self._mcap.file
-        first, last = file.time_range or (0, 0)
-        span = {
+        first, last = file.time_range
+        size = {
             "starting_time": {"nanoseconds_since_epoch": first},
             "duration": {"nanoseconds": last - first},
+            "message_count": sum(file.message_counts),
         }
-        count = {"message_count": sum(file.message_counts)}
         topics = [
             {
                 "topic_metadata": {
@@ -155,13 +156,12 @@ class Rosbag2Sink:
         content = {
             "version": _VERSION,
             "storage_identifier": "mcap",
-            **span,
-            **count,
+            **size,
             "topics_with_message_count": topics,
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [self._name],
-            "files": [{"path": self._name, **span, **count}],
+            "files": [{"path": self._name, **size}],
         }
         text = StringIO()
         self._yaml.dump({"rosbag2_bagfile_information": content}, text)
@@ -169,22 +169,6 @@ class Rosbag2Sink:
             disk.write(text.getvalue().encode(), 0)
         disk.close()
         self._when = time.monotonic()
-
-    def wrench(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
-    ) -> None:
-        """Keep raw samples for the next chunk."""
-        self._mcap.wrench(stamp, sequence, force, torque)
-
-    def contacts(
-        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
-    ) -> None:
-        """Keep poses and contacts for the next chunk."""
-        self._mcap.contacts(stamp, raw, found)
 
     def flush(self) -> None:
         """Write a chunk of what is held and, now and then, the metadata."""
@@ -196,8 +180,3 @@ class Rosbag2Sink:
         """Write the rest, the index and the metadata."""
         self._mcap.close()
         self._described()
-
-
-def bag_file(folder: Path) -> Path:
-    """The file in which a bag's messages lie."""
-    return folder / f"{folder.resolve().name}_0.mcap"

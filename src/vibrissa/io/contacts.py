@@ -1,12 +1,12 @@
 """Contacts to PLY, CSV or NetCDF and back, by the file's suffix."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Shaped
+from jaxtyping import Bool, Float, Shaped
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.files import InputError, readable, text_of
@@ -139,25 +139,38 @@ def known(found: Reconstruction) -> Bool[np.ndarray, "*trail n"]:
     return found.in_contact & np.isfinite(found.point).all(axis=-1)
 
 
+def deviations(found: Reconstruction) -> Float[np.ndarray, "*trail n 3"]:
+    """Standard deviations along x, y, z; NaN where the noise is not known."""
+    if found.covariance is None:
+        return np.full(found.point.shape, np.nan)
+    return np.sqrt(np.diagonal(found.covariance, axis1=-2, axis2=-1))
+
+
+def structured(
+    kind: np.dtype[np.void], columns: Sequence[Shaped[np.ndarray, "rows"]]
+) -> Shaped[np.ndarray, "rows"]:
+    """Columns as rows of this type, what lies between its fields zero."""
+    rows = np.zeros(len(columns[0]), dtype=kind)
+    for name, column in zip(kind.names or (), columns, strict=True):
+        rows[name] = column
+    return rows
+
+
 def vertices(
     found: Reconstruction, rows: Bool[np.ndarray, "*trail n"]
 ) -> Shaped[np.ndarray, "contacts"]:
-    """Contacts as PLY holds them; the deviation is NaN where the noise is not known."""
-    result = np.zeros(np.count_nonzero(rows), dtype=VERTEX)
-    deviation = np.full(len(result), np.nan)
-    if found.covariance is not None:
-        deviation = np.sqrt(np.trace(found.covariance[rows], axis1=-2, axis2=-1))
-    columns = (
-        *found.point[rows].T,
-        *found.normal[rows].T,
-        found.arc_length[rows],
-        deviation,
-        found.kind[rows],
-        found.status[rows],
+    """Contacts as PLY holds them."""
+    return structured(
+        VERTEX,
+        (
+            *found.point[rows].T,
+            *found.normal[rows].T,
+            found.arc_length[rows],
+            np.linalg.norm(deviations(found)[rows], axis=1),
+            found.kind[rows],
+            found.status[rows],
+        ),
     )
-    for name, column in zip(VERTEX.names or (), columns, strict=True):
-        result[name] = column
-    return result
 
 
 def _write_ply(file: Path, found: Reconstruction) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.contacts import VERTEX, vertices
+from vibrissa.io.contacts import VERTEX, deviations, vertices
 from vibrissa.io.rosbag.disk import naming_file, whole_file
 from vibrissa.sensor import RawRecording
 
@@ -87,9 +87,6 @@ class JsonLinesSink:
 def _rows(
     stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
 ) -> list[dict[str, object]]:
-    deviations = np.full(found.point.shape, np.nan)
-    if found.covariance is not None:
-        deviations = np.sqrt(np.diagonal(found.covariance, axis1=-2, axis2=-1))
     numbers = {
         "position": raw.position,
         "orientation": raw.orientation,
@@ -98,7 +95,7 @@ def _rows(
         "point": found.point,
         "normal": found.normal,
         "arc_length": found.arc_length,
-        "standard_deviations": deviations,
+        "standard_deviations": deviations(found),
     }
     columns = {
         "stamp": stamp.tolist(),

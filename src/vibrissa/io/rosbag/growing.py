@@ -106,17 +106,7 @@ class GrowingFile:
                     metadata={"offered_qos_profiles": qos},
                 )
             )
-        self._statistics = records.Statistics(
-            attachment_count=0,
-            channel_count=len(channels),
-            channel_message_counts={topic.id: 0 for topic in self._topics},
-            chunk_count=0,
-            message_count=0,
-            message_end_time=0,
-            message_start_time=0,
-            metadata_count=0,
-            schema_count=len(channels),
-        )
+        self._counts = [0] * len(channels)
         self._data_end = self._bytes([records.DataEnd(data_section_crc=0)])
         declarations = self._bytes([*self._schemas, *self._topics])
         self._index = self._data_end + declarations
@@ -160,40 +150,36 @@ class GrowingFile:
         if not blocks:
             return
         data = b"".join(block.data for block in blocks)
-        first = min(int(block.log_time[0]) for block in blocks)
-        last = max(int(block.log_time[-1]) for block in blocks)
-        chunk = self._bytes(
-            [
-                self._records.Chunk(
-                    compression="",
-                    data=data,
-                    message_start_time=first,
-                    message_end_time=last,
-                    uncompressed_crc=crc32(data),
-                    uncompressed_size=len(data),
-                )
-            ]
+        chunk = self._records.Chunk(
+            compression="",
+            data=data,
+            message_start_time=min(int(block.log_time[0]) for block in blocks),
+            message_end_time=max(int(block.log_time[-1]) for block in blocks),
+            uncompressed_crc=crc32(data),
+            uncompressed_size=len(data),
         )
+        written = self._bytes([chunk])
+        length, places = len(written), {}
         indexes = self._message_indexes(blocks)
-        written, places = chunk, {}
         for index in indexes:
             places[index.channel_id] = self._room + len(written)
             written += self._bytes([index])
         self._put(written)
         self._chunks.append(
             self._records.ChunkIndex(
-                chunk_length=len(chunk),
+                chunk_length=length,
                 chunk_start_offset=self._room,
                 compression="",
                 compressed_size=len(data),
                 uncompressed_size=len(data),
-                message_start_time=first,
-                message_end_time=last,
-                message_index_length=len(written) - len(chunk),
+                message_start_time=chunk.message_start_time,
+                message_end_time=chunk.message_end_time,
+                message_index_length=len(written) - length,
                 message_index_offsets=places,
             )
         )
-        self._count(indexes, first, last)
+        for index in indexes:
+            self._counts[index.channel_id - 1] += len(index.records)
         self._room = _head_place(self._room + len(written))
 
     def _message_indexes(self, blocks: Sequence[Messages]) -> list[Any]:
@@ -234,25 +220,17 @@ class GrowingFile:
         self._disk.write(self._room_head(self._room), self._room)
         self._disk.write(struct.pack("<Q", self._index_start), footer + _HEAD.size)
 
-    def _count(self, indexes: Sequence[Any], first: int, last: int) -> None:
-        total = self._statistics
-        if not total.chunk_count:
-            total.message_start_time = first
-        total.message_end_time = max(last, total.message_end_time)
-        total.chunk_count += 1
-        for index in indexes:
-            total.channel_message_counts[index.channel_id] += len(index.records)
-            total.message_count += len(index.records)
-
     @property
     def message_counts(self) -> tuple[int, ...]:
         """Messages of each channel so far."""
-        return tuple(self._statistics.channel_message_counts.values())
+        return tuple(self._counts)
 
     @property
     def time_range(self) -> tuple[int, int]:
         """First and last log time [ns]; zeros without messages."""
-        return self._statistics.message_start_time, self._statistics.message_end_time
+        if not self._chunks:
+            return 0, 0
+        return self._chunks[0].message_start_time, self._chunks[-1].message_end_time
 
     def close(self) -> None:
         """Write the whole index of chunks, cut off the room that is left, and close the file."""
@@ -267,8 +245,20 @@ class GrowingFile:
 
     def _tail(self, place: int) -> bytes:
         """End of the data, index of everything, footer."""
+        first, last = self.time_range
+        statistics = self._records.Statistics(
+            attachment_count=0,
+            channel_count=len(self._topics),
+            channel_message_counts=dict(enumerate(self._counts, start=1)),
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts),
+            message_end_time=last,
+            message_start_time=first,
+            metadata_count=0,
+            schema_count=len(self._schemas),
+        )
         tail, offsets = self._data_end, []
-        for group in (self._schemas, self._topics, [self._statistics], self._chunks):
+        for group in (self._schemas, self._topics, [statistics], self._chunks):
             data = self._bytes(group)
             if data:
                 offsets.append(

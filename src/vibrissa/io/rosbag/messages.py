@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.inverse import Reconstruction
+from vibrissa.io.contacts import deviations, structured
 from vibrissa.io.rosbag.growing import Channel, Messages
 from vibrissa.io.rosbag.library import library
 
@@ -35,24 +36,18 @@ QOS = """\
 """
 """Of all topics: keep the last 100, reliable, volatile."""
 
-FIELDS = (
-    *("x", "y", "z"),
-    *("normal_x", "normal_y", "normal_z"),
-    *("deviation_x", "deviation_y", "deviation_z"),
-    "arc_length",
-)
-"""Of a point, 32-bit floats; then come `kind` and `status`, bytes, and `time`, a 64-bit float:
-seconds after the header's stamp.
-"""
 POINT = np.dtype(
     [
-        *((name, "<f4") for name in FIELDS),
+        *((name, "<f4") for name in ("x", "y", "z")),
+        *((f"{vector}_{axis}", "<f4") for vector in ("normal", "deviation") for axis in "xyz"),
+        ("arc_length", "<f4"),
         ("kind", "u1"),
         ("status", "u1"),
-        ("padding", "V6"),
         ("time", "<f8"),
-    ]
+    ],
+    align=True,
 )
+"""Of a cloud; `time` is seconds after the header's stamp."""
 
 _SECOND = 1_000_000_000
 _HEAD = [
@@ -89,7 +84,7 @@ class MessageWriter:
     def __init__(self, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
         typesys = library("rosbags.typesys")
         self._store: Any = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        self._world, self._poses, self._clouds = world_frame, 0, 0
+        self._world, self._counts = world_frame, [0] * len(TOPICS)
         vector = self._new("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         pose = self._new(
             "geometry_msgs/msg/Pose",
@@ -110,7 +105,6 @@ class MessageWriter:
                 count=1,
             )
             for name, (kind, offset, *_) in (POINT.fields or {}).items()
-            if name != "padding"
         ]
         # rosbags builds its code for a type when it first meets it.
         self._cloud_data(np.zeros(1, dtype=POINT), 0, is_dense=True)
@@ -139,38 +133,19 @@ class MessageWriter:
         kind = [*_HEAD, *_STAMP, ("frame", f"V{between}"), ("numbers", "<f8", (count,))]
         return np.frombuffer(_head(channel, len(data)) + data, dtype=kind)
 
-    def wrenches(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
-        log_time: Int[np.ndarray, "n"],
-    ) -> Messages:
-        """Raw samples, under the sensor's own numbers."""
-        return self._stamped(WRENCH, stamp, log_time, np.hstack([force, torque]), sequence)
-
-    def poses(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        position: Float[np.ndarray, "n 3"],
-        orientation: Float[np.ndarray, "n 4"],
-        log_time: Int[np.ndarray, "n"],
-    ) -> Messages:
-        """Poses of the sensor frame."""
-        sequence = self._poses + np.arange(len(stamp))
-        self._poses += len(stamp)
-        return self._stamped(POSE, stamp, log_time, np.hstack([position, orientation]), sequence)
-
-    def _stamped(
+    def stamped(
         self,
         channel: int,
         stamp: Int[np.ndarray, "n"],
         log_time: Int[np.ndarray, "n"],
         numbers: Float[np.ndarray, "n k"],
-        sequence: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"] | None = None,
     ) -> Messages:
+        """Wrenches (n, 6), under the sensor's own numbers, or poses (n, 7) of the sensor frame."""
         records = np.repeat(self._patterns[channel], len(stamp))
+        if sequence is None:
+            sequence = self._counts[channel] + np.arange(len(stamp))
+            self._counts[channel] += len(stamp)
         records["sequence"] = sequence % (1 << 32)
         # MCAP knows no time before 1970; the header does.
         records["log_time"], records["publish_time"] = log_time, np.maximum(stamp, 0)
@@ -185,14 +160,24 @@ class MessageWriter:
         """
         rows = np.flatnonzero(found.in_contact)
         if not len(rows):
-            return Messages(CONTACTS, np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), b"")
+            return Messages(CONTACTS, rows, rows, b"")
         first = int(stamp[rows[0]])
-        data = self._cloud_data(
-            _points(stamp, found, rows), first, is_dense=found.covariance is not None
+        points = structured(
+            POINT,
+            (
+                *found.point[rows].T,
+                *found.normal[rows].T,
+                *deviations(found)[rows].T,
+                found.arc_length[rows],
+                found.kind[rows],
+                found.status[rows],
+                (stamp[rows] - first) * 1e-9,
+            ),
         )
-        head = _head(CONTACTS, len(data), self._clouds, log_time, max(first, 0))
-        self._clouds += 1
-        return Messages(CONTACTS, np.array([log_time]), np.zeros(1, dtype=np.int64), head + data)
+        data = self._cloud_data(points, first, is_dense=found.covariance is not None)
+        head = _head(CONTACTS, len(data), self._counts[CONTACTS], log_time, max(first, 0))
+        self._counts[CONTACTS] += 1
+        return Messages(CONTACTS, np.array([log_time]), np.array([0]), head + data)
 
     def _cloud_data(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
         return self._data(
@@ -215,20 +200,3 @@ def _head(channel: int, size: int, *numbers: int) -> bytes:
     head = np.zeros(1, dtype=_HEAD)
     head[0] = (_MESSAGE, _BESIDE_DATA + size, channel + 1, *(numbers or (0, 0, 0)))
     return head.tobytes()
-
-
-def _points(
-    stamp: Int[np.ndarray, "n"], found: Reconstruction, rows: Int[np.ndarray, "k"]
-) -> np.ndarray:
-    points = np.zeros(len(rows), dtype=POINT)
-    deviation = np.full((len(rows), 3), np.nan)
-    if found.covariance is not None:
-        deviation = np.sqrt(np.diagonal(found.covariance[rows], axis1=-2, axis2=-1))
-    values = np.column_stack(
-        [found.point[rows], found.normal[rows], deviation, found.arc_length[rows]]
-    )
-    for name, column in zip(FIELDS, values.T, strict=True):
-        points[name] = column
-    points["kind"], points["status"] = found.kind[rows], found.status[rows]
-    points["time"] = (stamp[rows] - stamp[rows[0]]) * 1e-9
-    return points

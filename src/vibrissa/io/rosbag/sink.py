@@ -11,7 +11,7 @@ from vibrissa.inverse import Reconstruction
 from vibrissa.io.rosbag.disk import whole_file
 from vibrissa.io.rosbag.growing import GrowingFile, Messages
 from vibrissa.io.rosbag.library import library
-from vibrissa.io.rosbag.messages import QOS, MessageWriter
+from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
 from vibrissa.sensor import RawRecording
 
 _MOST_HELD = 1 << 20  # bytes in memory: what a file grows by
@@ -61,7 +61,8 @@ class McapSink:
         """Keep raw samples for the next chunk."""
         log_time = np.maximum.accumulate(np.maximum(stamp, self._log_time))
         self._log_time = int(log_time[-1])
-        self._keep(self._writer.wrenches(stamp, sequence, force, torque, log_time))
+        wrench = np.hstack([force, torque])
+        self._keep(self._writer.stamped(WRENCH, stamp, log_time, wrench, sequence))
 
     def contacts(
         self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
@@ -69,9 +70,8 @@ class McapSink:
         """Keep poses and contacts for the next chunk."""
         known = np.isfinite(raw.position[:, 0])
         log_time = np.full(int(np.count_nonzero(known)), self._log_time)
-        self._keep(
-            self._writer.poses(stamp[known], raw.position[known], raw.orientation[known], log_time)
-        )
+        pose = np.hstack([raw.position, raw.orientation])[known]
+        self._keep(self._writer.stamped(POSE, stamp[known], log_time, pose))
         self._keep(self._writer.cloud(stamp, found, self._log_time))
 
     def _keep(self, messages: Messages) -> None:

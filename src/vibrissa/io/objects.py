@@ -1,4 +1,4 @@
-"""Objects as TOML tables, one class a kind: the arguments of the surface, and where it is placed."""
+"""Objects as TOML tables, one class a kind: a surface's arguments, and where it is placed."""
 
 from math import pi
 from pathlib import Path

@@ -33,11 +33,6 @@ from vibrissa.sensor.presets import PRESETS, preset_figures
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 
-Gain = Annotated[
-    tuple[Positive, Positive, Positive, Positive, Positive, Positive],
-    Field(description="six numbers greater than 0, forces and torques"),
-]
-
 
 @dataclass(frozen=True)
 class Setup:
@@ -72,7 +67,7 @@ class Setup:
     tolerances: Tolerances | None = None
 
     @property
-    def parameter_covariance(self) -> Float[np.ndarray, "15 15"] | None:
+    def parameter_covariance(self) -> Float[np.ndarray, "parameters parameters"] | None:
         """Of the errors of `vibrissa.tolerances.PARAMETERS`: what a calibration determined with its
         joint covariance, the rest as stated; None where neither is there.
         """
@@ -95,6 +90,10 @@ Figure = Annotated[
     NotNegative | tuple[NotNegative, NotNegative, NotNegative],
     IN_ONE,
     Field(description="a number of at least 0, or three, one for each axis"),
+]
+Gain = Annotated[
+    tuple[Positive, Positive, Positive, Positive, Positive, Positive],
+    Field(description="six numbers greater than 0, forces and torques"),
 ]
 Noise = Annotated[
     Positive | Lengths,
@@ -137,7 +136,8 @@ class SensorTable(Table):
     wrench: Annotated[
         Literal["on_sensor", "on_rod"],
         Field(
-            description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' (the support reaction)"
+            description="'on_sensor' (exerted by the rod on the sensor) or 'on_rod' "
+            "(the support reaction)"
         ),
     ]
     preset: Annotated[

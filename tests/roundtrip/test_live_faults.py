@@ -261,8 +261,10 @@ def test_a_full_disk_leaves_whole_files_and_is_named(
                 )
                 sink.flush()
                 flushed += 100
-    with AnyReader([bag]) as reader:
-        assert len(list(reader.messages())) == flushed > 0
+    for _ in range(2):
+        with AnyReader([bag]) as reader:
+            assert len(list(reader.messages())) == flushed > 0
+        sink.close()  # there is room again
 
 
 @pytest.fixture

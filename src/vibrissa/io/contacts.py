@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
@@ -173,18 +173,24 @@ def vertices(
     )
 
 
+def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> Any:
+    """Vertices as `plyfile.PlyData`, with the unit of length in a comment."""
+    from plyfile import PlyData, PlyElement  # noqa: PLC0415
+
+    return PlyData(
+        [PlyElement.describe(points, "vertex")],
+        byte_order="<",
+        comments=[f"contacts of an elastic rod, unit {unit}", *comments],
+    )
+
+
 def _write_ply(file: Path, found: Reconstruction) -> None:
     from numpy.lib.recfunctions import drop_fields  # noqa: PLC0415
-    from plyfile import PlyData, PlyElement  # noqa: PLC0415
 
     points = vertices(found, known(found))
     if found.covariance is None:
         points = drop_fields(points, "standard_deviation")
-    unit = "metre" if found.rod.units == "SI" else "rod length"
-    PlyData(
-        [PlyElement.describe(points, "vertex")],
-        comments=[f"contacts of an elastic rod, unit {unit}"],
-    ).write(str(file))
+    cloud(points, "metre" if found.rod.units == "SI" else "rod length").write(str(file))
 
 
 def read_contacts(path: str | Path) -> dict[str, Shaped[np.ndarray, "..."]]:

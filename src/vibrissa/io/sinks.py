@@ -12,13 +12,12 @@ from jaxtyping import Float, Int
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.contacts import VERTEX, deviations, vertices
+from vibrissa.io.contacts import VERTEX, cloud, deviations, vertices
 from vibrissa.io.rosbag.disk import naming_file, whole_file
 from vibrissa.sensor import RawRecording
 
 _COUNT_DIGITS = 20  # of the largest number of 64 bits
 _MOST_WRITTEN = 1 << 20  # bytes of one call of the system: a batch of 64 rows has some 40 kB
-_TYPES = {"<f8": "double", "|u1": "uchar"}
 
 
 class JsonLinesSink:
@@ -137,19 +136,9 @@ class PlySink:
 
     def _header(self) -> bytes:
         """Of the same length whatever the count."""
-        lines = [
-            "ply",
-            "format binary_little_endian 1.0",
-            f"comment contacts of an elastic rod, unit {self._unit}",
-            f"element vertex {self._count}",
-            *(
-                f"property {_TYPES[part[0].str]} {name}"
-                for name, part in (VERTEX.fields or {}).items()
-            ),
-            f"comment {'.' * (_COUNT_DIGITS - len(str(self._count)))}",
-            "end_header\n",
-        ]
-        return "\n".join(lines).encode()
+        points = np.broadcast_to(np.zeros(1, dtype=VERTEX), self._count)
+        filler = "." * (_COUNT_DIGITS - len(str(self._count)))
+        return f"{cloud(points, self._unit, filler).header}\n".encode()
 
     def wrench(
         self,

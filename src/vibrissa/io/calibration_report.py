@@ -41,7 +41,16 @@ def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
         "unevenness": calibration.unevenness,
         "held_out": [asdict(part) for part in calibration.held_out],
     }
-    own = "first_contact warnings tare tare_deviation drift drift_deviation friction free".split()
+    own = [
+        "first_contact",
+        "warnings",
+        "tare",
+        "tare_deviation",
+        "drift",
+        "drift_deviation",
+        "friction",
+        "free",
+    ]
     return cast(
         dict[str, Any], _plain(numbers | {name: getattr(calibration, name) for name in own})
     )

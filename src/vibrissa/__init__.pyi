@@ -16,7 +16,15 @@ from .inverse import (
     reconstruct,
     smooth,
 )
-from .io import Case, Setup, load_case, load_setup, read_recording, write_contacts
+from .io import (
+    Case,
+    Setup,
+    load_case,
+    load_setup,
+    read_contacts,
+    read_recording,
+    write_contacts,
+)
 from .reactions import Reactions
 from .rod import Rod
 from .sensor import Sensor
@@ -58,6 +66,7 @@ __all__ = [
     "expected_error",
     "load_case",
     "load_setup",
+    "read_contacts",
     "read_recording",
     "reconstruct",
     "scan",

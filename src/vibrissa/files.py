@@ -1,6 +1,5 @@
 """What every reader of files needs: errors in one line, and tables of numbers."""
 
-from array import array
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-_LONGEST = 1600
+_LONGEST = 1600  # letters of a message: half a screen
 LARGEST = 1e12
-"""Numbers beyond this are damage."""
+"""Numbers beyond this are damage: no unit in use makes a force or a length that large."""
 
 
 class InputError(ValueError):
@@ -64,22 +63,40 @@ def read_table(
     ------
     InputError
         If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is
-        short or cut off, or a cell is no number, or none that is allowed.
+        short or cut off, or a cell is not a number that is allowed.
     """
     text = text_of(readable(file))
-    lines = text.rstrip().splitlines() if text.endswith(("\n", "\r")) else text.splitlines()
-    if not lines:
+    first, *lines = text.rstrip("\r\n ").splitlines() or [""]
+    if not first:
         raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(columns)}")
-    names = _header(file, lines[0], columns, optional, any_order=any_order)
-    if len(lines) < 2:
+    names = _header(file, first, columns, optional, any_order=any_order)
+    if not lines:
         raise InputError(f"{file}: no rows; allowed is at least one sample")
-    check_last_line(file, text, lines, names)
-    numbers = array("d")
-    for number, line in enumerate(lines[1:], start=2):
-        numbers.extend(_row(file, number, line, names))
+    check_last_line(file, text, [first, *lines], names)
+    numbers = []
+    for number, line in enumerate(lines, start=2):
+        cells = line.split(",")
+        if len(cells) != len(names):
+            raise InputError(
+                f"{file}, line {number}: {len(cells)} of {len(names)} columns, the line is "
+                f"truncated or damaged; allowed are {len(names)} numbers a line"
+            )
+        for name, cell in zip(names, cells, strict=True):
+            try:
+                numbers.append(float(cell.replace("_", "?")))
+            except ValueError:
+                raise InputError(
+                    f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number"
+                ) from None
     table = np.array(numbers).reshape(-1, len(names))
-    if finite:
-        _check_numbers(file, table, names)
+    bad = np.argwhere(~(np.abs(table) <= LARGEST)) if finite else np.empty((0, 2))
+    if len(bad):
+        row, column = bad[0]
+        raise InputError(
+            f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g} "
+            f"({len({*bad[:, 0]})} of {len(table)} rows hold such); "
+            f"allowed are finite numbers up to {LARGEST:g}"
+        )
     return dict(zip(names, table.T, strict=True))
 
 
@@ -89,17 +106,19 @@ def check_increasing(file: Path, time: Float[np.ndarray, "rows"]) -> None:
     if falling.size:
         row = falling[0]
         raise InputError(
-            f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} ({len(falling)} such); allowed are increasing times"
+            f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} "
+            f"({len(falling)} such); allowed are increasing times"
         )
 
 
 def text_of(file: Path) -> str:
-    """Content of a text in UTF-8; raise InputError if it is none."""
+    """Content of a text file in UTF-8; raise InputError if it is not."""
     try:
         return file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{file}: not a text file ({error.reason} at byte {error.start}); allowed is CSV in UTF-8"
+            f"{file}: not a text file ({error.reason} at byte {error.start}); "
+            "allowed is CSV in UTF-8"
         ) from error
 
 
@@ -108,40 +127,22 @@ def _header(
 ) -> list[str]:
     names = [name.strip() for name in line.split(",")]
     own = [name for name in names if name not in optional]
-    if len(set(names)) == len(names) and (
-        sorted(own) == sorted(columns) if any_order else own == list(columns)
-    ):
-        return names
-    missing = [name for name in columns if name not in names]
-    unknown = [name for name in own if name not in columns]
-    twice = sorted({name for name, count in Counter(names).items() if count > 1} - set(unknown))
-    findings = [
-        f"{word} {', '.join(found)}"
-        for word, found in (("missing", missing), ("unknown", unknown), ("twice", twice))
-        if found
-    ]
-    finding = ", ".join(findings) or "another order"
-    more = f", and optionally {','.join(optional)}" if optional else ""
-    raise InputError(
-        f"{file}, line 1: columns: {finding[:200]}; allowed are {','.join(columns)}{more}"
-    )
-
-
-def _row(file: Path, number: int, line: str, names: Sequence[str]) -> list[float]:
-    cells = line.split(",")
-    if len(cells) != len(names):
+    count = Counter(names)
+    wrong = {
+        "missing": [name for name in columns if name not in count],
+        "unknown": sorted({*own} - {*columns}, key=own.index),
+        "twice": [name for name in (*columns, *optional) if count[name] > 1],
+    }
+    findings = [f"{word} {', '.join(found)}" for word, found in wrong.items() if found]
+    if not findings and not any_order and own != list(columns):
+        findings = ["another order"]
+    if findings:
+        more = f", and optionally {','.join(optional)}" if optional else ""
         raise InputError(
-            f"{file}, line {number}: {len(cells)} of {len(names)} columns, the line is truncated or damaged; allowed are {len(names)} numbers a line"
+            f"{file}, line 1: columns: {', '.join(findings)[:200]}; "
+            f"allowed are {','.join(columns)}{more}"
         )
-    values = []
-    for name, cell in zip(names, cells, strict=True):
-        try:
-            values.append(float(cell.replace("_", "?")))
-        except ValueError:
-            raise InputError(
-                f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number"
-            ) from None
-    return values
+    return names
 
 
 def check_last_line(
@@ -163,28 +164,11 @@ def check_last_line(
     """
     if text.endswith(("\n", "\r")) or len(lines) < 3:
         return
-    last, above = (line.rsplit(delimiter, 1)[-1].strip() for line in (lines[-1], lines[-2]))
-    if lines[-1].count(delimiter) == len(names) - 1 and len(last.lstrip("-")) < len(
-        above.lstrip("-")
-    ):
+    above, last = (line.split(delimiter) for line in lines[-2:])
+    digits = [len(cells[-1].strip().lstrip("-")) for cells in (above, last)]
+    if len(last) == len(names) and digits[1] < digits[0]:
         raise InputError(
-            f"{file}, line {first + len(lines) - 1}: {names[-1]} = {last!r}, the last line is truncated: no line end, and fewer digits than above; "
+            f"{file}, line {first + len(lines) - 1}: {names[-1]} = {last[-1].strip()!r}, the last "
+            "line is truncated: no line end, and fewer digits than above; "
             "allowed are complete lines"
-        )
-
-
-def _check_numbers(
-    file: Path, table: Float[np.ndarray, "rows columns"], names: Sequence[str]
-) -> None:
-    bad = np.argwhere(~np.isfinite(table))
-    if bad.size:
-        row, column = bad[0]
-        raise InputError(
-            f"{file}, line {row + 2}: {names[column]} = {table[row, column]} ({len(np.unique(bad[:, 0]))} of {len(table)} rows hold such); allowed are finite numbers"
-        )
-    large = np.argwhere(np.abs(table) > LARGEST)
-    if large.size:
-        row, column = large[0]
-        raise InputError(
-            f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g}; allowed are numbers up to {LARGEST:g}"
         )

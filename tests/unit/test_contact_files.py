@@ -172,6 +172,92 @@ def test_no_contact_at_all_gives_files_without_points(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".ply", ".nc"])
+def test_what_is_written_is_read(found: vb.Reconstruction, tmp_path: Path, suffix: str) -> None:
+    """To the last digit; CSV and PLY hold contacts, CSV a row for each sample besides."""
+    got = vb.read_contacts(vb.write_contacts(tmp_path / f"contacts{suffix}", found))
+    rows = found.in_contact if suffix == ".ply" else np.ones_like(found.in_contact)
+    if suffix == ".nc":
+        expected = {
+            "contact_point": found.point,
+            "normal": found.normal,
+            "arc_length": found.arc_length,
+            "kind": found.kind,
+            "status": found.status,
+            "time": found.reactions.time,
+        }
+        if found.covariance is not None:
+            expected["contact_point_covariance"] = found.covariance
+    else:
+        expected = {
+            **dict(zip("xyz", found.point[rows].T, strict=True)),
+            **dict(zip(("nx", "ny", "nz"), found.normal[rows].T, strict=True)),
+            "arc_length": found.arc_length[rows],
+            "kind": found.kind[rows],
+            "status": found.status[rows],
+        }
+    if suffix == ".csv":
+        covariance = np.full((*found.kind.shape, 3, 3), np.nan)
+        covariance = covariance if found.covariance is None else found.covariance
+        expected |= {"time": found.reactions.time[rows]} | {
+            f"c{'xyz'[i]}{'xyz'[j]}": covariance[rows][:, i, j]
+            for i, j in zip(*np.triu_indices(3), strict=True)
+        }
+        assert set(got) == set(expected) == set(COLUMNS.split(","))
+        for name in expected.keys() - {"time", "kind", "status"}:
+            expected[name] = np.where(found.in_contact[rows], expected[name], np.nan)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(got[name], values)
+        assert got[name].dtype.kind == values.dtype.kind or name in {"kind", "status"}
+    if suffix == ".ply":
+        assert ("standard_deviation" in got) == (found.covariance is not None)
+
+
+def test_no_contact_and_no_time_is_read(tmp_path: Path) -> None:
+    trail, zero = vb.Trail(np.zeros((3, 3))), np.zeros((3, 3))
+    found = vb.reconstruct(ROD, vb.Reactions(trail, zero, zero))
+    table = vb.read_contacts(vb.write_contacts(tmp_path / "contacts.csv", found))
+    assert table["kind"].tolist() == [0, 0, 0]
+    assert np.isnan([table["time"], table["x"], table["czz"]]).all()
+    cloud = vb.read_contacts(vb.write_contacts(tmp_path / "contacts.ply", found))
+    assert {values.shape for values in cloud.values()} == {(0,)}
+
+
+DAMAGE = {
+    "cut csv": (".csv", lambda content: content[:-9] if content.endswith(b",,\r\n") else content[: content.rindex(b",")], "truncated"),
+    "cut csv at a line": (".csv", lambda content: content[: content.rindex(b",", 0, -9)], "truncated"),
+    "csv of words": (".csv", lambda content: content.replace(b"0.1", b"one", 1), "'one"),
+    "another table": (".csv", lambda content: content.replace(b"arc_length", b"length", 1), "arc_length: missing"),
+    "cut ply": (".ply", lambda content: content[:-5], "damaged"),
+    "no ply": (".ply", lambda _: b"x,y,z\n1,2,3\n", "damaged"),
+    "another cloud": (".ply", lambda content: content.replace(b" nx", b" qx", 1), "nx: missing"),
+    "cut nc": (".nc", lambda content: content[: len(content) // 2], "damaged"),
+    "another dataset": (".nc", None, "arc_length, contact_point, kind, normal, status: missing"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_damaged_contacts_are_one_line_that_names_the_file(
+    found: vb.Reconstruction, tmp_path: Path, what: str
+) -> None:
+    suffix, damage, words = DAMAGE[what]
+    file = tmp_path / f"contacts{suffix}"
+    if damage is None:
+        write_dataset(file, xarray.Dataset({"a": ("x", [1.0])}))
+    else:
+        file.write_bytes(damage(vb.write_contacts(file, found).read_bytes()))
+    message = refusal(lambda: vb.read_contacts(file))
+    assert message.startswith(f"{file}: ")
+    assert words in message
+
+
+def test_contacts_that_are_not_there(tmp_path: Path) -> None:
+    assert "cannot be read" in refusal(lambda: vb.read_contacts(tmp_path / "none.csv"))
+    assert "suffix '.txt'; allowed are .ply, .csv, .nc" in refusal(
+        lambda: vb.read_contacts(tmp_path / "none.txt")
+    )
+
+
 def refusal(write: Callable[[], object]) -> str:
     with pytest.raises(InputError) as caught:
         write()

@@ -243,17 +243,18 @@ def test_no_messages_is_a_whole_file(tmp_path: Path) -> None:
 
 
 def chunks_of(folder: Path, number: int) -> tuple[Path, list[tuple[int, list[Message]]]]:
-    """A file that is still open, and for each chunk where it ends and what the file holds by then."""
+    """A file whose process was killed, and for each chunk where it ends and what the file holds by
+    then.
+    """
     file, said, ends = folder / "open.mcap", [], []
-    rng, growing_file = (
-        np.random.default_rng(1),
-        GrowingFile(FileDisk(folder / "open.mcap"), CHANNELS, QOS),
-    )
+    rng, disk = np.random.default_rng(1), FileDisk(file)
+    growing_file = GrowingFile(disk, CHANNELS, QOS)
     for chunk in range(number):
         block, words = messages(rng, chunk % 2, 10 * chunk, 10)
         growing_file.append([block])
         said = said + words
         ends.append((growing_file._room, said))
+    disk.close()
     return file, ends
 
 

@@ -349,7 +349,7 @@ FILE_DAMAGE = {
     "nothing": ("", "empty; allowed is CSV with the columns x,y,z,qx,qy,qz,qw"),
     "far away": (
         POSES.replace("0.03", "1e300"),
-        "line 3: x = 1e+300; allowed are numbers up to 1e+12",
+        "line 3: x = 1e+300 (1 of 3 rows hold such); allowed are finite numbers up to 1e+12",
     ),
 }
 

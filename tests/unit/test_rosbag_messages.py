@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 import vibrissa as vb
 from vibrissa.io.rosbag import McapSink
-from vibrissa.io.rosbag.messages import MessageWriter
+from vibrissa.io.rosbag.messages import POSE, WRENCH, MessageWriter
 from vibrissa.sensor import RawRecording
 
 STAMP = 1_795_292_914_999_999_999 + np.arange(5, dtype=np.int64) * 142_857
@@ -43,8 +43,8 @@ def test_wrenches_and_poses_are_what_rosbags_writes(frame: str) -> None:
     types, writer = store.types, MessageWriter(wrench_frame=frame, world_frame=frame)
     values, poses = numbers(6), numbers(7)
     blocks = (
-        writer.wrenches(STAMP, np.arange(5), values[:, :3], values[:, 3:], STAMP),
-        writer.poses(STAMP, poses[:, :3], poses[:, 3:], STAMP),
+        writer.stamped(WRENCH, STAMP, STAMP, values, np.arange(5)),
+        writer.stamped(POSE, STAMP, STAMP, poses),
     )
     for row in range(5):
         moment = types["builtin_interfaces/msg/Time"](

@@ -855,3 +855,70 @@ def test_damage_to_the_sensors_keys_is_named(tmp_path: Path, what: str) -> None:
     keys, words = SENSOR_DAMAGE[what]
     message = refusal(vb.load_setup, with_sensor_keys(tmp_path, keys))
     assert [word for word in words if word not in message] == []
+
+
+MISSPELT = {
+    "a key": (
+        ("length = 0.05", "lenght = 0.05"),
+        "rod.lenght: unknown key; did you mean 'length'? allowed are kind, length, radius, "
+        "youngs_modulus, density, yield_strain; "
+        "rod.length: missing; allowed is a number greater than 0",
+    ),
+    "a table": (
+        ("[sensor]", "[senosr]"),
+        "senosr: unknown key; did you mean 'sensor'? allowed are rod, sensor, object, recording, "
+        "rdt, pose, calibration, tolerances; "
+        "sensor: missing; allowed is a table with clamp_position, clamp_orientation, wrench",
+    ),
+    "kind": (
+        ('kind = "cylinder"', 'knid = "cylinder"'),
+        "rod.knid: unknown key; did you mean 'kind'? "
+        "rod.kind: missing; allowed is cylinder, uniform or unit",
+    ),
+    "nothing near": (
+        ("radius = 0.03", "radius = 0.03\ncolour = 1"),
+        "object.colour: unknown key; allowed are rotation, translation, kind, center, radius",
+    ),
+    "a key, and wrong values before and after it": (
+        ("length = 0.05\nradius = 0.25e-3", "length = -1\nradus = 1\nyoungs_modulus = 0 #"),
+        "rod.radus: unknown key; did you mean 'radius'? allowed are kind, length, radius, "
+        "youngs_modulus, density, yield_strain; "
+        "rod.radius: missing; allowed is a number greater than 0; "
+        "rod.length = -1: allowed is a number greater than 0 (and 1 more)",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", MISSPELT)
+def test_a_misspelt_key_comes_first_with_the_nearest_allowed_name(
+    tmp_path: Path, what: str
+) -> None:
+    (good, bad), expected = MISSPELT[what]
+    text = SETUP.replace("youngs_modulus", "# youngs_modulus") if "before" in what else SETUP
+    assert good in text
+    assert refusal(vb.load_setup, written(tmp_path, text.replace(good, bad, 1))) == expected
+
+
+@pytest.mark.parametrize(
+    ("load", "text", "words"),
+    [
+        (vb.load_case, CASE.replace("count = 9", "coutn = 9"), "trail[0].coutn: unknown key; did you mean 'count'?"),
+        (vb.load_case, CASE.replace("[object]", "[contact]\nfricton = 1\n[object]"), "contact.fricton: unknown key; did you mean 'friction'?"),
+        (vb.load_setup, SETUP + "[recording]\nforces = 'f'\n", "recording.forces: unknown key; did you mean 'force'?"),
+        (vb.load_setup, SETUP + "[pose]\nkind = 'udp'\nlistn = 'udp://h:1'\n", "pose.listn: unknown key; did you mean 'listen'?"),
+        (vb.load_setup, SETUP + "[rdt]\nrates = 1\n", "rdt.rates: unknown key; did you mean 'rate'?"),
+        (vb.load_setup, SETUP + "[tolerances]\nlenght = 1\n", "tolerances.lenght: unknown key; did you mean 'length'?"),
+    ],
+)  # fmt: skip
+def test_misspelt_keys_are_told_in_every_table(
+    tmp_path: Path, load: Callable[[Path], object], text: str, words: str
+) -> None:
+    assert refusal(load, written(tmp_path, text)).startswith(words)
+
+
+def test_a_list_that_is_too_short_is_one_finding(tmp_path: Path) -> None:
+    text = SETUP.replace("[0.001, 0.002, 0.025]", "[0.001]")
+    assert (
+        refusal(vb.load_setup, written(tmp_path, text))
+        == "sensor.clamp_position = [0.001]: allowed is three finite numbers"
+    )

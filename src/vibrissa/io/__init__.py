@@ -3,7 +3,7 @@
 from vibrissa.contacts import RecordingWarning
 from vibrissa.io.calibration import write_calibration
 from vibrissa.io.case import Case, load_case
-from vibrissa.io.contacts import write_contacts, write_dataset
+from vibrissa.io.contacts import read_contacts, write_contacts, write_dataset
 from vibrissa.io.errors import InputError
 from vibrissa.io.recordings.align import Recording
 from vibrissa.io.recordings.read import inspect_recording, read_raw, read_recording
@@ -19,6 +19,7 @@ __all__ = [
     "inspect_recording",
     "load_case",
     "load_setup",
+    "read_contacts",
     "read_raw",
     "read_recording",
     "write_calibration",

@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -24,48 +24,65 @@ _SHOWN = {
 def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
     """Everything but the residuals, as plain numbers and names; None where there is no number."""
     known, found = calibration.identifiability, calibration.fitness
-    return {
+    numbers = {
         "estimates": {name: _numbers(one) for name, one in calibration.estimates.items()},
-        "not_determined": {name: list(others) for name, others in known.held.items()},
-        "hardly_told_apart": [list(pair) for pair in known.confused],
-        "weakest_direction": dict(zip(known.names, known.directions[0].tolist(), strict=True)),
-        "names": list(known.names),
-        "correlation": known.correlation.tolist(),
-        "deviation_if_others_were_known": dict(zip(known.names, known.alone.tolist(), strict=True)),
-        "rows": int(np.count_nonzero(calibration.residuals.contact)),
+        "not_determined": known.held,
+        "hardly_told_apart": known.confused,
+        "weakest_direction": dict(zip(known.names, known.directions[0], strict=True)),
+        "names": known.names,
+        "correlation": known.correlation,
+        "deviation_if_others_were_known": dict(zip(known.names, known.alone, strict=True)),
+        "rows": _rows_in_contact(calibration),
         "reduced_chi_square": found.reduced_chi_square,
         "whiteness": found.whiteness,
-        "variance_inflation": found.inflation.tolist(),
+        "variance_inflation": found.inflation,
         "outliers": found.outliers,
         "disturbed": found.disturbed,
         "unevenness": calibration.unevenness,
         "held_out": [asdict(part) for part in calibration.held_out],
-        "first_contact": calibration.first_contact.tolist(),
-        "warnings": list(calibration.warnings),
-        "tare": calibration.tare.tolist(),
-        "tare_deviation": calibration.tare_deviation.tolist(),
-        "drift": calibration.drift.tolist(),
-        "drift_deviation": calibration.drift_deviation.tolist(),
-        "friction": calibration.friction,
-        "free": list(calibration.free),
     }
+    own = [
+        "first_contact",
+        "warnings",
+        "tare",
+        "tare_deviation",
+        "drift",
+        "drift_deviation",
+        "friction",
+        "free",
+    ]
+    return cast(
+        dict[str, Any], _plain(numbers | {name: getattr(calibration, name) for name in own})
+    )
+
+
+def _rows_in_contact(calibration: "Calibration[Any]") -> int:
+    return int(np.count_nonzero(calibration.residuals.contact))
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and tuples as lists, numbers of NumPy as Python's."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def _numbers(estimate: "Estimate") -> dict[str, Any]:
-    low, high = estimate.interval()
+    low, high, deviation = (
+        value if math.isfinite(value) else None
+        for value in (*estimate.interval(), estimate.deviation)
+    )
     return {
         "unit": estimate.unit,
         "given": estimate.given,
         "value": estimate.value,
-        "standard_deviation": _or_none(estimate.deviation),
-        "interval_95": [_or_none(low), _or_none(high)],
+        "standard_deviation": deviation,
+        "interval_95": [low, high],
         "determined": estimate.determined,
-        "holds_for": list(estimate.holds_for),
+        "holds_for": estimate.holds_for,
     }
-
-
-def _or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str]]:
@@ -93,42 +110,44 @@ def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str
 def findings(calibration: "Calibration[Any]") -> list[str]:
     """Sentences: how well the model explains the data, and what they cannot tell apart."""
     found = calibration.fitness
-    rows = int(np.count_nonzero(calibration.residuals.contact))
     lines = [
-        f"{rows} rows in contact; mean square of the residuals {found.reduced_chi_square:.3f} of the noise's; {found.outliers:.1%} of the rows fit badly and weigh less."
+        f"{_rows_in_contact(calibration)} rows in contact; mean square of the residuals "
+        f"{found.reduced_chi_square:.3f} of the noise's; {found.outliers:.1%} of the rows fit "
+        "badly and weigh less."
     ]
     if found.disturbed > 0:
         lines.append(
-            f"{found.disturbed:.1%} of the rows lie in stretches that no equilibrium explains, as where the rod swings, or sticks and slips: they are left out."
+            f"{found.disturbed:.1%} of the rows lie in stretches that no equilibrium explains, "
+            "as where the rod swings, or sticks and slips: they are left out."
         )
     if calibration.unevenness > 0:
-        unit = 1e6 if calibration.setup.rod.units == "SI" else 1.0
+        factor, unit = (1e6, "µm") if calibration.setup.rod.units == "SI" else (1.0, "L")
         lines.append(
-            f"The rod touches {unit * calibration.unevenness:.3g} {'µm' if unit > 1 else 'L'} (standard deviation) off the object as given, changing along the sweep; "
-            "the intervals allow for it."
+            f"The rod touches {factor * calibration.unevenness:.3g} {unit} (standard deviation) "
+            "off the object as given, changing along the sweep; the intervals allow for it."
         )
     if np.any(found.inflation > 1):
         factors = ", ".join(f"{math.sqrt(factor):.2g}" for factor in found.inflation)
         lines.append(
-            f"The residuals are more than white noise (p = {found.whiteness:.1g}): the model does not explain all. "
-            f"The intervals take the six channels' noise {factors} times as large as stated."
+            f"The residuals are more than white noise (p = {found.whiteness:.1g}): the model does "
+            f"not explain all. The intervals take the six channels' noise {factors} times as "
+            "large as stated."
         )
     else:
         lines.append("The residuals are what the stated noise explains.")
-    lines.append(_predicted(calibration))
+    parts = ", ".join(f"{part.part} {part.reduced_chi_square:.3g}" for part in calibration.held_out)
+    lines.append(
+        f"Predicted from the rest, mean squares of the residuals are, of the noise's: {parts}."
+    )
     if calibration.tolerances is None:
         lines.append(
-            "No tolerances are stated: the intervals hold noise only; those of the object and of what is held belong to [tolerances]."
+            "No tolerances are stated: the intervals hold noise only; those of the object and of "
+            "what is held belong to [tolerances]."
         )
     given = sorted({name for one in calibration.estimates.values() for name in one.holds_for})
     if given:
         lines.append(f"* holds for {', '.join(given)} as given.")
     return lines + [f"{sentence}." for sentence in calibration.identifiability.text]
-
-
-def _predicted(calibration: "Calibration[Any]") -> str:
-    parts = ", ".join(f"{part.part} {part.reduced_chi_square:.3g}" for part in calibration.held_out)
-    return f"Predicted from the rest, mean squares of the residuals are, of the noise's: {parts}."
 
 
 def write_summary(folder: Path, calibration: "Calibration[Any]") -> list[Path]:

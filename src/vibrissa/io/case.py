@@ -2,18 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from vibrissa.io import objects, trails
-from vibrissa.io.config import NotNegative, RodTable, Table, load_table
-from vibrissa.io.errors import InputError
+from vibrissa.io.config import Boolean, NotNegative, RodTable, Table, load
 from vibrissa.io.objects import ObjectTable
 from vibrissa.io.trails import TrailTable
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
+
+MOST_POSITIONS = 10_000_000  # what `scan` can hold in some GB of memory
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ContactTable(Table):
     """Between rod and object."""
 
     friction: NotNegative = 0.0
-    finite_radius: Annotated[bool, Field(strict=True, description="true or false")] = False
+    finite_radius: Boolean = False
 
 
 class CaseFile(Table):
@@ -44,6 +44,34 @@ class CaseFile(Table):
         list[TrailTable], Field(min_length=1, description="at least one table [[trail]]")
     ]
 
+    @model_validator(mode="after")
+    def _fits(self) -> "CaseFile":
+        if self.contact.finite_radius and getattr(self.rod, "radius", None) is None:
+            raise ValueError(
+                "contact.finite_radius = true: rod.radius is missing; "
+                "allowed is a number greater than 0"
+            )
+        count = sum(
+            getattr(trail, "count", 0) * getattr(trail, "trails", 1) for trail in self.trail
+        )
+        if count > MOST_POSITIONS:
+            raise ValueError(
+                f"trail.count: {count} positions in all; allowed are at most {MOST_POSITIONS}"
+            )
+        return self
+
+    def build(self, folder: Path) -> Case:
+        """Return the case; several trails become one of several sweeps."""
+        given = self.arguments(folder)
+        first, *others = given["trail"]
+        return Case(
+            given["rod"],
+            given["object"],
+            Trail.stack([first, *others]) if others else first,
+            self.contact.friction,
+            self.contact.finite_radius,
+        )
+
 
 def load_case(path: str | Path) -> Case:
     """Read a case from TOML: tables [rod], [object], one or more [[trail]] of equal length, and
@@ -52,26 +80,7 @@ def load_case(path: str | Path) -> Case:
     Raises
     ------
     InputError
-        If the file cannot be read, a key is missing, unknown or out of range, or the trails differ
+        If the file cannot be read, a key is unknown, missing or out of range, or the trails differ
         in length or hold more than 10,000,000 positions.
     """
-    file = Path(path)
-    table = load_table(file, CaseFile)
-    try:
-        trails.check_count(table.trail)
-        sweeps = [trails.built(trail, file.parent) for trail in table.trail]
-        trail = sweeps[0] if len(sweeps) == 1 else Trail.stack(sweeps)
-        rod = table.rod.build()
-        if table.contact.finite_radius and rod.radius is None:
-            raise ValueError(
-                "contact.finite_radius = true: rod.radius is missing; allowed is a number greater than 0"
-            )
-        return Case(
-            rod,
-            objects.built(table.object, file.parent),
-            trail,
-            table.contact.friction,
-            table.contact.finite_radius,
-        )
-    except ValueError as error:
-        raise InputError(f"{file}: {error}") from error
+    return cast(Case, load(path, CaseFile))

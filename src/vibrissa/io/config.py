@@ -1,24 +1,49 @@
-"""The parts that setups and cases are made of, as TOML tables: names, types and what is allowed."""
+"""TOML files as tables: what a key may hold, and the one line that says what is wrong."""
 
 import tomllib
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from re import split
-from typing import Annotated, Literal, TypeVar, get_args
+from reprlib import repr as shortened
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic.fields import FieldInfo
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    WrapValidator,
+)
+from pydantic_core import ErrorDetails
 
-from vibrissa.io.errors import InputError, readable
+from vibrissa.files import InputError, readable
 from vibrissa.rod import Rod
 
-Positive = Annotated[
-    float, Field(strict=True, gt=0, allow_inf_nan=False, description="a number greater than 0")
-]
-NotNegative = Annotated[
-    float, Field(strict=True, ge=0, allow_inf_nan=False, description="a number of at least 0")
-]
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False, description="a finite number")]
+
+def number(description: str, **bounds: Any) -> Any:
+    """Field of a number within pydantic's bounds, which text and truth values are not."""
+    return Field(strict=True, description=description, **bounds)
+
+
+def _in_one(value: object, check: Callable[[object], object]) -> object:
+    try:
+        return check(value)
+    except ValidationError:
+        raise ValueError from None
+
+
+IN_ONE = WrapValidator(_in_one)
+"""For a choice of types: one finding, with the whole value, where it is none of them."""
+
+Positive = Annotated[float, number("a number greater than 0", gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, number("a number of at least 0", ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, number("a finite number", allow_inf_nan=False)]
+Boolean = Annotated[bool, Field(strict=True, description="true or false")]
 Vector = Annotated[tuple[Finite, Finite, Finite], Field(description="three finite numbers")]
+Lengths = Annotated[
+    tuple[Positive, Positive, Positive], Field(description="three numbers greater than 0")
+]
 Quaternion = Annotated[
     tuple[Finite, Finite, Finite, Finite],
     Field(description="a quaternion x, y, z, w of non-zero norm"),
@@ -26,20 +51,51 @@ Quaternion = Annotated[
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
-_LONGEST_VALUE = 80
-_LARGEST_FILE = 16 * 2**20
-_MOST_POINTS = 200
+_SHOWN = 3  # findings in one line: more are counted
 
 
 class Table(BaseModel):
-    """A TOML table: unknown keys are errors."""
+    """A TOML table: unknown keys are errors.
+
+    What the model's own validators raise names a key of this table: it is shown behind the table's
+    name.
+
+    Attributes
+    ----------
+    noun
+        What the table describes, built from the keys that are given: all defaults are the noun's.
+        A table without one is its own noun.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+    noun: ClassVar[Any] = None
+
+    def arguments(self, folder: Path) -> dict[str, Any]:
+        """Keys that the file gives, but its kind: tables built, paths seen from `folder`."""
+        return {
+            name: _built(getattr(self, name), folder) for name in self.model_fields_set - {"kind"}
+        }
+
+    def build(self, folder: Path) -> Any:
+        """Return what the table describes, in a file of this folder; raise ValueError as the noun's
+        constructor does.
+        """
+        noun = type(self).noun
+        return self if noun is None else noun(**self.arguments(folder))
+
+
+def _built(value: Any, folder: Path) -> Any:
+    if isinstance(value, Table):
+        return value.build(folder)
+    if isinstance(value, list):
+        return [_built(part, folder) for part in value]
+    return folder / value if isinstance(value, Path) else value
 
 
 class CylinderRod(Table):
     """A wire of circular section, SI units."""
 
+    noun = Rod.cylinder
     kind: Literal["cylinder"]
     length: Positive
     radius: Positive
@@ -47,20 +103,11 @@ class CylinderRod(Table):
     density: Positive | None = None
     yield_strain: Positive | None = None
 
-    def build(self) -> Rod:
-        """Return the rod."""
-        return Rod.cylinder(
-            length=self.length,
-            radius=self.radius,
-            youngs_modulus=self.youngs_modulus,
-            density=self.density,
-            yield_strain=self.yield_strain,
-        )
-
 
 class UniformRod(Table):
     """A rod by its stiffness, SI units."""
 
+    noun = Rod
     kind: Literal["uniform"]
     length: Positive
     bending_stiffness: Positive
@@ -68,21 +115,12 @@ class UniformRod(Table):
     linear_density: Positive | None = None
     yield_strain: Positive | None = None
 
-    def build(self) -> Rod:
-        """Return the rod."""
-        return Rod(
-            self.length, self.bending_stiffness, self.radius, self.linear_density, self.yield_strain
-        )
-
 
 class UnitRod(Table):
     """The model's units, L = EI = 1."""
 
+    noun = Rod.unit
     kind: Literal["unit"]
-
-    def build(self) -> Rod:
-        """Return the rod."""
-        return Rod.unit()
 
 
 RodTable = Annotated[
@@ -91,135 +129,95 @@ RodTable = Annotated[
 ]
 
 
-Model = TypeVar("Model", bound=Table)
-
-
-def load_table(path: Path, model: type[Model]) -> Model:
-    """Read a TOML file as a model.
+def load(path: str | Path, model: type[Table]) -> Any:
+    """Read a TOML file, and return what its tables describe.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is not TOML, or a key is missing, unknown or out of range: one
-        line with the first finding.
+        If the file cannot be read, is not TOML, a key is unknown, missing or out of range, or the
+        tables do not fit together: one line with the first findings.
     """
-    readable(path)
-    size = path.stat().st_size
-    if size > _LARGEST_FILE:
-        raise InputError(f"{path}: {size} bytes; allowed is TOML of at most {_LARGEST_FILE} bytes")
+    file = readable(Path(path))
     try:
-        text = path.read_text(encoding="utf-8")
-        _check_keys(path, text)
-        content = tomllib.loads(text)
-    except InputError:
-        raise
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(
-            f"{path}: not valid TOML ({error}); allowed is a TOML file in UTF-8"
+            f"{file}: not valid TOML ({error}); allowed is a TOML file in UTF-8"
         ) from error
     try:
-        return model.model_validate(content)
+        return model.model_validate(content).build(file.parent)
     except ValidationError as error:
-        raise InputError(f"{path}: {_one_line(error, model)}") from error
-
-
-def _check_keys(path: Path, text: str) -> None:
-    """The parser's time and memory go with the square of a dotted key's length."""
-    stretches = (
-        part
-        for line in text.splitlines()
-        if not line.lstrip().startswith("#")
-        for part in split(r"[,=\[\]{}]", line)
-    )
-    most = max((part.count(".") for part in stretches), default=0)
-    if most > _MOST_POINTS:
-        raise InputError(
-            f"{path}: {most} points in a row of names; allowed are at most {_MOST_POINTS}"
-        )
+        raise InputError(f"{file}: {_one_line(error, model)}") from error
+    except ValueError as error:
+        raise InputError(f"{file}: {error}") from error
 
 
 def _one_line(error: ValidationError, model: type[Table]) -> str:
-    findings = error.errors(include_url=False)
-    first = findings[0]
-    where, allowed = _place(first["loc"], model)
-    more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
-    match first["type"]:
+    """Unknown keys first, as they explain what is missing, then the others as they come."""
+    ranks = {"extra_forbidden": 0, "union_tag_not_found": 1, "missing": 1}
+    errors = sorted(
+        error.errors(include_url=False), key=lambda finding: ranks.get(finding["type"], 2)
+    )
+    findings = list(dict.fromkeys(_finding(one, model) for one in errors))
+    more = len(findings) - _SHOWN
+    return "; ".join(findings[:_SHOWN]) + (f" (and {more} more)" if more > 0 else "")
+
+
+def _finding(error: ErrorDetails, model: type[Table]) -> str:
+    location, value = error["loc"], error["input"]
+    short = error["type"] == "missing" and isinstance(location[-1], int)  # a list, of its value
+    place, allowed = _place(model, location[:-1] if short else location)
+    where = place.removeprefix(".")
+    match error["type"]:
         case "extra_forbidden":
-            return f"{where}: unknown key; allowed are {allowed}{more}"
-        case "missing":
-            return f"{where}: missing; allowed is {allowed}{more}"
+            near = get_close_matches(str(location[-1]), allowed.split(", "), 1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            return f"{where}: unknown key; {hint}allowed are {allowed}"
+        case "missing" if not short:
+            return f"{where}: missing; allowed is {allowed}"
         case "union_tag_not_found":
-            return f"{where}.kind: missing; allowed is {allowed}{more}"
+            near = get_close_matches("kind", value, 1)
+            hint = f"{where}.{near[0]}: unknown key; did you mean 'kind'? " if near else ""
+            return f"{hint}{where}.kind: missing; allowed is {allowed}"
         case "union_tag_invalid":
-            return f"{where}.kind = {first['ctx']['tag']!r}: allowed is {allowed}{more}"
-        case _:
-            value = _shown(first.get("input"))
-            return f"{where} = {value if len(value) < _LONGEST_VALUE else value[:_LONGEST_VALUE] + '…'}: allowed is {allowed}{more}"
+            return f"{where}.kind = {error['ctx']['tag']!r}: allowed is {allowed}"
+        case "value_error" if text := str(error["ctx"]["error"]):
+            return f"{where}.{text}".removeprefix(".")
+    return f"{where} = {shortened(value)}: allowed is {allowed}"
 
 
-def _shown(value: object) -> str:
-    try:
-        return repr(value)
-    except (ValueError, RecursionError):
-        # Python writes no number of more than 4300 digits, and nothing that is nested too deeply.
-        return "a value too long to be written"
-
-
-def _place(location: tuple[int | str, ...], model: type[Table]) -> tuple[str, str]:
-    """Name of a place in the file, and what the schema allows there."""
-    names: list[str] = []
-    here, choices, field = model, [model], None
-    for part in location:
-        if isinstance(part, int):
-            names[-1] += f"[{part}]"
-            continue
-        tagged = [table for table in choices if part in _tags(table)]
-        if part in here.model_fields:
-            names.append(part)
-            field = here.model_fields[part]
-            choices = _tables_in(field.annotation) or choices
-            here = choices[0] if len(choices) == 1 else here
-        elif tagged:
-            # The location names which table of a union was taken; that is no key of the file.
-            here, choices = tagged[0], tagged
-        else:
-            names.append(part)
-            return ".".join(names), ", ".join(here.model_fields)
-    return ".".join(names), _described(field, of_an_item=isinstance(location[-1], int))
-
-
-def _tables_in(annotation: object) -> list[type[Table]]:
+def _place(
+    annotation: Any, location: Sequence[int | str], allowed: str | None = None
+) -> tuple[str, str]:
+    """Name of a place in a value of this type, and what the schema allows there."""
+    origin = get_origin(annotation)
+    inner = [part for part in get_args(annotation) if part is not NoneType]
+    if origin is Annotated:
+        described = (getattr(part, "description", None) for part in inner[1:])
+        return _place(inner[0], location, allowed or next(filter(None, described), None))
+    if origin in (Union, UnionType):
+        # Of several types, the location names the one that was taken: that is no key of the file.
+        taken = [part for part in inner if location and location[0] in _kinds(part)]
+        return _place((taken or inner)[0], location[1:] if inner[1:] else location, allowed)
     if isinstance(annotation, type) and issubclass(annotation, Table):
-        return [annotation]
-    return [table for part in get_args(annotation) for table in _tables_in(part)]
+        fields = annotation.model_fields
+        if not location:
+            keys = [name for name, field in fields.items() if field.is_required()]
+            return "", allowed or f"a table with {', '.join(keys or fields)}"
+        key, *rest = location
+        if key not in fields:
+            return f".{key}", ", ".join(fields)
+        name, allowed = _place(fields[key].annotation, rest, fields[key].description)
+        return f".{key}{name}", allowed
+    if location and inner:
+        key, *rest = location
+        name, allowed = _place(inner[-1 if origin is dict else 0], rest)
+        return (f".{key}" if origin is dict else f"[{key}]") + name, allowed
+    return "", allowed or " or ".join(map(repr, inner)) or "a TOML table"
 
 
-def _tags(table: type[Table]) -> tuple[str, ...]:
-    return get_args(table.model_fields["kind"].annotation) if "kind" in table.model_fields else ()
-
-
-def _described(field: FieldInfo | None, *, of_an_item: bool) -> str:
-    """What a field's own schema says it allows; of an item of a list, and where need be, that of
-    the type inside it.
-    """
-    if field is None:
-        return "a TOML table"
-    if field.description and not of_an_item:
-        return field.description
-    nested = [
-        part.description
-        for inner in get_args(field.annotation)
-        for part in get_args(inner)
-        if getattr(part, "description", None)
-    ]
-    if nested:
-        return str(nested[0])
-    if field.description:
-        return field.description
-    tables = _tables_in(field.annotation)
-    if tables:
-        fields = tables[0].model_fields
-        return "a table with " + ", ".join(
-            [name for name, inner in fields.items() if inner.is_required()] or fields
-        )
-    return " or ".join(map(repr, get_args(field.annotation))) or str(field.annotation)
+def _kinds(table: Any) -> tuple[str, ...]:
+    """Values of the key `kind` by which a table is told from others; none for what has no such."""
+    kind = getattr(table, "model_fields", {}).get("kind")
+    return get_args(kind.annotation) if kind else ()

@@ -1,52 +1,54 @@
-"""Contacts to PLY, CSV or NetCDF, by the file's suffix."""
+"""Contacts to PLY, CSV or NetCDF and back, by the file's suffix."""
 
-import csv
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Shaped
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.files import InputError, readable, text_of
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.errors import InputError, writable
+from vibrissa.io.errors import writable
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 SUFFIXES = (".ply", ".csv", ".nc")
-COLUMNS = (
-    "time",
-    "x",
-    "y",
-    "z",
-    "nx",
-    "ny",
-    "nz",
-    "arc_length",
-    "kind",
-    "status",
-    "cxx",
-    "cxy",
-    "cxz",
-    "cyy",
-    "cyz",
-    "czz",
+PLACE = ("x", "y", "z", "nx", "ny", "nz", "arc_length")
+COVARIANCE = ("cxx", "cxy", "cxz", "cyy", "cyz", "czz")
+"""Upper triangle, row by row."""
+COLUMNS = ("time", *PLACE, "kind", "status", *COVARIANCE)
+VERTEX = np.dtype(
+    [
+        *((name, "<f8") for name in (*PLACE, "standard_deviation")),
+        ("kind", "u1"),
+        ("status", "u1"),
+    ]
 )
-_UPPER = np.triu_indices(3)
-# Rows written at once: large enough for NumPy, small enough for memory.
-_BLOCK = 8192
+"""A point of a PLY file; its standard deviation is that of the whole vector."""
+_NEEDED = {
+    ".ply": set(VERTEX.names or ()) - {"standard_deviation"},
+    ".csv": set(COLUMNS),
+    ".nc": {"contact_point", "normal", "arc_length", "kind", "status"},
+}
+_BLOCK = 8192  # rows between two words on progress: some tens of milliseconds
 
 
 def checked_output(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
     """Return the path; raise InputError unless its suffix is known and its folder can be written
     to.
     """
-    file = Path(path)
+    return writable(_check_suffix(Path(path), suffixes))
+
+
+def _check_suffix(file: Path, suffixes: tuple[str, ...]) -> Path:
     if file.suffix.lower() not in suffixes:
         raise InputError(f"{file}: suffix {file.suffix!r}; allowed are {', '.join(suffixes)}")
-    return writable(file)
+    return file
 
 
 def write_contacts(
@@ -68,7 +70,7 @@ def write_contacts(
         case ".ply":
             _written(file, lambda: _write_ply(file, found))
         case ".csv":
-            _written(file, lambda: _write_csv(file, found, progress or (lambda _: None)))
+            _written(file, lambda: _write_csv(file, found, progress))
         case _:
             write_dataset(file, found.to_dataset())
     return file
@@ -92,53 +94,44 @@ def _written(file: Path, write: Callable[[], object]) -> None:
         write()
     except OSError as error:
         raise InputError(
-            f"{file}: cannot be written ({error.strerror or error}); allowed is a file that can be written"
+            f"{file}: cannot be written ({error.strerror or error}); "
+            "allowed is a file that can be written"
         ) from error
 
 
-def _write_csv(file: Path, found: Reconstruction, progress: Callable[[float], None]) -> None:
+def _write_csv(file: Path, found: Reconstruction, progress: Callable[[float], None] | None) -> None:
+    table = _table(found)
     with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(COLUMNS)
-        columns = _Columns(found)
-        for first in range(0, found.kind.size, _BLOCK):
-            writer.writerows(columns.rows(slice(first, first + _BLOCK)))
-            progress(min(1.0, (first + _BLOCK) / found.kind.size))
+        for first in range(0, max(len(table), 1), _BLOCK):
+            table[first : first + _BLOCK].to_csv(
+                stream, header=first == 0, index=False, lineterminator="\r\n"
+            )
+            if progress is not None:
+                progress(min(1.0, (first + _BLOCK) / max(len(table), 1)))
 
 
-class _Columns:
-    """Fields of a reconstruction, trails one after the other, each read once."""
+def _table(found: Reconstruction) -> "pandas.DataFrame":
+    """A row a sample, trails one after the other; NaN for what is not known."""
+    import pandas  # noqa: PLC0415
 
-    def __init__(self, found: Reconstruction) -> None:
-        self._known = known(found)
-        self._time = None if found.reactions.time is None else found.reactions.time.reshape(-1)
-        self._flags = np.stack(
-            [np.where(self._known, found.kind, ContactKind.NONE), _status(found, self._known)],
-            axis=-1,
-        ).reshape(-1, 2)
-        self._known = self._known.reshape(-1)
-        self._place = (
-            found.point.reshape(-1, 3),
-            found.normal.reshape(-1, 3),
-            found.arc_length.reshape(-1, 1),
-        )
-        self._covariance = None if found.covariance is None else found.covariance.reshape(-1, 3, 3)
-
-    def rows(self, part: slice) -> Iterable[list[object]]:
-        """Cells of some rows; None, an empty field, for what is not known."""
-        flags = self._flags[part].tolist()
-        time = [None] * len(flags) if self._time is None else self._time[part].tolist()
-        place = self._cells(part, np.concatenate([column[part] for column in self._place], axis=1))
-        errors = [[None] * len(_UPPER[0])] * len(flags)
-        if self._covariance is not None:
-            errors = self._cells(part, self._covariance[part][:, *_UPPER])
-        for moment, values, flag, error in zip(time, place, flags, errors, strict=True):
-            yield [moment, *values, *flag, *error]
-
-    def _cells(self, part: slice, values: Float[np.ndarray, "n k"]) -> list[list[Any]]:
-        cells = values.astype(object)
-        cells[~(self._known[part, None] & np.isfinite(values))] = None
-        return list(cells.tolist())
+    there = known(found)
+    lost = found.in_contact & ~there & (found.status == Status.OK)
+    covariance = np.full((*there.shape, len(COVARIANCE)), np.nan)
+    if found.covariance is not None:
+        covariance = found.covariance[..., *np.triu_indices(3)]
+    values = np.concatenate(
+        [found.point, found.normal, found.arc_length[..., None], covariance], axis=-1
+    )
+    values = np.where(there[..., None] & np.isfinite(values), values, np.nan)
+    table = pandas.DataFrame(
+        values.reshape(-1, values.shape[-1]), columns=[*PLACE, *COVARIANCE]
+    ).assign(
+        time=np.nan if found.reactions.time is None else found.reactions.time.reshape(-1),
+        kind=np.where(there, found.kind, ContactKind.NONE).reshape(-1),
+        # A contact without a place is never OK.
+        status=np.where(lost, Status.NOT_CONVERGED, found.status).reshape(-1),
+    )
+    return table[list(COLUMNS)]
 
 
 def known(found: Reconstruction) -> Bool[np.ndarray, "*trail n"]:
@@ -146,33 +139,126 @@ def known(found: Reconstruction) -> Bool[np.ndarray, "*trail n"]:
     return found.in_contact & np.isfinite(found.point).all(axis=-1)
 
 
-def _status(
-    found: Reconstruction, known: Bool[np.ndarray, "*trail n"]
-) -> Int[np.ndarray, "*trail n"]:
-    """A contact without a place is never OK."""
-    lost = found.in_contact & ~known & (found.status == Status.OK)
-    return np.where(lost, Status.NOT_CONVERGED, found.status)
+def deviations(found: Reconstruction) -> Float[np.ndarray, "*trail n 3"]:
+    """Standard deviations along x, y, z; NaN where the noise is not known."""
+    if found.covariance is None:
+        return np.full(found.point.shape, np.nan)
+    return np.sqrt(np.diagonal(found.covariance, axis1=-2, axis2=-1))
+
+
+def structured(
+    kind: np.dtype[np.void], columns: Sequence[Shaped[np.ndarray, "rows"]]
+) -> Shaped[np.ndarray, "rows"]:
+    """Columns as rows of this type, what lies between its fields zero."""
+    rows = np.zeros(len(columns[0]), dtype=kind)
+    for name, column in zip(kind.names or (), columns, strict=True):
+        rows[name] = column
+    return rows
+
+
+def vertices(
+    found: Reconstruction, rows: Bool[np.ndarray, "*trail n"]
+) -> Shaped[np.ndarray, "contacts"]:
+    """Contacts as PLY holds them."""
+    return structured(
+        VERTEX,
+        (
+            *found.point[rows].T,
+            *found.normal[rows].T,
+            found.arc_length[rows],
+            np.linalg.norm(deviations(found)[rows], axis=1),
+            found.kind[rows],
+            found.status[rows],
+        ),
+    )
+
+
+def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> Any:
+    """Vertices as `plyfile.PlyData`, with the unit of length in a comment."""
+    from plyfile import PlyData, PlyElement  # noqa: PLC0415
+
+    return PlyData(
+        [PlyElement.describe(points, "vertex")],
+        byte_order="<",
+        comments=[f"contacts of an elastic rod, unit {unit}", *comments],
+    )
 
 
 def _write_ply(file: Path, found: Reconstruction) -> None:
-    from plyfile import PlyData, PlyElement  # noqa: PLC0415
+    from numpy.lib.recfunctions import drop_fields  # noqa: PLC0415
 
-    rows = known(found)
-    fields = ["x", "y", "z", "nx", "ny", "nz", "arc_length"]
-    values = np.column_stack([found.point[rows], found.normal[rows], found.arc_length[rows]])
-    if found.covariance is not None:
-        fields.append("standard_deviation")
-        values = np.column_stack(
-            [values, np.sqrt(np.trace(found.covariance[rows], axis1=-2, axis2=-1))]
+    points = vertices(found, known(found))
+    if found.covariance is None:
+        points = drop_fields(points, "standard_deviation")
+    cloud(points, "metre" if found.rod.units == "SI" else "rod length").write(str(file))
+
+
+def read_contacts(path: str | Path) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """Read contacts that `write_contacts` wrote.
+
+    Parameters
+    ----------
+    path
+        PLY, CSV or NetCDF, by the suffix.
+
+    Returns
+    -------
+    dict
+        Arrays by the names that they have in the file, in its units. CSV: `time`, the point `x`,
+        `y`, `z`, the normal `nx`, `ny`, `nz`, `arc_length`, `kind`, `status` and the upper triangle
+        of the point's covariance `cxx` to `czz`, each (rows,), NaN where not known. PLY: the same
+        of the rows with a contact only, without time, and `standard_deviation` in place of the
+        covariance, where it was known. NetCDF: every variable of the dataset, over trails,
+        positions and axes as written.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, or the file cannot be read, is damaged or lacks one of the names.
+    """
+    file = Path(path)
+    _check_suffix(file, SUFFIXES)
+    try:
+        columns = _columns_of(readable(file))
+    except InputError:
+        raise
+    except Exception as error:  # of three libraries, each with its own kinds
+        raise InputError(
+            f"{file}: damaged ({error}); allowed is a file that `write_contacts` wrote"
+        ) from error
+    missing = sorted(_NEEDED[file.suffix.lower()] - columns.keys())
+    if missing:
+        raise InputError(
+            f"{file}: {', '.join(missing)}: missing; allowed is a file that `write_contacts` wrote"
         )
-    vertices = np.empty(
-        len(values), dtype=[*((name, "f8") for name in fields), ("kind", "u1"), ("status", "u1")]
-    )
-    for column, name in enumerate(fields):
-        vertices[name] = values[:, column]
-    vertices["kind"], vertices["status"] = found.kind[rows], found.status[rows]
-    unit = "metre" if found.rod.units == "SI" else "rod length"
-    PlyData(
-        [PlyElement.describe(vertices, "vertex")],
-        comments=[f"contacts of an elastic rod, unit {unit}"],
-    ).write(str(file))
+    return columns
+
+
+def _columns_of(file: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """Values by name, as written."""
+    match file.suffix.lower():
+        case ".ply":
+            from plyfile import PlyData  # noqa: PLC0415
+
+            points = PlyData.read(str(file))["vertex"].data
+            return {name: np.array(points[name]) for name in points.dtype.names}
+        case ".csv":
+            import pandas  # noqa: PLC0415
+
+            text = text_of(file)
+            widths = {line.count(",") for line in text.splitlines()}
+            if not text.endswith("\n") or len(widths) > 1:
+                raise ValueError("a line is truncated")
+            # As text: pandas parses floats to the last digit by an option that not all have.
+            table = pandas.read_csv(StringIO(text), dtype=object, keep_default_na=False)
+            cells = table.replace("", "nan")
+            flags = {"kind", "status"}
+            return {
+                name: cells[name].to_numpy(np.int64 if name in flags else np.float64)
+                for name in cells
+            }
+        case _:
+            import xarray  # noqa: PLC0415
+
+            with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as dataset:
+                return {str(name): part.to_numpy() for name, part in dataset.variables.items()}

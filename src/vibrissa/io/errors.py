@@ -1,4 +1,4 @@
-"""What is wrong with a file, in one line."""
+"""Files and folders to be written: what is wrong with one, in one line."""
 
 from pathlib import Path
 
@@ -11,10 +11,9 @@ def writable(path: Path) -> Path:
     """Return the path of a file to be written, its folder made if need be; raise InputError where
     that cannot be.
     """
-    _folder(path.parent)
+    writable_folder(path.parent)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; allowed is a file")
-    _probe(path.parent)
     return path
 
 
@@ -22,26 +21,16 @@ def writable_folder(path: Path) -> Path:
     """Return the path of a folder to write into, made if need be; raise InputError where that
     cannot be.
     """
-    _folder(path)
-    _probe(path)
-    return path
-
-
-def _folder(path: Path) -> None:
+    wrong = "cannot be made"
     try:
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{path}: the output folder cannot be made ({error.strerror or error}); allowed is a folder that can be written to"
-        ) from error
-
-
-def _probe(path: Path) -> None:
-    probe = path / ".vibrissa-write-test"
-    try:
+        wrong = "is not writable"
+        probe = path / ".vibrissa-write-test"
         probe.touch()
         probe.unlink()
     except OSError as error:
         raise InputError(
-            f"{path}: the output folder is not writable ({error.strerror or error}); allowed is a folder that can be written to"
+            f"{path}: the output folder {wrong} ({error.strerror or error}); "
+            "allowed is a folder that can be written to"
         ) from error
+    return path

@@ -1,31 +1,35 @@
 """What a setup says of a live sensor: [rdt] and [pose]."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
-from vibrissa.io.config import NO_TURN, ORIGIN, NotNegative, Positive, Quaternion, Table, Vector
+from vibrissa.io.config import (
+    NO_TURN,
+    ORIGIN,
+    Boolean,
+    NotNegative,
+    Positive,
+    Quaternion,
+    Table,
+    Vector,
+    number,
+)
 
-Path = Annotated[
-    str,
-    StringConstraints(strict=True, min_length=1),
-    Field(description="the path of a file, seen from the setup's folder"),
-]
-Bits = Annotated[int, Field(strict=True, ge=0, lt=1 << 32, description="a whole number of 32 bits")]
-Boolean = Annotated[bool, Field(strict=True, description="true or false")]
+PoseFile = Annotated[Path, Field(description="the path of a file, seen from the setup's folder")]
 Listen = Annotated[
     str,
     StringConstraints(strict=True, pattern=r"^udp://.+$"),
     Field(description="udp://HOST:PORT, such as udp://127.0.0.1:49153"),
 ]
-Port = Annotated[int, Field(strict=True, ge=1, le=65535, description="a port from 1 to 65535")]
 
 
 class RdtTable(Table):
     """An Ethernet sensor that speaks RDT: counts for one newton and for one newton metre, records a
     second, whether it sends several a datagram.
 
-    `error_bits` are those of the status of which one makes a sample invalid.
+    `error_bits` are the status bits of which any one makes a sample invalid.
     """
 
     counts_per_force: Positive
@@ -33,11 +37,11 @@ class RdtTable(Table):
     rate: Positive
     buffered: Boolean = False
     bias: Boolean = False
-    error_bits: Bits = 1 << 31
+    error_bits: Annotated[int, number("a whole number of 32 bits", ge=0, lt=1 << 32)] = 1 << 31
 
 
 class ConstantPoseTable(Table):
-    """A sensor that stands: pose of the sensor frame in the world."""
+    """A sensor that stands still: pose of the sensor frame in the world."""
 
     kind: Literal["constant"]
     position: Vector = ORIGIN
@@ -58,7 +62,7 @@ class TrailPoseTable(Table):
     """
 
     kind: Literal["trail"]
-    path: Path
+    path: PoseFile
 
 
 class CasePoseTable(Table):
@@ -67,7 +71,7 @@ class CasePoseTable(Table):
     """
 
     kind: Literal["case"]
-    path: Path
+    path: PoseFile
     rest: NotNegative
     sweep: Positive
     pause: Positive = 0.5

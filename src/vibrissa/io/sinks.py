@@ -1,35 +1,23 @@
 """Files that a stream writes: JSON lines and PLY."""
 
 import json
-import math
 import os
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse import Reconstruction
+from vibrissa.io.contacts import VERTEX, cloud, deviations, vertices
 from vibrissa.io.rosbag.disk import naming_file, whole_file
 from vibrissa.sensor import RawRecording
 
-_KINDS = [kind.name for kind in ContactKind]
-_STATUS = [status.name for status in Status]
-_COUNT_DIGITS = 20
-# Bytes of one call of the system: a batch of 64 rows has some 40 kB.
-_MOST_WRITTEN = 1 << 20
-_VERTEX = np.dtype(
-    [
-        *(
-            (name, "<f8")
-            for name in ("x", "y", "z", "nx", "ny", "nz", "arc_length", "standard_deviation")
-        ),
-        ("kind", "u1"),
-        ("status", "u1"),
-    ]
-)
+_COUNT_DIGITS = 20  # of the largest number of 64 bits
+_MOST_WRITTEN = 1 << 20  # bytes of one call of the system: a batch of 64 rows has some 40 kB
 
 
 class JsonLinesSink:
@@ -73,8 +61,8 @@ class JsonLinesSink:
         self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
     ) -> None:
         """Write whole lines."""
-        lines = [json.dumps(row, allow_nan=False) for row in _rows(stamp, raw, found)]
-        text = "".join(line + "\n" for line in lines).encode()
+        rows = _rows(stamp, raw, found)
+        text = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode()
         done = 0
         with naming_file(self._path or Path("standard output")):
             try:
@@ -98,49 +86,28 @@ class JsonLinesSink:
 def _rows(
     stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
 ) -> list[dict[str, object]]:
-    deviations = (
-        None
-        if found.covariance is None
-        else np.sqrt(np.diagonal(found.covariance, axis1=-2, axis2=-1)).tolist()
-    )
-    columns = (
-        stamp,
-        found.kind,
-        found.status,
-        raw.position,
-        raw.orientation,
-        raw.force,
-        raw.torque,
-        found.point,
-        found.normal,
-        found.arc_length,
-    )
-    rows: list[dict[str, object]] = []
-    for place, values in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
-        moment, kind, status, position, orientation, force, torque, point, normal, arc_length = (
-            values
-        )
-        rows.append(
-            {
-                "stamp": moment,
-                "kind": _KINDS[kind],
-                "status": _STATUS[status],
-                "position": _known(position),
-                "orientation": _known(orientation),
-                "force": _known(force),
-                "torque": _known(torque),
-                "point": _known(point),
-                "normal": _known(normal),
-                "arc_length": arc_length if math.isfinite(arc_length) else None,
-                "standard_deviations": None if deviations is None else _known(deviations[place]),
-            }
-        )
-    return rows
+    numbers = {
+        "position": raw.position,
+        "orientation": raw.orientation,
+        "force": raw.force,
+        "torque": raw.torque,
+        "point": found.point,
+        "normal": found.normal,
+        "arc_length": found.arc_length,
+        "standard_deviations": deviations(found),
+    }
+    columns = {
+        "stamp": stamp.tolist(),
+        "kind": [ContactKind(kind).name for kind in found.kind.tolist()],
+        "status": [Status(status).name for status in found.status.tolist()],
+    } | {name: _known(values) for name, values in numbers.items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def _known(values: list[float]) -> list[float] | None:
-    """The numbers, or None where one is none: JSON has no word for it."""
-    return values if all(map(math.isfinite, values)) else None
+def _known(values: Float[np.ndarray, "n ..."]) -> list[Any]:
+    """Numbers of each row, or None where one of them is not finite: JSON has no word for it."""
+    finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    return [row if known else None for row, known in zip(values.tolist(), finite, strict=True)]
 
 
 class PlySink:
@@ -169,18 +136,9 @@ class PlySink:
 
     def _header(self) -> bytes:
         """Of the same length whatever the count."""
-        lines = [
-            "ply",
-            "format binary_little_endian 1.0",
-            f"comment contacts of an elastic rod, unit {self._unit}",
-            f"element vertex {self._count}",
-        ]
-        kinds = {"<f8": "double", "|u1": "uchar"}
-        lines += [
-            f"property {kinds[part[0].str]} {name}" for name, part in (_VERTEX.fields or {}).items()
-        ]
+        points = np.broadcast_to(np.zeros(1, dtype=VERTEX), self._count)
         filler = "." * (_COUNT_DIGITS - len(str(self._count)))
-        return "\n".join([*lines, f"comment {filler}", "end_header", ""]).encode()
+        return f"{cloud(points, self._unit, filler).header}\n".encode()
 
     def wrench(
         self,
@@ -198,25 +156,14 @@ class PlySink:
         found: Reconstruction,
     ) -> None:
         """Keep the rows with a contact."""
-        rows = found.in_contact
-        vertices = np.zeros(int(np.count_nonzero(rows)), dtype=_VERTEX)
-        deviation = np.full(len(vertices), np.nan)
-        if found.covariance is not None:
-            deviation = np.sqrt(np.trace(found.covariance[rows], axis1=-2, axis2=-1))
-        values = np.column_stack(
-            [found.point[rows], found.normal[rows], found.arc_length[rows], deviation]
-        )
-        for column, name in enumerate((_VERTEX.names or ())[:8]):
-            vertices[name] = values[:, column]
-        vertices["kind"], vertices["status"] = found.kind[rows], found.status[rows]
-        self._held += vertices.tobytes()
+        self._held += vertices(found, found.in_contact).tobytes()
 
     def flush(self) -> None:
         """Write what is held, then the count."""
         if not self._held:
             return
-        self._disk.write(self._held, len(self._header()) + self._count * _VERTEX.itemsize)
-        self._count += len(self._held) // _VERTEX.itemsize
+        self._disk.write(self._held, len(self._header()) + self._count * VERTEX.itemsize)
+        self._count += len(self._held) // VERTEX.itemsize
         self._held = b""
         self._disk.write(self._header(), 0)
 

@@ -1,23 +1,14 @@
 """Motions of the clamp as TOML tables [[trail]]."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import Field
 
-from vibrissa.io.config import NO_TURN, Finite, Quaternion, Table, Vector
+from vibrissa.io.config import Boolean, Finite, Quaternion, Table, Vector, number
 from vibrissa.trail import Trail
 
-MOST_POSITIONS = 10_000_000
-Count = Annotated[
-    int,
-    Field(
-        strict=True,
-        ge=1,
-        le=10_000_000,
-        description="a whole number of at least 1, and at most 10,000,000",
-    ),
-]
+Count = Annotated[int, number("a whole number of at least 1", ge=1)]
 Quaternions = Annotated[
     tuple[Quaternion, ...],
     Field(
@@ -26,63 +17,57 @@ Quaternions = Annotated[
 ]
 
 
-class LineTable(Table):
+class MotionTable(Table):
+    """Where the clamp goes; one orientation in a list holds for all positions."""
+
+    def arguments(self, folder: Path) -> dict[str, Any]:
+        """Keys of the table, a single orientation out of its list."""
+        given = super().arguments(folder)
+        for name in given.keys() & {"orientation", "orientations"}:
+            given[name] = given[name][0] if len(given[name]) == 1 else given[name]
+        return given
+
+
+class LineTable(MotionTable):
     """Equally spaced positions on a line."""
 
+    noun = Trail.line
     kind: Literal["line"]
     start: Vector
     stop: Vector
     count: Count
-    axis: Vector = (0.0, 0.0, 1.0)
-
-    def build(self) -> Trail:
-        """Return the trail."""
-        return Trail.line(start=self.start, stop=self.stop, count=self.count, axis=self.axis)
+    axis: Vector | None = None
 
 
-class RasterTable(Table):
+class RasterTable(MotionTable):
     """Parallel lines, each moved on by `step`."""
 
+    noun = Trail.raster
     kind: Literal["raster"]
     start: Vector
     stop: Vector
     count: Count
+    axis: Vector | None = None
     step: Vector
     trails: Count
-    axis: Vector = (0.0, 0.0, 1.0)
-
-    def build(self) -> Trail:
-        """Return the trails."""
-        return Trail.raster(
-            start=self.start,
-            stop=self.stop,
-            count=self.count,
-            step=self.step,
-            trails=self.trails,
-            axis=self.axis,
-        )
 
 
-class PosesTable(Table):
+class PosesTable(MotionTable):
     """Positions, and one orientation for all or one each."""
 
+    noun = Trail
     kind: Literal["poses"]
     position: Annotated[
         tuple[Vector, ...],
         Field(min_length=1, description="a list of at least one position of three finite numbers"),
     ]
-    orientation: Quaternions = (NO_TURN,)
-
-    def build(self) -> Trail:
-        """Return the trail."""
-        return Trail(
-            self.position, self.orientation[0] if len(self.orientation) == 1 else self.orientation
-        )
+    orientation: Quaternions | None = None
 
 
-class ArcTable(Table):
+class ArcTable(MotionTable):
     """Positions on a circular arc."""
 
+    noun = Trail.arc
     kind: Literal["arc"]
     center: Vector
     axis: Vector
@@ -91,25 +76,13 @@ class ArcTable(Table):
     count: Count
     orientation: Quaternion | None = None
     rod_axis: Vector | None = None
-    turning: Annotated[bool, Field(strict=True, description="true or false")] = False
-
-    def build(self) -> Trail:
-        """Return the trail."""
-        return Trail.arc(
-            center=self.center,
-            axis=self.axis,
-            start=self.start,
-            angle=self.angle,
-            count=self.count,
-            orientation=self.orientation,
-            rod_axis=self.rod_axis,
-            turning=self.turning,
-        )
+    turning: Boolean = False
 
 
-class WhiskTable(Table):
+class WhiskTable(MotionTable):
     """A clamp that turns about a pivot axis."""
 
+    noun = Trail.whisk
     kind: Literal["whisk"]
     pivot: Vector
     axis: Vector
@@ -120,23 +93,11 @@ class WhiskTable(Table):
     orientation: Quaternion | None = None
     rod_axis: Vector | None = None
 
-    def build(self) -> Trail:
-        """Return the trail."""
-        return Trail.whisk(
-            pivot=self.pivot,
-            axis=self.axis,
-            position=self.position,
-            start_angle=self.start_angle,
-            stop_angle=self.stop_angle,
-            count=self.count,
-            orientation=self.orientation,
-            rod_axis=self.rod_axis,
-        )
 
-
-class SplineTable(Table):
+class SplineTable(MotionTable):
     """A smooth curve through way-points."""
 
+    noun = Trail.spline
     kind: Literal["spline"]
     points: Annotated[
         tuple[Vector, ...],
@@ -148,50 +109,16 @@ class SplineTable(Table):
     orientations: Quaternions | None = None
     rod_axis: Vector | None = None
 
-    def build(self) -> Trail:
-        """Return the trail."""
-        turns = (
-            self.orientations[0]
-            if self.orientations is not None and len(self.orientations) == 1
-            else self.orientations
-        )
-        return Trail.spline(self.points, self.count, orientations=turns, rod_axis=self.rod_axis)
 
-
-class CsvTable(Table):
+class CsvTable(MotionTable):
     """Poses from a file."""
 
+    noun = Trail.from_csv
     kind: Literal["csv"]
-    path: Annotated[
-        str,
-        StringConstraints(strict=True, min_length=1),
-        Field(description="the path of a CSV file, seen from the case's folder"),
-    ]
-
-    def build(self, folder: Path) -> Trail:
-        """Return the trail; a path that is not absolute starts at `folder`."""
-        return Trail.from_csv(folder / self.path)
+    path: Annotated[Path, Field(description="the path of a CSV file, seen from the case's folder")]
 
 
 TrailTable = Annotated[
     LineTable | RasterTable | PosesTable | ArcTable | WhiskTable | SplineTable | CsvTable,
     Field(discriminator="kind", description="line, raster, poses, arc, whisk, spline or csv"),
 ]
-
-
-def check_count(tables: list[TrailTable]) -> None:
-    """Raise ValueError if trails hold more positions than memory should be asked for."""
-    count = sum(
-        table.count * (table.trails if isinstance(table, RasterTable) else 1)
-        for table in tables
-        if not isinstance(table, PosesTable | CsvTable)
-    )
-    if count > MOST_POSITIONS:
-        raise ValueError(f"trail: {count} positions in all; allowed are at most {MOST_POSITIONS}")
-
-
-def built(table: TrailTable, folder: Path) -> Trail:
-    """Trail of a table in a file of this folder; raise ValueError as the trail's own constructor
-    does.
-    """
-    return table.build(folder) if isinstance(table, CsvTable) else table.build()

@@ -1,4 +1,4 @@
-"""Files that are written at places, put there whole, and named by what the system refuses."""
+"""Files that are written at places, put there whole; errors of the system name the file."""
 
 import os
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """What the system refuses names the file."""
+    """Errors of the system name the file."""
     try:
         yield
     except OSError as error:
@@ -18,7 +18,7 @@ def naming_file(path: Path) -> Iterator[None]:
 
 @runtime_checkable
 class Disk(Protocol):
-    """What is written at places."""
+    """A file that is written at places."""
 
     def write(self, data: bytes, place: int) -> None:
         """Write all of it."""
@@ -44,25 +44,23 @@ class FileDisk:
     def __init__(self, path: Path, name: Path | None = None) -> None:
         self._name = name or path
         with naming_file(self._name):
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+            self._file = path.open("w+b", buffering=0)
 
     def write(self, data: bytes, place: int) -> None:
         """Write all of it."""
         left = memoryview(data)
         with naming_file(self._name):
             while left:
-                done = os.pwrite(self._descriptor, left, place)
+                done = os.pwrite(self._file.fileno(), left, place)
                 left, place = left[done:], place + done
 
     def truncate(self, size: int) -> None:
         """Cut off what lies beyond."""
-        os.ftruncate(self._descriptor, size)
+        self._file.truncate(size)
 
     def close(self) -> None:
         """Close it; may be called twice."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        self._file.close()
 
 
 @contextmanager

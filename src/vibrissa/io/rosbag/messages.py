@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.inverse import Reconstruction
+from vibrissa.io.contacts import deviations, structured
 from vibrissa.io.rosbag.growing import Channel, Messages
 from vibrissa.io.rosbag.library import library
 
@@ -35,33 +36,21 @@ QOS = """\
 """
 """Of all topics: keep the last 100, reliable, volatile."""
 
-FIELDS = (
-    "x",
-    "y",
-    "z",
-    "normal_x",
-    "normal_y",
-    "normal_z",
-    "deviation_x",
-    "deviation_y",
-    "deviation_z",
-    "arc_length",
-)
-"""Of a point, 32-bit floats; then come `kind` and `status`, bytes, and `time`, a 64-bit float:
-seconds after the header's stamp.
-"""
 POINT = np.dtype(
     [
-        *((name, "<f4") for name in FIELDS),
+        *((name, "<f4") for name in ("x", "y", "z")),
+        *((f"{vector}_{axis}", "<f4") for vector in ("normal", "deviation") for axis in "xyz"),
+        ("arc_length", "<f4"),
         ("kind", "u1"),
         ("status", "u1"),
-        ("padding", "V6"),
         ("time", "<f8"),
-    ]
+    ],
+    align=True,
 )
+"""Of a cloud; `time` is seconds after the header's stamp."""
 
 _SECOND = 1_000_000_000
-_MESSAGE_HEAD = [
+_HEAD = [
     ("opcode", "u1"),
     ("length", "<u8"),
     ("channel", "<u2"),
@@ -69,9 +58,10 @@ _MESSAGE_HEAD = [
     ("log_time", "<u8"),
     ("publish_time", "<u8"),
 ]
-_MESSAGE = 0x05
-_BESIDE_DATA = 22
-_FLOAT32, _FLOAT64, _UINT8 = 7, 8, 2
+_MESSAGE = 0x05  # opcode
+_BESIDE_DATA = 22  # bytes from `channel` to `publish_time`
+_STAMP = [("encapsulation", "V4"), ("sec", "<i4"), ("nanosec", "<u4")]  # CDR begins with these
+_DATATYPES = {"<f4": 7, "<f8": 8, "|u1": 2}  # of sensor_msgs/msg/PointField
 
 
 class MessageWriter:
@@ -94,15 +84,30 @@ class MessageWriter:
     def __init__(self, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
         typesys = library("rosbags.typesys")
         self._store: Any = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        self._world = world_frame
+        self._world, self._counts = world_frame, [0] * len(TOPICS)
+        vector = self._new("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        pose = self._new(
+            "geometry_msgs/msg/Pose",
+            position=self._new("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
+            orientation=self._new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        wrench = self._new("geometry_msgs/msg/Wrench", force=vector, torque=vector)
         self._patterns = {
-            WRENCH: self._pattern(WRENCH, self._wrench(wrench_frame), 6),
-            POSE: self._pattern(POSE, self._pose(world_frame), 7),
+            WRENCH: self._pattern(WRENCH, 6, wrench_frame, wrench=wrench),
+            POSE: self._pattern(POSE, 7, world_frame, pose=pose),
         }
-        self._fields = self._point_fields()
-        self._sequence = [0, 0, 0]
+        self._fields = [
+            self._new(
+                "sensor_msgs/msg/PointField",
+                name=name,
+                offset=offset,
+                datatype=_DATATYPES[kind.str],
+                count=1,
+            )
+            for name, (kind, offset, *_) in (POINT.fields or {}).items()
+        ]
         # rosbags builds its code for a type when it first meets it.
-        self._cloud_bytes(np.zeros(1, dtype=POINT), 0, is_dense=True)
+        self._cloud_data(np.zeros(1, dtype=POINT), 0, is_dense=True)
 
     def channels(self) -> list[Channel]:
         """The three topics."""
@@ -111,107 +116,43 @@ class MessageWriter:
             for topic, kind in zip(TOPICS, TYPES, strict=True)
         ]
 
-    def _type(self, name: str) -> Any:
-        return self._store.types[name]
+    def _new(self, message_type: str, **values: Any) -> Any:
+        return self._store.types[message_type](**values)
 
-    def _header(self, frame: str, stamp: int = 0) -> Any:
-        moment = self._type("builtin_interfaces/msg/Time")(
-            sec=stamp // _SECOND, nanosec=stamp % _SECOND
-        )
-        return self._type("std_msgs/msg/Header")(stamp=moment, frame_id=frame)
+    def _data(self, channel: int, frame: str, stamp: int, **values: Any) -> bytes:
+        sec, nanosec = divmod(stamp, _SECOND)
+        moment = self._new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+        header = self._new("std_msgs/msg/Header", stamp=moment, frame_id=frame)
+        message = self._new(TYPES[channel], header=header, **values)
+        return bytes(self._store.serialize_cdr(message, TYPES[channel]))
 
-    def _wrench(self, frame: str) -> Any:
-        vector = self._type("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
-        wrench = self._type("geometry_msgs/msg/Wrench")(force=vector, torque=vector)
-        return self._type(TYPES[WRENCH])(header=self._header(frame), wrench=wrench)
+    def _pattern(self, channel: int, count: int, frame: str, **values: Any) -> np.ndarray:
+        """One record (1,) of a message that ends with `count` numbers."""
+        data = self._data(channel, frame, 0, **values)
+        between = len(data) - 12 - 8 * count
+        kind = [*_HEAD, *_STAMP, ("frame", f"V{between}"), ("numbers", "<f8", (count,))]
+        return np.frombuffer(_head(channel, len(data)) + data, dtype=kind)
 
-    def _pose(self, frame: str) -> Any:
-        point, turn = (
-            self._type("geometry_msgs/msg/Point")(x=0.0, y=0.0, z=0.0),
-            self._type("geometry_msgs/msg/Quaternion"),
-        )
-        pose = self._type("geometry_msgs/msg/Pose")(
-            position=point, orientation=turn(x=0.0, y=0.0, z=0.0, w=1.0)
-        )
-        return self._type(TYPES[POSE])(header=self._header(frame), pose=pose)
-
-    def _pattern(self, channel: int, message: Any, numbers: int) -> np.ndarray:
-        """One record (1,): CDR's four bytes, the stamp, the frame's name, and the numbers at the
-        end.
-        """
-        data = bytes(self._store.serialize_cdr(message, TYPES[channel]))
-        between = len(data) - 12 - 8 * numbers
-        body = [
-            ("start", "V4"),
-            ("sec", "<i4"),
-            ("nanosec", "<u4"),
-            ("frame", f"V{between}"),
-            ("numbers", "<f8", (numbers,)),
-        ]
-        kind = np.dtype([*_MESSAGE_HEAD, *body])
-        record = np.zeros(1, dtype=kind)
-        record["opcode"], record["length"], record["channel"] = (
-            _MESSAGE,
-            _BESIDE_DATA + len(data),
-            channel + 1,
-        )
-        record["start"], record["frame"] = data[:4], data[12 : 12 + between]
-        return record
-
-    def wrenches(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
-        log_time: Int[np.ndarray, "n"],
-    ) -> Messages:
-        """Raw samples, under the sensor's own numbers."""
-        return self._stamped(
-            WRENCH, stamp, log_time, np.concatenate([force, torque], axis=1), sequence
-        )
-
-    def poses(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        position: Float[np.ndarray, "n 3"],
-        orientation: Float[np.ndarray, "n 4"],
-        log_time: Int[np.ndarray, "n"],
-    ) -> Messages:
-        """Poses of the sensor frame."""
-        return self._stamped(
-            POSE,
-            stamp,
-            log_time,
-            np.concatenate([position, orientation], axis=1),
-            self._numbered(POSE, len(stamp)),
-        )
-
-    def _stamped(
+    def stamped(
         self,
         channel: int,
-        stamp: np.ndarray,
-        log_time: np.ndarray,
-        numbers: np.ndarray,
-        sequence: np.ndarray,
+        stamp: Int[np.ndarray, "n"],
+        log_time: Int[np.ndarray, "n"],
+        numbers: Float[np.ndarray, "n k"],
+        sequence: Int[np.ndarray, "n"] | None = None,
     ) -> Messages:
+        """Wrenches (n, 6), under the sensor's own numbers, or poses (n, 7) of the sensor frame."""
         records = np.repeat(self._patterns[channel], len(stamp))
+        if sequence is None:
+            sequence = self._counts[channel] + np.arange(len(stamp))
+            self._counts[channel] += len(stamp)
         records["sequence"] = sequence % (1 << 32)
         # MCAP knows no time before 1970; the header does.
         records["log_time"], records["publish_time"] = log_time, np.maximum(stamp, 0)
-        records["sec"], records["nanosec"] = stamp // _SECOND, stamp % _SECOND
+        records["sec"], records["nanosec"] = np.divmod(stamp, _SECOND)
         records["numbers"] = numbers
-        return Messages(
-            channel,
-            log_time,
-            np.arange(len(stamp), dtype=np.int64) * records.itemsize,
-            records.tobytes(),
-        )
-
-    def _numbered(self, channel: int, count: int) -> Int[np.ndarray, "n"]:
-        first = self._sequence[channel]
-        self._sequence[channel] += count
-        return np.arange(first, first + count, dtype=np.int64)
+        offset = np.arange(len(stamp)) * records.itemsize
+        return Messages(channel, log_time, offset, records.tobytes())
 
     def cloud(self, stamp: Int[np.ndarray, "n"], found: Reconstruction, log_time: int) -> Messages:
         """One cloud of the rows with a contact, stamped as the first of them; nothing where there
@@ -219,62 +160,43 @@ class MessageWriter:
         """
         rows = np.flatnonzero(found.in_contact)
         if not len(rows):
-            return Messages(CONTACTS, np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), b"")
-        points = _points(stamp, found, rows)
+            return Messages(CONTACTS, rows, rows, b"")
         first = int(stamp[rows[0]])
-        data = self._cloud_bytes(points, first, is_dense=found.covariance is not None)
-        head = np.zeros(1, dtype=_MESSAGE_HEAD)
-        head["opcode"], head["length"], head["channel"] = (
-            _MESSAGE,
-            _BESIDE_DATA + len(data),
-            CONTACTS + 1,
+        points = structured(
+            POINT,
+            (
+                *found.point[rows].T,
+                *found.normal[rows].T,
+                *deviations(found)[rows].T,
+                found.arc_length[rows],
+                found.kind[rows],
+                found.status[rows],
+                (stamp[rows] - first) * 1e-9,
+            ),
         )
-        head["sequence"] = self._numbered(CONTACTS, 1)
-        head["log_time"], head["publish_time"] = log_time, max(first, 0)
-        return Messages(
-            CONTACTS, np.array([log_time]), np.zeros(1, dtype=np.int64), head.tobytes() + data
-        )
+        data = self._cloud_data(points, first, is_dense=found.covariance is not None)
+        head = _head(CONTACTS, len(data), self._counts[CONTACTS], log_time, max(first, 0))
+        self._counts[CONTACTS] += 1
+        return Messages(CONTACTS, np.array([log_time]), np.array([0]), head + data)
 
-    def _cloud_bytes(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
-        message = self._type(TYPES[CONTACTS])(
-            header=self._header(self._world, stamp),
+    def _cloud_data(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
+        return self._data(
+            CONTACTS,
+            self._world,
+            stamp,
             height=1,
             width=len(points),
             fields=self._fields,
             is_bigendian=False,
             point_step=POINT.itemsize,
-            row_step=POINT.itemsize * len(points),
+            row_step=points.nbytes,
             data=points.view(np.uint8).reshape(-1),
             is_dense=is_dense,
         )
-        return bytes(self._store.serialize_cdr(message, TYPES[CONTACTS]))
-
-    def _point_fields(self) -> list[Any]:
-        kinds = {"<f4": _FLOAT32, "<f8": _FLOAT64, "|u1": _UINT8}
-        parts = [
-            (name, part[0].str, part[1])
-            for name, part in (POINT.fields or {}).items()
-            if name != "padding"
-        ]
-        field = self._type("sensor_msgs/msg/PointField")
-        return [
-            field(name=name, offset=offset, datatype=kinds[kind], count=1)
-            for name, kind, offset in parts
-        ]
 
 
-def _points(
-    stamp: Int[np.ndarray, "n"], found: Reconstruction, rows: Int[np.ndarray, "k"]
-) -> np.ndarray:
-    points = np.zeros(len(rows), dtype=POINT)
-    deviation = np.full((len(rows), 3), np.nan)
-    if found.covariance is not None:
-        deviation = np.sqrt(np.diagonal(found.covariance[rows], axis1=-2, axis2=-1))
-    values = np.column_stack(
-        [found.point[rows], found.normal[rows], deviation, found.arc_length[rows]]
-    )
-    for column, name in enumerate(FIELDS):
-        points[name] = values[:, column]
-    points["kind"], points["status"] = found.kind[rows], found.status[rows]
-    points["time"] = (stamp[rows] - stamp[rows[0]]) * 1e-9
-    return points
+def _head(channel: int, size: int, *numbers: int) -> bytes:
+    """Of a record whose data have this size; sequence, log time and publish time."""
+    head = np.zeros(1, dtype=_HEAD)
+    head[0] = (_MESSAGE, _BESIDE_DATA + size, channel + 1, *(numbers or (0, 0, 0)))
+    return head.tobytes()

@@ -11,13 +11,12 @@ from vibrissa.inverse import Reconstruction
 from vibrissa.io.rosbag.disk import whole_file
 from vibrissa.io.rosbag.growing import GrowingFile, Messages
 from vibrissa.io.rosbag.library import library
-from vibrissa.io.rosbag.messages import QOS, MessageWriter
+from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
 from vibrissa.sensor import RawRecording
 
-_MOST_HELD = 1 << 20
-METADATA = "metadata.yaml"
-_VERSION = 5
-_EVERY = 1.0
+_MOST_HELD = 1 << 20  # bytes in memory: what a file grows by
+_VERSION = 5  # of the metadata: that of ROS 2 Humble
+_EVERY = 1.0  # seconds between metadata
 
 
 class McapSink:
@@ -62,7 +61,8 @@ class McapSink:
         """Keep raw samples for the next chunk."""
         log_time = np.maximum.accumulate(np.maximum(stamp, self._log_time))
         self._log_time = int(log_time[-1])
-        self._keep(self._writer.wrenches(stamp, sequence, force, torque, log_time))
+        wrench = np.hstack([force, torque])
+        self._keep(self._writer.stamped(WRENCH, stamp, log_time, wrench, sequence))
 
     def contacts(
         self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
@@ -70,9 +70,8 @@ class McapSink:
         """Keep poses and contacts for the next chunk."""
         known = np.isfinite(raw.position[:, 0])
         log_time = np.full(int(np.count_nonzero(known)), self._log_time)
-        self._keep(
-            self._writer.poses(stamp[known], raw.position[known], raw.orientation[known], log_time)
-        )
+        pose = np.hstack([raw.position, raw.orientation])[known]
+        self._keep(self._writer.stamped(POSE, stamp[known], log_time, pose))
         self._keep(self._writer.cloud(stamp, found, self._log_time))
 
     def _keep(self, messages: Messages) -> None:
@@ -124,22 +123,24 @@ class Rosbag2Sink:
         folder.mkdir(exist_ok=True)
         self._yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
         self._yaml.default_flow_style = False
-        self._metadata = folder / METADATA
-        self._name = bag_file(folder).name
+        self._metadata = folder / "metadata.yaml"
+        self._name = f"{folder.resolve().name}_0.mcap"
         self._mcap = McapSink(
             folder / self._name, wrench_frame=wrench_frame, world_frame=world_frame
         )
+        # Raw samples and contacts go to the file as they are.
+        self.wrench, self.contacts = self._mcap.wrench, self._mcap.contacts
         self._described()
 
     def _described(self) -> None:
         """Replace the metadata."""
         file = self._mcap.file
-        first, last = file.time_range or (0, 0)
-        span = {
+        first, last = file.time_range
+        size = {
             "starting_time": {"nanoseconds_since_epoch": first},
             "duration": {"nanoseconds": last - first},
+            "message_count": sum(file.message_counts),
         }
-        count = {"message_count": sum(file.message_counts)}
         topics = [
             {
                 "topic_metadata": {
@@ -155,13 +156,12 @@ class Rosbag2Sink:
         content = {
             "version": _VERSION,
             "storage_identifier": "mcap",
-            **span,
-            **count,
+            **size,
             "topics_with_message_count": topics,
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [self._name],
-            "files": [{"path": self._name, **span, **count}],
+            "files": [{"path": self._name, **size}],
         }
         text = StringIO()
         self._yaml.dump({"rosbag2_bagfile_information": content}, text)
@@ -169,22 +169,6 @@ class Rosbag2Sink:
             disk.write(text.getvalue().encode(), 0)
         disk.close()
         self._when = time.monotonic()
-
-    def wrench(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
-    ) -> None:
-        """Keep raw samples for the next chunk."""
-        self._mcap.wrench(stamp, sequence, force, torque)
-
-    def contacts(
-        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
-    ) -> None:
-        """Keep poses and contacts for the next chunk."""
-        self._mcap.contacts(stamp, raw, found)
 
     def flush(self) -> None:
         """Write a chunk of what is held and, now and then, the metadata."""
@@ -196,8 +180,3 @@ class Rosbag2Sink:
         """Write the rest, the index and the metadata."""
         self._mcap.close()
         self._described()
-
-
-def bag_file(folder: Path) -> Path:
-    """The file in which a bag's messages lie."""
-    return folder / f"{folder.resolve().name}_0.mcap"

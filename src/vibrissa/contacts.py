@@ -96,8 +96,8 @@ class Contacts:
 
     def __getitem__(self, rows: Any) -> "Contacts":
         """Return the chosen rows, all fields together."""
-        chosen = (getattr(self, field.name) for field in fields(self))
-        return Contacts(*(None if value is None else value[rows] for value in chosen))
+        whole: list[Any] = [getattr(self, field.name) for field in fields(self)]
+        return Contacts(*(None if value is None else value[rows] for value in whole))
 
     def __len__(self) -> int:
         """Rows along the first axis."""

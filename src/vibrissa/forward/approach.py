@@ -104,7 +104,7 @@ class Meeting(NamedTuple):
         return (1 - self.arc_length) + self.cosine / 2
 
 
-@lanes(width=16, blocks=4, rarely=True)
+@lanes(width=16, blocks=4)
 def meetings_on(scene: Scene, stretch: Stretch, before: Scalar, after: Scalar) -> Meeting:
     """First contact on stretches at whose start the straight rod is clear by `before`, and at the
     end not, by `after`.
@@ -156,7 +156,7 @@ def first_meetings(
     thin = _passed_through(scene, path, clear, distance)
     lane, index, stop, after = (np.concatenate(parts) for parts in zip(direct, thin, strict=True))
     whole = path.stretch(lane, index)
-    parts = whole.rest(np.zeros((len(lane), 1)), stop[:, None])
+    parts = whole.part(np.zeros((len(lane), 1)), stop[:, None])
     met = meetings_on(scene, parts, distance[lane, index - 1], after)
     met = met._replace(fraction=met.fraction * stop)
     return chosen(Meetings(lane, index, met), met.cosine > HEAD_ON_COSINE)

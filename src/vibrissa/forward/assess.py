@@ -155,7 +155,7 @@ def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
     return jnp.minimum(jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near)), beyond)
 
 
-@lanes(width=16, blocks=16, rarely=True)
+@lanes(width=16, blocks=16)
 def deepest(scene: Scene, state: State, clamp: Clamp, law: Law) -> Deepest:
     """Deepest of many points of the rod: the second contact that is missing, if there is one.
 

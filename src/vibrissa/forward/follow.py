@@ -126,7 +126,7 @@ class _Follower:
         before, after = self._clearance(fraction), self._clearance(1.0)
         if after >= CLEAR:
             return None
-        rest = self._stretch.rest(np.array([[fraction]]))
+        rest = self._stretch.part(np.array([[fraction]]), np.ones((1, 1)))
         met = chosen(meetings_on(self._scene, rest, np.array([before]), np.array([after])), 0)
         return Meeting(fraction + (1 - fraction) * met.fraction, *met[1:])
 

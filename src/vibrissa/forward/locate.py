@@ -49,7 +49,7 @@ lie; with friction, from whose corners Newton's method starts badly, twice as ma
 """
 
 
-@lanes(width=16, blocks=4, rarely=True)
+@lanes(width=16, blocks=4)
 def _located(
     shared: tuple[Scene, Law],
     stretch: Stretch,

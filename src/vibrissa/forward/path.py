@@ -62,9 +62,9 @@ class Stretch(NamedTuple):
         pose = self.at(fraction)
         return Clamp(pose.point, third_axis(pose.orientation))
 
-    def rest(self, fraction: Any, stop: Any = 1.0) -> "Stretch":
+    def part(self, start: Float[np.ndarray, "*n 1"], stop: Float[np.ndarray, "*n 1"]) -> "Stretch":
         """The part between fractions (…, 1)."""
-        return Stretch(self.at(np.asarray(fraction)), self.at(np.asarray(stop)))
+        return Stretch(self.at(start), self.at(stop))
 
 
 @dataclass(frozen=True)

@@ -250,12 +250,12 @@ def _levels(
     return np.asarray(_level(scene, points.reshape(-1, 3))).reshape(points.shape[:2])
 
 
-@lanes(width=1024, blocks=8, rarely=True)
+@lanes(width=1024, blocks=8)
 def _level(scene: Scene, point: Float[Array, "3"]) -> Float[Array, ""]:
     return scene.level(point)
 
 
-@lanes(rarely=True)
+@lanes()
 def _part_levels(scene: Scene, point: Float[Array, "3"]) -> Float[Array, "parts"]:
     return scene.part_levels(point)
 
@@ -302,7 +302,7 @@ def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
     return single
 
 
-@lanes(rarely=True)
+@lanes()
 def _stepped(
     shared: tuple[Scene, Clamp], state: State, law: Law
 ) -> tuple[State, Float[Array, ""], Float[Array, ""]]:

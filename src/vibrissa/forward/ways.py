@@ -167,7 +167,7 @@ def _correct(
     return found
 
 
-_corrected = compiled(_correct, rarely=True)
+_corrected = compiled(_correct)
 
 
 class Branch(Way):
@@ -359,7 +359,7 @@ def _rubbed(scene: Scene, law: Law, stretch: Stretch, fraction: Any, before: Rea
     return solved(scene, law, before.state, clamp, before, None, jnp.asarray(True))  # noqa: FBT003
 
 
-_rub = compiled(_rubbed, rarely=True)
+_rub = compiled(_rubbed)
 
 
 class Rubbing(Way):

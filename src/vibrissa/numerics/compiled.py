@@ -59,15 +59,15 @@ def _processor() -> str:
     return f"{platform.machine()}-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
 
 
-@lru_cache(maxsize=2)
-def _options(*, rarely: bool) -> dict[str, bool | int]:
+@lru_cache(maxsize=1)
+def _options() -> dict[str, bool]:
     """XLA's older loop emitter keeps Newton's method in one vectorised loop: measured twice as fast
-    here, and quicker to compile. Without optimisation kernels compile in half the time, and take
-    three times as long to run.
+    here, and quicker to compile.
+
+    Compiling without optimisation would take half the time, but jaxlib 0.10.2 then makes NaN of
+    some lanes of a block of 64.
     """
-    options: dict[str, bool | int] = {"xla_cpu_use_fusion_emitters": False}
-    if rarely:
-        options["xla_backend_optimization_level"] = 0
+    options = {"xla_cpu_use_fusion_emitters": False}
     try:
         jax.jit(lambda x: x + 1, compiler_options=options)(0.0)
     except Exception:  # a release of XLA without the option, whatever it raises
@@ -75,18 +75,14 @@ def _options(*, rarely: bool) -> dict[str, bool | int]:
     return options
 
 
-def compiled(
-    function: Callable[Parameters, Result], *, rarely: bool = False
-) -> Callable[Parameters, Result]:
+def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
     """`jax.jit` with the options above, set up at the first call so that importing a module does
     not start a backend.
-
-    `rarely` is for kernels that run on few rows.
     """
 
     @lru_cache(maxsize=1)
     def build() -> Callable[Parameters, Result]:
-        return jax.jit(function, compiler_options=_options(rarely=rarely))
+        return jax.jit(function, compiler_options=_options())
 
     @wraps(function)
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:

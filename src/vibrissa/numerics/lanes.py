@@ -72,10 +72,9 @@ class Lanes(Generic[Shared, Row]):
         *,
         width: int = WIDTH,
         blocks: int = BLOCKS,
-        rarely: bool = False,
         alone: bool = False,
     ) -> None:
-        self._one, self._width, self._blocks, self._rarely = one, width, blocks, rarely
+        self._one, self._width, self._blocks = one, width, blocks
         self._alone = alone
         self._known: set[object] = set()
         self._compiling = threading.Lock()
@@ -127,7 +126,7 @@ class Lanes(Generic[Shared, Row]):
             first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], rows)
             return jax.tree.map(lambda leaf: leaf[None], self._one(shared, *first))
 
-        return compiled(single, rarely=self._rarely)
+        return compiled(single)
 
     @cached_property
     def _kernel(self) -> Callable[..., Any]:
@@ -158,11 +157,11 @@ class Lanes(Generic[Shared, Row]):
                 found,
             )
 
-        return compiled(kernel, rarely=self._rarely)
+        return compiled(kernel)
 
 
 def lanes(
-    *, width: int = WIDTH, blocks: int = BLOCKS, rarely: bool = False, alone: bool = False
+    *, width: int = WIDTH, blocks: int = BLOCKS, alone: bool = False
 ) -> Callable[[Callable[..., Row]], Lanes[Any, Row]]:
     """Make a function of (shared, *row) one of (shared, *rows).
 
@@ -170,12 +169,10 @@ def lanes(
     ----------
     width, blocks
         Lanes of a block, and blocks of a call.
-    rarely
-        Whether the kernel runs on few rows, so that it pays to compile it cheaply.
     alone
         Whether single rows are asked for often enough for a kernel of their own.
     """
-    return lambda one: Lanes(one, width=width, blocks=blocks, rarely=rarely, alone=alone)
+    return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone)
 
 
 def _filled(rows: AnyArray, size: int) -> AnyArray:

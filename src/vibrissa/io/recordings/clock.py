@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import savgol_filter
 from scipy.sparse import csr_array
 
-from vibrissa.io.recordings.streams import Stream
+from vibrissa.io.recordings.streams import Poses, Wrenches
 
 _LEVER = 0.1
 _MOST_ROWS = 1000
@@ -58,7 +58,7 @@ class ClockOffset:
     standard_error: float | None
 
 
-def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float) -> ClockOffset:
+def estimated_offset(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> ClockOffset:
     """Offset that makes the reactions most nearly a function of the pose, with its standard error.
 
     The standard error is that of the profile likelihood, with as many independent samples as the
@@ -172,11 +172,11 @@ class _Window:
     still: float
 
 
-def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list[_Window]:
+def _windows(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> list[_Window]:
     """Stretches in which the clamp comes back, each with poses beyond its ends by the largest
     offset.
     """
-    sound = np.isfinite(wrench.time) & np.all(np.isfinite(wrench.values), axis=1)
+    sound = np.isfinite(wrench.time) & np.all(np.isfinite(wrench.channels), axis=1)
     if len(pose.time):
         sound &= (wrench.time > pose.time[0] + largest) & (wrench.time < pose.time[-1] - largest)
     rows = wrench.rows(sound & (len(pose.time) > _FEWEST_STEPS))
@@ -184,7 +184,7 @@ def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list
         raise ValueError(
             f"only {len(rows.time)} wrenches have poses {largest:g} s before and after; allowed is a smaller largest_offset, or a longer recording"
         )
-    features, floor = _smoothed(_features(pose)), 0.1 * _noise(rows.values)
+    features, floor = _smoothed(_features(pose)), 0.1 * _noise(rows.channels)
     fast = float(np.quantile(np.linalg.norm(_speeds(pose.time, features), axis=1), 0.9))
     still = _STANDING * float(np.linalg.norm(_noise(features)))
     length = max(_SHORTEST_WINDOW, 4 * largest)
@@ -200,7 +200,7 @@ def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list
             continue
         way = _way(features[near])
         if _comes_back(pose.time[near], way, fast):
-            time, values = _thinned(rows.time[part], rows.values[part])
+            time, values = _thinned(rows.time[part], rows.channels[part])
             found.append(_Window(time, values, pose.time[near], way, floor, _PITCH * scale, still))
     return (
         [
@@ -236,12 +236,12 @@ def _noise(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
     )
 
 
-def _features(pose: Stream) -> Float[np.ndarray, "n 6"]:
+def _features(pose: Poses) -> Float[np.ndarray, "n 6"]:
     """Positions, and turns seen from a lever of 0.1 m: twice the quaternion's vector part, of one
     sign, relative to the first pose.
     """
-    x, y, z, w = (pose.values[:, 3:] / np.linalg.norm(pose.values[:, 3:], axis=1, keepdims=True)).T
-    a, b, c, d = pose.values[0, 3:] / np.linalg.norm(pose.values[0, 3:])
+    x, y, z, w = (pose.orientation / np.linalg.norm(pose.orientation, axis=1, keepdims=True)).T
+    a, b, c, d = pose.orientation[0] / np.linalg.norm(pose.orientation[0])
     turn = np.stack(
         [
             d * x - a * w - b * z + c * y,
@@ -251,7 +251,7 @@ def _features(pose: Stream) -> Float[np.ndarray, "n 6"]:
         axis=1,
     )
     sign = np.where(d * w + a * x + b * y + c * z < 0, -1.0, 1.0)
-    return np.hstack([pose.values[:, :3] - pose.values[0, :3], 2 * _LEVER * sign[:, None] * turn])
+    return np.hstack([pose.position - pose.position[0], 2 * _LEVER * sign[:, None] * turn])
 
 
 def _way(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m"]:

@@ -190,8 +190,9 @@ def _readings(
     given: Reading, table: RecordingTable, degrees: Callable[[], RawRecording]
 ) -> Iterator[Reading]:
     raw = given.raw
-    now = units.LENGTH[table.position_unit or "m"]
-    for unit, factor in units.LENGTH.items():
+    now = units.factor(table.position_unit or "m")
+    for unit in units.LENGTH:
+        factor = units.factor(unit)
         if factor != now:
             yield given._replace(
                 words=f"positions in {unit}, taken for {table.position_unit or 'm'}",
@@ -213,10 +214,12 @@ def _readings(
 def _other_wrenches(given: Reading, table: RecordingTable) -> Iterator[Reading]:
     """Other units of forces and torques, and their sign."""
     raw, force, torque = given.raw, table.force_unit or "N", table.torque_unit or "N m"
-    torques = {**units.TORQUE, "lbf ft": 12 * units.TORQUE["lbf in"]}
-    for one, by_force in units.FORCE.items():
-        for other, by_torque in torques.items():
-            factors = by_force / units.FORCE[force], by_torque / torques[torque]
+    for one in units.FORCE:
+        for other in (*units.TORQUE, "lbf ft"):
+            factors = (
+                units.factor(one) / units.factor(force),
+                units.factor(other) / units.factor(torque),
+            )
             if factors == (1.0, 1.0):
                 continue
             changed = [

@@ -90,9 +90,9 @@ def _read(file: Path, plain: Path, bag: Bag) -> None:
     elif start.startswith(_ZSTD) and file == plain:
         with tempfile.TemporaryDirectory() as folder:
             unpacked = Path(folder) / file.stem
-            with reading(file, "Zstandard"):
-                with file.open("rb") as source, unpacked.open("wb") as out:
-                    library("zstandard").ZstdDecompressor().copy_stream(source, out)
+            codec = library("zstandard").ZstdDecompressor()
+            with reading(file, "Zstandard"), file.open("rb") as packed, unpacked.open("wb") as out:
+                codec.copy_stream(packed, out)
             _read(file, unpacked, bag)
     else:
         raise InputError(f"{file}: begins with {start[:8]!r}; allowed are bags of MCAP or SQLite")

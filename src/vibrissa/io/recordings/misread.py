@@ -41,9 +41,9 @@ _MOST_NAMED = 3
 _NOISE = 3.0
 # Radians: orientations that are nearer to each other than a robot's error are one reading.
 _SAME = 5e-3
-# cos of 8 degrees: qx of half a turn about x with a sensor that is mounted a little askew.
+# qx of half a turn about x, to 16 degrees: a sensor may be mounted a little askew.
 _HALF_TURN = 0.99
-# Of the sensor's way, on which a straight line through a rotation matrix is fitted.
+# Of the sensor's way: a fit of six numbers needs no more.
 _ROWS = 400
 # Radians, and shares of the rod's length: less tells nothing of an axis.
 _LEAST_TURN, _LEAST_WAY = 0.1, 0.02

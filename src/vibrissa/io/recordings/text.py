@@ -6,6 +6,7 @@ import csv
 from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
+from re import search
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,19 +24,12 @@ _LONGEST_PREAMBLE = 200
 
 
 class _Header(NamedTuple):
-    """Where the line of names stands, counted from 0, and what is in it."""
+    """The line of names: its place, counted from 0, and what is in it."""
 
     line: int
     names: list[str]
     delimiter: str
     is_comment: bool
-
-
-class _Row(NamedTuple):
-    """A line, its number from 1, and a delimiter at the end taken off."""
-
-    number: int
-    text: str
 
 
 def columns(
@@ -71,65 +65,58 @@ def columns(
             f"{file}: decimal = ',' with delimiter = ','; allowed is another delimiter"
         )
     text = _decoded(readable(file), table.encoding)
+    with reading(file, "text"):
+        return _columns(file, text, table, wanted, exactly)
+
+
+def _columns(
+    file: Path, text: str, table: RecordingTable, wanted: Sequence[str], exactly: Sequence[str]
+) -> Columns:
+    import pandas as pd  # noqa: PLC0415
+
     lines = text.splitlines()
-    delimiters = (table.delimiter,) if table.delimiter else _DELIMITERS[table.decimal == "," :]
-    if exactly:
-        first = lines[0].strip('" ').lower() if lines else ""
-        delimiters = (first.removeprefix("sep="),) if first.startswith("sep=") else (",",)
-    with reading(file, "text"):
-        header = _header(lines, table.skip_lines, delimiters, wanted)
-    if header is None:
-        raise InputError(
-            f"{file}: {'empty' if not lines else f'{len(lines)} lines'}; allowed is CSV with the "
-            f"columns {','.join(exactly or wanted[:1])} after skip_lines = {table.skip_lines}"
-        )
-    if exactly:
-        _check_names(file, header, exactly)
+    header = _header(file, lines, table, wanted, exactly)
     chosen = matched(wanted, header.names)
+    twice = next((own for own in chosen.values() if header.names.count(own) > 1), None)
+    if twice is not None:
+        raise InputError(
+            f"{file}, line {header.line + 1}: column {twice!r} is there "
+            f"{header.names.count(twice)} times; allowed is once"
+        )
     places = {name: header.names.index(own) for name, own in chosen.items()}
-    for own in chosen.values():
-        if header.names.count(own) > 1:
-            raise InputError(
-                f"{file}, line {header.line + 1}: column {own!r} is there "
-                f"{header.names.count(own)} times; allowed is once"
-            )
-    with reading(file, "text"):
-        units = {} if exactly else _units(lines, header, places)
-        rows = list(_rows(file, lines, header, skip=bool(units), every=bool(exactly)))
+    units = {} if exactly else _units(lines, header, places)
+    rows = dict(_rows(file, lines, header, start=header.line + 1 + bool(units), every=exactly))
     if not rows:
         raise InputError(f"{file}: no rows; allowed is at least one sample")
-    if rows[-1].number == len(lines):
-        check_last_line(
-            file,
-            text,
-            lines[header.line :],
-            header.names,
-            delimiter=header.delimiter,
-            first=header.line + 1,
-        )
-    at = np.array([row.number for row in rows])
-    times = (
-        (table.time, table.time_unit),
-        (table.pose_time, table.pose_time_unit or table.time_unit),
+    if len(lines) in rows:
+        own = lines[header.line :]
+        first, delimiter = header.line + 1, header.delimiter
+        check_last_line(file, text, own, header.names, delimiter=delimiter, first=first)
+    times = {table.time: table.time_unit, table.pose_time: table.pose_time_unit or table.time_unit}
+    dates = {places[name] for name in places if times.get(name) == "stamp"}
+    frame = pd.read_csv(
+        StringIO("\n".join(rows.values())),
+        sep=r"\s+" if header.delimiter == " " else header.delimiter,
+        decimal=table.decimal,
+        header=None,
+        usecols=sorted(set(places.values())),
+        dtype=dict.fromkeys(dates, str),
+        na_filter=False,
+        skipinitialspace=True,
+        skip_blank_lines=False,
+        low_memory=False,
     )
-    dates = [places[name] for name, unit in times if unit == "stamp" and name in places]
-    with reading(file, "text"):
-        frame = _parsed(rows, header.delimiter, table.decimal, sorted({*places.values()}), dates)
-        if places and len(frame) != len(at):
-            raise ValueError("a quote is not closed")
-        arrays = {
-            name: _numbers(
-                file,
-                name,
-                frame[place].set_axis(at),
-                table.decimal,
-                header.delimiter,
-                missing=() if exactly else _MISSING,
-                is_stamp=place in dates,
-            )
-            for name, place in places.items()
-        }
-    return Columns(file, header.names, arrays, units, at)
+    if places and len(frame) != len(rows):
+        raise ValueError("a quote is not closed")
+    frame.index = list(rows)
+    missing = () if exactly else _MISSING
+    arrays = {
+        name: _dates(file, name, frame[place], missing)
+        if place in dates
+        else _numbers(file, name, frame[place], missing, table.decimal, header.delimiter)
+        for name, place in places.items()
+    }
+    return Columns(file, header.names, arrays, units, np.array(list(rows)))
 
 
 def _decoded(file: Path, encoding: str) -> str:
@@ -145,41 +132,45 @@ def _decoded(file: Path, encoding: str) -> str:
 
 
 def _header(
-    lines: Sequence[str], skip: int, delimiters: Sequence[str], wanted: Sequence[str]
-) -> _Header | None:
+    file: Path,
+    lines: Sequence[str],
+    table: RecordingTable,
+    wanted: Sequence[str],
+    exactly: Sequence[str],
+) -> _Header:
     """The first line with most of the names that are asked for, by the delimiter that gives most;
     a comment, as NumPy writes it, only where it holds more of them than any other line.
     """
-    found = []
+    delimiters = (table.delimiter,) if table.delimiter else _DELIMITERS[table.decimal == "," :]
+    if exactly:
+        stated = search(r'^"?sep=(.)', lines[0]) if lines else None
+        delimiters = (stated[1] if stated else ",",)
+    found, skip = [], table.skip_lines
     for number, line in enumerate(lines[skip : skip + _LONGEST_PREAMBLE], skip):
-        plain = line.strip(" ")
-        is_comment = plain.startswith(_COMMENTS)
-        if is_comment:
-            plain = plain.lstrip("#% \t")
+        is_comment = line.lstrip().startswith(_COMMENTS)
+        plain = line.lstrip("#% \t") if is_comment else line.strip(" ")
         for delimiter in delimiters if plain else ():
             names = [name.strip() for name in _cells(plain, delimiter)]
             while len(names) > 1 and not names[-1]:
                 names.pop()
             found.append(_Header(number, names, delimiter, is_comment))
-    return max(
-        found,
-        key=lambda header: (len(matched(wanted, header.names)), not header.is_comment),
-        default=None,
-    )
-
-
-def _check_names(file: Path, header: _Header, exactly: Sequence[str]) -> None:
-    names = [name.lower() for name in header.names]
-    if names == list(exactly):
-        return
+    if not found:
+        raise InputError(
+            f"{file}: {'empty' if not lines else f'{len(lines)} lines'}; allowed is CSV with the "
+            f"columns {','.join(exactly or wanted[:1])} after skip_lines = {skip}"
+        )
+    best = max(found, key=lambda one: (len(matched(wanted, one.names)), not one.is_comment))
+    names = [name.lower() for name in best.names]
+    if not exactly or names == list(exactly):
+        return best
     findings = {
         "missing": [name for name in exactly if name not in names],
-        "unknown": [name for name in header.names if name.lower() not in exactly],
-        "twice": sorted({name for name in exactly if names.count(name) > 1}),
+        "unknown": [name for name in best.names if name.lower() not in exactly],
+        "twice": [name for name in exactly if names.count(name) > 1],
     }
-    finding = ", ".join(f"{word} {', '.join(found)}" for word, found in findings.items() if found)
+    finding = ", ".join(f"{word} {', '.join(held)}" for word, held in findings.items() if held)
     raise InputError(
-        f"{file}, line {header.line + 1}: columns: {finding[:200] or 'another order'}; allowed are "
+        f"{file}, line {best.line + 1}: columns: {finding[:200] or 'another order'}; allowed are "
         f"{','.join(exactly)}; another layout is told by a table [recording] in the setup"
     )
 
@@ -205,21 +196,22 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _rows(
-    file: Path, lines: Sequence[str], header: _Header, *, skip: bool, every: bool
-) -> Iterator[_Row]:
-    """Lines with as many cells as there are names; comments and blank lines only where `every` line
-    counts.
+    file: Path, lines: Sequence[str], header: _Header, *, start: int, every: Sequence[str]
+) -> Iterator[tuple[int, str]]:
+    """Numbers of lines, from 1, and lines with as many cells as there are names; comments and blank
+    lines only where every line counts.
     """
     delimiter, count = header.delimiter, len(header.names)
     stop = len(lines)
-    while stop > header.line and not lines[stop - 1].strip(f'{delimiter}" \t'):
+    while stop > start and not lines[stop - 1].strip(f'{delimiter}" \t'):
         stop -= 1
-    for number, line in enumerate(lines[header.line + 1 + skip : stop], header.line + 2 + skip):
-        text = line.rstrip(" ")
-        if not every and (not text.strip() or text.lstrip().startswith(_COMMENTS)):
+    for number, line in enumerate(lines[start:stop], start + 1):
+        plain = line.strip()
+        if not every and (not plain or plain.startswith(_COMMENTS)):
             continue
-        plain = '"' not in text and delimiter != " "
-        cells = text.count(delimiter) + 1 if plain else len(_cells(text, delimiter))
+        text = line.rstrip(" ")
+        parted = '"' in text or delimiter == " "
+        cells = len(_cells(text, delimiter)) if parted else text.count(delimiter) + 1
         while cells > count and text.endswith(delimiter):
             text, cells = text.removesuffix(delimiter).rstrip(" "), cells - 1
         if cells != count:
@@ -227,37 +219,23 @@ def _rows(
                 f"{file}, line {number}: {cells} of {count} columns, the line is truncated or "
                 f"damaged; allowed are {count} numbers a line"
             )
-        yield _Row(number, text)
+        yield number, text
 
 
-def _parsed(
-    rows: Sequence[_Row], delimiter: str, decimal: str, places: list[int], dates: list[int]
-) -> Any:
+def _dates(file: Path, name: str, cells: Any, missing: Sequence[str]) -> Array:
+    """Seconds since 1970."""
     import pandas as pd  # noqa: PLC0415
 
-    return pd.read_csv(
-        StringIO("\n".join(row.text for row in rows)),
-        sep=r"\s+" if delimiter == " " else delimiter,
-        decimal=decimal,
-        header=None,
-        usecols=places,
-        dtype=dict.fromkeys(dates, str),
-        na_filter=False,
-        skipinitialspace=True,
-        skip_blank_lines=False,
-        low_memory=False,
-    )
+    texts = cells.str.strip()
+    known = texts[~texts.str.lower().isin(missing)]
+    dates = pd.to_datetime(known, format="ISO8601", utc=True, errors="coerce")
+    seconds = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    _check(file, name, known[dates.isna()], "a date of ISO 8601")
+    return seconds.reindex(cells.index).to_numpy(np.float64)
 
 
 def _numbers(
-    file: Path,
-    name: str,
-    cells: Any,
-    decimal: str,
-    delimiter: str,
-    *,
-    missing: Sequence[str],
-    is_stamp: bool,
+    file: Path, name: str, cells: Any, missing: Sequence[str], decimal: str, delimiter: str
 ) -> Array:
     """Floats of cells, which pandas leaves as texts where one of them is no number."""
     import pandas as pd  # noqa: PLC0415
@@ -266,18 +244,17 @@ def _numbers(
         return cells.to_numpy(np.float64)
     texts = cells.astype(str).str.strip()
     known = texts[~texts.str.lower().isin(missing)]
-    if is_stamp:
-        dates = pd.to_datetime(known, format="ISO8601", utc=True, errors="coerce")
-        numbers = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
-    else:
-        points = known if decimal == "." else known.replace({r"\.": "?", ",": "."}, regex=True)
-        numbers = pd.to_numeric(points, errors="coerce").astype(float)
+    points = known if decimal == "." else known.replace({r"\.": "?", ",": "."}, regex=True)
+    numbers = pd.to_numeric(points, errors="coerce").astype(float)
     bad = known[numbers.isna() & ~known.str.lower().isin(("nan", "-nan"))]
+    meant = decimal == "." != delimiter and bad.str.contains(",").any()
+    hint = ", with decimal = ',' in [recording] where a comma is meant" if meant else ""
+    _check(file, name, bad, f"a number{hint}")
+    return numbers.reindex(cells.index).to_numpy(np.float64)
+
+
+def _check(file: Path, name: str, bad: Any, allowed: str) -> None:
     if len(bad):
-        allowed = "a date of ISO 8601" if is_stamp else "a number"
-        if not is_stamp and decimal == "." != delimiter and "," in bad.iloc[0]:
-            allowed += ", with decimal = ',' in [recording] where a comma is meant"
         raise InputError(
             f"{file}, line {bad.index[0]}: {name} = {bad.iloc[0][:40]!r}; allowed is {allowed}"
         )
-    return numbers.reindex(cells.index).to_numpy(np.float64)

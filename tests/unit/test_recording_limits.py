@@ -5,10 +5,9 @@ from struct import pack
 
 import numpy as np
 import pytest
-from bench_files import HEADER, RECORDING, SETUP
+from bench_files import RECORDING, SETUP
 from mcap_files import (
     MAGIC,
-    POSE,
     WRENCH,
     definitions,
     mcap_bytes,

@@ -1,4 +1,4 @@
-"""Recordings of any format to support reactions: read, align, judge, and take off tare and mount."""
+"""Recordings of any format to support reactions: read, align, judge, take off tare and mount."""
 
 import warnings
 from dataclasses import replace

@@ -75,13 +75,11 @@ def numbers(file: Path, name: str, stored: np.ndarray) -> Array:
 
 @contextmanager
 def reading(file: Path, what: str) -> Iterator[None]:
-    """One line that names the file for whatever a library raises on it."""
+    """One line that names the file for whatever a library raises on it, unless it is missing."""
     try:
         yield
-    except InputError:
+    except (InputError, ImportError):
         raise
-    except ImportError as error:
-        raise InputError(f"{file}: {error}") from error
     except Exception as error:
         raise InputError(
             f"{file}: damaged {what} ({str(error)[:200]}); allowed is a whole file of {what}"

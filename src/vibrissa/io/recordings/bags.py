@@ -79,10 +79,10 @@ class _Bag:
 
     def contents(self, topic: str) -> Iterator[tuple[Message, Any]]:
         """Messages of a topic, packed and unpacked."""
-        kind = self.bag.topics[topic]
+        kind, types = self.bag.topics[topic], _types()
         for message in self.bag.on(topic):
             try:
-                yield message, _types().deserialize_cdr(message.data, kind)
+                yield message, types.deserialize_cdr(message.data, kind)
             # The generated code of a message meets damage wherever it is: struct, indices, texts.
             except Exception as error:
                 raise InputError(

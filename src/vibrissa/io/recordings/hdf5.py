@@ -33,21 +33,20 @@ def columns(file: Path, wanted: Sequence[str], *, matlab: bool = False) -> Colum
     """
     import h5py  # noqa: PLC0415
 
-    arrays: dict[str, Array] = {}
-    units: dict[str, str | None] = {}
-    with reading(file, "HDF5"), h5py.File(file, "r") as opened:
-        held = {
-            place.replace("/", ".") if matlab else place: (node, column)
-            for place, node, column in _places(opened)
-        }
-        for name, place in matched(wanted, held).items():
-            node, column = held[place]
-            stored = np.asarray(node[()] if column is None else node[column])
-            attributes = dict(node.attrs)
-            floats = numbers(file, name, stored.T if matlab else stored)
-            arrays[name] = unpacked(floats, attributes)
-            units[name] = unit_of(attributes)
-    return Columns(file, list(held), arrays, units)
+    with reading(file, "HDF5"):
+        import h5py  # noqa: PLC0415
+
+        with h5py.File(file, "r") as opened:
+            held = {
+                place.replace("/", ".") if matlab else place: (node, column)
+                for place, node, column in _places(opened)
+            }
+            found = {}
+            for name, place in matched(wanted, held).items():
+                node, column = held[place]
+                stored = np.asarray(node[()] if column is None else node[column])
+                found[name] = stored.T if matlab else stored, dict(node.attrs)
+        return _columns(file, list(held), found)
 
 
 def _places(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any, str | None]]:
@@ -80,15 +79,24 @@ def classic_columns(file: Path, wanted: Sequence[str]) -> Columns:
     from scipy.io import netcdf_file  # noqa: PLC0415
 
     with reading(file, "NetCDF"), netcdf_file(file, "r", mmap=False) as opened:
-        held = {name: opened.variables[name] for name in opened.variables}
-        chosen = matched(wanted, held)
-        found = {name: (np.array(held[place][:]), held[place]) for name, place in chosen.items()}
-        arrays = {
-            name: unpacked(numbers(file, name, stored), vars(variable))
-            for name, (stored, variable) in found.items()
+        held = opened.variables
+        found = {
+            name: (np.array(held[own][:]), vars(held[own]))
+            for name, own in matched(wanted, held).items()
         }
-        units = {name: unit_of(vars(variable)) for name, (_, variable) in found.items()}
-    return Columns(file, list(held), arrays, units)
+        return _columns(file, list(held), found)
+
+
+def _columns(
+    file: Path, names: list[str], found: Mapping[str, tuple[np.ndarray, Mapping[str, Any]]]
+) -> Columns:
+    """Columns of what is stored, and of its attributes."""
+    arrays = {
+        name: unpacked(numbers(file, name, stored), attributes)
+        for name, (stored, attributes) in found.items()
+    }
+    units = {name: unit_of(attributes) for name, (_, attributes) in found.items()}
+    return Columns(file, names, arrays, units)
 
 
 def unpacked(floats: Array, attributes: Mapping[str, Any]) -> Array:

@@ -5,6 +5,7 @@ Format: https://mcap.dev/spec. The readers of `mcap` stop at the first damage; s
 taken one by one.
 """
 
+import mmap
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -40,10 +41,11 @@ def read(file: Path, bag: Bag) -> None:
     InputError
         If it is no MCAP file.
     """
-    with reading(file, "MCAP"):
-        content = file.read_bytes()
-        if not content.startswith(MAGIC):
-            raise ValueError("it does not begin as MCAP does")
+    with (
+        reading(file, "MCAP"),
+        file.open("rb") as opened,
+        mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content,
+    ):
         contents = _Contents(bag)
         before, whole = len(bag.messages), len(MAGIC)
         for record in _records(content, whole):
@@ -61,13 +63,13 @@ def read(file: Path, bag: Bag) -> None:
                     )
             whole = record.end if record.is_whole else whole
     bag.notes.append(
-        f"{file.name}: cut off; whole are {whole} of {len(content)} bytes and what could be "
+        f"{file.name}: cut off; whole are {whole} of {file.stat().st_size} bytes and what could be "
         f"unpacked of the record after them, {len(bag.messages) - before} messages of wrenches and "
         "poses in all"
     )
 
 
-def _records(content: bytes, start: int = 0) -> Iterator[_Record]:
+def _records(content: mmap.mmap | bytes, start: int = 0) -> Iterator[_Record]:
     """Records end to end; the last one may be cut off."""
     at, end = start, start
     while at + _HEAD.size <= len(content) >= end:

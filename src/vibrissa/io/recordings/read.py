@@ -1,7 +1,9 @@
 """Recordings of any format to support reactions: read, align, judge, take off tare and mount."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -145,35 +147,39 @@ def read_raw(path: str | Path, setup: Setup) -> Recording:
 def _streams(file: Path, stated: RecordingTable | None) -> Streams:
     """Both streams, whatever the format."""
     kind, table = kind_of(file), stated or RecordingTable()
-    poses = None
-    if table.pose_file is not None:
-        own = {"decimal": table.pose_decimal, "skip_lines": table.pose_skip_lines}
-        of_poses = {key: value for key, value in own.items() if value is not None}
-        pose_file = file.parent / table.pose_file.replace("{name}", file.stem)
-        poses = _columns(pose_file, kind_of(pose_file), table.model_copy(update=of_poses))
-    if kind is Kind.BAG:
-        given = None if poses is None else layout.pose_stream(poses, table)
-        return bags.streams(file, table, given)
-    if kind is Kind.TEXT and stated is None:
-        return layout.streams(text.columns(file, table, COLUMNS, exactly=COLUMNS), table)
-    return layout.streams(_columns(file, kind, table), table, poses)
+    try:
+        poses = _pose_columns(file, table, table.pose_file) if table.pose_file else None
+        if kind is Kind.BAG:
+            given = None if poses is None else layout.pose_stream(poses, table)
+            return bags.streams(file, table, given)
+        if kind is Kind.TEXT and stated is None:
+            return layout.streams(text.columns(file, table, COLUMNS, exactly=COLUMNS), table)
+        return layout.streams(_columns(file, kind, table), table, poses)
+    except ImportError as error:
+        raise InputError(f"{file}: {error}") from error
+
+
+def _pose_columns(file: Path, table: RecordingTable, name: str) -> Columns:
+    own = {"decimal": table.pose_decimal, "skip_lines": table.pose_skip_lines}
+    of_poses = {key: value for key, value in own.items() if value is not None}
+    pose_file = file.parent / name.replace("{name}", file.stem)
+    return _columns(pose_file, kind_of(pose_file), table.model_copy(update=of_poses))
+
+
+_READERS: dict[Kind, Callable[..., Columns]] = {
+    Kind.PARQUET: parquet.columns,
+    Kind.HDF5: hdf5.columns,
+    Kind.MATLAB_HDF5: partial(hdf5.columns, matlab=True),
+    Kind.CLASSIC: hdf5.classic_columns,
+    Kind.MATLAB: matlab.columns,
+}
 
 
 def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
+    if kind is Kind.BAG:
+        raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
     wanted = _wanted(table)
-    match kind:
-        case Kind.TEXT:
-            return text.columns(file, table, wanted)
-        case Kind.PARQUET:
-            return parquet.columns(file, wanted)
-        case Kind.HDF5 | Kind.MATLAB_HDF5:
-            return hdf5.columns(file, wanted, matlab=kind is Kind.MATLAB_HDF5)
-        case Kind.CLASSIC:
-            return hdf5.classic_columns(file, wanted)
-        case Kind.MATLAB:
-            return matlab.columns(file, wanted)
-        case Kind.BAG:
-            raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
+    return text.columns(file, table, wanted) if kind is Kind.TEXT else _READERS[kind](file, wanted)
 
 
 def _wanted(table: RecordingTable) -> list[str]:

@@ -17,7 +17,7 @@ from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.units import is_unit
 
 _COMMENTS = ("#", "%")
-_DELIMITERS = (",", ";", "\t", "|", " ")
+_DELIMITERS = ",;\t| "
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
 # Loggers put a few dozen lines before the names.
 _LONGEST_PREAMBLE = 200
@@ -141,10 +141,10 @@ def _header(
     """The first line with most of the names that are asked for, by the delimiter that gives most;
     a comment, as NumPy writes it, only where it holds more of them than any other line.
     """
-    delimiters = (table.delimiter,) if table.delimiter else _DELIMITERS[table.decimal == "," :]
+    delimiters = table.delimiter or _DELIMITERS.replace(table.decimal, "")
     if exactly:
         stated = search(r'^"?sep=(.)', lines[0]) if lines else None
-        delimiters = (stated[1] if stated else ",",)
+        delimiters = stated[1] if stated else ","
     found, skip = [], table.skip_lines
     for number, line in enumerate(lines[skip : skip + _LONGEST_PREAMBLE], skip):
         is_comment = line.lstrip().startswith(_COMMENTS)

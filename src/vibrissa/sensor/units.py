@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _QUATERNION_TOLERANCE = 1e-3
 # In rod lengths: 10 m of a wire of 50 mm. In millimetres a sweep of a fifth of a length is as much.
 _LONGEST_SWEEP = 200.0
+# Samples: a shorter touch says too little of units.
 _FEWEST_LOADED = 10
 # Lever arms in rod lengths and forces in EI/L²: a contact lies within one length of the clamp, and
 # forces of the order of EI/L² bend a rod visibly. Units are mistaken by factors of ten and more, so

@@ -43,15 +43,15 @@ def matched(wanted: Iterable[str], names: Iterable[str]) -> dict[str, str]:
     """Names of a file by those asked for: the same, or else the only one that differs in capitals
     alone.
     """
-    held = dict.fromkeys(names)
     folded: dict[str, list[str]] = {}
-    for name in held:
+    for name in dict.fromkeys(names):
         folded.setdefault(name.casefold(), []).append(name)
-    alike = {
-        name: [name] if name in held else folded.get(name.strip("/").casefold(), [])
-        for name in wanted
-    }
-    return {name: found[0] for name, found in alike.items() if len(found) == 1}
+    found = {}
+    for name in wanted:
+        alike = folded.get(name.strip("/").casefold(), [])
+        if name in alike or len(alike) == 1:
+            found[name] = name if name in alike else alike[0]
+    return found
 
 
 def numbers(file: Path, name: str, stored: np.ndarray) -> Array:

@@ -110,12 +110,18 @@ def _columns(
         raise ValueError("a quote is not closed")
     frame.index = list(rows)
     missing = () if exactly else _MISSING
-    arrays = {
-        name: _dates(file, name, frame[place], missing)
-        if place in dates
-        else _numbers(file, name, frame[place], missing, table.decimal, header.delimiter)
-        for name, place in places.items()
-    }
+    arrays = {}
+    for name, place in places.items():
+        decimal = "" if place in dates else table.decimal
+        numbers, bad = _numbers(frame[place], missing, decimal)
+        if len(bad):
+            allowed = "a date of ISO 8601" if place in dates else "a number"
+            if decimal == "." and header.delimiter != "," and "," in bad.iloc[0]:
+                allowed += ", with decimal = ',' in [recording] where a comma is meant"
+            raise InputError(
+                f"{file}, line {bad.index[0]}: {name} = {bad.iloc[0][:40]!r}; allowed is {allowed}"
+            )
+        arrays[name] = numbers
     return Columns(file, header.names, arrays, units, np.array(list(rows)))
 
 
@@ -222,39 +228,21 @@ def _rows(
         yield number, text
 
 
-def _dates(file: Path, name: str, cells: Any, missing: Sequence[str]) -> Array:
-    """Seconds since 1970."""
-    import pandas as pd  # noqa: PLC0415
-
-    texts = cells.str.strip()
-    known = texts[~texts.str.lower().isin(missing)]
-    dates = pd.to_datetime(known, format="ISO8601", utc=True, errors="coerce")
-    seconds = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
-    _check(file, name, known[dates.isna()], "a date of ISO 8601")
-    return seconds.reindex(cells.index).to_numpy(np.float64)
-
-
-def _numbers(
-    file: Path, name: str, cells: Any, missing: Sequence[str], decimal: str, delimiter: str
-) -> Array:
-    """Floats of cells, which pandas leaves as texts where one of them is no number."""
+def _numbers(cells: Any, missing: Sequence[str], decimal: str) -> tuple[Array, Any]:
+    """Floats of cells, which pandas leaves as texts where one of them is no number; without a
+    decimal sign the seconds since 1970 of dates. With them the texts that are neither.
+    """
     import pandas as pd  # noqa: PLC0415
 
     if cells.dtype.kind in "iuf":
-        return cells.to_numpy(np.float64)
+        return cells.to_numpy(np.float64), ()
     texts = cells.astype(str).str.strip()
     known = texts[~texts.str.lower().isin(missing)]
-    points = known if decimal == "." else known.replace({r"\.": "?", ",": "."}, regex=True)
-    numbers = pd.to_numeric(points, errors="coerce").astype(float)
+    if decimal:
+        points = known if decimal == "." else known.replace({r"\.": "?", ",": "."}, regex=True)
+        numbers = pd.to_numeric(points, errors="coerce").astype(float)
+    else:
+        dates = pd.to_datetime(known, format="ISO8601", utc=True, errors="coerce")
+        numbers = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
     bad = known[numbers.isna() & ~known.str.lower().isin(("nan", "-nan"))]
-    meant = decimal == "." != delimiter and bad.str.contains(",").any()
-    hint = ", with decimal = ',' in [recording] where a comma is meant" if meant else ""
-    _check(file, name, bad, f"a number{hint}")
-    return numbers.reindex(cells.index).to_numpy(np.float64)
-
-
-def _check(file: Path, name: str, bad: Any, allowed: str) -> None:
-    if len(bad):
-        raise InputError(
-            f"{file}, line {bad.index[0]}: {name} = {bad.iloc[0][:40]!r}; allowed is {allowed}"
-        )
+    return numbers.reindex(cells.index).to_numpy(np.float64), bad

@@ -3,6 +3,7 @@ where the motion tells it, and refused where it does not.
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,10 +11,19 @@ import pytest
 import vibrissa as vb
 from vibrissa.io import InputError, RecordingWarning
 from vibrissa.io.recordings.clock import ClockOffset, estimated_offset
-from vibrissa.io.recordings.streams import POSE, WRENCH, Stream
+from vibrissa.io.recordings.streams import Poses, Wrenches
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "recordings" / "sphere_60mm" / "trail.csv"
 LENGTH = 0.05
+WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
+POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
+
+
+class Stream(NamedTuple):
+    """Stamps, and numbers of `WRENCH` or `POSE`."""
+
+    time: np.ndarray
+    values: np.ndarray
 
 
 def streams(file: Path) -> tuple[Stream, Stream]:
@@ -43,7 +53,10 @@ def with_stops(stream: Stream, stops: list[int], step: float, rest: slice) -> St
 def found(wrench: Stream, pose: Stream, offset: float, largest: float = 0.5) -> ClockOffset:
     """With poses of half the rate, on a clock that is behind by `offset`."""
     return estimated_offset(
-        wrench, Stream(pose.time[::2] - offset, pose.values[::2]), largest, LENGTH
+        Wrenches(wrench.time, *np.split(wrench.values, [3], axis=1)),
+        Poses(pose.time[::2] - offset, *np.split(pose.values[::2], [3], axis=1)),
+        largest,
+        LENGTH,
     )
 
 

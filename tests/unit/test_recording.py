@@ -103,8 +103,8 @@ DAMAGE: dict[str, tuple[str | bytes, list[str]]] = {
     "truncated to a comma": (RECORDING[: RECORDING.rindex(",") + 1], ["line 41", "tz"]),
     "a missing column": (RECORDING.replace(",qw", "", 1), ["line 1", "missing qw"]),
     "wrong names": (
-        RECORDING.replace("fx,fy,fz", "Fx,Fy,Fz", 1),
-        ["missing fx, fy, fz", "unknown Fx, Fy, Fz", HEADER],
+        RECORDING.replace("fx,fy,fz", "f1,f2,f3", 1),
+        ["missing fx, fy, fz", "unknown f1, f2, f3", HEADER],
     ),
     "another order": (
         RECORDING.replace("px,py", "py,px", 1),

@@ -332,7 +332,7 @@ REFUSED = {
         "a.parquet",
         lambda file: pq.write_table(pa.table({**COLUMNS, "fx": ["a"] * len(TABLE)}), file),
         {},
-        ["column 'fx' is of type string", "allowed are numbers"],
+        ["'fx' is of type string", "allowed are numbers"],
     ),
     "text in a matrix": (
         "a.mat",
@@ -409,3 +409,61 @@ def test_a_null_marks_its_row(tmp_path: Path, setup: vb.Setup, expected: vb.Reac
         rtol=0,
         atol=1e-12,
     )
+
+
+def test_parts_of_structs_are_named_with_points(
+    tmp_path: Path, setup: vb.Setup, expected: vb.Reactions
+) -> None:
+    """As a ROS message is unfolded: structs of structs, several row groups, lists beside them."""
+    wrench = [
+        {
+            "force": dict(zip("xyz", row[8:11], strict=True)),
+            "torque": dict(zip("xyz", row[11:], strict=True)),
+        }
+        for row in TABLE.tolist()
+    ]
+    columns = {
+        "time": TABLE[:, 0],
+        "wrench": wrench,
+        "position": TABLE[:, 1:4].tolist(),
+        "orientation": TABLE[:, 4:8].tolist(),
+    }
+    file = tmp_path / "a.parquet"
+    pq.write_table(pa.table(columns), file, row_group_size=16, compression="zstd")
+    names = {part: [f"wrench.{part}.{axis}" for axis in "xyz"] for part in ("force", "torque")}
+    same(vb.read_recording(file, replace(setup, recording=RecordingTable(**names))), expected)
+
+
+CUT = {
+    "a.parquet": (parquet, "damaged Parquet"),
+    "a.h5": (hdf5, "damaged HDF5"),
+    "a.nc": (lambda file: netcdf(file, engine="scipy"), "damaged NetCDF"),
+    "a.mat": (matlab, "damaged .mat"),
+}
+
+
+@pytest.mark.parametrize("name", CUT)
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_a_file_that_is_cut_off_is_one_line_that_names_it(
+    tmp_path: Path, setup: vb.Setup, name: str, share: float
+) -> None:
+    write, words = CUT[name]
+    write(tmp_path / name)
+    content = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(content[: int(share * len(content))])
+    with pytest.raises(InputError) as caught:
+        vb.read_recording(tmp_path / name, setup)
+    assert str(caught.value).startswith(f"{tmp_path / name}: {words}")
+    assert "allowed is a whole file" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_capitals_in_names_do_not_matter(
+    tmp_path: Path, setup: vb.Setup, expected: vb.Reactions
+) -> None:
+    pq.write_table(
+        pa.table({name.upper(): part for name, part in COLUMNS.items()}), tmp_path / "a.parquet"
+    )
+    savemat(tmp_path / "a.mat", {name.title(): part for name, part in ARRAYS.items()})
+    for name in ("a.parquet", "a.mat"):
+        same(vb.read_recording(tmp_path / name, setup), expected)

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 import vibrissa as vb
 from vibrissa.io import InputError, RecordingWarning, read_raw
 from vibrissa.io.recordings.resample import interpolated
-from vibrissa.io.recordings.streams import Stream
-from vibrissa.io.recordings.units import FORCE, LENGTH, TORQUE
+from vibrissa.io.recordings.streams import Poses
+from vibrissa.io.recordings.units import FORCE, LENGTH, TORQUE, factor
 
 NAMES = HEADER.split(",")
 TABLE = np.genfromtxt(RECORDING.splitlines()[1:], delimiter=",")
@@ -62,7 +62,7 @@ def scaled(columns: slice, factor: float) -> np.ndarray:
 
 @pytest.mark.parametrize("unit", FORCE)
 def test_units_of_force(tmp_path: Path, expected: vb.Reactions, unit: str) -> None:
-    (tmp_path / "a.csv").write_text(text(scaled(slice(8, 11), FORCE[unit])))
+    (tmp_path / "a.csv").write_text(text(scaled(slice(8, 11), factor(unit))))
     same(
         vb.read_recording(
             tmp_path / "a.csv", load(tmp_path, f'[recording]\nforce_unit = "{unit}"\n')
@@ -73,7 +73,7 @@ def test_units_of_force(tmp_path: Path, expected: vb.Reactions, unit: str) -> No
 
 @pytest.mark.parametrize("unit", TORQUE)
 def test_units_of_torque(tmp_path: Path, expected: vb.Reactions, unit: str) -> None:
-    (tmp_path / "a.csv").write_text(text(scaled(slice(11, 14), TORQUE[unit])))
+    (tmp_path / "a.csv").write_text(text(scaled(slice(11, 14), factor(unit))))
     same(
         vb.read_recording(
             tmp_path / "a.csv", load(tmp_path, f'[recording]\ntorque_unit = "{unit}"\n')
@@ -84,7 +84,7 @@ def test_units_of_torque(tmp_path: Path, expected: vb.Reactions, unit: str) -> N
 
 @pytest.mark.parametrize("unit", LENGTH)
 def test_units_of_length(tmp_path: Path, expected: vb.Reactions, unit: str) -> None:
-    (tmp_path / "a.csv").write_text(text(scaled(slice(1, 4), LENGTH[unit])))
+    (tmp_path / "a.csv").write_text(text(scaled(slice(1, 4), factor(unit))))
     same(
         vb.read_recording(
             tmp_path / "a.csv", load(tmp_path, f'[recording]\nposition_unit = "{unit}"\n')
@@ -96,10 +96,10 @@ def test_units_of_length(tmp_path: Path, expected: vb.Reactions, unit: str) -> N
 def test_units_are_those_of_their_definitions() -> None:
     """The international foot and pound (1959), and standard gravity (1901)."""
     inch, pound, gravity = 0.0254, 0.45359237, 9.80665
-    assert FORCE["lbf"] == pytest.approx(pound * gravity, rel=1e-14)
-    assert FORCE["gf"] == pytest.approx(1e-3 * gravity, rel=1e-14)
-    assert TORQUE["lbf in"] == pytest.approx(pound * gravity * inch, rel=1e-14)
-    assert LENGTH["in"] == inch
+    assert factor("lbf") == pytest.approx(pound * gravity, rel=1e-14)
+    assert factor("gf") == pytest.approx(1e-3 * gravity, rel=1e-14)
+    assert factor("lbf in") == pytest.approx(pound * gravity * inch, rel=1e-14)
+    assert factor("in") == inch
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
@@ -201,11 +201,8 @@ def poses(time: np.ndarray) -> np.ndarray:
 def test_interpolation_is_exact_on_a_uniform_screw_and_ends_at_the_ends() -> None:
     rng = np.random.default_rng(0)
     stamps = np.sort(rng.uniform(0, 5, 40))
-    pose = Stream(
-        stamps,
-        poses(stamps)
-        * np.where(rng.random(40) < 0.5, -1, 1)[:, None] ** np.array([0, 0, 0, 1, 1, 1, 1]),
-    )
+    sign = np.where(rng.random(40) < 0.5, -1, 1)[:, None]
+    pose = Poses(stamps, poses(stamps)[:, :3], sign * poses(stamps)[:, 3:])
     time = np.concatenate(
         [
             [stamps[0] - 1e-9, stamps[-1] + 1e-9, np.nan],
@@ -214,17 +211,26 @@ def test_interpolation_is_exact_on_a_uniform_screw_and_ends_at_the_ends() -> Non
         ]
     )
     found = interpolated(pose, time, np.inf)
-    assert np.isnan(found[:3]).all()
+    assert np.isnan(found.position[:3]).all()
+    assert np.isnan(found.orientation[:3]).all()
     position, turn = helix(time[3:])
-    np.testing.assert_allclose(found[3:, :3], position, atol=1e-14)
-    assert np.max((Rotation.from_quat(found[3:, 3:]).inv() * turn).magnitude()) < 1e-12
+    np.testing.assert_allclose(found.position[3:], position, atol=1e-14)
+    assert np.max((Rotation.from_quat(found.orientation[3:]).inv() * turn).magnitude()) < 1e-12
 
 
 def test_gaps_longer_than_allowed_have_no_pose_inside() -> None:
     stamps = np.array([0.0, 0.1, 0.5, 0.6])
     time = np.array([0.05, 0.1, 0.10001, 0.3, 0.49999, 0.5, 0.55])
-    known = np.isfinite(interpolated(Stream(stamps, poses(stamps)), time, 0.2)).all(axis=1)
-    assert known.tolist() == [True, True, False, False, False, True, True]
+    pose = Poses(stamps, *np.split(poses(stamps), [3], axis=1))
+    assert interpolated(pose, time, 0.2).finite.tolist() == [
+        True,
+        True,
+        False,
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
 def two_files(

@@ -14,6 +14,7 @@ from test_recording_layout import LAYOUT, NAMES, TABLE, expected, load, same, te
 
 import vibrissa as vb
 from vibrissa.io import InputError
+from vibrissa.io.recordings import units
 
 LINES = RECORDING.splitlines()
 ROWS = LINES[1:]
@@ -263,3 +264,113 @@ def test_text_without_a_recording_is_refused_in_one_line(tmp_path: Path, what: s
         vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT))
     assert len(str(caught.value)) < 2000
     assert "a.csv" in str(caught.value)
+
+
+CAPITALS = LINES[0].title()
+COMMAS = ",,,,,,,,,,,,,"
+NATURAL = {
+    "Excel's line sep=": joined("sep=;", *(line.replace(",", ";") for line in LINES)),
+    "Excel's line sep=, quoted": joined('"sep=;"', *(line.replace(",", ";") for line in LINES)),
+    "Excel's line sep= of a comma": joined("sep=,", *LINES),
+    "a preamble": joined("Sensor SN 4711", "Date,2026-11-21", "", "Operator: A", *LINES),
+    "empty rows at the end": joined(*LINES, COMMAS, COMMAS),
+    "empty rows at the end, without a line end": joined(*LINES, COMMAS) + COMMAS,
+    "blank lines at the end": joined(*LINES, "", "  ", ""),
+    "capitals in names": joined(CAPITALS, *ROWS),
+    "all names in capitals": joined(LINES[0].upper(), *ROWS),
+    "a trailing comma in each line": joined(*(line + "," for line in LINES)),
+    "a trailing comma in the rows": joined(LINES[0], *(row + "," for row in ROWS)),
+    "a trailing comma in the line of names": joined(LINES[0] + ",", *ROWS),
+    "trailing commas and a space": joined(*(line + ",, " for line in LINES)),
+    "all of it": joined(
+        "sep=;",
+        "Sensor SN 4711;",
+        *((line + ",").replace(",", ";") for line in (CAPITALS, *ROWS)),
+        COMMAS.replace(",", ";"),
+    ),
+}
+
+
+@pytest.mark.parametrize("layout", ["", LAYOUT])
+@pytest.mark.parametrize("what", NATURAL)
+def test_natural_exports_are_read(
+    tmp_path: Path,
+    expected: vb.Reactions,  # noqa: F811
+    what: str,
+    layout: str,
+) -> None:
+    """By a setup without [recording], whose file is to be comma-separated, and by one with it."""
+    (tmp_path / "a.csv").write_text(NATURAL[what])
+    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout)), expected)
+
+
+def test_lines_behind_a_preamble_are_named_as_an_editor_counts_them(tmp_path: Path) -> None:
+    lines = joined("Sensor SN 4711", "", *LINES).replace("0.005000", "here", 1)
+    (tmp_path / "a.csv").write_text(lines)
+    for layout in ("", LAYOUT):
+        with pytest.raises(InputError, match=r"a\.csv, line 4: py = 'here'"):
+            vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout))
+
+
+@pytest.mark.parametrize(
+    "spelling",
+    [
+        "N*mm",
+        "Nmm",
+        "N.mm",
+        "N·mm",
+        "N mm",
+        "N-mm",
+        "NMM",
+        "n*mm",
+        "mN m",
+        "mNm",
+        "newton millimeter",
+    ],
+)
+@pytest.mark.parametrize("place", ["names", "line below", "attribute"])
+def test_spellings_of_a_newton_millimetre(
+    tmp_path: Path,
+    expected: vb.Reactions,  # noqa: F811
+    spelling: str,
+    place: str,
+) -> None:
+    table = TABLE * np.array([*[1] * 11, *[1e3] * 3])
+    names, layout = list(NAMES), "[recording]\n"
+    file = tmp_path / ("a.h5" if place == "attribute" else "a.csv")
+    if place == "names":
+        names[11:] = [f"{name} [{spelling}]" for name in NAMES[11:]]
+        layout += f"torque = {names[11:]}\n"
+    content = text(table, names).splitlines()
+    if place == "line below":
+        content.insert(1, "s,m,m,m,,,,,N,N,N," + ",".join([spelling] * 3))
+    file.write_text(joined(*content))
+    if place == "attribute":
+        with h5py.File(file, "w") as opened:
+            for name, column in zip(NAMES, table.T, strict=True):
+                opened[name] = column
+            for name in NAMES[11:]:
+                opened[name].attrs["units"] = spelling
+    same(vb.read_recording(file, load(tmp_path, layout)), expected)
+
+
+def test_capitals_in_units(tmp_path: Path, expected: vb.Reactions) -> None:  # noqa: F811
+    lines = text(SCALED).splitlines()
+    said = "MS,MM,MM,MM,,,,,mN,mN,mN,NMM,NMM,NMM"
+    (tmp_path / "a.csv").write_text(joined(lines[0].upper(), said, *lines[1:]))
+    same(vb.read_recording(tmp_path / "a.csv", load(tmp_path, "[recording]\n")), expected)
+
+
+@pytest.mark.parametrize(
+    ("unit", "read"), [("KN", "kN"), ("Newton", "N"), ("LBF", "lbf"), ("kp", "kgf")]
+)
+def test_units_by_their_meaning(unit: str, read: str) -> None:
+    assert units.known(unit, units.FORCE) == read
+
+
+def test_capitals_that_mean_another_unit_are_not_guessed() -> None:
+    """A meganewton is none that a whisker's sensor shows, and not to be taken for a millinewton."""
+    with pytest.raises(ValueError, match="'MN'; known are N, mN"):
+        units.known("MN", units.FORCE)
+    with pytest.raises(ValueError, match="known are m, cm, mm"):
+        units.known("kg", units.LENGTH)

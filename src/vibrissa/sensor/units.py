@@ -2,11 +2,14 @@
 be unit quaternions x, y, z, w.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.constants import g, inch, kgf, lbf
 
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -18,13 +21,64 @@ from vibrissa.sensor.tare import Tare, fitted_tare
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
+# Logs of nine decimals keep a norm to 1e-8, those of four to 1e-4.
 _QUATERNION_TOLERANCE = 1e-3
+# In rod lengths: 10 m of a wire of 50 mm. In millimetres a sweep of a fifth of a length is as much.
 _LONGEST_SWEEP = 200.0
+# Samples: a shorter touch says too little of units.
 _FEWEST_LOADED = 10
-_SHORTEST_ARM = 1e-2
-_LONGEST_ARM = 5.0
-_LARGEST_FORCE = 500.0
-_LIKELY_ARM, _LIKELY_FORCE, _LIKELY_NOISE = (0.1, 1.15), (5e-3, 100.0), 5.0
+# Lever arms in rod lengths and forces in EI/L²: a contact lies within one length of the clamp, and
+# forces of the order of EI/L² bend a rod visibly. Units are mistaken by factors of ten and more, so
+# that the first bounds, which refuse, leave two decades, and the second, which guess, one.
+_POSSIBLE_ARM, _POSSIBLE_FORCE = (1e-2, 5.0), (2e-3, 500.0)
+_LIKELY_ARM, _LIKELY_FORCE = (0.1, 1.15), (5e-3, 100.0)
+# Noise at rest may be stated wrongly by this factor.
+_LIKELY_NOISE = 5.0
+_FORCES, _TORQUES = CHANNELS[:3], CHANNELS[3:]
+
+
+class Reading(NamedTuple):
+    """A recording with what the setup says of it, or with a mistake undone that `words` name."""
+
+    words: str
+    raw: RawRecording
+    sensor: Any
+    """The `Sensor`."""
+    rod: Rod
+    channels: tuple[str, ...] = CHANNELS
+
+    def reactions(self, tare: Tare) -> Reactions | None:
+        """Reactions, its tare taken in the same intervals; None where these hold no tare."""
+        try:
+            again = (
+                fitted_tare(self.sensor, self.raw, tare.intervals, tare.found)
+                if tare.intervals
+                else tare
+            )
+        except ValueError:
+            return None
+        return self.sensor.reactions(self.raw, again)
+
+    def is_plausible(self, tare: Tare, stated: "Sensor", noise: float) -> bool:
+        """Whether a contact on the rod explains the loads, and the stated noise the readings at
+        rest, to a factor of `noise`: lever arm and force are of the rod's length and stiffness.
+        """
+        reactions = self.reactions(tare)
+        load = None if reactions is None else arm_and_force(reactions, self.rod)
+        if load is None or not (_inside(load[0], _LIKELY_ARM) and _inside(load[1], _LIKELY_FORCE)):
+            return False
+        if stated.force_noise is None or not tare.intervals:
+            return True
+        start, stop = tare.intervals[0]
+        wrench = self.raw.wrench[(self.raw.time >= start) & (self.raw.time < stop)]
+        wrench = wrench[np.isfinite(wrench).all(axis=1)]
+        ratio = np.std(wrench, axis=0) / np.sqrt(stated.reading_variance)
+        # A channel without any noise is of a simulation, in any unit.
+        return bool(np.all((ratio == 0) | (ratio > 1 / noise) & (ratio < noise)))
+
+
+def _inside(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] < value < limits[1]
 
 
 def pose_unit_faults(raw: RawRecording, rod: Rod) -> list[Fault]:
@@ -43,27 +97,23 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> list[Fault]:
         faults.append(Fault(FaultKind.UNITS, ("position",), *span, text, unusable=True))
     known = np.isfinite(raw.orientation).all(axis=1) & np.isfinite(raw.time)
     orientation = raw.orientation[known]
-    norm = np.linalg.norm(orientation, axis=1)
     wrong = wrong_norms(orientation)
+    turned = partial(Fault, FaultKind.UNITS, ("orientation",))
     if wrong.any():
-        first, count = int(np.argmax(wrong)), int(np.count_nonzero(wrong))
-        guess = ", as of angles in degrees" if norm[first] > 2 else ""
-        text = f"qx,qy,qz,qw = {orientation[first].tolist()} has the norm {norm[first]:.3g} ({count} such){guess}; allowed is 1"
-        time = raw.time[known][wrong]
-        faults.append(
-            Fault(
-                FaultKind.UNITS,
-                ("orientation",),
-                float(time[0]),
-                float(time[-1]),
-                count,
-                text,
-                unusable=True,
-            )
+        first, count, time = orientation[wrong][0], int(wrong.sum()), raw.time[known][wrong]
+        norm = np.linalg.norm(first)
+        guess = ", as of angles in degrees" if norm > 2 else ""
+        text = (
+            f"qx,qy,qz,qw = {first.tolist()} has the norm {norm:.3g} ({count} such){guess}; "
+            "allowed is 1"
         )
+        faults.append(turned(float(time[0]), float(time[-1]), count, text, unusable=True))
     elif len(orientation) and np.all(orientation[:, 0] == 1):
-        text = "qx = 1 throughout: half a turn about x, or quaternions written w first; allowed are x, y, z, w"
-        faults.append(Fault(FaultKind.UNITS, ("orientation",), *span, text, quiet=True))
+        text = (
+            "qx = 1 throughout: half a turn about x, or quaternions written w first; "
+            "allowed are x, y, z, w"
+        )
+        faults.append(turned(*span, text, quiet=True))
     return faults
 
 
@@ -79,74 +129,63 @@ def wrench_unit_faults(
     """Tell millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever
     arm is of its length, and the force of its stiffness.
     """
-    loaded = loaded_rows(reactions)
-    count = int(np.count_nonzero(loaded))
-    if count < _FEWEST_LOADED:
+    load = arm_and_force(reactions, rod)
+    if load is None or (_inside(load[0], _POSSIBLE_ARM) and _inside(load[1], _POSSIBLE_FORCE)):
         return []
-    arm, typical = arm_and_force(reactions, loaded)
-    arm, typical = arm / rod.length, typical / rod.force_scale
-    if _SHORTEST_ARM < arm < _LONGEST_ARM and 1 / _LARGEST_FORCE < typical < _LARGEST_FORCE:
-        return []
-    channels, guess = _explained(raw, rod, sensor, tare)
+    given = Reading("", raw, sensor, rod)
+    likely = [
+        reading
+        for reading in _other_units(given)
+        if reading.is_plausible(tare, sensor, _LIKELY_NOISE)
+    ]
+    channels = likely[0].channels if len(likely) == 1 else CHANNELS
+    guess = f" ({' or '.join(reading.words for reading in likely)}?)" if likely else ""
     what = "wrench, clamp_position or rod" if channels == CHANNELS else ",".join(channels)
-    if not _SHORTEST_ARM < arm < _LONGEST_ARM:
-        text = f"torque over force is {arm:.3g} rod lengths in the median, so {what} are mis-scaled"
-    else:
-        text = f"force is {typical:.3g} EI/L² in the median of the loaded samples, so {what} are mis-scaled"
+    text = (
+        f"force is {load[1]:.3g} EI/L² in the median of the loaded samples"
+        if _inside(load[0], _POSSIBLE_ARM)
+        else f"torque over force is {load[0]:.3g} rod lengths in the median"
+    )
     return [
         Fault(
             FaultKind.UNITS,
             channels,
             float(raw.time[0]),
             float(raw.time[-1]),
-            count,
-            f"{text}{guess}; allowed are N, N m, m and Pa",
+            int(np.count_nonzero(loaded_rows(reactions))),
+            f"{text}, so {what} are mis-scaled{guess}; allowed are N, N m, m and Pa",
             unusable=True,
         )
     ]
 
 
-def arm_and_force(reactions: Reactions, loaded: Bool[np.ndarray, "n"]) -> tuple[float, float]:
-    """Medians [m], [N] over the loaded samples."""
+def arm_and_force(reactions: Reactions, rod: Rod) -> tuple[float, float] | None:
+    """Medians over the loaded samples, in rod lengths and in EI/L²; None with too few of them."""
+    loaded = loaded_rows(reactions)
+    if np.count_nonzero(loaded) < _FEWEST_LOADED:
+        return None
     force, moment = (
         np.linalg.norm(part[loaded], axis=1) for part in (reactions.force, reactions.moment)
     )
-    return float(np.median(moment / force)), float(np.median(force))
+    return float(np.median(moment / force)) / rod.length, float(np.median(force)) / rod.force_scale
 
 
-def plausible_load(raw: RawRecording, sensor: "Sensor", tare: Tare | None, rod: Rod) -> bool:
-    """Whether a contact on the rod explains the loads of a recording that is read in some way:
-    lever arm and force are of its length and stiffness.
-    """
-    if tare is None:
-        return False
-    again = fitted_tare(sensor, raw, tare.intervals, tare.found) if tare.intervals else tare
-    reactions = sensor.reactions(raw, again)
-    loaded = loaded_rows(reactions)
-    if np.count_nonzero(loaded) < _FEWEST_LOADED:
-        return False
-    arm, typical = arm_and_force(reactions, loaded)
-    return (
-        _LIKELY_ARM[0] < arm / rod.length < _LIKELY_ARM[1]
-        and _LIKELY_FORCE[0] < typical / rod.force_scale < _LIKELY_FORCE[1]
-    )
-
-
-_FORCES, _TORQUES = CHANNELS[:3], CHANNELS[3:]
-_WRENCHES: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
+# Channels, the mistake in words, and the factors of forces and of torques that undo it.
+_WRENCHES = (
     (_FORCES, "forces in mN", 1e-3, 1.0),
     (_TORQUES, "torques in N mm", 1.0, 1e-3),
     (CHANNELS, "forces in mN and torques in N mm", 1e-3, 1e-3),
     (_TORQUES, "torques in N cm", 1.0, 1e-2),
-    (_FORCES, "forces in kgf", 9.80665, 1.0),
-    (_FORCES, "forces in gf", 9.80665e-3, 1.0),
-    (_FORCES, "forces in lbf", 4.4482216152605, 1.0),
-    (CHANNELS, "forces in lbf and torques in lbf in", 4.4482216152605, 0.1129848290276167),
-    (CHANNELS, "forces in kgf and torques in kgf cm", 9.80665, 9.80665e-2),
+    (_FORCES, "forces in kgf", kgf, 1.0),
+    (_FORCES, "forces in gf", 1e-3 * g, 1.0),
+    (_FORCES, "forces in lbf", lbf, 1.0),
+    (CHANNELS, "forces in lbf and torques in lbf in", lbf, lbf * inch),
+    (CHANNELS, "forces in kgf and torques in kgf cm", kgf, 1e-2 * kgf),
     (_FORCES, "forces in kN", 1e3, 1.0),
     (_TORQUES, "torques in kN m", 1.0, 1e3),
     (CHANNELS, "forces in kN and torques in kN m", 1e3, 1e3),
 )
+# The mistake in words, and the factors of length and of bending stiffness that undo it.
 _RODS = (
     ("the rod's length in mm", 1e-3, 1.0),
     ("the rod's length and radius in mm", 1e-3, 1e-12),
@@ -156,68 +195,20 @@ _RODS = (
 )
 
 
-def _explained(
-    raw: RawRecording, rod: Rod, sensor: "Sensor", tare: Tare
-) -> tuple[tuple[str, ...], str]:
-    """Channels and words of the mistakes that explain the readings: with them undone, contacts lie
-    on the rod, forces bend it, and the noise at rest is as stated.
-    """
-    found: list[tuple[tuple[str, ...], str]] = []
+def _other_units(given: Reading) -> Iterator[Reading]:
+    """Each known mistake undone."""
+    raw, sensor, rod = given.raw, given.sensor, given.rod
     for channels, words, force, torque in _WRENCHES:
         scaled = replace(raw, force=force * raw.force, torque=torque * raw.torque)
-        if _plausible(scaled, sensor, tare, rod.length, rod.force_scale):
-            found.append((channels, words))
+        yield given._replace(words=words, raw=scaled, channels=channels)
     swapped = replace(raw, force=raw.torque, torque=raw.force)
-    if _plausible(swapped, sensor, tare, rod.length, rod.force_scale):
-        found.append((CHANNELS, "forces and torques swapped"))
-    nearer = replace(sensor, clamp_position=1e-3 * sensor.clamp_position)
-    if _plausible(raw, nearer, tare, rod.length, rod.force_scale):
-        found.append((CHANNELS, "clamp_position in mm"))
-    x, y, z = sensor.wrench_point
-    if _plausible(
-        raw,
-        replace(sensor, wrench_point=(1e-3 * x, 1e-3 * y, 1e-3 * z)),
-        tare,
-        rod.length,
-        rod.force_scale,
-    ):
-        found.append((CHANNELS, "wrench_point in mm"))
+    yield given._replace(words="forces and torques swapped", raw=swapped)
+    clamp, point = 1e-3 * sensor.clamp_position, tuple(1e-3 * x for x in sensor.wrench_point)
+    nearer = replace(sensor, clamp_position=clamp)
+    yield given._replace(words="clamp_position in mm", sensor=nearer)
+    yield given._replace(words="wrench_point in mm", sensor=replace(sensor, wrench_point=point))
     for words, length, stiffness in _RODS:
-        if _plausible(
-            raw, sensor, tare, length * rod.length, stiffness / length**2 * rod.force_scale
-        ):
-            found.append((CHANNELS, words))
-    if not found:
-        return CHANNELS, ""
-    return (
-        found[0][0] if len(found) == 1 else CHANNELS
-    ), f" ({' or '.join(words for _, words in found)}?)"
-
-
-def _plausible(
-    raw: RawRecording, sensor: "Sensor", tare: Tare, length: float, force_scale: float
-) -> bool:
-    """Whether a contact on a rod of that length [m] and of that EI/L² [N] explains the loads, and
-    the stated noise the readings at rest.
-    """
-    try:
-        again = fitted_tare(sensor, raw, tare.intervals, tare.found) if tare.intervals else tare
-    except ValueError:
-        return False
-    reactions = sensor.reactions(raw, again)
-    loaded = loaded_rows(reactions)
-    if np.count_nonzero(loaded) < _FEWEST_LOADED:
-        return False
-    arm, typical = arm_and_force(reactions, loaded)
-    if not (
-        _LIKELY_ARM[0] < arm / length < _LIKELY_ARM[1]
-        and _LIKELY_FORCE[0] < typical / force_scale < _LIKELY_FORCE[1]
-    ):
-        return False
-    if sensor.force_noise is None or not tare.intervals:
-        return True
-    start, stop = tare.intervals[0]
-    rows = raw.wrench[(raw.time >= start) & (raw.time < stop) & np.isfinite(raw.wrench).all(axis=1)]
-    ratio = np.std(rows, axis=0) / np.sqrt(sensor.reading_variance)
-    # A channel without any noise is of a simulation, in any unit.
-    return bool(np.all((ratio == 0) | (ratio > 1 / _LIKELY_NOISE) & (ratio < _LIKELY_NOISE)))
+        other = replace(
+            rod, length=length * rod.length, bending_stiffness=stiffness * rod.bending_stiffness
+        )
+        yield given._replace(words=words, rod=other)

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from vibrissa.files import InputError
 from vibrissa.io.recordings.clock import ClockOffset, estimated_offset
 from vibrissa.io.recordings.resample import interpolated, usable, within
-from vibrissa.io.recordings.streams import Stream, Streams
+from vibrissa.io.recordings.streams import Poses, Streams, Wrenches
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.sensor import RawRecording
 
@@ -38,7 +38,7 @@ class Recording:
     missing: Bool[np.ndarray, "n"]
     offset: ClockOffset
     notes: tuple[str, ...] = ()
-    poses: Stream | None = None
+    poses: Poses | None = None
 
     @property
     def marked(self) -> RawRecording:
@@ -72,35 +72,43 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
         If no wrench has a pose, or the offset is to be estimated and the data do not determine it.
     """
     offset = _offset(file, streams, table, length)
+    wrench, pose = streams.wrench, streams.pose
     if streams.together and offset.seconds == 0:
-        return Recording(
-            _raw(streams.wrench, streams.pose.values),
-            np.zeros(len(streams.wrench.time), bool),
-            offset,
-            streams.notes,
-        )
-    recorded = _shifted(streams.pose, offset.seconds)
-    pose, wrench = usable(recorded), streams.wrench
-    inside = (
-        (within(pose, wrench.time) | np.isnan(wrench.time))
-        if len(pose.time)
-        else np.zeros(len(wrench.time), bool)
-    )
-    if not inside.any():
+        missing = np.zeros(len(wrench.time), bool)
+        return Recording(_raw(wrench, pose), missing, offset, streams.notes)
+    recorded = replace(pose, time=pose.time + offset.seconds)
+    pose = usable(recorded)
+    inside = np.isnan(wrench.time) | (len(pose.time) > 0 and within(pose, wrench.time))
+    if not len(pose.time) or not inside.any():
         raise InputError(
-            f"{file}: {_ranges(wrench, pose)}; allowed are stamps that overlap, by time_offset in [recording]"
+            f"{file}: {_ranges(wrench, pose)}; "
+            "allowed are stamps that overlap, by time_offset in [recording]"
         )
     wrench = wrench.rows(inside)
-    poses = interpolated(pose, wrench.time, np.inf)
-    missing = np.isnan(interpolated(pose, wrench.time, table.longest_gap)).any(axis=1)
-    notes = (
-        *streams.notes,
-        *_estimate_note(offset),
-        *_edge_note(inside),
-        *_gap_note(wrench, missing, table),
-    )
+    missing = np.isnan(interpolated(pose, wrench.time, table.longest_gap).position[:, 0])
+    notes = list(streams.notes)
+    if offset.standard_error is not None:
+        notes.append(
+            f"time offset of the poses estimated: {offset.seconds:.4f} ± "
+            f"{offset.standard_error:.4f} s"
+        )
+    if not inside.all():
+        notes.append(
+            f"{np.count_nonzero(~inside)} of {len(inside)} wrenches lie before the first or after "
+            "the last pose and are left out"
+        )
+    if missing.any():
+        notes.append(
+            f"{np.count_nonzero(missing)} of {len(missing)} rows, first at "
+            f"{wrench.time[np.argmax(missing)]:.9g} s, lie in gaps of the poses longer than "
+            f"longest_gap = {table.longest_gap:g} s and have no reactions"
+        )
     return Recording(
-        _raw(wrench, poses), missing, offset, notes, None if streams.together else recorded
+        _raw(wrench, interpolated(pose, wrench.time)),
+        missing,
+        offset,
+        tuple(notes),
+        None if streams.together else recorded,
     )
 
 
@@ -113,50 +121,15 @@ def _offset(file: Path, streams: Streams, table: RecordingTable, length: float) 
         raise InputError(f"{file}: time_offset = 'estimate': {error}") from error
 
 
-def _shifted(pose: Stream, seconds: float) -> Stream:
-    return replace(pose, time=pose.time + seconds)
+def _raw(wrench: Wrenches, pose: Poses) -> RawRecording:
+    return RawRecording(wrench.time, pose.position, pose.orientation, wrench.force, wrench.torque)
 
 
-def _raw(wrench: Stream, pose: Float[np.ndarray, "n 7"]) -> RawRecording:
-    return RawRecording(
-        wrench.time, pose[:, :3], pose[:, 3:], wrench.values[:, :3], wrench.values[:, 3:]
-    )
-
-
-def _ranges(wrench: Stream, pose: Stream) -> str:
+def _ranges(wrench: Wrenches, pose: Poses) -> str:
     if not len(pose.time):
         return "no usable pose"
     time = wrench.time[np.isfinite(wrench.time)]
-    first, last = (time.min(), time.max()) if len(time) else (np.nan, np.nan)
-    return f"wrenches from {first:.9g} to {last:.9g} s, poses from {pose.time[0]:.9g} to {pose.time[-1]:.9g} s"
-
-
-def _estimate_note(offset: ClockOffset) -> tuple[str, ...]:
-    if offset.standard_error is None:
-        return ()
     return (
-        f"time offset of the poses estimated: {offset.seconds:.4f} ± {offset.standard_error:.4f} s",
-    )
-
-
-def _edge_note(inside: Bool[np.ndarray, "n"]) -> tuple[str, ...]:
-    outside = np.count_nonzero(~inside)
-    return (
-        (
-            f"{outside} of {len(inside)} wrenches lie before the first or after the last pose and are left out",
-        )
-        if outside
-        else ()
-    )
-
-
-def _gap_note(
-    wrench: Stream, missing: Bool[np.ndarray, "n"], table: RecordingTable
-) -> tuple[str, ...]:
-    if not missing.any():
-        return ()
-    first = int(np.argmax(missing))
-    return (
-        f"{np.count_nonzero(missing)} of {len(missing)} rows, first at {wrench.time[first]:.9g} s, lie in gaps of the poses longer than "
-        f"longest_gap = {table.longest_gap:g} s and have no reactions",
+        f"wrenches from {time.min(initial=np.inf):.9g} to {time.max(initial=-np.inf):.9g} s, "
+        f"poses from {pose.time[0]:.9g} to {pose.time[-1]:.9g} s"
     )

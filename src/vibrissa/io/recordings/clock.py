@@ -15,31 +15,42 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline
 from scipy.linalg import solve
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 from scipy.signal import savgol_filter
 from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
 
-from vibrissa.io.recordings.streams import Stream
+from vibrissa.io.recordings.streams import Poses, Wrenches
 
+# Turns count as the way of a point at this distance [m], some lengths of a rod.
 _LEVER = 0.1
-_MOST_ROWS = 1000
-_MOST_WINDOWS = 40
-_MOST_STRETCHES = 2000
+# Bounds of the work on long recordings.
+_MOST_ROWS, _MOST_WINDOWS, _MOST_STRETCHES, _MOST_PIECES = 1000, 40, 2000, 60
+# A window with fewer determines no function of the pose.
 _FEWEST_ROWS = 30
-_MOST_PIECES = 60
+# Of the largest entry of the normal equations: far below what noise leaves open, far above
+# rounding.
 _RIDGE = 1e-9
+# Of the rod's length: finer than reactions change along a sweep.
 _PITCH = 0.02
+# [s], so that a stop or a turn and what is around it lie in one window.
 _SHORTEST_WINDOW = 2.0
-_STEPS = 201
-_EVIDENCE = 12.0
-_MOST_MINIMA = 12
-_FINEST = 1e-5
-_STANDING = 8.0
+# Windows share half of their rows with each neighbour, so that each row counts twice.
 _OVERLAP = 2
-_MOMENT = 0.05
-_FEWEST_STEPS = 4
-_SLOW = 0.1
-_UNDETERMINED = "the data do not determine it: the clamp does not stop, start or turn under load; allowed is a number of seconds, or a recording in which it does"
+# Offsets tried before the deepest minima are refined, and how many of those.
+_STEPS, _MOST_MINIMA = 201, 12
+# Logarithm of a likelihood ratio; chance alone gives about 5 among 201 offsets, ln 201.
+_EVIDENCE = 12.0
+# Of the largest offset, where the search for the standard error begins.
+_FINEST = 1e-5
+# Of the noise of the poses: what moves less stands.
+_STANDING = 8.0
+# Time [s] and steps over which a speed is taken, and the share of a fast speed that is slow.
+_MOMENT, _FEWEST_STEPS, _SLOW = 0.05, 4, 0.1
+_UNDETERMINED = (
+    "the data do not determine it: the clamp does not stop, start or turn under load; "
+    "allowed is a number of seconds, or a recording in which it does"
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +69,7 @@ class ClockOffset:
     standard_error: float | None
 
 
-def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float) -> ClockOffset:
+def estimated_offset(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> ClockOffset:
     """Offset that makes the reactions most nearly a function of the pose, with its standard error.
 
     The standard error is that of the profile likelihood, with as many independent samples as the
@@ -81,39 +92,28 @@ def estimated_offset(wrench: Stream, pose: Stream, largest: float, scale: float)
     windows = _windows(wrench, pose, largest, scale)
     if not windows:
         raise ValueError(_UNDETERMINED)
-    offsets = np.linspace(-largest, largest, _STEPS)
+    offsets, step = np.linspace(-largest, largest, _STEPS, retstep=True)
     spreads = np.array([_spreads(windows, offset) for offset in offsets])
     weights = _weights(windows, float(offsets[np.argmin(spreads.sum(axis=(1, 2)))]))
     misfit = np.einsum("twc,wc->t", spreads, weights)
-    step = float(offsets[1] - offsets[0])
 
     def cost(offset: float) -> float:
         return float(np.sum(weights * _spreads(windows, offset)))
 
-    lowest = _lowest(cost, offsets, misfit, step)
-    seconds = lowest[0][1]
+    (least, seconds), *others = _lowest(cost, offsets, misfit, float(step))
     error = _standard_error(cost, seconds, largest)
-    if (
-        not np.isfinite(error)
-        or error > largest / 10
-        or np.median(misfit) - lowest[0][0] < _EVIDENCE
-    ):
+    if error > largest / 10 or np.median(misfit) - least < _EVIDENCE:
         raise ValueError(_UNDETERMINED)
-    rival = next(
-        (
-            other
-            for value, other in lowest[1:]
-            if value - lowest[0][0] < _EVIDENCE and abs(other - seconds) > 6 * error + step / 10
-        ),
-        None,
-    )
-    if rival is not None:
-        raise ValueError(
-            f"the data do not determine it: {seconds:.4f} s and {rival:.4f} s explain them equally well; allowed is a number of seconds, or a smaller largest_offset"
-        )
+    for value, rival in others:
+        if value - least < _EVIDENCE and abs(rival - seconds) > 6 * error + step / 10:
+            raise ValueError(
+                f"the data do not determine it: {seconds:.4f} s and {rival:.4f} s explain them "
+                "equally well; allowed is a number of seconds, or a smaller largest_offset"
+            )
     if abs(seconds) > largest - 3 * error - step:
         raise ValueError(
-            f"the data do not determine it within largest_offset = {largest:g} s, whose bound fits best; allowed is a larger one, or a number of seconds"
+            f"the data do not determine it within largest_offset = {largest:g} s, whose bound "
+            "fits best; allowed is a larger one, or a number of seconds"
         )
     return ClockOffset(seconds, error)
 
@@ -139,21 +139,20 @@ def _lowest(
 
 def _standard_error(cost: Callable[[float], float], at: float, largest: float) -> float:
     """Half the distance at which the misfit has risen by 2, two standard deviations of a normal
-    error, on the side where that is further.
+    error, on the side where that is further; infinite beyond the largest offset.
     """
     middle, reaches = cost(at), []
     for side in (-1, 1):
-        inside, outside = 0.0, _FINEST * largest
-        while cost(at + side * outside) - middle < 2:
-            inside, outside = outside, 2 * outside
+
+        def rise(distance: float, side: int = side) -> float:
+            return cost(at + side * distance) - middle - 2
+
+        outside = _FINEST * largest
+        while rise(outside) < 0:
+            outside *= 2
             if outside > largest:
                 return float("inf")
-        for _ in range(6):
-            half = (inside + outside) / 2
-            inside, outside = (
-                (half, outside) if cost(at + side * half) - middle < 2 else (inside, half)
-            )
-        reaches.append(outside)
+        reaches.append(brentq(rise, 0, outside, xtol=0.01 * outside))
     return max(reaches) / 2
 
 
@@ -172,46 +171,39 @@ class _Window:
     still: float
 
 
-def _windows(wrench: Stream, pose: Stream, largest: float, scale: float) -> list[_Window]:
+def _windows(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> list[_Window]:
     """Stretches in which the clamp comes back, each with poses beyond its ends by the largest
     offset.
     """
-    sound = np.isfinite(wrench.time) & np.all(np.isfinite(wrench.values), axis=1)
-    if len(pose.time):
-        sound &= (wrench.time > pose.time[0] + largest) & (wrench.time < pose.time[-1] - largest)
-    rows = wrench.rows(sound & (len(pose.time) > _FEWEST_STEPS))
+    first, last = (pose.time[0], pose.time[-1]) if len(pose.time) > _FEWEST_STEPS else (0.0, 0.0)
+    sound = np.isfinite(wrench.channels).all(axis=1)
+    sound &= (wrench.time > first + largest) & (wrench.time < last - largest)
+    rows = wrench.rows(sound)
     if len(rows.time) < 2 * _FEWEST_ROWS:
         raise ValueError(
-            f"only {len(rows.time)} wrenches have poses {largest:g} s before and after; allowed is a smaller largest_offset, or a longer recording"
+            f"only {len(rows.time)} wrenches have poses {largest:g} s before and after; "
+            "allowed is a smaller largest_offset, or a longer recording"
         )
-    features, floor = _smoothed(_features(pose)), 0.1 * _noise(rows.values)
+    features, channels = _smoothed(_features(pose)), rows.channels
+    floor = 0.1 * _noise(channels)
     fast = float(np.quantile(np.linalg.norm(_speeds(pose.time, features), axis=1), 0.9))
     still = _STANDING * float(np.linalg.norm(_noise(features)))
     length = max(_SHORTEST_WINDOW, 4 * largest)
+    step = max(length / _OVERLAP, float(np.ptp(rows.time)) / _MOST_STRETCHES)
     found = []
-    for start in np.arange(
-        rows.time[0],
-        rows.time[-1],
-        max(length / _OVERLAP, (rows.time[-1] - rows.time[0]) / _MOST_STRETCHES),
-    ):
-        part = slice(*np.searchsorted(rows.time, (start, start + length)))
-        near = slice(*np.searchsorted(pose.time, (start - largest, start + length + largest)))
-        if part.stop - part.start < _FEWEST_ROWS or near.stop - near.start < _FEWEST_ROWS:
+    for start in np.arange(rows.time[0], rows.time[-1], step):
+        stop = start + length
+        part = slice(*np.searchsorted(rows.time, (start, stop)))
+        near = slice(*np.searchsorted(pose.time, (start - largest, stop + largest)))
+        time, way_time = rows.time[part], pose.time[near]
+        if min(len(time), len(way_time)) < _FEWEST_ROWS:
             continue
         way = _way(features[near])
-        if _comes_back(pose.time[near], way, fast):
-            time, values = _thinned(rows.time[part], rows.values[part])
-            found.append(_Window(time, values, pose.time[near], way, floor, _PITCH * scale, still))
-    return (
-        [
-            found[index]
-            for index in np.unique(
-                np.linspace(0, len(found) - 1, _MOST_WINDOWS).round().astype(int)
-            )
-        ]
-        if found
-        else []
-    )
+        if _comes_back(way_time, way, fast):
+            thin = _thinned(time, channels[part])
+            found.append(_Window(*thin, way_time, way, floor, _PITCH * scale, still))
+    chosen = np.linspace(0, len(found) - 1, min(len(found), _MOST_WINDOWS)).round().astype(int)
+    return [found[index] for index in chosen]
 
 
 def _thinned(
@@ -236,22 +228,13 @@ def _noise(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
     )
 
 
-def _features(pose: Stream) -> Float[np.ndarray, "n 6"]:
+def _features(pose: Poses) -> Float[np.ndarray, "n 6"]:
     """Positions, and turns seen from a lever of 0.1 m: twice the quaternion's vector part, of one
     sign, relative to the first pose.
     """
-    x, y, z, w = (pose.values[:, 3:] / np.linalg.norm(pose.values[:, 3:], axis=1, keepdims=True)).T
-    a, b, c, d = pose.values[0, 3:] / np.linalg.norm(pose.values[0, 3:])
-    turn = np.stack(
-        [
-            d * x - a * w - b * z + c * y,
-            d * y - b * w - c * x + a * z,
-            d * z - c * w - a * y + b * x,
-        ],
-        axis=1,
-    )
-    sign = np.where(d * w + a * x + b * y + c * z < 0, -1.0, 1.0)
-    return np.hstack([pose.values[:, :3] - pose.values[0, :3], 2 * _LEVER * sign[:, None] * turn])
+    turns = Rotation.from_quat(pose.orientation)
+    relative = (turns[0].inv() * turns).as_quat(canonical=True)
+    return np.hstack([pose.position - pose.position[0], 2 * _LEVER * relative[:, :3]])
 
 
 def _way(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m"]:
@@ -290,26 +273,20 @@ def _spreads(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
     found = []
     for window in windows:
         residual, rank = _residual(window, offset)
-        found.append(
-            0.5
-            * np.log(
-                np.sum(residual**2, axis=0) / (len(residual) - rank) + window.floor**2 + 1e-300
-            )
-        )
+        variance = np.sum(residual**2, axis=0) / (len(residual) - rank)
+        found.append(0.5 * np.log(variance + window.floor**2 + 1e-300))
     return np.array(found)
 
 
 def _residual(window: _Window, offset: float) -> tuple[Float[np.ndarray, "n 6"], int]:
     """What a function of the pose leaves of the reactions, and the number of its parameters."""
-    basis = _pieces(
-        np.interp(window.time - offset, window.way_time, window.way), window.pitch, window.still
-    )
+    along = np.interp(window.time - offset, window.way_time, window.way)
+    basis = _pieces(along, window.pitch, window.still)
     gram = (basis.T @ basis).toarray()
-    used = gram.diagonal() > 0
-    gram[np.diag_indices_from(gram)] += _RIDGE * gram.max()
-    return window.values - basis @ solve(gram, basis.T @ window.values, assume_a="pos"), int(
-        np.count_nonzero(used)
-    )
+    rank = np.count_nonzero(gram.diagonal())
+    gram += _RIDGE * gram.max() * np.eye(len(gram))
+    fitted = basis @ solve(gram, basis.T @ window.values, assume_a="pos")
+    return window.values - fitted, int(rank)
 
 
 def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> csr_array:
@@ -333,16 +310,7 @@ def _weights(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
     weights = []
     for window in windows:
         residual, rank = _residual(window, offset)
-        square = np.sum(residual**2, axis=0)
-        alike = np.clip(
-            np.divide(
-                np.sum(residual[1:] * residual[:-1], axis=0),
-                square,
-                out=np.zeros(6),
-                where=square > 0,
-            ),
-            0,
-            0.98,
-        )
+        square = np.maximum(np.sum(residual**2, axis=0), 1e-300)
+        alike = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / square, 0, 0.98)
         weights.append((len(residual) - rank) * (1 - alike) / (1 + alike) / _OVERLAP)
     return np.array(weights)

@@ -2,32 +2,33 @@
 its own.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vibrissa.files import InputError
 from vibrissa.io.recordings.resample import interpolated
-from vibrissa.io.recordings.streams import Stream
+from vibrissa.io.recordings.streams import Poses
 
 Pair = tuple[str, str]
-_SMALLEST = 0.5
+"""Parent and child."""
+# Quaternions of a broadcaster are normalised to single precision at worst; less is damage.
+_SMALLEST_NORM, _LARGEST_NORM = 0.5, 2.0
 
 
-@dataclass(frozen=True)
-class Edges:
-    """Poses of frames in their parents, by (parent, child): streams of `POSE`, or one pose (7,) for
-    all times.
-    """
+class Link(NamedTuple):
+    """Poses of a frame in its parent; a fixed one has a single pose, which holds for all times."""
 
-    moving: dict[Pair, Stream]
-    fixed: dict[Pair, Float[np.ndarray, "7"]]
+    poses: Poses
+    is_fixed: bool
 
 
-def chained(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str) -> Stream:
+def chained(
+    path: Path, links: Mapping[Pair, Link], fixed_frame: str | None, sensor_frame: str
+) -> Poses:
     """Poses of `sensor_frame` in `fixed_frame`, at every stamp of a link where all links are known;
     no link is extrapolated.
 
@@ -35,8 +36,8 @@ def chained(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str
     ----------
     path
         For messages.
-    edges
-        The links.
+    links
+        By parent and child.
     fixed_frame
         World; None for the frame that the sensor's chain begins with.
     sensor_frame
@@ -45,56 +46,59 @@ def chained(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str
     Raises
     ------
     InputError
-        If no chain leads from one to the other, or nothing on it moves.
+        If no chain leads from one to the other, nothing on it moves, or its links have no time in
+        common.
     """
-    chain = _chain(path, edges, fixed_frame, sensor_frame.lstrip("/"))
-    moving = [edges.moving[pair] for pair in chain if pair in edges.moving]
+    chain = _chain(path, links, fixed_frame, sensor_frame.lstrip("/"))
+    moving = [links[pair].poses.time for pair in chain if not links[pair].is_fixed]
+    ends = f"between {chain[0][0]!r} and {sensor_frame!r}"
     if not moving:
         raise InputError(
-            f"{path}: no frame between {chain[0][0]!r} and {sensor_frame!r} is on /tf, all are static; allowed is a moving sensor"
+            f"{path}: no frame {ends} is on /tf, all are static; allowed is a moving sensor"
         )
-    for pair in chain:
-        _check_rotations(
-            path,
-            pair,
-            edges.moving[pair].values if pair in edges.moving else edges.fixed[pair][None],
-        )
-    first, last = max(link.time[0] for link in moving), min(link.time[-1] for link in moving)
-    stamps = np.unique(np.concatenate([link.time for link in moving]))
+    for parent, child in chain:
+        _check_rotations(path, parent, child, links[parent, child].poses)
+    first, last = max(time[0] for time in moving), min(time[-1] for time in moving)
+    stamps = np.unique(np.concatenate(moving))
     time = stamps[(stamps >= first) & (stamps <= last)]
+    if not len(time):
+        raise InputError(
+            f"{path}: the frames {ends} have no time in common; allowed are links that overlap"
+        )
     position, turn = np.zeros((len(time), 3)), Rotation.identity(len(time))
     for pair in chain:
-        link = (
-            interpolated(edges.moving[pair], time, np.inf)
-            if pair in edges.moving
-            else np.tile(edges.fixed[pair], (len(time), 1))
-        )
-        position = position + turn.apply(link[:, :3]) if len(time) else position
-        turn = turn * Rotation.from_quat(link[:, 3:])
-    return Stream(time, np.hstack([position, np.asarray(turn.as_quat()).reshape(-1, 4)]))
+        poses, is_fixed = links[pair]
+        link = poses if is_fixed else interpolated(poses, time)
+        position = position + turn.apply(link.position)
+        turn = turn * Rotation.from_quat(link.orientation)
+    return Poses(time, position, turn.as_quat())
 
 
-def _check_rotations(path: Path, pair: Pair, link: Float[np.ndarray, "n 7"]) -> None:
+def _check_rotations(path: Path, parent: str, child: str, poses: Poses) -> None:
     with np.errstate(over="ignore"):
-        norm = np.linalg.norm(link[:, 3:], axis=1)
-    if not np.all((norm > _SMALLEST) & (norm < 1 / _SMALLEST) & np.isfinite(link).all(axis=1)):
+        norm = np.linalg.norm(poses.orientation, axis=1)
+    if not np.all((norm > _SMALLEST_NORM) & (norm < _LARGEST_NORM) & poses.finite):
         raise InputError(
-            f"{path}: frame {pair[1]!r} in {pair[0]!r} is not finite, or its quaternion has no norm; allowed is the norm 1"
+            f"{path}: frame {child!r} in {parent!r} is not finite, or its quaternion has no norm; "
+            "allowed is the norm 1"
         )
 
 
-def _chain(path: Path, edges: Edges, fixed_frame: str | None, sensor_frame: str) -> list[Pair]:
+def _chain(
+    path: Path, links: Mapping[Pair, Link], fixed_frame: str | None, sensor_frame: str
+) -> list[Pair]:
     """Links from the fixed frame to the sensor's, by going up from child to parent."""
-    parents = {child: parent for parent, child in [*edges.fixed, *edges.moving]}
-    top = fixed_frame.lstrip("/") if fixed_frame is not None else None
+    parents = {child: parent for parent, child in links}
+    top = None if fixed_frame is None else fixed_frame.lstrip("/")
     chain: list[Pair] = []
     here = sensor_frame
     while here != top and here in parents and len(chain) <= len(parents):
-        chain.append((parents[here], here))
+        chain.insert(0, (parents[here], here))
         here = parents[here]
-    if not chain or (top is not None and here != top) or len(chain) > len(parents):
-        known = sorted({frame for pair in [*edges.fixed, *edges.moving] for frame in pair})
+    if not chain or top not in {None, here} or len(chain) > len(parents):
+        known = sorted({frame for pair in links for frame in pair})
         raise InputError(
-            f"{path}: no chain of frames from fixed_frame = {fixed_frame!r} to sensor_frame = {sensor_frame!r}; the bag holds {', '.join(known)[:300]}"
+            f"{path}: no chain of frames from fixed_frame = {fixed_frame!r} to sensor_frame = "
+            f"{sensor_frame!r}; the bag holds {', '.join(known)[:300]}"
         )
-    return chain[::-1]
+    return chain

@@ -19,39 +19,35 @@ class Kind(Enum):
     BAG = "rosbag2 or MCAP"
 
 
-_SIGNS = (
-    (b"PAR1", Kind.PARQUET),
-    (b"\x89HDF\r\n\x1a\n", Kind.HDF5),
-    (b"CDF\x01", Kind.CLASSIC),
-    (b"CDF\x02", Kind.CLASSIC),
-    (b"MATLAB 5.0", Kind.MATLAB),
-    (b"MATLAB 7.3", Kind.MATLAB_HDF5),
-    (b"\x89MCAP0\r\n", Kind.BAG),
-    (b"SQLite format 3\0", Kind.BAG),
-    (b"\x28\xb5\x2f\xfd", Kind.BAG),
-)
-_OTHERS = (
-    (b"#ROSBAG V", "a bag of ROS 1"),
-    (b"ARROW1", "Arrow IPC (Feather)"),
-    (b"PARE", "encrypted Parquet"),
-    (b"CDF\x05", "NetCDF of 64-bit data (CDF-5)"),
-    (b"PK\x03\x04", "a ZIP archive, as XLSX and NPZ are"),
-    (b"\x1f\x8b", "gzip"),
-    (b"\x93NUMPY", "a NumPy array"),
-    (b"\x89PNG", "a PNG image"),
-)
-_SUFFIXES = {
-    ".parquet": Kind.PARQUET,
-    ".pq": Kind.PARQUET,
-    ".h5": Kind.HDF5,
-    ".hdf5": Kind.HDF5,
-    ".hdf": Kind.HDF5,
-    ".nc": Kind.HDF5,
-    ".mcap": Kind.BAG,
-    ".db3": Kind.BAG,
-    ".mat": Kind.MATLAB,
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+# What files begin with; those with a text are known, and not read.
+_SIGNS: dict[bytes, Kind | str] = {
+    b"PAR1": Kind.PARQUET,
+    _HDF5: Kind.HDF5,
+    b"CDF\x01": Kind.CLASSIC,
+    b"CDF\x02": Kind.CLASSIC,
+    b"MATLAB 5.0": Kind.MATLAB,
+    b"MATLAB 7.3": Kind.MATLAB_HDF5,
+    b"\x89MCAP0\r\n": Kind.BAG,
+    b"SQLite format 3\0": Kind.BAG,
+    b"\x28\xb5\x2f\xfd": Kind.BAG,
+    b"#ROSBAG V": "a bag of ROS 1",
+    b"ARROW1": "Arrow IPC (Feather)",
+    b"PARE": "encrypted Parquet",
+    b"CDF\x05": "NetCDF of 64-bit data (CDF-5)",
+    b"PK\x03\x04": "a ZIP archive, as XLSX and NPZ are",
+    b"\x1f\x8b": "gzip",
+    b"\x93NUMPY": "a NumPy array",
+    b"\x89PNG": "a PNG image",
 }
-_USER_BLOCKS = (512, 1024, 2048, 4096)
+_SUFFIXES = {
+    Kind.PARQUET: (".parquet", ".pq"),
+    Kind.HDF5: (".h5", ".hdf5", ".hdf", ".nc"),
+    Kind.BAG: (".mcap", ".db3"),
+    Kind.MATLAB: (".mat",),
+}
+# Places at which HDF5 may begin behind a block of the user's own (HDF5 specification, II.A).
+_BLOCKS = (512, 1024, 2048, 4096)
 _FORMATS = "CSV, Parquet, HDF5, NetCDF, MATLAB .mat, rosbag2 and MCAP"
 
 
@@ -67,18 +63,17 @@ def kind_of(path: Path) -> Kind:
     if path.is_dir() and is_bag(path):
         return Kind.BAG
     with readable(path).open("rb") as opened:
-        start = opened.read(_USER_BLOCKS[-1] + 8)
-    for sign, kind in _SIGNS:
-        if start.startswith(sign):
-            return kind
-    if any(start[block:].startswith(b"\x89HDF\r\n\x1a\n") for block in _USER_BLOCKS):
-        return Kind.HDF5
-    other = next((what for sign, what in _OTHERS if start.startswith(sign)), None)
-    if other is not None:
-        raise InputError(f"{path}: is {other}; allowed are {_FORMATS}")
-    said = _SUFFIXES.get(path.suffix.lower(), Kind.TEXT)
-    if said not in {Kind.TEXT, Kind.MATLAB}:
+        start = opened.read(_BLOCKS[-1] + len(_HDF5))
+    found = next((kind for sign, kind in _SIGNS.items() if start.startswith(sign)), None)
+    if isinstance(found, str):
+        raise InputError(f"{path}: is {found}; allowed are {_FORMATS}")
+    if found is None and any(start.startswith(_HDF5, block) for block in _BLOCKS):
+        found = Kind.HDF5
+    suffix = path.suffix.lower()
+    said = next((kind for kind, known in _SUFFIXES.items() if suffix in known), Kind.TEXT)
+    # MATLAB 4 has no sign of its own.
+    if found is None and said not in {Kind.TEXT, Kind.MATLAB}:
         raise InputError(
             f"{path}: begins with {start[:8]!r}, which is no {said.value}; allowed are {_FORMATS}"
         )
-    return said
+    return found or said

@@ -1,21 +1,15 @@
 """Parquet: one column, or one list of fixed length, a quantity."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vibrissa.files import InputError
-from vibrissa.io.recordings.arrays import MOST_ROWS, Array, Columns
+from vibrissa.io.recordings.arrays import Array, Columns, matched, reading
 from vibrissa.io.recordings.libraries import library
-from vibrissa.io.recordings.limits import Budget
-from vibrissa.io.recordings.parquet_footer import Chunk, chunks
-
-_STRING_LIMIT = 16 * 2**20
-_CONTAINER_LIMIT = 1_000_000
-_DEEPEST = 8
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+from vibrissa.io.recordings.units import factor
 
 
 def columns(file: Path, wanted: Sequence[str]) -> Columns:
@@ -32,109 +26,51 @@ def columns(file: Path, wanted: Sequence[str]) -> Columns:
     Raises
     ------
     InputError
-        If the file is damaged, a column holds no numbers, or it claims more rows or bytes than
-        allowed.
+        If the file is damaged, or a column holds no numbers.
     """
-    arrow, parquet = library("pyarrow"), library("pyarrow.parquet")
-    try:
-        claims = list(chunks(file))
-        with parquet.ParquetFile(
-            file,
-            thrift_string_size_limit=_STRING_LIMIT,
-            thrift_container_size_limit=_CONTAINER_LIMIT,
-        ) as opened:
-            names = list(_names(opened.schema_arrow))
-            chosen = [name for name in dict.fromkeys(wanted) if name in names]
-            _check_claims(file, opened.metadata.num_rows, claims, chosen)
-            table = _flattened(opened.read(columns=chosen, use_threads=False))
-            units = {field.name: _unit(field.metadata) for field in opened.schema_arrow}
-    except InputError:
-        raise
-    except (
-        arrow.ArrowException,
-        OSError,
-        ValueError,
-        KeyError,
-        IndexError,
-        OverflowError,
-        MemoryError,
-    ) as error:
-        raise InputError(
-            f"{file}: damaged Parquet ({str(error)[:200]}); allowed is a whole Parquet file"
-        ) from error
-    return Columns(
-        file,
-        names,
-        lambda name: _numbers(file, name, table.column(name).combine_chunks()),
-        units.get,
-    )
-
-
-def _names(fields: Any, prefix: str = "", depth: int = 0) -> Iterator[str]:
-    """Columns, and the parts of those that are structs as `column.part`."""
-    arrow = library("pyarrow")
-    for field in fields:
-        yield f"{prefix}{field.name}"
-        if arrow.types.is_struct(field.type) and depth < _DEEPEST:
-            yield from _names(field.type, f"{prefix}{field.name}.", depth + 1)
+    with reading(file, "Parquet"), library("pyarrow.parquet").ParquetFile(file) as opened:
+        schema = opened.schema_arrow
+        names = _flattened(schema.empty_table()).column_names
+        chosen = matched(wanted, names)
+        table = _flattened(opened.read(columns=list(chosen.values())))
+        arrays = {name: _numbers(file, name, table[own]) for name, own in chosen.items()}
+        units = {field.name: _unit(field.metadata or {}) for field in schema}
+    return Columns(file, names, arrays, {name: units.get(own) for name, own in chosen.items()})
 
 
 def _flattened(table: Any) -> Any:
+    """A table with a column for each part of a struct."""
     arrow = library("pyarrow")
-    for _ in range(_DEEPEST):
-        if not any(arrow.types.is_struct(field.type) for field in table.schema):
-            break
+    while any(arrow.types.is_struct(kind) for kind in table.schema.types):
         table = table.flatten()
     return table
 
 
-def _check_claims(file: Path, rows: int, claims: Sequence[Chunk], chosen: Sequence[str]) -> None:
-    if not 0 <= rows <= MOST_ROWS:
-        raise InputError(f"{file}: claims {rows} rows; allowed are at most {MOST_ROWS}")
-    budget = Budget(file)
-    for claim in claims:
-        name = ".".join(claim.path)
-        if any(name == column or name.startswith(f"{column}.") for column in chosen):
-            budget.take(max(claim.size, 8 * claim.values), f"column {name[:60]!r}")
-
-
 def _numbers(file: Path, name: str, column: Any) -> Array:
-    """Floats (n,), or (n, k) of a list of equal lengths."""
-    arrow = library("pyarrow")
-    kind = column.type
-    if (
-        arrow.types.is_list(kind)
-        or arrow.types.is_large_list(kind)
-        or arrow.types.is_fixed_size_list(kind)
-    ):
-        inner = column.flatten()
-        width = len(inner) // max(len(column), 1)
-        lengths = {len(row) if row is not None else -1 for row in column}
-        if lengths != {width}:
+    """Floats (n,), or (n, k) of lists of one length."""
+    arrow, kind = library("pyarrow"), column.type
+    if hasattr(kind, "value_type"):
+        compute = library("pyarrow.compute")
+        lengths = set(compute.list_value_length(column).to_pylist())
+        if len(lengths) > 1 or None in lengths:
             raise InputError(
-                f"{file}: column {name!r} holds lists of {sorted(lengths)[:5]} numbers; allowed are lists of equal length"
+                f"{file}: {name!r} holds lists of {lengths} numbers; "
+                "allowed are lists of one length"
             )
-        return _numbers(file, name, inner).reshape(len(column), width)
-    try:
-        if arrow.types.is_timestamp(kind) or arrow.types.is_duration(kind):
-            return _floats(column.cast(arrow.int64())) * _SECONDS[kind.unit]
-        if (
-            arrow.types.is_integer(kind)
-            or arrow.types.is_floating(kind)
-            or arrow.types.is_decimal(kind)
-        ):
-            return _floats(column.cast(arrow.float64(), safe=False))
-    except arrow.ArrowException as error:
-        raise InputError(
-            f"{file}: column {name!r} of type {kind} cannot be read as numbers ({str(error)[:100]}); allowed are numbers"
-        ) from error
-    raise InputError(f"{file}: column {name!r} is of type {str(kind)[:60]}; allowed are numbers")
+        return _numbers(file, name, compute.list_flatten(column)).reshape(len(column), -1)
+    scale = 1.0
+    if arrow.types.is_timestamp(kind) or arrow.types.is_duration(kind):
+        column, scale = column.cast(arrow.int64()), factor(kind.unit)
+    elif not (
+        arrow.types.is_integer(kind)
+        or arrow.types.is_floating(kind)
+        or arrow.types.is_decimal(kind)
+    ):
+        raise InputError(f"{file}: {name!r} is of type {kind}; allowed are numbers")
+    floats = column.cast(arrow.float64(), safe=False).to_numpy()
+    return np.asarray(floats) if scale == 1 else floats * scale
 
 
-def _floats(column: Any) -> Array:
-    return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
-
-
-def _unit(metadata: dict[bytes, bytes] | None) -> str | None:
-    text = (metadata or {}).get(b"units") or (metadata or {}).get(b"unit")
+def _unit(metadata: dict[bytes, bytes]) -> str | None:
+    text = metadata.get(b"units", metadata.get(b"unit"))
     return text.decode(errors="replace") if text else None

@@ -1,21 +1,21 @@
-"""Recordings of any format to support reactions: read, align, judge, and take off tare and mount."""
+"""Recordings of any format to support reactions: read, align, judge, take off tare and mount."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
-from itertools import chain
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from vibrissa.contacts import RecordingNote, RecordingWarning
-from vibrissa.files import read_table
 from vibrissa.io.errors import InputError
-from vibrissa.io.recordings import arrays, bags, hdf5, judge, matlab, parquet, text
+from vibrissa.io.recordings import bags, hdf5, judge, layout, matlab, parquet, text
 from vibrissa.io.recordings.align import Recording, aligned
 from vibrissa.io.recordings.arrays import Columns
 from vibrissa.io.recordings.kinds import Kind, kind_of
 from vibrissa.io.recordings.misread import misread_faults
-from vibrissa.io.recordings.streams import Stream, Streams
+from vibrissa.io.recordings.streams import Streams
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup
@@ -40,6 +40,7 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
         files, told apart by content, then by suffix. Without the table [recording] in the setup a
         CSV has exactly the header `time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz`, SI units, and
         other formats hold those names, or arrays `position`, `orientation`, `force` and `torque`.
+        Capitals in names do not matter.
     setup
         Mount, sign, frame and noise; layout of the recording.
 
@@ -55,12 +56,9 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
     reactions = inspection.sensor.reactions(
         inspection.cleaned, inspection.tare, tolerances=setup.parameter_covariance
     )
-    misread = tuple(
-        fault.text
-        for fault in inspection.faults
-        if fault.kind in {FaultKind.UNITS, FaultKind.MOUNT}
-    )
-    return replace(reactions, misread=misread) if misread else reactions
+    kinds = {FaultKind.UNITS, FaultKind.MOUNT}
+    misread = tuple(fault.text for fault in inspection.faults if fault.kind in kinds)
+    return replace(reactions, misread=misread)
 
 
 def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:
@@ -76,6 +74,7 @@ def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:
 
 
 def _judged(file: Path, setup: Setup) -> Inspection:
+    """What is found in a recording: said as warnings, or raised where that makes it unusable."""
     table = setup.recording or RecordingTable()
     streams = _streams(file, setup.recording)
     judge.check(file, streams)
@@ -86,15 +85,12 @@ def _judged(file: Path, setup: Setup) -> Inspection:
     if inspection.unusable:
         # What cannot be used may follow from a unit that alone would not forbid it: stamps in
         # milliseconds leave no rest.
-        first, units = (
-            inspection.unusable[0],
-            [
-                fault.text
-                for fault in inspection.faults
-                if fault.kind is FaultKind.UNITS and not fault.unusable
-            ],
+        units = (
+            fault.text
+            for fault in inspection.faults
+            if fault.kind is FaultKind.UNITS and not fault.unusable
         )
-        raise InputError(f"{file}: " + "; besides: ".join([first.text, *units]))
+        raise InputError(f"{file}: " + "; besides: ".join([inspection.unusable[0].text, *units]))
     for line in inspection.warnings:
         warnings.warn(f"{file}: {line}", RecordingWarning, stacklevel=3)
     return inspection
@@ -113,26 +109,26 @@ def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
 
 
 def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
+    poses, table = recording.poses, setup.recording or RecordingTable()
+    own = None
+    if poses is not None:
+        own = poses.time, np.hstack([poses.position, poses.orientation])
     try:
-        own = None if recording.poses is None else (recording.poses.time, recording.poses.values)
         found = inspect_raw(recording.marked, setup.sensor, setup.rod, poses=own)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
 
     def in_degrees() -> RawRecording:
-        table = (setup.recording or RecordingTable()).model_copy(update={"angle_unit": "deg"})
-        return read_raw(file, replace(setup, recording=table)).raw
+        degrees = table.model_copy(update={"angle_unit": "deg"})
+        return read_raw(file, replace(setup, recording=degrees)).raw
 
     faults = [
         *found.faults,
-        *misread_faults(found, setup.rod, setup.sensor, setup.recording, in_degrees),
+        *misread_faults(found, setup.rod, setup.sensor, table, in_degrees),
+        *(judge.pose_faults(poses) if poses else ()),
     ]
-    faults += [] if recording.poses is None else judge.pose_faults(recording.poses)
-    return replace(
-        found,
-        faults=tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop))),
-        notes=recording.notes,
-    )
+    faults.sort(key=lambda fault: (fault.start, fault.stop))
+    return replace(found, faults=tuple(faults), notes=recording.notes)
 
 
 def read_raw(path: str | Path, setup: Setup) -> Recording:
@@ -144,92 +140,52 @@ def read_raw(path: str | Path, setup: Setup) -> Recording:
         If the file cannot be read as what it is, names or topics are missing, or no wrench has a
         pose.
     """
-    file = Path(path)
-    return aligned(
-        file, _streams(file, setup.recording), setup.recording or RecordingTable(), setup.rod.length
-    )
+    file, table = Path(path), setup.recording
+    return aligned(file, _streams(file, table), table or RecordingTable(), setup.rod.length)
 
 
-def _streams(file: Path, table: RecordingTable | None) -> Streams:
+def _streams(file: Path, stated: RecordingTable | None) -> Streams:
     """Both streams, whatever the format."""
-    kind, layout = kind_of(file), table or RecordingTable()
+    kind, table = kind_of(file), stated or RecordingTable()
     try:
+        poses = _pose_columns(file, table, table.pose_file) if table.pose_file else None
         if kind is Kind.BAG:
-            return bags.streams(file, layout, _pose_stream(file, layout))
-        if kind is Kind.TEXT and table is None:
-            return arrays.streams(_strict(file), layout)
-        if layout.pose_file is None:
-            return arrays.streams(_columns(file, kind, layout), layout)
-        return arrays.streams(
-            _columns(file, kind, layout), layout, _pose_columns(file, layout, layout.pose_file)
-        )
+            given = None if poses is None else layout.pose_stream(poses, table)
+            return bags.streams(file, table, given)
+        if kind is Kind.TEXT and stated is None:
+            return layout.streams(text.columns(file, table, COLUMNS, exactly=COLUMNS), table)
+        return layout.streams(_columns(file, kind, table), table, poses)
     except ImportError as error:
         raise InputError(f"{file}: {error}") from error
 
 
-def _pose_stream(file: Path, layout: RecordingTable) -> Stream | None:
-    return (
-        None
-        if layout.pose_file is None
-        else arrays.pose_stream(_pose_columns(file, layout, layout.pose_file), layout)
-    )
-
-
-def _pose_columns(file: Path, layout: RecordingTable, name: str) -> Columns:
+def _pose_columns(file: Path, table: RecordingTable, name: str) -> Columns:
+    own = {"decimal": table.pose_decimal, "skip_lines": table.pose_skip_lines}
+    of_poses = {key: value for key, value in own.items() if value is not None}
     pose_file = file.parent / name.replace("{name}", file.stem)
-    own = {"decimal": layout.pose_decimal, "skip_lines": layout.pose_skip_lines}
-    return _columns(
-        pose_file,
-        kind_of(pose_file),
-        layout.model_copy(update={key: value for key, value in own.items() if value is not None}),
-    )
+    return _columns(pose_file, kind_of(pose_file), table.model_copy(update=of_poses))
 
 
-def _strict(file: Path) -> Columns:
-    """The CSV that `write_recording` writes, and no other."""
-    try:
-        table = read_table(file, COLUMNS, finite=False)
-    except InputError as error:
-        if ", line 1: columns: " not in str(error):
-            raise
-        raise InputError(
-            f"{error}; another layout is told by a table [recording] in the setup"
-        ) from None
-    return Columns(file, COLUMNS, table.__getitem__, lines=2 + np.arange(len(table["time"])))
+_READERS: dict[Kind, Callable[..., Columns]] = {
+    Kind.PARQUET: parquet.columns,
+    Kind.HDF5: hdf5.columns,
+    Kind.MATLAB_HDF5: partial(hdf5.columns, matlab=True),
+    Kind.CLASSIC: hdf5.classic_columns,
+    Kind.MATLAB: matlab.columns,
+}
 
 
 def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
+    if kind is Kind.BAG:
+        raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
     wanted = _wanted(table)
-    match kind:
-        case Kind.TEXT:
-            units = (
-                (table.time, table.time_unit),
-                (table.pose_time, table.pose_time_unit or table.time_unit),
-            )
-            stamps = [name for name, unit in units if isinstance(name, str) and unit == "stamp"]
-            return text.columns(file, table, wanted, stamps)
-        case Kind.PARQUET:
-            return parquet.columns(file, wanted)
-        case Kind.HDF5 | Kind.MATLAB_HDF5:
-            return hdf5.columns(file, wanted, matlab=kind is Kind.MATLAB_HDF5)
-        case Kind.CLASSIC:
-            return hdf5.classic_columns(file, wanted)
-        case Kind.MATLAB:
-            return matlab.columns(file)
-        case Kind.BAG:
-            raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
+    return text.columns(file, table, wanted) if kind is Kind.TEXT else _READERS[kind](file, wanted)
 
 
 def _wanted(table: RecordingTable) -> list[str]:
     """Names that may be asked for; `name[k]` also without its index."""
-    times = [
-        (name,) if isinstance(name, str) else name
-        for name in (table.time, table.pose_time)
-        if name is not None
-    ]
-    names = [*chain(*times), *table.force, *table.torque, *table.position, *table.orientation]
-    names += ["force", "torque", "position", "orientation"]
-    return [
-        *names,
-        *(name[: name.rindex("[")] for name in names if name.endswith("]") and "[" in name),
-    ]
+    names = [*table.force, *table.torque, *table.position, *table.orientation]
+    for time in (table.time, table.pose_time or ()):
+        names += [time] if isinstance(time, str) else time
+    whole = [name.rsplit("[", 1)[0] for name in names if name.endswith("]")]
+    return [*names, *whole, "force", "torque", "position", "orientation"]

@@ -1,42 +1,80 @@
 """What every format is read to: wrenches and poses, each with stamps of its own, SI units."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
-POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
+Rows = TypeVar("Rows", bound="Stamped")
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
-    """Stamped rows as they were recorded: not judged, so that stamps may stand or fall and numbers
-    may be NaN.
+class Stamped:
+    """Rows as they were recorded, not judged: stamps may stand or fall, numbers may be NaN.
 
     Attributes
     ----------
     time
         (n,) [s].
-    values
-        (n, k): force [N] and torque [N m], or position [m] and quaternion x, y, z, w.
     line
         (n,) lines of the text that the rows stand in, from 1; None for other formats.
     """
 
     time: Float[np.ndarray, "n"]
-    values: Float[np.ndarray, "n k"]
-    line: np.ndarray | None = None
+    line: Int[np.ndarray, "n"] | None = field(default=None, kw_only=True)
 
     def place(self, row: int) -> str:
         """Say where a row is in its file."""
         return f"row {row}" if self.line is None else f"line {self.line[row]}"
 
-    def rows(self, chosen: np.ndarray) -> "Stream":
+    def rows(self: Rows, chosen: np.ndarray) -> Rows:
         """Some of the rows, by a mask or by numbers."""
-        return Stream(
-            self.time[chosen], self.values[chosen], None if self.line is None else self.line[chosen]
+        parts = {part.name: getattr(self, part.name) for part in fields(self)}
+        return replace(
+            self, **{name: part[chosen] for name, part in parts.items() if part is not None}
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Wrenches(Stamped):
+    """Stamped wrenches.
+
+    Attributes
+    ----------
+    force, torque
+        (n, 3) [N], [N m].
+    """
+
+    force: Float[np.ndarray, "n 3"]
+    torque: Float[np.ndarray, "n 3"]
+
+    @property
+    def channels(self) -> Float[np.ndarray, "n 6"]:
+        """Force, then torque."""
+        return np.hstack([self.force, self.torque])
+
+
+@dataclass(frozen=True, eq=False)
+class Poses(Stamped):
+    """Stamped poses of the sensor frame.
+
+    Attributes
+    ----------
+    position
+        (n, 3) [m].
+    orientation
+        (n, 4) quaternions x, y, z, w.
+    """
+
+    position: Float[np.ndarray, "n 3"]
+    orientation: Float[np.ndarray, "n 4"]
+
+    @property
+    def finite(self) -> np.ndarray:
+        """(n,) whether all numbers of a row are there."""
+        numbers = np.column_stack([self.time, self.position, self.orientation])
+        return np.isfinite(numbers).all(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +84,7 @@ class Streams:
     Attributes
     ----------
     wrench, pose
-        Rows of `WRENCH` and of `POSE`.
+        The two streams.
     together
         Whether row i of both is one and the same row of the file, so that nothing needs to be
         interpolated.
@@ -54,7 +92,7 @@ class Streams:
         What was left out or recovered, a sentence each.
     """
 
-    wrench: Stream
-    pose: Stream
+    wrench: Wrenches
+    pose: Poses
     together: bool = False
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()

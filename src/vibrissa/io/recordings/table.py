@@ -2,7 +2,7 @@
 clock.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
 
@@ -45,25 +45,25 @@ Names4 = Annotated[
 TimeNames = Annotated[
     Name | tuple[Name, Name],
     Field(
-        description="the name of a column or array, or a list of two, of whole seconds and of nanoseconds"
+        description="the name of a column or array, "
+        "or a list of two, of whole seconds and of nanoseconds"
     ),
 ]
 TimeUnit = Annotated[
-    Literal["s", "ms", "us", "ns", "min", "h", "stamp"],
+    units.Time | Literal["stamp"],
     Field(
-        description="one of s, ms, us, ns, min, h, or stamp for dates of ISO 8601 such as 2026-11-21T20:00:00.125Z"
+        description=f"one of {', '.join(units.TIME)}, "
+        "or stamp for dates of ISO 8601 such as 2026-11-21T20:00:00.125Z"
     ),
 ]
-
-
 Decimal = Annotated[Literal[".", ","], Field(description="a point or a comma")]
 Lines = Annotated[
     int, Field(strict=True, ge=0, le=10_000, description="a whole number from 0 to 10,000")
 ]
 
 
-def _unit(names: dict[str, float]) -> object:
-    return Field(description=f"one of {', '.join(names)}")
+def _one_of(choices: Any) -> Any:
+    return Field(description=f"one of {', '.join(get_args(choices))}")
 
 
 class RecordingTable(Table):
@@ -98,29 +98,20 @@ class RecordingTable(Table):
     time: TimeNames = "time"
     time_unit: TimeUnit | None = None
     force: Names3 = ("fx", "fy", "fz")
-    force_unit: (
-        Annotated[Literal["N", "mN", "uN", "kN", "gf", "kgf", "lbf"], _unit(units.FORCE)] | None
-    ) = None
+    force_unit: Annotated[units.Force, _one_of(units.Force)] | None = None
     torque: Names3 = ("tx", "ty", "tz")
-    torque_unit: (
-        Annotated[
-            Literal["N m", "N cm", "N mm", "mN m", "mN mm", "uN m", "kgf m", "kgf cm", "lbf in"],
-            _unit(units.TORQUE),
-        ]
-        | None
-    ) = None
+    torque_unit: Annotated[units.Torque, _one_of(units.Torque)] | None = None
     position: Names3 = ("px", "py", "pz")
-    position_unit: Annotated[Literal["m", "cm", "mm", "um", "in"], _unit(units.LENGTH)] | None = (
-        None
-    )
+    position_unit: Annotated[units.Length, _one_of(units.Length)] | None = None
     orientation: Names4 = ("qx", "qy", "qz", "qw")
     orientation_form: Annotated[
         Literal["xyzw", "wxyz", "rotation_vector", "roll_pitch_yaw"],
         Field(
-            description="xyzw or wxyz (quaternions), rotation_vector, or roll_pitch_yaw (about the fixed axes x, then y, then z)"
+            description="xyzw or wxyz (quaternions), rotation_vector, "
+            "or roll_pitch_yaw (about the fixed axes x, then y, then z)"
         ),
     ] = "xyzw"
-    angle_unit: Annotated[Literal["rad", "deg"], _unit(units.ANGLE)] | None = None
+    angle_unit: Annotated[units.Angle, _one_of(units.Angle)] | None = None
     pose_time: TimeNames | None = None
     pose_time_unit: TimeUnit | None = None
     pose_file: Name | None = None

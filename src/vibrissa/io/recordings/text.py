@@ -1,44 +1,58 @@
-"""CSV and its kin, with the columns that [recording] names; what else the file holds is not looked
-at.
+"""CSV and its kin by pandas, with the columns that [recording] names; what else the file holds is
+not looked at.
 """
 
 import csv
-from array import array
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
+from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from re import search
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vibrissa.files import InputError, check_last_line, readable, text_of
-from vibrissa.io.recordings.arrays import Columns
+from vibrissa.io.recordings.arrays import Array, Columns, matched, reading
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.units import is_unit
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _COMMENTS = ("#", "%")
-_DELIMITERS = (",", ";", "\t", "|", " ")
-_MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
+_DELIMITERS = ",;\t| "
+_MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
+# Loggers put a few dozen lines before the names.
+_LONGEST_PREAMBLE = 200
+
+
+class _Header(NamedTuple):
+    """The line of names: its place, counted from 0, and what is in it."""
+
+    line: int
+    names: list[str]
+    delimiter: str
+    is_comment: bool
 
 
 def columns(
-    file: Path, table: RecordingTable, wanted: Sequence[str], stamps: Sequence[str]
+    file: Path,
+    table: RecordingTable,
+    wanted: Sequence[str],
+    exactly: Sequence[str] = (),
 ) -> Columns:
     """Columns of a text.
 
     Parameters
     ----------
     file
-        Text with a line of names, then one of units or none, and a line a sample; blank lines and
-        those that begin with # or % are passed over.
+        Text with a line of names, then one of units or none, and a line a sample. Lines before the
+        names, blank lines, those that begin with # or %, and empty rows at the end are passed over.
     table
         Encoding, delimiter (where it gives none, the one that parts most of the wanted names),
-        decimal sign, and how many lines to skip before the names.
+        decimal sign, and how many lines to skip before the names are looked for.
     wanted
         The columns to read; those that are not there are left out.
-    stamps
-        Those of them that are dates.
+    exactly
+        The names that the file has to have, no other and in this order; then each line is a row, no
+        cell is empty, and the delimiter is a comma, or that of Excel's line `sep=;`.
 
     Raises
     ------
@@ -51,44 +65,64 @@ def columns(
             f"{file}: decimal = ',' with delimiter = ','; allowed is another delimiter"
         )
     text = _decoded(readable(file), table.encoding)
+    with reading(file, "text"):
+        return _columns(file, text, table, wanted, exactly)
+
+
+def _columns(
+    file: Path, text: str, table: RecordingTable, wanted: Sequence[str], exactly: Sequence[str]
+) -> Columns:
+    import pandas as pd  # noqa: PLC0415
+
     lines = text.splitlines()
-    if len(lines) <= table.skip_lines:
-        raise InputError(
-            f"{file}: {len(lines)} lines; allowed is a line of names after skip_lines = {table.skip_lines}, and a line a sample"
-        )
-    header = _header(lines, table, wanted)
-    delimiter = header.delimiter
-    twice = next((name for name in dict.fromkeys(wanted) if header.names.count(name) > 1), None)
+    header = _header(file, lines, table, wanted, exactly)
+    chosen = matched(wanted, header.names)
+    twice = next((own for own in chosen.values() if header.names.count(own) > 1), None)
     if twice is not None:
         raise InputError(
-            f"{file}, line {header.line + 1}: column {twice!r} is there {header.names.count(twice)} times; allowed is once"
+            f"{file}, line {header.line + 1}: column {twice!r} is there "
+            f"{header.names.count(twice)} times; allowed is once"
         )
-    check_last_line(
-        file, text, lines[header.line :], header.names, delimiter=delimiter, first=header.line + 1
+    places = {name: header.names.index(own) for name, own in chosen.items()}
+    units = {} if exactly else _units(lines, header, places)
+    rows = dict(_rows(file, lines, header, start=header.line + 1 + bool(units), every=exactly))
+    if not rows:
+        raise InputError(f"{file}: no rows; allowed is at least one sample")
+    if len(lines) in rows:
+        own = lines[header.line :]
+        first, delimiter = header.line + 1, header.delimiter
+        check_last_line(file, text, own, header.names, delimiter=delimiter, first=first)
+    times = {table.time: table.time_unit, table.pose_time: table.pose_time_unit or table.time_unit}
+    dates = {places[name] for name in places if times.get(name) == "stamp"}
+    frame = pd.read_csv(
+        StringIO("\n".join(rows.values())),
+        sep=r"\s+" if header.delimiter == " " else header.delimiter,
+        decimal=table.decimal,
+        header=None,
+        usecols=sorted(set(places.values())),
+        dtype=dict.fromkeys(dates, str),
+        na_filter=False,
+        skipinitialspace=True,
+        skip_blank_lines=False,
+        low_memory=False,
     )
-    place = [
-        (name, header.names.index(name), name in stamps)
-        for name in dict.fromkeys(wanted)
-        if name in header.names
-    ]
-    said = _units(lines, header, place)
-    numbers: dict[str, array[float]] = {name: array("d") for name, _, _ in place}
-    at = array("q")
-    for number, cells in _rows(file, lines, header, skip=1 if said else 0):
-        at.append(number)
-        for name, index, is_stamp in place:
-            numbers[name].append(
-                _number(
-                    file, number, name, cells[index], table.decimal, delimiter, is_stamp=is_stamp
-                )
+    if places and len(frame) != len(rows):
+        raise ValueError("a quote is not closed")
+    frame.index = list(rows)
+    missing = () if exactly else _MISSING
+    arrays = {}
+    for name, place in places.items():
+        decimal = "" if place in dates else table.decimal
+        numbers, bad = _numbers(frame[place], missing, decimal)
+        if len(bad):
+            allowed = "a date of ISO 8601" if place in dates else "a number"
+            if decimal == "." and header.delimiter != "," and "," in bad.iloc[0]:
+                allowed += ", with decimal = ',' in [recording] where a comma is meant"
+            raise InputError(
+                f"{file}, line {bad.index[0]}: {name} = {bad.iloc[0][:40]!r}; allowed is {allowed}"
             )
-    return Columns(
-        file,
-        header.names,
-        lambda name: np.frombuffer(numbers[name], dtype=np.float64),
-        said.get,
-        np.frombuffer(at, dtype=np.int64),
-    )
+        arrays[name] = numbers
+    return Columns(file, header.names, arrays, units, np.array(list(rows)))
 
 
 def _decoded(file: Path, encoding: str) -> str:
@@ -98,121 +132,117 @@ def _decoded(file: Path, encoding: str) -> str:
         return file.read_text(encoding=encoding)
     except UnicodeError as error:
         raise InputError(
-            f"{file}: no text in encoding = {encoding!r} ({error}); allowed is the encoding that it has"
+            f"{file}: no text in encoding = {encoding!r} ({error}); "
+            "allowed is the encoding that it has"
         ) from error
 
 
-class _Header(NamedTuple):
-    """Where the line of names stands, what is in it and what its cells are separated by."""
-
-    line: int
-    names: list[str]
-    delimiter: str
-
-
-def _header(lines: list[str], table: RecordingTable, wanted: Sequence[str]) -> _Header:
-    """The first line that is neither blank nor a comment; or the comment above it, where it holds
-    more of the names that are asked for, as NumPy writes it.
+def _header(
+    file: Path,
+    lines: Sequence[str],
+    table: RecordingTable,
+    wanted: Sequence[str],
+    exactly: Sequence[str],
+) -> _Header:
+    """The first line with most of the names that are asked for, by the delimiter that gives most;
+    a comment, as NumPy writes it, only where it holds more of them than any other line.
     """
-    asked, above = set(wanted), None
-    for line in range(table.skip_lines, len(lines)):
-        plain = lines[line].lstrip()
-        if not plain.startswith(_COMMENTS) and plain:
-            found = [_names(line, lines[line], table, asked)]
-            found += (
-                [] if above is None else [_names(above, lines[above].lstrip("#% \t"), table, asked)]
-            )
-            return max(found, key=lambda header: len(asked.intersection(header.names)))
-        above = line if plain else above
-    return _Header(table.skip_lines, [], ",")
-
-
-def _names(line: int, text: str, table: RecordingTable, asked: set[str]) -> _Header:
-    """Names of a line, by the delimiter that is given, or the one that gives most of the names
-    asked for.
-    """
-    delimiters = (
-        (table.delimiter,)
-        if table.delimiter is not None
-        else _DELIMITERS
-        if table.decimal == "."
-        else _DELIMITERS[1:]
+    delimiters = table.delimiter or _DELIMITERS.replace(table.decimal, "")
+    if exactly:
+        stated = search(r'^"?sep=(.)', lines[0]) if lines else None
+        delimiters = stated[1] if stated else ","
+    found, skip = [], table.skip_lines
+    for number, line in enumerate(lines[skip : skip + _LONGEST_PREAMBLE], skip):
+        is_comment = line.lstrip().startswith(_COMMENTS)
+        plain = line.lstrip("#% \t") if is_comment else line.strip(" ")
+        for delimiter in delimiters if plain else ():
+            names = [name.strip() for name in _cells(plain, delimiter)]
+            while len(names) > 1 and not names[-1]:
+                names.pop()
+            found.append(_Header(number, names, delimiter, is_comment))
+    if not found:
+        raise InputError(
+            f"{file}: {'empty' if not lines else f'{len(lines)} lines'}; allowed is CSV with the "
+            f"columns {','.join(exactly or wanted[:1])} after skip_lines = {skip}"
+        )
+    best = max(found, key=lambda one: (len(matched(wanted, one.names)), not one.is_comment))
+    names = [name.lower() for name in best.names]
+    if not exactly or names == list(exactly):
+        return best
+    findings = {
+        "missing": [name for name in exactly if name not in names],
+        "unknown": [name for name in best.names if name.lower() not in exactly],
+        "twice": [name for name in exactly if names.count(name) > 1],
+    }
+    finding = ", ".join(f"{word} {', '.join(held)}" for word, held in findings.items() if held)
+    raise InputError(
+        f"{file}, line {best.line + 1}: columns: {finding[:200] or 'another order'}; allowed are "
+        f"{','.join(exactly)}; another layout is told by a table [recording] in the setup"
     )
-    found = [
-        _Header(line, [name.strip() for name in _cells(text, delimiter)], delimiter)
-        for delimiter in delimiters
-    ]
-    return max(found, key=lambda header: len(asked.intersection(header.names)))
 
 
-def _units(
-    lines: list[str], header: _Header, place: Sequence[tuple[str, int, bool]]
-) -> dict[str, str]:
+def _units(lines: Sequence[str], header: _Header, places: dict[str, int]) -> dict[str, str]:
     """Units by name, where the line below the names holds no number in any of the columns, and a
     unit in one at least.
     """
-    below = next((line for line in lines[header.line + 1 : header.line + 2] if line.strip()), None)
-    cells = (
-        []
-        if below is None
-        else [cell.strip().strip("[]()") for cell in _cells(below, header.delimiter)]
-    )
-    if len(cells) != len(header.names) or any(cells[index][:1].isdigit() for _, index, _ in place):
+    below = "".join(lines[header.line + 1 : header.line + 2])
+    cells = [cell.strip().strip("[]()") for cell in _cells(below, header.delimiter)]
+    if len(cells) < len(header.names) or any(
+        cells[place][:1].isdigit() for place in places.values()
+    ):
         return {}
-    said = {name: cells[index] for name, index, _ in place if cells[index]}
-    return said if any(is_unit(unit) for unit in said.values()) else {}
+    said = {name: cells[place] for name, place in places.items() if cells[place]}
+    return said if any(map(is_unit, said.values())) else {}
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return line.split()
-    if '"' not in line:
-        return line.split(delimiter)
-    try:
-        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    except csv.Error:
-        # Of more letters than any number or name has.
-        return line.split(delimiter)
+    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])
 
 
 def _rows(
-    file: Path, lines: list[str], header: _Header, skip: int
-) -> Iterator[tuple[int, list[str]]]:
-    """Numbers of the lines, from 1, and their cells; blank lines and comments are passed over."""
-    count = len(header.names)
-    for index in range(header.line + 1 + skip, len(lines)):
-        line = lines[index]
-        if not line.strip() or line.lstrip().startswith(_COMMENTS):
+    file: Path, lines: Sequence[str], header: _Header, *, start: int, every: Sequence[str]
+) -> Iterator[tuple[int, str]]:
+    """Numbers of lines, from 1, and lines with as many cells as there are names; comments and blank
+    lines only where every line counts.
+    """
+    delimiter, count = header.delimiter, len(header.names)
+    stop = len(lines)
+    while stop > start and not lines[stop - 1].strip(f'{delimiter}" \t'):
+        stop -= 1
+    for number, line in enumerate(lines[start:stop], start + 1):
+        plain = line.strip()
+        if not every and (not plain or plain.startswith(_COMMENTS)):
             continue
-        cells = _cells(line, header.delimiter)
-        if len(cells) == count + 1 and not cells[-1].strip():
-            cells.pop()
-        if len(cells) != count:
+        text = line.rstrip(" ")
+        parted = '"' in text or delimiter == " "
+        cells = len(_cells(text, delimiter)) if parted else text.count(delimiter) + 1
+        while cells > count and text.endswith(delimiter):
+            text, cells = text.removesuffix(delimiter).rstrip(" "), cells - 1
+        if cells != count:
             raise InputError(
-                f"{file}, line {index + 1}: {len(cells)} of {count} columns, the line is truncated or damaged; allowed are {count} cells a line"
+                f"{file}, line {number}: {cells} of {count} columns, the line is truncated or "
+                f"damaged; allowed are {count} numbers a line"
             )
-        yield index + 1, cells
+        yield number, text
 
 
-def _number(
-    file: Path, line: int, name: str, cell: str, decimal: str, delimiter: str, *, is_stamp: bool
-) -> float:
-    plain = cell.strip().strip('"')
-    if plain.lower() in _MISSING:
-        return np.nan
-    try:
-        if is_stamp:
-            when = datetime.fromisoformat(plain)
-            return ((when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH).total_seconds()
-        return float(
-            plain.replace("_", "?")
-            if decimal == "."
-            else plain.replace("_", "?").replace(".", "?").replace(",", ".")
-        )
-    except (ValueError, OverflowError):
-        allowed = "a date of ISO 8601" if is_stamp else "a number"
-        if not is_stamp and decimal == "." != delimiter and "," in plain:
-            allowed += ", with decimal = ',' in [recording] where a comma is meant"
-        raise InputError(
-            f"{file}, line {line}: {name} = {plain[:40]!r}; allowed is {allowed}"
-        ) from None
+def _numbers(cells: Any, missing: Sequence[str], decimal: str) -> tuple[Array, Any]:
+    """Floats of cells, which pandas leaves as texts where one of them is no number; without a
+    decimal sign the seconds since 1970 of dates. With them the texts that are neither.
+    """
+    import pandas as pd  # noqa: PLC0415
+
+    if cells.dtype.kind in "iuf":
+        return cells.to_numpy(np.float64), ()
+    texts = cells.astype(str).str.strip()
+    known = texts[~texts.str.lower().isin(missing)]
+    if decimal:
+        points = known if decimal == "." else known.replace({r"\.": "?", ",": "."}, regex=True)
+        numbers = pd.to_numeric(points, errors="coerce").astype(float)
+    else:
+        dates = pd.to_datetime(known, format="ISO8601", utc=True, errors="coerce")
+        numbers = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    bad = known[numbers.isna() & ~known.str.lower().isin(("nan", "-nan"))]
+    return numbers.reindex(cells.index).to_numpy(np.float64), bad

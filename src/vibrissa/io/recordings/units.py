@@ -1,114 +1,101 @@
-"""Units of a recording's numbers, as factors to SI."""
+"""Units of a recording's numbers: the names that setups and files use for them, by pint."""
 
-from re import search
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cache
+from re import search, sub
+from typing import Any, Literal, get_args
 
-FORCE = {
-    "N": 1.0,
-    "mN": 1e-3,
-    "uN": 1e-6,
-    "kN": 1e3,
-    "gf": 9.80665e-3,
-    "kgf": 9.80665,
-    "lbf": 4.4482216152605,
-}
-TORQUE = {
-    "N m": 1.0,
-    "N cm": 1e-2,
-    "N mm": 1e-3,
-    "mN m": 1e-3,
-    "mN mm": 1e-6,
-    "uN m": 1e-6,
-    "kgf m": 9.80665,
-    "kgf cm": 9.80665e-2,
-    "lbf in": 0.1129848290276167,
-}
-LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
-ANGLE = {"rad": 1.0, "deg": 0.017453292519943295}
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-_NONE = {"", "1", "-"}
+Force = Literal["N", "mN", "uN", "kN", "gf", "kgf", "lbf"]
+Torque = Literal["N m", "N cm", "N mm", "mN m", "mN mm", "uN m", "kgf m", "kgf cm", "lbf in"]
+Length = Literal["m", "cm", "mm", "um", "in"]
+Angle = Literal["rad", "deg"]
+Time = Literal["s", "ms", "us", "ns", "min", "h"]
 
-_SPELLINGS = {
-    "Nm": "N m",
-    "N.m": "N m",
-    "N*m": "N m",
-    "newton": "N",
-    "newtons": "N",
-    "newton meter": "N m",
-    "newton metre": "N m",
-    "N-m": "N m",
-    "N·m": "N m",
-    "N·mm": "N mm",
-    "mN·m": "mN m",
-    "Ncm": "N cm",
-    "mNmm": "mN mm",
-    "uNm": "uN m",
-    "kgfm": "kgf m",
-    "kgfcm": "kgf cm",
-    "kp": "kgf",
-    "Nmm": "N mm",
-    "N.mm": "N mm",
-    "mNm": "mN m",
-    "metre": "m",
-    "meter": "m",
-    "meters": "m",
-    "metres": "m",
-    "millimeter": "mm",
-    "millimetre": "mm",
-    "millimeters": "mm",
-    "inch": "in",
-    "radian": "rad",
-    "radians": "rad",
-    "degree": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "second": "s",
-    "seconds": "s",
-    "sec": "s",
-    "milliseconds": "ms",
-    "microseconds": "us",
-    "nanoseconds": "ns",
-    "minutes": "min",
-    "minute": "min",
-    "hours": "h",
-    "hour": "h",
-}
+FORCE, TORQUE, LENGTH, ANGLE, TIME = map(get_args, (Force, Torque, Length, Angle, Time))
+_UNITLESS = {"", "1", "-"}
+# "newton millimeters" has 18 letters: what is longer is a note or damage.
+_LONGEST = 30
 
 
-def known(text: str | None, units: dict[str, float]) -> str | None:
-    """Unit that an attribute of a file names, in this module's spelling; None where it names none.
+@cache
+def _registry() -> Any:
+    import pint  # noqa: PLC0415
+
+    return pint.UnitRegistry(non_int_type=Fraction)  # so that factors are exact
+
+
+@cache
+def factor(unit: str) -> float:
+    """Factor to SI of a unit that a setup may name."""
+    return float(_registry().Quantity(1, unit).to_base_units().magnitude)
+
+
+def known(text: str | None, allowed: Sequence[str]) -> str | None:
+    """Unit that a file names, in the spelling of `allowed`; None where it names none.
+
+    Letters may be joined (Nm), parted by a point, hyphen or star (N*mm), written out (newton
+    meter), and in capitals (NMM) where these mean no other unit of the same kind (MN).
 
     Raises
     ------
     ValueError
-        If it names one that is none of these.
+        If it names one that is not among `allowed`.
     """
     # As CF writes times: "seconds since 2026-01-01".
-    plain = (text or "").strip().replace("µ", "u").replace("μ", "u").split(" since ")[0]
-    unit = _SPELLINGS.get(plain, plain)
-    if unit in _NONE:
+    plain = (text or "").split(" since ")[0].strip().replace("µ", "u").replace("μ", "u")
+    if plain in _UNITLESS:
         return None
-    if unit not in units:
-        raise ValueError(f"{text!r}; known are {', '.join(units)}")
-    return unit
+    if plain in allowed:
+        return plain
+    units = {name: _registry().Unit(name) for name in allowed}
+    for spelling in (plain, plain.lower()):
+        unit = _parsed(spelling)
+        if unit is None:
+            continue
+        same = next((name for name, one in units.items() if one == unit), None)
+        if same is not None:
+            return same
+        if unit.dimensionality == units[allowed[0]].dimensionality:
+            break
+    else:
+        letters = sub(r"[\W_]", "", plain).lower()
+        folded = {name.replace(" ", "").lower(): name for name in allowed}
+        if letters in folded:
+            return folded[letters]
+    raise ValueError(f"{text!r}; known are {', '.join(allowed)}")
+
+
+def _parsed(text: str) -> Any:
+    """A unit, also of a torque whose letters are joined; None where the text is none."""
+    # The kilopond is what pint calls kgf.
+    plain = sub(r"[.\-·⋅]", "*", text.replace("kp", "kgf"))
+    plain = sub(r"(N|gf|lbf)([cm]?m|in|ft)$", r"\1*\2", plain)
+    if len(plain) > _LONGEST:
+        return None
+    try:
+        return _registry().Unit(plain)
+    # pint's parser raises whatever the operators in a text that is no unit lead to.
+    except Exception:
+        return None
 
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of anything that is read."""
-    for units in (FORCE, TORQUE, LENGTH, ANGLE, TIME):
-        try:
-            if known(text, units) is not None:
-                return True
-        except ValueError:
-            continue
-    return False
+    return any(known_or_none(text, units) for units in (FORCE, TORQUE, LENGTH, ANGLE, TIME))
 
 
-def in_brackets(name: str, units: dict[str, float]) -> str | None:
+def in_brackets(name: str, allowed: Sequence[str]) -> str | None:
     """Unit in brackets at the end of a name, as in `Fx [mN]` or `Fx (mN)`; None where there is none
     of these.
     """
-    found = search(r"[\[(]([^\[\]()]{1,20})[\])]\s*$", name)
+    found = search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)
+    return known_or_none(found[1], allowed) if found else None
+
+
+def known_or_none(text: str, allowed: Sequence[str]) -> str | None:
+    """As `known`, and None for a text that is no unit."""
     try:
-        return known(found[1], units) if found else None
+        return known(text, allowed)
     except ValueError:
         return None

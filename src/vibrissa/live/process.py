@@ -101,8 +101,8 @@ class Processor:
     ) -> None:
         self._rod, self._poses, self._stage, self._friction = rod, poses, stage, friction
         seconds = TARE_SECONDS if sensor.tare_seconds is None else sensor.tare_seconds
-        self._sensor = replace(
-            sensor, tare_seconds=seconds, rest_intervals=(), estimate_drift=False
+        self._sensor = sensor.updated(
+            tare_seconds=seconds, rest_intervals=(), estimate_drift=False
         )
         self._errors = None if tolerances is None else sensor.setup_errors(tolerances)
         self._passed: deque[RawRecording] = deque()
@@ -110,7 +110,7 @@ class Processor:
         self._held_by_tare = 0
         self._waiting: list[Samples] = []
         self._origin: int | None = None
-        self._nothing = replace(self._sensor, tare_seconds=0.0).tare(_ONE_ROW)
+        self._nothing = self._sensor.updated(tare_seconds=0.0).tare(_ONE_ROW)
         self.tare: Float[np.ndarray, 6] | None = None if self._tare is None else self._tare.offset
         self._zero: ZeroWatch | None = None
         self._news: list[tuple[str, bool]] = []
@@ -164,7 +164,7 @@ class Processor:
     ) -> tuple[tuple[Pink | RandomWalk, Float[np.ndarray, "6"]], ...]:
         """Pink noise and random walk of a stream that began at `start` [s] and goes on."""
         return tuple(
-            self._sensor.coloured_within(start, _DAY, float(np.median(np.diff(stamp))) * 1e-9)
+            self._sensor.noise.coloured_within(start, _DAY, float(np.median(np.diff(stamp))) * 1e-9)
         )
 
     def _try_tare(self) -> None:
@@ -201,7 +201,7 @@ class Processor:
             else raw.wrench[rows].std(axis=0, ddof=1)
         )
         self._zero = ZeroWatch(
-            noise, self._sensor.resolution, self._rod.length, self._sensor.tare_seconds
+            noise, self._sensor.noise.resolution, self._rod.length, self._sensor.tare_seconds
         )
         self._held_by_tare = len(samples)
 
@@ -211,7 +211,7 @@ class Processor:
         """
         if self._sensor.force_noise is None:
             return 0.0
-        return float(np.max(wrench.std(axis=0, ddof=1) / self._sensor.noise))
+        return float(np.max(wrench.std(axis=0, ddof=1) / self._sensor.noise.white))
 
     @property
     def moved_during_tare(self) -> bool:

@@ -1,7 +1,7 @@
 """A scan played in time, as a sensor would feel it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -133,7 +133,7 @@ def sensor_poses(
     reactions = Reactions(
         Trail(position, orientation), still, still, time=np.arange(len(position), dtype=float)
     )
-    raw = replace(sensor, position_noise=0.0).measure(reactions, np.random.default_rng(0))
+    raw = sensor.updated(position_noise=0.0).measure(reactions, np.random.default_rng(0))
     return raw.position, raw.orientation
 
 

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from vibrissa.sensor.raw import Times
+
 
 class FaultKind(StrEnum):
     """What can be wrong with a recording.
@@ -56,7 +58,7 @@ class Fault:
     unusable
         Whether the recording cannot be used at all.
     quiet
-        Whether it is told by an inspection alone, and no warning.
+        Whether an inspection lists it without a warning.
     """
 
     kind: FaultKind
@@ -67,3 +69,22 @@ class Fault:
     text: str
     unusable: bool = False
     quiet: bool = False
+
+    @classmethod
+    def over(
+        cls,
+        kind: FaultKind,
+        channels: tuple[str, ...],
+        stamps: Times,
+        text: str,
+        count: int | None = None,
+        *,
+        unusable: bool = False,
+        quiet: bool = False,
+    ) -> "Fault":
+        """A finding from the first to the last of these stamps (n,); it concerns n rows, unless
+        `count` says otherwise.
+        """
+        rows = len(stamps) if count is None else count
+        span = float(stamps[0]), float(stamps[-1])
+        return cls(kind, channels, *span, rows, text, unusable, quiet)

@@ -462,7 +462,7 @@ def test_presets_hold_a_sheets_figures() -> None:
             assert of.force_noise is None
         else:
             assert of.force_noise is not None
-            assert np.all(of.noise >= of.resolution)
+            assert np.all(of.noise.white >= of.noise.resolution)
     assert preset("ati_axia80_m20_si_500_20").force_range == (500.0, 500.0, 900.0)
     nano = preset("ati_nano17_si_12_0_12")
     assert (nano.force_range, nano.torque_range) == ((12.0, 12.0, 17.0), (0.12, 0.12, 0.12))

@@ -26,12 +26,14 @@ from vibrissa.sensor.raw import (
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
+Gains = Float[np.ndarray, "k p 6"]
+
 # Columns of unit length: with more, solving keeps less than half of the digits.
 _LARGEST_CONDITION = 1e7
 # Standard deviations by which readings at rest may miss those of a weight.
 _SCATTER = 6.0
-# A robot that holds its pose does so within its repeatability, well below half a degree [rad].
-_STILL = np.radians(0.5)
+# A robot that holds its pose does so within its repeatability, well below half a degree.
+_STILL = 0.5
 # Stamps since 1970 are known to a quarter of a microsecond: a sample at the very end of an interval
 # is to be outside of it on any clock.
 _SAME_TIME = 1e-6
@@ -67,8 +69,8 @@ class Tare:
     mount: Mount | None
     _terms: tuple[str, ...] = ()
     """What was fitted, of "offset", "drift" and "weight"."""
-    _designs: Float[np.ndarray, "k 6 p"] = field(default_factory=lambda: np.zeros((0, 6, 0)))
-    """What takes the fitted parameters to the mean readings of each interval."""
+    _gains: Gains = field(default_factory=lambda: np.zeros((0, 0, 6)))
+    """What takes the mean readings of each interval to its part of the fitted parameters."""
     coloured: tuple[tuple[Pink | RandomWalk, Wrench], ...] | None = None
     """Processes of pink noise and random walk, with their scales; None for those of the sensor over
     the times of the recording.
@@ -113,16 +115,13 @@ class Tare:
             own += quantisation_of_mean(noise.white, noise.resolution, count)
         rows = _design_rows(sensor, self._terms, time - self.epoch, orientation)
         constant = not coloured and set(self._terms) <= {"offset"}
-        rows = rows[:1] if constant else rows
-        weights = np.array(self.counts).reshape(-1, 1) / noise.variance
-        fitted = rows @ _parameter_covariance(self._designs, weights)
-        total = np.diag(own) + fitted @ np.swapaxes(rows, 1, 2)
-        if coloured:
-            # Share (k, n, 6, 6) of each interval's mean in what is taken off.
-            shares = fitted @ (np.swapaxes(self._designs, 1, 2) * weights[:, None])[:, None]
-            total = total + sum(_moved(*one, time, self.intervals, shares) for one in coloured)
-        total = (total + np.swapaxes(total, 1, 2)) / 2
-        return total[0] if constant else total
+        # Share of each interval's mean in what is taken off.
+        shares = (rows[:1] if constant else rows) @ self._gains[:, None]
+        of_means = noise.variance / np.array(self.counts).reshape(-1, 1)
+        total = np.diag(own) + np.einsum("knij,kj,knmj->nim", shares, of_means, shares)
+        for process, scale in coloured:
+            total = total + _moved(process, scale, time, self.intervals, shares)
+        return total[0] if constant else (total + np.swapaxes(total, 1, 2)) / 2
 
 
 def no_tare(sensor: "Sensor", time: Times) -> Tare:
@@ -141,7 +140,8 @@ def planned_tare(
     middle = np.mean(intervals, axis=1)
     epoch, nothing = float(middle[0]), np.zeros(6)
     designs = _design_rows(sensor, terms, middle - epoch, np.zeros((len(middle), 4)))
-    return Tare(intervals, counts, "planned", epoch, nothing, nothing, None, terms, designs)
+    gains = _fitted_gains(designs, np.array(counts)[:, None] / sensor.noise.variance, terms)
+    return Tare(intervals, counts, "planned", epoch, nothing, nothing, None, terms, gains)
 
 
 def fitted_tare(
@@ -155,8 +155,7 @@ def fitted_tare(
         If an interval holds fewer than two good samples, drift is to be estimated from fewer than
         two intervals, or a mount from orientations that do not determine it or do not fit.
     """
-    policy, estimated = sensor.tare_policy, sensor.estimates_mount
-    first = float(raw.time[0])
+    policy, first = sensor.tare_policy, float(raw.time[0])
     groups = [raw.whole & raw.during((start, stop - _SAME_TIME)) for start, stop in intervals]
     counts = np.array([np.count_nonzero(group) for group in groups], dtype=int)
     for (start, stop), count in zip(intervals, counts, strict=True):
@@ -174,7 +173,7 @@ def fitted_tare(
             f"estimate_drift = True with {len(intervals)} rest interval; allowed are at least 2, "
             "at the start and at the end"
         )
-    chosen = {"offset": True, "drift": policy.estimate_drift, "weight": estimated}
+    chosen = {"offset": True, "drift": policy.estimate_drift, "weight": sensor.estimates_mount}
     terms = tuple(term for term, fitted in chosen.items() if fitted)
     epoch = float(raw.time[groups[0]].mean())
     readings = without_given(sensor, raw)
@@ -182,17 +181,18 @@ def fitted_tare(
     means, designs = (
         np.stack([part[group].mean(axis=0) for group in groups]) for part in (readings, rows)
     )
-    weights = counts[:, None] / _variance(sensor, readings, groups)
-    solution = _least_squares(means, designs, weights, terms)
+    variance = _variance(sensor, readings, groups)
+    gains = _fitted_gains(designs, counts[:, None] / variance, terms)
+    solution = np.einsum("kpi,ki->p", gains, means)
     mount = sensor.mount
-    if estimated:
-        _check_still(raw, groups)
-        _check_scatter(means - designs @ solution, weights, counts, len(solution))
-        mount = _fitted_mount(sensor, solution[-4:])
+    if mount is not None and mount.estimated:
+        misses = (means - designs @ solution) / np.sqrt(variance)
+        _check_mount(raw, groups, misses, counts, len(solution))
+        mount = _mount(sensor, mount, solution[-4:])
     drift = policy.drift + (solution[6:12] if policy.estimate_drift else 0)
     offset = solution[:6] + (epoch - first) * policy.drift
     numbers = tuple(counts.tolist())
-    return Tare(intervals, numbers, found, epoch, offset, drift, mount, terms, designs)
+    return Tare(intervals, numbers, found, epoch, offset, drift, mount, terms, gains)
 
 
 def without_given(sensor: "Sensor", raw: RawRecording) -> Wrenches:
@@ -229,65 +229,49 @@ def _variance(sensor: "Sensor", readings: Wrenches, groups: list[Rows]) -> Wrenc
     return np.repeat(np.where(pooled > 0, pooled, 1.0), 3)
 
 
-def _weighted(
-    designs: Float[np.ndarray, "k 6 p"], weights: Float[np.ndarray, "k 6"]
-) -> tuple[Float[np.ndarray, "rows p"], Float[np.ndarray, "p"]]:
-    """Rows of the least squares, their columns scaled to unit length, and these lengths."""
-    rows = np.sqrt(weights)[..., None] * designs
-    matrix = rows.reshape(6 * len(rows), rows.shape[2])
+def _fitted_gains(
+    designs: Float[np.ndarray, "k 6 p"], weights: Float[np.ndarray, "k 6"], terms: tuple[str, ...]
+) -> Gains:
+    """Weighted least squares: what takes the mean readings (k, 6) to the parameters (p,)."""
+    root, parameters = np.sqrt(weights), designs.shape[2]
+    matrix = (root[..., None] * designs).reshape(root.size, parameters)
     scale = np.linalg.norm(matrix, axis=0)
-    return matrix / np.where(scale > 0, scale, 1.0), scale
-
-
-def _parameter_covariance(
-    designs: Float[np.ndarray, "k 6 p"], weights: Float[np.ndarray, "k 6"]
-) -> Float[np.ndarray, "p p"]:
-    matrix, scale = _weighted(designs, weights)
-    inverse = np.linalg.inv(np.linalg.qr(matrix, mode="r")) / scale[:, None]
-    return inverse @ inverse.T
-
-
-def _least_squares(
-    means: Float[np.ndarray, "k 6"],
-    designs: Float[np.ndarray, "k 6 p"],
-    weights: Float[np.ndarray, "k 6"],
-    terms: tuple[str, ...],
-) -> Float[np.ndarray, "p"]:
-    matrix, scale = _weighted(designs, weights)
-    enough = len(matrix) >= len(scale) and np.all(scale > 0)
-    condition = np.linalg.cond(matrix) if enough else np.inf
+    enough = len(matrix) >= parameters and np.all(scale > 0)
+    condition = np.linalg.cond(matrix / scale) if enough else np.inf
     if condition > _LARGEST_CONDITION:
         what = "mount.estimated" if "weight" in terms else "estimate_drift"
         raise ValueError(
-            f"{what} = True: the {len(means)} rest intervals do not determine it (condition "
+            f"{what} = True: the {len(root)} rest intervals do not determine it (condition "
             f"{condition:.3g}); allowed are rest intervals in at least three orientations whose "
             "weights point in different directions, and at different times"
         )
-    return np.linalg.lstsq(matrix, (np.sqrt(weights) * means).ravel(), rcond=None)[0] / scale
+    inverse = np.linalg.pinv(matrix / scale) / scale[:, None] * root.ravel()
+    return np.swapaxes(inverse.reshape(parameters, *root.shape), 0, 1)
 
 
-def _check_still(raw: RawRecording, groups: list[Rows]) -> None:
-    for group in groups:
-        cosine = np.abs(raw.orientation[group] @ raw.orientation[group][0])
-        turned = float(2 * np.arccos(np.clip(cosine, 0, 1)).max())
-        if turned > _STILL:
-            raise ValueError(
-                f"mount.estimated = True: the sensor turns by {np.degrees(turned):.3g}° within a "
-                "rest interval; allowed is at most 0.5°"
-            )
-
-
-def _check_scatter(
-    residual: Float[np.ndarray, "k 6"],
-    weights: Float[np.ndarray, "k 6"],
+def _check_mount(
+    raw: RawRecording,
+    groups: list[Rows],
+    misses: Float[np.ndarray, "k 6"],
     counts: Int[np.ndarray, "k"],
     parameters: int,
 ) -> None:
-    freedom, squares = residual.size - parameters, weights * residual**2
-    scatter = float(np.sqrt(np.mean(squares / counts[:, None])))
+    """Refuse rest in which the sensor turns, and means (k, 6) that miss those of a weight by many
+    standard deviations.
+    """
+    for group in groups:
+        cosine = np.abs(raw.orientation[group] @ raw.orientation[group][0])
+        turned = np.degrees(2 * np.arccos(np.clip(cosine, 0, 1)).max())
+        if turned > _STILL:
+            raise ValueError(
+                f"mount.estimated = True: the sensor turns by {turned:.3g}° within a rest "
+                f"interval; allowed is at most {_STILL}°"
+            )
+    freedom = misses.size - parameters
+    scatter = float(np.sqrt(np.mean(misses**2)))
     # Weights are not known to the last digit of a long mean: rounding and calibration errors of a
     # few parts in a thousand are let pass.
-    if freedom > 0 and squares.sum() / freedom > _SCATTER**2 and scatter > 1:
+    if scatter > 1 and np.sum(counts @ misses**2) > _SCATTER**2 * freedom > 0:
         raise ValueError(
             f"mount.estimated = True: readings at rest scatter by {scatter:.3g} standard "
             "deviations about those of a weight; allowed is noise: give rest_intervals that are "
@@ -295,8 +279,7 @@ def _check_scatter(
         )
 
 
-def _fitted_mount(sensor: "Sensor", moments: Float[np.ndarray, "4"]) -> Mount:
-    assert sensor.mount is not None
+def _mount(sensor: "Sensor", stated: Mount, moments: Float[np.ndarray, "4"]) -> Mount:
     mass = float(moments[0])
     if mass < 0:
         raise ValueError(
@@ -304,7 +287,7 @@ def _fitted_mount(sensor: "Sensor", moments: Float[np.ndarray, "4"]) -> Mount:
             f"wrench = {sensor.wrench!r} and mount.gravity"
         )
     x, y, z = (moments[1:] / (mass or 1.0)).tolist()
-    return replace(sensor.mount, mass=mass, center=(x, y, z))
+    return replace(stated, mass=mass, center=(x, y, z))
 
 
 def _moved(

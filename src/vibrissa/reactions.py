@@ -260,6 +260,7 @@ def _covariance(
     least = np.linalg.eigvalsh(array)[..., 0]
     if np.any(least <= 0 if definite else least < -rounding):
         raise ValueError(
-            f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and {kind}"
+            f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and "
+            f"{kind}"
         )
     return array

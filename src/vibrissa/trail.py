@@ -400,7 +400,7 @@ def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:
     rows = np.asarray(index)
     if isinstance(index, tuple) or rows.ndim > 1:
         raise IndexError(
-            f"index = {index!r}; allowed is a number, a slice, a mask (n,) or an array of numbers (k,)"
+            f"index = {index!r}; allowed is a number, a slice, a mask (n,) or an array of numbers"
         )
     return np.atleast_1d(rows) if len(shape) == 1 else rows
 

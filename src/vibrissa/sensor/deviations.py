@@ -66,7 +66,7 @@ def own_rows(wrench: Wrenches) -> Rows:
 
 
 def smallest_steps(values: Wrenches) -> Wrench:
-    """Smallest difference (6,) between two readings of a channel; infinite where it stands still."""
+    """Smallest difference (6,) between readings of a channel; infinite where they are equal."""
     smallest = np.full(values.shape[1], np.inf)
     for channel, column in enumerate(values.T):
         different = np.diff(np.unique(column[np.isfinite(column)]))

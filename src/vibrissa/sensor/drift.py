@@ -121,8 +121,8 @@ def lone_drift_faults(sensor: "Sensor", raw: RawRecording, rest: Stretch) -> lis
     for channel in np.flatnonzero(clear & (over_all > np.sqrt(sensor.noise.variance))):
         text = (
             f"the offset of {CHANNELS[channel]} drifts by {slope[channel]:.3g} ± "
-            f"{deviation[channel]:.2g} {CHANNEL_UNITS[channel]}/s within the rest at the start, and "
-            "there is none at the end: record one and set estimate_drift = true, or give "
+            f"{deviation[channel]:.2g} {CHANNEL_UNITS[channel]}/s within the rest at the start, "
+            "and there is none at the end: record one and set estimate_drift = true, or give "
             f"{'force' if channel < 3 else 'torque'}_drift"
         )
         span = np.array(rest.interval)

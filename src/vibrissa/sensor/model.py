@@ -23,7 +23,9 @@ def logged(
     tare: Wrench,
     rng: np.random.Generator,
 ) -> RawRecording:
-    """Readings of reactions with time, at poses of the sensor, as `Sensor.measure` describes them."""
+    """Readings of reactions with time, at poses of the sensor, in the order that `Sensor.measure`
+    states.
+    """
     time, noise = reactions.time, sensor.noise
     assert time is not None
     shown = filtered_readings(sensor, reactions, orientation)

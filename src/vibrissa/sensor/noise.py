@@ -43,7 +43,7 @@ class Pink:
 
     @classmethod
     def over(cls, time: Times) -> "Pink":
-        """From a tenth of the inverse duration to half the sampling rate of the stamps (n,), n ≥ 2."""
+        """From a tenth of the inverse duration to half the sampling rate of stamps (n,), n ≥ 2."""
         return cls.within(float(time[-1] - time[0]), float(np.median(np.diff(time))))
 
     @classmethod

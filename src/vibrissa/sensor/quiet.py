@@ -85,7 +85,7 @@ class Stretch:
 
 
 def noise_unit_faults(sensor: "Sensor", rest: Stretch) -> list[Fault]:
-    """Noise about a thousand times as large or as small as stated, on all three axes: other units."""
+    """Noise about a thousand times as large or as small as stated on all three axes: other units."""
     faults = []
     units = ((CHANNELS[:3], "mN", "kN"), (CHANNELS[3:], "N mm", "kN m"))
     for (channels, small, large), ratios in zip(units, _ratios(sensor, rest), strict=True):

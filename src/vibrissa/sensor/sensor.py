@@ -129,7 +129,7 @@ class Sensor:
             object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """A figure of a part by its own name: `sensor.force_noise` is `sensor.noise.force_noise`."""
+        """A figure by its own name: `sensor.force_noise` is `sensor.noise.force_noise`."""
         for part, kind in _PARTS.items():
             if name in kind.__dataclass_fields__:
                 return getattr(self.__dict__[part], name)

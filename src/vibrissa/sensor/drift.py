@@ -85,7 +85,7 @@ def drift_faults(
             f"{CHANNEL_UNITS[channel]}/s, {abs(drift[channel]) / deviation[channel]:.3g} standard "
             f"deviations more than stated; {advice}"
         )
-        span = np.array([ends[0].interval[0], ends[1].interval[1]])
+        span = (ends[0].interval[0], ends[1].interval[1])
         faults.append(Fault.over(FaultKind.DRIFT, (CHANNELS[channel],), span, text, len(raw.time)))
     return faults, line
 
@@ -125,6 +125,6 @@ def lone_drift_faults(sensor: "Sensor", raw: RawRecording, rest: Stretch) -> lis
             "and there is none at the end: record one and set estimate_drift = true, or give "
             f"{'force' if channel < 3 else 'torque'}_drift"
         )
-        span = np.array(rest.interval)
+        span = rest.interval
         faults.append(Fault.over(FaultKind.DRIFT, (CHANNELS[channel],), span, text, count))
     return faults

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from vibrissa.sensor.raw import Times
+from vibrissa.sensor.raw import Interval, Times
 
 
 class FaultKind(StrEnum):
@@ -75,7 +75,7 @@ class Fault:
         cls,
         kind: FaultKind,
         channels: tuple[str, ...],
-        stamps: Times,
+        stamps: Times | Interval,
         text: str,
         count: int | None = None,
         *,

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from vibrissa.geometry.checks import finite_array
 from vibrissa.sensor.lowpass import LowPass
-from vibrissa.sensor.noise import Pink, RandomWalk
+from vibrissa.sensor.noise import Coloured, Pink, RandomWalk
 from vibrissa.sensor.raw import Interval, Times, Wrench
 
 Vector = tuple[float, float, float]
@@ -123,7 +123,7 @@ class Noise:
         """Whether there is noise that a mean does not average out."""
         return self.noise_corner > 0 or bool(np.any(self.random_walk))
 
-    def coloured(self, time: Times) -> list[tuple[Pink | RandomWalk, Wrench]]:
+    def coloured(self, time: Times) -> list[Coloured]:
         """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the
         channels; those that the sensor has.
         """
@@ -132,13 +132,11 @@ class Noise:
         interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         return self.coloured_within(float(time[0]), float(time[-1] - time[0]), interval)
 
-    def coloured_within(
-        self, start: float, duration: float, interval: float
-    ) -> list[tuple[Pink | RandomWalk, Wrench]]:
+    def coloured_within(self, start: float, duration: float, interval: float) -> list[Coloured]:
         """The same for a recording that starts at `start`, of this duration, sampled at this
         interval [s]; without pink noise where that is 0.
         """
-        processes: list[tuple[Pink | RandomWalk, Wrench]] = []
+        processes: list[Coloured] = []
         if self.noise_corner > 0 and interval > 0:
             # One-sided density of white noise: twice its variance over the rate; the pink noise's
             # is that at the corner.

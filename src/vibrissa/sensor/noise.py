@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from vibrissa.sensor.raw import Interval, Times
+from vibrissa.sensor.raw import Interval, Times, Wrench
 
 # Processes a decade, h = ln(10)/3 apart: their sum ripples about 1/f by 2/cosh(π²/h), or 1e-5.
 _PER_DECADE = 3
@@ -132,6 +132,10 @@ class RandomWalk:
         early = min(first, second)
         share = 1 / 3 if first == second else 1 / 2
         return early[0] + share * (early[1] - early[0]) - self.origin
+
+
+Coloured = tuple[Pink | RandomWalk, Wrench]
+"""Noise that is not white, and its scale (6,) on the channels [N], [N m]."""
 
 
 def quantisation_of_mean(

@@ -86,9 +86,11 @@ class Stretch:
 
 def noise_unit_faults(sensor: "Sensor", rest: Stretch) -> list[Fault]:
     """Noise about a thousand times as large or as small as stated on all three axes: other units."""
-    faults = []
+    if not sensor.noise.known:
+        return []
+    faults, found = [], (rest.noise / np.sqrt(sensor.noise.variance)).reshape(2, 3)
     units = ((CHANNELS[:3], "mN", "kN"), (CHANNELS[3:], "N mm", "kN m"))
-    for (channels, small, large), ratios in zip(units, _ratios(sensor, rest), strict=True):
+    for (channels, small, large), ratios in zip(units, found, strict=True):
         factor = float(np.exp(np.mean(np.log(ratios)))) if np.all(ratios > 0) else 1.0
         alike = np.all((ratios > factor / _ALIKE) & (ratios < _ALIKE * factor))
         if alike and abs(abs(np.log10(factor)) - 3) < _NEARLY:
@@ -96,15 +98,12 @@ def noise_unit_faults(sensor: "Sensor", rest: Stretch) -> list[Fault]:
                 f"{','.join(channels)} at rest are {factor:.3g} times as noisy as stated, so they "
                 f"are mis-scaled (in {small if factor > 1 else large}?); allowed are N and N m"
             )
-            span, count = np.array(rest.interval), len(rest.time)
-            faults.append(Fault.over(FaultKind.UNITS, channels, span, text, count, unusable=True))
+            faults.append(
+                Fault.over(
+                    FaultKind.UNITS, channels, rest.interval, text, len(rest.time), unusable=True
+                )
+            )
     return faults
-
-
-def _ratios(sensor: "Sensor", rest: Stretch) -> Float[np.ndarray, "2 3"]:
-    """Noise over what is stated, of forces and torques; NaN where nothing is."""
-    stated = np.sqrt(sensor.noise.variance) if sensor.noise.known else np.full(6, np.nan)
-    return (rest.noise / stated).reshape(2, 3)
 
 
 def noise_faults(sensor: "Sensor", rest: Stretch) -> list[Fault]:

@@ -14,7 +14,7 @@ from vibrissa.sensor.figures import Noise, Response, TarePolicy, Vector
 from vibrissa.sensor.maps import to_reactions
 from vibrissa.sensor.model import logged
 from vibrissa.sensor.mount import Mount
-from vibrissa.sensor.noise import Pink, RandomWalk
+from vibrissa.sensor.noise import Coloured
 from vibrissa.sensor.raw import Covariances, RawRecording, Times, Wrench
 from vibrissa.sensor.rest import rest_for_tare
 from vibrissa.sensor.tare import Tare, fitted_tare, no_tare
@@ -158,7 +158,7 @@ class Sensor:
         """
         return self.noise.variance
 
-    def coloured(self, time: Times) -> list[tuple[Pink | RandomWalk, Wrench]]:
+    def coloured(self, time: Times) -> list[Coloured]:
         """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the
         channels; those that the sensor has.
         """

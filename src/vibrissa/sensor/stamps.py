@@ -61,7 +61,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> list[Fault]:
         before, after = stamps[falling[0]], stamps[falling[0] + 1]
         count = int(np.count_nonzero(late & ~equal)) or len(falling)
         text = f"time = {after} after {before} ({len(falling)} such); allowed are increasing times"
-        pair = np.array([after, before])
+        pair = (after, before)
         faults.append(Fault.over(FaultKind.BACKWARD, _TIME, pair, text, count, unusable=True))
     if not _SLOWEST <= 1 / usual <= _FASTEST:
         guess = " (milliseconds, microseconds or nanoseconds?)" if usual > 1 else ""

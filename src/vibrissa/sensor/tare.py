@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.sensor.maps import weight_readings
 from vibrissa.sensor.mount import Mount
-from vibrissa.sensor.noise import Pink, RandomWalk, quantisation_of_mean
+from vibrissa.sensor.noise import Coloured, quantisation_of_mean
 from vibrissa.sensor.raw import (
     Covariances,
     Interval,
@@ -71,7 +71,7 @@ class Tare:
     """What was fitted, of "offset", "drift" and "weight"."""
     _gains: Gains = field(default_factory=lambda: np.zeros((0, 0, 6)))
     """What takes the mean readings of each interval to its part of the fitted parameters."""
-    coloured: tuple[tuple[Pink | RandomWalk, Wrench], ...] | None = None
+    coloured: tuple[Coloured, ...] | None = None
     """Processes of pink noise and random walk, with their scales; None for those of the sensor over
     the times of the recording.
     """
@@ -119,8 +119,8 @@ class Tare:
         shares = (rows[:1] if constant else rows) @ self._gains[:, None]
         of_means = noise.variance / np.array(self.counts).reshape(-1, 1)
         total = np.diag(own) + np.einsum("knij,kj,knmj->nim", shares, of_means, shares)
-        for process, scale in coloured:
-            total = total + _moved(process, scale, time, self.intervals, shares)
+        for one in coloured:
+            total = total + _moved(one, time, self.intervals, shares)
         return total[0] if constant else (total + np.swapaxes(total, 1, 2)) / 2
 
 
@@ -291,13 +291,13 @@ def _mount(sensor: "Sensor", stated: Mount, moments: Float[np.ndarray, "4"]) -> 
 
 
 def _moved(
-    process: Pink | RandomWalk,
-    scale: Wrench,
+    coloured: Coloured,
     time: Times,
     intervals: tuple[Interval, ...],
     shares: Float[np.ndarray, "k n 6 6"],
 ) -> Covariances:
     """Covariance (n, 6, 6) of noise at a time less what the fit takes off of it."""
+    process, scale = coloured
     scaled, k = shares * scale, len(intervals)
     mean = np.array([process.with_mean(time, *rest) for rest in intervals]).reshape(k, len(time))
     means = np.array([[process.between_means(a, b) for b in intervals] for a in intervals])

@@ -10,7 +10,7 @@ class FaultKind(StrEnum):
     """What can be wrong with a recording.
 
     `SATURATION`: readings at the range, or flat-topped. `DROP_OUT`: rows without numbers, or of
-    zeros amid others. `STUCK`: a channel that repeats its value for longer than noise and
+    zeros between other readings. `STUCK`: a channel that repeats its value longer than noise and
     resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp
     equal to one before, or earlier. `UNITS`: numbers that cannot be in metres, newtons, newton
     metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated.

@@ -68,7 +68,7 @@ class Inspection:
         As stated, with the noise of readings and poses that was found where that is larger: what
         the error bars use.
     notes
-        What reading left out, recovered or estimated, a sentence each.
+        What reading left out, recovered or estimated, one sentence each.
     """
 
     raw: RawRecording
@@ -167,8 +167,8 @@ def inspect_raw(
         # Errors that last, of pink noise and random walk, do not average out.
         if misfit > (_LASTING_MISFIT if sensor.noise.lasting else _MISFIT):
             text = (
-                f"force and moment at the clamp belong to no single contact by {misfit:.3g} "
-                "standard deviations in the median (0.67 is noise alone): check tare, cross-talk "
+                f"force and moment at the clamp fit no single contact: they miss one by "
+                f"{misfit:.3g} standard deviations in the median (0.67 is noise alone); check tare, cross-talk "
                 "and mount"
             )
             faults.append(Fault.over(FaultKind.TARE, CHANNELS, time, text))

@@ -62,7 +62,7 @@ def mount_faults(reactions: Reactions, rod: Rod) -> list[Fault]:
     if push < 0 and -work > _NOTICEABLE * most:
         texts.append(
             f"the rod is pulled from its clamp and does work on it, {1e3 * work:.3g} mJ, where one "
-            "that is pushed takes up work: as of a wrench of the other sign; check wrench in "
+            "that is pushed takes up work: this fits a wrench of the other sign; check wrench in "
             "[sensor]"
         )
     if away > _FURTHEST:
@@ -72,8 +72,8 @@ def mount_faults(reactions: Reactions, rod: Rod) -> list[Fault]:
         )
     elif ahead < _BEHIND and away > _FAR:
         texts.append(
-            f"the contact forces act {-ahead:.3g} rod lengths behind the clamp in the median, to "
-            "where no rod leaves: check clamp_orientation, along whose +z it does"
+            f"the contact forces act {-ahead:.3g} rod lengths behind the clamp in the median, "
+            "but the rod leaves to the other side: check clamp_orientation, whose +z it follows"
         )
     stamps = reactions.time[loaded]
     return [Fault.over(FaultKind.MOUNT, CHANNELS, stamps, text) for text in texts]

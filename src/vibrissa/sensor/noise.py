@@ -42,13 +42,10 @@ class Pink:
     variance: float
 
     @classmethod
-    def over(cls, time: Times) -> "Pink":
-        """From a tenth of the inverse duration to half the sampling rate of stamps (n,), n ≥ 2."""
-        return cls.within(float(time[-1] - time[0]), float(np.median(np.diff(time))))
-
-    @classmethod
     def within(cls, duration: float, interval: float) -> "Pink":
-        """The same for a recording of this duration [s], sampled at this interval [s]."""
+        """From a tenth of the inverse duration [s] to half the rate of samples at this interval
+        [s].
+        """
         lowest, highest = 1 / (_MARGIN * duration), 1 / (2 * interval)
         count = max(2, math.ceil(_PER_DECADE * math.log10(highest / lowest)) + 1)
         corners = np.geomspace(lowest, highest, count)

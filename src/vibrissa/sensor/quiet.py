@@ -85,7 +85,7 @@ class Stretch:
 
 
 def noise_unit_faults(sensor: "Sensor", rest: Stretch) -> list[Fault]:
-    """Noise about a thousand times as large or as small as stated on all three axes: other units."""
+    """Noise about a thousand times as large or small as stated on all three axes: other units."""
     if not sensor.noise.known:
         return []
     faults, found = [], (rest.noise / np.sqrt(sensor.noise.variance)).reshape(2, 3)

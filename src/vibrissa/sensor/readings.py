@@ -58,7 +58,7 @@ def drop_outs(raw: RawRecording, unstamped: Rows) -> tuple[list[Fault], Mask]:
         text = f"{stop - start} rows without a number in {', '.join(lost)}"
         faults.append(Fault.over(FaultKind.DROP_OUT, lost, raw.time[start:stop], text))
     for mask, channels, what in (
-        (zero, CHANNELS, "of zeros in all channels, amid others"),
+        (zero, CHANNELS, "of zeros in all channels between other readings"),
         (~posed, ("position", "orientation"), "without a pose"),
         (unstamped, ("time",), "without a stamp"),
     ):

@@ -213,7 +213,8 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     raise ValueError(
         "tare_seconds is not given, and the rest at the start, to "
         f"{rest.leading[1] - first:.3g} s, seems to be in contact: the one at the end, from "
-        f"{rest.ends[1][0] - first:.3g} s, is another by {step:.0%} of the largest load; {advice}"
+        f"{rest.ends[1][0] - first:.3g} s, differs from it by {step:.0%} of the largest load; "
+        f"{advice}"
     )
 
 

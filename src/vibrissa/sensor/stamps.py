@@ -28,7 +28,7 @@ def rounded_stamps(raw: RawRecording) -> bool:
 
 
 def stamp_faults(time: Times, *, rounded: bool = False) -> list[Fault]:
-    """Gaps, duplicate stamps, backward ones, rates that are none of a sensor's.
+    """Gaps, duplicate stamps, backward ones, and rates that no sensor has.
 
     A gap is a step of more than 1.5 median ones, and of more than six deviations of the steps above
     the median where the stamps jitter. Where more than a tenth of the steps are such, the stamps
@@ -39,7 +39,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> list[Fault]:
         return []
     steps = np.diff(stamps)
     if not np.any(steps > 0):
-        text = "no stamp is after the one before; allowed are stamps that increase"
+        text = "no stamp is later than the one before; allowed are increasing stamps"
         kind = FaultKind.BACKWARD
         return [Fault.over(kind, _TIME, stamps, text, len(steps), unusable=True)]
     usual = float(np.median(steps[steps > 0]))
@@ -49,12 +49,12 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> list[Fault]:
     if rounded:
         count = int(np.count_nonzero(equal))
         text = (
-            f"{count} of {len(stamps)} rows have a stamp that is there already while the readings "
-            f"go on, as of stamps rounded to {usual:.4g} s; they are spread evenly"
+            f"{count} of {len(stamps)} rows repeat an earlier stamp while the readings change: the "
+            f"stamps are rounded to {usual:.4g} s; they are spread evenly"
         )
         faults.append(Fault.over(FaultKind.DUPLICATE, _TIME, stamps, text, count))
     for start, stop in runs(equal & (not rounded)):
-        text = f"{stop - start} rows with a stamp that is there already"
+        text = f"{stop - start} rows repeat an earlier stamp"
         faults.append(Fault.over(FaultKind.DUPLICATE, _TIME, stamps[start:stop], text))
     falling = np.flatnonzero(steps < 0)
     if falling.size:
@@ -65,7 +65,9 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> list[Fault]:
         faults.append(Fault.over(FaultKind.BACKWARD, _TIME, pair, text, count, unusable=True))
     if not _SLOWEST <= 1 / usual <= _FASTEST:
         guess = " (milliseconds, microseconds or nanoseconds?)" if usual > 1 else ""
-        text = f"{1 / usual:.3g} samples a second, as of no sensor{guess}; allowed are seconds"
+        text = (
+            f"{1 / usual:.3g} samples a second, which no sensor sends{guess}; allowed are seconds"
+        )
         faults.append(Fault.over(FaultKind.UNITS, _TIME, stamps, text, len(time)))
     return faults
 
@@ -77,8 +79,7 @@ def _gaps(stamps: Times, usual: float) -> list[Fault]:
     if len(long) > max(_FEW, _MANY * len(steps)):
         text = (
             f"{len(long)} of {len(steps)} steps are longer than {_GAP} times the median step of "
-            f"{usual:.4g} s: the stamps come in bursts, as where samples are stamped when they "
-            "arrive"
+            f"{usual:.4g} s: the stamps come in bursts, as when samples are stamped on arrival"
         )
         return [Fault.over(FaultKind.GAP, _TIME, stamps, text, len(long))]
     faults = []

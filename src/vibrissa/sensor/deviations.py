@@ -18,6 +18,7 @@ MEDIAN_TO_DEVIATION = 0.6745
 _DIGITS = 1e-6
 # Equal decimals read as binary numbers differ in the last digits.
 _EQUAL = 1e-12
+# In the place of 0 in a denominator.
 _TINY = 1e-300
 # A sensor slower than the log repeats at least a third of the rows, in many short stretches; a
 # simulation without noise repeats itself in few.
@@ -28,6 +29,7 @@ _NOISIER, _QUIETER = 1.5, 0.1
 _STUCK_SHARE = 0.1
 # Stated figures are believed of a channel that shows at least this share of them.
 _BELIEVED = 0.3
+# Differences of third order need four rows, and a median more than one of them.
 _FEWEST = 5
 
 

@@ -20,6 +20,7 @@ _ANOTHER_LEVEL = 0.2
 # Squares of three standard deviations: what the slopes within both rests must say to tell a drift
 # from a contact.
 _TOLD = 9.0
+# A slope's deviation by the scatter of so many samples is known to a tenth.
 _FEWEST = 50
 # A noiseless simulation is known to single precision.
 _DIGITS = 1e-6

@@ -167,9 +167,9 @@ def inspect_raw(
         # Errors that last, of pink noise and random walk, do not average out.
         if misfit > (_LASTING_MISFIT if sensor.noise.lasting else _MISFIT):
             text = (
-                f"force and moment at the clamp fit no single contact: they miss one by "
-                f"{misfit:.3g} standard deviations in the median (0.67 is noise alone); check tare, cross-talk "
-                "and mount"
+                "force and moment at the clamp fit no single contact: they miss one by "
+                f"{misfit:.3g} standard deviations in the median (0.67 is noise alone); check "
+                "tare, cross-talk and mount"
             )
             faults.append(Fault.over(FaultKind.TARE, CHANNELS, time, text))
     return Inspection(

@@ -20,7 +20,9 @@ Positions = Float[np.ndarray, "n 3"]
 # A jump stands out by so many deviations of the steps, and is so many times the step that 95 % of
 # them stay below; of the rod's length, or in radians, smaller ones move no contact noticeably.
 _DEVIATIONS, _FASTER, _LEAST_JUMP = 12.0, 3.0, 1e-3
+# Steps on either side that say how the clamp moves: a jump is not lost among eleven.
 _NEIGHBOURS = 5
+# A median of so many sizes is known to 15 %.
 _FEWEST = 60
 # Stated figures are rounded, and a robot's control follows its path with small corrections.
 _LARGER = 1.5

@@ -24,6 +24,7 @@ _FALSE_ALARM = 1e-6
 _NOISE_RATIO = 1.25
 # Decades about the thousand by which a unit is mistaken, and factor by which axes may differ.
 _NEARLY, _ALIKE = 0.5, 2.0
+# A variance of 20 samples is known to a third; a spectrum of 100 has 25 neighbours of a line.
 _FEWEST_AT_REST, _FEWEST_FOR_LINES = 20, 100
 # Cycles within the rest: what is slower is a drift.
 _FEWEST_CYCLES = 5

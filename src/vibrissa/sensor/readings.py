@@ -39,6 +39,7 @@ _FALSE_ALARM = 1e-6
 _SHORTEST = 5
 # Deviations by which readings jump to and from lost rows that are written as zeros.
 _JUMP = 8.0
+# Samples on either side of a loss, whose median and spread say where the readings were.
 _NEIGHBOURS = 5
 # Deviations, or median steps: a channel that comes to its extreme by more did not saturate.
 _FLAT_TOP = 10.0

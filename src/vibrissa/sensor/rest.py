@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 # A block lasts two periods of the mains, and holds enough samples for a mean of them.
 _BLOCK_SECONDS = 0.04
 _BLOCK_SAMPLES = 5
+# Fewer means do not tell rest from a turning point of the load.
 _FEWEST_BLOCKS = 4
 # Standard errors: by chance in one of 10⁸ comparisons.
 _DEVIATIONS = 6.0
@@ -134,18 +135,15 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
         leading = _checked_leading(sensor, raw, rest)
     if not policy.estimate_drift:
         return (leading,), "found automatically"
-    overlaps = rest.trailing is not None and stated and rest.trailing[0] <= leading[1]
-    if rest.trailing is None or rest.trailing == leading or overlaps:
+    trailing, late = rest.trailing, leading[1] if stated else -np.inf
+    if trailing is None or trailing == leading or trailing[0] <= late:
         raise ValueError(
             "estimate_drift = True: no rest is found at the end of the recording; allowed are "
             "rest_intervals that name one"
         )
-    found = (
-        "given as tare_seconds, and found at the end"
-        if stated
-        else "found automatically, at the start and at the end"
-    )
-    return (leading, rest.trailing), found
+    if stated:
+        return (leading, trailing), "given as tare_seconds, and found at the end"
+    return (leading, trailing), "found automatically, at the start and at the end"
 
 
 def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> list[Fault]:

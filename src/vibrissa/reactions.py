@@ -76,15 +76,15 @@ class Reactions:
     def __init__(
         self,
         trail: Trail,
-        force: ArrayLike,
-        moment: ArrayLike,
-        time: ArrayLike | None = None,
-        covariance: ArrayLike | None = None,
-        position_covariance: ArrayLike | None = None,
-        rotation_covariance: ArrayLike | None = None,
-        rotation_center: ArrayLike | None = None,
+        force: "ArrayLike",
+        moment: "ArrayLike",
+        time: "ArrayLike | None" = None,
+        covariance: "ArrayLike | None" = None,
+        position_covariance: "ArrayLike | None" = None,
+        rotation_covariance: "ArrayLike | None" = None,
+        rotation_center: "ArrayLike | None" = None,
         setup_errors: SetupErrors | None = None,
-        velocity: ArrayLike | None = None,
+        velocity: "ArrayLike | None" = None,
         misread: tuple[str, ...] = (),
     ) -> None:
         if (rotation_covariance is None) != (rotation_center is None):

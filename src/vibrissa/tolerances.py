@@ -99,12 +99,12 @@ class Tolerances:
         youngs_modulus: float = 0.0,
         radius: float = 0.0,
         length: float = 0.0,
-        clamp_position: ArrayLike = 0.0,
-        clamp_orientation: ArrayLike = 0.0,
-        gain: ArrayLike = 0.0,
+        clamp_position: "ArrayLike" = 0.0,
+        clamp_orientation: "ArrayLike" = 0.0,
+        gain: "ArrayLike" = 0.0,
         pose_delay: float = 0.0,
         object_scale: float = 0.0,
-        object_position: ArrayLike = 0.0,
+        object_position: "ArrayLike" = 0.0,
     ) -> None:
         given = locals()
         for name, limit in _LIMITS.items():

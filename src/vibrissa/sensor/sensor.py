@@ -82,11 +82,11 @@ class Sensor:
 
     def __init__(
         self,
-        clamp_position: ArrayLike,
-        clamp_orientation: ArrayLike,
+        clamp_position: "ArrayLike",
+        clamp_orientation: "ArrayLike",
         wrench: WrenchSign,
         wrench_frame: WrenchFrame = "sensor",
-        wrench_point: ArrayLike = (0.0, 0.0, 0.0),
+        wrench_point: "ArrayLike" = (0.0, 0.0, 0.0),
         *,
         mount: Mount | None = None,
         noise: Noise | None = None,

@@ -1,17 +1,18 @@
 """Support reactions: the only thing that forward, sensor and inverse share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import rotation_vectors
+from vibrissa.geometry.rotation import cross_matrices, rotation_vectors
 from vibrissa.tolerances import SetupErrors
-from vibrissa.trail import Trail
+from vibrissa.trail import Index, Trail, first_axis
 
 _WRENCH = 6
+# Of the largest entry: covariances that were turned are symmetric and definite to rounding only.
 _ROUNDING = 1e-9
 VELOCITY_SPAN = 0.05
 """Time [s] over which the clamp's velocity is taken: 10 µm of noise of the pose are 0.3 mm/s then,
@@ -75,49 +76,65 @@ class Reactions:
     def __init__(
         self,
         trail: Trail,
-        force: ArrayLike,
-        moment: ArrayLike,
-        time: ArrayLike | None = None,
-        covariance: ArrayLike | None = None,
-        position_covariance: ArrayLike | None = None,
-        rotation_covariance: ArrayLike | None = None,
-        rotation_center: ArrayLike | None = None,
+        force: "ArrayLike",
+        moment: "ArrayLike",
+        time: "ArrayLike | None" = None,
+        covariance: "ArrayLike | None" = None,
+        position_covariance: "ArrayLike | None" = None,
+        rotation_covariance: "ArrayLike | None" = None,
+        rotation_center: "ArrayLike | None" = None,
         setup_errors: SetupErrors | None = None,
-        velocity: ArrayLike | None = None,
+        velocity: "ArrayLike | None" = None,
         misread: tuple[str, ...] = (),
     ) -> None:
-        shape = trail.shape
-        self._set("trail", trail)
-        self._set("force", _rows(force, "force", (*shape, 3)))
-        self._set("moment", _rows(moment, "moment", (*shape, 3)))
-        self._set("time", None if time is None else _increasing(time, shape))
-        self._set(
-            "covariance",
-            None if covariance is None else _covariance(covariance, "covariance", _WRENCH, shape),
-        )
-        for name, value in (
-            ("position_covariance", position_covariance),
-            ("rotation_covariance", rotation_covariance),
-        ):
-            self._set(name, None if value is None else _covariance(value, name, 3, ()))
         if (rotation_covariance is None) != (rotation_center is None):
             raise ValueError(
-                "rotation_covariance and rotation_center: one is given without the other; allowed are both or none"
+                "rotation_covariance and rotation_center: one is given without the other; "
+                "allowed are both or none"
             )
-        self._set(
-            "rotation_center",
-            None
-            if rotation_center is None
-            else _rows(rotation_center, "rotation_center", (*shape, 3)),
-        )
-        self._set("setup_errors", setup_errors)
-        self._set("misread", misread)
-        self._set(
-            "velocity", None if velocity is None else _rows(velocity, "velocity", (*shape, _WRENCH))
-        )
+        shape = trail.shape
+        checked = {
+            "trail": trail,
+            "force": _rows(force, "force", (*shape, 3)),
+            "moment": _rows(moment, "moment", (*shape, 3)),
+            "time": _increasing(time, shape),
+            "covariance": _covariance(covariance, "covariance", _WRENCH, shape),
+            "position_covariance": _covariance(position_covariance, "position_covariance", 3, ()),
+            "rotation_covariance": _covariance(rotation_covariance, "rotation_covariance", 3, ()),
+            "rotation_center": _rows(rotation_center, "rotation_center", (*shape, 3)),
+            "setup_errors": setup_errors,
+            "velocity": _rows(velocity, "velocity", (*shape, _WRENCH)),
+            "misread": misread,
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
-    def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
+    def __getitem__(self, index: Index) -> "Reactions":
+        """Rows of one trail, or some of several trails, with all that belongs to them; what all
+        rows share stays.
+
+        The index is one of the first axis: of positions on one trail (n, …), of trails on several
+        (m, n, …). A slice, a mask or an array of numbers keeps that axis; a number gives one
+        position of a trail as reactions of one row, or one trail of several. With `time`, the
+        positions have to stay in order.
+
+        Raises
+        ------
+        IndexError
+            If the index is out of range, or has more than one axis.
+        ValueError
+            If nothing is left, or times do not increase.
+        """
+        trail, axes = self.trail[index], len(self.trail.shape)
+        chosen = first_axis(index, self.trail.shape)
+        rows = {name: getattr(self, name) for name in _BY_ROW}
+        if self.time is not None:
+            # One row alone does not tell it.
+            rows["velocity"] = self.clamp_velocity()
+        for name, value in rows.items():
+            if value is not None and value.ndim == axes + _BY_ROW[name]:
+                rows[name] = value[chosen]
+        return replace(self, trail=trail, **rows)
 
     def pose_covariance(
         self, point: Float[np.ndarray, "*trail n 3"]
@@ -166,7 +183,7 @@ def turned_covariance(
     rotation: Float[np.ndarray, "3 3"], arm: Float[np.ndarray, "*trail n 3"]
 ) -> Float[np.ndarray, "*trail n 3 3"]:
     """Covariance of δθ × arm for vectors (…, 3) and a rotation vector δθ of this covariance."""
-    crossed = np.cross(np.eye(3), arm[..., None, :])
+    crossed = cross_matrices(arm)
     return np.asarray(np.swapaxes(crossed, -1, -2) @ rotation @ crossed)
 
 
@@ -188,35 +205,52 @@ def velocities(
     return np.asarray(steps / (time[last] - time[first])[:, None])
 
 
-def _rows(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    array = np.array(value, dtype=np.float64)
-    if array.shape != shape:
+_BY_ROW = {
+    "force": 1,
+    "moment": 1,
+    "time": 0,
+    "covariance": 2,
+    "rotation_center": 1,
+    "velocity": 1,
+}
+"""Fields with a value for each row, and the axes of one."""
+
+
+def _rows(
+    value: ArrayLike | None, name: str, shape: tuple[int, ...]
+) -> Float[np.ndarray, "..."] | None:
+    array = None if value is None else np.array(value, dtype=np.float64)
+    if array is not None and array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; allowed is {shape}, as the trail has")
     return array
 
 
-def _increasing(value: ArrayLike, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    time = finite_array(value, "time")
-    if time.shape != shape:
-        raise ValueError(f"time has shape {time.shape}; allowed is {shape}, as the trail has")
-    falling = np.argwhere(np.diff(time, axis=-1) <= 0)
-    if falling.size:
-        row = tuple(falling[0])
+def _increasing(value: ArrayLike | None, shape: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
+    if value is None:
+        return None
+    time = _rows(finite_array(value, "time"), "time", shape)
+    assert time is not None
+    falling = np.argwhere(np.diff(time, axis=-1) <= 0).tolist()
+    if falling:
+        earlier = time[tuple(falling[0])]
         raise ValueError(
-            f"time{list(map(int, row))} = {time[row]} is not before the next; allowed are increasing times"
+            f"time{falling[0]} = {earlier} is not before the next; allowed are increasing times"
         )
     return time
 
 
 def _covariance(
-    value: ArrayLike, name: str, size: int, shape: tuple[int, ...]
-) -> Float[np.ndarray, "..."]:
+    value: ArrayLike | None, name: str, size: int, shape: tuple[int, ...]
+) -> Float[np.ndarray, "..."] | None:
+    if value is None:
+        return None
     array = finite_array(value, name, last=size)
     if array.shape not in ((size, size), (*shape, size, size)):
         raise ValueError(
             f"{name} has shape {array.shape}; allowed is {(size, size)} or {(*shape, size, size)}"
         )
-    kind = "positive definite" if size == _WRENCH else "positive semidefinite"
+    definite = size == _WRENCH
+    kind = "positive definite" if definite else "positive semidefinite"
     rounding = _ROUNDING * np.abs(array).max()
     uneven = np.abs(array - np.swapaxes(array, -1, -2)).max()
     if uneven > rounding:
@@ -224,8 +258,9 @@ def _covariance(
             f"{name} differs from its transpose by {uneven:.3g}; allowed is symmetric and {kind}"
         )
     least = np.linalg.eigvalsh(array)[..., 0]
-    if not (np.all(least > 0) if size == _WRENCH else np.all(least >= -rounding)):
+    if np.any(least <= 0 if definite else least < -rounding):
         raise ValueError(
-            f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and {kind}"
+            f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and "
+            f"{kind}"
         )
     return array

@@ -2,8 +2,9 @@
 that all samples of a sweep share.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,9 +12,11 @@ from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array
 
-_CHANNELS = 6
 _AXES = ("x", "y", "z")
+# Of a variance: what elimination leaves of it by rounding is nothing.
 _SMALLEST_PIVOT = 1e-12
+# Of unit variances: covariances that were read from a file are definite to its digits only.
+_ROUNDING = 1e-6
 
 PARAMETERS = (
     "bending_stiffness",
@@ -28,16 +31,24 @@ the clamp in the sensor frame (the rod's unit), its axes (rotations about them [
 (relative), and by how much the poses come late [s]."""
 
 
-_MOST = {
-    "youngs_modulus": 1.0,
-    "radius": 0.5,
-    "length": 0.1,
-    "clamp_position": 0.1,
-    "clamp_orientation": 0.5,
-    "gain": 0.5,
-    "pose_delay": 1.0,
-    "object_scale": 0.5,
-    "object_position": 0.1,
+class _Limit(NamedTuple):
+    """Largest deviation and its unit, and how many numbers there may be beside one."""
+
+    most: float
+    unit: str = ""
+    numbers: int | None = None
+
+
+_LIMITS = {
+    "youngs_modulus": _Limit(1.0),
+    "radius": _Limit(0.5),
+    "length": _Limit(0.1, " m"),
+    "clamp_position": _Limit(0.1, " m", 3),
+    "clamp_orientation": _Limit(0.5, " rad", 3),
+    "gain": _Limit(0.5, "", 6),
+    "pose_delay": _Limit(1.0, " s"),
+    "object_scale": _Limit(0.5),
+    "object_position": _Limit(0.1, " m", 3),
 }
 """Of what is known so badly nothing can be said to first order: larger numbers are millimetres,
 degrees or milliseconds.
@@ -88,41 +99,23 @@ class Tolerances:
         youngs_modulus: float = 0.0,
         radius: float = 0.0,
         length: float = 0.0,
-        clamp_position: ArrayLike = 0.0,
-        clamp_orientation: ArrayLike = 0.0,
-        gain: ArrayLike = 0.0,
+        clamp_position: "ArrayLike" = 0.0,
+        clamp_orientation: "ArrayLike" = 0.0,
+        gain: "ArrayLike" = 0.0,
         pose_delay: float = 0.0,
         object_scale: float = 0.0,
-        object_position: ArrayLike = 0.0,
+        object_position: "ArrayLike" = 0.0,
     ) -> None:
-        sizes = {
-            "clamp_position": 3,
-            "clamp_orientation": 3,
-            "gain": _CHANNELS,
-            "object_position": 3,
-        }
         given = locals()
-        for name in (field.name for field in fields(self)):
-            object.__setattr__(
-                self, name, _deviations(given[name], name, sizes.get(name), _MOST[name])
-            )
+        for name, limit in _LIMITS.items():
+            object.__setattr__(self, name, _deviations(given[name], name, limit))
 
     @property
     def covariance(self) -> Float[np.ndarray, "15 15"]:
         """Of the errors of `PARAMETERS`, independent of each other."""
         stiffness = np.hypot(self.youngs_modulus, 4 * self.radius)
-        return np.diag(
-            np.concatenate(
-                [
-                    [stiffness, self.length],
-                    self.clamp_position,
-                    self.clamp_orientation,
-                    self.gain,
-                    [self.pose_delay],
-                ]
-            )
-            ** 2
-        )
+        mounting = self.clamp_position, self.clamp_orientation, self.gain
+        return np.diag(np.hstack([stiffness, self.length, *mounting, self.pose_delay]) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,23 +146,19 @@ class SetupErrors:
     in_world_axes: bool = False
 
     def __post_init__(self) -> None:
-        size = len(PARAMETERS)
-        array = finite_array(self.covariance, "covariance", last=size, ndim=2)
-        scale = (
-            np.sqrt(np.maximum(np.diag(array), 0.0)) if array.shape == (size, size) else np.zeros(0)
-        )
-        relative = (
-            array / np.where(np.outer(scale, scale) > 0, np.outer(scale, scale), 1.0)
-            if scale.size
-            else array
-        )
-        if (
-            array.shape != (size, size)
-            or not np.allclose(relative, relative.T)
-            or np.linalg.eigvalsh(relative)[0] < -1e-6
-        ):
+        shape = (len(PARAMETERS),) * 2
+        array = finite_array(self.covariance, "covariance", ndim=2)
+        sound = array.shape == shape
+        if sound:
+            scale = np.sqrt(np.maximum(np.diag(array), 0.0))
+            scale[scale == 0] = 1.0
+            relative = array / np.outer(scale, scale)
+            least = np.linalg.eigvalsh(relative)[0]
+            sound = np.allclose(relative, relative.T) and least >= -_ROUNDING
+        if not sound:
             raise ValueError(
-                f"covariance of shape {array.shape}; allowed is a symmetric positive semidefinite {(size, size)}"
+                f"covariance of shape {array.shape}; allowed is a symmetric positive semidefinite "
+                f"{shape}"
             )
         object.__setattr__(self, "covariance", array)
 
@@ -187,23 +176,17 @@ class SetupErrors:
 
 
 def _deviations(
-    value: ArrayLike, name: str, size: int | None, most: float
-) -> "float | Float[np.ndarray, 'k']":
+    value: ArrayLike, name: str, limit: _Limit
+) -> "float | Float[np.ndarray, 'numbers']":
     numbers = finite_array(value, name)
-    shapes = ((),) if size is None else ((), (size,))
-    if numbers.shape not in shapes or np.any(numbers < 0) or np.any(numbers > most):
-        many = "" if size is None else f", or {size} of them"
-        unit = {
-            "length": " m",
-            "clamp_position": " m",
-            "object_position": " m",
-            "clamp_orientation": " rad",
-            "pose_delay": " s",
-        }.get(name, "")
+    shapes = ((), (limit.numbers,))
+    if numbers.shape not in shapes or np.any(numbers < 0) or np.any(numbers > limit.most):
+        many = f", or {limit.numbers} of them" if limit.numbers else ""
         raise ValueError(
-            f"{name} = {np.asarray(value).tolist()}; allowed is a standard deviation from 0 to {most:g}{unit}{many}"
+            f"{name} = {np.asarray(value).tolist()}; allowed is a standard deviation from 0 to "
+            f"{limit.most:g}{limit.unit}{many}"
         )
-    return float(numbers) if size is None else np.broadcast_to(numbers, size).copy()
+    return np.broadcast_to(numbers, limit.numbers).copy() if limit.numbers else float(numbers)
 
 
 def _cholesky(covariance: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k p"], list[int]]:

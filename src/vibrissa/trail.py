@@ -17,6 +17,9 @@ from vibrissa.geometry.rotation import third_axis, turning_axis_to, unit_quatern
 COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Of a file of poses: clamp point [units of the rod], quaternion x, y, z, w."""
 
+Index = int | np.integer | slice | Sequence[int] | Sequence[bool] | np.ndarray
+"""What picks rows along one axis."""
+
 _NO_NORM = 1e-12
 
 
@@ -340,6 +343,21 @@ class Trail:
         )
         return cls(position, orientation)
 
+    def __getitem__(self, index: Index) -> "Trail":
+        """Some positions of one trail, or some of several trails: a slice, a mask or an array of
+        numbers keeps the first axis, a number gives a trail of one position, or one trail of
+        several.
+
+        Raises
+        ------
+        IndexError
+            If the index is out of range, or has more than one axis.
+        ValueError
+            If nothing is left.
+        """
+        rows = first_axis(index, self.shape)
+        return Trail(self.position[rows], self.orientation[rows])
+
     @property
     def count(self) -> int:
         """Positions on each trail."""
@@ -367,6 +385,24 @@ class Trail:
             moving, np.cumsum(steps, axis=-1) / total, np.linspace(0, 1, self.count)[1:]
         )
         return np.concatenate([np.zeros((*self.shape[:-1], 1)), share], axis=-1)
+
+
+def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:
+    """An index of the first of these axes that leaves at least one.
+
+    Raises
+    ------
+    IndexError
+        If it is out of range, or has more than one axis.
+    """
+    if isinstance(index, slice):
+        return index
+    rows = np.asarray(index)
+    if isinstance(index, tuple) or rows.ndim > 1:
+        raise IndexError(
+            f"index = {index!r}; allowed is a number, a slice, a mask (n,) or an array of numbers"
+        )
+    return np.atleast_1d(rows) if len(shape) == 1 else rows
 
 
 def _point(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:

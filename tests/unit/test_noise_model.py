@@ -19,7 +19,7 @@ def test_pink_noise_falls_with_one_over_the_frequency() -> None:
     overlap by half, three quarters count.
     """
     rate, count, channels, segment = 200.0, 2**15, 6, 2**12
-    noise = Pink.over(np.arange(count) / rate).sampled(
+    noise = Pink.within((count - 1) / rate, 1 / rate).sampled(
         np.arange(count) / rate, np.random.default_rng(1), channels
     )
     frequency, density = welch(noise, fs=rate, nperseg=segment, axis=0, detrend="constant")
@@ -35,7 +35,7 @@ def autocovariance(noise: Pink, lag: np.ndarray) -> np.ndarray:
 
 
 def test_pink_noise_on_uneven_stamps_has_the_same_covariance() -> None:
-    noise = Pink.over(UNEVEN)
+    noise = Pink.within(np.ptp(UNEVEN), np.median(np.diff(UNEVEN)))
     samples = noise.sampled(UNEVEN, np.random.default_rng(2), 20000)
     expected = autocovariance(noise, UNEVEN[:, None] - UNEVEN)
     seen = samples @ samples.T / samples.shape[1]
@@ -61,7 +61,11 @@ INTERVALS = [(5.1, 5.5), (5.6, 6.0)]
 
 @pytest.mark.parametrize("kind", ["pink", "walk"])
 def test_means_over_rest_have_the_covariances_of_integrals(kind: str) -> None:
-    noise = Pink.over(UNEVEN) if kind == "pink" else RandomWalk(5.0)
+    noise = (
+        Pink.within(np.ptp(UNEVEN), np.median(np.diff(UNEVEN)))
+        if kind == "pink"
+        else RandomWalk(5.0)
+    )
 
     def covariance(first: float, second: float) -> float:
         return (

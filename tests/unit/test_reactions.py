@@ -43,6 +43,84 @@ def test_a_covariance_turned_into_world_axes_is_taken() -> None:
     np.testing.assert_allclose(np.linalg.eigvalsh(reactions.covariance)[-3:], 4e-6, rtol=1e-9)
 
 
+def many(*shape: int) -> vb.Reactions:
+    """Reactions of any numbers, with all fields by row."""
+    rng = np.random.default_rng(7)
+    trail = vb.Trail(rng.normal(size=(*shape, 3)), rng.normal(size=(*shape, 4)))
+    root = rng.normal(size=(*shape, 6, 6))
+    return vb.Reactions(
+        trail,
+        *rng.normal(size=(2, *shape, 3)),
+        time=np.sort(rng.uniform(size=shape), axis=-1),
+        covariance=root @ np.swapaxes(root, -1, -2) + np.eye(6),
+        position_covariance=1e-10 * np.eye(3),
+        rotation_covariance=1e-6 * np.eye(3),
+        rotation_center=rng.normal(size=(*shape, 3)),
+        velocity=rng.normal(size=(*shape, 6)),
+        misread=("upside down",),
+    )
+
+
+BY_ROW = ("force", "moment", "time", "covariance", "rotation_center", "velocity")
+INDICES = [slice(2, 5), slice(None, None, 2), [0, 3], np.array([1, 4]), np.arange(6) > 2, -1, 0]
+
+
+@pytest.mark.parametrize("index", INDICES, ids=repr)
+@pytest.mark.parametrize("shape", [(6,), (6, 3)], ids=["one trail", "several"])
+def test_rows_come_with_all_that_belongs_to_them(shape: tuple[int, ...], index: object) -> None:
+    whole = many(*shape)
+    part = whole[index]
+    rows = [index] if isinstance(index, int) and len(shape) == 1 else index
+    for name in BY_ROW:
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[rows])
+    np.testing.assert_array_equal(part.trail.position, whole.trail.position[rows])
+    np.testing.assert_allclose(part.trail.orientation, whole.trail.orientation[rows], rtol=1e-15)
+    np.testing.assert_array_equal(whole.trail[index].position, part.trail.position)
+    np.testing.assert_array_equal(part.position_covariance, whole.position_covariance)
+    np.testing.assert_array_equal(part.rotation_covariance, whole.rotation_covariance)
+    assert part.misread == whole.misread
+    assert part.trail.shape == part.force.shape[:-1]
+
+
+def test_one_row_is_reactions_of_one_position_and_one_trail_one_of_its_own() -> None:
+    assert many(6)[2].trail.shape == (1,)
+    assert many(6, 3)[2].trail.shape == (3,)
+    assert many(6, 3)[2:3].trail.shape == (1, 3)
+    assert vb.Trail(np.zeros((4, 2, 3)))[1].shape == (2,)
+
+
+def test_what_all_rows_share_stays_and_what_is_not_there_is_not_made_up() -> None:
+    plain = vb.Reactions(TRAIL, ZERO, ZERO, covariance=np.eye(6))[1:3]
+    assert plain.covariance is not None
+    assert plain.covariance.shape == (6, 6)
+    assert (plain.time, plain.rotation_center, plain.velocity) == (None, None, None)
+
+
+def test_a_row_keeps_the_velocity_that_its_neighbours_tell() -> None:
+    moving = vb.Reactions(TRAIL, ZERO, ZERO, time=np.arange(4.0))
+    np.testing.assert_allclose(moving[2].clamp_velocity(), moving.clamp_velocity()[2:3])
+    np.testing.assert_allclose(moving[2].clamp_velocity()[0, 0], 1 / 3)
+
+
+@pytest.mark.parametrize(
+    ("index", "error", "words"),
+    [
+        (4, IndexError, "out of bounds"),
+        ((1, 2), IndexError, "index = (1, 2); allowed is a number, a slice, a mask (n,)"),
+        (np.zeros((2, 2), dtype=int), IndexError, "allowed is a number, a slice"),
+        (slice(2, 2), ValueError, "an empty trail; allowed is at least one position"),
+        ([2, 1], ValueError, "time[0] = 2.0 is not before the next; allowed are increasing times"),
+    ],
+    ids=["beyond", "tuple", "two axes", "nothing", "backwards"],
+)
+def test_rows_that_are_not_there_are_refused(
+    index: object, error: type[Exception], words: str
+) -> None:
+    moving = vb.Reactions(TRAIL, ZERO, ZERO, time=np.arange(4.0))
+    with pytest.raises(error, match=re.escape(words)):
+        moving[index]
+
+
 BAD = {
     "force": (
         lambda: vb.Reactions(TRAIL, np.zeros((3, 3)), ZERO),

@@ -2,13 +2,16 @@
 force, and back.
 """
 
+import copy
+import pickle
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.sensor import Noise, RawRecording, Response, Sensor, TarePolicy
 
 N = 30
 MOUNT, CLAMP = Rotation.from_rotvec([0.3, -1.0, 0.4]), np.array([0.01, -0.02, 0.025])
@@ -279,3 +282,30 @@ def test_what_is_wrong_is_named(what: str) -> None:
     good = {"clamp_position": CLAMP, "clamp_orientation": MOUNT.as_quat(), "wrench": "on_sensor"}
     with pytest.raises(ValueError, match=re.escape(message)):
         Sensor(**(good | options))
+
+
+def test_figures_are_given_by_their_own_names_or_in_parts() -> None:
+    flat = Sensor(CLAMP, MOUNT.as_quat(), "on_rod", force_noise=1e-3, torque_noise=2e-5, gain=GAIN)
+    parts = Sensor(
+        CLAMP,
+        MOUNT.as_quat(),
+        "on_rod",
+        noise=Noise(force_noise=1e-3, torque_noise=2e-5),
+        response=Response(gain=GAIN),
+        tare_policy=TarePolicy(tare_seconds=None),
+    )
+    assert (flat.noise, flat.response.gain) == (parts.noise, parts.response.gain)
+    assert (parts.tare_seconds, flat.tare_seconds, parts.force_noise) == (None, 0.0, 1e-3)
+    for changed in (replace(parts, tare_seconds=0.5), parts.updated(tare_seconds=0.5)):
+        assert changed.tare_policy == TarePolicy(tare_seconds=0.5)
+        assert changed.noise == parts.noise
+    assert copy.copy(parts).noise == parts.noise
+    assert pickle.loads(pickle.dumps(parts)).gain == GAIN
+
+
+def test_what_a_sensor_does_not_have_is_named() -> None:
+    sensor = Sensor(CLAMP, MOUNT.as_quat(), "on_rod")
+    with pytest.raises(TypeError, match="Sensor has no force_nose; allowed are its attributes"):
+        Sensor(CLAMP, MOUNT.as_quat(), "on_rod", force_nose=1e-3)
+    with pytest.raises(AttributeError, match="Sensor has no attribute 'force_nose'"):
+        _ = sensor.force_nose

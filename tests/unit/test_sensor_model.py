@@ -462,7 +462,7 @@ def test_presets_hold_a_sheets_figures() -> None:
             assert of.force_noise is None
         else:
             assert of.force_noise is not None
-            assert np.all(of.noise >= of.resolution)
+            assert np.all(of.noise.white >= of.noise.resolution)
     assert preset("ati_axia80_m20_si_500_20").force_range == (500.0, 500.0, 900.0)
     nano = preset("ati_nano17_si_12_0_12")
     assert (nano.force_range, nano.torque_range) == ((12.0, 12.0, 17.0), (0.12, 0.12, 0.12))
@@ -470,7 +470,7 @@ def test_presets_hold_a_sheets_figures() -> None:
     assert preset("ati_nano17_si_25_0_25").force_resolution == 1 / 160
     assert preset("ati_nano17_si_50_0_5").torque_resolution == pytest.approx(1e-3 / 16)
     np.testing.assert_allclose(
-        preset("ati_mini40_si_40_2").noise, [0.01, 0.01, 0.02, 2.5e-4, 2.5e-4, 2.5e-4]
+        preset("ati_mini40_si_40_2").noise.white, [0.01, 0.01, 0.02, 2.5e-4, 2.5e-4, 2.5e-4]
     )
     assert preset("ati_mini45_si_145_5").torque_resolution == (1 / 752, 1 / 752, 1 / 1504)
     assert preset("robotiq_ft_300_s").force_range == (300.0, 300.0, 300.0)

@@ -545,8 +545,7 @@ def _sensor(sensor: Sensor, bench: Bench) -> Sensor:
     fx, fy, fz, tx, ty, tz = (
         float(one * factor) for one, factor in zip(sensor.gain, bench.gain, strict=True)
     )
-    return replace(
-        sensor,
+    return sensor.updated(
         clamp_position=np.asarray(bench.clamp),
         clamp_orientation=turned,
         gain=(fx, fy, fz, tx, ty, tz),

@@ -294,8 +294,7 @@ def _changed(setup: SetupType, fit: Fit) -> SetupType:
             bending_stiffness=rod.bending_stiffness * math.exp(errors[STIFFNESS]),
             length=rod.length * math.exp(errors[LENGTH]),
         ),
-        "sensor": replace(
-            sensor,
+        "sensor": sensor.updated(
             clamp_position=sensor.clamp_position + turn.apply(errors[POSITION]) * rod.length,
             clamp_orientation=(turn * Rotation.from_rotvec(errors[ROTATION])).as_quat(),
             gain=(fx, fy, fz, tx, ty, tz),

@@ -1,6 +1,6 @@
 """Expected contact error of a sensor over a scene: forward, through the sensor, and back."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -194,17 +194,14 @@ def _averaged(sensor: Sensor, samples: int) -> Sensor:
     """The sensor whose single readings have the errors of means over so many."""
     if samples == 1:
         return sensor
-    pairs = zip(sensor.noise.tolist(), sensor.resolution.tolist(), strict=True)
-    steps = [
-        float(np.sqrt(12 * quantisation_of_mean(noise, step, samples))) for noise, step in pairs
-    ]
-    fx, fy, fz, tx, ty, tz = (sensor.noise / samples**0.5).tolist()
-    return replace(
-        sensor,
-        force_noise=(fx, fy, fz),
-        torque_noise=(tx, ty, tz),
-        force_resolution=(steps[0], steps[1], steps[2]),
-        torque_resolution=(steps[3], steps[4], steps[5]),
+    noise = sensor.noise
+    steps = np.sqrt(12 * quantisation_of_mean(noise.white, noise.resolution, samples))
+    white = noise.white / samples**0.5
+    return sensor.updated(
+        force_noise=tuple(white[:3].tolist()),
+        torque_noise=tuple(white[3:].tolist()),
+        force_resolution=tuple(steps[:3].tolist()),
+        torque_resolution=tuple(steps[3:].tolist()),
     )
 
 
@@ -252,7 +249,7 @@ def _lane(
         reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time
     )
     late = filtered_readings(sensor, timed, orientation)
-    shown = filtered_readings(replace(sensor, low_pass=None), timed, orientation)
+    shown = filtered_readings(sensor.updated(low_pass=None), timed, orientation)
     limits = [
         np.full(3, np.inf) if part is None else np.asarray(part)
         for part in (sensor.force_range, sensor.torque_range)

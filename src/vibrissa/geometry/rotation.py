@@ -83,3 +83,8 @@ def multiplied(first: Quaternions, second: Float[np.ndarray, "4"]) -> Quaternion
 def inverse(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
     """Quaternion of the rotation back."""
     return quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def cross_matrices(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """[v]× (…, 3, 3) with [v]× u = v × u."""
+    return np.cross(np.eye(3), vectors[..., None, :])

@@ -97,10 +97,10 @@ class Processor:
         seconds, given = self.sensor.tare_seconds, self.tolerances
         self._seconds = TARE_SECONDS if seconds is None else seconds
         self._errors = None if given is None else self.sensor.setup_errors(given)
-        self._sensor = replace(
-            self.sensor, tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
+        self._sensor = self.sensor.updated(
+            tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
         )
-        self._nothing = replace(self._sensor, tare_seconds=0.0).tare(_unloaded(1))
+        self._nothing = self._sensor.updated(tare_seconds=0.0).tare(_unloaded(1))
         self._tare = None if self._seconds else self._nothing
         self._waiting: list[Samples] = []
         self._origin: int | None = None
@@ -163,20 +163,20 @@ class Processor:
         self.say(f"tare: {shown} (N, N m)")
         noise = spread = np.nanstd(raw.wrench[rest.stamp < end], axis=0, ddof=1)
         if self._sensor.force_noise is not None:
-            times = float(np.max(spread / self._sensor.noise))
+            times = float(np.max(spread / self._sensor.noise.white))
             noise = np.sqrt(self._sensor.reading_variance)
             self.moved_during_tare = times > RESTLESS
             if self.moved_during_tare:
                 text = f"the wrench varied by {times:.1f} times its noise during the tare"
                 self.say(f"{text}: is the rod free?", warns=True)
-        self._zero = ZeroWatch(noise, self._sensor.resolution, self.rod.length, self._seconds)
+        self._zero = ZeroWatch(noise, self._sensor.noise.resolution, self.rod.length, self._seconds)
 
     def _going_on(self, tare: Tare, start: float, time: Float[np.ndarray, "n"]) -> Tare:
         """A tare whose covariance holds pink noise and random walk of a stream that began at
         `start` [s] and goes on, by times (n,) [s] of its samples.
         """
         interval = float(np.median(np.diff(time)))
-        coloured = self._sensor.coloured_within(float(start), _DAY, interval)
+        coloured = self._sensor.noise.coloured_within(float(start), _DAY, interval)
         return replace(tare, coloured=tuple(coloured))
 
     def ready(self, now: int) -> Iterator[Result]:

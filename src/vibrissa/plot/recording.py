@@ -185,7 +185,7 @@ def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None
     if sensor.force_noise is not None:
         white, own = (
             np.asarray(part)[first : first + 3] * 2 / found.rate
-            for part in (sensor.reading_variance, sensor.noise**2)
+            for part in (sensor.reading_variance, sensor.noise.white**2)
         )
         stated = white + own * sensor.noise_corner / frequency[1:, None]
         for axis_noise in np.unique(factor * np.sqrt(stated), axis=1).T:

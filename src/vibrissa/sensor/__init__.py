@@ -1,6 +1,7 @@
 """Between reactions and recordings: mount, tare, sign of the wrench, noise, faults."""
 
 from vibrissa.sensor.faults import Fault, FaultKind
+from vibrissa.sensor.figures import Noise, Response, TarePolicy
 from vibrissa.sensor.inspection import Inspection, inspect_raw
 from vibrissa.sensor.lowpass import LowPass
 from vibrissa.sensor.mount import Mount
@@ -19,10 +20,13 @@ __all__ = [
     "Inspection",
     "LowPass",
     "Mount",
+    "Noise",
     "RawRecording",
+    "Response",
     "Rest",
     "Sensor",
     "Tare",
+    "TarePolicy",
     "inspect_raw",
     "preset",
 ]

@@ -3,12 +3,14 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from vibrissa.sensor.raw import Interval, Times
+
 
 class FaultKind(StrEnum):
     """What can be wrong with a recording.
 
     `SATURATION`: readings at the range, or flat-topped. `DROP_OUT`: rows without numbers, or of
-    zeros amid others. `STUCK`: a channel that repeats its value for longer than noise and
+    zeros between other readings. `STUCK`: a channel that repeats its value longer than noise and
     resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp
     equal to one before, or earlier. `UNITS`: numbers that cannot be in metres, newtons, newton
     metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated.
@@ -56,7 +58,7 @@ class Fault:
     unusable
         Whether the recording cannot be used at all.
     quiet
-        Whether it is told by an inspection alone, and no warning.
+        Whether an inspection lists it without a warning.
     """
 
     kind: FaultKind
@@ -67,3 +69,22 @@ class Fault:
     text: str
     unusable: bool = False
     quiet: bool = False
+
+    @classmethod
+    def over(
+        cls,
+        kind: FaultKind,
+        channels: tuple[str, ...],
+        stamps: Times | Interval,
+        text: str,
+        count: int | None = None,
+        *,
+        unusable: bool = False,
+        quiet: bool = False,
+    ) -> "Fault":
+        """A finding from the first to the last of these stamps (n,); it concerns n rows, unless
+        `count` says otherwise.
+        """
+        rows = len(stamps) if count is None else count
+        span = float(stamps[0]), float(stamps[-1])
+        return cls(kind, channels, *span, rows, text, unusable, quiet)

@@ -1,22 +1,21 @@
 """All that can be told of a recording before anyone trusts it."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor.drift import drift_faults, drift_of, lone_drift_faults
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.mounting import mount_faults
-from vibrissa.sensor.pose_noise import pose_noise_faults
-from vibrissa.sensor.poses import filled_poses, pose_jumps
-from vibrissa.sensor.quiet import hum_faults, noise_faults, noise_unit_faults, noisier, rest_noise
-from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.poses import filled_poses, pose_jumps, pose_noise_faults
+from vibrissa.sensor.quiet import Stretch, hum_faults, noise_faults, noise_unit_faults, noisier
+from vibrissa.sensor.raw import CHANNELS, RawRecording, Rows, Wrench
 from vibrissa.sensor.readings import drop_outs, held_rows, standing_channels
-from vibrissa.sensor.rest import Rest, find_rest, restless_tare
+from vibrissa.sensor.rest import Rest, contact_misfits, find_rest, restless_tare
 from vibrissa.sensor.stamps import increasing_stamps, rounded_stamps, stamp_faults
 from vibrissa.sensor.tare import Tare, fitted_tare
 from vibrissa.sensor.units import pose_unit_faults, wrench_unit_faults
@@ -24,12 +23,12 @@ from vibrissa.sensor.units import pose_unit_faults, wrench_unit_faults
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
+# Of readings and poses in any unit; of stamps in nanoseconds since 1970.
 _LARGEST, _LATEST = 1e12, 1e20
 # A median of 0.67 is noise alone, and known to a few hundredths from some hundred rows.
-_MISFIT = 1.0
-_LASTING_MISFIT = 3.0
-_LOADED = 10.0
-_FEWEST_AT_REST = 20
+_MISFIT, _LASTING_MISFIT = 1.0, 3.0
+# Standard deviations from which on a force is a load, and the fewest of them for a median.
+_LOADED, _FEWEST_LOADED = 10.0, 20
 # A second of a log at 250 Hz: shorter ones hold too little rest and motion to judge them by.
 _SNIPPET = 250
 # Their rows are marked, or lose nothing: what becomes of them is in the rows' statuses.
@@ -69,19 +68,19 @@ class Inspection:
         As stated, with the noise of readings and poses that was found where that is larger: what
         the error bars use.
     notes
-        What reading left out, recovered or estimated, a sentence each.
+        What reading left out, recovered or estimated, one sentence each.
     """
 
     raw: RawRecording
     cleaned: RawRecording
     faults: tuple[Fault, ...]
-    usable: Bool[np.ndarray, "n"]
+    usable: Rows
     rate: float
     rest: Rest
     tare: Tare | None
-    noise: Float[np.ndarray, "6"]
-    drift: Float[np.ndarray, "6"]
-    drift_deviation: Float[np.ndarray, "6"]
+    noise: Wrench
+    drift: Wrench
+    drift_deviation: Wrench
     single_contact_misfit: float
     sensor: "Sensor"
     notes: tuple[str, ...] = ()
@@ -91,12 +90,8 @@ class Inspection:
         """Faults that make the whole recording unusable; mistaken units first, as others may follow
         from them.
         """
-        return tuple(
-            sorted(
-                (fault for fault in self.faults if fault.unusable),
-                key=lambda fault: fault.kind is not FaultKind.UNITS,
-            )
-        )
+        found = (fault for fault in self.faults if fault.unusable)
+        return tuple(sorted(found, key=lambda fault: fault.kind is not FaultKind.UNITS))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -139,102 +134,110 @@ def inspect_raw(
     ValueError
         If no row has a stamp, or none a pose.
     """
-    if not np.any(np.abs(raw.time) < _LATEST):
-        raise ValueError(f"none of {len(raw.time)} rows has a stamp; allowed are stamps in seconds")
     given = _bounded(raw)
-    faults = stamp_faults(given.time, rounded=rounded_stamps(given)) + pose_unit_faults(given, rod)
-    time, moved = increasing_stamps(given.time, rounded=rounded_stamps(given))
+    if not np.isfinite(given.time).any():
+        raise ValueError(f"none of {len(raw.time)} rows has a stamp; allowed are stamps in seconds")
+    rounded = rounded_stamps(given)
+    faults = stamp_faults(given.time, rounded=rounded) + pose_unit_faults(given, rod)
+    time, moved = increasing_stamps(given.time, rounded=rounded)
     position, orientation, poseless = filled_poses(given)
-    timed = RawRecording(time, given.position, given.orientation, given.force, given.torque)
+    timed = replace(given, time=time)
     lost, bad = drop_outs(timed, ~np.isfinite(given.time))
     held, repeated = held_rows(sensor, timed, bad | moved[:, None])
-    bad |= repeated
+    bad |= repeated[:, None]
     stuck, standing = standing_channels(sensor, timed, bad)
-    usable = ~(bad.any(axis=1) | standing.any(axis=1) | moved | poseless)
-    wrench = np.where(usable[:, None], given.wrench, np.nan)
-    cleaned = RawRecording(time, position, orientation, wrench[:, :3], wrench[:, 3:])
+    usable = ~((bad | standing).any(axis=1) | moved | poseless)
+    cleaned = replace(timed, position=position, orientation=orientation)
+    cleaned = cleaned.with_wrench(np.where(usable[:, None], given.wrench, np.nan))
     faults += lost + held + stuck + pose_jumps(cleaned, rod, poseless)
     if not usable.any():
         text = f"none of {len(usable)} rows is usable; allowed is at least one"
-        faults.append(_over_all(FaultKind.DROP_OUT, CHANNELS, cleaned, text, unusable=True))
-    stamps, recorded = (
-        (time, np.concatenate([given.position, given.orientation], axis=1))
-        if poses is None
-        else poses
+        faults.append(Fault.over(FaultKind.DROP_OUT, CHANNELS, time, text, unusable=True))
+    stamps, logged = poses or (time, np.concatenate([given.position, given.orientation], axis=1))
+    scattered, sensor = pose_noise_faults(sensor, rod, stamps, logged[:, :3], logged[:, 3:])
+    faults += scattered
+    told, rested = _at_rest(cleaned, sensor, usable)
+    faults += told
+    misfit = float("nan")
+    if rested.tare is not None and not any(fault.unusable for fault in faults):
+        reactions = rested.sensor.reactions(cleaned, rested.tare)
+        mistaken = wrench_unit_faults(cleaned, reactions, rod, sensor, rested.tare)
+        faults += mistaken or mount_faults(reactions, rod)
+        misfit = _misfit(reactions)
+        # Errors that last, of pink noise and random walk, do not average out.
+        if misfit > (_LASTING_MISFIT if sensor.noise.lasting else _MISFIT):
+            text = (
+                "force and moment at the clamp fit no single contact: they miss one by "
+                f"{misfit:.3g} standard deviations in the median (0.67 is noise alone); check "
+                "tare, cross-talk and mount"
+            )
+            faults.append(Fault.over(FaultKind.TARE, CHANNELS, time, text))
+    return Inspection(
+        raw=raw,
+        cleaned=cleaned,
+        faults=tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop))),
+        usable=usable,
+        rate=cleaned.rate,
+        single_contact_misfit=misfit,
+        **rested._asdict(),
     )
-    scattered, sensor = pose_noise_faults(sensor, rod, stamps, recorded[:, :3], recorded[:, 3:])
-    return _at_rest(raw, cleaned, sensor, rod, usable, faults + scattered)
 
 
-def _at_rest(
-    logged: RawRecording,
-    raw: RawRecording,
-    sensor: "Sensor",
-    rod: Rod,
-    usable: Bool[np.ndarray, "n"],
-    faults: list[Fault],
-) -> Inspection:
-    unknown, stated = np.full(6, np.nan), sensor
-    rest, tare, misfit = find_rest(sensor, raw), None, float("nan")
-    noise, drift, deviation = unknown, unknown, unknown
+class _Rested(NamedTuple):
+    """Fields of `Inspection` that follow from rest."""
+
+    rest: Rest
+    tare: Tare | None
+    noise: Wrench
+    drift: Wrench
+    drift_deviation: Wrench
+    sensor: "Sensor"
+
+
+def _at_rest(raw: RawRecording, sensor: "Sensor", usable: Rows) -> tuple[list[Fault], _Rested]:
+    """What rest tells: the tare, noise and drift, and the sensor with the noise that is found."""
+    faults: list[Fault] = []
+    rest, tare, policy = find_rest(sensor, raw), None, sensor.tare_policy
     if usable.any():
         try:
             tare = sensor.tare(raw)
         except ValueError as error:
-            faults.append(_over_all(FaultKind.REST, CHANNELS, raw, str(error), unusable=True))
+            text = str(error)
+            faults.append(Fault.over(FaultKind.REST, CHANNELS, raw.time, text, unusable=True))
     restless: list[Fault] = []
-    if tare is not None and (sensor.tare_seconds is not None or sensor.rest_intervals):
+    if tare is not None and (policy.tare_seconds is not None or policy.rest_intervals):
         restless = restless_tare(sensor, raw, tare)
-        faults += restless
     interval = tare.intervals[0] if tare is not None and tare.intervals else rest.leading
-    both = rest.leading is not None and rest.trailing is not None and rest.trailing != rest.leading
+    noise, drift, deviation = np.full((3, 6), np.nan)
     if interval is not None:
-        noise = rest_noise(raw, interval)
-        mis_scaled = noise_unit_faults(sensor, raw, interval, noise)
+        still = Stretch.of(sensor, raw, interval)
+        noise, mis_scaled = still.noise, noise_unit_faults(sensor, still)
+        faults += restless + mis_scaled
         # Where a contact or a drift lies within the tare, its scatter is no noise.
-        faults += mis_scaled or (
-            []
-            if restless
-            else noise_faults(sensor, raw, interval, noise) + hum_faults(sensor, raw, interval)
-        )
-        faults += [] if both or restless else lone_drift_faults(sensor, raw, interval)
+        if not (mis_scaled or restless):
+            faults += noise_faults(sensor, still) + hum_faults(sensor, still, raw.rate)
+        if not (rest.ends or restless):
+            faults += lone_drift_faults(sensor, raw, still)
         sensor = noisier(sensor, noise, faults)
-        tare = (
-            fitted_tare(sensor, raw, tare.intervals, tare.found)
-            if tare is not None and tare.intervals
-            else tare
-        )
-    if both:
-        assert rest.leading is not None
-        assert rest.trailing is not None
-        drift, deviation = drift_of(sensor, raw, rest.leading, rest.trailing, noise)
-        drifting, line = drift_faults(sensor, raw, rest, tare, drift, deviation)
+    if tare is not None and tare.intervals:
+        tare = fitted_tare(sensor, raw, tare.intervals, tare.found)
+    if rest.ends is not None:
+        early, late = (Stretch.of(sensor, raw, end) for end in rest.ends)
+        drift, deviation = drift_of(sensor, raw, early, late, noise)
+        drifting, line = drift_faults(sensor, raw, (early, late), tare, drift, deviation)
         faults += drifting
         if line is not None:
-            sensor, tare = replace(sensor, estimate_drift=True), line
-    if tare is not None and not any(fault.unusable for fault in faults):
-        reactions = sensor.reactions(raw, tare)
-        mistaken = wrench_unit_faults(raw, reactions, rod, stated, tare)
-        faults += mistaken or mount_faults(reactions, rod)
-        misfit = _misfit(reactions)
-        # Errors that last, of pink noise and random walk, do not average out.
-        if misfit > (_LASTING_MISFIT if sensor.coloured(raw.time) else _MISFIT):
-            text = f"force and moment at the clamp belong to no single contact by {misfit:.3g} standard deviations in the median (0.67 is noise alone): "
-            text += "check tare, cross-talk and mount"
-            faults.append(_over_all(FaultKind.TARE, CHANNELS, raw, text))
-    ordered = tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop)))
-    return Inspection(
-        logged, raw, ordered, usable, raw.rate, rest, tare, noise, drift, deviation, misfit, sensor
-    )
+            sensor, tare = sensor.updated(estimate_drift=True), line
+    return faults, _Rested(rest, tare, noise, drift, deviation, sensor)
 
 
 def _bounded(raw: RawRecording) -> RawRecording:
-    """Numbers that are none, or too large to be any sensor's, made NaN."""
-    parts = (
-        np.where(np.abs(part) < _LARGEST, part, np.nan)
-        for part in (raw.position, raw.orientation, raw.force, raw.torque)
-    )
-    return RawRecording(np.where(np.abs(raw.time) < _LATEST, raw.time, np.nan), *parts)
+    """The recording with NaN for infinite numbers, and for those that loggers write in the place of
+    missing ones, which are no sensor's.
+    """
+    parts = (raw.position, raw.orientation, raw.force, raw.torque)
+    bounded = (np.where(np.abs(part) < _LARGEST, part, np.nan) for part in parts)
+    return RawRecording(np.where(np.abs(raw.time) < _LATEST, raw.time, np.nan), *bounded)
 
 
 def _misfit(reactions: Reactions) -> float:
@@ -244,30 +247,9 @@ def _misfit(reactions: Reactions) -> float:
     if reactions.covariance is None:
         return float("nan")
     covariance = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))
-    force = np.linalg.norm(reactions.force, axis=1)
-    loaded = force > _LOADED * np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
-    if np.count_nonzero(loaded) < _FEWEST_AT_REST:
+    deviation = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
+    loaded = np.linalg.norm(reactions.force, axis=1) > _LOADED * deviation
+    if np.count_nonzero(loaded) < _FEWEST_LOADED:
         return float("nan")
-    gradient = np.concatenate([reactions.moment, reactions.force], axis=1)[loaded]
-    spread = np.sqrt(np.einsum("ni,nij,nj->n", gradient, covariance[loaded], gradient))
-    product = np.abs(np.einsum("ni,ni->n", reactions.force[loaded], reactions.moment[loaded]))
-    return float(np.median(product / spread))
-
-
-def _over_all(
-    kind: FaultKind,
-    channels: tuple[str, ...],
-    raw: RawRecording,
-    text: str,
-    *,
-    unusable: bool = False,
-) -> Fault:
-    return Fault(
-        kind,
-        channels,
-        float(raw.time[0]),
-        float(raw.time[-1]),
-        len(raw.time),
-        text,
-        unusable=unusable,
-    )
+    wrench = np.concatenate([reactions.force, reactions.moment], axis=1)
+    return float(np.median(contact_misfits(wrench[loaded], covariance[loaded])))

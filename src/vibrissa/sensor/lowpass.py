@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from vibrissa.geometry.checks import not_negative, positive
 
-_NEXT_TO_NONE = 1e-12
+# Steps that agree to a picosecond share a propagator.
+_STAMP_DECIMALS = 12
 
 
 @dataclass(frozen=True)
@@ -59,40 +60,31 @@ class LowPass:
         whatever the step's length (K. J. Åström, B. Wittenmark, "Computer-Controlled Systems", 3rd
         ed. 1997, section 2.3; for a linear signal, the first-order hold).
         """
-        late = signal
         if self.delay:
-            late = np.stack(
-                [np.interp(time - self.delay, time, column) for column in signal.T], axis=1
-            )
-        if self.cutoff == math.inf:
-            return late
-        return self._filtered(time, late)
+            delayed = [np.interp(time - self.delay, time, column) for column in signal.T]
+            signal = np.stack(delayed, axis=1)
+        return signal if self.cutoff == math.inf else self._filtered(time, signal)
 
     def _filtered(
         self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]
     ) -> Float[np.ndarray, "n k"]:
         from scipy.linalg import expm  # noqa: PLC0415
+        from scipy.signal import butter  # noqa: PLC0415
 
-        rate, order = 2 * math.pi * self.cutoff, self.order
-        steps, which = np.unique(np.round(np.diff(time), 12), return_inverse=True)
-        # State, signal, and the signal's slope: their joint propagator over a step.
-        system = np.zeros((order + 2, order + 2))
-        system[0, :2] = (-rate, rate) if order == 1 else (0, 1)
-        if order == 2:
-            system[1, :3] = (-(rate**2), -math.sqrt(2) * rate, rate**2)
-        system[order, order + 1] = 1
+        order = self.order
+        top, bottom = butter(order, 2 * math.pi * self.cutoff, analog=True)
+        # Output and its derivatives, the signal, and the signal's slope: their joint propagator
+        # over a step.
+        system = np.eye(order + 2, k=1)
+        system[order - 1] = [*-bottom[:0:-1], top[-1], 0.0]
+        steps, which = np.unique(np.round(np.diff(time), _STAMP_DECIMALS), return_inverse=True)
         propagators = expm(steps[:, None, None] * system)
-        state = np.zeros((order, signal.shape[1]))
+        slopes = np.diff(signal, axis=0) / np.diff(time)[:, None]
+        state = np.zeros((order + 2, signal.shape[1]))
         state[0] = signal[0]
-        filtered = np.empty_like(signal)
-        filtered[0] = signal[0]
-        slopes = np.diff(signal, axis=0) / np.maximum(np.diff(time), _NEXT_TO_NONE)[:, None]
-        for row, kind in enumerate(which):
-            matrix = propagators[kind]
-            state = (
-                matrix[:order, :order] @ state
-                + np.outer(matrix[:order, order], signal[row])
-                + np.outer(matrix[:order, order + 1], slopes[row])
-            )
-            filtered[row + 1] = state[0]
-        return filtered
+        filtered = [signal[0]]
+        for kind, level, slope in zip(which, signal, slopes, strict=False):
+            state[order:] = level, slope
+            state = propagators[kind] @ state
+            filtered.append(state[0])
+        return np.array(filtered)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.geometry.checks import finite_array, not_negative
+from vibrissa.geometry.rotation import cross_matrices
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Standard acceleration of free fall [m/s²], world axes with z up (ISO 80000-3)."""
@@ -61,17 +62,8 @@ class Mount:
         point
             In the sensor frame (3,) [m].
         """
-        fall = np.einsum("nji,j->ni", axes, np.asarray(self.gravity))
+        fall = np.asarray(self.gravity) @ axes
         matrix = np.zeros((len(axes), 6, 4))
-        matrix[:, :3, 0] = fall
-        matrix[:, 3:, 0] = -np.cross(point, fall)
+        matrix[:, :3, 0], matrix[:, 3:, 0] = fall, -np.cross(point, fall)
         matrix[:, 3:, 1:] = -cross_matrices(fall)
         return matrix
-
-
-def cross_matrices(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
-    """[v]× (n, 3, 3) with [v]× u = v × u."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    for axis, (row, column) in enumerate(((2, 1), (0, 2), (1, 0))):
-        matrices[:, row, column], matrices[:, column, row] = vectors[:, axis], -vectors[:, axis]
-    return matrices

@@ -1,21 +1,38 @@
-"""Faults of the robot's poses: jumps; and poses that are missing, filled."""
+"""Faults of the robot's poses: jumps, and noise larger than stated; and missing poses, filled."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
+from scipy import ndimage
 
 from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.rod import Rod
+from vibrissa.sensor.deviations import MEDIAN_TO_DEVIATION, deviation_by_differences
 from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.raw import RawRecording
-from vibrissa.sensor.stamps import MEDIAN_TO_DEVIATION
+from vibrissa.sensor.raw import Quaternions, RawRecording, Rows, Times
 
-_DEVIATIONS = 12.0
-_FASTER = 3.0
-_LEAST = 1e-3
+if TYPE_CHECKING:
+    from vibrissa.sensor.sensor import Sensor
+
+Positions = Float[np.ndarray, "n 3"]
+
+# A jump stands out by so many deviations of the steps, and is so many times the step that 95 % of
+# them stay below; of the rod's length, or in radians, smaller ones move no contact noticeably.
+_DEVIATIONS, _FASTER, _LEAST_JUMP = 12.0, 3.0, 1e-3
+# Steps on either side that say how the clamp moves: a jump is not lost among eleven.
 _NEIGHBOURS = 5
+# A median of so many sizes is known to 15 %.
+_FEWEST = 60
+# Stated figures are rounded, and a robot's control follows its path with small corrections.
+_LARGER = 1.5
+# Of the rod's length, or in radians: what is less moves no contact noticeably.
+_LEAST_NOISE = 1e-4
+# Poses that come in steps stand between most of them, and step by the same size, but for rounding.
+_STANDING, _EVEN = 0.5, 1.05
 
 
-def pose_jumps(raw: RawRecording, rod: Rod, filled: Bool[np.ndarray, "n"]) -> list[Fault]:
+def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> list[Fault]:
     """Steps of the pose that stand out from those around them, one finding for all of the position
     and one for all of the orientation.
 
@@ -26,51 +43,37 @@ def pose_jumps(raw: RawRecording, rod: Rod, filled: Bool[np.ndarray, "n"]) -> li
     if len(raw.time) < 2 * _NEIGHBOURS:
         return []
     usual = 1 / raw.rate
-    share = usual / np.maximum(np.diff(raw.time), usual)
-    turns = rotation_vectors(raw.orientation[:-1], raw.orientation[1:])
+    share = (usual / np.maximum(np.diff(raw.time), usual))[:, None]
     found = []
-    for name, steps, least, unit in (
-        ("position", np.diff(raw.position, axis=0), _LEAST * rod.length, "m"),
-        ("orientation", turns, _LEAST, "rad"),
-    ):
-        rows = np.flatnonzero(
-            _standing_out(share[:, None] * steps, least) & ~filled[1:] & ~filled[:-1]
-        )
+    for name, steps, length, unit in _steps(raw.position, raw.orientation, rod):
+        even = share * steps
+        around = ndimage.median_filter(even, (2 * _NEIGHBOURS + 1, 1), mode="mirror")
+        off = np.linalg.norm(even - around, axis=1)
+        deviation = float(np.median(off)) / MEDIAN_TO_DEVIATION
+        fastest = float(np.quantile(np.linalg.norm(even, axis=1), 0.95))
+        out = off > max(_DEVIATIONS * deviation, _FASTER * fastest, _LEAST_JUMP * length)
+        rows = np.flatnonzero(out & ~filled[1:] & ~filled[:-1])
         if len(rows):
             sizes = np.linalg.norm(steps[rows], axis=1)
-            text = f"the {name} jumps by {sizes[0]:.3g} {unit} within {raw.time[rows[0] + 1] - raw.time[rows[0]]:.3g} s"
-            text += (
-                f", and {len(rows) - 1} more times, by up to {sizes.max():.3g} {unit}"
-                if len(rows) > 1
-                else ""
-            )
-            found.append(
-                Fault(
-                    FaultKind.POSE_JUMP,
-                    (name,),
-                    float(raw.time[rows[0]]),
-                    float(raw.time[rows[-1] + 1]),
-                    len(rows),
-                    text,
-                )
-            )
+            within = raw.time[rows[0] + 1] - raw.time[rows[0]]
+            text = f"the {name} jumps by {sizes[0]:.3g} {unit} within {within:.3g} s"
+            if len(rows) > 1:
+                text += f", and {len(rows) - 1} more times, by up to {sizes.max():.3g} {unit}"
+            span = raw.time[rows[0] : rows[-1] + 2]
+            found.append(Fault.over(FaultKind.POSE_JUMP, (name,), span, text, len(rows)))
     return found
 
 
-def _standing_out(steps: Float[np.ndarray, "m 3"], least: float) -> Bool[np.ndarray, "m"]:
-    padded = np.pad(steps, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
-    around = np.median(
-        np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1, axis=0), axis=-1
-    )
-    off = np.linalg.norm(steps - around, axis=1)
-    deviation = float(np.median(off)) / MEDIAN_TO_DEVIATION
-    usual = float(np.quantile(np.linalg.norm(steps, axis=1), 0.95))
-    return off > max(_DEVIATIONS * deviation, _FASTER * usual, least)
+def _steps(
+    position: Positions, orientation: Quaternions, rod: Rod
+) -> list[tuple[str, Float[np.ndarray, "m 3"], float, str]]:
+    """Name, steps from row to row, what their size is compared with, and unit."""
+    turns = rotation_vectors(orientation[:-1], orientation[1:])
+    moves = np.diff(position, axis=0)
+    return [("position", moves, rod.length, "m"), ("orientation", turns, 1.0, "rad")]
 
 
-def filled_poses(
-    raw: RawRecording,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"], Bool[np.ndarray, "n"]]:
+def filled_poses(raw: RawRecording) -> tuple[Positions, Quaternions, Rows]:
     """Positions and unit quaternions with the missing ones taken from the nearest row that has one,
     and which they are.
 
@@ -81,13 +84,62 @@ def filled_poses(
     """
     norm = np.linalg.norm(raw.orientation, axis=1)
     missing = ~(np.isfinite(raw.position).all(axis=1) & np.isfinite(norm) & (norm > 0))
-    good = np.flatnonzero(~missing)
-    if not len(good):
+    if missing.all():
         raise ValueError("no row has a pose; allowed are finite positions and unit quaternions")
-    rows = np.arange(len(norm))
-    after = np.clip(np.searchsorted(good, rows), 0, len(good) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(
-        np.abs(good[after] - rows) <= np.abs(good[before] - rows), good[after], good[before]
-    )
+    good = np.flatnonzero(~missing)
+    halfway = (good[1:] + good[:-1]) / 2
+    nearest = good[np.searchsorted(halfway, np.arange(len(norm)), side="right")]
     return raw.position[nearest], raw.orientation[nearest] / norm[nearest, None], missing
+
+
+def pose_noise(steps: Float[np.ndarray, "m 3"]) -> float:
+    """Standard deviation on each axis of poses about a smooth path, from their steps (m, 3): white
+    noise, or that of numbers that come in steps.
+
+    White noise by the median of third differences, clamp standing or moving: they take off a path
+    of constant acceleration. Poses that stay, then go on by always the same step, are rounded or
+    held: evenly spread over the step.
+    """
+    if len(steps) < _FEWEST:
+        return 0.0
+    white = deviation_by_differences(np.diff(steps, n=2, axis=0), 3)
+    rounded = [_rounding_step(axis) / np.sqrt(12) for axis in steps.T]
+    return float(max(*white, *rounded))
+
+
+def _rounding_step(steps: Float[np.ndarray, "m"]) -> float:
+    """Size of the steps in which a number goes on; 0 where it moves evenly, stands, or is noisy."""
+    gone = np.flatnonzero(np.abs(steps) > 1e-3 * np.abs(steps).max(initial=0.0))
+    if len(gone) < _FEWEST // 3:
+        return 0.0
+    low, middle, high = np.quantile(np.abs(steps[gone]), [0.1, 0.5, 0.9])
+    stays = np.mean(np.diff(gone) > 1) > _STANDING
+    return float(middle) if stays and high < _EVEN * low else 0.0
+
+
+def pose_noise_faults(
+    sensor: "Sensor", rod: Rod, time: Times, position: Positions, orientation: Quaternions
+) -> tuple[list[Fault], "Sensor"]:
+    """Findings on noise of the poses (n, …) that is larger than stated, and the sensor with that
+    noise.
+    """
+    norm = np.linalg.norm(np.nan_to_num(orientation), axis=1)
+    whole = np.isfinite(time) & np.isfinite(position).all(axis=1) & (norm > 0)
+    time, position, orientation = time[whole], position[whole], orientation[whole]
+    if len(time) < _FEWEST:
+        return [], sensor
+    faults: list[Fault] = []
+    figures = {}
+    for name, steps, length, unit in _steps(position, orientation, rod):
+        found = pose_noise(steps)
+        stated = float(getattr(sensor.noise, f"{name}_noise"))
+        enough = _LEAST_NOISE * length + stated
+        if found > _LARGER * stated and np.hypot(found, stated) > enough:
+            text = (
+                f"the {name} scatters by {found:.3g} {unit} about a smooth path, where "
+                f"{name}_noise = {stated:.3g} {unit} is stated"
+            )
+            text += "; the error bars use it" if sensor.noise.known else ""
+            faults.append(Fault.over(FaultKind.POSE_NOISE, (name,), time, text))
+            figures[f"{name}_noise"] = found
+    return faults, sensor.updated(**figures) if figures else sensor

@@ -26,7 +26,6 @@ Robotiq FT 300-S
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
@@ -36,53 +35,35 @@ _Axes = tuple[float, float, float]
 _Figures = dict[str, float | _Axes]
 
 
-def _of_resolution(
-    force_range: _Axes, torque_range: _Axes, force: float | _Axes, torque: float | _Axes
+def _figures(
+    force_range: _Axes,
+    torque_range: _Axes,
+    steps: tuple[float | _Axes, ...] = (),
+    noise: tuple[float | _Axes, ...] = (),
 ) -> _Figures:
+    """Steps and noise of force and torque; where no noise is stated it is one step."""
+    names = ("range", "resolution", "noise")
+    values = ((force_range, torque_range), steps, noise or steps)
     return {
-        "force_range": force_range,
-        "torque_range": torque_range,
-        "force_resolution": force,
-        "torque_resolution": torque,
-        "force_noise": force,
-        "torque_noise": torque,
+        f"{part}_{name}": value
+        for name, pair in zip(names, values, strict=True)
+        for part, value in zip(("force", "torque"), pair, strict=False)
     }
-
-
-def _nano17(scale: float) -> _Figures:
-    """Ranges and resolutions of the three calibrations are as 1 to 2 to 4, but for the rounded
-    ranges of SI-12-0.12.
-    """
-    force, along, torque = {1: (12.0, 17.0, 0.12), 2: (25.0, 35.0, 0.25), 4: (50.0, 70.0, 0.5)}[
-        int(scale)
-    ]
-    step, turn = scale / 320, scale * 1e-3 / 64
-    return _of_resolution((force, force, along), (torque, torque, torque), step, turn)
 
 
 PRESETS: MappingProxyType[str, _Figures] = MappingProxyType(
     {
-        "ati_nano17_si_12_0_12": _nano17(1),
-        "ati_nano17_si_25_0_25": _nano17(2),
-        "ati_nano17_si_50_0_5": _nano17(4),
-        "ati_mini40_si_40_2": _of_resolution(
-            (40.0, 40.0, 120.0), (2.0, 2.0, 2.0), (1 / 100, 1 / 100, 1 / 50), 1 / 4000
+        "ati_nano17_si_12_0_12": _figures((12.0, 12.0, 17.0), (0.12,) * 3, (1 / 320, 1e-3 / 64)),
+        "ati_nano17_si_25_0_25": _figures((25.0, 25.0, 35.0), (0.25,) * 3, (1 / 160, 1e-3 / 32)),
+        "ati_nano17_si_50_0_5": _figures((50.0, 50.0, 70.0), (0.5,) * 3, (1 / 80, 1e-3 / 16)),
+        "ati_mini40_si_40_2": _figures(
+            (40.0, 40.0, 120.0), (2.0,) * 3, ((1 / 100, 1 / 100, 1 / 50), 1 / 4000)
         ),
-        "ati_mini45_si_145_5": _of_resolution(
-            (145.0, 145.0, 290.0), (5.0, 5.0, 5.0), 1 / 16, (1 / 752, 1 / 752, 1 / 1504)
+        "ati_mini45_si_145_5": _figures(
+            (145.0, 145.0, 290.0), (5.0,) * 3, (1 / 16, (1 / 752, 1 / 752, 1 / 1504))
         ),
-        "ati_axia80_m20_si_500_20": {
-            "force_range": (500.0, 500.0, 900.0),
-            "torque_range": (20.0, 20.0, 20.0),
-        },
-        "robotiq_ft_300_s": {
-            "force_range": (300.0, 300.0, 300.0),
-            "torque_range": (30.0, 30.0, 30.0),
-            "force_resolution": 0.01,
-            "torque_resolution": 0.001,
-            "force_noise": 0.1,
-            "torque_noise": 0.005,
-        },
+        "ati_axia80_m20_si_500_20": _figures((500.0, 500.0, 900.0), (20.0,) * 3),
+        "robotiq_ft_300_s": _figures((300.0,) * 3, (30.0,) * 3, (0.01, 0.001), (0.1, 0.005)),
     }
 )
 """Figures by the name of the sensor and its calibration: fields of `Sensor`, SI units."""
@@ -98,7 +79,7 @@ def preset_figures(name: str) -> _Figures:
     """
     if name and name not in PRESETS:
         raise ValueError(f"preset = {name!r}; allowed are {', '.join(PRESETS)}")
-    return dict(PRESETS[name]) if name else {}
+    return dict(PRESETS.get(name, {}))
 
 
 def preset(
@@ -124,10 +105,5 @@ def preset(
     """
     from vibrissa.sensor.sensor import Sensor  # noqa: PLC0415
 
-    known: dict[str, Any] = dict(preset_figures(name))
-    return Sensor(
-        np.asarray(clamp_position, dtype=float),
-        np.asarray(clamp_orientation, dtype=float),
-        wrench,
-        **known,
-    )
+    known: dict[str, Any] = {**preset_figures(name)}
+    return Sensor(clamp_position, clamp_orientation, wrench, **known)

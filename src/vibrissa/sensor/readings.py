@@ -3,112 +3,88 @@ limit.
 """
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
+from vibrissa.sensor.deviations import (
+    believed_noise,
+    own_noise,
+    own_rows,
+    repeating_rows,
+    smallest_steps,
+)
 from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.raw import CHANNEL_UNITS, CHANNELS, RawRecording
-from vibrissa.sensor.rest import noise_by_differences, own_rows, repeating_rows
-from vibrissa.sensor.stamps import runs
+from vibrissa.sensor.raw import (
+    CHANNEL_UNITS,
+    CHANNELS,
+    RawRecording,
+    Rows,
+    Times,
+    Wrench,
+    Wrenches,
+    channel_names,
+    runs,
+)
 
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
 Mask = Bool[np.ndarray, "n 6"]
 
+# Chance that a sound recording is said to stand still.
 _FALSE_ALARM = 1e-6
+# Equal readings in a row that are no finding, however fine the numbers.
 _SHORTEST = 5
+# Deviations by which readings jump to and from lost rows that are written as zeros.
 _JUMP = 8.0
+# Samples on either side of a loss, whose median and spread say where the readings were.
 _NEIGHBOURS = 5
-_BELIEVED = 0.3
+# Deviations, or median steps: a channel that comes to its extreme by more did not saturate.
 _FLAT_TOP = 10.0
-_STUCK_SHARE = 0.1
+# Decimals read as binary numbers may fall short of the range by the last digit.
+_ROUNDING = 1e-9
 
 
-def drop_outs(raw: RawRecording, unstamped: Bool[np.ndarray, "n"]) -> tuple[list[Fault], Mask]:
+def drop_outs(raw: RawRecording, unstamped: Rows) -> tuple[list[Fault], Mask]:
     """Rows in which numbers or stamps are missing, and rows of zeros from which and to which the
     readings jump by eight of their deviations.
     """
-    wrench = raw.wrench
-    missing = ~np.isfinite(wrench)
-    pose = ~(np.isfinite(raw.position).all(axis=1) & np.isfinite(raw.orientation).all(axis=1))
-    zero = _sudden_zeros(wrench)
-    bad = missing | zero[:, None]
+    missing, zero = ~np.isfinite(raw.wrench), _sudden_zeros(raw.wrench)
+    posed = np.isfinite(np.concatenate([raw.position, raw.orientation], axis=1)).all(axis=1)
     faults = []
     for start, stop in runs(missing.any(axis=1)):
-        channels = tuple(
-            name
-            for name, lost in zip(CHANNELS, missing[start:stop].any(axis=0), strict=True)
-            if lost
-        )
-        faults.append(
-            _fault(
-                FaultKind.DROP_OUT,
-                channels,
-                raw,
-                start,
-                stop,
-                f"{stop - start} rows without a number in {', '.join(channels)}",
-            )
-        )
-    for start, stop in runs(zero):
-        faults.append(
-            _fault(
-                FaultKind.DROP_OUT,
-                CHANNELS,
-                raw,
-                start,
-                stop,
-                f"{stop - start} rows of zeros in all channels, amid others",
-            )
-        )
-    for start, stop in runs(pose):
-        faults.append(
-            _fault(
-                FaultKind.DROP_OUT,
-                ("position", "orientation"),
-                raw,
-                start,
-                stop,
-                f"{stop - start} rows without a pose",
-            )
-        )
-    for start, stop in runs(unstamped):
-        faults.append(
-            _fault(
-                FaultKind.DROP_OUT,
-                ("time",),
-                raw,
-                start,
-                stop,
-                f"{stop - start} rows without a stamp",
-            )
-        )
-    return faults, bad
+        lost = channel_names(missing[start:stop].any(axis=0))
+        text = f"{stop - start} rows without a number in {', '.join(lost)}"
+        faults.append(Fault.over(FaultKind.DROP_OUT, lost, raw.time[start:stop], text))
+    for mask, channels, what in (
+        (zero, CHANNELS, "of zeros in all channels between other readings"),
+        (~posed, ("position", "orientation"), "without a pose"),
+        (unstamped, ("time",), "without a stamp"),
+    ):
+        for start, stop in runs(mask):
+            text = f"{stop - start} rows {what}"
+            faults.append(Fault.over(FaultKind.DROP_OUT, channels, raw.time[start:stop], text))
+    return faults, missing | zero[:, None]
 
 
-def _sudden_zeros(wrench: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, "n"]:
-    zero = np.all(wrench == 0, axis=1)
-    rest = np.flatnonzero(np.isfinite(wrench).all(axis=1) & ~zero)
-    if not zero.any() or len(rest) < _NEIGHBOURS:
-        return np.zeros(len(wrench), dtype=bool)
-    deviation = np.nan_to_num(noise_by_differences(wrench[rest]))
-    sudden = np.zeros(len(wrench), dtype=bool)
+def _sudden_zeros(wrench: Wrenches) -> Rows:
+    zero, sudden = np.all(wrench == 0, axis=1), np.zeros(len(wrench), dtype=bool)
+    others = np.flatnonzero(np.isfinite(wrench).all(axis=1) & ~zero)
+    if not zero.any() or len(others) < _NEIGHBOURS:
+        return sudden
+    deviation = own_noise(wrench[others])
     for start, stop in runs(zero):
-        place = np.searchsorted(rest, start)
-        sides = [rest[max(0, place - _NEIGHBOURS) : place], rest[place : place + _NEIGHBOURS]]
+        place = np.searchsorted(others, start)
+        sides = others[max(0, place - _NEIGHBOURS) : place], others[place : place + _NEIGHBOURS]
+        around = [wrench[side] for side in sides if len(side)]
         # A noiseless simulation begins at zero and leaves it gradually: there the step is no larger
         # than the next ones.
-        steps = [
-            np.abs(np.median(wrench[side], axis=0))
-            > _JUMP * deviation + 4 * np.ptp(wrench[side], axis=0)
-            for side in sides
-            if len(side)
-        ]
-        sudden[start:stop] = all(step.any() for step in steps)
+        sudden[start:stop] = all(
+            np.any(np.abs(np.median(near, axis=0)) > _JUMP * deviation + 4 * np.ptp(near, axis=0))
+            for near in around
+        )
     return sudden
 
 
@@ -116,23 +92,33 @@ def longest_repeat(
     deviation: float, step: float, count: int, false_alarm: float = _FALSE_ALARM
 ) -> float:
     """Length that a run of equal readings reaches by chance, somewhere among `count`, with the
-    probability `false_alarm`.
+    probability `false_alarm`; at least five.
 
     A reading equals the one before with a probability of at most p = erf(step / (√8 deviation)),
     where the true value lies on a step; a run of r readings needs r − 1 such, and `count` places
     bound the chance by count p^(r−1).
     """
-    same = _repeats(deviation, step)
-    if same >= 1:
-        return math.inf
-    return (
-        _SHORTEST
-        if same <= 0
-        else max(_SHORTEST, 1 + math.ceil(math.log(false_alarm / count) / math.log(same)))
-    )
+    return max(_SHORTEST, _longest(_repeats(deviation, step), count, false_alarm))
 
 
-def held_rows(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
+def _repeats(deviation: float, step: float) -> float:
+    """Largest chance that a reading equals the one before."""
+    return 1.0 if deviation <= 0 else math.erf(step / (math.sqrt(8) * deviation))
+
+
+def _longest(chance: float, count: int, false_alarm: float = _FALSE_ALARM) -> float:
+    if chance <= 0 or chance >= 1:
+        return math.inf if chance >= 1 else 1
+    return 1 + math.ceil(math.log(false_alarm / count) / math.log(chance))
+
+
+def _steps(sensor: "Sensor", wrench: Wrenches) -> Wrench:
+    """Steps (6,) of the numbers: as stated, or the smallest that they show, if that is larger."""
+    stated, shown = sensor.noise.resolution, smallest_steps(wrench)
+    return np.where(np.isfinite(shown), np.maximum(stated, shown), stated)
+
+
+def held_rows(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Fault], Rows]:
     """Rows that repeat the reading above them in all channels more often than chance allows: a lost
     sample, and the last one held in its place.
 
@@ -140,51 +126,24 @@ def held_rows(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Faul
     row is marked.
     """
     wrench = np.where(bad, np.nan, raw.wrench)
-    deviations = believed_noise(sensor, wrench)
-    chance = float(
-        np.prod(
-            [
-                _repeats(
-                    float(deviations[channel]), _smallest_step(sensor, wrench[:, channel], channel)
-                )
-                for channel in range(6)
-            ]
-        )
-    )
-    same, held, faults = repeating_rows(wrench), np.zeros(len(wrench), dtype=bool), []
-    count = int(np.count_nonzero(same))
+    same, held = repeating_rows(wrench), np.zeros(len(wrench), dtype=bool)
     if not own_rows(wrench).all():
-        text = f"{count} of {len(wrench)} rows repeat the reading above them in all channels, as of a sensor of {(1 - count / len(wrench)) * raw.rate:.4g} "
-        text += f"readings a second in a log of {raw.rate:.4g}"
-        return [
-            replace(_fault(FaultKind.HELD, CHANNELS, raw, 0, len(wrench), text), count=count)
-        ], np.zeros_like(bad)
-    if chance >= 1 or not same.any():
-        return [], np.zeros_like(bad)
-    needed = (
-        2
-        if chance <= 0
-        else max(2, 1 + math.ceil(math.log(_FALSE_ALARM / len(wrench)) / math.log(chance)))
-    )
-    found = [(start, stop) for start, stop in runs(same) if stop - start + 1 >= needed]
-    for start, stop in found:
-        held[start:stop] = True
-        faults.append(
-            _fault(
-                FaultKind.HELD,
-                CHANNELS,
-                raw,
-                start,
-                stop,
-                f"{stop - start} rows repeat the reading above them in all channels",
-            )
+        count = int(np.count_nonzero(same))
+        text = (
+            f"{count} of {len(wrench)} rows repeat the reading above them in all channels, as of a "
+            f"sensor of {(1 - count / len(wrench)) * raw.rate:.4g} readings a second in a log of "
+            f"{raw.rate:.4g}"
         )
-    return faults, np.repeat(held[:, None], 6, axis=1)
-
-
-def _repeats(deviation: float, step: float) -> float:
-    """Largest chance that a reading equals the one before."""
-    return 1.0 if deviation <= 0 else math.erf(step / (math.sqrt(8) * deviation))
+        return [Fault.over(FaultKind.HELD, CHANNELS, raw.time, text, count)], held
+    figures = zip(believed_noise(sensor, wrench), _steps(sensor, wrench), strict=True)
+    needed = max(2, _longest(math.prod(_repeats(*one) for one in figures), len(wrench)))
+    faults = []
+    for start, stop in runs(same):
+        if stop - start + 1 >= needed:
+            held[start:stop] = True
+            text = f"{stop - start} rows repeat the reading above them in all channels"
+            faults.append(Fault.over(FaultKind.HELD, CHANNELS, raw.time[start:stop], text))
+    return faults, held
 
 
 def standing_channels(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
@@ -194,152 +153,57 @@ def standing_channels(sensor: "Sensor", raw: RawRecording, bad: Mask) -> tuple[l
     With a known range, readings at it are saturated, however few.
     """
     wrench = np.where(bad, np.nan, raw.wrench)
-    deviations = believed_noise(sensor, wrench)
-    standing, faults = np.zeros_like(bad), []
-    for channel in range(len(CHANNELS)):
-        full = _at_range(sensor, wrench[:, channel], channel)
-        standing[:, channel] |= full
-        faults += [_saturated(sensor, raw, channel, start, stop) for start, stop in runs(full)]
-        tops: set[float] = set()
-        needed = longest_repeat(
-            float(deviations[channel]),
-            _smallest_step(sensor, wrench[:, channel], channel),
-            len(wrench),
+    # In world axes no channel is one of the sensor's.
+    limits = sensor.response.limits(sensor.noise.resolution)
+    limits = np.full(6, np.inf) if sensor.wrench_frame == "world" else limits
+    figures = zip(believed_noise(sensor, wrench), _steps(sensor, wrench), limits, strict=True)
+    faults, standing = [], np.zeros_like(bad)
+    for channel, (deviation, step, limit) in enumerate(figures):
+        needed = longest_repeat(float(deviation), float(step), len(wrench))
+        found, standing[:, channel] = _standing(
+            raw.time, wrench[:, channel], channel, float(deviation), needed, float(limit)
         )
-        for start, stop in _equal_runs(wrench[:, channel], full):
-            if stop - start >= needed:
-                standing[start:stop, channel] = True
-                faults.append(
-                    _repeating(
-                        raw,
-                        wrench[:, channel],
-                        channel,
-                        (start, stop),
-                        float(deviations[channel]),
-                        needed,
-                    )
-                )
-                tops |= (
-                    {float(wrench[start, channel])}
-                    if faults[-1].kind is FaultKind.SATURATION
-                    else set()
-                )
-        same = np.isin(wrench[:, channel], list(tops)) & ~standing[:, channel]
-        standing[:, channel] |= same
-        faults += [
-            _at_the_top(raw, wrench[:, channel], channel, start, stop) for start, stop in runs(same)
-        ]
+        faults += found
     return faults, standing
 
 
-def _at_range(
-    sensor: "Sensor", values: Float[np.ndarray, "n"], channel: int
-) -> Bool[np.ndarray, "n"]:
-    limit = _limit(sensor, channel)
-    return (
-        np.zeros(len(values), dtype=bool) if limit is None else np.abs(values) >= limit * (1 - 1e-9)
-    )
+def _standing(
+    time: Times, values: Times, channel: int, deviation: float, needed: float, limit: float
+) -> tuple[list[Fault], Rows]:
+    name, unit = CHANNELS[channel], CHANNEL_UNITS[channel]
+    full = np.abs(values) >= limit * (1 - _ROUNDING)
+    marked, tops = full.copy(), []
+    found = [
+        (FaultKind.SATURATION, a, b, f"{b - a} readings of {name} at the range of {limit:g} {unit}")
+        for a, b in runs(full)
+    ]
+    for start, last in runs((np.diff(values) == 0) & ~full[1:] & ~full[:-1]):
+        stop = last + 1
+        if stop - start >= needed:
+            marked[start:stop] = True
+            flat = _flat_topped(values, start, stop, deviation)
+            tops += [values[start]] if flat else []
+            kind = FaultKind.SATURATION if flat else FaultKind.STUCK
+            text = (
+                f"{name} is {'flat-topped' if flat else 'stuck'} at {values[start]:.6g} {unit} for "
+                f"{stop - start} rows; {needed:.0f} in a row come by chance in one of a million "
+                "recordings"
+            )
+            found.append((kind, start, stop, text))
+    more = np.isin(values, tops) & ~marked
+    for a, b in runs(more):
+        text = f"{b - a} more readings of {name} at its flat top of {values[a]:.6g} {unit}"
+        found.append((FaultKind.SATURATION, a, b, text))
+    return [Fault.over(kind, (name,), time[a:b], text) for kind, a, b, text in found], marked | more
 
 
-def _saturated(sensor: "Sensor", raw: RawRecording, channel: int, start: int, stop: int) -> Fault:
-    text = f"{stop - start} readings of {CHANNELS[channel]} at the range of {_limit(sensor, channel):g} {CHANNEL_UNITS[channel]}"
-    return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
-
-
-def _at_the_top(
-    raw: RawRecording, values: Float[np.ndarray, "n"], channel: int, start: int, stop: int
-) -> Fault:
-    text = f"{stop - start} more readings of {CHANNELS[channel]} at its flat top of {values[start]:.6g} {CHANNEL_UNITS[channel]}"
-    return _fault(FaultKind.SATURATION, (CHANNELS[channel],), raw, start, stop, text)
-
-
-def _repeating(
-    raw: RawRecording,
-    values: Float[np.ndarray, "n"],
-    channel: int,
-    rows: tuple[int, int],
-    deviation: float,
-    needed: float,
-) -> Fault:
-    flat, name = _flat_topped(values, *rows, deviation), CHANNELS[channel]
-    word = "flat-topped" if flat else "stuck"
-    text = f"{name} is {word} at {values[rows[0]]:.6g} {CHANNEL_UNITS[channel]} for {rows[1] - rows[0]} rows; "
-    text += f"{needed:.0f} in a row come by chance in one of a million recordings"
-    return _fault(FaultKind.SATURATION if flat else FaultKind.STUCK, (name,), raw, *rows, text)
-
-
-def believed_noise(sensor: "Sensor", wrench: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
-    """White noise (6,) by second differences; of a channel that shows next to none, what the others
-    of its kind show, or what is stated if they agree with it.
-
-    0 for a noiseless simulation, whose third differences are small against its second ones; those
-    of white noise are larger by √(20/6).
-    """
-    good = wrench[np.isfinite(wrench).all(axis=1)]
-    own = np.nan_to_num(noise_by_differences(good)) if len(good) > _NEIGHBOURS else np.zeros(6)
-    if len(good) > _NEIGHBOURS:
-        second, third = (
-            np.median(np.abs(np.diff(good, n=order, axis=0)), axis=0) for order in (2, 3)
-        )
-        own = np.where(third > second, own, 0.0)
-    believed = own.copy()
-    for part in (slice(0, 3), slice(3, 6)):
-        usual = np.full(3, np.median(own[part]))
-        if sensor.force_noise is not None:
-            stated = sensor.noise[part]
-            usual = np.where(np.median(own[part] / stated) > _BELIEVED, stated, usual)
-        quiet = own[part] < _STUCK_SHARE * usual
-        believed[part] = np.where(quiet, usual, own[part])
-    return believed
-
-
-def _smallest_step(sensor: "Sensor", values: Float[np.ndarray, "n"], channel: int) -> float:
-    """Step of the numbers: as stated, or the smallest that they show, if that is larger."""
-    stated = float(sensor.resolution[channel])
-    different = np.diff(np.unique(values[np.isfinite(values)]))
-    # Equal decimals read as binary numbers differ in the last digit.
-    different = (
-        different[different > 1e-12 * np.nanmax(np.abs(values), initial=0.0)]
-        if len(different)
-        else different
-    )
-    return max(stated, float(different.min())) if len(different) else stated
-
-
-def _equal_runs(
-    values: Float[np.ndarray, "n"], without: Bool[np.ndarray, "n"]
-) -> list[tuple[int, int]]:
-    same = (np.diff(values) == 0) & ~without[1:] & ~without[:-1]
-    return [(start, stop + 1) for start, stop in runs(same) if stop + 1 - start >= _SHORTEST]
-
-
-def _flat_topped(values: Float[np.ndarray, "n"], start: int, stop: int, deviation: float) -> bool:
-    value = values[start]
-    finite = values[np.isfinite(values)]
-    if (
-        value not in (finite.max(), finite.min())
-        or abs(value - np.median(finite)) < _FLAT_TOP * deviation
-    ):
+def _flat_topped(values: Times, start: int, stop: int, deviation: float) -> bool:
+    value, finite = values[start], values[np.isfinite(values)]
+    height = abs(value - np.median(finite))
+    if value not in (finite.max(), finite.min()) or height < _FLAT_TOP * deviation:
         return False
     steps = np.abs(np.diff(values))
     usual = _FLAT_TOP * max(deviation, float(np.nanmedian(steps)))
     # Next to a row that is missing it is not known how the channel came or left.
-    before = start > 0 and steps[start - 1] > usual
-    after = stop < len(values) and steps[stop - 1] > usual
-    return not (before or after)
-
-
-def _limit(sensor: "Sensor", channel: int) -> float | None:
-    """Largest reading of a channel; none in world axes, in which no channel is one of the sensor's."""
-    largest, step = sensor.ranges[channel], float(sensor.resolution[channel])
-    if largest is None or sensor.wrench_frame == "world":
-        return None
-    return math.floor(largest / step + 1e-9) * step if step else largest
-
-
-def _fault(
-    kind: FaultKind, channels: tuple[str, ...], raw: RawRecording, start: int, stop: int, text: str
-) -> Fault:
-    return Fault(
-        kind, channels, float(raw.time[start]), float(raw.time[stop - 1]), stop - start, text
-    )
+    ends = np.concatenate([steps[max(0, start - 1) : start], steps[stop - 1 : stop]])
+    return not np.any(ends > usual)

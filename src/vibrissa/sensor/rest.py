@@ -1,36 +1,53 @@
 """Where a recording is at rest: stretches in which the wrench does not change beyond its noise."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.sensor.deviations import (
+    MEDIAN_TO_DEVIATION,
+    own_rows,
+    reading_deviation,
+    shown_steps,
+)
 from vibrissa.sensor.faults import Fault, FaultKind
 from vibrissa.sensor.maps import to_reactions
-from vibrissa.sensor.raw import CHANNELS, RawRecording
-from vibrissa.sensor.stamps import MEDIAN_TO_DEVIATION
+from vibrissa.sensor.raw import (
+    Covariances,
+    Interval,
+    RawRecording,
+    Rows,
+    Times,
+    Wrench,
+    Wrenches,
+    channel_names,
+)
 from vibrissa.sensor.tare import Tare, without_given
 
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
-Interval = tuple[float, float]
-
+# A block lasts two periods of the mains, and holds enough samples for a mean of them.
 _BLOCK_SECONDS = 0.04
 _BLOCK_SAMPLES = 5
+# Fewer means do not tell rest from a turning point of the load.
 _FEWEST_BLOCKS = 4
+# Standard errors: by chance in one of 10⁸ comparisons.
 _DEVIATIONS = 6.0
+# Share of a rest that is left out next to its change, which may have begun unnoticed.
 _GUARD = 0.1
 # Of the largest deviation from the first level: two rests that differ by more are not both free of
 # contact.
 _ANOTHER_LEVEL = 0.2
-_LOADED = 10.0
-_FEWEST_LOADED = 20
+# Standard deviations from which on a force is a load, and how many such samples a median needs.
+_LOADED, _FEWEST_LOADED = 10.0, 20
+# Of the sensor's whole way: one that travels more within a rest is not in contact there.
 _MOVED = 0.02
-_SLOWER, _OFTEN = 1 / 3, 0.05
-_NOISIER, _QUIETER = 1.5, 0.1
+# The median size of n normal numbers has the standard error 0.79/√n, where it is 0.67.
+_MEDIAN_ERROR = 0.79 / MEDIAN_TO_DEVIATION
 
 
 @dataclass(frozen=True)
@@ -50,38 +67,21 @@ class Rest:
     leading: Interval | None
     trailing: Interval | None
 
-
-def noise_by_differences(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
-    """Standard deviation (k,) of white noise on a smooth signal, by the median of second
-    differences; NaN with fewer than three rows.
-    """
-    second = np.abs(np.diff(values, n=2, axis=0))
-    if not len(second):
-        return np.full(values.shape[1], np.nan)
-    return np.asarray(np.median(second, axis=0) / (MEDIAN_TO_DEVIATION * np.sqrt(6)))
+    @property
+    def ends(self) -> tuple[Interval, Interval] | None:
+        """Rest at the start and another at the end, or None."""
+        if self.leading is None or self.trailing is None or self.leading == self.trailing:
+            return None
+        return self.leading, self.trailing
 
 
-def repeating_rows(wrench: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, "n"]:
-    """Rows that are equal to the one above in all channels."""
-    return np.concatenate([np.zeros(1, dtype=bool), np.all(np.diff(wrench, axis=0) == 0, axis=1)])[
-        : len(wrench)
-    ]
+class _Blocks(NamedTuple):
+    """Consecutive samples, their rows, and the means of their readings."""
 
-
-def own_rows(wrench: Float[np.ndarray, "n 6"]) -> Bool[np.ndarray, "n"]:
-    """Rows with a reading of their own: all, unless a third of them repeat the one above, as where
-    the sensor is slower than the log.
-
-    A simulation without noise repeats itself too, but in few stretches: before and after the
-    contact.
-    """
-    same = repeating_rows(wrench)
-    often = np.count_nonzero(np.diff(same.astype(np.int8)) > 0) > _OFTEN * len(same)
-    return (
-        ~same
-        if often and np.count_nonzero(same) > _SLOWER * len(same)
-        else np.ones(len(same), dtype=bool)
-    )
+    rows: Int[np.ndarray, "blocks size"]
+    means: Float[np.ndarray, "blocks 6"]
+    tolerance: Wrench
+    """Six standard errors (6,) of a block's mean."""
 
 
 def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
@@ -91,32 +91,21 @@ def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
     A stretch has at least four blocks, each of 0.04 s or five samples, whichever is longer. A
     weight of the mount and a drift that are given are taken off before.
     """
-    rows = np.flatnonzero(
-        np.isfinite(raw.wrench).all(axis=1) & np.isfinite(raw.time) & own_rows(raw.wrench)
-    )
-    size = _block_size(raw)
-    count = len(rows) // size
+    blocks = _blocks(sensor, raw, np.ones(len(raw.time), dtype=bool))
+    count = len(blocks.rows)
     if count < _FEWEST_BLOCKS:
         return Rest((), None, None)
-    blocks = rows[: count * size].reshape(count, size)
-    readings = without_given(sensor, raw)
-    means = readings[blocks].mean(axis=1)
-    tolerance = _tolerance(sensor, raw, readings[rows], size)
-    runs = _runs(means, tolerance)
     # The last stretch is followed from the end, so that it reaches it also where the offset drifts.
-    ending = [
-        (count - last, count - first) for first, last in _runs(means[::-1], tolerance) if first == 0
-    ]
-    runs = [run for run in runs if not ending or run[1] <= ending[0][0] or run[0] == 0] + [
-        run for run in ending if run not in runs or run[0] > 0
-    ]
+    ending = count - _stays(blocks.means[::-1], blocks.tolerance, 0)
+    ending = ending if count - ending >= _FEWEST_BLOCKS else count
     found: dict[tuple[int, int], Interval] = {}
-    for first, last in runs:
+    for first, last in [*_stretches(blocks), (ending, count)]:
         guard = max(1, round(_GUARD * (last - first)))
         begin, end = first + (guard if first > 0 else 0), last - (guard if last < count else 0)
-        if end - begin >= _FEWEST_BLOCKS:
-            stop = raw.time[blocks[end - 1, -1]] + 0.5 / raw.rate
-            found[first, last] = (float(raw.time[blocks[begin, 0]]), float(stop))
+        own = first == 0 or last <= ending or (first, last) == (ending, count)
+        if own and end - begin >= _FEWEST_BLOCKS:
+            stop = raw.time[blocks.rows[end - 1, -1]] + 0.5 / raw.rate
+            found[first, last] = (float(raw.time[blocks.rows[begin, 0]]), float(stop))
     leading = next((interval for (first, _), interval in found.items() if first == 0), None)
     trailing = next((interval for (_, last), interval in found.items() if last == count), None)
     return Rest(tuple(found.values()), leading, trailing)
@@ -131,253 +120,183 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
         If none is given and none can be found, because the recording starts in contact or under a
         changing load.
     """
-    first = float(raw.time[0])
-    estimated = sensor.mount is not None and sensor.mount.estimated
-    if sensor.rest_intervals:
-        return tuple(
-            (first + start, first + stop) for start, stop in sensor.rest_intervals
-        ), "given as rest_intervals"
-    if sensor.tare_seconds is not None and not estimated:
-        given = (first, first + sensor.tare_seconds)
-        if not sensor.estimate_drift:
-            return (given,), "given as tare_seconds"
-        trailing = find_rest(sensor, raw).trailing
-        if trailing is None or trailing[0] <= given[1]:
-            raise ValueError(
-                "estimate_drift = True: no rest is found at the end of the recording; allowed are rest_intervals that name one"
-            )
-        return (given, trailing), "given as tare_seconds, and found at the end"
+    policy, first = sensor.tare_policy, float(raw.time[0])
+    if policy.rest_intervals:
+        given = ((first + start, first + stop) for start, stop in policy.rest_intervals)
+        return tuple(given), "given as rest_intervals"
+    stated = policy.tare_seconds is not None and not sensor.estimates_mount
+    leading = (first, first + (policy.tare_seconds or 0.0))
+    if stated and not policy.estimate_drift:
+        return (leading,), "given as tare_seconds"
     rest = find_rest(sensor, raw)
-    if estimated:
+    if sensor.estimates_mount:
         return rest.intervals, "found automatically, in all orientations"
-    leading = _checked_leading(sensor, raw, rest)
-    if not sensor.estimate_drift:
+    if not stated:
+        leading = _checked_leading(sensor, raw, rest)
+    if not policy.estimate_drift:
         return (leading,), "found automatically"
-    if rest.trailing is None or rest.trailing == leading:
+    trailing, late = rest.trailing, leading[1] if stated else -np.inf
+    if trailing is None or trailing == leading or trailing[0] <= late:
         raise ValueError(
-            "estimate_drift = True: no rest is found at the end of the recording; allowed are rest_intervals that name one"
+            "estimate_drift = True: no rest is found at the end of the recording; allowed are "
+            "rest_intervals that name one"
         )
-    return (leading, rest.trailing), "found automatically, at the start and at the end"
+    if stated:
+        return (leading, trailing), "given as tare_seconds, and found at the end"
+    return (leading, trailing), "found automatically, at the start and at the end"
 
 
 def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> list[Fault]:
     """Given tare intervals in which the readings change by more than their noise, from the first
     block of samples that does: a contact, or a drift.
     """
-    readings = without_given(sensor, raw)
-    own = np.isfinite(raw.wrench).all(axis=1) & own_rows(raw.wrench)
     faults = []
-    for start, stop in tare.intervals:
-        rows = np.flatnonzero((raw.time >= start) & (raw.time < stop) & own)
-        size = _block_size(raw)
-        count = len(rows) // size
+    for interval in tare.intervals:
+        blocks = _blocks(sensor, raw, raw.during(interval))
+        count = len(blocks.rows)
         if count < _FEWEST_BLOCKS:
             continue
-        blocks = rows[: count * size].reshape(count, size)
-        means = readings[blocks].mean(axis=1) - (
-            raw.time[blocks].mean(axis=1)[:, None] - tare.epoch
-        ) * _found_drift(sensor, tare)
-        tolerance = _tolerance(sensor, raw, readings[own], size)
-        usual = np.array([means[:block].mean(axis=0) for block in range(1, count)])
-        off = np.abs(means[1:] - usual) > tolerance * np.sqrt(1 + 1 / np.arange(1, count))[:, None]
+        # A given drift is off the readings already.
+        drift = tare.drift - sensor.tare_policy.drift
+        elapsed = raw.time[blocks.rows].mean(axis=1) - tare.epoch
+        means = blocks.means - elapsed[:, None] * drift
+        before = np.arange(1, count)[:, None]
+        usual = np.cumsum(means, axis=0)[:-1] / before
+        off = np.abs(means[1:] - usual) > blocks.tolerance * np.sqrt(1 + 1 / before)
         if not off.any():
             continue
-        first = 1 + int(np.argmax(off.any(axis=1)))
-        channels = tuple(
-            name for name, changed in zip(CHANNELS, off.any(axis=0), strict=True) if changed
+        channels = channel_names(off.any(axis=0))
+        rows = blocks.rows[1 + int(np.argmax(off.any(axis=1))) :].ravel()
+        text = (
+            f"the tare, {tare.found}, is not taken at rest: {', '.join(channels)} change from "
+            f"{raw.time[rows[0]] - raw.time[0]:.3g} s on; a contact, or a drift"
         )
-        at, end = float(raw.time[blocks[first, 0]]), float(raw.time[rows[-1]])
-        text = f"the tare, {tare.found}, is not taken at rest: {', '.join(channels)} change from {at - float(raw.time[0]):.3g} s on; a contact, or a drift"
-        faults.append(
-            Fault(
-                FaultKind.REST,
-                channels,
-                at,
-                end,
-                int(np.count_nonzero(rows >= blocks[first, 0])),
-                text,
-            )
-        )
+        faults.append(Fault.over(FaultKind.REST, channels, raw.time[rows], text))
     return faults
 
 
-def _found_drift(sensor: "Sensor", tare: Tare) -> Float[np.ndarray, "6"]:
-    """The drift that was estimated; a given one is off the readings already."""
-    return tare.drift - np.concatenate([sensor.force_drift, sensor.torque_drift])
-
-
 def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interval:
+    """The rest at the start, unless there is none, or the one at the end has another level and
+    leaves loads that fit a single contact better.
+    """
     first = float(raw.time[0])
-    advice = "allowed are tare_seconds or rest_intervals that are free of contact, or tare_seconds = 0 for no tare"
-    others = ", ".join(
-        f"{start - first:.3g} s to {stop - first:.3g} s" for start, stop in rest.intervals[:4]
+    advice = (
+        "allowed are tare_seconds or rest_intervals that are free of contact, or tare_seconds = 0 "
+        "for no tare"
     )
-    elsewhere = f" (the wrench does not change from {others} after its start)" if others else ""
     if rest.leading is None:
+        others = ", ".join(f"{a - first:.3g} s to {b - first:.3g} s" for a, b in rest.intervals[:4])
+        elsewhere = f" (the wrench does not change from {others} after its start)" if others else ""
         raise ValueError(
-            f"tare_seconds is not given, and the recording starts in contact or under a changing load{elsewhere}; {advice}"
+            "tare_seconds is not given, and the recording starts in contact or under a changing "
+            f"load{elsewhere}; {advice}"
         )
-    if rest.trailing is None or rest.trailing == rest.leading:
+    if rest.ends is None:
         return rest.leading
     readings = without_given(sensor, raw)
-    levels = [_level(raw, readings, interval) for interval in (rest.leading, rest.trailing)]
+    levels = [np.nanmean(readings[raw.during(interval)], axis=0) for interval in rest.ends]
     largest = np.nanmax(np.abs(readings - levels[0]), axis=0)
-    step = max(
-        float(np.linalg.norm((levels[1] - levels[0])[part]))
-        / (float(np.linalg.norm(largest[part])) + 1e-300)
-        for part in _PARTS
+    moved, most = (
+        np.linalg.norm(part.reshape(2, 3), axis=1) for part in (levels[1] - levels[0], largest)
     )
+    step = float(np.max(moved / (most + 1e-300)))
     if step < _ANOTHER_LEVEL:
         return rest.leading
-    between = np.ones(len(raw.time), dtype=bool)
-    for start, stop in rest.intervals:
-        between &= (raw.time < start) | (raw.time >= stop)
-    choice = _better_level(
-        *(
-            single_contact_residuals(
-                sensor, raw, np.where(between[:, None], readings - level, np.nan)
-            )
-            for level in levels
-        )
-    )
-    if choice == 0 or (choice is None and _travelled(raw, rest.leading) > _MOVED):
+    between = ~np.any([raw.during(interval) for interval in rest.intervals], axis=0)
+    early, late = (_contact_misfits(sensor, raw, readings - level, between) for level in levels)
+    # Where the samples between do not tell the two apart, one that travels is free of contact.
+    better = _clearly_less(late, early)
+    if better is False or (better is None and _travelled(raw, rest.leading) > _MOVED):
         return rest.leading
     raise ValueError(
-        f"tare_seconds is not given, and the rest at the start, to {rest.leading[1] - first:.3g} s, seems to be in contact: the one at the end, from "
-        f"{rest.trailing[0] - first:.3g} s, is another by {step:.0%} of the largest load; {advice}"
+        "tare_seconds is not given, and the rest at the start, to "
+        f"{rest.leading[1] - first:.3g} s, seems to be in contact: the one at the end, from "
+        f"{rest.ends[1][0] - first:.3g} s, differs from it by {step:.0%} of the largest load; "
+        f"{advice}"
     )
 
 
-_PARTS = (slice(0, 3), slice(3, 6))
-
-
-def _better_level(first: Float[np.ndarray, "m"], second: Float[np.ndarray, "k"]) -> int | None:
-    """Which of two tares leaves forces and moments that fit a single contact better, by six
-    standard errors of a median; None for neither.
+def _clearly_less(first: Float[np.ndarray, "k"], second: Float[np.ndarray, "m"]) -> bool | None:
+    """Whether the first median is below the second; None where they do not differ by six standard
+    errors, or too few numbers are there.
     """
     fewest = min(len(first), len(second))
     if fewest < _FEWEST_LOADED:
         return None
-    medians = [float(np.median(part)) for part in (first, second)]
-    # Of n normal numbers the median of the sizes has the standard error 0.79/√n, in units in which
-    # it is 0.67.
-    apart = _DEVIATIONS * 0.79 / np.sqrt(fewest) * min(medians) / MEDIAN_TO_DEVIATION
-    if abs(medians[1] - medians[0]) <= apart:
-        return None
-    return int(medians[1] < medians[0])
+    medians = float(np.median(first)), float(np.median(second))
+    apart = _DEVIATIONS * _MEDIAN_ERROR / np.sqrt(fewest) * min(medians)
+    return None if abs(medians[0] - medians[1]) <= apart else medians[0] < medians[1]
 
 
-def single_contact_residuals(
-    sensor: "Sensor", raw: RawRecording, loads: Float[np.ndarray, "n 6"]
+def _contact_misfits(
+    sensor: "Sensor", raw: RawRecording, loads: Wrenches, rows: Rows
 ) -> Float[np.ndarray, "m"]:
-    """Sizes of m0·f0 in its standard deviations (m,) on the loaded samples (mechanics.md, "Statics
-    alone").
+    """Sizes of m0·f0 in its standard deviations (m,) on the loaded ones of some rows."""
+    rows = rows & np.isfinite(loads).all(axis=1)
+    deviation = reading_deviation(sensor, loads[rows])
+    rows = rows & np.isfinite(raw.orientation).all(axis=1)
+    rows[rows] = np.linalg.norm(loads[rows, :3], axis=1) > _LOADED * deviation[0]
+    if np.count_nonzero(rows) < _FEWEST_LOADED:
+        return np.zeros(0)
+    maps = to_reactions(sensor, rotation_matrices(raw.orientation[rows]))
+    at_clamp = np.einsum("nij,nj->ni", maps, loads[rows])
+    return contact_misfits(at_clamp, (maps * deviation**2) @ np.swapaxes(maps, 1, 2))
+
+
+def contact_misfits(wrench: Wrenches, covariance: Covariances) -> Times:
+    """Sizes (n,) of m0·f0 in its standard deviations, which is zero for a single contact
+    (mechanics.md, "Statics alone").
     """
-    deviation = reading_deviation(sensor, loads[np.isfinite(loads).all(axis=1)])
-    loaded = np.linalg.norm(loads[:, :3], axis=1) > _LOADED * deviation[0]
-    loaded &= np.isfinite(raw.orientation).all(axis=1)
-    maps = (
-        to_reactions(sensor, rotation_matrices(raw.orientation[loaded]))
-        if loaded.any()
-        else np.zeros((0, 6, 6))
-    )
-    at_clamp = np.einsum("nij,nj->ni", maps, loads[loaded])
-    gradient = np.concatenate([at_clamp[:, 3:], at_clamp[:, :3]], axis=1)
-    spread = np.sqrt(np.sum((np.einsum("nij,ni->nj", maps, gradient) * deviation) ** 2, axis=1))
-    product = np.abs(np.einsum("ni,ni->n", at_clamp[:, :3], at_clamp[:, 3:]))
-    return product / np.maximum(spread, 1e-300)
+    gradient = np.roll(wrench, 3, axis=1)
+    spread = np.sqrt(np.einsum("ni,nij,nj->n", gradient, covariance, gradient))
+    return np.abs(np.sum(wrench[:, :3] * wrench[:, 3:], axis=1)) / np.maximum(spread, 1e-300)
 
 
-def reading_deviation(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
-    """Standard deviation (6,) of a reading: as stated, or as second differences show where it is
-    not, or where they show half as much again or a tenth.
-    """
-    if not len(values):
-        return np.ones(6)
-    own = np.nan_to_num(noise_by_differences(values))
-    if sensor.force_noise is None:
-        return np.maximum(own, 1e-6 * np.ptp(values, axis=0)) + 1e-300
-    stated = np.sqrt(sensor.reading_variance)
-    least = np.maximum(own, 1e-6 * np.ptp(values, axis=0)) + 1e-300
-    steps = shown_steps(sensor, values)
-    # Steps coarser than the noise hide it; elsewhere a tenth of what is stated is another unit, or
-    # a simulation.
-    quieter = (least < _QUIETER * stated) & (steps < stated)
-    return np.where((own > _NOISIER * stated) | quieter, least, stated)
+def _blocks(sensor: "Sensor", raw: RawRecording, rows: Rows) -> _Blocks:
+    """Blocks of the usable ones of some rows, a given drift and weight taken off."""
+    usable, readings = raw.whole & own_rows(raw.wrench), without_given(sensor, raw)
+    wanted = _BLOCK_SECONDS * raw.rate if np.isfinite(raw.rate) else 0.0
+    size = max(_BLOCK_SAMPLES, round(wanted))
+    chosen = np.flatnonzero(usable & rows)
+    blocks = chosen[: len(chosen) // size * size].reshape(-1, size)
+    variance = np.zeros(6)
+    if len(blocks):
+        variance += reading_deviation(sensor, readings[usable]) ** 2 / size
+        variance += (shown_steps(sensor, readings[usable]) / 4) ** 2
+        start, length = float(raw.time[usable][0]), size / raw.rate
+        early = (start, start + length)
+        # The offset wanders between the blocks of a stretch: ten blocks apart on average.
+        late = (start + 10 * length, start + 11 * length)
+        for process, scale in sensor.noise.coloured(raw.time[np.isfinite(raw.time)]):
+            apart = process.between_means(early, early) + process.between_means(late, late)
+            apart -= 2 * process.between_means(early, late)
+            variance += scale**2 * max(apart, 0.0)
+    return _Blocks(blocks, readings[blocks].mean(axis=1), _DEVIATIONS * np.sqrt(variance))
 
 
-def shown_steps(sensor: "Sensor", values: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6"]:
-    """Stated steps (6,) of the numbers; 0 where the numbers show finer ones."""
-    stated = sensor.resolution
-    different = np.abs(np.diff(values, axis=0))
-    smallest = np.min(
-        np.where(different > 1e-9 * np.maximum(stated, 1e-300), different, np.inf),
-        axis=0,
-        initial=np.inf,
-    )
-    return np.where(smallest < stated / 2, 0.0, stated)
+def _stretches(blocks: _Blocks) -> list[tuple[int, int]]:
+    """Stretches [first, last) of four blocks and more that stay near their mean so far."""
+    found, first = [], 0
+    while first < len(blocks.means):
+        last = _stays(blocks.means, blocks.tolerance, first)
+        if last - first >= _FEWEST_BLOCKS:
+            found.append((first, last))
+        first = last
+    return found
 
 
-def _block_size(raw: RawRecording) -> int:
-    rate = raw.rate
-    return (
-        max(_BLOCK_SAMPLES, round(_BLOCK_SECONDS * rate))
-        if np.isfinite(rate) and rate < 1e9
-        else _BLOCK_SAMPLES
-    )
-
-
-def _tolerance(
-    sensor: "Sensor", raw: RawRecording, values: Float[np.ndarray, "n 6"], size: int
-) -> Float[np.ndarray, "6"]:
-    variance = (
-        reading_deviation(sensor, values) ** 2 / size + (shown_steps(sensor, values) / 4) ** 2
-    )
-    span = raw.time[np.isfinite(raw.time)]
-    for process, scale in sensor.coloured(span):
-        length = size / raw.rate
-        early, late = (
-            (float(span[0]), float(span[0]) + length),
-            (float(span[0]) + 10 * length, float(span[0]) + 11 * length),
-        )
-        apart = (
-            process.between_means(early, early)
-            + process.between_means(late, late)
-            - 2 * process.between_means(early, late)
-        )
-        variance = variance + scale**2 * max(apart, 0.0)
-    return _DEVIATIONS * np.sqrt(variance)
-
-
-def _runs(
-    means: Float[np.ndarray, "b 6"], tolerance: Float[np.ndarray, "6"]
-) -> list[tuple[int, int]]:
-    """Stretches [first, last) of blocks that stay near their mean so far."""
-    runs, first, total = [], 0, means[0].copy()
-    for block in range(1, len(means) + 1):
-        if block < len(means) and np.all(
-            np.abs(means[block] - total / (block - first))
-            <= tolerance * np.sqrt(1 + 1 / (block - first))
-        ):
-            total += means[block]
-            continue
-        if block - first >= _FEWEST_BLOCKS:
-            runs.append((first, block))
-        if block < len(means):
-            first, total = block, means[block].copy()
-    return runs
-
-
-def _level(
-    raw: RawRecording, readings: Float[np.ndarray, "n 6"], interval: Interval
-) -> Float[np.ndarray, "6"]:
-    return np.asarray(
-        np.nanmean(readings[(raw.time >= interval[0]) & (raw.time < interval[1])], axis=0)
-    )
+def _stays(means: Float[np.ndarray, "blocks 6"], tolerance: Wrench, first: int) -> int:
+    """First block that is off the mean of those since `first`."""
+    total = means[first].copy()
+    for count, mean in enumerate(means[first + 1 :], start=1):
+        if np.any(np.abs(mean - total / count) > tolerance * np.sqrt(1 + 1 / count)):
+            return first + count
+        total += mean
+    return len(means)
 
 
 def _travelled(raw: RawRecording, interval: Interval) -> float:
     """Share of the whole way of the sensor that lies within an interval."""
-    inside = raw.position[(raw.time >= interval[0]) & (raw.time < interval[1])]
+    inside = raw.position[raw.during(interval)]
     whole = float(np.linalg.norm(np.ptp(raw.position, axis=0)))
     return float(np.linalg.norm(inside[-1] - inside[0])) / whole if whole > 0 else 0.0

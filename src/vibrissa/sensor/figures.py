@@ -1,0 +1,283 @@
+"""Figures of a sensor: its noise, its response to a wrench, and how its zero is found."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from vibrissa.geometry.checks import finite_array
+from vibrissa.sensor.lowpass import LowPass
+from vibrissa.sensor.noise import Coloured, Pink, RandomWalk
+from vibrissa.sensor.raw import Interval, Times, Wrench
+
+Vector = tuple[float, float, float]
+PerAxis = float | Vector
+
+# Solving with a matrix of this condition keeps half of the sixteen digits.
+_LARGEST_CONDITION = 1e8
+# Decimals read as binary numbers: a range of 20 steps must not end at 19.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Random errors of readings and poses. Figures of force and torque are one number for all axes,
+    or one for each.
+
+    Attributes
+    ----------
+    force_noise, torque_noise
+        Standard deviation of a sample's white noise [N], [N m], greater than 0; None where unknown.
+    force_resolution, torque_resolution
+        Steps of the numbers [N], [N m].
+    force_random_walk, torque_random_walk
+        Standard deviation of a random walk after one second [N/√s], [N m/√s]; it grows with the
+        root of the time.
+    noise_corner
+        Frequency [Hz] at which pink noise has the power spectral density of the white noise; 0 for
+        none.
+    position_noise, orientation_noise
+        Standard deviation of the robot's position [m] and of its orientation's rotation vector
+        [rad] on each axis; the position's is used where the wrench's noise is known. The
+        orientation's turns rod and wrench as one body about the sensor's origin, also a wrench in
+        world axes, which was turned by the orientation that is logged: it moves a contact by its
+        cross product with the vector from there. That the mount's weight is taken off in an
+        orientation that is not the true one enters no covariance.
+
+    Raises
+    ------
+    ValueError
+        If a figure is negative or not finite, of white noise one part is given without the other,
+        or pink noise or a random walk without white noise.
+    """
+
+    force_noise: PerAxis | None = None
+    torque_noise: PerAxis | None = None
+    force_resolution: PerAxis = 0.0
+    torque_resolution: PerAxis = 0.0
+    force_random_walk: PerAxis = 0.0
+    torque_random_walk: PerAxis = 0.0
+    noise_corner: float = 0.0
+    position_noise: float = 0.0
+    orientation_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            _check_figure(name, value)
+        if (self.force_noise is None) != (self.torque_noise is None):
+            raise ValueError(
+                "force_noise and torque_noise: one is given without the other; "
+                "allowed are both or none"
+            )
+        for name in ("noise_corner", "force_random_walk", "torque_random_walk"):
+            if not self.known and np.any(getattr(self, name)):
+                raise ValueError(
+                    f"{name} = {getattr(self, name)} without force_noise and torque_noise; "
+                    "allowed is 0, or both beside it"
+                )
+
+    @property
+    def known(self) -> bool:
+        """Whether the white noise is stated."""
+        return self.force_noise is not None
+
+    @property
+    def white(self) -> Wrench:
+        """Standard deviation (6,) of the channels' white noise [N], [N m].
+
+        Raises
+        ------
+        ValueError
+            If it is not known.
+        """
+        if self.force_noise is None or self.torque_noise is None:
+            raise ValueError(
+                "force_noise = None: the variance of a reading is not known; "
+                "allowed is a sensor with force_noise and torque_noise"
+            )
+        return _six(self.force_noise, self.torque_noise)
+
+    @property
+    def resolution(self) -> Wrench:
+        """Steps (6,) of the channels' numbers [N], [N m]; 0 for none."""
+        return _six(self.force_resolution, self.torque_resolution)
+
+    @property
+    def random_walk(self) -> Wrench:
+        """Standard deviation (6,) of the channels' random walk after a second [N/√s], [N m/√s]."""
+        return _six(self.force_random_walk, self.torque_random_walk)
+
+    @property
+    def variance(self) -> Wrench:
+        """Variance (6,) of one reading's white noise and rounding [N²], [(N m)²].
+
+        Raises
+        ------
+        ValueError
+            If the noise is not known.
+        """
+        return self.white**2 + self.resolution**2 / 12
+
+    @property
+    def lasting(self) -> bool:
+        """Whether there is noise that a mean does not average out."""
+        return self.noise_corner > 0 or bool(np.any(self.random_walk))
+
+    def coloured(self, time: Times) -> list[Coloured]:
+        """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the
+        channels; those that the sensor has.
+        """
+        if not len(time):
+            return []
+        interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        return self.coloured_within(float(time[0]), float(time[-1] - time[0]), interval)
+
+    def coloured_within(self, start: float, duration: float, interval: float) -> list[Coloured]:
+        """The same for a recording that starts at `start`, of this duration, sampled at this
+        interval [s]; without pink noise where that is 0.
+        """
+        processes: list[Coloured] = []
+        if self.noise_corner > 0 and interval > 0:
+            # One-sided density of white noise: twice its variance over the rate; the pink noise's
+            # is that at the corner.
+            factor = np.sqrt(2 * self.noise_corner * interval)
+            processes.append((Pink.within(duration, interval), factor * self.white))
+        if np.any(self.random_walk):
+            processes.append((RandomWalk(start), self.random_walk))
+        return processes
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """How the sensor answers a wrench, apart from noise.
+
+    Attributes
+    ----------
+    gain
+        Reading over true value of the six channels, force x, y, z and torque x, y, z in the
+        sensor's axes, before the cross-talk.
+    cross_talk
+        Matrix (6, 6) that takes the true wrench (force, torque) in sensor axes to the readings;
+        None for the identity.
+    force_range, torque_range
+        Largest reading on each axis (3,) [N], [N m]; None where not known.
+    low_pass
+        Filter and delay of the electronics, or None.
+
+    Raises
+    ------
+    ValueError
+        If a gain or a range is not greater than 0, or the cross-talk has no inverse.
+    """
+
+    gain: tuple[float, float, float, float, float, float] = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    cross_talk: Float[np.ndarray, "6 6"] | None = None
+    force_range: Vector | None = None
+    torque_range: Vector | None = None
+    low_pass: LowPass | None = None
+
+    def __post_init__(self) -> None:
+        for name, size, numbers in (
+            ("gain", 6, "six numbers"),
+            ("force_range", 3, "three finite numbers"),
+            ("torque_range", 3, "three finite numbers"),
+        ):
+            value = getattr(self, name)
+            if value is not None and np.any(finite_array(value, name, last=size, ndim=1) <= 0):
+                raise ValueError(f"{name} = {value!r}; allowed are {numbers} greater than 0")
+        if self.cross_talk is None:
+            return
+        matrix = finite_array(self.cross_talk, "cross_talk", last=6, ndim=2)
+        if matrix.shape != (6, 6):
+            raise ValueError(f"cross_talk has shape {matrix.shape}; allowed is (6, 6)")
+        condition = float(np.linalg.cond(matrix))
+        if not condition < _LARGEST_CONDITION:
+            raise ValueError(
+                f"cross_talk has the condition {condition:.3g}; allowed is a matrix with an "
+                f"inverse, of a condition below {_LARGEST_CONDITION:g}"
+            )
+        object.__setattr__(self, "cross_talk", matrix)
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "6 6"]:
+        """What takes the true wrench in sensor axes to the readings: gain, then cross-talk."""
+        return (np.eye(6) if self.cross_talk is None else self.cross_talk) * np.asarray(self.gain)
+
+    def limits(self, resolution: Wrench) -> Wrench:
+        """Largest reading (6,) of each channel [N], [N m]: the last step within its range, infinite
+        where that is not known.
+        """
+        ranges = _six(
+            *(np.inf if part is None else part for part in (self.force_range, self.torque_range))
+        )
+        step = np.where(resolution > 0, resolution, 1.0)
+        return np.where(resolution > 0, np.floor(ranges / step + _ROUNDING) * step, ranges)
+
+
+@dataclass(frozen=True)
+class TarePolicy:
+    """Where the sensor's zero is taken, and what is known of its drift.
+
+    Attributes
+    ----------
+    tare_seconds
+        Leading time [s] free of contact, whose mean wrench is taken off; 0 for none, None for the
+        rest that is found at the start.
+    rest_intervals
+        Pairs (start, stop) [s] since the recording's start that are free of contact; they take the
+        place of `tare_seconds`.
+    estimate_drift
+        Whether the offset changes linearly, at a rate that is found from rest at the start and at
+        the end, on top of a given one.
+    force_drift, torque_drift
+        Known rates of the offset (3,) [N/s], [N m/s], in the axes of the wrench, since the
+        recording's start.
+
+    Raises
+    ------
+    ValueError
+        If a figure is negative or not finite, or rest intervals are not in order.
+    """
+
+    tare_seconds: float | None = 0.0
+    rest_intervals: tuple[Interval, ...] = ()
+    estimate_drift: bool = False
+    force_drift: Vector = (0.0, 0.0, 0.0)
+    torque_drift: Vector = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _check_figure("tare_seconds", self.tare_seconds)
+        for name in ("force_drift", "torque_drift"):
+            finite_array(getattr(self, name), name, last=3, ndim=1)
+        if not self.rest_intervals:
+            return
+        edges = finite_array(self.rest_intervals, "rest_intervals", last=2, ndim=2).ravel()
+        if np.any(np.diff(edges, prepend=0.0) < 0) or np.any(edges[1::2] <= edges[::2]):
+            raise ValueError(
+                f"rest_intervals = {self.rest_intervals}; allowed are pairs (start, stop) of at "
+                "least 0, in order, that do not overlap"
+            )
+
+    @property
+    def drift(self) -> Wrench:
+        """Known rates (6,) of the offset [N/s], [N m/s]."""
+        return _six(self.force_drift, self.torque_drift)
+
+
+def _six(force: PerAxis, torque: PerAxis) -> Wrench:
+    """Figures of the six channels, of one number for all axes or one for each."""
+    return np.concatenate([np.broadcast_to(part, 3) for part in (force, torque)]).astype(float)
+
+
+def _check_figure(name: str, value: PerAxis | None) -> None:
+    white, by_axis = name in {"force_noise", "torque_noise"}, name.startswith(("force", "torque"))
+    if value is None and (white or name == "tare_seconds"):
+        return
+    numbers = np.asarray(value, dtype=float)
+    shaped = numbers.shape == () or (by_axis and numbers.shape == (3,))
+    if not (
+        shaped and np.isfinite(numbers).all() and np.all(numbers > 0 if white else numbers >= 0)
+    ):
+        least = "greater than 0, or none where the noise is not known" if white else "of at least 0"
+        each = ", or three of them" if by_axis else ""
+        raise ValueError(f"{name} = {value!r}; allowed is a finite number {least}{each}")

@@ -136,15 +136,17 @@ def _product(
     """Value and derivatives of a sum of products of one function of each coordinate, cubics in the
     share of a cell.
     """
-    powers = jnp.stack([jnp.ones_like(share), share, share * share, share * share * share])
-    functions = jnp.tensordot(basis[: order + 1], powers, axes=1)
-    scale = spacing ** -np.arange(order + 1.0)[:, None]
-    x, y, z = (functions[..., axis] * scale for axis in range(3))
-    along_z = jnp.sum(block[..., None, :] * z, axis=-1)
-    along_y = jnp.sum(along_z[:, :, None, :] * y.T[:, :, None], axis=1)
-    sums = jnp.sum(along_y[:, None] * x.T[:, :, None, None], axis=0)
+    c = basis[: order + 1, ..., None]
+    functions = ((c[:, :, 3] * share + c[:, :, 2]) * share + c[:, :, 1]) * share + c[:, :, 0]
+    sums = block
+    for axis in (2, 1, 0):
+        # Term by term: a third of the time of the library's contractions, whose lanes lie outside.
+        function = functions[..., axis, None, None]
+        sums = sum(function[:, k] * sums[..., k] for k in range(len(block)))
     indices = (np.zeros(3, dtype=int), _UNIT, _SECOND)[: order + 1]
-    return tuple(sums[tuple(np.moveaxis(index, -1, 0))] for index in indices)
+    return tuple(
+        sums[tuple(np.moveaxis(index, -1, 0))] / spacing**n for n, index in enumerate(indices)
+    )
 
 
 def _with_triangles(

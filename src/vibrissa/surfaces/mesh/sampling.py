@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from vibrissa.numerics.compiled import compiled
 from vibrissa.surfaces.mesh.creases import Sheets
 from vibrissa.surfaces.mesh.libraries import library
-from vibrissa.surfaces.mesh.patches import Patch, refined_level
+from vibrissa.surfaces.mesh.patches import Patch, nearest, refined_level
 
 # Distance from the surface [spacings] up to which the sign is that of the smooth surface, not of the
 # triangles.
@@ -54,6 +54,20 @@ def chunked(kernel: Callable[..., Array], *columns: np.ndarray) -> np.ndarray:
         filled = (np.concatenate([row, np.repeat(row[:1], _CHUNK - count, axis=0)]) for row in rows)
         parts.append(np.asarray(kernel(*filled))[:count])
     return np.concatenate(parts)
+
+
+@compiled
+def _squared_distances(
+    points: Float[Array, "n 3"], triangles: Float[Array, "n 3 3"]
+) -> Float[Array, "n"]:
+    return jax.vmap(lambda point, corners: nearest(point, corners).squared)(points, triangles)
+
+
+def _distances(
+    points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]
+) -> Float[np.ndarray, "n"]:
+    """Distances of points from flat triangles, one each."""
+    return np.sqrt(chunked(_squared_distances, points, triangles))
 
 
 class Surveyor:
@@ -122,21 +136,13 @@ def node_levels(
         far.reshape(grid.size), return_distances=False, return_indices=True
     )
     seed = np.ravel_multi_index(tuple(seed), grid.size).ravel()[far]
-    distance = np.sqrt(_squared(points[far], sheet.vertices[sheet.faces[triangle[seed]]]))
+    distance = _distances(points[far], sheet.patches.vertices[triangle[seed]])
     level[far] = np.copysign(distance, level[seed])
     within = np.flatnonzero(~far)
     walked = surveyor.levels(points[within], triangle[within])
     outer = np.abs(level[within]) > _NEAR * grid.spacing
     level[within] = np.where(outer, np.copysign(walked, level[within]), walked)
     return level
-
-
-def _squared(
-    points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]
-) -> Float[np.ndarray, "n"]:
-    """Squared distances of points from triangles, one each."""
-    closest = library("trimesh.triangles").closest_point(triangles, points)
-    return np.sum((points - closest) ** 2, axis=1)
 
 
 def candidates(
@@ -156,20 +162,22 @@ def candidates(
     )
     corners, tree = vertices[faces], cKDTree(middles)
     center = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1) + bound.max()
+    size = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1)
     pairs = []
     for first in range(0, len(faces), _PIECES):
         rows = slice(first, first + _PIECES)
-        found = tree.query_ball_point(center[rows], radius[rows])
+        found = tree.query_ball_point(center[rows], size[rows] + bound.max())
         piece = first + np.repeat(np.arange(len(found)), [len(cells) for cells in found])
         cell = np.concatenate(found).astype(np.int64)
-        close = _squared(middles[cell], corners[piece]) <= bound[cell] ** 2
+        near = np.linalg.norm(middles[cell] - center[piece], axis=1) <= size[piece] + bound[cell]
+        piece, cell = piece[near], cell[near]
+        close = _distances(middles[cell], corners[piece]) <= bound[cell]
         pairs.append(cell[close] * len(sheet.faces) + owner[piece[close]])
     cell, triangle = np.divmod(np.unique(np.concatenate(pairs)), len(sheet.faces))
     needed = np.zeros(len(cell), dtype=bool)
     starts = np.searchsorted(cell, np.arange(len(cells)))
     for corner in np.ndindex(2, 2, 2):
         eighth = middles + (np.array(corner) - 0.5) * grid.spacing / 2
-        distance = np.sqrt(_squared(eighth[cell], sheet.vertices[sheet.faces[triangle]]))
+        distance = _distances(eighth[cell], sheet.patches.vertices[triangle])
         needed |= distance <= np.minimum.reduceat(distance, starts)[cell] + diagonal / 2
     return cell[needed], triangle[needed]

@@ -176,9 +176,7 @@ def _with_triangles(
         near = _apart(frozen(point, patch))
         exact = _apart(_derivatives(lambda q: patch_level(q, patch, near), point, order))
         blended = _weighted(weight, tuple(e - s for e, s in zip(exact, smooth, strict=True)))
-        found = tuple(
-            jnp.where(needed, s + b, s) for s, b in zip(smooth, blended, strict=True)
-        )
+        found = tuple(jnp.where(needed, s + b, s) for s, b in zip(smooth, blended, strict=True))
         return jnp.zeros_like(needed), -point, found
 
     return lax.while_loop(unfinished, blend, (triangles.count[row] > 0, point, smooth))[2]

@@ -213,9 +213,7 @@ def _outside_both(distances: Float[Array, "2"], cosine: Scalar) -> Scalar:
     along = (distances - cosine * distances[::-1]) / jnp.maximum(1 - cosine * cosine, _FLATTEST)
     squared = along[0] * distances[0] + along[1] * distances[1]
     radius = jnp.sqrt(jnp.where(squared > _TINY, squared, _TINY))
-    outside = jnp.where(
-        along[0] <= 0, distances[1], jnp.where(along[1] <= 0, distances[0], radius)
-    )
+    outside = jnp.where(along[0] <= 0, distances[1], jnp.where(along[1] <= 0, distances[0], radius))
     return jnp.where(jnp.all(distances <= 0), jnp.maximum(distances[0], distances[1]), outside)
 
 

@@ -92,13 +92,17 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
             "does not intersect itself"
         )
     kept, f = np.unique(f, return_inverse=True)
-    return v[kept], f, Repairs(
-        merged_vertices=merged,
-        unreferenced_vertices=len(v) - merged - len(kept),
-        degenerate_faces=len(given) - len(proper) + flat,
-        duplicate_faces=len(proper) - len(distinct),
-        flipped_faces=int(flipped),
-        filled_holes=filled,
+    return (
+        v[kept],
+        f,
+        Repairs(
+            merged_vertices=merged,
+            unreferenced_vertices=len(v) - merged - len(kept),
+            degenerate_faces=len(given) - len(proper) + flat,
+            duplicate_faces=len(proper) - len(distinct),
+            flipped_faces=int(flipped),
+            filled_holes=filled,
+        ),
     )
 
 
@@ -174,16 +178,16 @@ def _refuse_open(f: Faces, *, closable: bool) -> None:
 
 
 def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
-    """Closed rims of the holes, vertices in order. libigl's `boundary_loop_all` loses vertices where
-    two holes meet in one.
+    """Closed rims of the holes, vertices in order: libigl's `boundary_loop_all` loses some where two
+    holes meet in a vertex.
     """
     following: dict[int, list[int]] = {}
     for start, stop in boundary.tolist():
         following.setdefault(start, []).append(stop)
     rims = []
-    for start in following:
-        while following[start]:
-            rim, here = [start], following[start].pop()
+    for start, stops in following.items():
+        while stops:
+            rim, here = [start], stops.pop()
             while here != start and following.get(here):
                 rim.append(here)
                 here = following[here].pop()

@@ -16,8 +16,8 @@ from vibrissa.surfaces.mesh.creases import Sheets
 from vibrissa.surfaces.mesh.libraries import library
 from vibrissa.surfaces.mesh.patches import Patch, nearest, refined_level
 
-# Distance from the surface [spacings] up to which the sign is that of the smooth surface, not of the
-# triangles.
+# Distance from the surface [spacings] up to which the sign is that of the smooth surface, not that
+# of the triangles.
 _NEAR = 1.5
 # Points handed to compiled code at once.
 _CHUNK = 1 << 15
@@ -107,9 +107,7 @@ def _walked(
 
         def step(state: State) -> State:
             here, _, _, steps = state
-            level, weights = refined_level(
-                point, jax.tree.map(lambda part: part[here], patches)
-            )
+            level, weights = refined_level(point, jax.tree.map(lambda part: part[here], patches))
             lowest = jnp.argmin(weights)
             beyond = weights[lowest] < _BEYOND
             return jnp.where(beyond, neighbours[here, lowest], -1), level, here, steps + 1

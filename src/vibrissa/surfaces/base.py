@@ -217,4 +217,4 @@ def _at(
     array = finite_array(points, "points", last=3)
     found = _over_points(function, surface, jnp.asarray(array.reshape(-1, 3)))
     batch = array.shape[:-1]
-    return array, *(np.asarray(part).reshape(*batch, *part.shape[1:]) for part in found)
+    return array, *(np.asarray(part).reshape(batch + part.shape[1:]) for part in found)

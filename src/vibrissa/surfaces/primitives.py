@@ -26,7 +26,7 @@ class Box(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        x, y, z = magnitude(point - self.center) - self.half_extents
+        x, y, z = magnitude(point - jnp.asarray(self.center)) - jnp.asarray(self.half_extents)
         # The largest on its own where a face is nearest: in the length its second derivatives would
         # cancel only but for rounding.
         face = _larger(_larger(x, y), z)
@@ -43,7 +43,7 @@ class _Axial(ExactSurface):
 
     def _about(self, point: Point) -> tuple[Scalar, Point]:
         """A point's offset from the centre: part along the axis, and the rest, which is across."""
-        x, y, z = offset = point - self.center
+        x, y, z = offset = point - jnp.asarray(self.center)
         axis = jnp.asarray(self.axis)
         along = axis[0] * x + axis[1] * y + axis[2] * z
         return along, offset - along * axis
@@ -79,7 +79,7 @@ class Capsule(_Axial):
         beyond = positive_part(magnitude(along) - self.length / 2)
         # Across plus beyond along the axis: with both in one length, second derivatives are right
         # on the axis in front of an end.
-        return norm(*(across + beyond * self.axis)) - self.radius
+        return norm(*(across + beyond * jnp.asarray(self.axis))) - self.radius
 
 
 class Cone(_Axial):
@@ -101,7 +101,7 @@ class Cone(_Axial):
         face = _larger(side, -along)
         beyond_rim = jnp.where(side > 0, up < 0, (along < 0) & (outwards > 0))
         rim = norm(jnp.where(beyond_rim, outwards, 1.0), jnp.where(beyond_rim, along, 1.0))
-        apex = norm(*(across + (along - self.height) * self.axis))
+        apex = norm(*(across + (along - self.height) * jnp.asarray(self.axis)))
         return jnp.where((side > 0) & (up > slant), apex, jnp.where(beyond_rim, rim, face))
 
 

@@ -34,7 +34,7 @@ class Sphere(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        return jnp.sqrt(jnp.sum((point - self.center) ** 2)) - self.radius
+        return jnp.sqrt(jnp.sum((point - jnp.asarray(self.center)) ** 2)) - self.radius
 
 
 class Ellipsoid(Surface):
@@ -46,7 +46,9 @@ class Ellipsoid(Surface):
 
     def level(self, point: Point) -> Scalar:
         """(ρ − 1) times the smallest semi-axis, ρ the point's norm in units of the semi-axes."""
-        return _scaled((point - self.center) / self.semi_axes, self.semi_axes)
+        return _scaled(
+            (point - jnp.asarray(self.center)) / jnp.asarray(self.semi_axes), self.semi_axes
+        )
 
 
 class EllipticCylinder(Surface):
@@ -60,7 +62,9 @@ class EllipticCylinder(Surface):
 
     def level(self, point: Point) -> Scalar:
         """As for the ellipsoid, in the cross-section."""
-        return _scaled((point - self.center)[::2] / self.semi_axes, self.semi_axes)
+        return _scaled(
+            (point - jnp.asarray(self.center))[::2] / jnp.asarray(self.semi_axes), self.semi_axes
+        )
 
 
 class Plane(ExactSurface):
@@ -78,7 +82,7 @@ class Plane(ExactSurface):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        return jnp.dot(jnp.asarray(self.outward), point - self.point)
+        return jnp.dot(jnp.asarray(self.outward), point - jnp.asarray(self.point))
 
 
 def _scaled(place: Float[Array, "n"], semi_axes: ArrayLike) -> Scalar:

@@ -34,7 +34,7 @@ class Superquadric(Surface):
         """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the
         point: convex, and of slope 1 on that axis.
         """
-        u, v, w = magnitude(point - self.center) / self.semi_axes
+        u, v, w = magnitude(point - jnp.asarray(self.center)) / jnp.asarray(self.semi_axes)
         along, across = 2 / jnp.asarray(self.exponents)
         # ρ is of first degree in the point: scaled by constants, which take no part in
         # differentiation, no power over- or underflows.

@@ -116,7 +116,8 @@ def _cells(
         middles, sheet.vertices, sheet.faces
     )
     kept = np.sqrt(squared) <= reach + np.sqrt(3) / 2 * grid.spacing
-    nodes, middles, squared, triangle = (part[kept] for part in (nodes, middles, squared, triangle))
+    nodes, middles, squared = nodes[kept], middles[kept], squared[kept]
+    triangle = triangle[kept].astype(np.int64)
     error = chunked(lambda p: _levels(plain, p), middles) - surveyor.levels(middles, triangle)
     # A share of the largest chordal error about the triangle.
     at_fan = np.zeros(sheet.fans.max() + 1)

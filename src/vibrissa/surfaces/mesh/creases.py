@@ -63,7 +63,10 @@ def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
     """
     igl = library("igl")
     # libigl numbers edges by where they start, we by the corner opposite.
-    across, edge = (np.roll(part, -1, axis=1) for part in igl.triangle_triangle_adjacency(faces))
+    across, edge = (
+        np.roll(part, -1, axis=1).astype(np.int64)
+        for part in igl.triangle_triangle_adjacency(faces)
+    )
     opposite = (edge + 2) % 3
     flat = igl.per_face_normals(vertices, faces, np.zeros(3))
     turn = np.arccos(np.clip(np.sum(flat[:, None] * flat[across], axis=-1), -1, 1))

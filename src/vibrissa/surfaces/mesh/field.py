@@ -34,8 +34,8 @@ class Triangles(NamedTuple):
     sharp: Int[AnyArray, "rows"]
     """Which corners are sharp, a bit each."""
     first: Int[AnyArray, "rows"]
-    count: Int[AnyArray, "rows"]
-    """Entries of `nearby`."""
+    number: Int[AnyArray, "rows"]
+    """First entry in `nearby`, and number of entries."""
     nearby: Int[AnyArray, "entries"]
     """Numbers of patches."""
     patches: Patch
@@ -114,7 +114,8 @@ def _jet(field: Field, point: Vector, order: int) -> Jet:
     strides = jnp.stack([field.size[1] * field.size[2], field.size[2], jnp.ones_like(cell[0])])
     inner = _spline(field, jnp.sum((cell - 1) * strides), strides, place - cell, order)
     if field.triangles is not None:
-        inner = _with_triangles(field, jnp.sum(cell * strides), cell, held, inner, order)
+        node = jnp.sum(cell * strides)
+        inner = _with_triangles(field, field.triangles, node, cell, held, inner, order)
     return _extended(inner, point - held)
 
 
@@ -122,8 +123,12 @@ def _spline(field: Field, first: Array, strides: Array, share: Vector, order: in
     """Value and derivatives of Σ cᵢⱼₖ Bᵢ(x) Bⱼ(y) Bₖ(z) over the 4³ nodes from `first` on."""
     steps = jnp.arange(4)
     rows = first + steps[:, None] * strides[0] + steps * strides[1]
-    cut = lambda row: lax.dynamic_slice(field.coefficients, (row,), (4,))  # noqa: E731
-    return _product(jax.vmap(jax.vmap(cut))(rows), _SPLINE_JET, share, field.spacing, order)
+
+    def cut(row: Array) -> Array:
+        return lax.dynamic_slice(field.coefficients, (row,), (4,))
+
+    block = jax.vmap(jax.vmap(cut))(rows)
+    return _product(block, _SPLINE_JET, share, field.spacing, order)
 
 
 def _product(
@@ -150,7 +155,13 @@ def _product(
 
 
 def _with_triangles(
-    field: Field, node: Array, cell: Int[Array, "3"], point: Vector, smooth: Jet, order: int
+    field: Field,
+    triangles: Triangles,
+    node: Array,
+    cell: Int[Array, "3"],
+    point: Vector,
+    smooth: Jet,
+    order: int,
 ) -> Jet:
     """Blend in the triangles where a corner of the cell is sharp.
 
@@ -158,7 +169,6 @@ def _with_triangles(
     which a condition would not let them do. The point is turned about on the way, lest XLA find
     that the work is the same in every turn and move it out of the loop.
     """
-    triangles = field.triangles
     row = triangles.rows[node]
     corner = field.origin + field.spacing * cell
     marks = (triangles.sharp[row] >> np.arange(8).reshape(2, 2, 2) & 1).astype(float)
@@ -179,7 +189,7 @@ def _with_triangles(
         found = tuple(jnp.where(needed, s + b, s) for s, b in zip(smooth, blended, strict=True))
         return jnp.zeros_like(needed), -point, found
 
-    return lax.while_loop(unfinished, blend, (triangles.count[row] > 0, point, smooth))[2]
+    return lax.while_loop(unfinished, blend, (triangles.number[row] > 0, point, smooth))[2]
 
 
 def _weighted(weight: Jet, gap: Jet) -> Jet:
@@ -205,7 +215,7 @@ def _derivatives(function: Callable[[Vector], Scalar], point: Vector, order: int
 
 
 def _nearest_patch(triangles: Triangles, row: Array, point: Vector) -> Array:
-    first, count = triangles.first[row], triangles.count[row]
+    first, count = triangles.first[row], triangles.number[row]
 
     def unfinished(state: tuple[Array, Array, Array]) -> Array:
         return state[0] < count

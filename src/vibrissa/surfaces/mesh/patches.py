@@ -21,8 +21,8 @@ from jaxtyping import Float, Int
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
-Triangle = Float[Array, "3 3"]
 AnyArray = Array | np.ndarray
+Triangle = Float[AnyArray, "3 3"]
 
 INTERIOR, EDGE, CORNER = 0, 1, 4
 """Nearest feature of a triangle: 0 its interior, 1 to 3 the edge opposite that corner, 4 to 6 the
@@ -73,9 +73,9 @@ class Nearest(NamedTuple):
     feature: Int[Array, ""]
 
 
-def dot(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+def dot(a: Float[AnyArray, "*n 3"], b: Float[AnyArray, "*n 3"]) -> Float[Array, "*n"]:
     """Along the last axis, written out: sums run over lanes, not over three numbers each."""
-    product = a * b
+    product = jnp.asarray(a) * b
     return product[..., 0] + product[..., 1] + product[..., 2]
 
 

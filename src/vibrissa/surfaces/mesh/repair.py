@@ -13,8 +13,8 @@ from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 MOST_HOLE_EDGES = 8
 """Longest rim of a hole that is closed: larger ones are open meshes rather than lost triangles."""
 
-# Of the diagonal, and of the longest side squared. Single precision, as in STL, rounds at 6e-8: what
-# is closer than this was one point when it was written.
+# Of the diagonal, and of the longest side squared. Single precision, as in STL, rounds at 6e-8:
+# what is closer than this was one point when it was written.
 _SAME, _FLAT = 1e-9, 1e-9
 # Flat triangles side by side are flipped one after the other: as many as lie along one edge.
 _MOST_PASSES = 64
@@ -119,7 +119,8 @@ def _checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces]:
         raise ValueError(f"faces has shape {f.shape}; allowed is (f, 3): triangles")
     if not len(v) or not len(f):
         raise ValueError(
-            f"mesh: {len(v)} vertices and {len(f)} faces; allowed is a closed mesh, of at least 4 each"
+            f"mesh: {len(v)} vertices and {len(f)} faces; allowed is a closed mesh, of at least 4 "
+            "each"
         )
     if not np.issubdtype(f.dtype, np.integer):
         raise ValueError(f"faces has entries of type {f.dtype}; allowed are whole numbers")
@@ -178,8 +179,8 @@ def _refuse_open(f: Faces, *, closable: bool) -> None:
 
 
 def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
-    """Closed rims of the holes, vertices in order: libigl's `boundary_loop_all` loses some where two
-    holes meet in a vertex.
+    """Closed rims of the holes, vertices in order. Libigl's `boundary_loop_all` loses some where
+    two holes meet in a vertex.
     """
     following: dict[int, list[int]] = {}
     for start, stop in boundary.tolist():
@@ -220,14 +221,15 @@ def _without_flat(v: Vertices, f: Faces) -> tuple[Faces, int]:
         if not len(flat):
             return f, flipped
         neighbours, edges = library("igl").triangle_triangle_adjacency(f)
-        touched, f = set(), f.copy()
+        touched: set[np.integer] = set()
+        f = f.copy()
         for row, k in zip(flat, np.argmax(squared[flat], axis=1), strict=True):
             other = neighbours[row, k]
-            if not touched & {row, other}:
+            if row not in touched and other not in touched:
                 a, b, middle = f[row, (k + np.arange(3)) % 3]
                 apex = f[other, (edges[row, k] + 2) % 3]
                 f[row], f[other] = (a, apex, middle), (apex, b, middle)
-                touched |= {row, other}
+                touched.update((row, other))
                 flipped += 1
     raise ValueError(
         f"faces: {len(flat)} degenerate triangles (three vertices on a line) that cannot be "

@@ -129,12 +129,13 @@ def node_levels(
     level, triangle, _, _ = igl.signed_distance(
         points, sheet.vertices, sheet.faces, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL, -reach, reach
     )
+    triangle = triangle.astype(np.int64)
     far = ~np.isfinite(level)
     seed = distance_transform_edt(
         far.reshape(grid.size), return_distances=False, return_indices=True
     )
     seed = np.ravel_multi_index(tuple(seed), grid.size).ravel()[far]
-    distance = _distances(points[far], sheet.patches.vertices[triangle[seed]])
+    distance = _distances(points[far], sheet.vertices[sheet.faces[triangle[seed]]])
     level[far] = np.copysign(distance, level[seed])
     within = np.flatnonzero(~far)
     walked = surveyor.levels(points[within], triangle[within])
@@ -176,6 +177,6 @@ def candidates(
     starts = np.searchsorted(cell, np.arange(len(cells)))
     for corner in np.ndindex(2, 2, 2):
         eighth = middles + (np.array(corner) - 0.5) * grid.spacing / 2
-        distance = _distances(eighth[cell], sheet.patches.vertices[triangle])
+        distance = _distances(eighth[cell], sheet.vertices[sheet.faces[triangle]])
         needed |= distance <= np.minimum.reduceat(distance, starts)[cell] + diagonal / 2
     return cell[needed], triangle[needed]

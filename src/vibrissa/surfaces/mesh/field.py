@@ -71,7 +71,8 @@ _STEP_JET = np.array(
         [[1, 0, -3, 2], [0, 0, 3, -2]],
         [[0, -6, 6, 0], [0, 6, -6, 0]],
         [[-6, 12, 0, 0], [6, -12, 0, 0]],
-    ]
+    ],
+    dtype=float,
 )
 _UNIT = np.eye(3, dtype=int)
 _SECOND = _UNIT[:, None] + _UNIT

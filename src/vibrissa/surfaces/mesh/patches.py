@@ -73,7 +73,7 @@ class Nearest(NamedTuple):
     feature: Int[Array, ""]
 
 
-def dot(a: Float[AnyArray, "*n 3"], b: Float[AnyArray, "*n 3"]) -> Float[Array, "*n"]:
+def dot(a: Float[AnyArray, "*n 3"], b: Float[AnyArray, "... 3"]) -> Float[Array, "*n"]:
     """Along the last axis, written out: sums run over lanes, not over three numbers each."""
     product = jnp.asarray(a) * b
     return product[..., 0] + product[..., 1] + product[..., 2]
@@ -230,7 +230,7 @@ def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector
     m = mixed(weights, patch.normals)
     height = dot(point - mixed(weights, patch.vertices), m) / jnp.maximum(dot(m, m), _TINY)
 
-    def refine(_: int, state: tuple[Vector, Scalar]) -> tuple[Vector, Scalar]:
+    def refine(_: int | Array, state: tuple[Vector, Scalar]) -> tuple[Vector, Scalar]:
         b, height = state
         q = patch.vertices + height * patch.normals
         m, rest, x, y = mixed(b, patch.normals), point - mixed(b, q), q[1] - q[0], q[2] - q[0]

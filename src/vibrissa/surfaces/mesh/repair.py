@@ -179,20 +179,26 @@ def _refuse_open(f: Faces, *, closable: bool) -> None:
 
 
 def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
-    """Closed rims of the holes, vertices in order. Libigl's `boundary_loop_all` loses some where
-    two holes meet in a vertex.
+    """Closed rims of the holes, vertices in order; those that meet in a vertex are told apart, which
+    libigl's `boundary_loop_all` does not.
     """
     following: dict[int, list[int]] = {}
     for start, stop in boundary.tolist():
         following.setdefault(start, []).append(stop)
     rims = []
-    for start, stops in following.items():
-        while stops:
-            rim, here = [start], stops.pop()
-            while here != start and following.get(here):
-                rim.append(here)
-                here = following[here].pop()
-            rims.append(rim)
+    for start in following:
+        way, here = {}, start
+        while following.get(here):
+            way[here] = here
+            here = following[here].pop()
+            if here in way:
+                whole = list(way)
+                rims.append(whole[whole.index(here) :])
+                for vertex in rims[-1]:
+                    del way[vertex]
+        if way:
+            # Open where triangles are wound against each other.
+            rims.append(list(way))
     return rims
 
 

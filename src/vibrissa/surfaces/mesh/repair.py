@@ -179,15 +179,16 @@ def _refuse_open(f: Faces, *, closable: bool) -> None:
 
 
 def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
-    """Closed rims of the holes, vertices in order; those that meet in a vertex are told apart, which
-    libigl's `boundary_loop_all` does not.
+    """Closed rims of the holes, vertices in order; those that meet in a vertex are told apart,
+    which libigl's `boundary_loop_all` does not.
     """
     following: dict[int, list[int]] = {}
     for start, stop in boundary.tolist():
         following.setdefault(start, []).append(stop)
     rims = []
     for start in following:
-        way, here = {}, start
+        way: dict[int, int] = {}
+        here = start
         while following.get(here):
             way[here] = here
             here = following[here].pop()

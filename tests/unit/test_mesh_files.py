@@ -84,19 +84,34 @@ def two_missing(v: np.ndarray, f: np.ndarray) -> Arrays:
     return v, np.delete(f, [0, beside], axis=0)
 
 
+def two_holes_in_a_vertex(v: np.ndarray, f: np.ndarray) -> Arrays:
+    around = np.flatnonzero(np.any(f == f[0, 0], axis=1))
+    apart = next(row for row in around if len(set(f[0]) & set(f[row])) == 1)
+    return v, np.delete(f, [0, apart], axis=0)
+
+
 def one_more(v: np.ndarray, f: np.ndarray) -> Arrays:
     """A triangle with two corners in one, one that is there already, and a vertex of none."""
     return np.concatenate([v, [[5.0, 5.0, 5.0]]]), np.concatenate([f, f[3:4], [[0, 0, 1]]])
 
 
+def one_flat(v: np.ndarray, f: np.ndarray) -> Arrays:
+    """A triangle halved, its neighbour not: between them one whose corners lie on a line."""
+    a, b, c = f[0]
+    halves = [[a, len(v), c], [len(v), b, c], [a, b, len(v)]]
+    return np.concatenate([v, [(v[a] + v[b]) / 2]]), np.concatenate([f[1:], halves])
+
+
 @pytest.mark.parametrize(
     ("damaged", "said"),
     [
+        (one_flat, "1 degenerate faces"),
         (twice, "merged vertices"),
         (inside_out, "80 flipped faces"),
         (one_turned, "1 flipped faces"),
         (one_missing, "1 filled holes"),
         (two_missing, "1 filled holes"),
+        (two_holes_in_a_vertex, "2 filled holes"),
         (one_more, "1 degenerate faces, 1 duplicate faces"),
     ],
 )

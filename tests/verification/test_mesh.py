@@ -7,7 +7,7 @@ import trimesh
 import vibrissa as vb
 from vibrissa.surfaces import Box, Ellipsoid, Mesh
 from vibrissa.surfaces.mesh.creases import sheets
-from vibrissa.surfaces.mesh.nodes import Surveyor
+from vibrissa.surfaces.mesh.sampling import Surveyor
 
 UNIT = vb.Rod.unit()
 CENTER, SEMI_AXES = np.array([0.0, 0.0, 1.15]), np.array([0.6, 0.5, 0.55])

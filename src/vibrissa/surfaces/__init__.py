@@ -16,7 +16,23 @@ from vibrissa.surfaces.superquadric import Superquadric
 from vibrissa.surfaces.union import Union
 
 __all__ = [
-    "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "EllipticCylinder", "EllipticParaboloid", "ExactSurface", "HeightField", "Implicit",
+    "Box",
+    "Capsule",
+    "Cone",
+    "Cylinder",
+    "Ellipsoid",
+    "EllipticCylinder",
+    "EllipticParaboloid",
+    "ExactSurface",
+    "HeightField",
+    "Implicit",
     "Mesh",
-    "Offset", "Placed", "Plane", "Sphere", "Superquadric", "Surface", "Torus", "Union",
-]  # fmt: skip
+    "Offset",
+    "Placed",
+    "Plane",
+    "Sphere",
+    "Superquadric",
+    "Surface",
+    "Torus",
+    "Union",
+]

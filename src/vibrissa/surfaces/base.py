@@ -1,7 +1,11 @@
 """The seam between objects and the rest: a level function, differentiable by JAX."""
 
+from __future__ import annotations
+
 from abc import abstractmethod
-from typing import ClassVar
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -15,6 +19,13 @@ from scipy.spatial.transform import Rotation
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import rotation_matrices, unit_quaternions
 from vibrissa.surfaces import closest
+
+Point: TypeAlias = Float[Array, "3"]
+Scalar: TypeAlias = Float[Array, ""]
+Vector3: TypeAlias = ArrayLike
+"""Three numbers, as a list, tuple or array; kept as an array (3,)."""
+Vector2: TypeAlias = ArrayLike
+"""Two numbers, likewise."""
 
 
 class Surface(eqx.Module):
@@ -45,10 +56,10 @@ class Surface(eqx.Module):
         return False
 
     @abstractmethod
-    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+    def level(self, point: Point) -> Scalar:
         """g(p): zero on the surface, positive outside, negative in the solid."""
 
-    def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+    def distance(self, point: Point) -> Scalar:
         """Signed Euclidean distance from the surface, with right first and second derivatives:
         outside and near the surface.
 
@@ -58,13 +69,13 @@ class Surface(eqx.Module):
         """
         return closest.distance(self, point)
 
-    def part_levels(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+    def part_levels(self, point: Point) -> Float[Array, "parts"]:
         """Levels of the solids that a union is of, whose least is the level; of any other surface
         the level alone.
         """
         return self.level(point)[None]
 
-    def part_distances(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+    def part_distances(self, point: Point) -> Float[Array, "parts"]:
         """The same of the distances."""
         return self.distance(point)[None]
 
@@ -75,41 +86,29 @@ class Surface(eqx.Module):
 
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Outward unit normals ∇g/‖∇g‖ at points (…, 3)."""
-        array = finite_array(points, "points", last=3)
-        gradient = np.asarray(_gradients(self, jnp.asarray(array.reshape(-1, 3)))).reshape(
-            array.shape
-        )
+        _, gradient = _at(points, self, _slope_of_level)
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def levels(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
-        """G at points (…, 3)."""
-        array = finite_array(points, "points", last=3)
-        return np.asarray(_levels(self, jnp.asarray(array.reshape(-1, 3)))).reshape(
-            array.shape[:-1]
-        )
+        """Values of the level at points (…, 3)."""
+        return _at(points, self, _level)[1]
 
     def distances(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
         """Signed distances from the surface at points (…, 3)."""
-        array = finite_array(points, "points", last=3)
-        return np.asarray(_distances(self, jnp.asarray(array.reshape(-1, 3)))[0]).reshape(
-            array.shape[:-1]
-        )
+        return _at(points, self, _distance_and_slope)[1]
 
     def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Points p − d ∇d of the surface that are closest to points (…, 3): outside and near the
         surface.
         """
-        array = finite_array(points, "points", last=3)
-        distance, gradient = (
-            np.asarray(part) for part in _distances(self, jnp.asarray(array.reshape(-1, 3)))
-        )
-        return array - (distance[:, None] * gradient).reshape(array.shape)
+        array, distance, gradient = _at(points, self, _distance_and_slope)
+        return array - distance[..., None] * gradient
 
     def placed(
         self,
-        rotation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0),
+        rotation: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
         translation: ArrayLike = (0.0, 0.0, 0.0),
-    ) -> "Placed":
+    ) -> Placed:
         """Return the object turned about the origin (quaternion x, y, z, w, or a SciPy `Rotation`),
         then moved.
 
@@ -133,12 +132,31 @@ class Surface(eqx.Module):
 class ExactSurface(Surface):
     """A surface whose level is the signed distance itself."""
 
-    def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        """G, which is the signed Euclidean distance."""
+    def distance(self, point: Point) -> Scalar:
+        """The level, which is the signed Euclidean distance."""
         return self.level(point)
 
 
-class Placed(Surface):
+class Derived(Surface):
+    """A surface made of others."""
+
+    @property
+    @abstractmethod
+    def sources(self) -> Sequence[Surface]:
+        """The others."""
+
+    @property
+    def heavy(self) -> bool:
+        """As of any of them."""
+        return any(surface.heavy for surface in self.sources)
+
+    @property
+    def creased(self) -> bool:
+        """As of any of them; where they meet, `part_levels` tell."""
+        return any(surface.creased for surface in self.sources)
+
+
+class Placed(Derived):
     """A surface turned by a rotation matrix, then moved by a translation."""
 
     surface: Surface
@@ -146,52 +164,57 @@ class Placed(Surface):
     translation: Float[np.ndarray | Array, "3"]
 
     @property
-    def heavy(self) -> bool:
-        """As of the surface itself."""
-        return self.surface.heavy
+    def sources(self) -> Sequence[Surface]:
+        """The surface itself."""
+        return (self.surface,)
 
-    @property
-    def creased(self) -> bool:
-        """As of the surface itself."""
-        return self.surface.creased
-
-    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        """G of the object at the point seen from the object's own axes."""
+    def level(self, point: Point) -> Scalar:
+        """Level of the object at the point seen from the object's own axes."""
         return self.surface.level(self._own(point))
 
-    def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+    def distance(self, point: Point) -> Scalar:
         """Signed distance from the object at the point seen from the object's own axes."""
         return self.surface.distance(self._own(point))
 
-    def part_levels(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+    def part_levels(self, point: Point) -> Float[Array, "parts"]:
         """As of the surface itself."""
         return self.surface.part_levels(self._own(point))
 
-    def part_distances(self, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+    def part_distances(self, point: Point) -> Float[Array, "parts"]:
         """As of the surface itself."""
         return self.surface.part_distances(self._own(point))
 
-    def _own(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
-        offset = point - self.translation
-        return (
-            self.rotation[0] * offset[0]
-            + self.rotation[1] * offset[1]
-            + self.rotation[2] * offset[2]
-        )
+    def _own(self, point: Point) -> Point:
+        x, y, z = point - self.translation
+        return self.rotation[0] * x + self.rotation[1] * y + self.rotation[2] * z
 
 
-@jax.jit
-def _levels(surface: Surface, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return jax.vmap(surface.level)(points)
+def _level(surface: Surface, point: Point) -> tuple[Scalar]:
+    return (surface.level(point),)
 
 
-@jax.jit
-def _gradients(surface: Surface, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    return jax.vmap(jax.grad(surface.level))(points)
+def _slope_of_level(surface: Surface, point: Point) -> tuple[Point]:
+    return (jax.grad(surface.level)(point),)
 
 
-@jax.jit
-def _distances(
-    surface: Surface, points: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
-    return jax.vmap(jax.value_and_grad(surface.distance))(points)
+def _distance_and_slope(surface: Surface, point: Point) -> tuple[Scalar, Point]:
+    return jax.value_and_grad(surface.distance)(point)
+
+
+@partial(jax.jit, static_argnums=0)
+def _over_points(
+    function: Callable[[Surface, Point], tuple[Array, ...]],
+    surface: Surface,
+    points: Float[Array, "n 3"],
+) -> tuple[Array, ...]:
+    return jax.vmap(partial(function, surface))(points)
+
+
+def _at(
+    points: ArrayLike, surface: Surface, function: Callable[[Surface, Point], tuple[Array, ...]]
+) -> tuple[np.ndarray, ...]:
+    """Points checked, and what a function of a surface and a point gives at each."""
+    array = finite_array(points, "points", last=3)
+    found = _over_points(function, surface, jnp.asarray(array.reshape(-1, 3)))
+    batch = array.shape[:-1]
+    return array, *(np.asarray(part).reshape(batch + part.shape[1:]) for part in found)

@@ -1,5 +1,7 @@
 """Surfaces given by a function of the user's."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -9,11 +11,11 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from vibrissa.surfaces.base import Surface
+from vibrissa.surfaces.base import Point, Scalar, Surface
 
-HeightFunction = Callable[[Float[Array, ""], Float[Array, ""]], Float[Array, ""]]
-LevelFunction = Callable[[Float[Array, "3"]], Float[Array, ""]]
-Function = TypeVar("Function", bound=Callable[..., Float[Array, ""]])
+HeightFunction = Callable[[Scalar, Scalar], Scalar]
+LevelFunction = Callable[[Point], Scalar]
+Function = TypeVar("Function", bound=Callable[..., Scalar])
 
 
 def _scalar_function(function: Function, name: str, *arguments: Float[Array, "..."]) -> Function:
@@ -22,7 +24,8 @@ def _scalar_function(function: Function, name: str, *arguments: Float[Array, "..
         shape = jax.eval_shape(function, *arguments)
     except Exception as error:
         raise ValueError(
-            f"{name}: {function!r} cannot be traced by JAX ({error}); allowed is a function of jax.numpy operations"
+            f"{name}: {function!r} cannot be traced by JAX ({error}); allowed is a function of "
+            "jax.numpy operations"
         ) from error
     if getattr(shape, "shape", None) != () or not jnp.issubdtype(shape.dtype, jnp.floating):
         raise ValueError(f"{name}: {function!r} returns {shape}; allowed is one real number")
@@ -39,7 +42,7 @@ class HeightField(Surface):
     def __init__(self, height: HeightFunction) -> None:
         self.height = _scalar_function(height, "height", jnp.zeros(()), jnp.zeros(()))
 
-    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+    def level(self, point: Point) -> Scalar:
         """C(x, y) − z."""
         return self.height(point[0], point[1]) - point[2]
 
@@ -52,6 +55,6 @@ class Implicit(Surface):
     def __init__(self, function: LevelFunction) -> None:
         self.function = _scalar_function(function, "function", jnp.zeros(3))
 
-    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+    def level(self, point: Point) -> Scalar:
         """The function itself."""
         return self.function(point)

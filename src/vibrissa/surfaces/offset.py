@@ -1,18 +1,19 @@
 """An object as the centre line of a rod of finite radius meets it."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import positive
-from vibrissa.surfaces.base import ExactSurface, Surface
-
-Point = Float[Array, "3"]
-Scalar = Float[Array, ""]
+from vibrissa.surfaces.base import Derived, ExactSurface, Point, Scalar, Surface
 
 
-class Offset(ExactSurface):
+class Offset(Derived, ExactSurface):
     """A solid grown by `radius` on all sides: its surface is where the centre line of a rod of that
     radius runs when the rod touches. Convex edges become round.
     """
@@ -26,14 +27,9 @@ class Offset(ExactSurface):
         self.surface, self.radius = surface, positive(radius, "radius")
 
     @property
-    def heavy(self) -> bool:
-        """As of the object."""
-        return self.surface.heavy
-
-    @property
-    def creased(self) -> bool:
-        """As of the object."""
-        return self.surface.creased
+    def sources(self) -> Sequence[Surface]:
+        """The object."""
+        return (self.surface,)
 
     def level(self, point: Point) -> Scalar:
         """Signed distance from the object, less the radius."""

@@ -6,18 +6,13 @@ outside) from which the nearest point is not unique and no direction is distingu
 is ever NaN.
 """
 
+from __future__ import annotations
+
 import jax.numpy as jnp
-import numpy as np
-from jax import Array
-from jaxtyping import Float
-from numpy.typing import ArrayLike
 
-from vibrissa.geometry.checks import finite_array, positive, unit_vector
 from vibrissa.numerics.norms import magnitude, norm, positive_part
-from vibrissa.surfaces.base import ExactSurface
-
-Point = Float[Array, "3"]
-Scalar = Float[Array, ""]
+from vibrissa.surfaces import fields
+from vibrissa.surfaces.base import ExactSurface, Point, Scalar, Vector3
 
 
 class Box(ExactSurface):
@@ -26,18 +21,12 @@ class Box(ExactSurface):
     """
 
     may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    half_extents: Float[np.ndarray | Array, "3"]
-
-    def __init__(self, center: ArrayLike, half_extents: ArrayLike) -> None:
-        self.center = finite_array(center, "center", last=3, ndim=1)
-        self.half_extents = finite_array(half_extents, "half_extents", last=3, ndim=1)
-        for index, extent in enumerate(self.half_extents):
-            positive(float(extent), f"half_extents[{index}]")
+    center: Vector3 = fields.place("center")
+    half_extents: Vector3 = fields.sizes("half_extents")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        x, y, z = (magnitude(point[i] - self.center[i]) - self.half_extents[i] for i in range(3))
+        x, y, z = magnitude(point - jnp.asarray(self.center)) - jnp.asarray(self.half_extents)
         # The largest on its own where a face is nearest: in the length its second derivatives would
         # cancel only but for rounding.
         face = _larger(_larger(x, y), z)
@@ -45,87 +34,66 @@ class Box(ExactSurface):
         return jnp.where(edge, norm(positive_part(x), positive_part(y), positive_part(z)), face)
 
 
-class Cylinder(ExactSurface):
+class _Axial(ExactSurface):
+    """A solid about a point and an axis through it."""
+
+    may_crease = False
+    center: Vector3 = fields.place("center")
+    axis: Vector3 = fields.direction("axis")
+
+    def _about(self, point: Point) -> tuple[Scalar, Point]:
+        """A point's offset from the centre: part along the axis, and the rest, which is across."""
+        x, y, z = offset = point - jnp.asarray(self.center)
+        axis = jnp.asarray(self.axis)
+        along = axis[0] * x + axis[1] * y + axis[2] * z
+        return along, offset - along * axis
+
+
+class Cylinder(_Axial):
     """Circular cylinder with flat ends: midpoint (3,) of its axis, direction (3,) of the axis,
     radius, and length from end to end.
     """
 
-    may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    axis: Float[np.ndarray | Array, "3"]
-    radius: float
-    length: float
-
-    def __init__(self, center: ArrayLike, axis: ArrayLike, radius: float, length: float) -> None:
-        self.center, self.axis = (
-            finite_array(center, "center", last=3, ndim=1),
-            unit_vector(axis, "axis"),
-        )
-        self.radius, self.length = positive(radius, "radius"), positive(length, "length")
+    radius: float = fields.size("radius")
+    length: float = fields.size("length")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, across = _about(self.axis, self.center, point)
+        along, across = self._about(point)
         side, end = norm(*across) - self.radius, magnitude(along) - self.length / 2
-        return jnp.where(
-            (side > 0) & (end > 0),
-            norm(positive_part(side), positive_part(end)),
-            _larger(side, end),
-        )
+        edge = norm(positive_part(side), positive_part(end))
+        return jnp.where((side > 0) & (end > 0), edge, _larger(side, end))
 
 
-class Capsule(ExactSurface):
+class Capsule(_Axial):
     """Cylinder with hemispherical ends: midpoint (3,) and direction (3,) of its axis, radius, and
     length of the straight part, to which each end adds a radius.
     """
 
-    may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    axis: Float[np.ndarray | Array, "3"]
-    radius: float
-    length: float
-
-    def __init__(self, center: ArrayLike, axis: ArrayLike, radius: float, length: float) -> None:
-        self.center, self.axis = (
-            finite_array(center, "center", last=3, ndim=1),
-            unit_vector(axis, "axis"),
-        )
-        self.radius, self.length = positive(radius, "radius"), positive(length, "length")
+    radius: float = fields.size("radius")
+    length: float = fields.size("length")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, (x, y, z) = _about(self.axis, self.center, point)
+        along, across = self._about(point)
         beyond = positive_part(magnitude(along) - self.length / 2)
         # Across plus beyond along the axis: with both in one length, second derivatives are right
         # on the axis in front of an end.
-        return (
-            norm(x + beyond * self.axis[0], y + beyond * self.axis[1], z + beyond * self.axis[2])
-            - self.radius
-        )
+        return norm(*(across + beyond * jnp.asarray(self.axis))) - self.radius
 
 
-class Cone(ExactSurface):
+class Cone(_Axial):
     """Circular cone: centre (3,) of its base, direction (3,) of its axis from there to the apex,
     radius of the base, and height.
     """
 
-    may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    axis: Float[np.ndarray | Array, "3"]
-    radius: float
-    height: float
-
-    def __init__(self, center: ArrayLike, axis: ArrayLike, radius: float, height: float) -> None:
-        self.center, self.axis = (
-            finite_array(center, "center", last=3, ndim=1),
-            unit_vector(axis, "axis"),
-        )
-        self.radius, self.height = positive(radius, "radius"), positive(height, "height")
+    radius: float = fields.size("radius")
+    height: float = fields.size("height")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, (x, y, z) = _about(self.axis, self.center, point)
-        outwards = norm(x, y, z) - self.radius
+        along, across = self._about(point)
+        outwards = norm(*across) - self.radius
         slant = jnp.sqrt(jnp.asarray(self.radius) ** 2 + jnp.asarray(self.height) ** 2)
         side = (self.height * outwards + self.radius * along) / slant
         # Along the side, from the rim (0) to the apex (slant).
@@ -133,53 +101,30 @@ class Cone(ExactSurface):
         face = _larger(side, -along)
         beyond_rim = jnp.where(side > 0, up < 0, (along < 0) & (outwards > 0))
         rim = norm(jnp.where(beyond_rim, outwards, 1.0), jnp.where(beyond_rim, along, 1.0))
-        above = along - self.height
-        apex = norm(x + above * self.axis[0], y + above * self.axis[1], z + above * self.axis[2])
+        apex = norm(*(across + (along - self.height) * jnp.asarray(self.axis)))
         return jnp.where((side > 0) & (up > slant), apex, jnp.where(beyond_rim, rim, face))
 
 
-class Torus(ExactSurface):
+class Torus(_Axial):
     """Ring: centre (3,), direction (3,) of the axis about which it is round, radius of the circle
     inside the tube, and radius of the tube, which is less.
     """
 
-    may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    axis: Float[np.ndarray | Array, "3"]
-    major_radius: float
-    minor_radius: float
+    major_radius: float = fields.size("major_radius")
+    minor_radius: float = fields.size("minor_radius")
 
-    def __init__(
-        self, center: ArrayLike, axis: ArrayLike, major_radius: float, minor_radius: float
-    ) -> None:
-        self.center, self.axis = (
-            finite_array(center, "center", last=3, ndim=1),
-            unit_vector(axis, "axis"),
-        )
-        self.major_radius, self.minor_radius = (
-            positive(major_radius, "major_radius"),
-            positive(minor_radius, "minor_radius"),
-        )
+    def __check_init__(self) -> None:
+        """Refuse a tube that closes the hole."""
         if not self.minor_radius < self.major_radius:
             raise ValueError(
-                f"minor_radius = {minor_radius!r}; allowed is less than major_radius = {major_radius!r}"
+                f"minor_radius = {self.minor_radius!r}; allowed is less than "
+                f"major_radius = {self.major_radius!r}"
             )
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, across = _about(self.axis, self.center, point)
+        along, across = self._about(point)
         return norm(norm(*across) - self.major_radius, along) - self.minor_radius
-
-
-def _about(
-    axis: Float[np.ndarray | Array, "3"], center: Float[np.ndarray | Array, "3"], point: Point
-) -> tuple[Scalar, tuple[Scalar, Scalar, Scalar]]:
-    """Part of a point's offset along a unit axis through `center`, and the components of the rest,
-    which is across.
-    """
-    x, y, z = (point[i] - center[i] for i in range(3))
-    along = axis[0] * x + axis[1] * y + axis[2] * z
-    return along, (x - along * axis[0], y - along * axis[1], z - along * axis[2])
 
 
 def _larger(first: Scalar, second: Scalar) -> Scalar:

@@ -1,37 +1,24 @@
 """Surfaces of second degree."""
 
-import equinox as eqx
+from __future__ import annotations
+
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from vibrissa.geometry.checks import finite, finite_array, positive, unit_vector
-from vibrissa.surfaces.base import ExactSurface, Surface
-
-Point = Float[Array, "3"]
-Scalar = Float[Array, ""]
-
-
-def _center(value: ArrayLike) -> Float[np.ndarray, "3"]:
-    return finite_array(value, "center", last=3, ndim=1)
-
-
-def _semi_axes(value: ArrayLike, count: int) -> Float[np.ndarray, "n"]:
-    axes = finite_array(value, "semi_axes", last=count, ndim=1)
-    for index, axis in enumerate(axes):
-        positive(float(axis), f"semi_axes[{index}]")
-    return axes
+from vibrissa.geometry.checks import finite_array, unit_vector
+from vibrissa.surfaces import fields
+from vibrissa.surfaces.base import ExactSurface, Point, Scalar, Surface, Vector2, Vector3
 
 
 class EllipticParaboloid(Surface):
     """The solid z > a x² + b y² + h (paper, section II, with a = 0.5, b = 1, h = 0.4)."""
 
     may_crease = False
-    a: float = eqx.field(converter=lambda value: finite(value, "a"))
-    b: float = eqx.field(converter=lambda value: finite(value, "b"))
-    h: float = eqx.field(converter=lambda value: finite(value, "h"))
+    a: float = fields.number("a")
+    b: float = fields.number("b")
+    h: float = fields.number("h")
 
     def level(self, point: Point) -> Scalar:
         """C(x, y) − z."""
@@ -42,33 +29,25 @@ class Sphere(ExactSurface):
     """A ball, given by its centre (3,) and radius."""
 
     may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    radius: float
-
-    def __init__(self, center: ArrayLike, radius: float) -> None:
-        self.center = _center(center)
-        self.radius = positive(radius, "radius")
+    center: Vector3 = fields.place("center")
+    radius: float = fields.size("radius")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        return jnp.sqrt(jnp.sum((point - self.center) ** 2)) - self.radius
+        return jnp.sqrt(jnp.sum((point - jnp.asarray(self.center)) ** 2)) - self.radius
 
 
 class Ellipsoid(Surface):
     """Ellipsoid with its axes along x, y, z; `placed` turns it. Centre (3,) and semi-axes (3,)."""
 
     may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    semi_axes: Float[np.ndarray | Array, "3"]
-
-    def __init__(self, center: ArrayLike, semi_axes: ArrayLike) -> None:
-        self.center = _center(center)
-        self.semi_axes = _semi_axes(semi_axes, 3)
+    center: Vector3 = fields.place("center")
+    semi_axes: Vector3 = fields.sizes("semi_axes")
 
     def level(self, point: Point) -> Scalar:
-        """(ρ − 1) times the smallest semi-axis, ρ the norm of the point in units of the semi-axes."""
-        return (jnp.sqrt(jnp.sum(((point - self.center) / self.semi_axes) ** 2)) - 1) * jnp.min(
-            jnp.asarray(self.semi_axes)
+        """(ρ − 1) times the smallest semi-axis, ρ the point's norm in units of the semi-axes."""
+        return _scaled(
+            (point - jnp.asarray(self.center)) / jnp.asarray(self.semi_axes), self.semi_axes
         )
 
 
@@ -78,18 +57,14 @@ class EllipticCylinder(Surface):
     """
 
     may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    semi_axes: Float[np.ndarray | Array, "2"]
-
-    def __init__(self, center: ArrayLike, semi_axes: ArrayLike) -> None:
-        self.center = _center(center)
-        self.semi_axes = _semi_axes(semi_axes, 2)
+    center: Vector3 = fields.place("center")
+    semi_axes: Vector2 = fields.sizes("semi_axes", 2)
 
     def level(self, point: Point) -> Scalar:
         """As for the ellipsoid, in the cross-section."""
-        x = (point[0] - self.center[0]) / self.semi_axes[0]
-        z = (point[2] - self.center[2]) / self.semi_axes[1]
-        return (jnp.sqrt(x * x + z * z) - 1) * jnp.min(jnp.asarray(self.semi_axes))
+        return _scaled(
+            (point - jnp.asarray(self.center))[::2] / jnp.asarray(self.semi_axes), self.semi_axes
+        )
 
 
 class Plane(ExactSurface):
@@ -98,13 +73,17 @@ class Plane(ExactSurface):
     """
 
     may_crease = False
-    point: Float[np.ndarray | Array, "3"]
-    outward: Float[np.ndarray | Array, "3"]
+    point: Vector3
+    outward: Vector3
 
-    def __init__(self, point: ArrayLike, normal: ArrayLike) -> None:
+    def __init__(self, point: Vector3, normal: Vector3) -> None:
         self.point = finite_array(point, "point", last=3, ndim=1)
         self.outward = unit_vector(normal, "normal")
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        return jnp.dot(self.outward, point - self.point)
+        return jnp.dot(jnp.asarray(self.outward), point - jnp.asarray(self.point))
+
+
+def _scaled(place: Float[Array, "n"], semi_axes: ArrayLike) -> Scalar:
+    return (jnp.sqrt(jnp.sum(place**2)) - 1) * jnp.min(jnp.asarray(semi_axes))

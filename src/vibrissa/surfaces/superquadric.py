@@ -1,18 +1,13 @@
 """Superquadrics: from blocks with rounded edges over ellipsoids to octahedra."""
 
+from __future__ import annotations
+
 import jax.numpy as jnp
-import numpy as np
-from jax import Array, lax
-from jaxtyping import Float
-from numpy.typing import ArrayLike
+from jax import lax
 
-from vibrissa.geometry.checks import finite_array, positive
 from vibrissa.numerics.norms import TINY, magnitude, power
-from vibrissa.surfaces.base import Surface
-
-_LARGEST_EXPONENT = 2.0
-
-Scalar = Float[Array, ""]
+from vibrissa.surfaces import fields
+from vibrissa.surfaces.base import Point, Scalar, Surface, Vector2, Vector3
 
 
 class Superquadric(Surface):
@@ -31,28 +26,16 @@ class Superquadric(Surface):
     """
 
     may_crease = False
-    center: Float[np.ndarray | Array, "3"]
-    semi_axes: Float[np.ndarray | Array, "3"]
-    exponents: Float[np.ndarray | Array, "2"]
+    center: Vector3 = fields.place("center")
+    semi_axes: Vector3 = fields.sizes("semi_axes")
+    exponents: Vector2 = fields.sizes("exponents", 2, most=2)
 
-    def __init__(self, center: ArrayLike, semi_axes: ArrayLike, exponents: ArrayLike) -> None:
-        self.center = finite_array(center, "center", last=3, ndim=1)
-        self.semi_axes = finite_array(semi_axes, "semi_axes", last=3, ndim=1)
-        self.exponents = finite_array(exponents, "exponents", last=2, ndim=1)
-        for index, axis in enumerate(self.semi_axes):
-            positive(float(axis), f"semi_axes[{index}]")
-        for index, exponent in enumerate(self.exponents):
-            if not 0 < exponent <= _LARGEST_EXPONENT:
-                raise ValueError(
-                    f"exponents[{index}] = {float(exponent)!r}; allowed is a number greater than 0 and at most 2"
-                )
-
-    def level(self, point: Float[Array, "3"]) -> Scalar:
+    def level(self, point: Point) -> Scalar:
         """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the
         point: convex, and of slope 1 on that axis.
         """
-        u, v, w = (magnitude(point[i] - self.center[i]) / self.semi_axes[i] for i in range(3))
-        along, across = 2 / self.exponents[0], 2 / self.exponents[1]
+        u, v, w = magnitude(point - jnp.asarray(self.center)) / jnp.asarray(self.semi_axes)
+        along, across = 2 / jnp.asarray(self.exponents)
         # ρ is of first degree in the point: scaled by constants, which take no part in
         # differentiation, no power over- or underflows.
         wider = lax.stop_gradient(jnp.maximum(u, v))

@@ -1,5 +1,7 @@
 """Several objects as one."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import reduce
 
@@ -7,13 +9,10 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from vibrissa.surfaces.base import Surface
-
-Point = Float[Array, "3"]
-Scalar = Float[Array, ""]
+from vibrissa.surfaces.base import Derived, Point, Scalar, Surface
 
 
-class Union(Surface):
+class Union(Derived):
     """All points of one or more solids, apart or overlapping.
 
     The crease where two of them meet is concave: a rod that lies in it touches both, which is no
@@ -32,18 +31,17 @@ class Union(Surface):
         self.parts = tuple(parts)
 
     @property
-    def heavy(self) -> bool:
-        """As of any part."""
-        return any(part.heavy for part in self.parts)
-
-    @property
-    def creased(self) -> bool:
-        """As of any part; where parts meet, `part_levels` tell."""
-        return any(part.creased for part in self.parts)
+    def sources(self) -> Sequence[Surface]:
+        """The parts."""
+        return self.parts
 
     def level(self, point: Point) -> Scalar:
         """The least of the parts' levels."""
         return reduce(_smaller, [part.level(point) for part in self.parts])
+
+    def distance(self, point: Point) -> Scalar:
+        """The least of the distances from the parts."""
+        return reduce(_smaller, [part.distance(point) for part in self.parts])
 
     def part_levels(self, point: Point) -> Float[Array, "parts"]:
         """Levels of all parts, and of their parts."""
@@ -52,10 +50,6 @@ class Union(Surface):
     def part_distances(self, point: Point) -> Float[Array, "parts"]:
         """Distances from all parts, and from their parts."""
         return jnp.concatenate([part.part_distances(point) for part in self.parts])
-
-    def distance(self, point: Point) -> Scalar:
-        """The least of the distances from the parts."""
-        return reduce(_smaller, [part.distance(point) for part in self.parts])
 
 
 def _smaller(first: Scalar, second: Scalar) -> Scalar:

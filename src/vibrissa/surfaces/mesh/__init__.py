@@ -1,4 +1,4 @@
-"""Triangle meshes as smooth level functions: read, mended, divided at creases, sampled on a grid."""
+"""Triangle meshes as smooth level functions: read, mended, divided at creases, sampled."""
 
 from vibrissa.surfaces.mesh.repair import Repairs
 from vibrissa.surfaces.mesh.surface import Mesh

@@ -1,16 +1,17 @@
 """A solid given by the triangles of its surface."""
 
+from __future__ import annotations
+
 import logging
 from pathlib import Path
 
 import equinox as eqx
 import numpy as np
-from jax import Array
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite
-from vibrissa.surfaces.base import Surface
+from vibrissa.surfaces.base import ExactSurface, Point, Scalar
 from vibrissa.surfaces.mesh.build import build
 from vibrissa.surfaces.mesh.creases import sheets
 from vibrissa.surfaces.mesh.field import Field, field_level
@@ -37,7 +38,7 @@ class _Source:
         return 0
 
 
-class Mesh(Surface):
+class Mesh(ExactSurface):
     """A closed triangle mesh, smoothed between its creases (mechanics.md, "Meshes").
 
     The level is the signed distance from a smooth surface through the vertices, of higher order
@@ -91,7 +92,8 @@ class Mesh(Surface):
         distance = 0.02 * diagonal if reach is None else finite(reach, "reach")
         if not 0 <= distance <= diagonal:
             raise ValueError(
-                f"reach = {reach!r}; allowed is a distance from 0 to the mesh's diagonal, {diagonal:.6g}"
+                f"reach = {reach!r}; allowed is a distance from 0 to the mesh's diagonal, "
+                f"{diagonal:.6g}"
             )
         if repairs:
             _LOG.warning("mesh mended: %s", repairs)
@@ -106,7 +108,7 @@ class Mesh(Surface):
         *,
         crease_angle: float = 0.7,
         reach: float | None = None,
-    ) -> "Mesh":
+    ) -> Mesh:
         """Read STL, OBJ, PLY, glTF or GLB.
 
         Parameters
@@ -153,12 +155,8 @@ class Mesh(Surface):
         """Yes: a spline of 64 terms."""
         return True
 
-    def level(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+    def level(self, point: Point) -> Scalar:
         """Signed distance; away from the surface by more than `reach`, to about a grid cell's
         rounding of creases.
         """
         return field_level(self.field, point)
-
-    def distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
-        """Signed distance: the level."""
-        return self.level(point)

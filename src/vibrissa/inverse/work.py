@@ -10,7 +10,6 @@ apart.
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,14 +17,13 @@ from scipy.special import chdtri
 from scipy.stats import median_abs_deviation
 
 from vibrissa.geometry.rotation import rotation_vectors
-from vibrissa.inverse.kernels import invert_blocks
+from vibrissa.inverse.kernels import Sample, exact_contacts
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.numerics.blocks import in_blocks
+from vibrissa.inverse.shared import setting_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
 
-_ENERGY = 8
 _FALSE_ALARM = 1e-9
 # Without stated noise: of the largest force.
 _LEAST_LOAD = 0.02
@@ -314,11 +312,9 @@ def _of_contact(
     inside = known[start : start + size * count].reshape(count, size)
     middle = inside[:, size // 2]
     force, moment = reactions.force[inside].mean(axis=1), reactions.moment[inside].mean(axis=1)
-    scales = np.array([rod.force_scale, rod.moment_scale])
-    fields = in_blocks(
-        partial(invert_blocks, scales), force, moment, reactions.trail.orientation[middle]
-    )
-    energy = np.nan_to_num(fields[:, _ENERGY] * rod.moment_scale)
+    trail = reactions.trail
+    rows = Sample(force, moment, trail.position[middle], trail.orientation[middle])
+    energy = np.nan_to_num(exact_contacts(setting_of(rod, reactions), rows).energy)
     # From well before the first row that stands out of the noise: the load began there.
     begin = max(before, start - (stop - start) // _EARLIER)
     work = np.cumsum(steps[begin:stop])[start - begin :]

@@ -87,7 +87,9 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     n = found.kind.shape[-1]
     usable = (found.in_contact & (found.status == Status.OK)).reshape(-1, n)
     tangent = contact_tangents(found).reshape(-1, n, 3)
-    point, direction = found.point.reshape(-1, n, 3), found.normal.reshape(-1, n, 3)
+    point, direction = (
+        part.reshape(-1, n, 3) for part in (found.point, found.force_direction)
+    )
     arc_length = found.arc_length.reshape(-1, n)
     # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
     # it.
@@ -134,7 +136,7 @@ def contact_tangents(found: Reconstruction) -> Float[np.ndarray, "*trail n 3"]:
     clamp's side of the force.
     """
     reach = found.point - found.reactions.trail.position
-    direction = found.normal
+    direction = found.force_direction
     side = reach - np.einsum("...i,...i->...", reach, direction)[..., None] * direction
     with np.errstate(invalid="ignore", divide="ignore"):
         side = side / np.linalg.norm(side, axis=-1, keepdims=True)

@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind
 from vibrissa.geometry.checks import not_negative
-from vibrissa.inverse.channels import reconstruct_from_channels
+from vibrissa.inverse.channels import found_by_channels
 from vibrissa.inverse.checks.check import checked
 from vibrissa.inverse.kernels import Found, exact_contacts, many_exact_contacts, noisy_contacts, weak_contacts
 from vibrissa.inverse.result import Reconstruction
@@ -90,9 +90,10 @@ def reconstruct(
     if friction is not None:
         friction = not_negative(friction, "friction")
     if channels is not None:
-        return reconstruct_from_channels(
+        found = found_by_channels(
             rod, reactions, channels, friction=friction, false_alarm=false_alarm
         )
+        return _reconstruction(rod, reactions, friction, found)
     setting = setting_of(rod, reactions)._replace(
         steepest=_steepest(friction), threshold=_threshold(false_alarm)
     )
@@ -156,7 +157,7 @@ def _reconstruction(
         reactions,
         kind=found.kind,
         point=point,
-        normal=direction,
+        force_direction=direction,
         arc_length=found.arc_length,
         energy=found.energy,
         modulus=found.incidence,

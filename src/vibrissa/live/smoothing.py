@@ -65,7 +65,7 @@ class SmoothingStage:
             found,
             kind=np.array([int(row.kind) for row in rows], dtype=np.int8),
             point=np.array([row.point for row in rows]).reshape(-1, 3),
-            normal=np.array([row.normal for row in rows]).reshape(-1, 3),
+            force_direction=np.array([row.normal for row in rows]).reshape(-1, 3),
             arc_length=np.array([row.arc_length for row in rows]),
             modulus=np.array([row.modulus for row in rows]),
             covariance=np.array([row.covariance for row in rows]).reshape(-1, 3, 3),

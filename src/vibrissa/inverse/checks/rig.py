@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.checks.constraints import TIP, Constraints, Slopes, constraints_of
 from vibrissa.inverse.checks.stretches import Stretches
+from vibrissa.mechanics.imperfect import Imperfect
 from vibrissa.reactions import Reactions
 
 STIFFNESS, LENGTH, TAPER = 0, 1, 14
@@ -115,15 +116,13 @@ class Bench:
     def constraints(self, errors: Float[np.ndarray, "32"]) -> Constraints:
         """Of the rod with these errors taken off; s₁ and lengths in the stated one's."""
         axes = np.swapaxes(self.stretches.turn, 1, 2)
-        rod = np.concatenate(
-            [
-                np.tile([min(errors[TAPER], _MOST_TAPER)], (len(axes), 1)),
-                np.tile(errors[CURVATURE], (len(axes), 1)),
-                axes @ errors[LOAD],
-            ],
-            axis=1,
+        rods = Imperfect(
+            self.wrench(errors),
+            np.full(len(axes), min(errors[TAPER], _MOST_TAPER)),
+            np.tile(errors[CURVATURE], (len(axes), 1)),
+            axes @ errors[LOAD],
         )
-        return constraints_of(self.wrench(errors), rod, float(np.exp(errors[LENGTH])))
+        return constraints_of(np.exp(errors[LENGTH]), rods)
 
     def slopes(self, here: Constraints, errors: Float[np.ndarray, "32"]) -> Slopes:
         """Derivatives of constraints (k, 4, 32) and points (k, 3, 32) by the errors."""

@@ -93,8 +93,8 @@ def test_constraints_are_those_of_an_integrated_rod() -> None:
         slope = np.stack([(at_tip(moment + 1e-6 * e)[9:] - left) / 1e-6 for e in np.eye(3)], axis=1)
         moment = moment - np.linalg.solve(slope, left)
     wrench = -np.concatenate([force + load, moment])[None]
-    rod = Imperfect(wrench, np.array([taper]), bend[None], load[None])
-    found = constraints_of(1.0, rod)
+    bent_rod = Imperfect(wrench, np.array([taper]), bend[None], load[None])
+    found = constraints_of(1.0, bent_rod)
     np.testing.assert_allclose(found.value[0, :3], 0, atol=1e-4)
     np.testing.assert_allclose(found.reach[0], at_tip(moment)[:3], atol=1e-3)
 

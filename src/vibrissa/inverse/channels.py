@@ -82,7 +82,8 @@ def checked_channels(channels: Sequence[str]) -> tuple[str, ...]:
     unknown = [name for name in given if name not in CHANNELS]
     if isinstance(channels, str) or unknown or len(set(given)) != len(given) or len(given) < 3:
         raise ValueError(
-            f"channels = {channels!r}; allowed are at least 3 different ones of {', '.join(CHANNELS)}, forces and moments in clamp axes"
+            f"channels = {channels!r}; allowed are at least 3 different ones of "
+            f"{', '.join(CHANNELS)}, forces and moments in clamp axes"
         )
     return tuple(name for name in CHANNELS if name in given)
 
@@ -95,9 +96,10 @@ def found_by_channels(
     friction: float | None,
     false_alarm: float,
 ) -> Found:
-    """Contacts from some of the reactions, the others unseen (`reconstruct`'s `channels`): both laws
-    of contact are tried, and a row is unique where one of them alone has a solution, no direction
-    left open.
+    """Contacts from some of the reactions, the others unseen (`reconstruct`'s `channels`).
+
+    Both laws of contact are tried, and a row is unique where one of them alone has a solution, no
+    direction left open.
 
     With friction the incidence of a tangential contact is not known, and the channels have to do
     without a law.
@@ -178,9 +180,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
         value = bent(x)
         seen = root @ (jnp.where(selected, value.wrench, 0.0) - measured)
         laws = [x[ARC_LENGTH] - 1, value.modulus - _SQUARE, jnp.zeros(())]
-        left = jnp.concatenate(
-            [seen, jnp.stack([jnp.stack(laws)[problem.law], x[TILT]]) * scale]
-        )
+        left = jnp.concatenate([seen, jnp.stack([jnp.stack(laws)[problem.law], x[TILT]]) * scale])
         return left, left
 
     slopes = jax.jacfwd(equations, has_aux=True)

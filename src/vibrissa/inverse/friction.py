@@ -87,16 +87,15 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     n = found.kind.shape[-1]
     usable = (found.in_contact & (found.status == Status.OK)).reshape(-1, n)
     tangent = contact_tangents(found).reshape(-1, n, 3)
-    point, direction = (
-        part.reshape(-1, n, 3) for part in (found.point, found.force_direction)
-    )
+    point, direction = (part.reshape(-1, n, 3) for part in (found.point, found.force_direction))
     arc_length = found.arc_length.reshape(-1, n)
     # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
     # it.
     whole = _full_windows(usable, found.kind.reshape(-1, n), window)
     if not whole.any():
         raise ValueError(
-            f"window = {window}: no contact lasts that many samples; allowed is a smaller window or a denser recording"
+            f"window = {window}: no contact lasts that many samples; allowed is a smaller window or "
+            "a denser recording"
         )
     motion = np.full(point.shape, np.nan)
     slope = savgol_coeffs(window, 2, deriv=1, use="dot")

@@ -5,7 +5,6 @@ All is in model units but what `Setting` and `Found` say; vectors are in world a
 """
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -38,6 +37,13 @@ _FIRST_ORDER = 20.0
 _TINY = 1e-300
 
 
+Flag = Bool[Array, ""]
+Wrench = Float[Array, "6"]
+"""Force and moment, or a derivative by these."""
+Spread = Float[Array, "6 6"]
+"""Covariance of a wrench."""
+
+
 class Setting(NamedTuple):
     """What all samples share, in units of the rod."""
 
@@ -60,9 +66,9 @@ class Sample(NamedTuple):
     moment: Vector
     position: Vector
     orientation: Float[Array, "4"]
-    covariance: Float[Array, "6 6"] | None = None
+    covariance: Spread | None = None
     """Of the wrench, model units."""
-    velocity: Float[Array, "6"] | None = None
+    velocity: Wrench | None = None
     """Of the clamp, clamp axes, rod lengths and radians a second."""
 
 
@@ -90,7 +96,7 @@ class Found(NamedTuple):
     deviation: Scalar | None = None
     """Of s₁."""
     chi_square: Scalar | None = None
-    weak: Bool[Array, ""] | None = None
+    weak: Flag | None = None
     """Whether the errors need second moments."""
 
 
@@ -106,14 +112,14 @@ class Observed(NamedTuple):
 class _Probable(NamedTuple):
     """Most probable wrench of a single contact within the rod's length, and derivatives there."""
 
-    wrench: Float[Array, "6"]
+    wrench: Wrench
     contact: Contact
     slopes: Observed
     """By the measured wrench; those of s₁ and incidence as if the tip were not imposed."""
     single: Scalar
-    couple: Float[Array, "6"]
+    couple: Wrench
     """Derivative of `single`."""
-    pinned: Bool[Array, ""]
+    pinned: Flag
     """Whether the wrench was moved to the tip."""
     off_straight: Scalar
     """Distance from a force at the tip of the straight rod, in standard deviations."""
@@ -158,7 +164,7 @@ def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
     return _by_setup(_probable(setting, sample), sample, setting.rig)[0]
 
 
-def _wrench(setting: Setting, sample: Sample) -> Float[Array, "6"]:
+def _wrench(setting: Setting, sample: Sample) -> Wrench:
     return jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
 
 
@@ -203,9 +209,7 @@ def _noisy(setting: Setting, sample: Sample) -> tuple[Found, _Probable]:
     )
     scale = jnp.where(found.kind == ContactKind.NONE, jnp.nan, setting.length)
     noise, setup = (
-        None
-        if part is None
-        else Errors(part.point * scale**2, part.direction + 0 * scale)
+        None if part is None else Errors(part.point * scale**2, part.direction + 0 * scale)
         for part in (noise, setup)
     )
     return found._replace(
@@ -217,8 +221,8 @@ def _judged(
     setting: Setting,
     sample: Sample,
     contact: Contact,
-    touching: Bool[Array, ""],
-    couple: Bool[Array, ""],
+    touching: Flag,
+    couple: Flag,
     single: Scalar,
     most: float,
     deviation: Scalar,
@@ -279,9 +283,7 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
     )
 
 
-def _observed(
-    measured: Float[Array, "6"], tangent: Vector, covariance: Float[Array, "6 6"]
-) -> Observed:
+def _observed(measured: Wrench, tangent: Vector, covariance: Spread) -> Observed:
     """Errors pass through the projection on a single contact, but not through the limit at the tip,
     where they would be cut.
     """
@@ -380,27 +382,27 @@ def _product(first: Float[AnyArray, "k l"], second: Float[AnyArray, "l m"]) -> F
 
 
 def _within_the_rod(
-    wrench: Float[Array, "6"],
-    straight: Float[Array, "6"],
+    wrench: Wrench,
+    straight: Wrench,
     off_straight: Scalar,
     tangent: Vector,
-    covariance: Float[Array, "6 6"],
-) -> Float[Array, "6"]:
+    covariance: Spread,
+) -> Wrench:
     """The most probable wrench with s₁ ≤ L: a contact beyond the tip, by less than the noise
     explains, is one at the tip.
     """
 
-    def log_arc_length(wrench: Float[Array, "6"]) -> tuple[Scalar, Scalar]:
+    def log_arc_length(wrench: Wrench) -> tuple[Scalar, Scalar]:
         value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
         return value, value
 
     class Step(NamedTuple):
         count: Array
-        wrench: Float[Array, "6"]
+        wrench: Wrench
         deviations: Scalar
         """Change of the wrench, Σ · slope · multiplier, in standard deviations."""
         value: Scalar
-        goes_on: Bool[Array, ""]
+        goes_on: Flag
 
     def step(last: Step) -> Step:
         slope, value = jax.jacfwd(log_arc_length, has_aux=True)(last.wrench)
@@ -423,9 +425,7 @@ def _within_the_rod(
     return jnp.where(beyond, chosen, wrench)
 
 
-def _straight_tip(
-    wrench: Float[Array, "6"], tangent: Vector, covariance: Float[Array, "6 6"]
-) -> tuple[Float[Array, "6"], Scalar]:
+def _straight_tip(wrench: Wrench, tangent: Vector, covariance: Spread) -> tuple[Wrench, Scalar]:
     """Most probable wrench of a force at the tip of the rod while it is still straight, and its
     distance in standard deviations.
 

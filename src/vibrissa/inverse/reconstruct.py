@@ -12,7 +12,13 @@ from vibrissa.contacts import ContactKind
 from vibrissa.geometry.checks import not_negative
 from vibrissa.inverse.channels import found_by_channels
 from vibrissa.inverse.checks.check import checked
-from vibrissa.inverse.kernels import Found, exact_contacts, many_exact_contacts, noisy_contacts, weak_contacts
+from vibrissa.inverse.kernels import (
+    Found,
+    exact_contacts,
+    many_exact_contacts,
+    noisy_contacts,
+    weak_contacts,
+)
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.ringing import without_ringing
 from vibrissa.inverse.shared import samples_of, setting_of

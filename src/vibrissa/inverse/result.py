@@ -111,9 +111,10 @@ class Reconstruction:
 
     @property
     def normal(self) -> Float[np.ndarray, "*trail n 3"]:
-        """(…, 3) outward unit normal of the object as far as it is known: the force direction, which
-        is the normal without friction and else within atan μ of it, or the estimated normal where
-        there is one.
+        """(…, 3) outward unit normal of the object as far as it is known.
+
+        The force direction, which is the normal without friction and else within atan μ of it, or
+        the estimated normal where there is one.
         """
         if self.estimated_normal is None:
             return self.force_direction
@@ -126,8 +127,8 @@ class Reconstruction:
 
     def __getitem__(self, rows: "int | slice | Bool[np.ndarray, 'n']") -> "Reconstruction":
         """Return one trail of several, or some rows of one trail: all fields together."""
-        taken = _rows_of(self, self.kind.shape, rows)
-        given = _rows_of(self.reactions, self.kind.shape, rows)
+        taken = rows_of(self, self.kind.shape, rows)
+        given = rows_of(self.reactions, self.kind.shape, rows)
         trail = self.reactions.trail
         moved = Trail(trail.position[rows], trail.orientation[rows])
         return replace(self, reactions=replace(self.reactions, trail=moved, **given), **taken)
@@ -159,7 +160,8 @@ class Reconstruction:
         """
         if self.friction is None:
             raise ValueError(
-                "friction = None: a bound on the object's normal needs the coefficient of friction; give it to `reconstruct`, or estimate it"
+                "friction = None: a bound on the object's normal needs the coefficient of friction; "
+                "give it to `reconstruct`, or estimate it"
             )
         return math.atan(self.friction)
 
@@ -243,7 +245,7 @@ class Reconstruction:
         return reconstruction_dataset(self)
 
 
-def _rows_of(given: object, shape: tuple[int, ...], rows: Any) -> dict[str, Any]:
+def rows_of(given: object, shape: tuple[int, ...], rows: Any) -> dict[str, Any]:
     """Of the fields that hold one entry a sample."""
     whole = {"position_covariance", "rotation_covariance"}
     values = {

@@ -3,8 +3,7 @@ contact can move, and are no contact.
 """
 
 import math
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,7 +11,7 @@ from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.result import Reconstruction
+from vibrissa.inverse.result import Reconstruction, rows_of
 from vibrissa.reactions import Reactions
 
 # Two periods and more of first bending frequencies from 20 to 200 Hz: those of wires and whiskers
@@ -65,16 +64,11 @@ def without_ringing(found: Reconstruction) -> Reconstruction:
     rows = found.in_contact & ringing(found.reactions)
     if not rows.any():
         return found
-    changed: dict[str, Any] = {}
-    for name in (field.name for field in fields(found)):
-        value = getattr(found, name)
-        if (
-            isinstance(value, np.ndarray)
-            and value.shape[:1] == rows.shape
-            and value.dtype.kind == "f"
-            and name not in _KEPT
-        ):
-            changed[name] = np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), np.nan, value)
+    changed = {
+        name: np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), np.nan, value)
+        for name, value in rows_of(found, rows.shape, slice(None)).items()
+        if value.dtype.kind == "f" and name not in _KEPT
+    }
     kind, status = (
         np.where(rows, int(code), part).astype(part.dtype)
         for part, code in ((found.kind, ContactKind.NONE), (found.status, Status.RINGING))
@@ -106,14 +100,10 @@ def _whitened(reactions: Reactions) -> Float[np.ndarray, "n 4"]:
         )
         return loads / np.where(scales > 0, _NOISELESS * scales, 1.0)
     covariance = np.broadcast_to(reactions.covariance, (len(turn), 6, 6))
-    both = (
-        np.einsum("nji,njk->nik", turn, covariance[:, :3, :3]),
-        np.einsum("nji,njk->nik", turn, covariance[:, 3:, 3:]),
-    )
-    variance = np.concatenate(
-        [np.einsum("nik,nki->ni", part, turn)[:, :2] for part in both], axis=1
-    )
-    return loads / np.sqrt(variance)
+    parts = (covariance[:, :3, :3], covariance[:, 3:, 3:])
+    # Of their first two components in clamp axes.
+    variance = [np.einsum("nji,njk,nki->ni", turn, part, turn)[:, :2] for part in parts]
+    return loads / np.sqrt(np.concatenate(variance, axis=1))
 
 
 def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Bool[np.ndarray, "n"]:

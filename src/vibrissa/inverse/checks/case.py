@@ -123,7 +123,6 @@ class Case:
             here = here._replace(value=here.value + rubbing)
         return replace(self, errors=errors, here=here, slopes=slopes)
 
-
     def along(self, directions: Float[np.ndarray, "32 p"]) -> Guess:
         """A cause: steps along directions, and their standard deviations before the data."""
         square = (directions**2).T @ self.spread**2 / np.sum(directions**2, axis=0)
@@ -158,7 +157,9 @@ class Case:
 
 
 def case_of(averaged: Stretches, frame: Frame, stated: float | None) -> Case | None:
-    """With no errors, for a coefficient of friction as stated, if any; None with too few stretches."""
+    """With no errors, for a coefficient of friction as stated, if any; None with too few
+    stretches.
+    """
     contact, rest = averaged.chosen(averaged.contact), averaged.chosen(~averaged.contact)
     if len(contact.time) < _FEWEST:
         return None

@@ -55,7 +55,9 @@ def unit_of(rod: Rod, name: str) -> tuple[str, float]:
         "load": ("N/m" if rod.units == "SI" else "1", rod.force_scale / rod.length),
         "drift": (f"{reading}/s", scale),
         "zero": (reading, scale),
-    }.get(name if name[:5] not in ("drift", "zero_") else name.split("_")[0], ("1", 1.0))
+    }.get(
+        name if name[:5] not in ("drift", "zero_") else name.split("_", maxsplit=1)[0], ("1", 1.0)
+    )
 
 
 def apart_line(found: Reconstruction, misfit: Misfit, rows: Bool[np.ndarray, "n"]) -> str:
@@ -84,8 +86,7 @@ def causes_line(
     seen = _seen(rod, case.here, tip, int(np.argmax(np.sum(signal**2, axis=0))))
     order = sorted(together, key=lambda one: SUSPECTS.index(one.suspect))[:_SHOWN]
     causes = [
-        _named(rod, one.suspect.name, unit_of(rod, one.suspect.name)[1] * one.size)
-        for one in order
+        _named(rod, one.suspect.name, unit_of(rod, one.suspect.name)[1] * one.size) for one in order
     ]
     shift, place = max(one.shift for one in together), "in the median"
     if shift < MATTERS:
@@ -143,11 +144,15 @@ def _named(rod: Rod, name: str, estimate: Float[np.ndarray, "p"]) -> str:
         return f"clamp turned by {_vector(estimate, angles, ' about ')} of its axes"
     if name == "rest_curvature":
         sagitta = [_length(rod, value * rod.length**2 / 8) for value in estimate]
-        return f"a rod that is not straight, sagitta {_vector(estimate, sagitta)} of the clamp's axes"
+        return (
+            f"a rod that is not straight, sagitta {_vector(estimate, sagitta)} of the clamp's axes"
+        )
     if name == "load":
         size = float(np.linalg.norm(estimate))
         unit = "N/m" if rod.units == "SI" else "EI/L³"
-        towards = ", ".join(f"{part + 0.0:.1f}" for part in np.round(estimate / max(size, 1e-300), 1))
+        towards = ", ".join(
+            f"{part + 0.0:.1f}" for part in np.round(estimate / max(size, 1e-300), 1)
+        )
         return (
             f"a load along the rod such as its own weight, {size:.2g} {unit} towards ({towards}) "
             "of the world"

@@ -94,8 +94,8 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     whole = _full_windows(usable, found.kind.reshape(-1, n), window)
     if not whole.any():
         raise ValueError(
-            f"window = {window}: no contact lasts that many samples; allowed is a smaller window or "
-            "a denser recording"
+            f"window = {window}: no contact lasts that many samples; allowed is a smaller window "
+            "or a denser recording"
         )
     motion = np.full(point.shape, np.nan)
     slope = savgol_coeffs(window, 2, deriv=1, use="dot")

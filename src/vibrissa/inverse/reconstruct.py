@@ -56,7 +56,7 @@ def reconstruct(
         wrench of a single contact within the rod's length is taken for each sample, and its errors
         are carried to point and normal.
     friction
-        Coulomb's coefficient, if known: it bounds the object's normal by a cone around the force
+        Coulomb's coefficient; 0 is a frictionless contact, None an unknown coefficient. It bounds the object's normal by a cone around the force
         (`Reconstruction.normal_half_angle`). Whether a rod meets the object too steeply is judged
         for a coefficient of 0.75, or for this one where it is larger. `estimate_friction` finds it
         from the contacts of a sweep.
@@ -87,8 +87,8 @@ def reconstruct(
     Notes
     -----
     The contact is the first zero of the curvature, in closed form. With friction, point and arc
-    length stay exact, and only `normal` is the direction of the force instead of the object's
-    normal, which lies within atan μ of it. `estimate_friction` finds normals and μ from the
+    length stay exact, and `normal` is the direction of the force instead of the object's normal,
+    which lies within atan μ of it. `estimate_friction` finds normals and μ from the
     contacts of a sweep.
     """
     if not 0 < false_alarm < 1:

@@ -160,8 +160,8 @@ class Reconstruction:
         """
         if self.friction is None:
             raise ValueError(
-                "friction = None: a bound on the object's normal needs the coefficient of friction; "
-                "give it to `reconstruct`, or estimate it"
+                "friction = None: a bound on the object's normal needs the coefficient of "
+                "friction; give it to `reconstruct`, or estimate it"
             )
         return math.atan(self.friction)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import median_abs_deviation
 
 from vibrissa.contacts import ContactKind, Status
@@ -97,13 +98,15 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
             f"window = {window}: no contact lasts that many samples; allowed is a smaller window "
             "or a denser recording"
         )
-    motion = np.full(point.shape, np.nan)
     slope = savgol_coeffs(window, 2, deriv=1, use="dot")
-    for lane, index in np.argwhere(whole):
-        rows = slice(index - window // 2, index + window // 2 + 1)
-        motion[lane, index] = slope @ point[lane, rows] - tangent[lane, index] * (
-            slope @ arc_length[lane, rows]
-        )
+
+    def rate(values: Float[np.ndarray, "m n *k"]) -> Float[np.ndarray, "m n *k"]:
+        rates, half = np.full(values.shape, np.nan), window // 2
+        rates[:, half : n - half] = sliding_window_view(values, window, axis=1) @ slope
+        return rates
+
+    motion = rate(point) - tangent * rate(arc_length)[..., None]
+    motion[~whole] = np.nan
     speed = np.linalg.norm(motion, axis=-1)
     slides = whole & (speed > _AT_REST * np.median(speed[whole]))
     sliding = np.where(slides[..., None], motion / np.where(slides, speed, 1.0)[..., None], np.nan)

@@ -45,12 +45,12 @@ class Changes(NamedTuple):
     sample.
     """
 
-    wrench: Float[AnyArray, "*n 6 15"]
+    wrench: Float[AnyArray, "*n 6 setup"]
     """Of the wrench that is measured, (f0, m0), stated clamp axes, model units of the stated rod.
     """
-    reach: Float[AnyArray, "*n 3 15"]
+    reach: Float[AnyArray, "*n 3 setup"]
     """Of the contact seen from the stated clamp."""
-    direction: Float[AnyArray, "*n 3 15"]
+    direction: Float[AnyArray, "*n 3 setup"]
     """Of the unit vector of the contact force."""
 
 
@@ -113,7 +113,7 @@ def rig_of(rod: Rod, reactions: Reactions) -> Rig:
     return prepared(rod, reactions.setup_errors)[0]
 
 
-def factor_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "15 p"]:
+def factor_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "setup p"]:
     """Factor of the covariance of the setup's errors, lengths in units of the rod's; (15, 0) where
     the setup states none.
     """
@@ -123,7 +123,7 @@ def factor_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "15 p"]:
 @lru_cache(maxsize=64)
 def prepared(
     rod: Rod, errors: SetupErrors | None
-) -> tuple[Rig, Float[np.ndarray, "15 p"], Float[np.ndarray, "15 15"]]:
+) -> tuple[Rig, Float[np.ndarray, "setup p"], Float[np.ndarray, "setup setup"]]:
     """Rig, factor and covariance of errors of a setup, for this rod."""
     if errors is None:
         return (

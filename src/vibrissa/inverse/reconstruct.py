@@ -56,10 +56,10 @@ def reconstruct(
         wrench of a single contact within the rod's length is taken for each sample, and its errors
         are carried to point and normal.
     friction
-        Coulomb's coefficient; 0 is a frictionless contact, None an unknown coefficient. It bounds the object's normal by a cone around the force
-        (`Reconstruction.normal_half_angle`). Whether a rod meets the object too steeply is judged
-        for a coefficient of 0.75, or for this one where it is larger. `estimate_friction` finds it
-        from the contacts of a sweep.
+        Coulomb's coefficient: 0 for a frictionless contact, None where it is not known. It bounds
+        the object's normal by a cone around the force (`Reconstruction.normal_half_angle`). Whether
+        a rod meets the object too steeply is judged for a coefficient of 0.75, or for this one
+        where it is larger. `estimate_friction` finds it from the contacts of a sweep.
     false_alarm
         Share of samples without contact that may be taken for one; used where the noise is known.
     channels

@@ -96,7 +96,7 @@ class Reconstruction:
     smoothing: "tuple[Smoothing, ...] | None" = None
     covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
     normal_covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
-    sensitivity: Float[np.ndarray, "*trail n 6 15"] | None = None
+    sensitivity: Float[np.ndarray, "*trail n 6 setup"] | None = None
     warnings: list[str] = field(default_factory=list)
     setup_check: "SetupCheck | None" = None
     estimated_normal: Float[np.ndarray, "*trail n 3"] | None = None

@@ -14,6 +14,7 @@ from vibrissa.inverse.checks.constraints import TANGENT, TIP, Constraints, Slope
 from vibrissa.inverse.checks.regression import (
     Guess,
     Misfit,
+    Phases,
     Rows,
     fitted,
     in_tip_contact,
@@ -28,6 +29,8 @@ from vibrissa.inverse.checks.rig import (
     ROTATION,
     STIFFNESS,
     Bench,
+    BenchErrors,
+    Directions,
     Frame,
 )
 from vibrissa.inverse.checks.stretches import Stretches
@@ -83,12 +86,12 @@ class Case:
     """
 
     bench: Bench
-    errors: Float[np.ndarray, "32"]
+    errors: BenchErrors
     here: Constraints
     slopes: Slopes
     friction: Float[np.ndarray, "k 4 f"]
     friction_spread: Float[np.ndarray, "f"]
-    spread: Float[np.ndarray, "32"]
+    spread: BenchErrors
     silent: Bool[np.ndarray, "k"]
 
     @property
@@ -102,7 +105,7 @@ class Case:
         """Of the constraints, by noise."""
         return _deviations(self.stretches, self.here)
 
-    def about(self, errors: Float[np.ndarray, "32"], stated: float | None) -> "Case":
+    def about(self, errors: BenchErrors, stated: float | None) -> "Case":
         """With other errors taken off; stretches that then have no contact keep what they said
         before.
         """
@@ -123,7 +126,7 @@ class Case:
             here = here._replace(value=here.value + rubbing)
         return replace(self, errors=errors, here=here, slopes=slopes)
 
-    def along(self, directions: Float[np.ndarray, "32 p"]) -> Guess:
+    def along(self, directions: Directions) -> Guess:
         """A cause: steps along directions, and their standard deviations before the data."""
         square = (directions**2).T @ self.spread**2 / np.sum(directions**2, axis=0)
         return Guess(self.slopes.constraints @ directions, np.sqrt(square))
@@ -145,9 +148,7 @@ class Case:
         causes = [self.along(suspect.directions) for suspect in SUSPECTS[:TELLING]]
         return rubs(self.rows, Guess(self.friction, self.friction_spread), causes)
 
-    def phases(
-        self, causes: list[Float[np.ndarray, "32 p"]] | None = None, *, started: bool = True
-    ) -> Bool[np.ndarray, "k"]:
+    def phases(self, causes: list[Directions] | None = None, *, started: bool = True) -> Phases:
         """Whether each stretch touches with the tip, for the cause that explains most, of `causes`
         as directions, or of all that change all stretches; `started` tries also gross errors.
         """
@@ -220,7 +221,7 @@ def _rubbing(stretches: Stretches, here: Constraints) -> Float[np.ndarray, "k"]:
     )
 
 
-def tolerances_of(case: Case, reactions: Reactions, length: float) -> Float[np.ndarray, "32 p"]:
+def tolerances_of(case: Case, reactions: Reactions, length: float) -> Directions:
     """Errors of the bench that the setup states, a standard deviation each, independent of each
     other.
     """
@@ -239,9 +240,7 @@ def tolerances_of(case: Case, reactions: Reactions, length: float) -> Float[np.n
     return np.asarray(carry @ errors.factor)
 
 
-def weighed(
-    case: Case, tip: Bool[np.ndarray, "k"], reactions: Reactions, length: float
-) -> tuple[Misfit, float]:
+def weighed(case: Case, tip: Phases, reactions: Reactions, length: float) -> tuple[Misfit, float]:
     """Misfit under as much noise as it shows, and under as uneven a friction; and the friction."""
     friction, inflation = 0.0, 1.0
     tolerated = case.slopes.constraints @ tolerances_of(case, reactions, length)
@@ -281,7 +280,7 @@ class Solution(NamedTuple):
 
 def solved(
     cases: list[Case],
-    directions: Float[np.ndarray, "32 p"],
+    directions: Directions,
     spread: Float[np.ndarray, "p"],
     stated: float | None,
     start: Float[np.ndarray, "p"],

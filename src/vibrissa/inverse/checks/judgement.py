@@ -20,7 +20,7 @@ from vibrissa.inverse.checks.case import (
     weighed,
 )
 from vibrissa.inverse.checks.findings import Cause, SetupCheck
-from vibrissa.inverse.checks.regression import Misfit, fitted, shifts
+from vibrissa.inverse.checks.regression import Misfit, Phases, fitted, shifts
 from vibrissa.inverse.checks.rig import frame_of
 from vibrissa.inverse.checks.stretches import stretches_of
 from vibrissa.inverse.checks.suspects import SUSPECTS, TELLING, Suspect
@@ -139,7 +139,7 @@ def _of_case(found: Reconstruction, case: Case) -> SetupCheck:
 
 
 def _explained(
-    found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], first: list[Tried]
+    found: Reconstruction, case: Case, tip: Phases, first: list[Tried]
 ) -> tuple[list[list[Tried]], list[str]]:
     """Up to three groups of causes, one after the other, each with the likeliest before taken off,
     and a line on each.
@@ -175,7 +175,7 @@ def _matters(case: Case, tried: list[Tried]) -> bool:
     return matters(alike(tried), _WITH_FRICTION if case.silent.any() else 0.0)
 
 
-def _candidates(case: Case, tip: Bool[np.ndarray, "k"], misfit: Misfit) -> list[Tried]:
+def _candidates(case: Case, tip: Phases, misfit: Misfit) -> list[Tried]:
     """All causes beside friction, the best first."""
     rub = misfit.whitened(case.friction)
     by_friction = fitted(misfit, rub, case.friction_spread).explained if rub.shape[1] else 0.0
@@ -203,7 +203,7 @@ def _tried(
 def _solved_if_gross(
     found: Reconstruction,
     case: Case,
-    tip: Bool[np.ndarray, "k"],
+    tip: Phases,
     misfit: Misfit,
     first: list[Tried],
 ) -> list[Tried]:

@@ -41,6 +41,10 @@ _SILENCED = 1e6
 """Of its variance: what the tip's row is widened by where the flank touches."""
 
 
+Phases = Bool[np.ndarray, "k"]
+"""Whether each stretch touches with the tip."""
+
+
 class Rows(NamedTuple):
     """Constraints of all stretches, linear in what is unknown."""
 
@@ -58,7 +62,7 @@ class Guess(NamedTuple):
     spread: Float[np.ndarray, "p"]
 
 
-def _applying(tip: Bool[np.ndarray, "k"]) -> Int[np.ndarray, "k 3"]:
+def _applying(tip: Phases) -> Int[np.ndarray, "k 3"]:
     """The three constraints that hold in each phase."""
     rows = np.tile([COUPLE, TORSION, TANGENT], (len(tip), 1))
     rows[tip, 2] = TIP
@@ -72,9 +76,7 @@ def picked(
     return np.take_along_axis(values, rows.reshape(*rows.shape, *[1] * (values.ndim - 2)), axis=1)
 
 
-def in_tip_contact(
-    rows: Rows, guesses: Iterable[Guess], *, started: bool = True
-) -> Bool[np.ndarray, "k"]:
+def in_tip_contact(rows: Rows, guesses: Iterable[Guess], *, started: bool = True) -> Phases:
     """Whether each stretch touches with the tip, for the cause that then explains most; from none
     of it, and if `started` from gross sizes as well.
     """
@@ -100,9 +102,7 @@ def rubs(rows: Rows, friction: Guess, causes: Iterable[Guess]) -> bool:
     return nothing - by_friction > max(_SOME, _HALF * (nothing - by_cause))
 
 
-def _settled(
-    rows: Rows, guess: Guess, unknown: Float[np.ndarray, "p"]
-) -> tuple[float, Bool[np.ndarray, "k"]]:
+def _settled(rows: Rows, guess: Guess, unknown: Float[np.ndarray, "p"]) -> tuple[float, Phases]:
     count = len(unknown)
     for of_length, of_tangent in (*_SCALES, _SCALES[-1]):
         size = rows.deviation.copy()
@@ -159,7 +159,7 @@ class Fitted(NamedTuple):
 def misfit_of(
     stretches: Stretches,
     here: Constraints,
-    tip: Bool[np.ndarray, "k"],
+    tip: Phases,
     silent: Bool[np.ndarray, "k"],
     *,
     friction: float = 0.0,
@@ -213,7 +213,7 @@ def fitted(
 
 
 def shifts(
-    slopes: Slopes, noise: Float[np.ndarray, "k 6 6"], here: Constraints, tip: Bool[np.ndarray, "k"]
+    slopes: Slopes, noise: Float[np.ndarray, "k 6 6"], here: Constraints, tip: Phases
 ) -> Float[np.ndarray, "k 3 p"]:
     """Derivatives of contacts that are taken to a single contact, and in tip contact to the rod's
     length, by the least change of the wrench.

@@ -27,6 +27,10 @@ POSITION, ROTATION, GAIN, CURVATURE, LOAD, DRIFT, ZERO = (
 curvature [1/L]; load per length, world axes [EI/L³]; drift; zero.
 """
 ERRORS = 32
+BenchErrors = Float[np.ndarray, "errors"]
+"""One number for each of these."""
+Directions = Float[np.ndarray, "errors p"]
+"""Errors for unit steps of some numbers."""
 _MOST_TAPER = 0.8
 _ZERO_STEPS = 3
 
@@ -77,7 +81,7 @@ class Bench:
     tared: float
     rest: Float[np.ndarray, "3 3"]
 
-    def taken(self, errors: Float[np.ndarray, "32"]) -> Float[np.ndarray, "6 6"]:
+    def taken(self, errors: BenchErrors) -> Float[np.ndarray, "6 6"]:
         """What takes measured wrenches, and their noise, to those with the errors taken off, but
         for what is added to them.
         """
@@ -90,7 +94,7 @@ class Bench:
             np.exp(-errors[STIFFNESS]) * both @ moved @ (back / (1 + errors[GAIN])) @ there
         )
 
-    def wrench(self, errors: Float[np.ndarray, "32"]) -> Float[np.ndarray, "k 6"]:
+    def wrench(self, errors: BenchErrors) -> Float[np.ndarray, "k 6"]:
         """Base wrenches in true clamp axes and in units of the true stiffness and the stated
         length.
         """
@@ -113,7 +117,7 @@ class Bench:
         axes = self.rest.T
         return np.concatenate([-axes, -0.5 * np.cross([0.0, 0.0, 1.0], axes, axisb=0).T])
 
-    def constraints(self, errors: Float[np.ndarray, "32"]) -> Constraints:
+    def constraints(self, errors: BenchErrors) -> Constraints:
         """Of the rod with these errors taken off; s₁ and lengths in the stated one's."""
         axes = np.swapaxes(self.stretches.turn, 1, 2)
         rods = Imperfect(
@@ -124,7 +128,7 @@ class Bench:
         )
         return constraints_of(np.exp(errors[LENGTH]), rods)
 
-    def slopes(self, here: Constraints, errors: Float[np.ndarray, "32"]) -> Slopes:
+    def slopes(self, here: Constraints, errors: BenchErrors) -> Slopes:
         """Derivatives of constraints (k, 4, 32) and points (k, 3, 32) by the errors."""
         wrench, base, count, eye = self.wrench(errors), here.by_wrench, len(here.value), np.eye(3)
         f, m = wrench[:, :3], wrench[:, 3:]

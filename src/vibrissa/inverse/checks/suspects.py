@@ -19,6 +19,8 @@ from vibrissa.inverse.checks.rig import (
     STIFFNESS,
     TAPER,
     ZERO,
+    BenchErrors,
+    Directions,
 )
 
 CHANNELS = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -54,7 +56,7 @@ class Suspect:
     """
 
     name: str
-    directions: Float[np.ndarray, "32 p"]
+    directions: Directions
 
 
 def _of(name: str, *entries: int) -> Suspect:
@@ -103,7 +105,7 @@ TELLING = 10
 """
 
 
-def spreads_of(sample: Float[np.ndarray, "6"], duration: float) -> Float[np.ndarray, "32"]:
+def spreads_of(sample: Float[np.ndarray, "6"], duration: float) -> BenchErrors:
     """Standard deviations before the data, for the noise of a sample (6), model units, and the
     contact's duration.
     """

@@ -10,7 +10,7 @@ from scipy.ndimage import label
 
 from vibrissa.inverse.checks.case import Case
 from vibrissa.inverse.checks.constraints import TANGENT, TIP, Constraints
-from vibrissa.inverse.checks.regression import Misfit, picked
+from vibrissa.inverse.checks.regression import Misfit, Phases, picked
 from vibrissa.inverse.checks.suspects import SUSPECTS
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.rod import Rod
@@ -74,9 +74,7 @@ def apart_line(found: Reconstruction, misfit: Misfit, rows: Bool[np.ndarray, "n"
     )
 
 
-def causes_line(
-    found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], together: "Sequence[Tried]"
-) -> str:
+def causes_line(found: Reconstruction, case: Case, tip: Phases, together: "Sequence[Tried]") -> str:
     """On causes that explain about the same: what is seen, how surely, and by how much each would
     move contacts.
     """
@@ -98,9 +96,7 @@ def causes_line(
     )
 
 
-def unexplained_line(
-    found: Reconstruction, case: Case, tip: Bool[np.ndarray, "k"], misfit: Misfit
-) -> str:
+def unexplained_line(found: Reconstruction, case: Case, tip: Phases, misfit: Misfit) -> str:
     """On a misfit that no cause explains."""
     value = picked(np.abs(case.here.value) / case.deviations, misfit.pick) * misfit.told
     row = int(misfit.pick[np.unravel_index(np.argmax(value), value.shape)])
@@ -121,7 +117,7 @@ def delay_told(rod: Rod, seconds: float, deviation: float, shift: float) -> str:
     )
 
 
-def _seen(rod: Rod, here: Constraints, tip: Bool[np.ndarray, "k"], row: int) -> str:
+def _seen(rod: Rod, here: Constraints, tip: Phases, row: int) -> str:
     of_row = tip if row == TIP else ~tip if row == TANGENT else np.ones_like(tip)
     size = here.value[of_row, row] / (here.steepness[of_row] if row == TIP else 1.0)
     middle = float(np.median(size))

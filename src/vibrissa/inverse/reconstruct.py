@@ -112,10 +112,8 @@ def reconstruct(
         weak = np.flatnonzero(found.weak & (found.kind != ContactKind.NONE))
         if weak.size:
             picked = jax.tree.map(lambda part: part[weak], samples)
-            noise = jax.tree.map(np.array, found.noise)
-            for whole, part in zip(noise, weak_contacts(setting, picked).noise, strict=True):
+            for whole, part in zip(found.noise, weak_contacts(setting, picked).noise, strict=True):
                 whole[weak] = part
-            found = found._replace(noise=noise)
     result = _reconstruction(rod, reactions, friction, found)
     if not check:
         return result

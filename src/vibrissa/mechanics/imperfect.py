@@ -83,7 +83,7 @@ def rod_end(rod: Imperfect, arc_length: Float[Array, ""]) -> End:
         return moved(at, step / 6, total)
 
     x, _, z = jnp.eye(3)
-    start = _State(jnp.zeros(3), z, x, -rod.wrench[3:])
+    start = _State(jnp.zeros(3), z, x, -jnp.asarray(rod.wrench)[3:])
     last = lax.fori_loop(0, _STEPS, advance, start)
     over = jnp.cross(last.tangent, rod.load) * (1 - arc_length) ** 2 / 2
     return End(last.moment - over, -rod.wrench[:3] - rod.load, last.tangent, last.reach)

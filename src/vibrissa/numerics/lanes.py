@@ -87,7 +87,7 @@ class Lanes(Generic[Shared, Row]):
         if count == 0:
             return self._nothing(shared, rows)
         if count == 1 and self._alone:
-            return jax.tree.map(np.asarray, self._guarded(self._single, shared, rows))
+            return jax.tree.map(np.array, self._guarded(self._single, shared, rows))
         starts = range(0, count, size)
 
         def call(first: int) -> Row:
@@ -100,10 +100,7 @@ class Lanes(Generic[Shared, Row]):
         found = in_threads(call, starts)
         # Lanes stay innermost in memory: what is returned are views.
         return jax.tree.map(
-            lambda *parts: np.moveaxis(
-                np.concatenate(parts, axis=-1) if len(parts) > 1 else parts[0], -1, 0
-            ),
-            *found,
+            lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
         )
 
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:

@@ -68,7 +68,8 @@ class Constraints(NamedTuple):
 @lanes(width=96, blocks=1)
 def constraints_of(length: float, rod: Imperfect) -> Constraints:
     """Constraints for rods by their base wrenches, clamp axes, of this length."""
-    ideal = invert(rod.wrench[:3], rod.wrench[3:], jnp.array([0.0, 0.0, 1.0])).arc_length
+    wrench = jnp.asarray(rod.wrench)
+    ideal = invert(wrench[:3], wrench[3:], jnp.array([0.0, 0.0, 1.0])).arc_length
     off_ideal = jnp.any(rod.load != 0) | jnp.any(rod.curvature != 0) | (rod.taper != 0)
     arc_length = jnp.where(off_ideal, contact_near(rod, ideal), ideal)
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind, Status
@@ -153,7 +153,7 @@ def found_by_channels(
 
 
 def _beside(
-    rows: Bool[np.ndarray, "n"], part: Float[np.ndarray, "n *k"]
+    rows: Bool[np.ndarray, "n"], part: Shaped[np.ndarray, "n *k"]
 ) -> Bool[np.ndarray, "n *ones"]:
     return rows.reshape(-1, *[1] * (part.ndim - 1))
 

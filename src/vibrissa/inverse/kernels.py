@@ -82,21 +82,21 @@ class Errors(NamedTuple):
 class Found(NamedTuple):
     """Contact of one row, in units of the rod; NaN without contact."""
 
-    kind: Int[Array, ""]
-    status: Int[Array, ""]
-    point: Vector
-    direction: Vector
-    arc_length: Scalar
-    energy: Scalar
-    incidence: Scalar
-    single: Scalar
+    kind: Int[AnyArray, "*n"]
+    status: Int[AnyArray, "*n"]
+    point: Float[AnyArray, "*n 3"]
+    direction: Float[AnyArray, "*n 3"]
+    arc_length: Float[AnyArray, "*n"]
+    energy: Float[AnyArray, "*n"]
+    incidence: Float[AnyArray, "*n"]
+    single: Float[AnyArray, "*n"]
     """Violation of m0·f0 = 0: relative to ‖m0‖ ‖f0‖, or in standard deviations."""
     noise: Errors | None = None
     setup: Errors | None = None
-    deviation: Scalar | None = None
+    deviation: Float[AnyArray, "*n"] | None = None
     """Of s₁."""
-    chi_square: Scalar | None = None
-    weak: Flag | None = None
+    chi_square: Float[AnyArray, "*n"] | None = None
+    weak: Bool[AnyArray, "*n"] | None = None
     """Whether the errors need second moments."""
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import jax
 import numpy as np
@@ -96,14 +97,15 @@ def reconstruct(
     if friction is not None:
         friction = not_negative(friction, "friction")
     if channels is not None:
-        found = found_by_channels(
+        some = found_by_channels(
             rod, reactions, channels, friction=friction, false_alarm=false_alarm
         )
-        return _reconstruction(rod, reactions, friction, found)
+        return _reconstruction(rod, reactions, friction, some)
     setting = setting_of(rod, reactions)._replace(
         steepest=_steepest(friction), threshold=_threshold(false_alarm)
     )
     samples = samples_of(rod, reactions)
+    found: Any
     if reactions.covariance is None:
         many = reactions.force.size > _MANY
         found = (many_exact_contacts if many else exact_contacts)(setting, samples)
@@ -142,36 +144,38 @@ def _steepest(friction: float | None) -> float:
 def _reconstruction(
     rod: Rod, reactions: Reactions, friction: float | None, found: Found
 ) -> Reconstruction:
-    found = jax.tree.map(lambda part: part.reshape(*reactions.trail.shape, *part.shape[1:]), found)
-    point, direction = found.point, found.direction
+    rows: Any = jax.tree.map(
+        lambda part: part.reshape(*reactions.trail.shape, *part.shape[1:]), found
+    )
+    point, direction = rows.point, rows.direction
     noise = whole = None, None
-    if found.noise is not None:
+    if rows.noise is not None:
         by_pose = reactions.pose_covariance(point)
         turned = reactions.rotation_covariance
         noise = whole = (
-            found.noise.point if by_pose is None else found.noise.point + by_pose,
-            found.noise.direction
+            rows.noise.point if by_pose is None else rows.noise.point + by_pose,
+            rows.noise.direction
             if turned is None
-            else found.noise.direction + turned_covariance(turned, direction),
+            else rows.noise.direction + turned_covariance(turned, direction),
         )
-        if found.setup is not None:
-            whole = noise[0] + found.setup.point, noise[1] + found.setup.direction
+        if rows.setup is not None:
+            whole = noise[0] + rows.setup.point, noise[1] + rows.setup.direction
     return Reconstruction(
         rod,
         reactions,
-        kind=found.kind,
+        kind=rows.kind,
         point=point,
         force_direction=direction,
-        arc_length=found.arc_length,
-        energy=found.energy,
-        modulus=found.incidence,
+        arc_length=rows.arc_length,
+        energy=rows.energy,
+        modulus=rows.incidence,
         covariance=whole[0],
         normal_covariance=whole[1],
         covariance_noise=noise[0],
         normal_covariance_noise=noise[1],
-        arc_length_deviation=found.deviation,
-        chi_square=found.chi_square,
-        single_contact_residual=found.single,
+        arc_length_deviation=rows.deviation,
+        chi_square=rows.chi_square,
+        single_contact_residual=rows.single,
         friction=friction,
-        status=found.status,
+        status=rows.status,
     )

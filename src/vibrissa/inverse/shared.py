@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.kernels import Sample, Setting, sensitivities_of
 from vibrissa.inverse.parameters import factor_of, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
@@ -34,6 +35,23 @@ def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sampl
             velocity = velocities_of(rod, reactions).reshape(-1, 6)
     rows = (reactions.force, reactions.moment, trail.position, trail.orientation)
     return Sample(*(part.reshape(-1, part.shape[-1]) for part in rows), covariance, velocity)
+
+
+def in_clamp_axes(
+    reactions: Reactions, units: Float[np.ndarray, "6"] | float = 1.0
+) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "n 6 6"] | None]:
+    """Wrenches of one trail in clamp axes and these units, and their covariances if known."""
+    turn = rotation_matrices(reactions.trail.orientation)
+    parts = (reactions.force, reactions.moment)
+    turned = [np.einsum("nji,nj->ni", turn, part) for part in parts]
+    wrench = np.concatenate(turned, axis=1) / units
+    if reactions.covariance is None:
+        return wrench, None
+    both = np.zeros((len(turn), 6, 6))
+    both[:, :3, :3] = both[:, 3:, 3:] = turn
+    scales = units * np.ones(6)
+    relative = reactions.covariance / np.outer(scales, scales)
+    return wrench, np.swapaxes(both, 1, 2) @ relative @ both
 
 
 def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"]:

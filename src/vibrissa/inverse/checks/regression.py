@@ -176,7 +176,7 @@ def misfit_of(
     # A stretch next to a change of phase may hold some of both.
     change = tip[1:] != tip[:-1]
     told[:, 2] = ~(silent | np.append(change, False) | np.append(False, change))
-    slope = np.where(told[:, :, None], picked(here.by_wrench.constraints, pick), 0.0)
+    slope = np.where(told[:, :, None], picked(np.asarray(here.by_wrench.constraints), pick), 0.0)
     of_force = MODEL_ERROR * np.linalg.norm(here.force, axis=1)
     of_tangent = np.hypot(_TANGENT_ERROR, _FRICTION_UNEVEN * friction)
     floors = (of_force, of_force, np.where(tip, MODEL_ERROR * here.steepness, of_tangent))
@@ -196,7 +196,7 @@ def misfit_of(
         flat = columns.reshape(3 * count, columns.shape[2])
         whole = whole + flat @ flat.T
     root = np.linalg.cholesky(whole)
-    value = np.where(told, picked(here.value, pick), 0.0)
+    value = np.where(told, picked(np.asarray(here.value), pick), 0.0)
     alone = value / np.sqrt(np.diag(whole)).reshape(value.shape)
     return Misfit(solve_triangular(root, value.ravel(), lower=True), root, pick, told, alone)
 

@@ -148,7 +148,7 @@ class Bench:
         constraints, point = found.constraints, found.point
         constraints[:, TIP, LENGTH] += here.steepness * np.exp(errors[LENGTH])
         point[:, :, POSITION] += eye
-        point[:, :, ROTATION] -= _crossed(here.reach)
+        point[:, :, ROTATION] -= _crossed(np.asarray(here.reach))
         axes = np.swapaxes(self.stretches.turn, 1, 2)
         for where, part in (
             (slice(TAPER, TAPER + 1), here.by_taper),

@@ -4,7 +4,6 @@ and what is concluded from them.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,7 +22,7 @@ from vibrissa.inverse.checks.findings import Cause, SetupCheck
 from vibrissa.inverse.checks.regression import Misfit, Phases, fitted, shifts
 from vibrissa.inverse.checks.rig import frame_of
 from vibrissa.inverse.checks.stretches import stretches_of
-from vibrissa.inverse.checks.suspects import SUSPECTS, TELLING, Suspect
+from vibrissa.inverse.checks.suspects import SUSPECTS, TELLING, Suspect, Tried
 from vibrissa.inverse.checks.wording import (
     MATTERS,
     apart_line,
@@ -69,31 +68,6 @@ _WINDOW, _GROSSLY, _SURELY, _PERHAPS = 3, 50.0, 12.0, 6.0
 """Stretches together, and means of their three squares, of which noise makes 3 ± 1.4: from which a
 part contradicts the rest, where no cause is found (swinging makes 15) and where one is, and to
 which it then extends."""
-
-
-class Tried(NamedTuple):
-    """One cause, as large as explains most."""
-
-    score: float
-    """What it explains of χ², less a price for its numbers."""
-    suspect: Suspect
-    size: Float[np.ndarray, "p"]
-    deviation: Float[np.ndarray, "p"]
-    explained: float
-    moved: Float[np.ndarray, "k 3"]
-    """Shift of the contacts that it implies, clamp axes [L]."""
-
-    @property
-    def shift(self) -> float:
-        """In the median."""
-        return float(np.median(np.linalg.norm(self.moved, axis=1)))
-
-    @property
-    def largest(self) -> float:
-        """Where it is largest, in a fifth of the sweep: a length shows, and matters, in tip contact
-        alone.
-        """
-        return float(np.quantile(np.linalg.norm(self.moved, axis=1), 0.8))
 
 
 # Readings that no rod has make numbers without bound; what is not finite is left out.

@@ -3,6 +3,7 @@ that would be no surprise.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -57,6 +58,31 @@ class Suspect:
 
     name: str
     directions: Directions
+
+
+class Tried(NamedTuple):
+    """One cause, as large as explains most."""
+
+    score: float
+    """What it explains of χ², less a price for its numbers."""
+    suspect: Suspect
+    size: Float[np.ndarray, "p"]
+    deviation: Float[np.ndarray, "p"]
+    explained: float
+    moved: Float[np.ndarray, "k 3"]
+    """Shift of the contacts that it implies, clamp axes [L]."""
+
+    @property
+    def shift(self) -> float:
+        """In the median."""
+        return float(np.median(np.linalg.norm(self.moved, axis=1)))
+
+    @property
+    def largest(self) -> float:
+        """Where it is largest, in a fifth of the sweep: a length shows, and matters, in tip contact
+        alone.
+        """
+        return float(np.quantile(np.linalg.norm(self.moved, axis=1), 0.8))
 
 
 def _of(name: str, *entries: int) -> Suspect:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,12 +10,9 @@ from scipy.ndimage import label
 from vibrissa.inverse.checks.case import Case
 from vibrissa.inverse.checks.constraints import TANGENT, TIP, Constraints
 from vibrissa.inverse.checks.regression import Misfit, Phases, picked
-from vibrissa.inverse.checks.suspects import SUSPECTS
+from vibrissa.inverse.checks.suspects import SUSPECTS, Tried
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.rod import Rod
-
-if TYPE_CHECKING:
-    from vibrissa.inverse.checks.judgement import Tried
 
 MATTERS = 1e-3
 """Shift of the contacts [L], in a fifth of the sweep, below which a cause does not matter: 50 µm on
@@ -74,7 +70,7 @@ def apart_line(found: Reconstruction, misfit: Misfit, rows: Bool[np.ndarray, "n"
     )
 
 
-def causes_line(found: Reconstruction, case: Case, tip: Phases, together: "Sequence[Tried]") -> str:
+def causes_line(found: Reconstruction, case: Case, tip: Phases, together: Sequence[Tried]) -> str:
     """On causes that explain about the same: what is seen, how surely, and by how much each would
     move contacts.
     """

@@ -66,7 +66,7 @@ class Constraints(NamedTuple):
 
 
 @lanes(width=96, blocks=1)
-def constraints_of(length: float, rod: Imperfect) -> Constraints:
+def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
     """Constraints for rods by their base wrenches, clamp axes, of this length."""
     wrench = jnp.asarray(rod.wrench)
     ideal = invert(wrench[:3], wrench[3:], jnp.array([0.0, 0.0, 1.0])).arc_length

@@ -97,7 +97,8 @@ def contact_errors(
     """
     if found.covariance_noise is None or found.reactions.covariance is None:
         raise ValueError(
-            "found.covariance = None: errors by cause need the noise of the wrench; give the sensor force_noise and torque_noise"
+            "found.covariance = None: errors by cause need the noise of the wrench; give the "
+            "sensor force_noise and torque_noise"
         )
     rod = found.rod
     stiffness = np.hypot(
@@ -154,6 +155,7 @@ def _covariance(value: ArrayLike, name: str) -> Float[np.ndarray, "3 3"]:
         or np.linalg.eigvalsh(array)[0] < -1e-12 * np.abs(array).max()
     ):
         raise ValueError(
-            f"{name} = {array.tolist()}; allowed is a number of at least 0, or a symmetric positive semidefinite (3, 3)"
+            f"{name} = {array.tolist()}; allowed is a number of at least 0, or a symmetric "
+            "positive semidefinite (3, 3)"
         )
     return array

@@ -33,7 +33,8 @@ def reconstruction_dataset(found: "Reconstruction") -> "xarray.Dataset":
             found.normal,
             axis,
             "1",
-            "unit vector of the contact force on the rod; the object's outward normal without friction",
+            "unit vector of the contact force on the rod; the object's outward normal without "
+            "friction",
         ),
         "arc_length": Variable(found.arc_length, (), length, "arc length from clamp to contact"),
         "bending_energy": Variable(found.energy, (), rod.unit_of("energy"), "bending energy"),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import median_abs_deviation
 
 from vibrissa.contacts import ContactKind, Status
@@ -87,22 +88,25 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     n = found.kind.shape[-1]
     usable = (found.in_contact & (found.status == Status.OK)).reshape(-1, n)
     tangent = contact_tangents(found).reshape(-1, n, 3)
-    point, direction = found.point.reshape(-1, n, 3), found.normal.reshape(-1, n, 3)
+    point, direction = (part.reshape(-1, n, 3) for part in (found.point, found.force_direction))
     arc_length = found.arc_length.reshape(-1, n)
     # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
     # it.
     whole = _full_windows(usable, found.kind.reshape(-1, n), window)
     if not whole.any():
         raise ValueError(
-            f"window = {window}: no contact lasts that many samples; allowed is a smaller window or a denser recording"
+            f"window = {window}: no contact lasts that many samples; allowed is a smaller window "
+            "or a denser recording"
         )
-    motion = np.full(point.shape, np.nan)
     slope = savgol_coeffs(window, 2, deriv=1, use="dot")
-    for lane, index in np.argwhere(whole):
-        rows = slice(index - window // 2, index + window // 2 + 1)
-        motion[lane, index] = slope @ point[lane, rows] - tangent[lane, index] * (
-            slope @ arc_length[lane, rows]
-        )
+
+    def rate(values: Float[np.ndarray, "m n *k"]) -> Float[np.ndarray, "m n *k"]:
+        rates, half = np.full(values.shape, np.nan), window // 2
+        rates[:, half : n - half] = sliding_window_view(values, window, axis=1) @ slope
+        return rates
+
+    motion = rate(point) - tangent * rate(arc_length)[..., None]
+    motion[~whole] = np.nan
     speed = np.linalg.norm(motion, axis=-1)
     slides = whole & (speed > _AT_REST * np.median(speed[whole]))
     sliding = np.where(slides[..., None], motion / np.where(slides, speed, 1.0)[..., None], np.nan)
@@ -134,7 +138,7 @@ def contact_tangents(found: Reconstruction) -> Float[np.ndarray, "*trail n 3"]:
     clamp's side of the force.
     """
     reach = found.point - found.reactions.trail.position
-    direction = found.normal
+    direction = found.force_direction
     side = reach - np.einsum("...i,...i->...", reach, direction)[..., None] * direction
     with np.errstate(invalid="ignore", divide="ignore"):
         side = side / np.linalg.norm(side, axis=-1, keepdims=True)

@@ -1,226 +1,307 @@
-"""The inverse map in batches: without noise, and with what the noise implies."""
+"""Contacts sample by sample: what a wrench says of its contact, what noise and the tolerances of
+the setup imply, and whether the row can be trusted.
+
+All is in model units but what `Setting` and `Found` say; vectors are in world axes.
+"""
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from vibrissa.inverse.inverse import invert, single_contact
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.inverse.inverse import Contact, Scalar, Vector, invert, single_contact
 from vibrissa.inverse.parameters import Rig, changes
-from vibrissa.numerics.blocks import AnyArray
-from vibrissa.numerics.compiled import compiled
-from vibrissa.numerics.linear import solve_3x3
+from vibrissa.numerics.lanes import AnyArray, lanes
+from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
 from vibrissa.numerics.rotation import cross_matrix, rotation_matrix, third_axis
 
-WIDTH = 11
-"""r (3), n̂ (3), s₁, k², energy, f, and m0·f0 / (‖m0‖ f)."""
-NOISY_WIDTH = WIDTH + 9 + 9 + 3
-"""The same; covariance of r, covariance of n̂, standard deviations of s₁ and k², m0·f0 in standard
-deviations.
+SINGLE_CONTACT, TIP, LEAST_FORCE = 1e-3, 1e-6, 1e-14
+"""Where the noise is not known: how exactly reactions must fit one contact, and s₁ the rod's
+length [L], and the least force that is a contact [EI/L²]: rounding errors of scans, ten times over.
 """
-
-# The tip is imposed where s₁ comes out longer than the rod by less than this many standard
-# deviations.
-TIP_DEVIATIONS = 5.0
+_SINGLE_DEVIATIONS, _TIP_DEVIATIONS, _STEEP_DEVIATIONS, _KIND_DEVIATIONS = 6.0, 5.0, 3.0, 2.0
+"""Where the noise is known, in standard deviations: of m0·f0 = 0; up to which s₁ > L is noise and
+the tip is imposed; from which a tangent is too steep; within which a contact is called one at the
+tip.
+"""
 _TIP_STEPS = 10
-# Deviations of the force from which errors are carried to first order, which then holds nine in ten
-# and more: below, second moments are taken.
+_SETTLED = 1e-15
+"""Of the wrench: the change that ends the steps to the tip, rounding."""
 _FIRST_ORDER = 20.0
-_AT_TIP = 1e-6
+"""Standard deviations of the force from which errors to first order hold nine in ten and more
+(measured, `benchmarks/signal_strength.py`): below, second moments are taken."""
+_TINY = 1e-300
 
 
-@jax.jit
-def invert_blocks(
-    scales: Float[Array, "2"],
-    force: Float[Array, "blocks 3 width"],
-    moment: Float[Array, "blocks 3 width"],
-    orientation: Float[Array, "blocks 4 width"],
-) -> Array:
-    """`invert` for the units of force and moment, and blocks of support reactions and clamp
-    orientations: (blocks, 11, width).
-    """
-
-    def one(
-        force: Float[Array, "3"], moment: Float[Array, "3"], orientation: Float[Array, "4"]
-    ) -> Float[Array, "11"]:
-        return _packed(
-            jnp.concatenate([force / scales[0], moment / scales[1]]), third_axis(orientation)
-        )
-
-    return _in_lanes(one, force, moment, orientation)
+Flag = Bool[Array, ""]
+Wrench = Float[Array, "6"]
+"""Force and moment, or a derivative by these."""
+Spread = Float[Array, "6 6"]
+"""Covariance of a wrench."""
 
 
-@compiled
-def invert_noisy_blocks(
-    wrench: Float[Array, "blocks 6 width"],
-    orientation: Float[Array, "blocks 4 width"],
-    root: Float[Array, "blocks 6 6 width"],
-    precision: Float[Array, "blocks 6 6 width"],
-) -> Array:
-    """`invert` of the most probable wrench (model units) of a single contact on this rod, with its
-    errors: (blocks, 32, width).
+class Setting(NamedTuple):
+    """What all samples share, in units of the rod."""
 
-    `root` is a factor of the wrench's covariance, `precision` the inverse of that.
-    """
-
-    def one(wrench: Array, orientation: Array, root: Array, precision: Array) -> Float[Array, "32"]:
-        return _noisy(wrench, third_axis(orientation), root, precision).packed
-
-    return _in_lanes(one, wrench, orientation, root, precision)
+    length: float
+    force: float
+    moment: float
+    steepest: float
+    """Largest incidence that friction explains."""
+    threshold: float
+    """χ² of the wrench above which a sample is in contact."""
+    rig: Rig | None = None
+    errors: Float[AnyArray, "setup setup"] | None = None
+    """Covariance of errors of the setup, model units."""
 
 
-@compiled
-def invert_shared_blocks(
-    rig: Rig,
-    errors: Float[AnyArray, "15 15"],
-    wrench: Float[Array, "blocks 6 width"],
-    orientation: Float[Array, "blocks 4 width"],
-    root: Float[Array, "blocks 6 6 width"],
-    precision: Float[Array, "blocks 6 6 width"],
-    velocity: Float[Array, "blocks 6 width"],
-) -> Array:
-    """`invert_noisy_blocks`, and what errors of the setup of this covariance (model units) add:
-    (blocks, 50, width). `velocity` is the clamp's, in its axes.
+class Sample(NamedTuple):
+    """Reactions of one row, in units of the rod."""
 
-    Deviations of s₁, k² and m0·f0 are here those by noise and setup.
-    """
-
-    def one(
-        wrench: Array, orientation: Array, root: Array, precision: Array, velocity: Array
-    ) -> Float[Array, "50"]:
-        found = _noisy(wrench, third_axis(orientation), root, precision)
-        slope = _sensitivity(found, orientation, velocity, rig)
-        of_reach, of_direction = (
-            _product(_product(part, errors), part.T) for part in (slope[:3], slope[3:6])
-        )
-        arc_length, modulus, single = found.packed[NOISY_WIDTH - 3 :]
-        more = jnp.sum(_product(slope[6:], errors) * slope[6:], axis=1)
-        told = [
-            jnp.sqrt(arc_length**2 + more[0]),
-            jnp.sqrt(modulus**2 + more[1]),
-            single / jnp.sqrt(1 + more[2]),
-        ]
-        return jnp.concatenate(
-            [
-                found.packed[: NOISY_WIDTH - 3],
-                jnp.stack(told),
-                of_reach.ravel(),
-                of_direction.ravel(),
-            ]
-        )
-
-    return _in_lanes(one, wrench, orientation, root, precision, velocity)
+    force: Vector
+    moment: Vector
+    position: Vector
+    orientation: Float[Array, "4"]
+    covariance: Spread | None = None
+    """Of the wrench, model units."""
+    velocity: Wrench | None = None
+    """Of the clamp, clamp axes, rod lengths and radians a second."""
 
 
-@compiled
-def sensitivity_blocks(
-    rig: Rig,
-    wrench: Float[Array, "blocks 6 width"],
-    orientation: Float[Array, "blocks 4 width"],
-    root: Float[Array, "blocks 6 6 width"],
-    precision: Float[Array, "blocks 6 6 width"],
-    velocity: Float[Array, "blocks 6 width"],
-) -> Array:
-    """Derivatives of r and n̂, world axes, by `vibrissa.tolerances.PARAMETERS` for given readings:
-    (blocks, 6, 15, width).
-    """
+class Errors(NamedTuple):
+    """Covariances of point and force direction."""
 
-    def one(
-        wrench: Array, orientation: Array, root: Array, precision: Array, velocity: Array
-    ) -> Float[Array, "6 15"]:
-        return _sensitivity(
-            _noisy(wrench, third_axis(orientation), root, precision), orientation, velocity, rig
-        )[:6]
-
-    return _in_lanes(one, wrench, orientation, root, precision, velocity)
+    point: Float[Array, "3 3"]
+    direction: Float[Array, "3 3"]
 
 
-def _in_lanes(one: Callable[..., Array], *blocks: Array) -> Array:
-    """A function of one sample, applied to blocks with the samples on their last axis."""
-    lanes = jax.vmap(one, in_axes=-1, out_axes=-1)
-    return lax.map(lambda block: lanes(*block), blocks)
+class Found(NamedTuple):
+    """Contact of one row, in units of the rod; NaN without contact."""
+
+    kind: Int[AnyArray, "*n"]
+    status: Int[AnyArray, "*n"]
+    point: Float[AnyArray, "*n 3"]
+    direction: Float[AnyArray, "*n 3"]
+    arc_length: Float[AnyArray, "*n"]
+    energy: Float[AnyArray, "*n"]
+    incidence: Float[AnyArray, "*n"]
+    single: Float[AnyArray, "*n"]
+    """Violation of m0·f0 = 0: relative to ‖m0‖ ‖f0‖, or in standard deviations."""
+    noise: Errors | None = None
+    setup: Errors | None = None
+    deviation: Float[AnyArray, "*n"] | None = None
+    """Of s₁."""
+    chi_square: Float[AnyArray, "*n"] | None = None
+    weak: Bool[AnyArray, "*n"] | None = None
+    """Whether the errors need second moments."""
 
 
-class _Found(NamedTuple):
-    packed: Float[Array, "32"]
-    wrench: Float[Array, "6"]
-    """Most probable, world axes."""
-    jacobian: Float[Array, "9 6"]
-    """By the measured wrench: of r and n̂, at s₁ = L where that was imposed; of s₁ and k² without
-    it; of m0·f0 in its standard deviations.
-    """
+class Observed(NamedTuple):
+    """What errors are carried to, or its derivatives."""
+
+    reach: Float[AnyArray, "3 *p"]
+    direction: Float[AnyArray, "3 *p"]
+    arc_length: Float[AnyArray, "*p"]
+    incidence: Float[AnyArray, "*p"]
 
 
-def _packed(wrench: Float[Array, "6"], tangent: Float[Array, "3"]) -> Float[Array, "11"]:
+class _Probable(NamedTuple):
+    """Most probable wrench of a single contact within the rod's length, and derivatives there."""
+
+    wrench: Wrench
+    contact: Contact
+    slopes: Observed
+    """By the measured wrench; those of s₁ and incidence as if the tip were not imposed."""
+    single: Scalar
+    couple: Wrench
+    """Derivative of `single`."""
+    pinned: Flag
+    """Whether the wrench was moved to the tip."""
+    off_straight: Scalar
+    """Distance from a force at the tip of the straight rod, in standard deviations."""
+
+
+def _exact(setting: Setting, sample: Sample) -> Found:
+    """Contact of exact reactions."""
+    wrench = _wrench(setting, sample)
     force, moment = wrench[:3], wrench[3:]
-    contact = invert(force, moment, tangent)
+    contact = invert(force, moment, third_axis(sample.orientation))
     f, m = jnp.sqrt(jnp.sum(force * force)), jnp.sqrt(jnp.sum(moment * moment))
     single = jnp.dot(force, moment) / (f * m)
-    return jnp.concatenate(
-        [
-            contact.reach,
-            contact.direction,
-            jnp.stack([contact.arc_length, contact.modulus, contact.energy, f, single]),
+    none, couple = jnp.zeros(()), (f == 0) & (m > 0)
+    return _judged(
+        setting, sample, contact, f > LEAST_FORCE, couple, single, SINGLE_CONTACT, none, none
+    )
+
+
+exact_contacts = lanes(alone=True)(_exact)
+many_exact_contacts = lanes(width=128, blocks=128)(_exact)
+"""The same for tens of thousands of rows, in larger calls."""
+
+
+@lanes(alone=True)
+def noisy_contacts(setting: Setting, sample: Sample) -> Found:
+    """Contact of the most probable wrench of a single contact on this rod, its errors to first
+    order.
+    """
+    return _noisy(setting, sample)[0]
+
+
+@lanes(alone=True)
+def weak_contacts(setting: Setting, sample: Sample) -> Found:
+    """The same with second moments of the noise."""
+    found, probable = _noisy(setting, sample)
+    return found._replace(noise=_second_moments(setting, sample, probable))
+
+
+@lanes()
+def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
+    """Derivatives of a contact by `vibrissa.tolerances.PARAMETERS` for given readings."""
+    return _by_setup(_probable(setting, sample), sample, setting.rig)[0]
+
+
+def _wrench(setting: Setting, sample: Sample) -> Wrench:
+    return jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
+
+
+def _noisy(setting: Setting, sample: Sample) -> tuple[Found, _Probable]:
+    covariance = jnp.asarray(sample.covariance)
+    measured = _wrench(setting, sample)
+    chi_square = jnp.sum(solve_lower(cholesky(covariance), measured) ** 2)
+    probable = _probable(setting, sample)
+    slopes, single = probable.slopes, probable.single
+    noise = _errors(slopes, covariance)
+    deviation, steepness = (
+        jnp.sqrt(slope @ covariance @ slope) for slope in (slopes.arc_length, slopes.incidence)
+    )
+    setup = None
+    if setting.errors is not None:
+        by_setup, of_single = _by_setup(probable, sample, setting.rig)
+        setup = _errors(by_setup, setting.errors)
+        more = [
+            jnp.sum(_product(slope[None], setting.errors)[0] * slope)
+            for slope in (by_setup.arc_length, by_setup.incidence, of_single)
         ]
+        deviation, steepness = (
+            jnp.sqrt(deviation**2 + more[0]),
+            jnp.sqrt(steepness**2 + more[1]),
+        )
+        single = single / jnp.sqrt(1 + more[2])
+    touching = chi_square > setting.threshold
+    couple = touching & jnp.all(sample.force == 0) & jnp.any(sample.moment != 0)
+    found = _judged(
+        setting,
+        sample,
+        probable.contact,
+        touching,
+        couple,
+        single,
+        _SINGLE_DEVIATIONS,
+        deviation,
+        steepness,
+    )
+    weak = jnp.sum(probable.wrench[:3] ** 2) <= (
+        _FIRST_ORDER**2 * (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
+    )
+    scale = jnp.where(found.kind == ContactKind.NONE, jnp.nan, setting.length)
+    noise, setup = (
+        None if part is None else Errors(part.point * scale**2, part.direction + 0 * scale)
+        for part in (noise, setup)
+    )
+    return found._replace(
+        noise=noise, setup=setup, deviation=deviation * scale, chi_square=chi_square, weak=weak
+    ), probable
+
+
+def _judged(
+    setting: Setting,
+    sample: Sample,
+    contact: Contact,
+    touching: Flag,
+    couple: Flag,
+    single: Scalar,
+    most: float,
+    deviation: Scalar,
+    steepness: Scalar,
+) -> Found:
+    """Kind, status and units; `deviation` and `steepness` are those of s₁ and incidence."""
+    s1, incidence = contact.arc_length, contact.modulus
+    bad = ~jnp.all(jnp.isfinite(jnp.concatenate([sample.force, sample.moment])))
+    unsolved = touching & ~jnp.isfinite(s1)
+    unknown = bad | couple | unsolved
+    none = unknown | ~touching
+    # The worst finding wins.
+    findings = (
+        (bad, Status.BAD_DATA),
+        (couple, Status.NOT_SINGLE_CONTACT),
+        (unsolved, Status.NO_CURVATURE_ZERO),
+        (none, Status.OK),
+        (incidence >= 1, Status.NO_CURVATURE_ZERO),
+        (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
+        (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
+        (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
+    )
+    status = jnp.int8(Status.OK)
+    for finding, name in reversed(findings):
+        status = jnp.where(finding, jnp.int8(name), status)
+    tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation
+    touch = jnp.where(tip, jnp.int8(ContactKind.TIP), jnp.int8(ContactKind.TANGENTIAL))
+    unit = jnp.where(none, jnp.nan, 1.0)
+    return Found(
+        kind=jnp.where(none, jnp.int8(ContactKind.NONE), touch),
+        status=status,
+        point=sample.position + contact.reach * (unit * setting.length),
+        direction=contact.direction * unit,
+        arc_length=s1 * (unit * setting.length),
+        energy=jnp.where(unknown, jnp.nan, jnp.where(none, 0.0, contact.energy * setting.moment)),
+        incidence=incidence * unit,
+        single=single,
     )
 
 
-def _noisy(
-    wrench: Float[Array, "6"],
-    tangent: Float[Array, "3"],
-    root: Float[Array, "6 6"],
-    precision: Float[Array, "6 6"],
-) -> _Found:
-    covariance = _product(root, root.T)
-    single, deviation = single_contact(wrench, covariance)
-    straight = _straight_tip(single, tangent, precision)
-    within = _within_the_rod(single, straight, tangent, covariance)
-
-    def observed(measured: Float[Array, "6"]) -> Float[Array, "8"]:
-        # Errors pass through the projection on a single contact, but not through the limit at the
-        # tip, where they would be cut.
-        shifted, _ = single_contact(measured, covariance)
-        return _packed(shifted, tangent)[:8]
-
-    jacobian = jax.jacfwd(observed)(within)
-    errors = jacobian @ covariance @ jacobian.T
-    values = _packed(within, tangent)
-    values = values.at[:3].set(_within_reach(values[:3]))
-    of_reach, of_direction = _second_moments(observed, within, root, values)
-    # A contact that says flank may be one at the tip of a rod that is still straight, as likely as
-    # noise makes of one the other.
-    towards = tangent - values[:3]
-    of_reach = of_reach + jnp.exp(-(straight.deviations**2) / 2) * jnp.outer(towards, towards)
-    strong = (
-        jnp.sum(within[:3] ** 2)
-        > _FIRST_ORDER**2 * (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
-    )
-    of_reach, of_direction = (
-        jnp.where(strong, first, second)
-        for first, second in ((errors[:3, :3], of_reach), (errors[3:6, 3:6], of_direction))
-    )
-    extra = jnp.stack([jnp.sqrt(errors[6, 6]), jnp.sqrt(errors[7, 7]), deviation])
-    # A wrench that was moved to the tip stays there, however the setup's numbers change it.
-    along = covariance @ jacobian[6] / jnp.maximum(errors[6, 6], 1e-300) * jnp.any(within != single)
-    pinned = jacobian[:6] - jnp.outer(jacobian[:6] @ along, jacobian[6])
-    couple = jnp.concatenate([wrench[3:], wrench[:3]])
-    couple = couple / jnp.sqrt(couple @ covariance @ couple)
-    slopes = jnp.concatenate([pinned, jacobian[6:], couple[None]])
-    return _Found(
-        jnp.concatenate([values, of_reach.ravel(), of_direction.ravel(), extra]), within, slopes
+def _probable(setting: Setting, sample: Sample) -> _Probable:
+    tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
+    measured = _wrench(setting, sample)
+    single, deviation = single_contact(measured, covariance)
+    straight, off_straight = _straight_tip(single, tangent, covariance)
+    wrench = _within_the_rod(single, straight, off_straight, tangent, covariance)
+    slopes = jax.jacfwd(_observed)(wrench, tangent, covariance)
+    contact = invert(wrench[:3], wrench[3:], tangent)
+    couple = jnp.concatenate([measured[3:], measured[:3]])
+    return _Probable(
+        wrench,
+        contact._replace(reach=_within_reach(contact.reach)),
+        slopes,
+        deviation,
+        couple / jnp.sqrt(couple @ covariance @ couple),
+        jnp.any(wrench != single),
+        off_straight,
     )
 
 
-def _second_moments(
-    observed: Callable[[Array], Array],
-    wrench: Float[Array, "6"],
-    root: Float[Array, "6 6"],
-    values: Float[Array, "11"],
-) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
+def _observed(measured: Wrench, tangent: Vector, covariance: Spread) -> Observed:
+    """Errors pass through the projection on a single contact, but not through the limit at the tip,
+    where they would be cut.
+    """
+    wrench, _ = single_contact(measured, covariance)
+    contact = invert(wrench[:3], wrench[3:], tangent)
+    return Observed(contact.reach, contact.direction, contact.arc_length, contact.modulus)
+
+
+def _errors(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Errors:
+    return Errors(
+        *(
+            _product(_product(slope, covariance), slope.T)
+            for slope in (slopes.reach, slopes.direction)
+        )
+    )
+
+
+def _second_moments(setting: Setting, sample: Sample, probable: _Probable) -> Errors:
     """Mean squares of the errors of r and n̂ under noise, by the points √6 deviations to either
     side along each axis of its ellipsoid.
 
@@ -228,47 +309,71 @@ def _second_moments(
     J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): where the force is a few deviations, the contact
     is far from linear in them.
     """
-    size = len(wrench)
-    steps = math.sqrt(size) * jnp.concatenate([root.T, -root.T])
-    found = jax.vmap(observed)(wrench + steps)
-    reach = jax.vmap(_within_reach)(found[:, :3]) - values[:3]
-    # Square to n̂: a unit vector can only turn.
-    direction = (
-        found[:, 3:6] - jnp.sum(found[:, 3:6] * values[3:6], axis=1, keepdims=True) * values[3:6]
+    tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
+    turn, contact = rotation_matrix(sample.orientation), probable.contact
+    # In the clamp's axes, so that the points turn with it.
+    both = jnp.kron(jnp.eye(2), turn)
+    root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
+    steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
+    found = jax.vmap(_observed, in_axes=(0, None, None))(
+        probable.wrench + steps, tangent, covariance
     )
-    by_reach, by_direction = (_product(part.T, part) / (2 * size) for part in (reach, direction))
-    return by_reach, by_direction
+    reach = jax.vmap(_within_reach)(found.reach) - contact.reach
+    # Square to n̂: a unit vector can only turn.
+    along = jnp.sum(found.direction * contact.direction, axis=1, keepdims=True)
+    direction = found.direction - along * contact.direction
+    of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
+    # A contact that says flank may be one at the tip of a rod that is still straight, as likely as
+    # noise makes of one the other.
+    towards = tangent - contact.reach
+    of_reach += jnp.exp(-(probable.off_straight**2) / 2) * jnp.outer(towards, towards)
+    return Errors(of_reach * setting.length**2, of_direction)
 
 
-def _within_reach(reach: Float[Array, "3"]) -> Float[Array, "3"]:
+def _within_reach(reach: Vector) -> Vector:
     """No contact lies farther from the clamp than the rod is long: near first contact noise may say
     so.
     """
     return reach / jnp.maximum(jnp.sqrt(jnp.sum(reach * reach)), 1.0)
 
 
-def _sensitivity(
-    found: _Found, orientation: Float[Array, "4"], velocity: Float[Array, "6"], rig: Rig
-) -> Float[Array, "9 15"]:
+def _by_setup(
+    probable: _Probable, sample: Sample, rig: Rig | None
+) -> tuple[Observed, Float[Array, "setup"]]:
     """With other numbers of the setup the same readings are another wrench on another rod, seen
-    from another place: of r, n̂, s₁, k² and m0·f0.
+    from another place: derivatives of the contact, and of the violation of m0·f0 = 0.
     """
-    turn = rotation_matrix(orientation)
+    assert rig is not None
+    assert sample.velocity is not None
+    slopes, covariance = probable.slopes, jnp.asarray(sample.covariance)
+    # A wrench that was moved to the tip stays there, however the setup's numbers change it.
+    longer = slopes.arc_length
+    along = covariance @ longer / jnp.maximum(longer @ covariance @ longer, _TINY) * probable.pinned
+    turn = rotation_matrix(sample.orientation)
     force, moment, reach, direction = (
         part @ turn
-        for part in (found.wrench[:3], found.wrench[3:], found.packed[:3], found.packed[3:6])
+        for part in (
+            probable.wrench[:3],
+            probable.wrench[3:],
+            probable.contact.reach,
+            probable.contact.direction,
+        )
     )
-    seen = changes(jnp.concatenate([force, moment]), reach, direction, velocity, rig)
-    jacobian = jnp.concatenate(
-        [_product(found.jacobian[:, :3], turn), _product(found.jacobian[:, 3:], turn)], axis=1
-    )
-    on_wrench, on_reach, on_direction = map(jnp.asarray, seen)
-    seen_from = [
-        _product(turn, on_reach),
-        _product(turn, on_direction),
-        jnp.zeros((3, on_wrench.shape[1])),
-    ]
-    return jnp.concatenate(seen_from) - _product(jacobian, on_wrench)
+    by = changes(jnp.concatenate([force, moment]), reach, direction, sample.velocity, rig)
+    on_wrench = jnp.concatenate([_product(turn, by.wrench[:3]), _product(turn, by.wrench[3:])])
+
+    def moved(slope: Float[Array, "k 6"]) -> Float[Array, "k setup"]:
+        return -_product(slope, on_wrench)
+
+    def pinned(slope: Float[Array, "3 6"]) -> Float[Array, "3 setup"]:
+        return moved(slope - jnp.outer(slope @ along, longer))
+
+    return Observed(
+        _product(turn, by.reach) + pinned(slopes.reach),
+        _product(turn, by.direction) + pinned(slopes.direction),
+        moved(longer[None])[0],
+        moved(slopes.incidence[None])[0],
+    ), moved(probable.couple[None])[0]
 
 
 def _product(first: Float[AnyArray, "k l"], second: Float[AnyArray, "l m"]) -> Float[Array, "k m"]:
@@ -276,47 +381,51 @@ def _product(first: Float[AnyArray, "k l"], second: Float[AnyArray, "l m"]) -> F
     return jnp.sum(jnp.asarray(first)[:, :, None] * jnp.asarray(second)[None], axis=1)
 
 
-class _Straight(NamedTuple):
-    wrench: Float[Array, "6"]
-    deviations: Float[Array, ""]
-
-
 def _within_the_rod(
-    wrench: Float[Array, "6"],
-    straight: _Straight,
-    tangent: Float[Array, "3"],
-    covariance: Float[Array, "6 6"],
-) -> Float[Array, "6"]:
+    wrench: Wrench,
+    straight: Wrench,
+    off_straight: Scalar,
+    tangent: Vector,
+    covariance: Spread,
+) -> Wrench:
     """The most probable wrench with s₁ ≤ L: a contact beyond the tip, by less than the noise
     explains, is one at the tip.
     """
 
-    def log_arc_length(wrench: Float[Array, "6"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def log_arc_length(wrench: Wrench) -> tuple[Scalar, Scalar]:
         value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
         return value, value
 
-    def step(_: Array | int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        current, _, _ = state
-        slope, value = jax.jacfwd(log_arc_length, has_aux=True)(current)
+    class Step(NamedTuple):
+        count: Array
+        wrench: Wrench
+        deviations: Scalar
+        """Change of the wrench, Σ · slope · multiplier, in standard deviations."""
+        value: Scalar
+        goes_on: Flag
+
+    def step(last: Step) -> Step:
+        slope, value = jax.jacfwd(log_arc_length, has_aux=True)(last.wrench)
         spread = covariance @ slope
-        multiplier = (value + slope @ (wrench - current)) / (slope @ spread)
-        # The change of the wrench, Σ · slope · multiplier, in standard deviations.
-        return wrench - spread * multiplier, multiplier * jnp.sqrt(slope @ spread), value
+        multiplier = (value + slope @ (wrench - last.wrench)) / (slope @ spread)
+        moved = wrench - spread * multiplier
+        change = jnp.max(jnp.abs(moved - last.wrench)) > _SETTLED * jnp.max(jnp.abs(wrench))
+        goes_on = change & (last.count + 1 < _TIP_STEPS)
+        return Step(last.count + 1, moved, multiplier * jnp.sqrt(slope @ spread), value, goes_on)
 
     beyond = log_arc_length(wrench)[0] > 0
-    limited, deviations, value = lax.fori_loop(
-        0, _TIP_STEPS, step, (wrench, jnp.zeros(()), jnp.zeros(()))
+    none = jnp.zeros(())
+    limited = lax.while_loop(
+        lambda last: last.goes_on, step, Step(jnp.zeros((), int), wrench, none, none, beyond)
     )
-    near = (jnp.abs(value) < _AT_TIP) & (jnp.abs(deviations) < TIP_DEVIATIONS)
+    near = (jnp.abs(limited.value) < TIP) & (jnp.abs(limited.deviations) < _TIP_DEVIATIONS)
     chosen = jnp.where(
-        near, limited, jnp.where(straight.deviations < TIP_DEVIATIONS, straight.wrench, wrench)
+        near, limited.wrench, jnp.where(off_straight < _TIP_DEVIATIONS, straight, wrench)
     )
     return jnp.where(beyond, chosen, wrench)
 
 
-def _straight_tip(
-    wrench: Float[Array, "6"], tangent: Float[Array, "3"], precision: Float[Array, "6 6"]
-) -> _Straight:
+def _straight_tip(wrench: Wrench, tangent: Vector, covariance: Spread) -> tuple[Wrench, Scalar]:
     """Most probable wrench of a force at the tip of the rod while it is still straight, and its
     distance in standard deviations.
 
@@ -324,8 +433,9 @@ def _straight_tip(
     """
     # f0 = −F and m0 = −t0 × F, so m0 = t0 × f0.
     design = jnp.concatenate([jnp.eye(3), cross_matrix(tangent)])
-    weighted = precision @ design
-    straight = design @ solve_3x3(design.T @ weighted, weighted.T @ wrench)
-    # At the minimum the square of the distance is wᵀΣ⁻¹w less what the design explains.
-    weighted_wrench = precision @ wrench
-    return _Straight(straight, jnp.sqrt(jnp.maximum((wrench - straight) @ weighted_wrench, 0.0)))
+    root = cholesky(covariance)
+    weighted = jnp.stack([solve_lower(root, column) for column in design.T], axis=1)
+    seen = solve_lower(root, wrench)
+    best = solve_3x3(_product(weighted.T, weighted), weighted.T @ seen)
+    off = seen - weighted @ best
+    return design @ best, jnp.sqrt(jnp.sum(off * off))

@@ -14,21 +14,19 @@ v τ and turned by ω τ, and a wrench in world axes is turned with it.
 from functools import lru_cache
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.numerics.blocks import AnyArray
+from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.rotation import cross_matrix
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
 COUNT = len(PARAMETERS)
-_BLOCK = 512
 
 
 class Rig(NamedTuple):
@@ -47,12 +45,12 @@ class Changes(NamedTuple):
     sample.
     """
 
-    wrench: Float[AnyArray, "*n 6 15"]
+    wrench: Float[AnyArray, "*n 6 setup"]
     """Of the wrench that is measured, (f0, m0), stated clamp axes, model units of the stated rod.
     """
-    reach: Float[AnyArray, "*n 3 15"]
+    reach: Float[AnyArray, "*n 3 setup"]
     """Of the contact seen from the stated clamp."""
-    direction: Float[AnyArray, "*n 3 15"]
+    direction: Float[AnyArray, "*n 3 setup"]
     """Of the unit vector of the contact force."""
 
 
@@ -70,41 +68,33 @@ def changes(
     zero, turn, arm = jnp.zeros((3, 3)), jnp.asarray(rig.turn), cross_matrix(jnp.asarray(rig.arm))
     f, m, r, n = (-cross_matrix(vector) for vector in (force, moment, reach, direction))
     shift, spin = velocity[:3], velocity[3:]
-    of_gain = turn * (turn.T @ force)[None, :], turn * (turn.T @ (moment + arm @ force))[None, :]
+    about = moment + arm @ force
+    gain_force, gain_torque = turn * (turn.T @ force), turn * (turn.T @ about)
     # About the torque's reference point, to which a logged wrench belongs.
     turned = jnp.cross(spin, force) * rig.in_world_axes
-    late = jnp.cross(spin, moment + arm @ force) * rig.in_world_axes - arm @ turned
-    of_force = [force[:, None], -2 * force[:, None], zero, f, of_gain[0], zero, turned[:, None]]
-    of_moment = [
-        moment[:, None],
-        -moment[:, None],
-        f @ turn,
-        m,
-        -arm @ of_gain[0],
-        of_gain[1],
-        late[:, None],
-    ]
-    of_reach = [
-        zero[:, :1],
-        reach[:, None],
-        turn,
-        r,
-        zero,
-        zero,
-        (shift + jnp.cross(spin, reach))[:, None],
-    ]
-    of_direction = [zero[:, :2], zero, n, zero, zero, jnp.cross(spin, direction)[:, None]]
-    on_wrench = jnp.concatenate(
-        [jnp.concatenate(of_force, axis=1), jnp.concatenate(of_moment, axis=1)]
+    late = jnp.cross(spin, about) * rig.in_world_axes - arm @ turned
+    seen = shift + jnp.cross(spin, reach)
+    # By stiffness, length, place and turn of the clamp, gains of forces and torques, and delay.
+    none = jnp.zeros(3)
+    of_force = (force, -2 * force, zero, f, gain_force, zero, turned)
+    of_moment = (moment, -moment, f @ turn, m, -arm @ gain_force, gain_torque, late)
+    of_reach = (none, reach, turn, r, zero, zero, seen)
+    of_direction = (none, none, zero, n, zero, zero, jnp.cross(spin, direction))
+    by_force, by_moment, by_reach, by_direction = (
+        jnp.column_stack(parts) for parts in (of_force, of_moment, of_reach, of_direction)
     )
-    return Changes(
-        on_wrench, jnp.concatenate(of_reach, axis=1), jnp.concatenate(of_direction, axis=1)
-    )
+    return Changes(jnp.concatenate([by_force, by_moment]), by_reach, by_direction)
 
 
-@jax.jit
-def _changes_of_rows(rows: tuple[Array, Array, Array, Array], rig: Rig) -> Changes:
-    return jax.vmap(changes, in_axes=(0, 0, 0, 0, None))(*rows, rig)
+@lanes(rarely=True)
+def _changes(
+    rig: Rig,
+    wrench: Float[Array, "6"],
+    reach: Float[Array, "3"],
+    direction: Float[Array, "3"],
+    velocity: Float[Array, "6"],
+) -> Changes:
+    return changes(wrench, reach, direction, velocity, rig)
 
 
 def changes_of_rows(
@@ -115,35 +105,25 @@ def changes_of_rows(
     rig: Rig,
 ) -> Changes:
     """`changes`, one row a sample."""
-    rows, count = (wrench, reach, direction, velocity), len(wrench)
-    capacity = -(-count // _BLOCK) * _BLOCK
-    filled = tuple(
-        np.concatenate([part, np.zeros((capacity - count, part.shape[1]))]) for part in rows
-    )
-    return Changes(*(np.asarray(part)[:count] for part in _changes_of_rows(filled, rig)))
+    return _changes(rig, wrench, reach, direction, velocity)
 
 
 def rig_of(rod: Rod, reactions: Reactions) -> Rig:
-    """Of the reactions' sensor; without errors of a setup the sensor's axes are those of the clamp."""
+    """Of the reactions' sensor; without errors of a setup its axes are those of the clamp."""
     return prepared(rod, reactions.setup_errors)[0]
 
 
-def factor_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "15 p"]:
+def factor_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "setup p"]:
     """Factor of the covariance of the setup's errors, lengths in units of the rod's; (15, 0) where
     the setup states none.
     """
     return prepared(rod, reactions.setup_errors)[1]
 
 
-def covariance_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "15 15"]:
-    """That covariance."""
-    return prepared(rod, reactions.setup_errors)[2]
-
-
 @lru_cache(maxsize=64)
 def prepared(
     rod: Rod, errors: SetupErrors | None
-) -> tuple[Rig, Float[np.ndarray, "15 p"], Float[np.ndarray, "15 15"]]:
+) -> tuple[Rig, Float[np.ndarray, "setup p"], Float[np.ndarray, "setup setup"]]:
     """Rig, factor and covariance of errors of a setup, for this rod."""
     if errors is None:
         return (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.contacts import ContactKind
+from vibrissa.contacts import ContactKind, Status
 from vibrissa.mechanics.elastic_line import sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     import xarray
 
     from vibrissa.inverse.checks.findings import SetupCheck
+    from vibrissa.inverse.friction import FrictionEstimate
     from vibrissa.inverse.smoothing.result import Smoothing
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction:
     """Contacts found from support reactions alone, one row a sample (…), in units of the rod, world
     axes.
@@ -35,20 +36,20 @@ class Reconstruction:
         standard deviations or, where the noise is not known, within 1e-6 L.
     point
         (…, 3); NaN without contact.
-    normal
-        (…, 3) unit vector of the contact force on the rod: the outward normal of the object where
-        there is no friction, else within atan μ of it.
+    force_direction
+        (…, 3) unit vector of the contact force on the rod.
     arc_length
         s₁ (…).
     energy
         Bending energy (…).
     modulus
-        k² (…) of the elliptic integrals; ½ where the rod is tangent to the object and there is no
-        friction.
+        Incidence (…): (1 + t·d)/2 with t the rod's tangent at the contact and d the force
+        direction; ½ where the rod is tangent to the object and there is no friction. Of the
+        uniform straight rod it is k² of the elliptic integrals.
     covariance, normal_covariance
-        (…, 3, 3) of point and normal: from sample to sample, to first order, and by second moments
-        where the force is weak, and of what the whole sweep shares; None where the noise is not
-        known.
+        (…, 3, 3) of point and force direction: from sample to sample, to first order, and by second
+        moments where the force is weak, and of what the whole sweep shares; None where the noise is
+        not known.
     covariance_noise, normal_covariance_noise
         (…, 3, 3) of what varies from sample to sample: noise of the wrench and the clamp point's.
     arc_length_deviation
@@ -61,7 +62,7 @@ class Reconstruction:
     status
         (…) values of `Status`.
     friction
-        Coulomb's coefficient that was given, or None.
+        Coulomb's coefficient that was given, 0 for none; None where it is not known.
     smoothing
         What `smooth` says beside the contacts, one entry a trail; None for samples taken one by
         one.
@@ -73,13 +74,15 @@ class Reconstruction:
         likeliest cause first.
     setup_check
         What the contacts say of the setup, cause by cause; None where they were not asked.
+    estimated_normal
+        (…, 3) normals of the object by `estimate_friction`, if `with_friction` was given one.
     """
 
     rod: Rod
     reactions: Reactions
     kind: Int[np.ndarray, "*trail n"]
     point: Float[np.ndarray, "*trail n 3"]
-    normal: Float[np.ndarray, "*trail n 3"]
+    force_direction: Float[np.ndarray, "*trail n 3"]
     arc_length: Float[np.ndarray, "*trail n"]
     energy: Float[np.ndarray, "*trail n"]
     modulus: Float[np.ndarray, "*trail n"]
@@ -93,9 +96,10 @@ class Reconstruction:
     smoothing: "tuple[Smoothing, ...] | None" = None
     covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
     normal_covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
-    sensitivity: Float[np.ndarray, "*trail n 6 15"] | None = None
+    sensitivity: Float[np.ndarray, "*trail n 6 setup"] | None = None
     warnings: list[str] = field(default_factory=list)
     setup_check: "SetupCheck | None" = None
+    estimated_normal: Float[np.ndarray, "*trail n 3"] | None = None
 
     def __post_init__(self) -> None:
         for whole, noise in (
@@ -104,6 +108,45 @@ class Reconstruction:
         ):
             if getattr(self, noise) is None:
                 object.__setattr__(self, noise, getattr(self, whole))
+
+    @property
+    def normal(self) -> Float[np.ndarray, "*trail n 3"]:
+        """(…, 3) outward unit normal of the object as far as it is known.
+
+        The force direction, which is the normal without friction and else within atan μ of it, or
+        the estimated normal where there is one.
+        """
+        if self.estimated_normal is None:
+            return self.force_direction
+        known = np.isfinite(self.estimated_normal)
+        return np.where(known, self.estimated_normal, self.force_direction)
+
+    def with_friction(self, estimate: "FrictionEstimate") -> "Reconstruction":
+        """Return the same contacts with the friction, and the object's normals, of an estimate."""
+        return replace(self, friction=estimate.friction, estimated_normal=estimate.normal)
+
+    def __getitem__(self, rows: "int | slice | Bool[np.ndarray, 'n']") -> "Reconstruction":
+        """Return one trail of several, or some rows of one trail: all fields together."""
+        taken = rows_of(self, self.kind.shape, rows)
+        given = rows_of(self.reactions, self.kind.shape, rows)
+        trail = self.reactions.trail
+        moved = Trail(trail.position[rows], trail.orientation[rows])
+        return replace(self, reactions=replace(self.reactions, trail=moved, **given), **taken)
+
+    def __repr__(self) -> str:
+        """Return a few lines: rows, contacts, statuses, noise and warnings."""
+        kinds = {kind.name: np.count_nonzero(self.kind == kind) for kind in ContactKind}
+        codes, counts = np.unique(self.status, return_counts=True)
+        statuses = {Status(code).name: int(n) for code, n in zip(codes, counts, strict=True)}
+        how = "sample by sample" if self.smoothing is None else "smoothed"
+        noise = "unknown" if self.covariance is None else "known"
+        return (
+            f"Reconstruction of {self.kind.size} samples {self.kind.shape}, {how}\n"
+            f"  kind: {', '.join(f'{n} {name}' for name, n in kinds.items())}\n"
+            f"  status: {', '.join(f'{n} {name}' for name, n in statuses.items())}\n"
+            f"  friction: {self.friction}, noise: {noise}\n"
+            f"  warnings: {len(self.warnings)}"
+        )
 
     @property
     def normal_half_angle(self) -> float:
@@ -117,7 +160,8 @@ class Reconstruction:
         """
         if self.friction is None:
             raise ValueError(
-                "friction = None: a bound on the object's normal needs the coefficient of friction; give it to `reconstruct`, or estimate it"
+                "friction = None: a bound on the object's normal needs the coefficient of "
+                "friction; give it to `reconstruct`, or estimate it"
             )
         return math.atan(self.friction)
 
@@ -180,7 +224,7 @@ class Reconstruction:
             return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         # The force that goes with the point and the arc length, which noise and the limit at the
         # tip may have moved from the measured one.
-        reach, n = (self.point[index] - clamp) / length, self.normal[index]
+        reach, n = (self.point[index] - clamp) / length, self.force_direction[index]
         lever_arm = np.linalg.norm(reach - (reach @ n) * n)
         force = 4 * (self.modulus[index] - (1 + n @ axis) / 2) / lever_arm**2
         return sampled_line(
@@ -201,20 +245,23 @@ class Reconstruction:
         return reconstruction_dataset(self)
 
 
+def rows_of(given: object, shape: tuple[int, ...], rows: Any) -> dict[str, Any]:
+    """Of the fields that hold one entry a sample."""
+    whole = {"position_covariance", "rotation_covariance"}
+    values = {
+        field.name: getattr(given, field.name)
+        for field in fields(given)  # type: ignore[arg-type]
+        if field.name not in whole
+    }
+    return {
+        name: value[rows]
+        for name, value in values.items()
+        if isinstance(value, np.ndarray)
+        and value.shape[: len(shape)] == shape
+        and not (name == "covariance" and value.shape == (6, 6))
+    }
+
+
 def trail_of(found: Reconstruction, j: int) -> Reconstruction:
     """One of several trails (m, n, …): its rows (n, …)."""
-    shape, given = found.kind.shape, found.reactions
-    rows: dict[str, Any] = {
-        field.name: value[j]
-        for field in fields(found)
-        if isinstance(value := getattr(found, field.name), np.ndarray)
-        and value.shape[: len(shape)] == shape
-    }
-    own: dict[str, Any] = {
-        field.name: value[j]
-        for field in fields(given)
-        if isinstance(value := getattr(given, field.name), np.ndarray)
-        and value.shape[: len(shape)] == shape
-    }
-    trail = Trail(given.trail.position[j], given.trail.orientation[j])
-    return replace(found, reactions=replace(given, trail=trail, **own), **rows)
+    return found[j]

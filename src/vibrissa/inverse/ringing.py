@@ -3,7 +3,7 @@ contact can move, and are no contact.
 """
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.result import Reconstruction
+from vibrissa.inverse.result import Reconstruction, rows_of
+from vibrissa.inverse.shared import in_clamp_axes
 from vibrissa.reactions import Reactions
 
 # Two periods and more of first bending frequencies from 20 to 200 Hz: those of wires and whiskers
@@ -29,7 +29,8 @@ _SLOW = 0.1
 _FALSE_ALARM = 1e-6
 # Without stated noise: of the largest load.
 _NOISELESS = 1e-3
-_LATERAL = 4
+_LATERAL = [0, 1, 3, 4]
+"""fx, fy, mx, my."""
 # Standard deviations: noise alone is beyond them in one of 400 samples.
 _CLEAR = 3.0
 # What the wrench says without a contact, too.
@@ -65,16 +66,11 @@ def without_ringing(found: Reconstruction) -> Reconstruction:
     rows = found.in_contact & ringing(found.reactions)
     if not rows.any():
         return found
-    changed: dict[str, Any] = {}
-    for name in (field.name for field in fields(found)):
-        value = getattr(found, name)
-        if (
-            isinstance(value, np.ndarray)
-            and value.shape[:1] == rows.shape
-            and value.dtype.kind == "f"
-            and name not in _KEPT
-        ):
-            changed[name] = np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), np.nan, value)
+    changed: dict[str, Any] = {
+        name: np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), np.nan, value)
+        for name, value in rows_of(found, rows.shape, slice(None)).items()
+        if value.dtype.kind == "f" and name not in _KEPT
+    }
     kind, status = (
         np.where(rows, int(code), part).astype(part.dtype)
         for part, code in ((found.kind, ContactKind.NONE), (found.status, Status.RINGING))
@@ -95,33 +91,21 @@ def _whitened(reactions: Reactions) -> Float[np.ndarray, "n 4"]:
     """Lateral force and moment in clamp axes, in their standard deviations; 0 in rows without
     numbers.
     """
-    turn = rotation_matrices(reactions.trail.orientation)
-    force, moment = (
-        np.einsum("nji,nj->ni", turn, part)[:, :2] for part in (reactions.force, reactions.moment)
-    )
-    loads = np.nan_to_num(np.concatenate([force, moment], axis=1))
-    if reactions.covariance is None:
-        scales = np.repeat(
-            [np.abs(part).max(initial=0.0) for part in (loads[:, :2], loads[:, 2:])], 2
-        )
-        return loads / np.where(scales > 0, _NOISELESS * scales, 1.0)
-    covariance = np.broadcast_to(reactions.covariance, (len(turn), 6, 6))
-    both = (
-        np.einsum("nji,njk->nik", turn, covariance[:, :3, :3]),
-        np.einsum("nji,njk->nik", turn, covariance[:, 3:, 3:]),
-    )
-    variance = np.concatenate(
-        [np.einsum("nik,nki->ni", part, turn)[:, :2] for part in both], axis=1
-    )
-    return loads / np.sqrt(variance)
+    wrench, covariance = in_clamp_axes(reactions)
+    loads = np.nan_to_num(wrench[:, _LATERAL])
+    if covariance is not None:
+        return loads / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, _LATERAL])
+    force, moment = (np.abs(part).max(initial=0.0) for part in (loads[:, :2], loads[:, 2:]))
+    scales = np.repeat([force, moment], 2)
+    return loads / np.where(scales > 0, _NOISELESS * scales, 1.0)
 
 
 def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Bool[np.ndarray, "n"]:
     """Rows within windows of `size` samples that hold an oscillation."""
     mean, square = _window_means(loads, size), _window_means(loads**2, size)
     spread = square - mean**2
-    swing = np.maximum(spread.sum(axis=1) - _LATERAL * (1 - 1 / size), 0.0)
-    loud = size * spread.sum(axis=1) > chdtri(_LATERAL * (size - 1), _FALSE_ALARM)
+    swing = np.maximum(spread.sum(axis=1) - len(_LATERAL) * (1 - 1 / size), 0.0)
+    loud = size * spread.sum(axis=1) > chdtri(len(_LATERAL) * (size - 1), _FALSE_ALARM)
     changes = _sign_changes(loads)
     often = np.rint(size * _window_means(changes.astype(float), size))
     strongest = np.argmax(spread, axis=1)

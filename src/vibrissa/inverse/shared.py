@@ -1,51 +1,71 @@
 """Errors of a setup in contacts: derivatives by its numbers, and covariances that hold them."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.kernels import sensitivity_blocks
-from vibrissa.inverse.parameters import COUNT, factor_of, rig_of, velocities_of
+from vibrissa.inverse.kernels import Sample, Setting, sensitivities_of
+from vibrissa.inverse.parameters import factor_of, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.numerics.blocks import in_blocks
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
 
-def noisy_rows(rod: Rod, reactions: Reactions) -> tuple[np.ndarray, ...]:
-    """Wrench (k, 6), clamp orientation (k, 4), a factor and the inverse of the covariance (k, 6, 6)
-    of reactions of known noise, world axes and model units.
+def setting_of(rod: Rod, reactions: Reactions) -> Setting:
+    """What all samples share; nothing is too steep, and all are in contact."""
+    rig, _, errors = prepared(rod, reactions.setup_errors)
+    known = reactions.covariance is not None and reactions.setup_errors is not None
+    scales = rod.length, rod.force_scale, rod.moment_scale
+    return Setting(*scales, np.inf, 0.0, *((rig, errors) if known else ()))
+
+
+def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sample:
+    """Rows (k, …) of reactions; with the clamp's velocity if errors of a setup are stated, or if
+    `moving`.
     """
-    assert reactions.covariance is not None
-    shape, units = reactions.trail.shape, np.repeat([rod.force_scale, rod.moment_scale], 3)
-    wrench = np.concatenate([reactions.force, reactions.moment], axis=-1).reshape(-1, 6) / units
-    covariance = np.broadcast_to(
-        reactions.covariance / np.outer(units, units), (*shape, 6, 6)
-    ).reshape(-1, 6, 6)
-    orientation = reactions.trail.orientation.reshape(-1, 4)
-    # In the clamp's axes, so that the points that are taken of the noise turn with it.
-    turn = np.zeros((len(orientation), 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = rotation_matrices(orientation)
-    root = turn @ np.linalg.cholesky(np.swapaxes(turn, 1, 2) @ covariance @ turn)
-    return wrench, orientation, root, np.linalg.inv(covariance)
+    trail, shape = reactions.trail, reactions.trail.shape
+    covariance = velocity = None
+    if reactions.covariance is not None:
+        units = np.repeat([rod.force_scale, rod.moment_scale], 3)
+        relative = reactions.covariance / np.outer(units, units)
+        covariance = np.broadcast_to(relative, (*shape, 6, 6)).reshape(-1, 6, 6)
+        if moving or reactions.setup_errors is not None:
+            velocity = velocities_of(rod, reactions).reshape(-1, 6)
+    rows = (reactions.force, reactions.moment, trail.position, trail.orientation)
+    return Sample(*(part.reshape(-1, part.shape[-1]) for part in rows), covariance, velocity)
 
 
-def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 15"]:
+def in_clamp_axes(
+    reactions: Reactions, units: Float[np.ndarray, "6"] | float = 1.0
+) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "n 6 6"] | None]:
+    """Wrenches of one trail in clamp axes and these units, and their covariances if known."""
+    turn = rotation_matrices(reactions.trail.orientation)
+    parts = (reactions.force, reactions.moment)
+    turned = [np.einsum("nji,nj->ni", turn, part) for part in parts]
+    wrench = np.concatenate(turned, axis=1) / units
+    if reactions.covariance is None:
+        return wrench, None
+    both = np.zeros((len(turn), 6, 6))
+    both[:, :3, :3] = both[:, 3:, 3:] = turn
+    scales = units * np.ones(6)
+    relative = reactions.covariance / np.outer(scales, scales)
+    return wrench, np.swapaxes(both, 1, 2) @ relative @ both
+
+
+def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"]:
     """Derivatives of points and normals, world axes, by `vibrissa.tolerances.PARAMETERS`, lengths
     in units of the rod's; NaN without contact.
     """
     if found.sensitivity is not None:
         return found.sensitivity
     rod, reactions = found.rod, found.reactions
-    velocity = velocities_of(rod, reactions).reshape(-1, 6)
-    rows = in_blocks(
-        partial(sensitivity_blocks, rig_of(rod, reactions)), *noisy_rows(rod, reactions), velocity
-    )
+    setting = setting_of(rod, reactions)._replace(rig=prepared(rod, reactions.setup_errors)[0])
+    slopes = sensitivities_of(setting, samples_of(rod, reactions, moving=True))
+    rows = np.concatenate([slopes.reach, slopes.direction], axis=1)
     return np.where(
-        found.in_contact[..., None, None], rows.reshape(*found.kind.shape, 6, COUNT), np.nan
+        found.in_contact[..., None, None], rows.reshape(*found.kind.shape, *rows.shape[1:]), np.nan
     )
 
 

@@ -10,30 +10,26 @@ apart.
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.special import chdtri
 from scipy.stats import median_abs_deviation
 
 from vibrissa.geometry.rotation import rotation_vectors
-from vibrissa.inverse.kernels import invert_blocks
+from vibrissa.inverse.kernels import Sample, exact_contacts
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.numerics.blocks import in_blocks
+from vibrissa.inverse.shared import setting_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
 
-_ENERGY = 8
 _FALSE_ALARM = 1e-9
 # Without stated noise: of the largest force.
 _LEAST_LOAD = 0.02
 _BLOCKS = 64
 _FEWEST_BLOCKS = 24
 _FREE_ROWS = 3
-# A second of a slow log: shorter ones are snippets.
-_FEWEST_ROWS = 250
 _LARGEST_GAP = 0.02
 _EARLIER = 4
 # Share of the rows just before: where a load rises out of the noise some are loaded, too.
@@ -61,7 +57,8 @@ _KNOWN_RATIOS = (
     (1e2, "positions in centimetres, taken for metres?"),
     (
         1e3,
-        "positions in millimetres, taken for metres, or forces and torques a thousand times too small?",
+        "positions in millimetres, taken for metres, or forces and torques a thousand times too "
+        "small?",
     ),
     (1e-3, "forces and torques in mN and N mm, or positions a thousand times too small?"),
     (39.370, "positions in inches, taken for metres?"),
@@ -70,7 +67,10 @@ _KNOWN_RATIOS = (
     (16.0, "the rod's diameter, taken for its radius?"),
     (-1.0, "the other sign of the wrench, or a sensor turned by half a turn?"),
 )
-_ELSE = "check the units, the order of the quaternions, sign and axes of the wrench, the gain, EI and length of the rod, and the tare"
+_ELSE = (
+    "check the units, the order of the quaternions, sign and axes of the wrench, the gain, EI and "
+    "length of the rod, and the tare"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,15 +115,18 @@ class ClampWork:
         """Whether no single contact on this rod explains it, with whatever friction up to a
         coefficient of 0.75.
         """
-        gained, ratio = (
-            _DEVIATIONS * math.hypot(part, self.energy_deviation)
-            for part in (self.deviation, self.ratio_deviation)
-        )
-        return self.gained > _GAINED + gained or self.ratio > _MOST_BY_FRICTION + ratio
+        ratio = math.hypot(self.ratio_deviation, self.energy_deviation)
+        return self.gains or self.ratio > _MOST_BY_FRICTION + _DEVIATIONS * ratio
+
+    @property
+    def gains(self) -> bool:
+        """Whether energy comes from nowhere."""
+        deviation = math.hypot(self.deviation, self.energy_deviation)
+        return self.gained > _GAINED + _DEVIATIONS * deviation
 
     @property
     def misfit(self) -> float:
-        """Root mean square of W − U as a share of the largest energy: zero where nothing is lost."""
+        """Root mean square of W − U as a share of the largest energy, 0 where nothing is lost."""
         return float(np.sqrt(np.mean((self.work - self.energy) ** 2)) / self.energy.max())
 
 
@@ -138,14 +141,10 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     """
     if reactions.force.ndim != 2:
         raise ValueError(f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …)")
-    known = np.flatnonzero(
-        np.isfinite(reactions.force).all(axis=1) & np.isfinite(reactions.moment).all(axis=1)
-    )
-    if len(known) < _FEWEST_BLOCKS:
+    known, loaded, contacts = _contacts(reactions)
+    if not contacts:
         return []
-    loaded = _loaded(reactions, known)
     steps = _steps(reactions, known)
-    contacts = [span for span in _contacts(loaded) if span[1] - span[0] >= _FEWEST_BLOCKS]
     before = [0, *(stop for _, stop in contacts)]
     return [
         _of_contact(rod, reactions, known, steps, (first, start, stop))
@@ -153,7 +152,8 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
         if start > 0
         and _free_before(loaded, (start, stop))
         and _whole(known, (start, stop))
-        and _moves(rod, reactions, known[start:stop])
+        # Where the clamp stands, it is the object that moves, and works.
+        and _way(rod, reactions, known[start:stop]) > _LEAST_WAY * rod.length
     ]
 
 
@@ -182,16 +182,10 @@ def still_warnings(found: Reconstruction) -> tuple[list[str], bool]:
     Where it stands the object may move; where it moves a little the poses are misread.
     """
     rod, reactions = found.rod, found.reactions
-    known = np.flatnonzero(
-        np.isfinite(reactions.force).all(axis=1) & np.isfinite(reactions.moment).all(axis=1)
-    )
-    if len(known) < _FEWEST_BLOCKS or reactions.covariance is None:
+    if reactions.covariance is None:
         return [], False
-    contacts = [
-        known[start:stop]
-        for start, stop in _contacts(_loaded(reactions, known))
-        if stop - start >= _FEWEST_BLOCKS and start > 0
-    ]
+    known, _, spans = _contacts(reactions)
+    contacts = [known[start:stop] for start, stop in spans if start > 0]
     ways = [_way(rod, reactions, rows) for rows in contacts]
     # By so much a force bends the rod's tip at first; the clamp has to go about as far.
     bent = [
@@ -222,8 +216,11 @@ def still_warnings(found: Reconstruction) -> tuple[list[str], bool]:
 
 
 def _told(work: ClampWork) -> str:
-    text = f"the clamp's work is {work.ratio:.3g} times the rod's bending energy while it is loaded (1 without friction, up to {_MOST_BY_FRICTION:g} with it)"
-    if work.gained > _GAINED + _DEVIATIONS * math.hypot(work.deviation, work.energy_deviation):
+    text = (
+        f"the clamp's work is {work.ratio:.3g} times the rod's bending energy while it is loaded "
+        f"(1 without friction, up to {_MOST_BY_FRICTION:g} with it)"
+    )
+    if work.gains:
         text += (
             f", and {work.gained:.0%} of the largest energy come from nowhere"
             if work.gained < 1
@@ -246,17 +243,19 @@ def _loaded(reactions: Reactions, known: np.ndarray) -> Bool[np.ndarray, "m"]:
     return np.asarray(square > chdtri(3, _FALSE_ALARM))
 
 
-def _contacts(loaded: Bool[np.ndarray, "m"]) -> list[tuple[int, int]]:
-    """Stretches [start, stop) of rows, parted where the rod is free for some rows on end."""
+def _contacts(
+    reactions: Reactions,
+) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m"], list[tuple[int, int]]]:
+    """Rows that hold numbers, whether each is loaded, and stretches [start, stop) of them that are
+    long enough, parted where the rod is free for some rows on end.
+    """
+    both = np.concatenate([reactions.force, reactions.moment], axis=1)
+    known = np.flatnonzero(np.isfinite(both).all(axis=1))
+    loaded = _loaded(reactions, known) if len(known) else np.zeros(0, dtype=bool)
     rows = np.flatnonzero(loaded)
-    if not len(rows):
-        return []
-    cuts = np.flatnonzero(np.diff(rows) > _FREE_ROWS)
-    starts, stops = (
-        np.concatenate([rows[:1], rows[cuts + 1]]),
-        np.concatenate([rows[cuts] + 1, rows[-1:] + 1]),
-    )
-    return [(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > _FREE_ROWS) + 1)
+    spans = [(int(run[0]), int(run[-1]) + 1) for run in runs if run.size]
+    return known, loaded, [span for span in spans if span[1] - span[0] >= _FEWEST_BLOCKS]
 
 
 def _free_before(loaded: Bool[np.ndarray, "m"], span: tuple[int, int]) -> bool:
@@ -274,21 +273,19 @@ def _whole(known: np.ndarray, span: tuple[int, int]) -> bool:
     return bool(last + 1 - first <= (1 + _LARGEST_GAP) * (span[1] - span[0]))
 
 
-def _moves(rod: Rod, reactions: Reactions, rows: np.ndarray) -> bool:
-    """Whether the clamp goes far enough to bend the rod: where it stands, it is the object that
-    moves, and works.
-    """
-    return _way(rod, reactions, rows) > _LEAST_WAY * rod.length
-
-
 def _way(rod: Rod, reactions: Reactions, rows: np.ndarray) -> float:
     """How far the clamp goes, and the tip by its turning."""
+    far, turned = _farthest(reactions, rows)
+    return far + rod.length * turned
+
+
+def _farthest(reactions: Reactions, rows: np.ndarray) -> tuple[float, float]:
+    """How far the clamp goes from where it is at first, and by how much it turns."""
     position, orientation = reactions.trail.position[rows], reactions.trail.orientation[rows]
     turned = rotation_vectors(np.broadcast_to(orientation[0], orientation.shape), orientation)
-    return float(
-        np.linalg.norm(position - position[0], axis=1).max()
-        + rod.length * np.linalg.norm(turned, axis=1).max()
-    )
+    moved = (position - position[0], turned)
+    far, angle = (float(np.linalg.norm(part, axis=1).max()) for part in moved)
+    return far, angle
 
 
 def _steps(reactions: Reactions, known: np.ndarray) -> Float[np.ndarray, "m"]:
@@ -314,11 +311,9 @@ def _of_contact(
     inside = known[start : start + size * count].reshape(count, size)
     middle = inside[:, size // 2]
     force, moment = reactions.force[inside].mean(axis=1), reactions.moment[inside].mean(axis=1)
-    scales = np.array([rod.force_scale, rod.moment_scale])
-    fields = in_blocks(
-        partial(invert_blocks, scales), force, moment, reactions.trail.orientation[middle]
-    )
-    energy = np.nan_to_num(fields[:, _ENERGY] * rod.moment_scale)
+    trail = reactions.trail
+    rows = Sample(force, moment, trail.position[middle], trail.orientation[middle])
+    energy = np.nan_to_num(exact_contacts(setting_of(rod, reactions), rows).energy)
     # From well before the first row that stands out of the noise: the load began there.
     begin = max(before, start - (stop - start) // _EARLIER)
     work = np.cumsum(steps[begin:stop])[start - begin :]
@@ -381,10 +376,7 @@ def _deviation(reactions: Reactions, rows: np.ndarray, free: int) -> float:
     position, orientation = reactions.trail.position[rows], reactions.trail.orientation[rows]
     way = np.linalg.norm(np.diff(position, axis=0), axis=1)
     turn = np.linalg.norm(rotation_vectors(orientation[:-1], orientation[1:]), axis=1)
-    far = np.linalg.norm(position - position[0], axis=1).max()
-    turned = np.linalg.norm(
-        rotation_vectors(np.broadcast_to(orientation[0], orientation.shape), orientation), axis=1
-    ).max()
+    far, turned = _farthest(reactions, rows)
     by_samples = force**2 * np.sum(way**2) + moment**2 * np.sum(turn**2)
     by_tare = (force**2 * far**2 + moment**2 * turned**2) / max(1, free)
     return float(np.sqrt(by_samples + 4 * by_tare))

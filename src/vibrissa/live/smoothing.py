@@ -14,7 +14,6 @@ from vibrissa.trail import Trail
 
 _FILTERED = (
     "point",
-    "normal",
     "arc_length",
     "modulus",
     "covariance",
@@ -76,6 +75,7 @@ class SmoothingStage:
         return replace(
             found,
             **filtered,
+            force_direction=np.array([row.normal for row in rows]),
             kind=np.array([row.kind for row in rows], dtype=np.int8),
             arc_length_deviation=None,
             status=np.maximum(bad, [row.status for row in rows]).astype(np.int8),

@@ -86,7 +86,7 @@ class Lanes(Generic[Shared, Row]):
         if count == 0:
             return self._nothing(shared, rows)
         if count == 1 and self._alone:
-            return jax.tree.map(np.asarray, self._guarded(self._single, shared, rows))
+            return jax.tree.map(np.array, self._guarded(self._single, shared, rows))
         starts = range(0, count, size)
 
         def call(first: int) -> Row:
@@ -94,13 +94,12 @@ class Lanes(Generic[Shared, Row]):
             part = jax.tree.map(lambda leaf: _filled(leaf[first:last], size), rows)
             used = np.asarray(-(-(last - first) // self._width))
             found = self._guarded(self._kernel, shared, used, part)
-            return jax.tree.map(lambda leaf: np.asarray(leaf)[: last - first], found)
+            return jax.tree.map(lambda leaf: np.asarray(leaf)[..., : last - first], found)
 
         found = in_threads(call, starts)
-        return (
-            jax.tree.map(lambda *parts: np.concatenate(parts), *found)
-            if len(found) > 1
-            else found[0]
+        # Lanes stay innermost in memory: what is returned are views.
+        return jax.tree.map(
+            lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
         )
 
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
@@ -135,26 +134,25 @@ class Lanes(Generic[Shared, Row]):
         def kernel(shared: Shared, used: Array, rows: Any) -> Any:
             """Of the first `used` blocks."""
             lanes = jax.vmap(partial(self._one, shared), in_axes=-1, out_axes=-1)
-            split = jax.tree.map(
-                lambda leaf: jnp.moveaxis(leaf.reshape(blocks, width, *leaf.shape[1:]), 1, -1), rows
-            )
 
             def of(index: Array | int) -> Any:
-                return lanes(*jax.tree.map(lambda leaf: leaf[index], split))
+                blocks = jax.tree.map(
+                    lambda leaf: lax.dynamic_slice_in_dim(leaf, index * width, width), rows
+                )
+                return lanes(*jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), blocks))
+
+            def put(whole: Array, part: Array, index: Array) -> Array:
+                return lax.dynamic_update_slice_in_dim(whole, part, index * width, whole.ndim - 1)
 
             shapes = jax.eval_shape(of, 0)
-            found = jax.tree.map(lambda leaf: jnp.zeros((blocks, *leaf.shape), leaf.dtype), shapes)
-            found = lax.fori_loop(
+            nothing = jax.tree.map(
+                lambda leaf: jnp.zeros((*leaf.shape[:-1], blocks * width), leaf.dtype), shapes
+            )
+            return lax.fori_loop(
                 0,
                 used,
-                lambda index, found: jax.tree.map(
-                    lambda whole, part: whole.at[index].set(part), found, of(index)
-                ),
-                found,
-            )
-            return jax.tree.map(
-                lambda leaf: jnp.moveaxis(leaf, -1, 1).reshape(blocks * width, *leaf.shape[1:-1]),
-                found,
+                lambda index, found: jax.tree.map(partial(put, index=index), found, of(index)),
+                nothing,
             )
 
         return compiled(kernel)

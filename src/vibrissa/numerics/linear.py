@@ -86,3 +86,26 @@ def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Floa
         )
         values[row] = (rows[row][size] - known) / rows[row][row]
     return jnp.stack(values)
+
+
+def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Lower factor of a positive definite matrix."""
+    size = matrix.shape[0]
+    rows: list[list[Array]] = []
+    for i in range(size):
+        row: list[Array] = []
+        for j in range(i):
+            left = matrix[i, j] - sum((row[k] * rows[j][k] for k in range(j)), jnp.zeros(()))
+            row.append(left / rows[j][j])
+        row.append(jnp.sqrt(matrix[i, i] - sum((part**2 for part in row), jnp.zeros(()))))
+        rows.append(row)
+    return jnp.stack([jnp.stack(row + [jnp.zeros(())] * (size - len(row))) for row in rows])
+
+
+def solve_lower(lower: Float[Array, "n n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
+    """Solution with a lower triangular matrix, by forward substitution."""
+    values: list[Array] = []
+    for i in range(lower.shape[0]):
+        known = sum((lower[i, k] * value for k, value in enumerate(values)), jnp.zeros(()))
+        values.append((right[i] - known) / lower[i, i])
+    return jnp.stack(values)

@@ -5,13 +5,22 @@ fit of some of the errors to one sweep or several.
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 
 from vibrissa.inverse.checks.constraints import TANGENT, TIP, Constraints, Slopes
-from vibrissa.inverse.checks.phases import Guess, Rows, in_tip_contact, rubs
-from vibrissa.inverse.checks.regression import Misfit, fitted, misfit_of
+from vibrissa.inverse.checks.regression import (
+    Guess,
+    Misfit,
+    Phases,
+    Rows,
+    fitted,
+    in_tip_contact,
+    misfit_of,
+    rubs,
+)
 from vibrissa.inverse.checks.rig import (
     ERRORS,
     GAIN,
@@ -20,6 +29,8 @@ from vibrissa.inverse.checks.rig import (
     ROTATION,
     STIFFNESS,
     Bench,
+    BenchErrors,
+    Directions,
     Frame,
 )
 from vibrissa.inverse.checks.stretches import Stretches
@@ -75,12 +86,12 @@ class Case:
     """
 
     bench: Bench
-    errors: Float[np.ndarray, "32"]
+    errors: BenchErrors
     here: Constraints
     slopes: Slopes
     friction: Float[np.ndarray, "k 4 f"]
     friction_spread: Float[np.ndarray, "f"]
-    spread: Float[np.ndarray, "32"]
+    spread: BenchErrors
     silent: Bool[np.ndarray, "k"]
 
     @property
@@ -94,7 +105,7 @@ class Case:
         """Of the constraints, by noise."""
         return _deviations(self.stretches, self.here)
 
-    def about(self, errors: Float[np.ndarray, "32"], stated: float | None) -> "Case":
+    def about(self, errors: BenchErrors, stated: float | None) -> "Case":
         """With other errors taken off; stretches that then have no contact keep what they said
         before.
         """
@@ -104,19 +115,52 @@ class Case:
             np.isfinite(here.value).all(axis=1) & np.isfinite(slopes.constraints).all(axis=(1, 2))
         )
         if lost.any():
-            here.value[lost], slopes.constraints[lost] = self.here.value[lost], 0.0
-            here.by_wrench.constraints[lost] = self.here.by_wrench.constraints[lost]
-            here.force[lost], here.steepness[lost] = (
-                self.here.force[lost],
-                self.here.steepness[lost],
+            here = jax.tree.map(
+                lambda new, old: np.where(lost.reshape(-1, *[1] * (new.ndim - 1)), old, new),
+                here,
+                self.here,
             )
+            slopes.constraints[lost] = 0.0
         if stated:
-            here.value[~lost, TANGENT] += stated * self.friction[~lost, TANGENT, 0]
+            rubbing = np.where(lost[:, None], 0.0, stated * self.friction[:, :, 0])
+            here = here._replace(value=here.value + rubbing)
         return replace(self, errors=errors, here=here, slopes=slopes)
+
+    def along(self, directions: Directions) -> Guess:
+        """A cause: steps along directions, and their standard deviations before the data."""
+        square = (directions**2).T @ self.spread**2 / np.sum(directions**2, axis=0)
+        return Guess(self.slopes.constraints @ directions, np.sqrt(square))
+
+    def rubbing(self, cause: Guess) -> Guess:
+        """A cause together with friction."""
+        return Guess(
+            np.concatenate([cause.slope, self.friction], axis=2),
+            np.concatenate([cause.spread, self.friction_spread]),
+        )
+
+    @property
+    def rows(self) -> Rows:
+        """For the phases."""
+        return Rows(self.here.value, self.deviations, self.here.steepness)
+
+    def rubs(self) -> bool:
+        """Whether friction shows."""
+        causes = [self.along(suspect.directions) for suspect in SUSPECTS[:TELLING]]
+        return rubs(self.rows, Guess(self.friction, self.friction_spread), causes)
+
+    def phases(self, causes: list[Directions] | None = None, *, started: bool = True) -> Phases:
+        """Whether each stretch touches with the tip, for the cause that explains most, of `causes`
+        as directions, or of all that change all stretches; `started` tries also gross errors.
+        """
+        given = [one.directions for one in SUSPECTS[:TELLING]] if causes is None else causes
+        guesses = [self.rubbing(self.along(directions)) for directions in given]
+        return in_tip_contact(self.rows, guesses, started=started)
 
 
 def case_of(averaged: Stretches, frame: Frame, stated: float | None) -> Case | None:
-    """With no errors, for a coefficient of friction as stated, if any; None with too few stretches."""
+    """With no errors, for a coefficient of friction as stated, if any; None with too few
+    stretches.
+    """
     contact, rest = averaged.chosen(averaged.contact), averaged.chosen(~averaged.contact)
     if len(contact.time) < _FEWEST:
         return None
@@ -152,18 +196,8 @@ def case_of(averaged: Stretches, frame: Frame, stated: float | None) -> Case | N
     case = Case(
         bench, none, here, bench.slopes(here, none), columns, spread, spreads, silent
     ).about(none, stated)
-    return replace(case, silent=~silent) if _rubs(case, stated) else case
-
-
-def _rubs(case: Case, stated: float | None) -> bool:
-    if stated is not None:
-        return stated > 0
-    rows = Rows(case.here.value, case.deviations, case.here.steepness)
-    causes = [
-        Guess(case.slopes.constraints @ suspect.directions, spread_along(case, suspect.directions))
-        for suspect in SUSPECTS[:TELLING]
-    ]
-    return rubs(rows, Guess(case.friction, case.friction_spread), causes)
+    rough = case.rubs() if stated is None else stated > 0
+    return replace(case, silent=~silent) if rough else case
 
 
 def _deviations(stretches: Stretches, here: Constraints) -> Float[np.ndarray, "k 4"]:
@@ -187,34 +221,7 @@ def _rubbing(stretches: Stretches, here: Constraints) -> Float[np.ndarray, "k"]:
     )
 
 
-def spread_along(case: Case, directions: Float[np.ndarray, "32 p"]) -> Float[np.ndarray, "p"]:
-    """Standard deviations before the data of steps along directions."""
-    return np.asarray(np.sqrt((directions**2).T @ case.spread**2 / np.sum(directions**2, axis=0)))
-
-
-def phases_by(
-    case: Case, causes: list[np.ndarray], *, started: bool = True
-) -> Bool[np.ndarray, "k"]:
-    """Whether each stretch touches with the tip, for the cause that explains most, of `causes` as
-    directions (32, p); `started` tries also gross errors of each.
-    """
-    rows = Rows(case.here.value, case.deviations, case.here.steepness)
-    guesses = [
-        Guess(
-            np.concatenate([case.slopes.constraints @ directions, case.friction], axis=2),
-            np.concatenate([spread_along(case, directions), case.friction_spread]),
-        )
-        for directions in causes
-    ]
-    return in_tip_contact(rows, guesses, started=started)
-
-
-def tolerated(case: Case, reactions: Reactions, length: float) -> Float[np.ndarray, "k 4 p"]:
-    """Columns of errors that the setup states, a standard deviation each."""
-    return np.asarray(case.slopes.constraints @ tolerances_of(case, reactions, length))
-
-
-def tolerances_of(case: Case, reactions: Reactions, length: float) -> Float[np.ndarray, "32 p"]:
+def tolerances_of(case: Case, reactions: Reactions, length: float) -> Directions:
     """Errors of the bench that the setup states, a standard deviation each, independent of each
     other.
     """
@@ -233,24 +240,32 @@ def tolerances_of(case: Case, reactions: Reactions, length: float) -> Float[np.n
     return np.asarray(carry @ errors.factor)
 
 
-def weighed(
-    case: Case, tip: Bool[np.ndarray, "k"], allowed: Float[np.ndarray, "k 4 p"]
-) -> tuple[Misfit, float]:
+def weighed(case: Case, tip: Phases, reactions: Reactions, length: float) -> tuple[Misfit, float]:
     """Misfit under as much noise as it shows, and under as uneven a friction; and the friction."""
-    stretches, friction, inflation = case.stretches, 0.0, 1.0
-    for _ in range(2):
-        misfit = misfit_of(stretches, case.here, tip, friction, allowed, inflation, case.silent)
-        everything = misfit.whitened(
-            np.concatenate([case.slopes.constraints, case.friction], axis=2)
+    friction, inflation = 0.0, 1.0
+    tolerated = case.slopes.constraints @ tolerances_of(case, reactions, length)
+
+    def misfit() -> Misfit:
+        return misfit_of(
+            case.stretches,
+            case.here,
+            tip,
+            case.silent,
+            friction=friction,
+            tolerated=tolerated,
+            inflation=inflation,
         )
-        best = fitted(misfit, everything, np.concatenate([case.spread, case.friction_spread]))
-        left = float(misfit.value @ misfit.value) - best.explained
-        inflation = max(1.0, inflation * left / max(len(misfit.value) - ERRORS, 1))
+
+    everything = case.rubbing(Guess(case.slopes.constraints, case.spread))
+    for _ in range(2):
+        current = misfit()
+        best = fitted(current, current.whitened(everything.slope), everything.spread)
+        left = current.square - best.explained
+        inflation = max(1.0, inflation * left / max(len(current.value) - ERRORS, 1))
         if case.friction.shape[2]:
-            friction = max(
-                0.0, abs(float(best.size[-1])) - 2 * float(np.sqrt(best.covariance[-1, -1]))
-            )
-    return misfit_of(stretches, case.here, tip, friction, allowed, inflation, case.silent), friction
+            deviation = float(np.sqrt(best.covariance[-1, -1]))
+            friction = max(0.0, abs(float(best.size[-1])) - 2 * deviation)
+    return misfit(), friction
 
 
 class Solution(NamedTuple):
@@ -265,7 +280,7 @@ class Solution(NamedTuple):
 
 def solved(
     cases: list[Case],
-    directions: Float[np.ndarray, "32 p"],
+    directions: Directions,
     spread: Float[np.ndarray, "p"],
     stated: float | None,
     start: Float[np.ndarray, "p"],
@@ -275,30 +290,22 @@ def solved(
     """
     size, count = start.copy(), len(spread)
     # What is known well may still be misstated.
-    wide = np.maximum(spread, spread_along(cases[0], directions))
+    wide = np.maximum(spread, cases[0].along(directions).spread)
     for _ in range(_STEPS):
         errors = directions @ size
         cases = [case.about(errors, stated) for case in cases]
-        tips = [phases_by(case, [directions]) for case in cases]
+        tips = [case.phases([directions]) for case in cases]
         misfits = [
-            misfit_of(
-                case.stretches, case.here, tip, 0.0, np.zeros((len(tip), 4, 0)), 1.0, case.silent
-            )
+            misfit_of(case.stretches, case.here, tip, case.silent)
             for case, tip in zip(cases, tips, strict=True)
         ]
         information, right = np.diag(spread**-2.0), spread**-2.0 * size
         for case, misfit in zip(cases, misfits, strict=True):
-            design = misfit.whitened(
-                np.concatenate([case.slopes.constraints @ directions, case.friction], axis=2)
-            )
+            design = misfit.whitened(case.rubbing(case.along(directions)).slope)
             matrix, vector = design.T @ design, design.T @ misfit.value
             matrix[count:, count:] += np.diag(case.friction_spread**-2.0)
             # Friction is the sweep's own: Schur's complement.
-            gain = (
-                np.linalg.solve(matrix[count:, count:], matrix[count:, :count]).T
-                if len(matrix) > count
-                else np.zeros((count, 0))
-            )
+            gain = np.linalg.solve(matrix[count:, count:], matrix[count:, :count]).T
             information = information + matrix[:count, :count] - gain @ matrix[count:, :count]
             right = right + vector[:count] - gain @ vector[count:]
         covariance = np.linalg.inv(information)

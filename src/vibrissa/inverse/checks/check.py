@@ -97,7 +97,7 @@ def with_delay(found: Reconstruction) -> Reconstruction:
     delay = delay_of(found)
     if delay is None or not contradicts(delay, found):
         return found
-    line = delay_told(delay.seconds, delay.deviation, delay.shift, found.rod.unit_of("length"))
+    line = delay_told(found.rod, delay.seconds, delay.deviation, delay.shift)
     warnings.warn(line, RecordingWarning, stacklevel=4)
     cause = Cause(
         _DELAY,

@@ -1,4 +1,6 @@
-"""What one trail says of its setup."""
+"""What one trail says of its setup: causes of error, each as large as explains most of the misfit,
+and what is concluded from them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,26 +9,42 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import label, uniform_filter1d
 
-from vibrissa.inverse.checks.candidates import Tried, alike, candidates, matters, solved_for
 from vibrissa.inverse.checks.case import (
     GROSS,
     Case,
+    Solution,
     case_of,
-    phases_by,
     solved,
-    spread_along,
     tolerances_of,
-    tolerated,
     weighed,
 )
 from vibrissa.inverse.checks.findings import Cause, SetupCheck
-from vibrissa.inverse.checks.regression import Misfit
+from vibrissa.inverse.checks.regression import Misfit, Phases, fitted, shifts
 from vibrissa.inverse.checks.rig import frame_of
-from vibrissa.inverse.checks.sentences import apart_line, causes_line, unexplained_line, unit_of
 from vibrissa.inverse.checks.stretches import stretches_of
-from vibrissa.inverse.checks.suspects import SUSPECTS, TELLING
+from vibrissa.inverse.checks.suspects import SUSPECTS, TELLING, Suspect, Tried
+from vibrissa.inverse.checks.wording import (
+    MATTERS,
+    apart_line,
+    causes_line,
+    unexplained_line,
+    unit_of,
+)
 from vibrissa.inverse.result import Reconstruction
 
+_LEAST = 20.0
+"""Of χ² that a cause has to explain: four and a half standard deviations, of some thirty causes
+that are tried; sound recordings show 3.6 at most.
+"""
+_PRICE = 6.0
+"""Of χ² for each further number that a cause may choose (BIC for some four hundred rows)."""
+_ALIKE, _ALIKE_BY = 0.05, 10.0
+"""Causes are named beside the best that explain less by at most this share of it, and this of χ².
+"""
+_HOPELESS = 0.5
+"""Share of what the best explains, below which a cause need not be solved for."""
+_POOR = 3.0
+"""χ² a row above which a solution is sought from the other side, too."""
 _WITH_FRICTION = 100.0
 """Of χ² that a cause has to explain where friction leaves open what s₁ and k² should be: what then
 remains is told less safely.
@@ -56,67 +74,143 @@ which it then extends."""
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def judged(found: Reconstruction, shift: Float[np.ndarray, "n 3"]) -> SetupCheck:
     """Findings of one trail; `shift` is that of no cause."""
-    nothing = SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
     averaged = stretches_of(found)
-    case = (
-        None
-        if averaged is None
-        else case_of(averaged, frame_of(found.reactions, found.rod.length), found.friction)
-    )
-    return nothing if case is None else _of_case(found, case, shift)
+    if averaged is not None:
+        frame = frame_of(found.reactions, found.rod.length)
+        case = case_of(averaged, frame, found.friction)
+        if case is not None:
+            return _of_case(found, case)
+    return SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
 
 
-def _of_case(found: Reconstruction, case: Case, shift: Float[np.ndarray, "n 3"]) -> SetupCheck:
-    tip = phases_by(case, [suspect.directions for suspect in SUSPECTS[:TELLING]])
-    misfit, friction = weighed(case, tip, tolerated(case, found.reactions, found.rod.length))
-    first = candidates(case, tip, misfit)
-    contradicted = matters(
-        alike(first), _WITH_FRICTION if case.silent.any() else 0.0
-    ) and not _tolerable(found, case)
-    apart = _apart(misfit, first[0] if contradicted else None)
-    if apart is not None:
-        rest = case_of(case.bench.stretches.chosen(~apart), case.bench.frame, found.friction)
-        if rest is not None and not _of_case(found, rest, shift).warnings:
-            rows = _rows_of(case, apart, len(found.kind))
-            line = apart_line(found, misfit, rows)
-            return replace(
-                _concluded(found, case, misfit, friction, first, [], []),
-                warnings=(line,),
-                apart=rows,
-            )
-    if not contradicted:
-        return _concluded(found, case, misfit, friction, first, [], [])
-    best = next((one for one in alike(first) if one.suspect in SUSPECTS[:TELLING]), None)
-    if (
-        best is not None
-        and float(np.max(np.abs(best.size) / spread_along(case, best.suspect.directions))) > _GROSS
-    ):
-        first = solved_for(found, case, tip, misfit, first)
+def _of_case(found: Reconstruction, case: Case) -> SetupCheck:
+    tip = case.phases()
+    misfit, friction = weighed(case, tip, found.reactions, found.rod.length)
+    first = _candidates(case, tip, misfit)
+    contradicted = _matters(case, first) and not _tolerable(found, case)
     groups: list[list[Tried]] = []
     lines: list[str] = []
-    about = case
+    rows = _apart(found, case, misfit, first[0] if contradicted else None)
+    if rows is not None:
+        lines = [apart_line(found, misfit, rows)]
+    elif contradicted:
+        first = _solved_if_gross(found, case, tip, misfit, first)
+        groups, lines = _explained(found, case, tip, first)
+    excess = misfit.square - len(misfit.value)
+    concluded = SetupCheck(
+        tuple(_cause(found, one, max(excess, 1.0)) for one in first),
+        misfit.square / len(misfit.value),
+        friction,
+        tuple(tuple(one.suspect.name for one in group) for group in groups),
+        tuple(lines),
+        _shift_of_rows(found, case, groups),
+        apart=rows,
+    )
+    if lines or not contradicted:
+        return concluded
+    line = unexplained_line(found, case, tip, misfit)
+    return replace(concluded, warnings=(line,), misread=True)
+
+
+def _explained(
+    found: Reconstruction, case: Case, tip: Phases, first: list[Tried]
+) -> tuple[list[list[Tried]], list[str]]:
+    """Up to three groups of causes, one after the other, each with the likeliest before taken off,
+    and a line on each.
+    """
+    groups: list[list[Tried]] = []
+    lines: list[str] = []
     tried = first
     while len(groups) < _MOST and matters(alike(tried), _FURTHER * first[0].score):
         groups.append(alike(tried))
-        lines.append(causes_line(found, about, tip, groups[-1]))
-        errors = about.errors + np.clip(
-            tried[0].suspect.directions @ tried[0].size, -GROSS * case.spread, GROSS * case.spread
-        )
-        about = about.about(errors, found.friction)
-        tip = phases_by(
-            about, [suspect.directions for suspect in SUSPECTS[:TELLING]], started=False
-        )
-        tried = candidates(
-            about, tip, weighed(about, tip, tolerated(about, found.reactions, found.rod.length))[0]
-        )
-    concluded = _concluded(found, case, misfit, friction, first, groups, lines)
-    return (
-        concluded
-        if lines
-        else replace(
-            concluded, warnings=(unexplained_line(found, case, tip, misfit),), misread=True
-        )
-    )
+        lines.append(causes_line(found, case, tip, groups[-1]))
+        step, most = tried[0].suspect.directions @ tried[0].size, GROSS * case.spread
+        case = case.about(case.errors + np.clip(step, -most, most), found.friction)
+        tip = case.phases(started=False)
+        tried = _candidates(case, tip, weighed(case, tip, found.reactions, found.rod.length)[0])
+    return groups, lines
+
+
+def alike(tried: list[Tried]) -> list[Tried]:
+    """The best, and those that explain about as much."""
+    best = tried[0].score
+    return [one for one in tried if one.score >= best * (1 - _ALIKE) - _ALIKE_BY]
+
+
+def matters(together: list[Tried], least: float) -> bool:
+    """Whether causes that explain about the same explain enough, and would move contacts by more
+    than error bars hold.
+    """
+    largest = max((one.largest for one in together), default=0.0)
+    return largest >= MATTERS and together[0].score >= max(_LEAST, least)
+
+
+def _matters(case: Case, tried: list[Tried]) -> bool:
+    return matters(alike(tried), _WITH_FRICTION if case.silent.any() else 0.0)
+
+
+def _candidates(case: Case, tip: Phases, misfit: Misfit) -> list[Tried]:
+    """All causes beside friction, the best first."""
+    rub = misfit.whitened(case.friction)
+    by_friction = fitted(misfit, rub, case.friction_spread).explained if rub.shape[1] else 0.0
+    moves = shifts(case.slopes, case.stretches.noise, case.here, tip)
+    found = []
+    for suspect in SUSPECTS:
+        count, cause = suspect.directions.shape[1], case.rubbing(case.along(suspect.directions))
+        both = fitted(misfit, misfit.whitened(cause.slope), cause.spread)
+        size, covariance = both.size[:count], both.covariance[:count, :count]
+        found.append(_tried(suspect, size, covariance, both.explained - by_friction, moves))
+    return sorted(found, key=lambda one: -one.score)
+
+
+def _tried(
+    suspect: Suspect,
+    size: Float[np.ndarray, "p"],
+    covariance: Float[np.ndarray, "p p"],
+    explained: float,
+    moves: Float[np.ndarray, "k 3 errors"],
+) -> Tried:
+    score, deviation = explained - _PRICE * (len(size) - 1), np.sqrt(np.diag(covariance))
+    return Tried(score, suspect, size, deviation, explained, moves @ (suspect.directions @ size))
+
+
+def _solved_if_gross(
+    found: Reconstruction,
+    case: Case,
+    tip: Phases,
+    misfit: Misfit,
+    first: list[Tried],
+) -> list[Tried]:
+    """Causes solved for where the best is gross, those that the linear fit finds hopeless left
+    out.
+    """
+
+    def left(solution: Solution) -> float:
+        return solution.misfits[0].square + float(np.sum((solution.size / spread) ** 2))
+
+    telling = [one for one in first if one.suspect in SUSPECTS[:TELLING]]
+    best = next((one for one in alike(first) if one.suspect in SUSPECTS[:TELLING]), None)
+    if best is None or not _gross(case, best):
+        return first
+    moves = shifts(case.slopes, case.stretches.noise, case.here, tip)
+    out = []
+    for one in telling:
+        if one.score <= _HOPELESS * first[0].score:
+            continue
+        directions = one.suspect.directions
+        spread = case.along(directions).spread
+        start = np.clip(one.size, -spread, spread)
+        solution = solved([case], directions, spread, found.friction, start)
+        if len(spread) == 1 and left(solution) > _POOR * len(misfit.value):
+            other = solved([case], directions, spread, found.friction, -start)
+            solution = min(solution, other, key=left)
+        explained = misfit.square - left(solution)
+        out.append(_tried(one.suspect, solution.size, solution.covariance, explained, moves))
+    return sorted(out, key=lambda one: -one.score) or first
+
+
+def _gross(case: Case, one: Tried) -> bool:
+    return bool(np.any(np.abs(one.size) > _GROSS * case.along(one.suspect.directions).spread))
 
 
 def _tolerable(found: Reconstruction, case: Case) -> bool:
@@ -133,60 +227,42 @@ def _tolerable(found: Reconstruction, case: Case) -> bool:
     if np.max(np.abs(size) / spread) >= GROSS:
         return False
     about = case.about(directions @ size, found.friction)
-    tip = phases_by(about, [directions])
-    tried = candidates(
-        about, tip, weighed(about, tip, tolerated(about, found.reactions, found.rod.length))[0]
-    )
-    return not matters(alike(tried), _WITH_FRICTION if case.silent.any() else 0.0)
+    tip = about.phases([directions])
+    misfit, _ = weighed(about, tip, found.reactions, found.rod.length)
+    return not _matters(case, _candidates(about, tip, misfit))
 
 
-def _apart(misfit: Misfit, best: Tried | None) -> Bool[np.ndarray, "k"] | None:
-    """Stretches of one part of the sweep that alone contradict the rest; None where there is no
-    such part, or the best cause, if any, explains nearly all.
+def _apart(
+    found: Reconstruction, case: Case, misfit: Misfit, best: Tried | None
+) -> Bool[np.ndarray, "n"] | None:
+    """Samples of one part of the sweep that alone contradict the rest, which agrees with the setup;
+    None where there is no such part, or the best cause, if any, explains nearly all.
     """
     rows = len(misfit.value)
-    excess = float(misfit.value @ misfit.value) - rows
+    excess = misfit.square - rows
     if best is not None and (excess < rows or best.explained > _NEARLY_ALL * excess):
         return None
     square = uniform_filter1d(np.sum(misfit.alone**2, axis=1), _WINDOW, mode="nearest")
     runs, _ = label(square > _PERHAPS)
     sure = np.unique(runs[square > (_GROSSLY if best is None else _SURELY)])
     apart = np.isin(runs, sure[sure > 0])
-    return apart if 0 < np.mean(apart) < _MOST_APART else None
-
-
-def _rows_of(case: Case, chosen: Bool[np.ndarray, "k"], count: int) -> Bool[np.ndarray, "n"]:
-    """Samples of stretches, and those between neighbours."""
-    rows = np.zeros(count, dtype=bool)
-    runs, found = label(chosen)
-    for run in range(1, found + 1):
+    if not 0 < np.mean(apart) < _MOST_APART:
+        return None
+    stretches = case.bench.stretches
+    rest = case_of(stretches.chosen(~apart), case.bench.frame, found.friction)
+    if rest is None or _of_case(found, rest).warnings:
+        return None
+    samples = np.zeros(len(found.kind), dtype=bool)
+    runs, count = label(apart)
+    for run in range(1, count + 1):
         own = np.flatnonzero(runs == run)
-        rows[case.bench.stretches.first[own[0]] : case.bench.stretches.last[own[-1]]] = True
-    return rows
-
-
-def _concluded(
-    found: Reconstruction,
-    case: Case,
-    misfit: Misfit,
-    friction: float,
-    first: list[Tried],
-    groups: list[list[Tried]],
-    lines: list[str],
-) -> SetupCheck:
-    square, rows = float(misfit.value @ misfit.value), len(misfit.value)
-    return SetupCheck(
-        tuple(_cause(found, one, max(square - rows, 1.0)) for one in first),
-        square / rows,
-        friction,
-        tuple(tuple(one.suspect.name for one in group) for group in groups),
-        tuple(lines),
-        _shift_of_rows(found, case, groups),
-    )
+        # Those between neighbours, too.
+        samples[stretches.first[own[0]] : stretches.last[own[-1]]] = True
+    return samples
 
 
 def _cause(found: Reconstruction, one: Tried, total: float) -> Cause:
-    unit, factor = unit_of(found, one.suspect.name)
+    unit, factor = unit_of(found.rod, one.suspect.name)
     return Cause(
         one.suspect.name,
         unit,

@@ -77,7 +77,7 @@ def delay_of(found: Reconstruction) -> Delay | None:
     rows = (
         found.in_contact
         & np.isin(found.status, (Status.OK, Status.SETUP_CONTRADICTED))
-        & np.isfinite(found.point + found.normal).all(axis=1)
+        & np.isfinite(found.point + found.force_direction).all(axis=1)
     )
     if np.count_nonzero(rows) < _FEWEST * _BLOCKS:
         return None
@@ -132,7 +132,7 @@ def _means(
     count = np.diff(starts, append=len(rows))[:, None]
     means = (
         np.add.reduceat(part[rows], starts) / count
-        for part in (found.point, found.normal, _carried(found))
+        for part in (found.point, found.force_direction, _carried(found))
     )
     place, normal, velocity = means
     return place, normal / np.linalg.norm(normal, axis=1, keepdims=True), velocity

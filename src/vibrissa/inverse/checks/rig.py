@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.checks.constraints import TIP, Constraints, Slopes, constraints_of
 from vibrissa.inverse.checks.stretches import Stretches
+from vibrissa.mechanics.imperfect import Imperfect
 from vibrissa.reactions import Reactions
 
 STIFFNESS, LENGTH, TAPER = 0, 1, 14
@@ -26,6 +27,10 @@ POSITION, ROTATION, GAIN, CURVATURE, LOAD, DRIFT, ZERO = (
 curvature [1/L]; load per length, world axes [EI/L³]; drift; zero.
 """
 ERRORS = 32
+BenchErrors = Float[np.ndarray, "errors"]
+"""One number for each of these."""
+Directions = Float[np.ndarray, "errors p"]
+"""Errors for unit steps of some numbers."""
 _MOST_TAPER = 0.8
 _ZERO_STEPS = 3
 
@@ -76,7 +81,7 @@ class Bench:
     tared: float
     rest: Float[np.ndarray, "3 3"]
 
-    def taken(self, errors: Float[np.ndarray, "32"]) -> Float[np.ndarray, "6 6"]:
+    def taken(self, errors: BenchErrors) -> Float[np.ndarray, "6 6"]:
         """What takes measured wrenches, and their noise, to those with the errors taken off, but
         for what is added to them.
         """
@@ -89,7 +94,7 @@ class Bench:
             np.exp(-errors[STIFFNESS]) * both @ moved @ (back / (1 + errors[GAIN])) @ there
         )
 
-    def wrench(self, errors: Float[np.ndarray, "32"]) -> Float[np.ndarray, "k 6"]:
+    def wrench(self, errors: BenchErrors) -> Float[np.ndarray, "k 6"]:
         """Base wrenches in true clamp axes and in units of the true stiffness and the stated
         length.
         """
@@ -112,20 +117,18 @@ class Bench:
         axes = self.rest.T
         return np.concatenate([-axes, -0.5 * np.cross([0.0, 0.0, 1.0], axes, axisb=0).T])
 
-    def constraints(self, errors: Float[np.ndarray, "32"]) -> Constraints:
+    def constraints(self, errors: BenchErrors) -> Constraints:
         """Of the rod with these errors taken off; s₁ and lengths in the stated one's."""
         axes = np.swapaxes(self.stretches.turn, 1, 2)
-        rod = np.concatenate(
-            [
-                np.tile([min(errors[TAPER], _MOST_TAPER)], (len(axes), 1)),
-                np.tile(errors[CURVATURE], (len(axes), 1)),
-                axes @ errors[LOAD],
-            ],
-            axis=1,
+        rods = Imperfect(
+            self.wrench(errors),
+            np.full(len(axes), min(errors[TAPER], _MOST_TAPER)),
+            np.tile(errors[CURVATURE], (len(axes), 1)),
+            axes @ errors[LOAD],
         )
-        return constraints_of(self.wrench(errors), rod, float(np.exp(errors[LENGTH])))
+        return constraints_of(np.exp(errors[LENGTH]), rods)
 
-    def slopes(self, here: Constraints, errors: Float[np.ndarray, "32"]) -> Slopes:
+    def slopes(self, here: Constraints, errors: BenchErrors) -> Slopes:
         """Derivatives of constraints (k, 4, 32) and points (k, 3, 32) by the errors."""
         wrench, base, count, eye = self.wrench(errors), here.by_wrench, len(here.value), np.eye(3)
         f, m = wrench[:, :3], wrench[:, 3:]
@@ -145,7 +148,7 @@ class Bench:
         constraints, point = found.constraints, found.point
         constraints[:, TIP, LENGTH] += here.steepness * np.exp(errors[LENGTH])
         point[:, :, POSITION] += eye
-        point[:, :, ROTATION] -= _crossed(here.reach)
+        point[:, :, ROTATION] -= _crossed(np.asarray(here.reach))
         axes = np.swapaxes(self.stretches.turn, 1, 2)
         for where, part in (
             (slice(TAPER, TAPER + 1), here.by_taper),

@@ -16,6 +16,7 @@ from scipy.stats import median_abs_deviation
 from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.result import Reconstruction
+from vibrissa.inverse.shared import in_clamp_axes
 
 _MOST = 96
 """Stretches in contact: an elastica's curves through so many are straight to 3e-5 of their range,
@@ -95,18 +96,12 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
     in contact.
     """
     reactions, rod = found.reactions, found.rod
-    assert reactions.covariance is not None
     if np.count_nonzero(found.in_contact) < _FEWEST:
         return None
     turn = rotation_matrices(reactions.trail.orientation)
     units = np.repeat([rod.force_scale, rod.moment_scale], 3)
-    wrench = (
-        np.concatenate(
-            [np.einsum("nji,nj->ni", turn, part) for part in (reactions.force, reactions.moment)],
-            axis=1,
-        )
-        / units
-    )
+    wrench, covariance = in_clamp_axes(reactions, units)
+    assert covariance is not None
     sound = np.isfinite(wrench).all(axis=1) & (found.status != Status.BAD_DATA)
     time = np.arange(len(turn), dtype=np.float64) if reactions.time is None else reactions.time
     touching = (uniform_filter1d((found.in_contact & sound).astype(float), _WINDOW) > 0.5) & sound
@@ -116,11 +111,7 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
     spans = [(*span, True) for span in _spans(touching, _MOST)] + [
         (*span, False) for span in _spans(resting, _MOST_AT_REST)
     ]
-    both = np.zeros((len(turn), 6, 6))
-    both[:, :3, :3] = both[:, 3:, 3:] = np.swapaxes(turn, 1, 2)
-    root = np.linalg.cholesky(
-        both @ (reactions.covariance / np.outer(units, units)) @ np.swapaxes(both, 1, 2)
-    )
+    root = np.linalg.cholesky(covariance)
     white = _white(np.linalg.solve(root, wrench[..., None])[..., 0], touching | resting)
     before = np.count_nonzero(resting[: int(np.argmax(touching))])
     lasting = np.maximum(1 - white - _WHITE, 0) + (1 / before if before else _UNKNOWN_ZERO)

@@ -3,6 +3,7 @@ that would be no surprise.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,8 @@ from vibrissa.inverse.checks.rig import (
     STIFFNESS,
     TAPER,
     ZERO,
+    BenchErrors,
+    Directions,
 )
 
 CHANNELS = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -54,7 +57,32 @@ class Suspect:
     """
 
     name: str
-    directions: Float[np.ndarray, "32 p"]
+    directions: Directions
+
+
+class Tried(NamedTuple):
+    """One cause, as large as explains most."""
+
+    score: float
+    """What it explains of χ², less a price for its numbers."""
+    suspect: Suspect
+    size: Float[np.ndarray, "p"]
+    deviation: Float[np.ndarray, "p"]
+    explained: float
+    moved: Float[np.ndarray, "k 3"]
+    """Shift of the contacts that it implies, clamp axes [L]."""
+
+    @property
+    def shift(self) -> float:
+        """In the median."""
+        return float(np.median(np.linalg.norm(self.moved, axis=1)))
+
+    @property
+    def largest(self) -> float:
+        """Where it is largest, in a fifth of the sweep: a length shows, and matters, in tip contact
+        alone.
+        """
+        return float(np.quantile(np.linalg.norm(self.moved, axis=1), 0.8))
 
 
 def _of(name: str, *entries: int) -> Suspect:
@@ -103,7 +131,7 @@ TELLING = 10
 """
 
 
-def spreads_of(sample: Float[np.ndarray, "6"], duration: float) -> Float[np.ndarray, "32"]:
+def spreads_of(sample: Float[np.ndarray, "6"], duration: float) -> BenchErrors:
     """Standard deviations before the data, for the noise of a sample (6), model units, and the
     contact's duration.
     """

@@ -22,7 +22,7 @@ _REST = 128
 ROWS = (
     "kind",
     "point",
-    "normal",
+    "force_direction",
     "arc_length",
     "energy",
     "modulus",

@@ -416,7 +416,7 @@ def _result(
         sensitivity=rows(sensitivity, sensitivities(found) if verdict.raw.any() else sensitivity),
         kind=rows(phase, found.kind, ContactKind.NONE).astype(np.int8),
         point=rows(point, found.point),
-        normal=rows(normal, found.normal),
+        force_direction=rows(normal, found.force_direction),
         arc_length=rows(length * about[:, ARC_LENGTH], found.arc_length),
         energy=rows(found.rod.moment_scale * values.energy, found.energy, 0.0),
         modulus=rows(values.modulus, found.modulus),

@@ -1,0 +1,101 @@
+"""The spatial line of a rod that is not quite ideal, from its base wrench: Kirchhoff's equations,
+for derivatives about the straight uniform rod.
+
+With n and m the force and moment that the rod ahead exerts on the part behind, t the tangent and d
+the clamp's x axis carried along without twist,
+
+    r' = t,   t' = κ × t,   d' = κ × d,   m' = −t × n,   n' = −q,   κ = m/(1 − τs)⁴ + t × (c₁ d + c₂
+    t × d),
+
+with base values n = −f0, m = −m0. Lengths in L, forces in EI/L² of the base, clamp axes. Twist does
+not matter to first order: without imperfection there is none.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.numerics.lanes import AnyArray
+
+_STEPS = 32
+"""Of Runge and Kutta's method of fourth order: 1e-7 of a rod bent by a right angle (measured)."""
+_NEWTON_STEPS = 2
+"""To the contact of a rod that is not ideal: what is left is linear, and taken off by its user."""
+_FARTHEST = 0.2
+"""The longest of them [L]: farther, the moment is no longer straight."""
+
+
+class Imperfect(NamedTuple):
+    """A rod by its base wrench, or a derivative by each of these."""
+
+    wrench: Float[AnyArray, "*k 6"]
+    """Support reactions (f0, m0)."""
+    taper: Float[AnyArray, "*k"]
+    """τ, share by which the radius has shrunk at the tip."""
+    curvature: Float[AnyArray, "*k 2"]
+    """c, at rest, in the clamp's axes."""
+    load: Float[AnyArray, "*k 3"]
+    """q, force per length."""
+
+
+class End(NamedTuple):
+    """The rod at an arc length, or derivatives of it."""
+
+    moment: Float[AnyArray, "*k 3"]
+    """Zero at a contact."""
+    force: Float[AnyArray, "*k 3"]
+    """Of the contact on the rod."""
+    tangent: Float[AnyArray, "*k 3"]
+    reach: Float[AnyArray, "*k 3"]
+
+
+class _State(NamedTuple):
+    reach: Float[Array, "3"]
+    tangent: Float[Array, "3"]
+    carried: Float[Array, "3"]
+    moment: Float[Array, "3"]
+
+
+def rod_end(rod: Imperfect, arc_length: Float[Array, ""]) -> End:
+    """The rod where it is `arc_length` long, what hangs over beyond weighing on it."""
+    step = arc_length / _STEPS
+
+    def slope(s: Array, at: _State) -> _State:
+        t = at.tangent
+        rest = rod.curvature[0] * at.carried + rod.curvature[1] * jnp.cross(t, at.carried)
+        bend = at.moment / (1 - rod.taper * s) ** 4 + jnp.cross(t, rest)
+        force = -rod.wrench[:3] - rod.load * s
+        return _State(t, jnp.cross(bend, t), jnp.cross(bend, at.carried), -jnp.cross(t, force))
+
+    def moved(at: _State, by: Array, slopes: _State) -> _State:
+        return jax.tree.map(lambda value, rate: value + by * rate, at, slopes)
+
+    def advance(index: Array | int, at: _State) -> _State:
+        s = index * step
+        first = slope(s, at)
+        second = slope(s + step / 2, moved(at, step / 2, first))
+        third = slope(s + step / 2, moved(at, step / 2, second))
+        fourth = slope(s + step, moved(at, step, third))
+        total = jax.tree.map(lambda a, b, c, d: a + 2 * b + 2 * c + d, first, second, third, fourth)
+        return moved(at, step / 6, total)
+
+    x, _, z = jnp.eye(3)
+    start = _State(jnp.zeros(3), z, x, -jnp.asarray(rod.wrench)[3:])
+    last = lax.fori_loop(0, _STEPS, advance, start)
+    over = jnp.cross(last.tangent, rod.load) * (1 - arc_length) ** 2 / 2
+    return End(last.moment - over, -rod.wrench[:3] - rod.load, last.tangent, last.reach)
+
+
+def contact_near(rod: Imperfect, arc_length: Float[Array, ""]) -> Float[Array, ""]:
+    """s₁ by Newton's method from that of the ideal rod."""
+
+    def step(_: Array | int, s: Float[Array, ""]) -> Float[Array, ""]:
+        end = rod_end(rod, s)
+        rate = -jnp.cross(end.tangent, end.force)
+        change = jnp.sum(end.moment * rate) / jnp.sum(rate**2)
+        return s - jnp.clip(change, -_FARTHEST, _FARTHEST)
+
+    return lax.fori_loop(0, _NEWTON_STEPS, step, arc_length)

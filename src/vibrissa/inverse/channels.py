@@ -19,8 +19,7 @@ from scipy.special import chdtri
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, bent
-from vibrissa.inverse.smoothing.series import linearised
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, bent, linearised
 from vibrissa.numerics.compiled import compiled
 from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.rod import Rod
@@ -321,7 +320,8 @@ def _filled(
     fields["energy"][:] = np.where(whole_status == Status.OK, 0.0, np.nan)
     if good.any():
         picked, turned, spread = rows[good], turn[rows[good]], errors[good]
-        values, jacobian = linearised(x[good])
+        linear = linearised(x[good])
+        values = linear.value
         fields["point"][picked] = reactions.trail.position.reshape(-1, 3)[
             picked
         ] + length * np.einsum("nij,nj->ni", turned, values.reach)
@@ -331,10 +331,7 @@ def _filled(
             values.modulus,
         )
         fields["energy"][picked] = rod.moment_scale * values.energy
-        of_point = turned @ jacobian[:, 7:]
-        force = np.linalg.norm(values.wrench[:, :3], axis=1)[:, None, None]
-        across = np.eye(3) - np.einsum("ni,nj->nij", values.direction, values.direction)
-        of_normal = -turned @ across @ jacobian[:, :3] / force
+        of_point, of_normal = turned @ linear.slope.reach, turned @ linear.slope.direction
         by_pose = reactions.pose_covariance(fields["point"].reshape(*shape, 3))
         floor = np.zeros((3, 3)) if by_pose is None else by_pose.reshape(-1, 3, 3)[picked]
         fields["covariance"][picked] = (

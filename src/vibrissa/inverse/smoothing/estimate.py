@@ -9,6 +9,7 @@ into account, and what is known exactly, such as the arc length at the tip, stay
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -68,7 +69,7 @@ def contacts_of(
         float(np.sum(fit.states.log_likelihood)),
     )
 
-    def rows(values: np.ndarray, raw: np.ndarray | None, nothing: float = np.nan) -> np.ndarray:
+    def rows(values: np.ndarray, raw: Any, nothing: float = np.nan) -> np.ndarray:
         here, itself = (
             part.reshape(-1, *[1] * (values.ndim - 1)) for part in (touching, verdict.raw)
         )

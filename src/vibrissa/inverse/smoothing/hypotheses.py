@@ -1,6 +1,6 @@
 """The causal smoother's compiled step: three hypotheses, mixed, predicted and updated."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,6 @@ from vibrissa.inverse.smoothing.kalman import DRIFT, PLACE, ROWS, WRENCH, Entry,
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, Linear, linear_at
 from vibrissa.inverse.smoothing.series import FREE, TANGENTIAL, TIP, observed
 from vibrissa.numerics.compiled import compiled
-from vibrissa.numerics.lanes import AnyArray
 from vibrissa.numerics.rotation import rotation_matrix
 
 _SWITCH = 1e-2
@@ -29,14 +28,14 @@ _TINY = 1e-300
 class Hypotheses(NamedTuple):
     """What the filter carries from sample to sample: a state for each `ContactKind`."""
 
-    mean: Float[AnyArray, "kinds state"]
-    covariance: Float[AnyArray, "kinds state state"]
-    probability: Float[AnyArray, "kinds"]
-    recent: Float[AnyArray, "samples wrench"]
+    mean: Float[Any, "kinds state"]
+    covariance: Float[Any, "kinds state state"]
+    probability: Float[Any, "kinds"]
+    recent: Float[Any, "samples wrench"]
     """The last whitened wrenches, the newest first; NaN where there was none."""
-    strange: Float[AnyArray, ""]
+    strange: Float[Any, ""]
     """Consecutive outliers."""
-    columns: Float[AnyArray, "kinds state parameters"]
+    columns: Float[Any, "kinds state parameters"]
     """Derivatives of `mean` by the setup's numbers, for given readings: the same filter, with what
     they change in the wrench in the place of the readings.
     """
@@ -45,45 +44,45 @@ class Hypotheses(NamedTuple):
 class Settings(NamedTuple):
     """What does not change."""
 
-    length: Float[AnyArray, ""]
-    units: Float[AnyArray, "wrench"]
-    whitening: Float[AnyArray, "wrench wrench"]
-    intensities: Float[AnyArray, "intensities"]
+    length: Float[Any, ""]
+    units: Float[Any, "wrench"]
+    whitening: Float[Any, "wrench wrench"]
+    intensities: Float[Any, "intensities"]
     entries: Entry
     """How the state of each kind (rows) enters each other (columns)."""
-    jump: Float[AnyArray, "state"]
+    jump: Float[Any, "state"]
     """Variances of the state added where the contact jumps."""
-    modulus_variance: Float[AnyArray, ""]
+    modulus_variance: Float[Any, ""]
     """Of k² about ½ in tangential contact; infinite where friction may make it another one."""
     rig: Rig
-    errors: Float[AnyArray, "parameters parameters"]
+    errors: Float[Any, "parameters parameters"]
     """Covariance of the errors of the setup, model units."""
 
 
 class Sample(NamedTuple):
     """World axes, units of the rod."""
 
-    position: Float[AnyArray, "*n 3"]
-    orientation: Float[AnyArray, "*n 4"]
-    wrench: Float[AnyArray, "*n wrench"]
-    duration: Float[AnyArray, "*n"]
+    position: Float[Any, "*n 3"]
+    orientation: Float[Any, "*n 4"]
+    wrench: Float[Any, "*n wrench"]
+    duration: Float[Any, "*n"]
     """Since the sample before [s]."""
-    velocity: Float[AnyArray, "*n wrench"]
+    velocity: Float[Any, "*n wrench"]
     """Of the clamp point and of its rotation, a second."""
 
 
 class Located(NamedTuple):
     """A contact, world axes and model units."""
 
-    point: Float[AnyArray, "*n 3"]
-    direction: Float[AnyArray, "*n 3"]
-    arc_length: Float[AnyArray, "*n"]
-    modulus: Float[AnyArray, "*n"]
-    noise: Float[AnyArray, "*n 6 6"]
+    point: Float[Any, "*n 3"]
+    direction: Float[Any, "*n 3"]
+    arc_length: Float[Any, "*n"]
+    modulus: Float[Any, "*n"]
+    noise: Float[Any, "*n 6 6"]
     """Covariance of point and direction from sample to sample."""
-    shared: Float[AnyArray, "*n 6 6"]
+    shared: Float[Any, "*n 6 6"]
     """What errors of the setup add to it."""
-    sensitivity: Float[AnyArray, "*n 6 parameters"]
+    sensitivity: Float[Any, "*n 6 parameters"]
     """Derivatives of point and direction by the setup's numbers."""
 
 
@@ -91,18 +90,18 @@ class Report(NamedTuple):
     """What one sample says, given those before."""
 
     located: Located
-    kind: Int[AnyArray, "*n"]
+    kind: Int[Any, "*n"]
     """Tip or tangential, whichever is more probable."""
-    probability: Float[AnyArray, "*n"]
+    probability: Float[Any, "*n"]
     """Of contact."""
-    load: Float[AnyArray, "*n"]
+    load: Float[Any, "*n"]
     """Mean of the last wrenches being noise and drift: chi-square with six degrees of freedom."""
-    sound: Bool[AnyArray, "*n"]
+    sound: Bool[Any, "*n"]
 
 
 @compiled
 def advanced(
-    state: Hypotheses, settings: Settings, samples: Sample, count: Int[Array, ""]
+    state: Hypotheses, settings: Settings, samples: Sample, count: Int[Any, ""]
 ) -> tuple[Hypotheses, Report]:
     """The first `count` samples taken, one after the other."""
     return kalman.scanned(
@@ -164,8 +163,8 @@ def _one(state: Hypotheses, settings: Settings, sample: Sample) -> tuple[Hypothe
         )
         step = step._replace(target=target, slope=slope, variance=variance)
         both = jnp.column_stack([mean, kalman.moved(step, columns)])
-        both, covariance, seen = kalman.updated(both, covariance, step)
-        likelihood = kalman.log_likelihood(step, seen)[0]
+        both, covariance, told = kalman.updated(both, covariance, step)
+        likelihood = kalman.log_likelihood(step, told)[0]
         return both[:, 0], covariance, both[:, 1:], likelihood, jnp.where(sound, distance, 0.0)
 
     means, covariances, columns, likelihoods, excess = jax.vmap(one)(jnp.arange(3))

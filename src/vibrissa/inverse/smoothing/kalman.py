@@ -21,7 +21,6 @@ from jaxtyping import Float, Int
 
 from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES
 from vibrissa.numerics.compiled import compiled
-from vibrissa.numerics.lanes import AnyArray
 
 WRENCH = 6
 ROWS = WRENCH + 2
@@ -51,27 +50,27 @@ Tree = TypeVar("Tree")
 Carry = TypeVar("Carry")
 Given = TypeVar("Given")
 Told = TypeVar("Told")
-State = Float[Array, "state"]
+State = Float[Array, "state *k"]
 Square = Float[Array, "state state"]
 
 
 class Gaussian(NamedTuple):
     """Mean and covariance."""
 
-    mean: Float[AnyArray, "*n state"]
-    covariance: Float[AnyArray, "*n state state"]
+    mean: Float[Any, "*n state"]
+    covariance: Float[Any, "*n state state"]
 
 
 class Entry(NamedTuple):
     """How the state enters a sample, before it moves."""
 
-    keep: Float[AnyArray, "*n state"]
+    keep: Float[Any, "*n state"]
     """1 for entries that go on, 0 for entries that begin anew."""
-    begin: Float[AnyArray, "*n state"]
+    begin: Float[Any, "*n state"]
     """Values of those that begin anew."""
-    spread: Float[AnyArray, "*n state"]
+    spread: Float[Any, "*n state"]
     """Variances added."""
-    active: Float[AnyArray, "*n coordinates"]
+    active: Float[Any, "*n coordinates"]
     """Share of the time since the sample before in which each coordinate moves; 0 for known ones.
     """
 
@@ -80,15 +79,15 @@ class Step(NamedTuple):
     """How the state comes to a sample, and what the sample shows; of a series, one row a sample."""
 
     entry: Entry
-    duration: Float[AnyArray, "*n"]
+    duration: Float[Any, "*n"]
     """Since the sample before [s]."""
-    pace: Float[AnyArray, "*n"]
+    pace: Float[Any, "*n"]
     """Factor of the intensities of moment and axial force."""
-    target: Float[AnyArray, "*n observed"]
+    target: Float[Any, "*n observed"]
     """Observed values; with a further axis, those of several series that differ in them alone."""
-    slope: Float[AnyArray, "*n observed coordinates"]
+    slope: Float[Any, "*n observed coordinates"]
     """Their derivatives by the coordinates; the wrench shows the drift, too."""
-    variance: Float[AnyArray, "*n observed"]
+    variance: Float[Any, "*n observed"]
     """Of the observations; infinite where there is none."""
 
 
@@ -106,18 +105,18 @@ class States(NamedTuple):
     (Durbin & Koopman, eq. 4.44).
     """
 
-    mean: Float[AnyArray, "n state *k"]
-    covariance: Float[AnyArray, "n state state"]
-    pull: Float[AnyArray, "n state *k"]
+    mean: Float[Any, "n state *k"]
+    covariance: Float[Any, "n state state"]
+    pull: Float[Any, "n state *k"]
     """r: zero on average, with the covariance `information`. Large where the state jumps on the way
     to the sample (section 7.5).
     """
-    information: Float[AnyArray, "n state state"]
-    log_likelihood: Float[AnyArray, "n *k"]
+    information: Float[Any, "n state state"]
+    log_likelihood: Float[Any, "n *k"]
     """Of each sample, given those before."""
-    expected: Float[AnyArray, "n state *k"]
+    expected: Float[Any, "n state *k"]
     """Means given the samples before alone."""
-    uncertainty: Float[AnyArray, "n state state"]
+    uncertainty: Float[Any, "n state state"]
     """Their covariances."""
 
     @property
@@ -209,7 +208,7 @@ def scanned(
     one: Callable[[Carry, Given], tuple[Carry, Told]],
     carry: Carry,
     rows: Given,
-    count: Array,
+    count: Any,
     *,
     back: bool = False,
 ) -> tuple[Carry, Told]:
@@ -240,7 +239,7 @@ def scanned(
 
 @compiled
 def _smoothed(
-    steps: Step, count: Int[Array, ""], intensities: Float[Array, "intensities"], start: Gaussian
+    steps: Step, count: Int[Any, ""], intensities: Float[Any, "intensities"], start: Gaussian
 ) -> States:
     def forward(
         carry: tuple[State, Square], step: Step
@@ -262,7 +261,7 @@ def _smoothed(
 
     nothing = jnp.zeros_like(start.mean), jnp.zeros((SIZE, SIZE))
     _, told = scanned(backward, nothing, (steps, before, seen), count, back=True)
-    return States(*told, likelihood, *before)
+    return States(*told, likelihood, before.mean, before.covariance)
 
 
 def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[State, Square]:
@@ -314,14 +313,14 @@ def log_likelihoods(
 
 @compiled
 def _log_likelihoods(
-    series: Step, count: Int[Array, ""], intensities: Float[Array, "intensities"], start: Gaussian
+    series: Step, count: Int[Any, ""], intensities: Float[Any, "intensities"], start: Gaussian
 ) -> Float[Array, "series"]:
     def joint(steps: Step) -> Float[Array, ""]:
         def one(
             carry: tuple[State, Square, Array], step: Step
         ) -> tuple[tuple[State, Square, Array], None]:
-            *state, total = carry
-            before = predicted(*entered(*state, step.entry), step, intensities)
+            mean, covariance, total = carry
+            before = predicted(*entered(mean, covariance, step.entry), step, intensities)
             mean, covariance, seen = updated(*before, step)
             # s₁ and k² lie between 0 and 1: however vague, their densities are not below 1.
             size = (2 * jnp.pi * seen.spread).at[WRENCH:].min(1.0)

@@ -20,7 +20,7 @@ square to t0. The fifth coordinate is that tilt ε:
 which keeps m0·F = 0, what any single contact obeys.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
-from vibrissa.numerics.lanes import AnyArray, lanes
+from vibrissa.numerics.lanes import lanes
 
 Scalar = Float[Array, ""]
 
@@ -49,21 +49,21 @@ _LEAST_MOMENT = 1e-6
 class Bent(NamedTuple):
     """What the coordinates imply; or the derivatives of it, with the coordinates as last axis."""
 
-    wrench: Float[AnyArray, "*n wrench"]
+    wrench: Float[Any, "*n wrench"]
     """Support reactions (f0, m0)."""
-    modulus: Float[AnyArray, "*n"]
+    modulus: Float[Any, "*n"]
     """k²."""
-    reach: Float[AnyArray, "*n 3"]
+    reach: Float[Any, "*n 3"]
     """Contact point seen from the clamp."""
-    direction: Float[AnyArray, "*n 3"]
+    direction: Float[Any, "*n 3"]
     """Unit vector of the contact force on the rod."""
-    energy: Float[AnyArray, "*n"]
+    energy: Float[Any, "*n"]
 
 
 class Linear(NamedTuple):
     """The manifold to first order about coordinates, one row a sample."""
 
-    x: Float[AnyArray, "*n coordinates"]
+    x: Float[Any, "*n coordinates"]
     value: Bent
     slope: Bent
     """Derivatives by the coordinates."""

@@ -30,7 +30,6 @@ from vibrissa.inverse.smoothing.manifold import (
     chosen,
     linearised,
 )
-from vibrissa.numerics.lanes import AnyArray
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS, SetupErrors
@@ -224,9 +223,7 @@ def modulus_spread_of(friction: float | None, errors: SetupErrors | None) -> flo
     )
 
 
-def observed(
-    linear: Linear, wrench: AnyArray, whitening: AnyArray, xp: ModuleType = np
-) -> tuple[AnyArray, AnyArray]:
+def observed(linear: Linear, wrench: Any, whitening: Any, xp: ModuleType = np) -> tuple[Any, Any]:
     """What a contact shows, less what is expected of it, and the derivatives of that by the
     coordinates: the whitened wrench, s₁ = 1 and k² = ½. `xp` is NumPy or its JAX counterpart.
     """

@@ -131,7 +131,7 @@ def test_likelihoods_are_those_of_the_wrenches_given_the_constraints() -> None:
 def test_the_score_is_the_derivative_of_the_log_likelihood() -> None:
     steps, start = series(), first()
     states = kalman.smoothed(steps, INTENSITIES, start)
-    score = kalman.score(steps, states, INTENSITIES).sum(axis=0)
+    score = states.score.sum(axis=0)
     step = 1e-5
     for k in range(5):
         up, down = (INTENSITIES * np.exp(sign * step * np.eye(5)[k]) for sign in (1, -1))

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from vibrissa.inverse.smoothing.changes import moved
 from vibrissa.inverse.smoothing.kalman import RATE, SIZE, States
 from vibrissa.inverse.smoothing.manifold import LOADS
-from vibrissa.inverse.smoothing.series import FREE, GO_ON, JUMP, KINK, Fit, Labels, Samples
+from vibrissa.inverse.smoothing.series import FREE, GO_ON, JUMP, KINK, Codes, Fit, Labels, Samples
 
 _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
@@ -71,7 +71,7 @@ def with_jumps(fit: Fit) -> Labels:
     return labels
 
 
-def _shock(states: States, rows: Int[np.ndarray, "k"], entries: Int[np.ndarray, "k"]) -> Samples:
+def _shock(states: States, rows: Codes, entries: Int[np.ndarray, "k"]) -> Samples:
     """Chi-square of a shock to these entries of the state on the way to a sample."""
     information = states.information[rows][:, entries][:, :, entries]
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))

@@ -20,15 +20,14 @@ from vibrissa.inverse.parameters import COUNT, prepared
 from vibrissa.inverse.smoothing.fit import TARED
 from vibrissa.inverse.smoothing.hypotheses import Hypotheses, Report, Sample, Settings, advanced
 from vibrissa.inverse.smoothing.kalman import INTENSITIES, SIZE, WRENCH, at_rest
+from vibrissa.inverse.smoothing.loops import filled
 from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES, LOADS
+from vibrissa.inverse.smoothing.model import TILT_SPREAD, entries, modulus_spread_of
 from vibrissa.inverse.smoothing.series import (
     FREE,
     GO_ON,
     KINK,
-    TILT_SPREAD,
     Labels,
-    entries,
-    modulus_spread_of,
 )
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -271,13 +270,7 @@ class CausalSmoother:
         found: list[LiveContact] = []
         for first in range(0, len(time), _BATCH):
             rows = slice(first, first + _BATCH)
-            missing = _BATCH - len(time[rows])
-            part = jax.tree.map(
-                lambda values, rows=rows, missing=missing: np.concatenate(
-                    [values[rows], np.zeros((missing, *values.shape[1:]))]
-                ),
-                samples,
-            )
+            part = filled(jax.tree.map(lambda values, rows=rows: values[rows], samples), _BATCH)
             found += self._taken(part, time[rows])
         return found
 

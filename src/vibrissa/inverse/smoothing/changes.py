@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.kalman import RATE, SIZE, Gaussian
 from vibrissa.inverse.smoothing.merging import TOGETHER, group_starts, merged
+from vibrissa.inverse.smoothing.model import steps_of
 from vibrissa.inverse.smoothing.phases import raw_arc_lengths, runs_of
 from vibrissa.inverse.smoothing.series import (
     FREE,
@@ -22,7 +23,6 @@ from vibrissa.inverse.smoothing.series import (
     Labels,
     NoMotionError,
     Samples,
-    steps_of,
 )
 
 Rows = Int[np.ndarray, "k"]

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.contacts import ContactKind
 from vibrissa.inverse.parameters import changes_of_rows, rig_of, velocities_of
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import sensitivities, with_shared
@@ -22,8 +21,9 @@ from vibrissa.inverse.smoothing.fit import TARED
 from vibrissa.inverse.smoothing.kalman import PLACE, WRENCH
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT
 from vibrissa.inverse.smoothing.merging import smoothed_states
+from vibrissa.inverse.smoothing.model import steps_of
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
-from vibrissa.inverse.smoothing.series import FREE, Fit, steps_of
+from vibrissa.inverse.smoothing.series import FREE, Fit, Flags
 from vibrissa.inverse.smoothing.verdict import Verdict, without
 from vibrissa.reactions import turned_covariance
 
@@ -69,31 +69,40 @@ def contacts_of(
         float(np.sum(fit.states.log_likelihood)),
     )
 
-    def rows(values: np.ndarray, raw: Any, nothing: float = np.nan) -> np.ndarray:
-        here, itself = (
-            part.reshape(-1, *[1] * (values.ndim - 1)) for part in (touching, verdict.raw)
+    deviation = np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0))
+    contacts = {
+        "point": point,
+        "normal": normal,
+        "arc_length": length * x[:, ARC_LENGTH],
+        "modulus": value.modulus,
+        "covariance": covariance,
+        "normal_covariance": normal_covariance,
+        "arc_length_deviation": length * deviation,
+        "sensitivity": sensitivity,
+    }
+    given: dict[str, Any] = {
+        name: np.where(_column(touching, part), part, np.nan) for name, part in contacts.items()
+    } | {
+        "kind": fit.labels.phase.astype(np.int8) * series.sound,
+        "energy": np.where(touching, rod.moment_scale * value.energy, 0.0),
+    }
+    if verdict.raw.any():
+        itself = replace(
+            found,
+            covariance=found.covariance_noise,
+            normal_covariance=found.normal_covariance_noise,
+            sensitivity=sensitivities(found),
         )
-        return np.where(itself, raw, np.where(here, values, nothing))
+        given = {
+            name: np.where(_column(verdict.raw, part), getattr(itself, name), part)
+            for name, part in given.items()
+        }
+    return with_shared(replace(found, **given, status=verdict.status, smoothing=(smoothing,)))
 
-    smoothed = replace(
-        found,
-        sensitivity=rows(sensitivity, sensitivities(found) if verdict.raw.any() else sensitivity),
-        kind=rows(fit.labels.phase, found.kind, ContactKind.NONE).astype(np.int8),
-        point=rows(point, found.point),
-        normal=rows(normal, found.normal),
-        arc_length=rows(length * x[:, ARC_LENGTH], found.arc_length),
-        energy=rows(rod.moment_scale * value.energy, found.energy, 0.0),
-        modulus=rows(value.modulus, found.modulus),
-        covariance=rows(covariance, found.covariance_noise),
-        normal_covariance=rows(normal_covariance, found.normal_covariance_noise),
-        arc_length_deviation=rows(
-            length * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0)),
-            found.arc_length_deviation,
-        ),
-        status=verdict.status,
-        smoothing=(smoothing,),
-    )
-    return with_shared(smoothed)
+
+def _column(rows: Flags, values: np.ndarray) -> Flags:
+    """Flags of rows, for each number of them."""
+    return rows.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def _sensitivity(found: Reconstruction, fit: Fit) -> Float[np.ndarray, "n 6 parameters"]:

@@ -5,39 +5,33 @@ intensities.
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.optimize import minimize
 from scipy.stats import norm
 
 from vibrissa.inverse.smoothing import kalman
+from vibrissa.inverse.smoothing.intensities import longest_of, most_probable
 from vibrissa.inverse.smoothing.kalman import (
     DRIFT,
-    INTENSITIES,
     PLACE,
     SIZE,
     WRENCH,
     Gaussian,
     States,
-    Step,
 )
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, AT_REST, LOADS, chosen, linearised
 from vibrissa.inverse.smoothing.merging import (
-    TOGETHER,
-    group_starts,
+    groups_of,
     merged,
     smoothed_states,
-    together_for,
 )
-from vibrissa.inverse.smoothing.phases import first_labels, runs_of
+from vibrissa.inverse.smoothing.model import TILT_SPREAD, steps_of
+from vibrissa.inverse.smoothing.phases import first_labels
 from vibrissa.inverse.smoothing.series import (
-    ARC_LENGTH_SPREAD,
     FREE,
     GO_ON,
     JUMP,
     KINK,
     TANGENTIAL,
-    TILT_SPREAD,
     TIP,
-    Codes,
     Fit,
     Flags,
     Labels,
@@ -45,7 +39,6 @@ from vibrissa.inverse.smoothing.series import (
     Rates,
     Samples,
     Series,
-    steps_of,
 )
 
 Coordinates = Float[np.ndarray, "n coordinates"]
@@ -59,8 +52,6 @@ TARED = Gaussian(np.zeros(WRENCH), 0.02 * np.eye(WRENCH))
 samples."""
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
 """Intensities of a contact that crosses its range in some seconds."""
-_STRETCH = 48
-"""Samples of one pace."""
 _ROUGH_STEPS, MOST_STEPS = 5, 12
 """Steps of Gauss-Newton: usually four are enough for `_ROUGHLY`, six for `_CLOSE`."""
 _FLANK_STEPS = 3
@@ -72,11 +63,6 @@ _AVERAGE = 0.04
 """[s] over which the first guess is averaged."""
 _MEDIAN = 9
 """Samples whose median no outlier moves."""
-_USUALLY = 1.5
-"""Standard deviation of the logarithm of s₁'s intensity."""
-_BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
-_PACE_BOUNDS = (-14.0, 14.0)
-"""Of logarithms, beyond which the likelihood is flat."""
 
 
 def first_guess(series: Series, loaded: Flags, drift: Float[np.ndarray, "*n wrench"]) -> Fit:
@@ -103,7 +89,7 @@ def first_guess(series: Series, loaded: Flags, drift: Float[np.ndarray, "*n wren
         linear,
         linear,
         _robust(np.sum(residual**2, axis=1)),
-        States(nothing, square, nothing, square, np.zeros(count), nothing, square),
+        States(nothing, square, nothing, square, nothing, np.zeros(count), nothing, square),
         _rates(series, labels, linear.x),
         _START,
         TARED,
@@ -116,85 +102,9 @@ def _rates(series: Series, labels: Labels, x: Coordinates) -> Rates:
     longest contact.
     """
     touching = labels.phase != FREE
-    longest = max(_longest(series.time, labels) or 1.0, series.step)
+    longest = max(longest_of(series.time, labels) or 1.0, series.step)
     load = float(np.ptp(x[touching, :LOADS], axis=0).max()) if touching.any() else 1.0
     return np.array([*[max(load, 1e-2)] * LOADS, 0.3, TILT_SPREAD / 10]) * 30 / longest
-
-
-def _longest(time: Samples, labels: Labels) -> float:
-    """Time [s] that the longest contact takes; 0 without contact."""
-    spans = [time[last] - time[first] for first, last in runs_of(labels.phase != FREE)]
-    return float(max(spans, default=0.0))
-
-
-def most_probable_intensities(fit: Fit, steps: Step, *, local: bool) -> Fit:
-    """The fit with intensities, and the pace of each sample, that maximise the marginal likelihood.
-
-    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk
-    from each to the next, with a standard deviation of 1. A short tangential phase tells little of
-    how freely s₁ moves: the logarithm of that intensity has a normal prior about the one with which
-    s₁ crosses its range in the time of a contact. Without `local`, paces stay as they are.
-    """
-    labels, start = fit.labels, kalman.at_rest(fit.zero)
-    stretch = stretches(labels)
-    starts = group_starts([labels], np.diff(stretch, prepend=-1) != 0, together_for(labels))
-    grouped, number = merged(steps, starts), stretch[starts]
-    first = np.unique(stretch, return_index=True)[1][int((stretch < 0).any()) :]
-    first = first if local else first[:0]
-    linked = np.diff(labels.contact[first]) == 0
-    time = np.cumsum(steps.duration)
-    longest = max(_longest(time, labels), 1e-3 * (time[-1] - time[0]), 1e-9)
-    # That of an integrated Wiener process of this deviation at the end of the longest contact.
-    expected = np.log(3 * ARC_LENGTH_SPREAD**2 / longest**3)
-
-    def paces(values: Samples, of: Codes, otherwise: Samples) -> Samples:
-        # Without contact, number -1, the pace is 1.
-        return np.exp(np.append(values, 0.0))[of] if local else otherwise
-
-    def objective(values: Samples) -> tuple[float, Samples]:
-        logarithms, walk = np.split(values, [INTENSITIES])
-        intensities = np.exp(logarithms)
-        now = grouped._replace(pace=paces(walk, number, grouped.pace))
-        states = kalman.smoothed(now, intensities, start)
-        slopes = kalman.score(now, states, intensities)
-        inside = (number >= 0) & local
-        of_walk = np.bincount(number[inside], slopes[inside, :2].sum(axis=1), len(walk))
-        step = np.where(linked, np.diff(walk), 0.0)
-        pull = np.diff(step, prepend=0.0, append=0.0)[: len(walk)]
-        away = (logarithms[ARC_LENGTH - 1] - expected) / _USUALLY
-        total = slopes.sum(axis=0)
-        total[ARC_LENGTH - 1] -= away / _USUALLY
-        # All standard deviations are equally probable (Gelman, *Bayesian Analysis* 1, 2006): none
-        # collapses to zero. Those of the loads have paces.
-        total[ARC_LENGTH - 1 :] += 0.5
-        known = np.sum(states.log_likelihood) + np.sum(logarithms[ARC_LENGTH - 1 :]) / 2
-        return float(step @ step + away**2) / 2 - float(known), -np.append(total, of_walk + pull)
-
-    found = minimize(
-        objective,
-        np.append(
-            np.clip(np.log(fit.intensities), *np.array(_BOUNDS).T), np.log(labels.pace[first])
-        ),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=_BOUNDS + [_PACE_BOUNDS] * len(first),
-        options={"maxiter": 20, "ftol": 1e-5},
-    )
-    logarithms, walk = np.split(found.x, [INTENSITIES])
-    pace = paces(walk, stretch, labels.pace)
-    return fit._replace(labels=labels._replace(pace=pace), intensities=np.exp(logarithms))
-
-
-def stretches(labels: Labels) -> Codes:
-    """Number of the stretch that each sample belongs to; -1 without contact."""
-    number, stretch = 0, np.full(len(labels.phase), -1)
-    size = _STRETCH * together_for(labels) / TOGETHER
-    for first, last in runs_of(labels.phase != FREE):
-        rows = last - first + 1
-        count = max(1, round(rows / size))
-        stretch[first : last + 1] = number + np.arange(rows) * count // rows
-        number += count
-    return stretch
 
 
 def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> Fit:
@@ -203,7 +113,7 @@ def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> F
     for iteration in range(most_steps):
         steps = steps_of(fit)
         if iteration == _NEAR:
-            fit = most_probable_intensities(fit, steps, local=local)
+            fit = most_probable(fit, steps, local=local)
             steps = steps._replace(pace=fit.labels.pace)
         rough = rough and iteration < most_steps - 1
         fit = fit._replace(states=smoothed_states(fit, steps, rough=rough))
@@ -284,12 +194,10 @@ def _drift_deviation(fit: Fit) -> float:
     """Standard deviation of the logarithm of the drift's intensity, by the curvature of the
     likelihood.
     """
-    grouped = merged(steps_of(fit), group_starts([fit.labels], together=together_for(fit.labels)))
-    slopes = []
+    steps, slopes = merged(steps_of(fit), groups_of(fit.labels)), []
     for half in (-0.5, 0.5):
-        intensities = _with_drift(fit, np.exp(half))
-        states = kalman.smoothed(grouped, intensities, kalman.at_rest(fit.zero))
-        slopes.append(kalman.score(grouped, states, intensities)[:, -1].sum())
+        states = kalman.smoothed(steps, _with_drift(fit, np.exp(half)), kalman.at_rest(fit.zero))
+        slopes.append(states.score[:, -1].sum())
     # At least that of an e-fold: the likelihood tells nothing of a drift that there is not.
     return float(1 / np.sqrt(max(slopes[0] - slopes[1], 1.0)))
 

@@ -11,8 +11,10 @@ from vibrissa.inverse.parameters import COUNT, Changes, Rig, changes
 from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.fit import OUTLIER
 from vibrissa.inverse.smoothing.kalman import DRIFT, PLACE, ROWS, WRENCH, Entry, Step
+from vibrissa.inverse.smoothing.loops import scanned
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, Linear, linear_at
-from vibrissa.inverse.smoothing.series import FREE, TANGENTIAL, TIP, observed
+from vibrissa.inverse.smoothing.model import observed
+from vibrissa.inverse.smoothing.series import FREE, TANGENTIAL, TIP
 from vibrissa.numerics.compiled import compiled
 from vibrissa.numerics.rotation import rotation_matrix
 
@@ -104,9 +106,7 @@ def advanced(
     state: Hypotheses, settings: Settings, samples: Sample, count: Int[Any, ""]
 ) -> tuple[Hypotheses, Report]:
     """The first `count` samples taken, one after the other."""
-    return kalman.scanned(
-        lambda state, sample: _one(state, settings, sample), state, samples, count
-    )
+    return scanned(lambda state, sample: _one(state, settings, sample), state, samples, count)
 
 
 def _one(state: Hypotheses, settings: Settings, sample: Sample) -> tuple[Hypotheses, Report]:

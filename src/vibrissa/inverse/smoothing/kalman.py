@@ -10,15 +10,15 @@ process) and d by white noise:
     x' = v,    v' = √q ẇ,    d' = √q_d ẇ.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jaxtyping import Float, Int
 
+from vibrissa.inverse.smoothing.loops import filled, scanned
 from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES
 from vibrissa.numerics.compiled import compiled
 
@@ -41,15 +41,9 @@ length and the tilt, and of the drift in standard deviations of a sample."""
 _SOFT = 1e-9
 """Variance of k² above which it is a soft constraint: far above that of one that holds exactly,
 1e-12, far below any of friction or of a setup's tolerances."""
-_BUCKET = 512
-"""Loops are compiled for multiples of so many rows: few different ones."""
 _AT_ONCE = 8
 """Series whose likelihoods one call computes."""
 
-Tree = TypeVar("Tree")
-Carry = TypeVar("Carry")
-Given = TypeVar("Given")
-Told = TypeVar("Told")
 State = Float[Array, "state *k"]
 Square = Float[Array, "state state"]
 
@@ -112,6 +106,9 @@ class States(NamedTuple):
     to the sample (section 7.5).
     """
     information: Float[Any, "n state state"]
+    score: Float[Any, "n intensities"]
+    """Of the log-likelihood: what each step adds to its derivative by the logarithms of the
+    intensities, half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992)."""
     log_likelihood: Float[Any, "n *k"]
     """Of each sample, given those before."""
     expected: Float[Any, "n state *k"]
@@ -204,39 +201,6 @@ def _log_density(seen: Seen, size: Float[Array, "observed"]) -> Float[Array, "*k
     return -0.5 * jnp.sum(jnp.log(size) + seen.innovation.T**2 / spread, axis=-1)
 
 
-def scanned(
-    one: Callable[[Carry, Given], tuple[Carry, Told]],
-    carry: Carry,
-    rows: Given,
-    count: Any,
-    *,
-    back: bool = False,
-) -> tuple[Carry, Told]:
-    """`lax.scan` over the first `count` rows, from the last to the first if `back`."""
-
-    def row(index: Array | int) -> Given:
-        return jax.tree.map(
-            lambda part: lax.dynamic_index_in_dim(part, index, keepdims=False), rows
-        )
-
-    def step(number: Array, state: tuple[Carry, Told]) -> tuple[Carry, Told]:
-        index = count - 1 - number if back else number
-        after, told = one(state[0], row(index))
-        return after, jax.tree.map(
-            lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, index, 0),
-            state[1],
-            told,
-        )
-
-    length = len(jax.tree.leaves(rows)[0])
-    nothing: Any = jax.tree.map(
-        lambda part: jnp.zeros((length, *part.shape), part.dtype),
-        jax.eval_shape(one, carry, row(0))[1],
-    )
-    through: tuple[Carry, Told] = lax.fori_loop(0, count, step, (carry, nothing))
-    return through
-
-
 @compiled
 def _smoothed(
     steps: Step, count: Int[Any, ""], intensities: Float[Any, "intensities"], start: Gaussian
@@ -248,20 +212,30 @@ def _smoothed(
         mean, covariance, seen = updated(*before, step)
         return (mean, covariance), (before, seen, log_likelihood(step, seen))
 
-    _, (before, seen, likelihood) = scanned(forward, tuple(start), steps, count)
-
     def backward(
-        carry: tuple[State, Square], row: tuple[Step, Gaussian, Seen]
-    ) -> tuple[tuple[State, Square], tuple[Array, ...]]:
-        step, (mean, covariance), seen = row
+        carry: tuple[State, Square], row: tuple[Step, tuple[Gaussian, Seen, Array]]
+    ) -> tuple[tuple[State, Square], States]:
+        step, ((mean, covariance), seen, likelihood) = row
         pull, information = _pulled(*carry, step, seen)
         spread = covariance - covariance @ information @ covariance
-        told = mean + covariance @ pull, (spread + spread.T) / 2, pull, information
+        pulls = pull.reshape(SIZE, -1)
+        surprise = pulls @ pulls.T - information
+        slope = jax.grad(lambda q: jnp.sum(surprise * _process_noise(step, q)) / 2)
+        told = States(
+            mean + covariance @ pull,
+            (spread + spread.T) / 2,
+            pull,
+            information,
+            intensities * slope(intensities),
+            likelihood,
+            mean,
+            covariance,
+        )
         return (moved_back(step, pull), moved_back(step, moved_back(step, information).T)), told
 
+    _, there = scanned(forward, tuple(start), steps, count)
     nothing = jnp.zeros_like(start.mean), jnp.zeros((SIZE, SIZE))
-    _, told = scanned(backward, nothing, (steps, before, seen), count, back=True)
-    return States(*told, likelihood, before.mean, before.covariance)
+    return scanned(backward, nothing, (steps, there), count, back=True)[1]
 
 
 def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[State, Square]:
@@ -283,7 +257,7 @@ def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[Stat
 def smoothed(steps: Step, intensities: Float[np.ndarray, "intensities"], start: Gaussian) -> States:
     """States at the samples of a series, given all of them."""
     count = len(steps.duration)
-    states = _smoothed(_filled(steps), np.asarray(count), intensities, start)
+    states = _smoothed(filled(steps), np.asarray(count), intensities, start)
     return jax.tree.map(lambda part: np.asarray(part)[:count], states)
 
 
@@ -297,7 +271,7 @@ def log_likelihoods(
     sample would add its own, and tangential phases would come out too long.
     """
     count, wanted = np.asarray(len(series[0].duration)), len(series)
-    series = [_filled(steps) for steps in series]
+    series = [filled(steps) for steps in series]
     series += series[-1:] * (-wanted % _AT_ONCE)
     values = [
         _log_likelihoods(
@@ -339,41 +313,12 @@ def _log_likelihoods(
     return jax.vmap(given_constraints)(series)
 
 
-def _filled(steps: Step) -> Step:
-    """With rows of zeros, which loops leave out, up to a multiple of a bucket."""
-    missing = -len(steps.duration) % _BUCKET
-    return jax.tree.map(
-        lambda part: np.concatenate([part, np.zeros((missing, *part.shape[1:]))]), steps
-    )
-
-
-def score(
-    steps: Step, states: States, intensities: Float[np.ndarray, "intensities"]
-) -> Float[np.ndarray, "n intensities"]:
-    """What each step adds to the derivative of the log-likelihood by the logarithms of the
-    intensities.
-
-    Half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992).
-    """
-    pull, information, dt = states.pull, states.information, steps.duration[:, None]
-
-    def diagonal(one: slice, other: slice) -> Float[np.ndarray, "n k"]:
-        return pull[:, one] * pull[:, other] - np.einsum("nii->ni", information[:, one, other])
-
-    moving = dt**3 / 3 * diagonal(PLACE, PLACE) + dt**2 * diagonal(PLACE, RATE)
-    moving = steps.entry.active * (moving + dt * diagonal(RATE, RATE))
-    moment_x, moment_y, axial, *rest = moving.T
-    loads = [(moment_x + moment_y) * steps.pace, axial * steps.pace]
-    drift = np.sum(dt * diagonal(DRIFT, DRIFT), axis=1)
-    return np.column_stack([*loads, *rest, drift]) * intensities / 2
-
-
 def _process_noise(step: Step, intensities: Float[Array, "intensities"]) -> Square:
+    """Covariance that motion and drift add; linear in the intensities."""
     moment, axial, arc_length, tilt, drift = intensities
     loads = jnp.stack([moment, moment, axial]) * step.pace
-    q = step.entry.active * jnp.concatenate([loads, jnp.stack([arc_length, tilt])])
-    dt, nothing = step.duration, jnp.zeros((SIZE, SIZE))
-    both = jnp.diag(q * dt**2 / 2)
-    noise = nothing.at[PLACE, PLACE].set(jnp.diag(q * dt**3 / 3)).at[PLACE, RATE].set(both)
-    noise = noise.at[RATE, PLACE].set(both).at[RATE, RATE].set(jnp.diag(q * dt))
-    return noise.at[DRIFT, DRIFT].set(jnp.eye(WRENCH) * drift * dt)
+    q = step.entry.active * jnp.append(loads, jnp.stack([arc_length, tilt]))
+    dt = step.duration
+    of_time = jnp.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    of_drift = jnp.eye(WRENCH) * drift * dt
+    return jax.scipy.linalg.block_diag(jnp.kron(of_time, jnp.diag(q)), of_drift)

@@ -2,6 +2,7 @@
 fewer steps.
 """
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -50,6 +51,11 @@ def group_starts(
     return np.flatnonzero((place - first) % size == 0)
 
 
+def groups_of(labels: Labels, also: Flags | None = None, *, rough: bool = True) -> Starts:
+    """First samples of the groups that one series is taken in."""
+    return group_starts([labels], also, together_for(labels, rough=rough))
+
+
 def merged(steps: Step, starts: Starts) -> Step:
     """One step for each group of samples, at their mean time: what they show, averaged by its
     precision.
@@ -62,7 +68,7 @@ def merged(steps: Step, starts: Starts) -> Step:
     with np.errstate(divide="ignore"):
         variance = 1 / total
     return Step(
-        type(steps.entry)(*(part[starts] for part in steps.entry)),
+        jax.tree.map(lambda part: part[starts], steps.entry),
         np.diff(_middle(steps, starts), prepend=0.0),
         steps.pace[starts],
         np.add.reduceat(target, starts),
@@ -96,7 +102,7 @@ def smoothed_states(fit: Fit, steps: Step, *, rough: bool = True) -> States:
     """States at these steps, from a rod at rest on. Samples without contact are taken together, and
     others too where it is rough.
     """
-    starts = group_starts([fit.labels], together=together_for(fit.labels, rough=rough))
+    starts = groups_of(fit.labels, rough=rough)
     start = kalman.at_rest(fit.zero)
     if steps.target.ndim > 2:  # several series that begin at zero
         start = start._replace(mean=np.zeros((kalman.SIZE, steps.target.shape[2])))

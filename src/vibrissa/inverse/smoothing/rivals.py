@@ -49,7 +49,7 @@ def _rivals_of(fit: Fit, first: int, last: int) -> Rivals:
     alone = Rivals(rows, [fit.labels], np.ones(1))
     if count < _LEAST_ROWS:
         return alone
-    places = np.unique(first + np.round(_EDGES * count).astype(int))
+    places = np.unique(first + np.round(_EDGES * count).astype(int)).tolist()
     pairs = [(first, first)] + [(low, high) for low in places for high in places if low < high]
     candidates = [fit.labels, *(_with_tangential(fit.labels, rows, *pair) for pair in pairs)]
     around = first - _MARGIN, last + _MARGIN

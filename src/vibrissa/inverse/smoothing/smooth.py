@@ -16,6 +16,7 @@ from vibrissa.inverse.smoothing.estimate import contacts_of
 from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
 from vibrissa.inverse.smoothing.kalman import WRENCH, Gaussian
 from vibrissa.inverse.smoothing.manifold import COORDINATES
+from vibrissa.inverse.smoothing.model import modulus_spread_of
 from vibrissa.inverse.smoothing.phases import detected, runs_of
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
 from vibrissa.inverse.smoothing.rivals import drawn
@@ -27,7 +28,6 @@ from vibrissa.inverse.smoothing.series import (
     Fit,
     Flags,
     NoMotionError,
-    modulus_spread_of,
     series_of,
 )
 from vibrissa.inverse.smoothing.touch import Onset, onset_at, onset_of, reversed_fit

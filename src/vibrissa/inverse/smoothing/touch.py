@@ -11,7 +11,8 @@ from vibrissa.inverse.smoothing.changes import deviation_of, log_likelihoods
 from vibrissa.inverse.smoothing.kalman import RATE, Gaussian
 from vibrissa.inverse.smoothing.manifold import LOADS
 from vibrissa.inverse.smoothing.merging import group_starts, merged
-from vibrissa.inverse.smoothing.series import FREE, GO_ON, JUMP, KINK, Fit, Labels, steps_of
+from vibrissa.inverse.smoothing.model import steps_of
+from vibrissa.inverse.smoothing.series import FREE, GO_ON, JUMP, KINK, Fit, Labels
 
 _BEFORE, _AFTER = 96, 128
 """Samples about a start from which its likelihood is taken."""

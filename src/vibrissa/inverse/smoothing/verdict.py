@@ -9,7 +9,8 @@ from jaxtyping import Int
 
 from vibrissa.contacts import Status
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.smoothing.fit import OUTLIER, squared_residuals, stretches
+from vibrissa.inverse.smoothing.fit import OUTLIER, squared_residuals
+from vibrissa.inverse.smoothing.intensities import stretches
 from vibrissa.inverse.smoothing.kalman import WRENCH
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH
 from vibrissa.inverse.smoothing.phases import raw_arc_lengths

@@ -1,4 +1,4 @@
-"""Where the motion of a contact breaks: steps of the wrench, and shocks that noise does not explain."""
+"""Where the motion of a contact breaks: steps of the wrench, shocks that are no noise."""
 
 import numpy as np
 from jaxtyping import Int

@@ -1,5 +1,5 @@
-"""Phases of contacts, tip or tangential: which there are, and where they change, by the likelihood of
-the samples about. Places of changes come with their probabilities.
+"""Phases of contacts, tip or tangential: which there are and where they change, by the likelihood
+of the samples around. Places of changes come with their probabilities.
 """
 
 from typing import NamedTuple

@@ -1,5 +1,5 @@
-"""Contacts of a smoothed series: points, normals, their covariances, and what errors of the setup do
-to them.
+"""Contacts of a smoothed series: points, normals, their covariances, and how errors of the setup
+move them.
 
 Once linearised the smoother is linear, so an error θ that adds a known column to what is observed
 moves its states by the same gains with which it weighs the readings: one more pass, in which the
@@ -100,7 +100,7 @@ def contacts_of(
     return with_shared(replace(found, **given, status=verdict.status, smoothing=(smoothing,)))
 
 
-def _column(rows: Flags, values: np.ndarray) -> Flags:
+def _column(rows: Flags, values: np.ndarray) -> np.ndarray:
     """Flags of rows, for each number of them."""
     return rows.reshape(-1, *[1] * (values.ndim - 1))
 

@@ -1,5 +1,5 @@
-"""How freely a contact moves along a sweep, and the sensor's zero drifts: spectral densities of most
-probable size.
+"""How freely a contact moves along a sweep, and the sensor's zero drifts: the most probable
+spectral densities.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Loops over the rows of a pytree of which the first ones count, so that few lengths are compiled."""
+"""Loops over the first rows of a pytree, compiled for few different lengths."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar

@@ -1,5 +1,5 @@
-"""The model of a sweep, once for offline and live smoothing: how states enter a sample, what a contact
-shows, and which constraints hold.
+"""The model of a sweep, stated once for offline and live smoothing: how states enter a sample, what
+a contact shows, and which constraints hold.
 """
 
 import math

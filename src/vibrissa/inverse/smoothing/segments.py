@@ -18,8 +18,7 @@ from vibrissa.inverse.smoothing.series import Flags
 from vibrissa.trail import Trail
 
 _LONGEST, _OVERLAP = 16384, 2048
-"""Samples: some hundred MB of states, and enough that a cut is not felt in the middle of an overlap.
-"""
+"""Samples: some hundred MB of states, and an overlap in whose middle a cut is not felt."""
 _REST = 128
 """Samples without contact in the middle of which two segments may meet."""
 

@@ -15,8 +15,8 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.forward.equations import Clamp, Scene, contact_state, level
-from vibrissa.forward.friction import rubbing_state
+from vibrissa.contact import FRICTIONLESS, Leaning, Scene, State, touching
+from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.blocks import ONE_BY_ONE, AnyArray, in_blocks
 from vibrissa.numerics.compiled import compiled
 from vibrissa.numerics.linear import solve_4x4
@@ -46,7 +46,6 @@ _SIZES = (16,)
 filling.
 """
 
-State = Float[Array, "7"]
 Wrench = Float[Array, "6"]
 
 
@@ -136,19 +135,17 @@ Law = Callable[[Scene, Float[Array, "4"], Float[Array, "3"], Clamp], _Contact]
 
 
 def _smooth(scene: Scene, x: Float[Array, "4"], tau: Float[Array, "3"], clamp: Clamp) -> _Contact:  # noqa: ARG001
-    state = contact_state(scene, x, clamp)
-    return _Contact(state.residual, state.normal)
+    found = touching(scene, FRICTIONLESS, State.of(x), clamp)
+    return _Contact(found.residual, found.push.direction)
 
 
 def _rough(scene: Scene, x: Float[Array, "4"], tau: Float[Array, "3"], clamp: Clamp) -> _Contact:
-    gradient = jax.grad(level, argnums=1)(scene, x[:3])
-    n = gradient / jnp.sqrt(jnp.sum(gradient * gradient))
-    state = rubbing_state(scene, jnp.concatenate([x, tau - jnp.dot(tau, n) * n]), clamp)
-    return _Contact(state.conditions, state.direction)
+    found = touching(scene, Leaning(tau), State.of(x), clamp)
+    return _Contact(found.residual, found.push.direction)
 
 
 def _predicted(
-    law: Law, surface: Surface, bench: Bench, state: State, row: Float[Array, "15"]
+    law: Law, surface: Surface, bench: Bench, state: Float[Array, "7"], row: Float[Array, "15"]
 ) -> Float[Array, "158"]:
     tau = state[4:]
 

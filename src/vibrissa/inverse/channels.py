@@ -201,7 +201,7 @@ def _branch(
 
 @compiled
 def _modulus_of(x: Float[Array, "n 5"]) -> Float[Array, "n"]:
-    return jax.vmap(lambda row: bent(row).modulus)(x)
+    return jax.vmap(lambda row: bent(row).incidence)(x)
 
 
 def _modulus(x: Float[np.ndarray, "n 5"]) -> Float[np.ndarray, "n"]:
@@ -230,10 +230,11 @@ def _solve(
             value = bent(x)
             seen = root @ (selected * (value.wrench - jnp.where(selected > 0, wrench, 0.0)))
             of_law = (
-                jnp.stack([x[ARC_LENGTH] - 1, value.modulus - _SQUARE, jnp.zeros(())])[law] * scale
+                jnp.stack([x[ARC_LENGTH] - 1, value.incidence - _SQUARE, jnp.zeros(())])[law]
+                * scale
             )
             full = jnp.concatenate([seen, of_law[None], x[TILT, None] * scale])
-            return full, (full, value.modulus)
+            return full, (full, value.incidence)
 
         def step(_: Array | int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             x, damping, best = state
@@ -328,7 +329,7 @@ def _filled(
         fields["normal"][picked] = np.einsum("nij,nj->ni", turned, values.direction)
         fields["arc_length"][picked], fields["modulus"][picked] = (
             length * x[good, ARC_LENGTH],
-            values.modulus,
+            values.incidence,
         )
         fields["energy"][picked] = rod.moment_scale * values.energy
         of_point, of_normal = turned @ linear.slope.reach, turned @ linear.slope.direction

@@ -22,7 +22,7 @@ from vibrissa.inverse.smoothing.hypotheses import Hypotheses, Report, Sample, Se
 from vibrissa.inverse.smoothing.kalman import INTENSITIES, SIZE, WRENCH, at_rest
 from vibrissa.inverse.smoothing.loops import filled
 from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES, LOADS
-from vibrissa.inverse.smoothing.model import TILT_SPREAD, entries, modulus_spread_of
+from vibrissa.inverse.smoothing.model import TILT_SPREAD, entries, incidence_spread_of
 from vibrissa.inverse.smoothing.series import (
     FREE,
     GO_ON,
@@ -149,7 +149,7 @@ class CausalSmoother:
         pace = _SPEED if speed is None else positive(speed, "speed") / rod.length
         if friction is not None:
             friction = not_negative(friction, "friction")
-        spread, rates = modulus_spread_of(friction, setup_errors), _RATES * pace
+        spread, rates = incidence_spread_of(friction, setup_errors), _RATES * pace
         before, kind = np.divmod(np.arange(3 * 3), 3)
         link = np.where((before != kind) & (before != FREE), KINK, GO_ON)
         one = np.ones(len(kind))
@@ -297,7 +297,7 @@ class CausalSmoother:
             length * located.point,
             located.direction,
             float(length * located.arc_length),
-            float(located.modulus),
+            float(located.incidence),
             length**2 * whole[point, point] + self._floor,
             whole[normal, normal],
             length**2 * noise[point, point] + self._floor,

@@ -74,7 +74,7 @@ def contacts_of(
         "point": point,
         "normal": normal,
         "arc_length": length * x[:, ARC_LENGTH],
-        "modulus": value.modulus,
+        "modulus": value.incidence,
         "covariance": covariance,
         "normal_covariance": normal_covariance,
         "arc_length_deviation": length * deviation,

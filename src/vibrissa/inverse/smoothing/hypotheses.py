@@ -54,7 +54,7 @@ class Settings(NamedTuple):
     """How the state of each kind (rows) enters each other (columns)."""
     jump: Float[Any, "state"]
     """Variances of the state added where the contact jumps."""
-    modulus_variance: Float[Any, ""]
+    incidence_variance: Float[Any, ""]
     """Of k² about ½ in tangential contact; infinite where friction may make it another one."""
     rig: Rig
     errors: Float[Any, "parameters parameters"]
@@ -79,7 +79,7 @@ class Located(NamedTuple):
     point: Float[Any, "*n 3"]
     direction: Float[Any, "*n 3"]
     arc_length: Float[Any, "*n"]
-    modulus: Float[Any, "*n"]
+    incidence: Float[Any, "*n"]
     noise: Float[Any, "*n 6 6"]
     """Covariance of point and direction from sample to sample."""
     shared: Float[Any, "*n 6 6"]
@@ -152,7 +152,7 @@ def _one(state: Hypotheses, settings: Settings, sample: Sample) -> tuple[Hypothe
             jnp.where(sound, jnp.maximum(1.0, distance / OUTLIER), jnp.inf)
         )
         variance = variance.at[-1].set(
-            jnp.where(kind == TANGENTIAL, settings.modulus_variance, jnp.inf)
+            jnp.where(kind == TANGENTIAL, settings.incidence_variance, jnp.inf)
         )
         seen = settings.whitening @ _changes(linear, velocity, settings).wrench
         target = jnp.column_stack(
@@ -224,7 +224,7 @@ def _located(
         clamp + turn @ linear.value.reach,
         turn @ linear.value.direction,
         mean[ARC_LENGTH],
-        linear.value.modulus,
+        linear.value.incidence,
         slope @ covariance[PLACE, PLACE] @ slope.T,
         sensitivity @ settings.errors @ sensitivity.T,
         sensitivity,

@@ -51,8 +51,10 @@ class Bent(NamedTuple):
 
     wrench: Float[Any, "*n wrench"]
     """Support reactions (f0, m0)."""
-    modulus: Float[Any, "*n"]
-    """k²."""
+    incidence: Float[Any, "*n"]
+    """(1 + t·d)/2 with t the rod's tangent at the contact and d the force's direction: k² of a
+    uniform straight rod.
+    """
     reach: Float[Any, "*n 3"]
     """Contact point seen from the clamp."""
     direction: Float[Any, "*n 3"]

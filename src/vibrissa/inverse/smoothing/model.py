@@ -55,7 +55,7 @@ _LOAD_SPREAD = 2.0
 """Standard deviation of loads of which nothing is known: those of a strongly bent rod."""
 
 
-def modulus_spread_of(friction: float | None, errors: SetupErrors | None) -> float | None:
+def incidence_spread_of(friction: float | None, errors: SetupErrors | None) -> float | None:
     """Standard deviation of k² about ½ in tangential contact by what the setup tolerates; None
     where friction may make it another one.
 
@@ -84,14 +84,14 @@ def observed(linear: Linear, wrench: Any, whitening: Any, xp: ModuleType = np) -
     value, slope = linear.value, linear.slope
     residual = (whitening @ (wrench - value.wrench)[..., None])[..., 0]
     short = 1 - linear.x[..., ARC_LENGTH, None]
-    of_short = xp.zeros_like(slope.modulus) + np.eye(COORDINATES)[ARC_LENGTH]
+    of_short = xp.zeros_like(slope.incidence) + np.eye(COORDINATES)[ARC_LENGTH]
     return (
-        xp.concatenate([residual, short, 0.5 - value.modulus[..., None]], axis=-1),
+        xp.concatenate([residual, short, 0.5 - value.incidence[..., None]], axis=-1),
         xp.concatenate(
             [
                 whitening @ slope.wrench,
                 of_short[..., None, :],
-                slope.modulus[..., None, :],
+                slope.incidence[..., None, :],
             ],
             axis=-2,
         ),
@@ -157,8 +157,8 @@ def steps_of(fit: Fit) -> Step:
     contact = labels.contact
     within = (
         _FRICTION**2 * np.bincount(contact, tangential)[contact] / _UNRELATED
-        if fit.modulus_spread is None
-        else np.full(count, fit.modulus_spread**2)
+        if fit.incidence_spread is None
+        else np.full(count, fit.incidence_spread**2)
     )
     square = tangential & shows
     variance[square, WRENCH + 1] = within[square]

@@ -120,7 +120,7 @@ class Fit(NamedTuple):
     intensities: Float[np.ndarray, "intensities"]
     zero: Gaussian
     """The sensor's zero where the series begins, in standard deviations of a sample."""
-    modulus_spread: float | None
+    incidence_spread: float | None
     """Standard deviation of k² about ½ in tangential contact; None where friction may make it
     another one.
     """

@@ -16,7 +16,7 @@ from vibrissa.inverse.smoothing.estimate import contacts_of
 from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
 from vibrissa.inverse.smoothing.kalman import WRENCH, Gaussian
 from vibrissa.inverse.smoothing.manifold import COORDINATES
-from vibrissa.inverse.smoothing.model import modulus_spread_of
+from vibrissa.inverse.smoothing.model import incidence_spread_of
 from vibrissa.inverse.smoothing.phases import detected, runs_of
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
 from vibrissa.inverse.smoothing.rivals import drawn
@@ -139,8 +139,8 @@ def _smoothed_segment(
     series = series_of(found.rod, found.reactions, ringing)
     series = series._replace(sound=series.sound & (found.status != Status.TOUCHES_TWICE))
     guess = first_guess(series, detected(series, zero, false_alarm) & ~ringing, zero.mean)
-    spread = modulus_spread_of(found.friction, found.reactions.setup_errors)
-    fit = fitted(guess._replace(zero=zero, modulus_spread=spread), local=False)
+    spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
+    fit = fitted(guess._replace(zero=zero, incidence_spread=spread), local=False)
     # Once more, now that the drift of the zero is known.
     drift = fit.states.zero
     guess = first_guess(series, detected(series, drift, false_alarm) & ~ringing, drift.mean)

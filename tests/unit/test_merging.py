@@ -1,11 +1,10 @@
 """Samples taken together tell the same as one by one, as long as the motion is slow against them."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from vibrissa.inverse.smoothing import kalman
-from vibrissa.inverse.smoothing.kalman import ROWS, SIZE, Step
+from vibrissa.inverse.smoothing.kalman import ROWS, SIZE, Entry, Gaussian, Step
 from vibrissa.inverse.smoothing.merging import group_starts, merged, spread_out
 from vibrissa.inverse.smoothing.series import FREE, GO_ON, KINK, TANGENTIAL, TIP, Labels
 
@@ -25,36 +24,29 @@ def steps() -> Step:
     """
     rng = np.random.default_rng(2)
     touching = PHASE != FREE
-    keep, design = np.ones((COUNT, SIZE)), np.zeros((COUNT, ROWS, SIZE))
+    keep, slope = np.ones((COUNT, SIZE)), np.zeros((COUNT, ROWS, 5))
     keep[~touching, :10] = 0
     spread = np.zeros((COUNT, SIZE))
     spread[80, 5:10] = 0.3**2
-    design[:, :6, 10:] = np.eye(6)
-    design[touching, :6, :5] = 40 * rng.normal(size=(6, 5))
+    slope[touching, :6] = 40 * rng.normal(size=(6, 5))
     variance = np.full((COUNT, ROWS), np.inf)
     variance[:, :6] = 1.0
     variance[30:34] = np.inf
     target = rng.normal(size=(COUNT, ROWS))
     active = np.where(touching[:, None], np.ones(5), 0.0)
     return Step(
+        Entry(keep, np.zeros((COUNT, SIZE)), spread, active),
         np.full(COUNT, 1 / RATE),
-        keep,
-        np.zeros((COUNT, SIZE)),
-        spread,
-        active,
         np.ones(COUNT),
         target,
-        design,
+        slope,
         variance,
     )
 
 
 def states(given: Step) -> kalman.States:
-    count = len(given.duration)
-    start = np.zeros(SIZE), np.diag(np.repeat([0.0, 0.02], [10, 6]))
-    return kalman.fetched(
-        kalman.smoothed(Step(*map(jnp.asarray, given)), np.array(count), INTENSITIES, *start), count
-    )
+    start = Gaussian(np.zeros(SIZE), np.diag(np.repeat([0.0, 0.02], [10, 6])))
+    return kalman.smoothed(given, INTENSITIES, start)
 
 
 def test_nothing_changes_within_a_group() -> None:

@@ -179,7 +179,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     def equations(x: Array) -> tuple[Array, Array]:
         value = bent(x)
         seen = root @ (jnp.where(selected, value.wrench, 0.0) - measured)
-        laws = [x[ARC_LENGTH] - 1, value.modulus - _SQUARE, jnp.zeros(())]
+        laws = [x[ARC_LENGTH] - 1, value.incidence - _SQUARE, jnp.zeros(())]
         left = jnp.concatenate([seen, jnp.stack([jnp.stack(laws)[problem.law], x[TILT]]) * scale])
         return left, left
 
@@ -219,7 +219,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
         x,
         jnp.sqrt(jnp.sum(left**2)),
         values[-1] / values[0],
-        value.modulus,
+        value.incidence,
         setting.moment * value.energy,
         setting.length * turn @ value.reach,
         turn @ value.direction,

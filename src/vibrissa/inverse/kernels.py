@@ -13,8 +13,9 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.inverse.inverse import Contact, Scalar, Vector, invert, single_contact
+from vibrissa.inverse.inverse import invert, single_contact
 from vibrissa.inverse.parameters import Rig, changes
+from vibrissa.mechanics.model import Contact, Scalar, Vector
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
 from vibrissa.numerics.rotation import cross_matrix, rotation_matrix, third_axis
@@ -229,7 +230,7 @@ def _judged(
     steepness: Scalar,
 ) -> Found:
     """Kind, status and units; `deviation` and `steepness` are those of s₁ and incidence."""
-    s1, incidence = contact.arc_length, contact.modulus
+    s1, incidence = contact.arc_length, contact.incidence
     bad = ~jnp.all(jnp.isfinite(jnp.concatenate([sample.force, sample.moment])))
     unsolved = touching & ~jnp.isfinite(s1)
     unknown = bad | couple | unsolved
@@ -289,7 +290,7 @@ def _observed(measured: Wrench, tangent: Vector, covariance: Spread) -> Observed
     """
     wrench, _ = single_contact(measured, covariance)
     contact = invert(wrench[:3], wrench[3:], tangent)
-    return Observed(contact.reach, contact.direction, contact.arc_length, contact.modulus)
+    return Observed(contact.reach, contact.direction, contact.arc_length, contact.incidence)
 
 
 def _errors(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Errors:

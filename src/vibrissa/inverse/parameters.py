@@ -86,7 +86,7 @@ def changes(
     return Changes(jnp.concatenate([by_force, by_moment]), by_reach, by_direction)
 
 
-@lanes(rarely=True)
+@lanes()
 def _changes(
     rig: Rig,
     wrench: Float[Array, "6"],

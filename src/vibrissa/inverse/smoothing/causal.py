@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -18,23 +17,36 @@ from scipy.stats import chi2
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
 from vibrissa.inverse.parameters import COUNT, prepared
-from vibrissa.inverse.smoothing.hypotheses import (
-    SAMPLE,
-    Hypotheses,
-    Settings,
-    advanced,
-    advanced_through,
+from vibrissa.inverse.smoothing.fit import TARED
+from vibrissa.inverse.smoothing.hypotheses import Hypotheses, Report, Sample, Settings, advanced
+from vibrissa.inverse.smoothing.kalman import INTENSITIES, SIZE, WRENCH, at_rest
+from vibrissa.inverse.smoothing.loops import filled
+from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES, LOADS
+from vibrissa.inverse.smoothing.model import TILT_SPREAD, entries, incidence_spread_of
+from vibrissa.inverse.smoothing.series import (
+    FREE,
+    GO_ON,
+    KINK,
+    Labels,
 )
-from vibrissa.inverse.smoothing.kalman import INTENSITIES, SIZE, WRENCH
-from vibrissa.inverse.smoothing.manifold import COORDINATES
-from vibrissa.inverse.smoothing.series import AT_REST, TILT_SPREAD, modulus_spread_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import SetupErrors
 
 _MEAN_SAMPLES = 5
-_TARE_VARIANCE = 0.02
+"""Averaged before a load is tested, as offline."""
 _BATCH = 64
+_SPEED = 0.2
+"""Rod lengths a second, of a clamp of which nothing else is known."""
+_RATES = np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD])
+"""Standard deviations of rates of which nothing is known, at a speed of a rod length a second: ten
+times those of a sweep."""
+_BEND = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+"""Of them where a phase changes: the rate of s₁ is then another one."""
+_ARC_LENGTH_VARIANCE = 0.1
+"""Of a contact that begins with the flank: that of a uniform s₁ about 1."""
+_JUMP = 2.0
+"""Standard deviation of loads of which nothing is known: those of a strongly bent rod."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,26 +146,39 @@ class CausalSmoother:
             raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
         self._rod = rod
         units = np.repeat([rod.force_scale, rod.moment_scale], 3)
-        pace = (positive(speed, "speed") / rod.length) if speed is not None else 0.2
-        spread = modulus_spread_of(
-            None if friction is None else not_negative(friction, "friction"), setup_errors
-        )
-        self._settings = Settings(
-            jnp.asarray(np.concatenate([[rod.length], units])),
-            jnp.asarray(_whitening(covariance, units)),
-            jnp.asarray(_intensities(intensities, pace)),
-            jnp.asarray(np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD]) * pace),
-            jnp.asarray(np.inf if spread is None else spread**2),
-            *jax.tree.map(jnp.asarray, prepared(rod, setup_errors)[::2]),
+        pace = _SPEED if speed is None else positive(speed, "speed") / rod.length
+        if friction is not None:
+            friction = not_negative(friction, "friction")
+        spread, rates = incidence_spread_of(friction, setup_errors), _RATES * pace
+        before, kind = np.divmod(np.arange(3 * 3), 3)
+        link = np.where((before != kind) & (before != FREE), KINK, GO_ON)
+        one = np.ones(len(kind))
+        x = np.tile(AT_REST, (len(kind), 1))
+        entry = entries(before, Labels(kind, link, one, one), x, rates, _BEND, _ARC_LENGTH_VARIANCE)
+        jump = np.zeros((3, COORDINATES))
+        jump[0, :LOADS], jump[1, :LOADS] = _JUMP**2, rates[:LOADS] ** 2
+        rig, _, errors = prepared(rod, setup_errors)
+        self._settings = jax.tree.map(
+            jax.numpy.asarray,
+            Settings(
+                np.asarray(rod.length),
+                units,
+                _whitening(covariance, units),
+                _intensities(intensities, pace),
+                jax.tree.map(lambda part: part.reshape(3, 3, -1), entry),
+                np.append(jump[:2], np.zeros(WRENCH)),
+                np.asarray(np.inf if spread is None else spread**2),
+                rig,
+                errors,
+            ),
         )
         clamp = (
             np.zeros((3, 3))
             if position_covariance is None
             else finite_array(position_covariance, "position_covariance", last=3, ndim=2)
         )
-        self._floor = (
-            clamp + np.eye(3) * (not_negative(model_error, "model_error") * rod.length) ** 2
-        )
+        floor = not_negative(model_error, "model_error") * rod.length
+        self._floor = clamp + np.eye(3) * floor**2
         self._threshold = float(chi2.isf(false_alarm, WRENCH))
         self.reset()
 
@@ -161,23 +186,14 @@ class CausalSmoother:
         """Forget all samples: a new recording begins, free of contact, with its zero as good as a
         tare over 50 samples.
         """
-        covariance = np.zeros((3, SIZE, SIZE))
-        covariance[:, 2 * COORDINATES :, 2 * COORDINATES :] = _TARE_VARIANCE * np.eye(WRENCH)
-        mean = np.zeros((3, SIZE))
-        mean[:, :COORDINATES] = AT_REST
-        recent = np.full((_MEAN_SAMPLES, WRENCH), np.nan)
+        start = at_rest(TARED)
         self._state = Hypotheses(
-            *map(
-                jnp.asarray,
-                (
-                    mean,
-                    covariance,
-                    np.array([1.0, 0.0, 0.0]),
-                    recent,
-                    0.0,
-                    np.zeros((3, SIZE, COUNT)),
-                ),
-            )
+            np.tile(start.mean, (3, 1)),
+            np.tile(start.covariance, (3, 1, 1)),
+            np.array([1.0, 0.0, 0.0]),
+            np.full((_MEAN_SAMPLES, WRENCH), np.nan),
+            np.zeros(()),
+            np.zeros((3, SIZE, COUNT)),
         )
         self._time: float | None = None
 
@@ -204,23 +220,26 @@ class CausalSmoother:
         if not math.isfinite(time) or (self._time is not None and time <= self._time):
             before = "" if self._time is None else f", after the sample before at {self._time}"
             raise ValueError(f"time = {time!r}; allowed are finite increasing times{before}")
-        sample = np.concatenate(
-            [
-                position,
-                orientation,
-                force,
-                moment,
-                [0.0 if self._time is None else time - self._time],
-                velocity,
-            ]
-        ).astype(float)
-        if sample.shape != (SAMPLE,) or not np.isfinite(sample[:7]).all() or not sample[3:7].any():
+        parts = [
+            np.asarray(part, dtype=float)
+            for part in (position, orientation, force, moment, velocity)
+        ]
+        shapes = [part.shape for part in parts]
+        if (
+            shapes != [(3,), (4,), (3,), (3,), (6,)]
+            or not np.isfinite([*parts[0], *parts[1]]).all()
+            or not parts[1].any()
+        ):
+            given = [part.tolist() for part in parts[:4]]
             raise ValueError(
-                f"position, orientation, force, moment = {sample[:13].tolist()}; allowed are 3, 4, 3 and 3 numbers, a finite position and a quaternion"
+                f"position, orientation, force, moment = {given}; allowed are 3, 4, 3 and 3 "
+                "numbers, a finite position and a quaternion"
             )
-        self._time = float(time)
-        self._state, packed = advanced(self._state, self._settings, sample)
-        return self._contact(np.asarray(packed), self._time)
+        wrench = np.concatenate(parts[2:4])
+        duration = np.asarray(0.0 if self._time is None else time - self._time)
+        sample = Sample(parts[0], parts[1], wrench, duration, parts[4])
+        (found,) = self._taken(jax.tree.map(lambda part: part[None], sample), np.array([time]))
+        return found
 
     def update_all(self, reactions: Reactions) -> list[LiveContact]:
         """Take several samples of one trail (n, …) with time, in one call: as `update` does one by
@@ -241,71 +260,51 @@ class CausalSmoother:
             raise ValueError(
                 f"time[0] = {time[0]}; allowed is after the sample before at {self._time}"
             )
-        steps = np.diff(time, prepend=time[0] if self._time is None else self._time)
-        samples = np.column_stack(
-            [
-                trail.position,
-                trail.orientation,
-                reactions.force,
-                reactions.moment,
-                steps,
-                reactions.clamp_velocity(),
-            ]
+        samples = Sample(
+            trail.position,
+            trail.orientation,
+            np.concatenate([reactions.force, reactions.moment], axis=1),
+            np.diff(time, prepend=time[0] if self._time is None else self._time),
+            reactions.clamp_velocity(),
         )
         found: list[LiveContact] = []
-        for first in range(0, len(samples), _BATCH):
-            part = samples[first : first + _BATCH]
-            filled = np.concatenate([part, np.zeros((_BATCH - len(part), SAMPLE))])
-            self._state, packed = advanced_through(
-                self._state, self._settings, filled, np.array(len(part))
-            )
-            rows = np.asarray(packed)[: len(part)]
-            found += [
-                self._contact(row, float(at))
-                for row, at in zip(rows, time[first : first + _BATCH], strict=True)
-            ]
-        self._time = float(time[-1]) if len(time) else self._time
+        for first in range(0, len(time), _BATCH):
+            rows = slice(first, first + _BATCH)
+            part = filled(jax.tree.map(lambda values, rows=rows: values[rows], samples), _BATCH)
+            found += self._taken(part, time[rows])
         return found
 
-    def _contact(self, packed: Float[np.ndarray, "137"], time: float) -> LiveContact:
-        probability, distance, sound = float(packed[26]), packed[27], packed[28] >= 0
-        status = Status.OK if sound else Status.BAD_DATA
-        if probability < 0.5 or not distance > self._threshold:
-            nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
-            no_slope = np.full((6, COUNT), np.nan)
-            return LiveContact(
-                time,
-                ContactKind.NONE,
-                nothing,
-                nothing,
-                np.nan,
-                np.nan,
-                square,
-                square,
-                square,
-                square,
-                no_slope,
-                probability,
-                status,
-            )
-        length = self._rod.length
-        noise, of_normal, shared, shared_normal = (
-            packed[first : first + 9].reshape(3, 3) for first in (8, 17, 29, 38)
-        )
+    def _taken(self, samples: Sample, time: Float[np.ndarray, "n"]) -> list[LiveContact]:
+        """The first samples, one for each time."""
+        self._state, report = advanced(self._state, self._settings, samples, np.asarray(len(time)))
+        self._time = float(time[-1])
+        report = jax.tree.map(np.asarray, report)
+        return [
+            self._contact(jax.tree.map(lambda part, k=k: part[k], report), float(at))
+            for k, at in enumerate(time)
+        ]
+
+    def _contact(self, report: Report, time: float) -> LiveContact:
+        kind, located, length = ContactKind(int(report.kind)), report.located, self._rod.length
+        if report.probability < 0.5 or not report.load > self._threshold:
+            kind = ContactKind.NONE
+            located = jax.tree.map(lambda part: np.full(np.shape(part), np.nan), located)
+        point, normal = slice(0, 3), slice(3, 6)
+        noise, whole = located.noise, located.noise + located.shared
         return LiveContact(
             time,
-            ContactKind(int(abs(packed[28]))),
-            length * packed[:3],
-            packed[3:6],
-            float(length * packed[6]),
-            float(packed[7]),
-            length**2 * (noise + shared) + self._floor,
-            of_normal + shared_normal,
-            length**2 * noise + self._floor,
-            of_normal,
-            packed[47:].reshape(6, COUNT),
-            probability,
-            status,
+            kind,
+            length * located.point,
+            located.direction,
+            float(length * located.arc_length),
+            float(located.incidence),
+            length**2 * whole[point, point] + self._floor,
+            whole[normal, normal],
+            length**2 * noise[point, point] + self._floor,
+            noise[normal, normal],
+            located.sensitivity,
+            float(report.probability),
+            Status.OK if report.sound else Status.BAD_DATA,
         )
 
 

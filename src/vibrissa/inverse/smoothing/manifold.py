@@ -20,39 +20,103 @@ square to t0. The fifth coordinate is that tilt ε:
 which keeps m0·F = 0, what any single contact obeys.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
+from vibrissa.numerics.lanes import lanes
 
 Scalar = Float[Array, ""]
 
 COORDINATES = 5
 """m_x, m_y, F_z, s₁, ε."""
-ARC_LENGTH, TILT = 3, 4
+LOADS = ARC_LENGTH = 3
+"""Moment and axial force come first, then the arc length."""
+TILT = 4
+AT_REST = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+"""Coordinates of a rod that touches nothing, as it meets an object with its tip."""
 _NEWTON_STEPS = 6
+"""From the start below to rounding for s₁ > 0.02, with one more that carries the derivatives."""
 _LEAST_MOMENT = 1e-6
+"""Added in squares, so that directions have derivatives without a load: far below any noise."""
 
 
 class Bent(NamedTuple):
-    """What the coordinates imply."""
+    """What the coordinates imply; or the derivatives of it, with the coordinates as last axis."""
 
-    wrench: Float[Array, "6"]
+    wrench: Float[Any, "*n wrench"]
     """Support reactions (f0, m0)."""
-    modulus: Scalar
-    """k²."""
-    reach: Float[Array, "3"]
+    incidence: Float[Any, "*n"]
+    """(1 + t·d)/2 with t the rod's tangent at the contact and d the force's direction: k² of a
+    uniform straight rod.
+    """
+    reach: Float[Any, "*n 3"]
     """Contact point seen from the clamp."""
-    direction: Float[Array, "3"]
+    direction: Float[Any, "*n 3"]
     """Unit vector of the contact force on the rod."""
-    energy: Scalar
+    energy: Float[Any, "*n"]
 
 
-def bent(x: Float[Array, "5"]) -> Bent:
+class Linear(NamedTuple):
+    """The manifold to first order about coordinates, one row a sample."""
+
+    x: Float[Any, "*n coordinates"]
+    value: Bent
+    slope: Bent
+    """Derivatives by the coordinates."""
+
+    @property
+    def exists(self) -> Bool[np.ndarray, "n"]:
+        """Whether there is a rod with these coordinates: a curvature without a zero (k² ≥ 1) has no
+        contact.
+        """
+        finite = [
+            np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in jax.tree.leaves(self)
+        ]
+        return np.all(finite, axis=0)
+
+
+def linear_at(x: Float[Array, "coordinates"]) -> Linear:
+    """The manifold about one sample's coordinates."""
+
+    def both(x: Array) -> tuple[Bent, Bent]:
+        value = bent(x)
+        return value, value
+
+    slope, value = jax.jacfwd(both, has_aux=True)(x)
+    return Linear(x, value, slope)
+
+
+@lanes()
+def _linear_rows(_: None, x: Float[Array, "coordinates"]) -> Linear:
+    return linear_at(x)
+
+
+def linearised(x: Float[np.ndarray, "n coordinates"]) -> Linear:
+    """The manifold about the coordinates of many samples."""
+    bent_rows = np.flatnonzero(np.any(x != AT_REST, axis=1))
+    # Rods at rest are all alike: the first row is one.
+    number = np.zeros(len(x), dtype=int)
+    number[bent_rows] = 1 + np.arange(len(bent_rows))
+    found = _linear_rows(None, np.concatenate([[AT_REST], x[bent_rows]]))
+    return jax.tree.map(lambda part: part[number], found)
+
+
+def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear:
+    """The first model in these rows, the second in the others."""
+    return jax.tree.map(
+        lambda one, other: np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, other),
+        first,
+        second,
+    )
+
+
+def bent(x: Float[Array, "coordinates"]) -> Bent:
     """Reactions and contact of the rod with these coordinates."""
     moment, axial, arc_length, tilt = x[:2], x[2], x[ARC_LENGTH], x[TILT]
     size = jnp.sqrt(jnp.sum(moment**2) + _LEAST_MOMENT**2)

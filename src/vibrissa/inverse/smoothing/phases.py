@@ -8,31 +8,31 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float, Int
-from scipy.ndimage import uniform_filter1d
+from jaxtyping import Float, Int
+from scipy.ndimage import binary_closing, binary_opening, uniform_filter1d
 from scipy.stats import chi2
 
 from vibrissa.inverse.inverse import invert, single_contact
-from vibrissa.inverse.smoothing.kalman import WRENCH
-from vibrissa.inverse.smoothing.series import FREE, TANGENTIAL, TIP, Series, capacity_for
-from vibrissa.numerics.compiled import compiled
+from vibrissa.inverse.smoothing.kalman import WRENCH, Gaussian
+from vibrissa.inverse.smoothing.series import FREE, TANGENTIAL, TIP, Codes, Flags, Samples, Series
+from vibrissa.numerics.lanes import lanes
 
 _DETECTION_SAMPLES = 5
-_LEAST_SAMPLES = 8
-_LONGEST_GAP = 8
+"""Averaged before a load is tested, so that one outlier in a thousand is no contact."""
+_LEAST_SAMPLES, _LONGEST_GAP = 8, 8
 _FIT_SAMPLES = 51
+"""Over which s₁ changes evenly: some tenths of a second."""
 _MOST_COST = 6.0
+"""Log-likelihood beyond which a sample's arc length is an outlier."""
 _CHANGE_COST = 6.0
 _FREEDOM_COST = 0.1
 _MOST_DEVIATION = 0.05
+"""Rod lengths: of arc lengths that tell a phase."""
+_TINY = 1e-300
+"""In place of a divisor of zero."""
 
 
-def detected(
-    series: Series,
-    drift: Float[np.ndarray, "n 6"],
-    spread: Float[np.ndarray, "n 6 6"],
-    false_alarm: float,
-) -> Bool[np.ndarray, "n"]:
+def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     """Samples at which the rod is loaded: the mean of five whitened wrenches, less the drift of the
     zero, is more than noise and the drift's own error explain.
 
@@ -41,92 +41,60 @@ def detected(
     samples are no contacts, and gaps of up to eight no lift-offs, nor are samples without numbers
     between loaded ones.
     """
-    weight = series.sound.astype(float)
-    count = uniform_filter1d(weight, _DETECTION_SAMPLES, mode="constant") * _DETECTION_SAMPLES
-    left = (series.whitened - drift) * weight[:, None]
-    mean = (
-        uniform_filter1d(left, _DETECTION_SAMPLES, axis=0, mode="constant")
-        * _DETECTION_SAMPLES
-        / np.maximum(count, 1)[:, None]
-    )
-    covariance = np.eye(WRENCH) / np.maximum(count, 1)[:, None, None] + spread
+    load = (series.whitened - zero.mean) * series.sound[:, None]
+    count = _running_sum(series.sound.astype(float), _DETECTION_SAMPLES)
+    seen = np.maximum(count, 1)[:, None]
+    mean = _running_sum(load, _DETECTION_SAMPLES) / seen
+    covariance = np.eye(WRENCH) / seen[..., None] + zero.covariance
     distance = np.einsum("ni,ni->n", mean, np.linalg.solve(covariance, mean[..., None])[..., 0])
     loaded = (count > 0) & (distance > chi2.isf(false_alarm, WRENCH))
     for first, last in runs_of(~series.sound):
         # The mean of a sample next to the gap may hold some of it.
         around = loaded[max(0, first - 1) : first].any() and loaded[last + 1 : last + 2].any()
         loaded[first : last + 1] = around
-    return _opened(_closed(loaded))
+    size = _LONGEST_GAP + 1
+    closed = binary_closing(np.pad(loaded, size, mode="edge"), np.ones(size))[size:-size]
+    return np.asarray(binary_opening(closed, np.ones(_LEAST_SAMPLES)))
 
 
-def _closed(loaded: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    filled = loaded.copy()
-    for first, last in runs_of(~loaded):
-        if last - first < _LONGEST_GAP and first > 0 and last < len(loaded) - 1:
-            filled[first : last + 1] = True
-    return filled
+def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
+    """Sums of `size` rows about each."""
+    return np.asarray(uniform_filter1d(values, size, axis=0, mode="constant") * size)
 
 
-def _opened(loaded: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    kept = loaded.copy()
-    for first, last in runs_of(loaded):
-        if last - first + 1 < _LEAST_SAMPLES:
-            kept[first : last + 1] = False
-    return kept
-
-
-def runs_of(flags: Bool[np.ndarray, "n"]) -> Iterator[tuple[int, int]]:
+def runs_of(flags: Flags) -> Iterator[tuple[int, int]]:
     """First and last index of each run of true flags."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
     for first, stop in zip(edges[::2], edges[1::2], strict=True):
         yield int(first), int(stop) - 1
 
 
-@compiled
-def _raw_blocks(
-    wrench: Float[Array, "n 6"], covariance: Float[Array, "n 6 6"]
-) -> Float[Array, "n 2"]:
-    def one(wrench: Array, covariance: Array) -> Array:
-        def arc_length(wrench: Array) -> Array:
-            single, _ = single_contact(wrench, covariance)
-            return invert(single[:3], single[3:], jnp.array([0.0, 0.0, 1.0])).arc_length
+@lanes()
+def _raw(
+    _: None, wrench: Float[Array, "wrench"], covariance: Float[Array, "wrench wrench"]
+) -> tuple[Array, Array]:
+    def arc_length(wrench: Array) -> Array:
+        single, _ = single_contact(wrench, covariance)
+        return invert(single[:3], single[3:], jnp.array([0.0, 0.0, 1.0])).arc_length
 
-        slope = jax.grad(arc_length)(wrench)
-        return jnp.stack([arc_length(wrench), jnp.sqrt(slope @ covariance @ slope)])
-
-    return jax.vmap(one)(wrench, covariance)
+    value, slope = jax.value_and_grad(arc_length)(wrench)
+    return value, jnp.sqrt(slope @ covariance @ slope)
 
 
 def raw_arc_lengths(
-    series: Series, drift: Float[np.ndarray, "n 6"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    series: Series, drift: Float[np.ndarray, "*n wrench"]
+) -> tuple[Samples, Samples]:
     """Arc length of each sample by itself, also beyond the tip, and its standard deviation;
     infinite where it says nothing.
     """
     unwhitening = np.linalg.inv(series.whitening)
-    wrench = series.wrench - np.einsum("nij,nj->ni", unwhitening, drift)
-    covariance = unwhitening @ np.swapaxes(unwhitening, 1, 2)
-    missing = capacity_for(len(wrench)) - len(wrench)
-    filled = [
-        np.concatenate([part, np.repeat(part[-1:], missing, axis=0)])
-        for part in (wrench, covariance)
-    ]
-    value, deviation = np.asarray(_raw_blocks(*map(jnp.asarray, filled)))[: len(wrench)].T
-    useless = (
-        ~(
-            np.isfinite(value)
-            & np.isfinite(deviation)
-            & (deviation < _MOST_DEVIATION)
-            & (deviation > 0)
-        )
-        | ~series.sound
-    )
-    return np.where(useless, 1.0, value), np.where(useless, np.inf, deviation)
+    wrench = series.wrench - (unwhitening @ drift[..., None])[..., 0]
+    value, deviation = _raw(None, wrench, unwhitening @ np.swapaxes(unwhitening, 1, 2))
+    tells = series.sound & np.isfinite(value) & (deviation < _MOST_DEVIATION) & (deviation > 0)
+    return np.where(tells, value, 1.0), np.where(tells, deviation, np.inf)
 
 
-def phases_of(
-    value: Float[np.ndarray, "k"], deviation: Float[np.ndarray, "k"]
-) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+def _phases_of(value: Samples, deviation: Samples) -> tuple[Codes, Samples]:
     """Most probable sequence of tip and tangential contact from the arc lengths of one contact, and
     the arc lengths averaged.
 
@@ -135,31 +103,21 @@ def phases_of(
     """
     weight = 1 / deviation**2
     average = np.minimum(_running_line(value, weight), 1.0)
-    away = np.stack([value - 1, value - average]) * np.sqrt(weight)
-    cost = np.minimum(away**2 / 2, _MOST_COST)
+    cost = np.minimum(np.stack([value - 1, value - average]) ** 2 * weight / 2, _MOST_COST)
     cost[1] += _FREEDOM_COST
     return _cheapest(cost) + TIP, average
 
 
-def _running_line(
-    value: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
+def _running_line(value: Samples, weight: Samples) -> Samples:
     """Weighted least-squares lines over 51 samples, at their middles."""
-    place = np.arange(len(value), dtype=float)
-    size = min(_FIT_SAMPLES, len(value))
-
-    def total(values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-        return np.asarray(uniform_filter1d(values, size, mode="constant") * size)
-
-    w, wx, wxx, wy, wxy = (
-        total(weight * part)
-        for part in (np.ones_like(place), place, place**2, value, place * value)
-    )
+    place, size = np.arange(len(value), dtype=float), min(_FIT_SAMPLES, len(value))
+    products = np.stack([place**0, place, place**2, value, place * value], axis=1)
+    w, wx, wxx, wy, wxy = _running_sum(weight[:, None] * products, size).T
     determinant = w * wxx - wx**2
-    sound = determinant > 1e-9 * np.maximum(w * wxx, 1e-300)
-    safe = np.where(sound, determinant, 1.0)
-    slope = np.where(sound, (w * wxy - wx * wy) / safe, 0.0)
-    return np.where(w > 0, (wy - slope * wx) / np.maximum(w, 1e-300) + slope * place, 1.0)
+    # Where one sample alone weighs anything, any line fits.
+    sound = determinant > 1e-9 * np.maximum(w * wxx, _TINY)
+    slope = np.where(sound, (w * wxy - wx * wy) / np.where(sound, determinant, 1.0), 0.0)
+    return np.where(w > 0, (wy - slope * wx) / np.maximum(w, _TINY) + slope * place, 1.0)
 
 
 def _cheapest(cost: Float[np.ndarray, "2 k"]) -> Int[np.ndarray, "k"]:
@@ -178,13 +136,13 @@ def _cheapest(cost: Float[np.ndarray, "2 k"]) -> Int[np.ndarray, "k"]:
 
 
 def first_labels(
-    series: Series, loaded: Bool[np.ndarray, "n"], drift: Float[np.ndarray, "n 6"]
-) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    series: Series, loaded: Flags, drift: Float[np.ndarray, "*n wrench"]
+) -> tuple[Codes, Samples]:
     """Phase and rough arc length (model units) of each sample."""
     phase, arc_length = np.full(len(loaded), FREE), np.ones(len(loaded))
     value, deviation = raw_arc_lengths(series, drift)
     for first, last in runs_of(loaded):
         rows = slice(first, last + 1)
-        phase[rows], average = phases_of(value[rows], deviation[rows])
+        phase[rows], average = _phases_of(value[rows], deviation[rows])
         arc_length[rows] = np.where(phase[rows] == TANGENTIAL, np.clip(average, 0.05, 1.0), 1.0)
     return phase, arc_length

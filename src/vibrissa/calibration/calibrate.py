@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from vibrissa.calibration.arrays import Numbers, Vectors
 from vibrissa.calibration.bench import Bench, SetupType, bench_of
 from vibrissa.calibration.equilibrium import State
 from vibrissa.calibration.fit import disturbed, fitted, unevenness
@@ -275,7 +276,7 @@ def _seeded_anew(problem: Problem, linear: Linear, rod: Rod) -> Linear:
     return _better(problem, linear, fitted(problem, Point(values, states)))
 
 
-def _weights(problem: Problem, linear: Linear) -> Float[np.ndarray, "n"]:
+def _weights(problem: Problem, linear: Linear) -> Numbers:
     return weights(problem, linear, spread(problem, linear))
 
 
@@ -320,7 +321,7 @@ def _states(
     return State(points, magnitude, leaning if problem.friction > 0 else 0 * leaning)
 
 
-def _pivot(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+def _pivot(surface: Surface, points: Vectors) -> Float[np.ndarray, "3"]:
     """The object's centre where it has one; else the middle of where it was touched."""
     if isinstance(surface, Placed):
         turn, move = np.asarray(surface.rotation), np.asarray(surface.translation)

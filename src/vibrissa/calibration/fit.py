@@ -10,11 +10,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
+from vibrissa.calibration.arrays import Chosen, Information, Unknowns
 from vibrissa.calibration.problem import (
     FAR_OUT,
     OUTLYING,
@@ -38,7 +38,7 @@ _MANY = 1e3
 _MOST_STEPS, _MOST_SCALES = 60, 8
 _DONE = 0.03
 """Step to the minimum, in standard deviations of it, that is not worth taking."""
-_MOST_TRIALS = 4
+_MOST_TRIALS = 8
 """Of ever shorter steps that all fail: the cost has a kink where a row changes its phase."""
 _SETTLED = 0.02
 """Relative change of the rows' scale that does not change the fit."""
@@ -91,18 +91,18 @@ def _descended(problem: Problem, start: Linear, scale: float) -> Linear:
     units = np.append(
         _LONGEST_STEP * problem.scales, _MANY / np.sqrt(np.diag(matrix)[len(problem.free) :])
     )
-    here = tried = start
+    here, tried, failed = start, start, 0
 
-    def at(x: Float[np.ndarray, "unknowns"]) -> Linear:
-        nonlocal tried
+    def at(x: Unknowns) -> Linear:
+        nonlocal tried, failed
         values = start.point.values + units * x
         for known in (here, tried):
             if np.array_equal(values, known.point.values):
                 return known
-        tried = linearised(problem, nearby(here, values))
+        tried, failed = linearised(problem, nearby(here, values)), failed + 1
         return tried
 
-    def cost(x: Float[np.ndarray, "unknowns"]) -> float:
+    def cost(x: Unknowns) -> float:
         """Huber's of the length of each row, constant far out and without equilibrium."""
         there = at(x)
         near = np.minimum(np.where(there.sound, there.length, np.inf), FAR_OUT * limit)
@@ -110,24 +110,21 @@ def _descended(problem: Problem, start: Linear, scale: float) -> Linear:
         prior = problem.known * there.point.values
         return float(np.sum(rows[~problem.disturbed]) + prior @ prior) / 2
 
-    def slope(x: Float[np.ndarray, "unknowns"]) -> Float[np.ndarray, "unknowns"]:
-        nonlocal here
-        here = at(x)
+    def slope(x: Unknowns) -> Unknowns:
+        nonlocal here, failed
+        if at(x) is not here:
+            here, failed = at(x), 0
         return -units * downhill(problem, here, weights(problem, here, scale))
 
-    def curvature(x: Float[np.ndarray, "unknowns"]) -> Float[np.ndarray, "unknowns unknowns"]:
+    def curvature(x: Unknowns) -> Information:
         there = at(x)
         matrix = information(problem, there, weights(problem, there, scale))
         return matrix * np.outer(units, units)
 
-    stalled, best = 0, start
-
-    def stop(x: Float[np.ndarray, "unknowns"]) -> None:
-        nonlocal stalled, best
-        stalled, best = stalled + 1 if best is at(x) else 0, at(x)
+    def stop(x: Unknowns) -> None:
         pull = slope(x)
         close = pull @ np.linalg.solve(curvature(x), pull) < _DONE**2
-        if close or stalled == _MOST_TRIALS or spread(problem, best) < scale / 2:
+        if close or failed == _MOST_TRIALS or spread(problem, here) < scale / 2:
             raise StopIteration
 
     minimize(
@@ -137,7 +134,7 @@ def _descended(problem: Problem, start: Linear, scale: float) -> Linear:
     return here
 
 
-def disturbed(problem: Problem, linear: Linear) -> Bool[np.ndarray, "n"]:
+def disturbed(problem: Problem, linear: Linear) -> Chosen:
     """Rows in contact (n,) where many in a row do not fit, with as many before and behind: there
     the rod swings, or sticks and slips.
 

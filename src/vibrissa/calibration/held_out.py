@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from vibrissa.calibration.arrays import Chosen, Numbers
 from vibrissa.calibration.parameters import Parameter
 from vibrissa.calibration.problem import Linear, Problem, information
 from vibrissa.calibration.statistics import UNDETERMINED
@@ -49,7 +50,7 @@ class HeldOut:
 
 
 def held_out(
-    problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"], inflation: float
+    problem: Problem, linear: Linear, weight: Numbers, inflation: float
 ) -> tuple[HeldOut, ...]:
     """Leave each recording out, or of one recording alternate stretches, and predict it from the
     others, where these determine all that is free.
@@ -67,7 +68,7 @@ def held_out(
     return predicted_by_others(parts, total, problem.free, inflation)
 
 
-def _parts(problem: Problem) -> list[tuple[str, Bool[np.ndarray, "n"]]]:
+def _parts(problem: Problem) -> list[tuple[str, Chosen]]:
     rows = problem.rows
     if rows.recordings > 1:
         return [

@@ -168,8 +168,9 @@ def uncertain(rod: Rod, tolerances: Tolerances) -> dict[Parameter, float]:
     }
     each = {
         one: float(np.atleast_1d(deviations[one.group])[one.entries[0]])
+        for group in deviations
         for one in _all(rod)
-        if one.group in deviations
+        if one.group == group
     }
     return {one: deviation for one, deviation in each.items() if deviation > 0}
 

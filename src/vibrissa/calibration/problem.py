@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.stats import chi2
 
+from vibrissa.calibration.arrays import Chosen, Information, Numbers, Unknowns, Vectors, Wrenches
 from vibrissa.calibration.bench import Bench, Step, moved_at_once
 from vibrissa.calibration.equilibrium import Reading, State, readings
 from vibrissa.calibration.parameters import Parameter, stepped
@@ -68,7 +69,7 @@ class Problem:
     prior: Float[np.ndarray, "parameters"]
     drift: float
     friction: float
-    disturbed: Bool[np.ndarray, "n"]
+    disturbed: Chosen
     unevenness: float = 0.0
 
     @property
@@ -101,7 +102,7 @@ class Problem:
         return hats
 
     @cached_property
-    def known(self) -> Float[np.ndarray, "unknowns"]:
+    def known(self) -> Unknowns:
         """Inverse standard deviations of all unknowns before the data."""
         rows = self.rows
         offsets = np.zeros((rows.recordings, self.trends.shape[1], WRENCH))
@@ -113,14 +114,12 @@ class Problem:
         uneven = np.full(self.hats.shape[1] * rows.recordings, 1 / (self.unevenness or 1.0))
         return np.concatenate([1 / self.prior, offsets.ravel(), uneven])
 
-    def bench(self, values: Float[np.ndarray, "unknowns"]) -> Bench:
+    def bench(self, values: Unknowns) -> Bench:
         """After steps of the parameters, the first of the unknowns."""
         step = stepped(self.free, values[: len(self.free)])
         return jax.tree.map(np.asarray, moved_at_once(self.start, step))
 
-    def offsets(
-        self, values: Float[np.ndarray, "unknowns"]
-    ) -> Float[np.ndarray, "recordings trends 6"]:
+    def offsets(self, values: Unknowns) -> Float[np.ndarray, "recordings trends 6"]:
         """Tare and drift among the unknowns, or among numbers that belong to them."""
         shape = (self.rows.recordings, self.trends.shape[1], WRENCH)
         return values[len(self.free) :][: int(np.prod(shape))].reshape(shape)
@@ -135,7 +134,7 @@ class Problem:
 class Point(NamedTuple):
     """Where the iteration is."""
 
-    values: Float[np.ndarray, "unknowns"]
+    values: Unknowns
     """Steps of the parameters since the start, tare and drift, and how far off the object as given
     the rod touches at places along each contact.
     """
@@ -173,17 +172,17 @@ class Linear:
     bench: Bench
     reading: Reading
     by_step: Step
-    contact: Bool[np.ndarray, "n"]
-    sound: Bool[np.ndarray, "n"]
-    predicted: Float[np.ndarray, "n 6"]
-    left: Float[np.ndarray, "n 6"]
+    contact: Chosen
+    sound: Chosen
+    predicted: Wrenches
+    left: Wrenches
     design: Float[np.ndarray, "n 6 unknowns"]
     weighing: Float[np.ndarray, "n 6 6"]
     channels: Float[np.ndarray, "n 6 6"]
     leaning: Float[np.ndarray, "contacts 3 6"]
 
     @cached_property
-    def residual(self) -> Float[np.ndarray, "n 6"]:
+    def residual(self) -> Wrenches:
         """What is left, in standard deviations."""
         return _by(self.weighing, self.left)
 
@@ -193,17 +192,17 @@ class Linear:
         return self.weighing @ self.design
 
     @cached_property
-    def whitened(self) -> Float[np.ndarray, "n 6"]:
+    def whitened(self) -> Wrenches:
         """What no tangential force explains, in the channels' standard deviations."""
         return _by(self.channels, self.left)
 
     @cached_property
-    def length(self) -> Float[np.ndarray, "n"]:
+    def length(self) -> Numbers:
         """Of the residuals."""
         return np.linalg.norm(self.residual, axis=1)
 
     @property
-    def chi_square(self) -> Float[np.ndarray, "n"]:
+    def chi_square(self) -> Numbers:
         """Squared length of each row's whitened channels; NaN where there is no equilibrium."""
         return np.where(self.sound, np.sum(self.whitened**2, axis=1), np.nan)
 
@@ -263,14 +262,14 @@ def linearised(problem: Problem, point: Point) -> Linear:
     )
 
 
-def by_turn(by_step: Step, arm: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 6 3"]:
+def by_turn(by_step: Step, arm: Vectors) -> Float[np.ndarray, "n 6 3"]:
     """Derivatives of readings by a turn of the object about points from which its pivot is `arm`
     away; those by a turn of sensor and rod about them are the opposite.
     """
     return by_step.turn - by_step.shift @ cross_matrices(arm)
 
 
-def nearby(linear: Linear, values: Float[np.ndarray, "unknowns"]) -> Point:
+def nearby(linear: Linear, values: Unknowns) -> Point:
     """Other values of the unknowns: the rows' states follow in the next linearisation, tangential
     forces at once. Rows without equilibrium start from their nearest neighbour's.
     """
@@ -301,7 +300,7 @@ def outlying(problem: Problem) -> float:
     return float(np.sqrt(chi2.isf(OUTLYING, problem.freedom)))
 
 
-def weights(problem: Problem, linear: Linear, scale: float) -> Float[np.ndarray, "n"]:
+def weights(problem: Problem, linear: Linear, scale: float) -> Numbers:
     """Weights (n,): 1 for 999 of 1000 rows of noise of this scale, less as Huber's beyond, and 0
     far out, without equilibrium or in a disturbed stretch.
     """
@@ -313,18 +312,14 @@ def weights(problem: Problem, linear: Linear, scale: float) -> Float[np.ndarray,
     )
 
 
-def information(
-    problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "unknowns unknowns"]:
+def information(problem: Problem, linear: Linear, weight: Numbers) -> Information:
     """Σ JᵀWJ with the priors."""
     flat = linear.jacobian * np.sqrt(weight)[:, None, None]
     flat = flat.reshape(-1, flat.shape[2])
     return flat.T @ flat + np.diag(problem.known**2)
 
 
-def downhill(
-    problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "unknowns"]:
+def downhill(problem: Problem, linear: Linear, weight: Numbers) -> Unknowns:
     """Σ JᵀWr with the priors: the gradient of half the cost, with the opposite sign."""
     pull = np.einsum("n,nku,nk->u", weight, linear.jacobian, linear.residual, optimize=True)
     return pull - problem.known**2 * linear.point.values

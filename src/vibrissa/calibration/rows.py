@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.ndimage import uniform_filter1d
 
+from vibrissa.calibration.arrays import Chosen, Numbers, Wrenches
 from vibrissa.calibration.equilibrium import Pose
 from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices, unit_quaternions
 from vibrissa.reactions import Reactions
@@ -53,17 +54,17 @@ class Rows(NamedTuple):
     """Rows of all recordings (n,), seen from the sensor, in units of the rod."""
 
     recording: Int[np.ndarray, "n"]
-    time: Float[np.ndarray, "n"]
+    time: Numbers
     """From −½ at the start of the recording to ½ at its end."""
-    seconds: Float[np.ndarray, "n"]
+    seconds: Numbers
     """Time [s], or the number of the sample."""
-    wrench: Float[np.ndarray, "n 6"]
+    wrench: Wrenches
     """Support force and moment on the rod as read, tare roughly removed, sensor axes, about
     `Sensor.wrench_point`."""
     covariance: Float[np.ndarray, "n 6 6"]
     pose: Pose
     noise: PoseNoise
-    contact: Bool[np.ndarray, "n"]
+    contact: Chosen
     """Whether the rod touches; it is at rest otherwise."""
     count: Int[np.ndarray, "n"]
     """How many samples were averaged."""
@@ -211,9 +212,7 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
     )
 
 
-def _stretches(
-    seconds: Float[np.ndarray, "n"], strength: Float[np.ndarray, "n"], tare_seconds: float
-) -> tuple[Bool[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+def _stretches(seconds: Numbers, strength: Numbers, tare_seconds: float) -> tuple[Chosen, Chosen]:
     """Samples in contact, and samples at rest: the start free of contact, and the end if it is."""
     contact = strength > _LOADED
     rest = seconds < tare_seconds
@@ -233,7 +232,7 @@ def _averaged(
     recording: int,
     samples: _Samples,
     covariance: Float[np.ndarray, "n 6 6"],
-    chosen: Bool[np.ndarray, "n"],
+    chosen: Chosen,
     most: int,
     touching: bool,  # noqa: FBT001
 ) -> Rows:

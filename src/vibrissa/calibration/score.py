@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.calibration.arrays import Columns, Unknowns, Wrenches
 from vibrissa.calibration.problem import Linear, Problem, outlying
 from vibrissa.calibration.suspects import Suspect, suspects
 from vibrissa.rod import Rod
@@ -35,11 +36,11 @@ class Score(NamedTuple):
 class System(NamedTuple):
     """The linearised problem on a share of the rows."""
 
-    residual: Float[np.ndarray, "n 6"]
+    residual: Wrenches
     jacobian: Float[np.ndarray, "n 6 unknowns"]
-    prior: Float[np.ndarray, "unknowns"]
+    prior: Unknowns
     """Information."""
-    values: Float[np.ndarray, "unknowns"]
+    values: Unknowns
     limit: float
     """Length of a residual beyond which Huber's cost grows linearly."""
 
@@ -80,7 +81,7 @@ def scores(
     return sorted(found, key=lambda score: -score.significance)
 
 
-def _settled(system: System, columns: Float[np.ndarray, "n 6 m"]) -> tuple[float, np.ndarray]:
+def _settled(system: System, columns: Columns) -> tuple[float, np.ndarray]:
     """Huber's cost after the best steps, and those of the further columns."""
     more, limit = columns.shape[2], system.limit
     design = np.concatenate([system.jacobian, columns], axis=2)

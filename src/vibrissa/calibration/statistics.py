@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
+from vibrissa.calibration.arrays import Columns, Information, Numbers, Square
 from vibrissa.calibration.parameters import Parameter
 from vibrissa.calibration.problem import WRENCH, Linear, Problem, information, weights
 
@@ -48,8 +49,8 @@ class Identifiability:
     """
 
     names: tuple[str, ...]
-    correlation: Float[np.ndarray, "k k"]
-    directions: Float[np.ndarray, "k k"]
+    correlation: Square
+    directions: Square
     deviations: Float[np.ndarray, "k"]
     alone: Float[np.ndarray, "k"]
     held: dict[str, tuple[str, ...]]
@@ -115,7 +116,7 @@ class Fitness:
     disturbed: float
 
 
-def weakest(information: Float[np.ndarray, "k k"], limit: float) -> tuple[int, list[int]] | None:
+def weakest(information: Square, limit: float) -> tuple[int, list[int]] | None:
     """Of scaled information, the parameter to hold where a direction's standard deviation exceeds a
     limit, and those it goes with; None where all are determined.
     """
@@ -157,7 +158,7 @@ def without_held(
 
 def identifiability(
     free: list[Parameter],
-    covariance: Float[np.ndarray, "k k"],
+    covariance: Square,
     alone: Float[np.ndarray, "k"],
     held: dict[str, tuple[str, ...]],
 ) -> Identifiability:
@@ -180,7 +181,7 @@ def alone(problem: Problem, linear: Linear) -> Float[np.ndarray, "k"]:
     return 1 / np.sqrt(np.diag(matrix)[: len(problem.free)])
 
 
-def fitness(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]) -> Fitness:
+def fitness(problem: Problem, linear: Linear, weight: Numbers) -> Fitness:
     """Judge the residuals in contact, in time order within each recording."""
     rows = problem.rows
     chosen = rows.contact & (weight > 0)
@@ -228,9 +229,9 @@ def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
 def covariance(
     problem: Problem,
     linear: Linear,
-    weight: Float[np.ndarray, "n"],
+    weight: Numbers,
     inflation: Float[np.ndarray, "6"],
-) -> Float[np.ndarray, "unknowns unknowns"]:
+) -> Information:
     """Of all unknowns: the inverse information, or where the residuals are more than noise that of
     estimates with their long-run variance (a sandwich).
     """
@@ -246,9 +247,9 @@ def covariance(
 def considered(
     problem: Problem,
     linear: Linear,
-    weight: Float[np.ndarray, "n"],
-    columns: Float[np.ndarray, "n 6 m"],
-) -> Float[np.ndarray, "unknowns unknowns"]:
+    weight: Numbers,
+    columns: Columns,
+) -> Information:
     """Covariance of all unknowns from numbers that are held, whose standard deviations change the
     readings by `columns`.
 

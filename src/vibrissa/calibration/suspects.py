@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 
+from vibrissa.calibration.arrays import Columns, Vectors, Wrenches
 from vibrissa.calibration.bench import Bench
 from vibrissa.calibration.imperfections import Load, curving, tapering
 from vibrissa.calibration.parameters import uncertain
@@ -23,9 +24,6 @@ _NEIGHBOURS = 9
 _FARTHEST = 2.0
 """Rod lengths, and turns of the tip [rad], beyond which differences have no bound: there the force
 turns from drawing to pushing the rod."""
-
-Column = Float[np.ndarray, "n 6"]
-Columns = Float[np.ndarray, "n 6 m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,20 +167,20 @@ def object_size(surface: Surface, bench: Bench, touched: Float[np.ndarray, "k 3"
     return float(np.median(np.sum((touched - bench.pivot) * surface.normal(touched), axis=1)))
 
 
-def _points(linear: Linear) -> Float[np.ndarray, "n 3"]:
+def _points(linear: Linear) -> Vectors:
     points = np.tile(linear.bench.center, (len(linear.contact), 1))
     points[linear.contact] = linear.reading.state.point
     return points
 
 
-def object_scale(linear: Linear) -> Column:
+def object_scale(linear: Linear) -> Wrenches:
     """Change for an object that is larger, about its pivot, by a factor e: each contact goes along,
     and there the object keeps its normal.
     """
     return _by(linear.by_step.shift, _points(linear) - linear.bench.center)
 
 
-def pose_delay(problem: Problem, linear: Linear) -> Column:
+def pose_delay(problem: Problem, linear: Linear) -> Wrenches:
     """Change for poses that come late by 1 s: the sensor has moved on, as if the object had moved
     back.
     """
@@ -191,7 +189,7 @@ def pose_delay(problem: Problem, linear: Linear) -> Column:
     return -_by(linear.by_step.shift, velocity) - _by(by_turn(linear.by_step, arm), spin)
 
 
-def _friction(problem: Problem, linear: Linear) -> Column:
+def _friction(problem: Problem, linear: Linear) -> Wrenches:
     """Change for a unit of Coulomb's coefficient: the force leans against the sliding, as if the
     object were turned about the contact.
 
@@ -213,7 +211,7 @@ def _imperfections(problem: Problem, linear: Linear) -> tuple[Columns, Columns]:
     load = Load(float(bench.length), float(bench.stiffness), force)
     shift, most = linear.by_step.clamp @ bench.axes, _FARTHEST * load.length
 
-    def column(move: Float[np.ndarray, "contacts 3"], most: float) -> Column:
+    def column(move: Float[np.ndarray, "contacts 3"], most: float) -> Wrenches:
         whole = np.zeros((len(contact), 3))
         whole[contact] = np.nan_to_num(np.clip(move, -most, most))
         return _by(shift, whole)
@@ -222,7 +220,7 @@ def _imperfections(problem: Problem, linear: Linear) -> tuple[Columns, Columns]:
     return column(tapering(load), most)[..., None], np.stack(curved, axis=2)
 
 
-def _normals(problem: Problem, linear: Linear) -> Float[np.ndarray, "n 3"]:
+def _normals(problem: Problem, linear: Linear) -> Vectors:
     """Directions of the contact force on the rod, world axes: against the support's."""
     contact, bench = linear.contact, linear.bench
     normals = np.zeros((len(contact), 3))
@@ -231,16 +229,16 @@ def _normals(problem: Problem, linear: Linear) -> Float[np.ndarray, "n 3"]:
     return np.nan_to_num(normals)
 
 
-def _directed(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def _directed(vectors: Vectors) -> Vectors:
     size = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors / np.maximum(size, np.finfo(float).tiny)
 
 
-def _by(slope: Float[np.ndarray, "n k 3"], step: Float[np.ndarray, "n 3"]) -> np.ndarray:
+def _by(slope: Float[np.ndarray, "n k 3"], step: Vectors) -> np.ndarray:
     return np.einsum("nij,nj->ni", slope, step)
 
 
-def _velocity(rows: Rows) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+def _velocity(rows: Rows) -> tuple[Vectors, Vectors]:
     """Of the sensor [m/s] and [rad/s] in world axes, from lines through neighbouring rows; 0 at
     rest.
     """

@@ -202,7 +202,7 @@ def _friction(problem: Problem, linear: Linear) -> Wrenches:
     return _by(by_turn(linear.by_step, linear.bench.center - _points(linear)), turn)
 
 
-def _imperfections(problem: Problem, linear: Linear) -> tuple[Columns, Columns]:
+def _imperfections(problem: Problem, linear: Linear) -> tuple[np.ndarray, np.ndarray]:
     """Changes by a unit of taper, and of curvature about both of the clamp's axes."""
     bench, contact = linear.bench, linear.contact
     axes = problem.rows.pose.axes[contact] @ bench.axes

@@ -1,6 +1,6 @@
 from . import surfaces
 from .calibration import Calibration, CalibrationError, calibrate
-from .contacts import ContactKind, Motion, RecordingWarning, Status
+from .contacts import ContactKind, Contacts, Motion, RecordingWarning, Status
 from .design import ExpectedError, expected_error
 from .forward import Equilibrium, Event, EventKind, Scan, equilibria, scan
 from .inverse import (
@@ -30,6 +30,7 @@ __all__ = [
     "CausalSmoother",
     "ContactErrors",
     "ContactKind",
+    "Contacts",
     "Equilibrium",
     "Event",
     "EventKind",

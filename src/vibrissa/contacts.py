@@ -2,7 +2,13 @@
 trusted.
 """
 
+from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 
 class RecordingWarning(UserWarning):
@@ -11,6 +17,100 @@ class RecordingWarning(UserWarning):
 
 class RecordingNote(RecordingWarning):
     """What reading left out, recovered or estimated: the contacts that are left are as good as any."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Where something was touched: what scans, reconstructions, smoothing and live streams hand
+    out, and what may be built by hand. Any shape of rows (…), in one unit of length.
+
+    Attributes
+    ----------
+    point
+        (…, 3); NaN on rows without contact.
+    normal
+        (…, 3) outward unit normal of the object, as far as it is known.
+    force_direction
+        (…, 3) unit vector of the contact force on the rod, or None.
+    arc_length
+        (…) of the contact from the clamp, or None.
+    kind, status
+        (…) values of `ContactKind` and `Status`, or None.
+    covariance, normal_covariance
+        (…, 3, 3) of point and normal, or None.
+    time
+        (…) [s], or None.
+    sweep
+        (…) which sweep a row belongs to, counted from 0, or None for one.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit that of the points, or a normal is not of unit length.
+    """
+
+    point: Float[np.ndarray, "*rows 3"]
+    normal: Float[np.ndarray, "*rows 3"]
+    covariance: Float[np.ndarray, "*rows 3 3"] | None = None
+    normal_covariance: Float[np.ndarray, "*rows 3 3"] | None = None
+    sweep: Int[np.ndarray, "*rows"] | None = None
+    time: Float[np.ndarray, "*rows"] | None = None
+    kind: Int[np.ndarray, "*rows"] | None = None
+    force_direction: Float[np.ndarray, "*rows 3"] | None = None
+    arc_length: Float[np.ndarray, "*rows"] | None = None
+    status: Int[np.ndarray, "*rows"] | None = None
+
+    def __init__(
+        self,
+        point: ArrayLike,
+        normal: ArrayLike,
+        covariance: ArrayLike | None = None,
+        normal_covariance: ArrayLike | None = None,
+        sweep: ArrayLike | None = None,
+        time: ArrayLike | None = None,
+        kind: ArrayLike | None = None,
+        force_direction: ArrayLike | None = None,
+        arc_length: ArrayLike | None = None,
+        status: ArrayLike | None = None,
+    ) -> None:
+        given = locals()
+        rows = np.shape(point)[:-1]
+        widths = {"covariance": (3, 3), "normal_covariance": (3, 3)}
+        vectors = ("point", "normal", "force_direction")
+        for field in fields(self):
+            value = given[field.name]
+            if value is not None:
+                whole = field.name in ("sweep", "kind", "status")
+                value = np.asarray(value, dtype=np.int64 if whole else np.float64)
+                shape = rows + ((3,) if field.name in vectors else widths.get(field.name, ()))
+                if value.shape != shape:
+                    raise ValueError(
+                        f"{field.name} has shape {value.shape}; allowed is {shape}, as point has"
+                    )
+            object.__setattr__(self, field.name, value)
+        length = np.linalg.norm(self.normal, axis=-1)
+        wrong = np.abs(length - 1) > _UNIT
+        if wrong.any():
+            row = tuple(map(int, np.argwhere(wrong)[0]))
+            raise ValueError(f"normal{list(row)} has length {length[row]:.6g}; allowed is 1")
+
+    def __getitem__(self, rows: Any) -> "Contacts":
+        """Return the chosen rows, all fields together."""
+        return Contacts(
+            **{
+                field.name: None if value is None else value[rows]
+                for field in fields(self)
+                for value in (getattr(self, field.name),)
+            }
+        )
+
+    def __len__(self) -> int:
+        """Rows along the first axis."""
+        return len(self.point)
+
+
+_UNIT = 1e-6
+"""By which a unit vector's length may be off: what files in single precision leave."""
 
 
 class ContactKind(IntEnum):

@@ -141,7 +141,8 @@ def calibrate(
     Notes
     -----
     Residuals are readings less those of the contact equilibrium at each pose, weighted by the
-    covariance of wrench and pose, the noise of the robot's orientation included. Their derivatives are exact (implicit function theorem).
+    covariance of wrench and pose, the noise of the robot's orientation included.
+    Their derivatives are exact (implicit function theorem).
     Parameters that the data leave open are held as given and named in `identifiability`. Where the
     residuals are more than noise, variances are taken larger (`fitness.inflation`): by their mean
     square, and where they are correlated in time by their long-run variance.

@@ -124,7 +124,7 @@ def predicted_by_others(
         determined = (own_variances > 0) & (own_variances < (UNDETERMINED * scales) ** 2)
         if not part.rows or not determined.all():
             continue
-        # At the solution the gradient of all is zero: that of the others is this part's, against it.
+        # At the solution the gradient of all is zero: that of the others opposes this part's.
         step = -others @ part.design.T @ part.left
         predicted = part.left - part.design @ step
         expected = part.rows * part.freedom + float(np.sum(own * others))

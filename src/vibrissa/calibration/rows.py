@@ -115,8 +115,8 @@ def reactions_of(recording: Reactions | RawRecording, sensor: Sensor) -> Reactio
     found = sensor.reactions(recording) if isinstance(recording, RawRecording) else recording
     if not isinstance(found, Reactions):
         raise ValueError(
-            f"recordings holds {type(recording).__name__}; allowed are Reactions (`read_recording`) "
-            "and RawRecording (`Sensor.measure`)"
+            f"recordings holds {type(recording).__name__}; allowed are Reactions "
+            "(`read_recording`) and RawRecording (`Sensor.measure`)"
         )
     return found
 

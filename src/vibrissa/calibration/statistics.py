@@ -75,7 +75,8 @@ class Identifiability:
         lines = [
             f"{name}: not determined, kept as given; "
             + (
-                f"it cannot be told apart from {', '.join(others)}, whose figures hold for this value"
+                f"it cannot be told apart from {', '.join(others)}, "
+                "whose figures hold for this value"
                 if others
                 else "the readings do not depend on it"
             )
@@ -131,7 +132,7 @@ def weakest(information: Square, limit: float) -> tuple[int, list[int]] | None:
 
 
 def undetermined(problem: Problem, linear: Linear) -> dict[str, tuple[str, ...]]:
-    """Parameters of directions that are open, to be held one by one, each with those it goes with."""
+    """Parameters of directions that are open, to be held one by one, with what each goes with."""
     held: dict[str, tuple[str, ...]] = {}
     free, count = list(problem.free), len(problem.free)
     matrix = information(problem, linear, linear.sound.astype(float))

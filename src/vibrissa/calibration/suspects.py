@@ -86,7 +86,8 @@ def suspects(problem: Problem, linear: Linear, rod: Rod, tolerances: Tolerances)
     found = [
         Suspect(
             "object_scale", object_scale(linear)[..., None], 1.0, 0.002, tolerances.object_scale,
-            lambda value: f"the object seems {abs(value[0]):.1%} {'larger' if value[0] > 0 else 'smaller'} than stated",
+            lambda value: f"the object seems {abs(value[0]):.1%}"
+            f" {'larger' if value[0] > 0 else 'smaller'} than stated",
             "state its size, or free standoff",
         ),
         Suspect(
@@ -96,13 +97,15 @@ def suspects(problem: Problem, linear: Linear, rod: Rod, tolerances: Tolerances)
         ),
         Suspect(
             "torque_gain", torque, 1.0, 0.004, float(np.max(tolerances.gain[3:])),
-            lambda value: f"torques seem to read {abs(value[0]):.1%} too {'much' if value[0] > 0 else 'little'} against forces",
+            lambda value: f"torques seem to read {abs(value[0]):.1%}"
+            f" too {'much' if value[0] > 0 else 'little'} against forces",
             "check the sensor's calibration, or free torque_gain",
         ),
         Suspect(
             "pose_delay", pose_delay(problem, linear)[..., None], float(np.median(speeds)) / length,
             0.002, tolerances.pose_delay,
-            lambda value: f"poses seem to come {1e3 * abs(value[0]):.3g} ms {'late' if value[0] > 0 else 'early'}",
+            lambda value: f"poses seem to come {1e3 * abs(value[0]):.3g}"
+            f" ms {'late' if value[0] > 0 else 'early'}",
             "state pose_delay",
         ),
     ]  # fmt: skip
@@ -111,12 +114,14 @@ def suspects(problem: Problem, linear: Linear, rod: Rod, tolerances: Tolerances)
         found += [
             Suspect(
                 "friction", _friction(problem, linear)[..., None], 1.0, 0.01, 0.0,
-                lambda value: f"friction seems to be there, of a coefficient of the order of {abs(value[0]):.1g}",
+                lambda value: f"friction seems to be there, "
+                f"of a coefficient of the order of {abs(value[0]):.1g}",
                 "state friction",
             ),
             Suspect(
                 "taper", taper, 1.0, 0.05, 0.0,
-                lambda value: f"the rod seems to taper, its radius to be about {abs(value[0]):.0%} {'smaller' if value[0] > 0 else 'larger'} at the tip",
+                lambda value: f"the rod seems to taper, its radius to be about {abs(value[0]):.0%}"
+                f" {'smaller' if value[0] > 0 else 'larger'} at the tip",
                 "calibration takes the rod to be uniform", linear=False,
             ),
             Suspect(

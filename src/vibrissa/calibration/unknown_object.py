@@ -267,7 +267,7 @@ def _held_out(fit: Fit) -> tuple[HeldOut, ...]:
 
 
 def _residuals(rod: Rod, solution: Solution) -> Residuals:
-    """Stretches as rows; the three constraints of each are the first three columns of `whitened`."""
+    """Stretches as rows; their three constraints are the first three columns of `whitened`."""
     units, columns = np.repeat([rod.force_scale, rod.moment_scale], 3), []
     for index, (case, misfit) in enumerate(zip(solution.cases, solution.misfits, strict=True)):
         own, there = case.bench.stretches, case.bench.frame.to_sensor

@@ -27,7 +27,7 @@ sound benches show 8 to 11.
 _ALIKE = 0.7
 """Share of the most significant cause's deviations from which another is as likely."""
 _LARGEST = 0.5
-"""Relative size of a cause beyond which a linear extrapolation says nothing: half a rod or a gain."""
+"""Relative size of a cause beyond which a linear extrapolation says nothing: half a gain."""
 _FAR = 3.0
 """Tolerances, with the estimate's own deviation, by which an estimate may move."""
 _STARTS = {

@@ -3,22 +3,34 @@
 The tip may touch first, or the flank, where the rod meets the object tangentially.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from vibrissa.forward.equations import Clamp, Scene, level, levels
-from vibrissa.forward.path import clamp_between
+from vibrissa.contact import Reached, Scene, State
+from vibrissa.forward.path import Path, Stretch, chosen
+from vibrissa.geometry.rotation import lengths
+from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.bracket import bracketed_root
-from vibrissa.numerics.compiled import compiled
+from vibrissa.numerics.lanes import lanes
 
-Scalar = Float[Array, ""]
+Scalar = Float[Any, ""]
 
+CLEAR = -1e-10
+"""Clearance [L] from which the straight rod counts as outside the object: rounding."""
+HEAD_ON_COSINE = -1 + 1e-9
+"""Cosine between normal and rod below which the rod meets the object along its own axis: the
+rounding of a normal.
+"""
 _SAMPLES = 16
 _REFINEMENTS = 16
+"""Newton's steps, held in a bracket: bisection alone would come to 1e-6 of the spacing."""
+_LOOKS = 16
+"""Poses looked at between two positions near the object, lest something thin be passed through."""
 
 
 class Clearance(NamedTuple):
@@ -40,97 +52,131 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     """
 
     def along(s: Scalar) -> Scalar:
-        return level(scene, clamp.point + s * clamp.tangent)
+        return scene.level(clamp.point + s * clamp.tangent)
 
-    samples = [jnp.asarray(index / _SAMPLES) for index in range(_SAMPLES + 1)]
-    sampled = levels(scene, [clamp.point + sample * clamp.tangent for sample in samples])
-    s = _lowest_sample(samples, sampled)
-    low, high = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
+    samples = np.linspace(0, 1, _SAMPLES + 1)
+    sampled = scene.each(scene.level, clamp.point + samples[:, None] * clamp.tangent)
+    s = jnp.argmin(sampled) / _SAMPLES
     slope = jax.grad(along)
 
     def refine(
         _: Array | int, state: tuple[Scalar, Scalar, Scalar]
     ) -> tuple[Scalar, Scalar, Scalar]:
-        # Newton's method for the zero of the slope, held in a bracket by bisection.
         s, low, high = state
         first, second = jax.jvp(slope, (s,), (jnp.ones_like(s),))
         low, high = jnp.where(first < 0, s, low), jnp.where(first < 0, high, s)
         target = s - first / jnp.where(second > 0, second, 1.0)
-        return (
-            jnp.where((second > 0) & (target > low) & (target < high), target, (low + high) / 2),
-            low,
-            high,
-        )
+        inside = (second > 0) & (target > low) & (target < high)
+        return jnp.where(inside, target, (low + high) / 2), low, high
 
-    refined, _, _ = lax.fori_loop(0, _REFINEMENTS, refine, (s, low, high))
-    if scene.surface.heavy:
-        return Clearance(*_nearer_in_loop(scene, clamp, jnp.stack([refined, s])), sampled[0])
-    s = jnp.where(along(refined) <= along(s), refined, s)
-    value, gradient = jax.value_and_grad(level, argnums=1)(scene, clamp.point + s * clamp.tangent)
-    return Clearance(value / jnp.sqrt(jnp.sum(gradient * gradient)), s, sampled[0])
-
-
-def _lowest_sample(samples: list[Scalar], values: list[Scalar]) -> Scalar:
-    best, lowest = samples[0], values[0]
-    for s, value in zip(samples[1:], values[1:], strict=True):
-        lower = value < lowest
-        best, lowest = jnp.where(lower, s, best), jnp.where(lower, value, lowest)
-    return best
-
-
-def _nearer_in_loop(
-    scene: Scene, clamp: Clamp, lengths: Float[Array, "2"]
-) -> tuple[Scalar, Scalar]:
-    values, gradients = lax.map(
-        lambda s: jax.value_and_grad(level, argnums=1)(scene, clamp.point + s * clamp.tangent),
-        lengths,
-    )
+    ends = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
+    refined, _, _ = lax.fori_loop(0, _REFINEMENTS, refine, (s, *ends))
+    candidates = jnp.stack([refined, s])
+    places = clamp.point + candidates[:, None] * clamp.tangent
+    values, gradients = scene.each(jax.value_and_grad(scene.level), places)
     distances = values / jnp.sqrt(jnp.sum(gradients * gradients, axis=-1))
-    first = values[0] <= values[1]
-    return jnp.where(first, distances[0], distances[1]), jnp.where(first, lengths[0], lengths[1])
+    better = values[0] <= values[1]
+    distance = jnp.where(better, distances[0], distances[1])
+    return Clearance(distance, jnp.where(better, refined, s), sampled[0])
 
 
-@compiled
-def clearances(
-    scene: Scene, point: Float[Array, "blocks 3 width"], tangent: Float[Array, "blocks 3 width"]
-) -> Float[Array, "blocks 2 width"]:
-    """Clearance of the straight rod and level at the clamp, for blocks of poses."""
-
-    def one(point: Float[Array, "3"], tangent: Float[Array, "3"]) -> Float[Array, "2"]:
-        found = clearance(scene, Clamp(point, tangent))
-        return jnp.stack([found.distance, found.at_clamp])
-
-    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (point, tangent))
+@lanes(blocks=64)
+def clearances(scene: Scene, clamp: Clamp) -> Clearance:
+    """Clearance of the straight rod at clamp poses."""
+    return clearance(scene, clamp)
 
 
-@compiled
-def first_contacts(
-    scene: Scene,
-    stretches: Float[Array, "blocks 14 width"],
-    distances: Float[Array, "blocks 2 width"],
-) -> Float[Array, "blocks 6 width"]:
-    """First contact on stretches of the path, given the straight rod's clearance at their ends:
-    clear at the start, not at the end.
+class Meeting(NamedTuple):
+    """First contact of the straight rod on a stretch."""
 
-    Returns the fraction of the stretch, the contact point [L] (3), the arc length [L], and the
-    cosine between normal and rod: −1 is head-on.
+    fraction: Scalar
+    """Of the stretch."""
+    point: Float[Any, "3"]
+    arc_length: Scalar
+    tangent: Float[Any, "3"]
+    """Of the rod, straight as it still is."""
+    cosine: Scalar
+    """Between normal and rod: −1 is head-on."""
+
+    @property
+    def phase(self) -> Scalar:
+        """As in `Touching`: at f = 0 the incidence is (1 + n·t0)/2."""
+        return (1 - self.arc_length) + self.cosine / 2
+
+
+@lanes(width=16, blocks=4, rarely=True)
+def meetings_on(scene: Scene, stretch: Stretch, before: Scalar, after: Scalar) -> Meeting:
+    """First contact on stretches at whose start the straight rod is clear by `before`, and at the
+    end not, by `after`.
     """
 
-    def one(ends: Float[Array, "14"], distances: Float[Array, "2"]) -> Float[Array, "6"]:
-        def distance(fraction: Scalar, _: Scalar) -> tuple[Scalar, Scalar]:
-            found = clearance(scene, clamp_between(ends, fraction))
-            return found.distance, found.arc_length
+    def distance(fraction: Scalar, _: Scalar) -> tuple[Scalar, Scalar]:
+        found = clearance(scene, stretch.clamp(fraction))
+        return found.distance, found.arc_length
 
-        zero, full = jnp.zeros(()), jnp.ones(())
-        fraction, s = bracketed_root(
-            distance, (zero, full), (distances[0], distances[1]), (zero, zero)
-        )
-        clamp = clamp_between(ends, fraction)
-        point = clamp.point + s * clamp.tangent
-        gradient = jax.grad(level, argnums=1)(scene, point)
-        cosine = jnp.dot(gradient, clamp.tangent) / jnp.sqrt(jnp.sum(gradient * gradient))
-        return jnp.concatenate([jnp.stack([fraction]), point, jnp.stack([s, cosine])])
+    zero, full = jnp.zeros(()), jnp.ones(())
+    fraction, s = bracketed_root(distance, (zero, full), (before, after), (zero, zero))
+    clamp = stretch.clamp(fraction)
+    point = clamp.point + s * clamp.tangent
+    gradient = jax.grad(scene.level)(point)
+    cosine = jnp.dot(gradient, clamp.tangent) / jnp.sqrt(jnp.sum(gradient * gradient))
+    return Meeting(fraction, point, s, clamp.tangent, cosine)
 
-    return lax.map(
-        lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (stretches, distances)
-    )
+
+def begun(meeting: Meeting, unknowns: int) -> Reached:
+    """States of first contacts (k, …): no force yet."""
+    count = len(meeting.fraction)
+    state = State(meeting.point, np.zeros(count), np.zeros((count, unknowns)))
+    return Reached(state, meeting.arc_length, meeting.tangent)
+
+
+class Meetings(NamedTuple):
+    """First contacts on a path, one a row: on the step of a lane that ends at a position."""
+
+    lane: Int[np.ndarray, "k"]
+    position: Int[np.ndarray, "k"]
+    at: Meeting
+
+
+def along_path(scene: Scene, path: Path) -> Clearance:
+    """Clearance of the straight rod at all positions (m, n)."""
+    clamps = Clamp(*(part.reshape(-1, 3) for part in path.clamps))
+    shape = path.point.shape[:2]
+    return Clearance(*(part.reshape(shape) for part in clearances(scene, clamps)))
+
+
+def first_meetings(
+    scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]
+) -> Meetings:
+    """First contacts that bend the rod, on steps from a clear position to one that is not, or
+    through something thin.
+    """
+    lane, step = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
+    direct = lane, step + 1, np.ones(len(lane)), distance[lane, step + 1]
+    thin = _passed_through(scene, path, clear, distance)
+    lane, index, stop, after = (np.concatenate(parts) for parts in zip(direct, thin, strict=True))
+    whole = path.stretch(lane, index)
+    parts = whole.rest(np.zeros((len(lane), 1)), stop[:, None])
+    met = meetings_on(scene, parts, distance[lane, index - 1], after)
+    met = met._replace(fraction=met.fraction * stop)
+    return chosen(Meetings(lane, index, met), met.cosine > HEAD_ON_COSINE)
+
+
+def _passed_through(
+    scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]
+) -> tuple[
+    Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]
+]:
+    """Steps between two clear positions on which the straight rod passes through something thin:
+    lane, index of the end, fraction and clearance within.
+    """
+    motion = lengths(np.diff(path.point, axis=1)) + lengths(np.diff(path.tangent, axis=1))
+    near = clear[:, :-1] & clear[:, 1:] & (np.maximum(distance[:, :-1], distance[:, 1:]) < motion)
+    lane, step = np.nonzero(near)
+    fractions = np.arange(1, _LOOKS) / _LOOKS
+    steps = jax.tree.map(lambda part: part[:, None], path.stretch(lane, step + 1))
+    clamps = Clamp(*(part.reshape(-1, 3) for part in steps.clamps(fractions[:, None])))
+    within = clearances(scene, clamps).distance.reshape(len(lane), _LOOKS - 1)
+    hit = np.flatnonzero((within < CLEAR).any(axis=1))
+    first = np.argmax(within[hit] < CLEAR, axis=1)
+    return lane[hit], step[hit] + 1, fractions[first], within[hit, first]

@@ -1,39 +1,19 @@
 """What an equilibrium means: reactions, energy, and the checks of the state that is returned."""
 
-from functools import reduce
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.forward.equations import (
-    Clamp,
-    Scene,
-    contact_state,
-    is_neutral,
-    level,
-    levels,
-    levels_elsewhere,
-    phase_difference,
-)
-from vibrissa.forward.friction import SIZE, UNKNOWNS, outside_cone, rubbing_state
-from vibrissa.mechanics.elastic_line import (
-    BEND_POINTS,
-    FINE_POINTS,
-    bent_part,
-    bent_part_finely,
-    bent_part_near,
-    contact_tangent,
-)
-from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, bending_energy, largest_curvature
-from vibrissa.numerics.compiled import compiled
+from vibrissa.contact import Law, Reached, Scene, State, touching
+from vibrissa.forward.path import chosen
+from vibrissa.mechanics.model import Bent, Clamp, is_neutral
+from vibrissa.numerics.lanes import lanes
 
-Scalar = Float[Array, ""]
-Vector = Float[Array, "3"]
+Scalar = Float[Any, ""]
+Vector = Float[Any, "3"]
 
 
 class Assessment(NamedTuple):
@@ -51,264 +31,173 @@ class Assessment(NamedTuple):
     residual: Scalar
     depth: Scalar
     """At most how deep the elastic line enters the object [L]; rounding where it does not, else
-    `closer_blocks` tells.
+    `deepest` tells.
     """
-    contact_tangent: Vector
+    tangent: Vector
+    """Of the rod at the contact."""
     plane_normal: Vector
     direction: Vector
     """Unit vector of the contact force on the rod: the normal without friction."""
 
 
+class Deepest(NamedTuple):
+    """Where the elastic line lies deepest in the object, and how deep [L]."""
+
+    point: Vector
+    depth: Scalar
+
+
 DEPTH_TOLERANCE = 1e-7
 """Depth [L] up to which the elastic line may enter the object: the error of its points."""
-
-WIDTH = 25
-"""Numbers in one assessment, in the order above."""
-
-ENERGY = 11
-"""Its column of the energy."""
-
-_DEPTH = 15
-_TAIL_POINTS, _FINE_TAIL_POINTS = 9, 193
-# Points for one next to the contact; lowest points looked at once more, and with how many points
-# between their neighbours.
-_CLOSE = 8
+_BEND, _TAIL = np.linspace(0, 1, 25), np.linspace(0, 1, 9)
+"""Points of the bent part, from the contact back to the clamp, and of the straight rest: as few as
+leave one position in a hundred to `deepest`.
+"""
+_FINE_BEND, _FINE_TAIL = np.linspace(0, 1, 385), np.linspace(0, 1, 193)
+_NEAR_BEND, _NEAR_TAIL = _FINE_BEND[:34:2], _TAIL[1] * np.linspace(0, 1, 9)
+"""Close to the contact, where a crease may hide between the few."""
 _LOWEST, _BETWEEN = 4, 33
-# What lies on a quadratic or a straight line from the contact doubles or quadruples from the first
-# point to the second.
+"""Lowest points looked at once more, and with how many points between their neighbours."""
 _LEAST_GROWTH, _MOST_GROWTH = 1.6, 5.0
+"""What lies on a straight line or a parabola from the contact doubles or quadruples from the first
+point to the second.
+"""
 _ROUNDING = 1e-9
 
 
-class Line(NamedTuple):
-    """The elastic line, seen from its contact."""
-
-    point: Vector
-    force: Scalar
-    direction: Vector
-    side: Vector
-    """Unit vector from the clamp to the line of the force."""
-    tangent: Vector
-    plane: BasePlane
-    rod: ContactOnRod
-    steepness: Scalar
-    """‖∇g‖ at the contact."""
-
-
-def assess(scene: Scene, x: Float[Array, "size"], clamp: Clamp) -> tuple[Assessment, Line]:
-    """Reactions, energy and residual of a state at a clamp pose, without the depth: x = (p, f), or
-    the eleven numbers of `friction`.
+def assessment(
+    scene: Scene, state: State, clamp: Clamp, law: Law
+) -> tuple[Assessment, Bent, Scalar]:
+    """Reactions, energy and residual of a state at a clamp pose, without the depth; the rod, and
+    the steepness of the level.
     """
-    if x.shape[0] == SIZE:
-        rubbing = rubbing_state(scene, x[:UNKNOWNS], clamp)
-        n, d, r, plane, rod, steepness = (
-            rubbing.normal, rubbing.direction, rubbing.to_contact, rubbing.plane, rubbing.rod, rubbing.steepness,
-        )  # fmt: skip
-        # The law itself needs the step before; the force's place in the cone does not.
-        residual, phase = (
-            jnp.max(jnp.abs(rubbing.conditions)) + outside_cone(scene, x[4:UNKNOWNS], n),
-            rubbing.phase,
-        )
-    else:
-        state = contact_state(scene, x, clamp)
-        n, d, r, plane, rod, steepness = (
-            state.normal,
-            state.normal,
-            state.to_contact,
-            state.plane,
-            state.rod,
-            state.steepness,
-        )
-        residual, phase = jnp.max(jnp.abs(state.residual)), phase_difference(rod)
-    bent = Pushed(x[:3], x[3], n, d, r, plane, rod, steepness)
-    return assessment_of(bent, clamp, phase, residual)
+    # The law of friction itself needs the step before; the force's place in the cone does not.
+    found = touching(scene, law, state, clamp)
+    bent, push = found.bent, found.push
+    axis = clamp.tangent
+    neutral = is_neutral(push.direction, axis)
+    across = jnp.cross(axis, jnp.where(neutral, bent.to_contact, push.direction))
+    across = across / jnp.sqrt(jnp.sum(across * across))
+    values = Assessment(
+        state.point,
+        state.force,
+        push.normal,
+        bent.arc_length,
+        bent.base_moment,
+        scene.rod.energy(bent),
+        scene.rod.largest_curvature(bent),
+        found.phase,
+        jnp.max(jnp.abs(found.residual)),
+        jnp.zeros(()),
+        found.tangent,
+        across,
+        push.direction,
+    )
+    return values, bent, push.steepness
 
 
-class Pushed(NamedTuple):
-    """A rod that one force pushes."""
-
-    point: Vector
-    force: Scalar
-    normal: Vector
-    direction: Vector
-    to_contact: Vector
-    plane: BasePlane
-    rod: ContactOnRod
-    steepness: Scalar
+@lanes(blocks=64)
+def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> Assessment:
+    """Assessments of states at clamp poses."""
+    values, bent, steepness = assessment(scene, state, clamp, law)
+    # Lest XLA evaluate the whole state again for each of the points.
+    bent, tangent, steepness = lax.optimization_barrier(  # type: ignore[no-untyped-call]
+        (bent, values.tangent, steepness)
+    )
+    return values._replace(depth=_depth(scene, bent, tangent, steepness))
 
 
-def assessment_of(
-    pushed: Pushed, clamp: Clamp, phase: Scalar, residual: Scalar
-) -> tuple[Assessment, Line]:
-    """The same of a rod whose equations have been evaluated."""
-    f, d, r, rod = pushed.force, pushed.direction, pushed.to_contact, pushed.rod
-    # r × F + m0 = 0: one contact carries no couple.
-    moment = -f * jnp.cross(r, d)
-    side = (r - jnp.dot(r, d) * d) / pushed.plane.lever_arm
-    tangent = contact_tangent(d, side, rod)
-    across = jnp.cross(clamp.tangent, jnp.where(is_neutral(d, clamp.tangent), side, d))
-    plane_normal = across / jnp.sqrt(jnp.sum(across * across))
-    assessment = Assessment(
-        pushed.point, f, pushed.normal, rod.arc_length, moment, bending_energy(rod, f), largest_curvature(pushed.plane, rod, f), phase,
-        residual, jnp.zeros_like(f), tangent, plane_normal, d,
-    )  # fmt: skip
-    return assessment, Line(pushed.point, f, d, side, tangent, pushed.plane, rod, pushed.steepness)
+def _line(
+    scene: Scene, bent: Bent, tangent: Vector, bend: Float[np.ndarray, "b"], tail: np.ndarray
+) -> tuple[Float[Array, "b 3"], Float[Array, "t 3"]]:
+    """Points at shares of the bent part, from the contact back, and of the straight rest."""
+    rest = jnp.maximum(1 - bent.arc_length, 0.0) * tail[:, None]
+    return scene.rod.points(bent, bend), bent.point + rest * tangent
 
 
-def _points(line: Line) -> tuple[list[Vector], list[Vector]]:
-    """25 points from the contact to the clamp, and 9 from the contact to the tip."""
-    p = line.point
-    bend = [
-        p + advance * line.direction - distance * line.side
-        for advance, distance in zip(*bent_part(line.plane, line.rod, line.force), strict=True)
-    ]
-    rest = jnp.maximum(1 - line.rod.arc_length, 0.0)
-    return bend, [
-        p + index / (_TAIL_POINTS - 1) * rest * line.tangent for index in range(_TAIL_POINTS)
-    ]
-
-
-def _depth(scene: Scene, line: Line) -> Scalar:
+def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scalar:
     """At most how deep the rod lies in the object, as far as few of its points tell."""
-    bend, tail = _points(line)
-    found = levels(scene, bend + tail)
-    steepness, s1 = line.steepness, line.rod.arc_length
+    s1, rest = bent.arc_length, jnp.maximum(1 - bent.arc_length, 0.0)
+    parts = _line(scene, bent, tangent, _BEND, _TAIL)
     # Between points the object may come nearer by half of their distance, which along the bend
     # varies by up to √2.
-    near = (
-        steepness * s1 / ((BEND_POINTS - 1) * np.sqrt(2)),
-        steepness * jnp.maximum(1 - s1, 0.0) / (2 * (_TAIL_POINTS - 1)),
-    )
-    least = jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1]))
+    near = steepness * s1 * _BEND[1] / np.sqrt(2), steepness * rest * _TAIL[1] / 2
+    count = len(_BEND)
+    levels = scene.each(scene.level, jnp.concatenate(parts))
+    least = jnp.minimum(_least(levels[:count], near[0]), _least(levels[count:], near[1]))
     if scene.surface.creased:
-        least = jnp.minimum(least, _least_close_by(scene, line))
+        close = jnp.concatenate(_line(scene, bent, tangent, _NEAR_BEND, _NEAR_TAIL))
+        found, few = scene.each(scene.level, close), len(_NEAR_BEND)
+        of_bend = _least(found[:few], steepness * s1 * _FINE_BEND[1] * np.sqrt(2))
+        of_tail = _least(found[few:], steepness * rest * _NEAR_TAIL[1] / 2)
+        least = jnp.minimum(least, jnp.minimum(of_bend, of_tail))
     if scene.surface.parts_count > 1:
-        others = levels_elsewhere(scene, bend + tail, line.point)
-        least = jnp.minimum(
-            least,
-            jnp.minimum(
-                _least_between(others[: len(bend)], near[0]),
-                _least_between(others[len(bend) :], near[1]),
-            ),
-        )
+        touched = jnp.argmin(scene.part_levels(bent.point))
+        levels = scene.each(scene.part_levels, jnp.concatenate(parts))
+        others = jnp.min(jnp.where(jnp.arange(levels.shape[1]) == touched, jnp.inf, levels), axis=1)
+        for part, by in ((others[:count], near[0]), (others[count:], near[1])):
+            least = jnp.minimum(least, jnp.min((part[1:] + part[:-1]) / 2) - by)
     return -least / steepness
 
 
-def _least(levels: list[Scalar], near: Scalar) -> Scalar:
+def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
     """Least level of points, lessened by `near` where a point is lower than its neighbours, or
     where the first do not rise as behind a contact.
     """
-    first, second = levels[1:3]
+    first, second = levels[1], levels[2]
     # From a tip as s, from a tangential contact as s².
     rises = (second - _LEAST_GROWTH * first > -_ROUNDING) & (
         _MOST_GROWTH * first - second > -_ROUNDING
     )
-    lowest = jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near))
-    for before, here, after in zip(levels, levels[1:], levels[2:], strict=False):
-        lowest = jnp.minimum(lowest, here - jnp.where(here < jnp.minimum(before, after), near, 0.0))
-    return jnp.minimum(lowest, levels[-1] - jnp.where(levels[-1] < levels[-2], near, 0.0))
+    inner = levels[1:-1]
+    lower = jnp.append(inner < jnp.minimum(levels[:-2], levels[2:]), levels[-1] < levels[-2])
+    beyond = jnp.min(levels[1:] - jnp.where(lower, near, 0.0))
+    return jnp.minimum(jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near)), beyond)
 
 
-def _least_between(levels: list[Scalar], near: Scalar) -> Scalar:
-    """Least level that a distance can have between points."""
-    return reduce(jnp.minimum, [(before + after) / 2 - near for before, after in pairwise(levels)])
+@lanes(width=16, blocks=16, rarely=True)
+def deepest(scene: Scene, state: State, clamp: Clamp, law: Law) -> Deepest:
+    """Deepest of many points of the rod: the second contact that is missing, if there is one.
 
-
-def _least_close_by(scene: Scene, line: Line) -> Scalar:
-    """The same of points close to the contact, where a crease may hide between the few."""
-    advance, distance = bent_part_near(line.plane, line.rod, line.force)
-    p, rest = line.point, jnp.maximum(1 - line.rod.arc_length, 0.0)
-    bend = [p + a * line.direction - d * line.side for a, d in zip(advance, distance, strict=True)]
-    tail = [
-        p + index / (_TAIL_POINTS - 1) / _CLOSE * rest * line.tangent for index in range(_CLOSE + 1)
-    ]
-    found = levels(scene, bend + tail)
-    near = (
-        line.steepness * line.rod.arc_length / (FINE_POINTS - 1) * np.sqrt(2),
-        line.steepness * rest / (2 * _CLOSE * (_TAIL_POINTS - 1)),
-    )
-    return jnp.minimum(_least(found[: len(bend)], near[0]), _least(found[len(bend) :], near[1]))
-
-
-def closer(scene: Scene, line: Line) -> Float[Array, "4"]:
-    """Deepest of many points of the rod, and its depth [L].
-
-    From below, by up to h²/(8R) for points h ≈ L/6000 apart at the deepest place and an object that
-    is round with radius R there, and by h/2 where it is sharp.
+    The depth is from below, by up to h²/(8R) for points h ≈ L/6000 apart at the deepest place and
+    an object that is round with radius R there, and by h/2 where it is sharp.
     """
-    advance, distance = bent_part_finely(line.plane, line.rod, line.force)
-    bend = line.point + advance[:, None] * line.direction - distance[:, None] * line.side
-    rest = jnp.linspace(0.0, 1.0, _FINE_TAIL_POINTS) * jnp.maximum(1 - line.rod.arc_length, 0.0)
-    tail = line.point + rest[:, None] * line.tangent
+    values, bent, steepness = assessment(scene, state, clamp, law)
+    bend, tail = _line(scene, bent, values.tangent, _FINE_BEND, _FINE_TAIL)
     # From tip to clamp, with the contact once.
     points = jnp.concatenate([tail[:0:-1], bend])
-
-    def levels_at(points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-        def one(point: Vector) -> Scalar:
-            return level(scene, point)
-
-        return jnp.asarray(lax.map(one, points) if scene.surface.heavy else jax.vmap(one)(points))
-
-    coarse = levels_at(points)
+    coarse = scene.each(scene.level, points)
     padded = jnp.pad(coarse, 1, constant_values=jnp.inf)
     lower = (coarse < padded[:-2]) & (coarse <= padded[2:])
-    places = jnp.clip(
-        lax.top_k(jnp.where(lower, -coarse, -jnp.inf), _LOWEST)[1], 1, len(points) - 2
-    )
+    lowest = lax.top_k(jnp.where(lower, -coarse, -jnp.inf), _LOWEST)[1]
+    places = jnp.clip(lowest, 1, len(points) - 2)
     before, here, after = points[places - 1], points[places], points[places + 1]
     t = jnp.linspace(-1.0, 1.0, _BETWEEN)[:, None, None]
-    between = (here + t / 2 * (after - before) + t**2 / 2 * (after - 2 * here + before)).reshape(
-        -1, 3
-    )
-    fine = levels_at(between)
-    all_points, all_levels = jnp.concatenate([points, between]), jnp.concatenate([coarse, fine])
-    lowest = jnp.argmin(all_levels)
-    return jnp.append(all_points[lowest], -all_levels[lowest] / line.steepness)
-
-
-@compiled
-def assess_blocks(
-    scene: Scene, x: Float[Array, "blocks size width"], clamps: Float[Array, "blocks 6 width"]
-) -> Float[Array, "blocks 25 width"]:
-    """Assessments of blocks of states; clamps hold point and tangent."""
-
-    def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> tuple[Float[Array, "25"], Line]:
-        assessment, line = assess(scene, x, Clamp(clamp[:3], clamp[3:]))
-        return jnp.concatenate([jnp.atleast_1d(part) for part in assessment]), line
-
-    fields, lines = lax.map(
-        lambda block: jax.vmap(one, in_axes=1, out_axes=(1, -1))(*block), (x, clamps)
-    )
-    # In a loop of its own, lest XLA evaluate the whole state again for each of the points.
-    depths = lax.map(jax.vmap(lambda line: _depth(scene, line), in_axes=-1), lines)
-    return jnp.asarray(fields).at[:, _DEPTH].set(depths)
-
-
-@compiled
-def closer_blocks(
-    scene: Scene, x: Float[Array, "blocks size width"], clamps: Float[Array, "blocks 6 width"]
-) -> Float[Array, "blocks 4 width"]:
-    """Deepest points of the elastic lines of states, and how deep they lie in the object [L]: the
-    second contact that is missing, if there is one.
-    """
-
-    def one(x: Float[Array, "size"], clamp: Float[Array, "6"]) -> Float[Array, "4"]:
-        return closer(scene, assess(scene, x, Clamp(clamp[:3], clamp[3:]))[1])
-
-    return lax.map(lambda block: jax.vmap(one, in_axes=1, out_axes=1)(*block), (x, clamps))
+    curve = here + t / 2 * (after - before) + t**2 / 2 * (after - 2 * here + before)
+    between = curve.reshape(-1, 3)
+    everywhere = jnp.concatenate([points, between])
+    levels = jnp.concatenate([coarse, scene.each(scene.level, between)])
+    place = jnp.argmin(levels)
+    return Deepest(everywhere[place], -levels[place] / steepness)
 
 
 def assessed(
-    scene: Scene, x: Float[np.ndarray, "k size"], clamps: Float[np.ndarray, "k 6"]
-) -> tuple[Float[np.ndarray, "k 25"], Float[np.ndarray, "k 3"]]:
-    """Assessments of states, their depths looked at closely; and the deepest points [L] of those
-    that are deep or nearly so, NaN of the others.
+    scene: Scene, law: Law, state: State, clamp: Clamp
+) -> tuple[Assessment, Float[np.ndarray, "k 3"]]:
+    """Assessments of states (k, …), their depths looked at closely; and the deepest points [L] of
+    those that are deep or nearly so, NaN of the others. A law holds a row a state, if anything.
     """
-    fields = scene.in_blocks(assess_blocks, x, clamps)
-    deepest = np.full((len(x), 3), np.nan)
-    left_open = fields[:, _DEPTH] > DEPTH_TOLERANCE
-    if left_open.any():
-        found = scene.in_blocks(closer_blocks, x[left_open], clamps[left_open])
-        fields = fields.copy(order="K")
-        deepest[left_open], fields[left_open, _DEPTH] = found[:, :3], found[:, 3]
-    return fields, deepest
+    values = assess(scene, state, clamp, law)
+    places = np.full(state.point.shape, np.nan)
+    left_open = np.flatnonzero(values.depth > DEPTH_TOLERANCE)
+    if left_open.size:
+        found = deepest(scene, *chosen((state, clamp, law), left_open))
+        depth = values.depth.copy()
+        depth[left_open], places[left_open] = found.depth, found.point
+        values = values._replace(depth=depth)
+    return values, places
+
+
+def reached_by(values: Assessment, state: State) -> Reached:
+    """What assessed states hand on to the next position."""
+    return Reached(state, values.arc_length, values.tangent)

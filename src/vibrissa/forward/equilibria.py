@@ -2,22 +2,25 @@
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scipy.special import ellipj
 
+from vibrissa.contact import FRICTIONLESS, Scene, State, touching
 from vibrissa.contacts import ContactKind
 from vibrissa.forward.assess import DEPTH_TOLERANCE
-from vibrissa.forward.equations import Clamp, Scene, contact_state
+from vibrissa.forward.path import chosen
 from vibrissa.forward.scan import touched_surface
-from vibrissa.forward.search import eased, seeds_around, solved_from
+from vibrissa.forward.search import eased, seeds_around, solutions
 from vibrissa.forward.second_variation import NODES, least_second_variation
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import third_axis, unit_quaternions
-from vibrissa.mechanics.elastic_line import elastic_line
+from vibrissa.mechanics.elastic_line import directors, elastic_line
+from vibrissa.mechanics.elastica import Elastica
+from vibrissa.mechanics.model import Clamp
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
@@ -26,7 +29,6 @@ from vibrissa.trail import Trail
 # Magnitudes of the force [EI/L²] from which Newton's method starts, by the number of inflections:
 # about (2K/s₁)² and more.
 _FORCES = ((0.05, 0.5, 1.5, 4.0, 8.0), (12.0, 20.0, 30.0, 45.0), (50.0, 75.0, 110.0))
-_SAME = 1e-6
 _CONVERGED = 1e-10
 _LINE_POINTS = 401
 
@@ -117,94 +119,61 @@ def equilibria(
         raise ValueError(
             f"position = {clamp.tolist()}: the clamp is inside the object; allowed is outside"
         )
-    scene, pose = Scene(touched, rod.length), Trail(clamp[None], turn[None])
-    base, axis = clamp / rod.length, third_axis(turn)
+    pose, scene = Trail(clamp[None], turn[None]), Scene(touched, rod.length)
+    base = Clamp(clamp / rod.length, third_axis(turn))
     found: list[Equilibrium] = []
     for inflections, forces in enumerate(_FORCES):
-        for x in _solutions(scene, base, axis, inflections, forces):
-            equilibrium = _described(rod, scene, pose, x, inflections)
+        bent = scene._replace(rod=Elastica(inflections))
+        seeds = eased(bent, base, seeds_around(bent, base, [], forces))
+        state = solutions(bent, base, FRICTIONLESS, seeds).state
+        for row in range(len(state.force)):
+            equilibrium = _described(rod, bent, pose, base, chosen(state, row), inflections)
             if equilibrium is not None:
                 found.append(equilibrium)
     return sorted(found, key=lambda equilibrium: equilibrium.energy)
 
 
-def _solutions(
-    scene: Scene,
-    point: Float[np.ndarray, "3"],
-    axis: Float[np.ndarray, "3"],
-    inflections: int,
-    forces: tuple[float, ...],
-) -> list[Float[np.ndarray, "4"]]:
-    seeds = seeds_around(scene, point, axis, [], forces)
-    if not len(seeds):
-        return []
-    clamp = np.concatenate([point, axis])
-    return list(
-        solved_from(scene, eased(scene, seeds, clamp, inflections), clamp, inflections)
-        .distinct(clamp)
-        .x
-    )
-
-
 def _described(
-    rod: Rod, scene: Scene, pose: Trail, x: Float[np.ndarray, "4"], inflections: int
+    rod: Rod, scene: Scene, pose: Trail, clamp: Clamp, state: State, inflections: int
 ) -> Equilibrium | None:
     """The solution in the user's terms, or None if it is not admissible."""
-    axis, clamp = pose.axis[0], pose.position[0] / rod.length
-    state = contact_state(
-        scene, jnp.asarray(x), Clamp(jnp.asarray(clamp), jnp.asarray(axis)), inflections
-    )
-    n, r, force = np.asarray(state.normal), np.asarray(state.to_contact), float(x[3])
-    k2, s1 = float(state.rod.modulus), float(state.rod.arc_length)
-    if not (
-        np.abs(np.asarray(state.residual)).max() < _CONVERGED
-        and s1 <= 1 + _CONVERGED
-        and k2 <= 0.5 + _CONVERGED
-    ):
+    state, at = (jax.tree.map(jnp.asarray, part) for part in (state, clamp))
+    found = touching(scene, FRICTIONLESS, state, at)
+    bent, n = found.bent, np.asarray(found.push.normal)
+    s1, away = float(bent.arc_length), 0.5 - float(bent.incidence)
+    met = np.abs(np.asarray(found.residual)).max() < _CONVERGED
+    if not (met and s1 <= 1 + _CONVERGED and away >= -_CONVERGED):
         return None
-    side = (r - (r @ n) * n) / float(state.plane.lever_arm) * (-1.0) ** inflections
-    s = np.linspace(0, 1, _LINE_POINTS)
-    line = clamp + elastic_line(r, n, side, force, k2, s1, s)
+    side = np.asarray(Elastica().side(bent)) * (-1.0) ** inflections
+    shape = (n, side, float(state.force), float(bent.incidence), s1)
+    reach = np.asarray(bent.to_contact)
+    line = clamp.point + elastic_line(reach, *shape, np.linspace(0, 1, _LINE_POINTS))
     if -float(scene.surface.levels(line * rod.length).min()) / rod.length > DEPTH_TOLERANCE:
         return None
-    tangential = (1 - s1) > (0.5 - k2)
-    nodes = np.linspace(0, s1, NODES)
-    tangent, curvature, plane_normal = _directors(n, side, force, k2, s1, nodes)
+    tangential = (1 - s1) > away
+    tangent, curvature, plane_normal = directors(*shape, np.linspace(0, s1, NODES))
+    point = np.asarray(state.point)
     variation = least_second_variation(
-        scene, x[:3], force, tangent, curvature, plane_normal, s1, tangential=tangential
+        scene,
+        point,
+        float(state.force),
+        tangent,
+        curvature,
+        plane_normal,
+        s1,
+        tangential=tangential,
     )
-    contact = x[:3] * rod.length
-    support = -force * n
+    contact = point * rod.length
+    force, moment = -float(state.force) * n, np.asarray(bent.base_moment)
     return Equilibrium(
         kind=ContactKind.TANGENTIAL if tangential else ContactKind.TIP,
         point=scene.surface.foot(contact) if isinstance(scene.surface, Offset) else contact,
         normal=n,
         arc_length=s1 * rod.length,
-        reactions=Reactions(
-            pose, support[None] * rod.force_scale, np.cross(r, support)[None] * rod.moment_scale
-        ),
-        energy=force * (float(state.rod.advance) - (1 - 2 * k2) * s1) * rod.moment_scale,
+        reactions=Reactions(pose, force[None] * rod.force_scale, moment[None] * rod.moment_scale),
+        energy=float(scene.rod.energy(bent)) * rod.moment_scale,
         stable=variation > 0,
         second_variation=variation * rod.force_scale,
         inflections=inflections,
         elastic_line=line * rod.length,
     )
-
-
-def _directors(
-    n: Float[np.ndarray, "3"],
-    side: Float[np.ndarray, "3"],
-    force: float,
-    k2: float,
-    s1: float,
-    s: Float[np.ndarray, "nodes"],
-) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, "nodes"], Float[np.ndarray, "3"]]:
-    """Tangents, curvatures about the plane's normal, and that normal: with u = √f (s₁ − s), sin a =
-    k cd u and κ = 2 √f k k' sd u.
-    """
-    u = np.sqrt(force) * (s1 - s)
-    sn, cn, dn, _ = ellipj(u, k2)
-    sine = np.sqrt(k2) * cn / dn
-    cosine = np.sqrt(1 - k2) / dn
-    tangent = -(1 - 2 * sine**2)[:, None] * n + (2 * sine * cosine)[:, None] * side
-    return tangent, 2 * np.sqrt(force * k2 * (1 - k2)) * sn / dn, np.cross(side, n) * -1.0

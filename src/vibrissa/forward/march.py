@@ -6,18 +6,19 @@ Jacobian, or finds the straight rod in the object without having met it, it stop
 `follow` resolves the stretch, and the march resumes behind it.
 """
 
-from collections.abc import Callable
 from enum import IntEnum
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.forward.equations import Clamp, NewtonStep, Scene, newton_step
-from vibrissa.numerics.blocks import AnyArray
-from vibrissa.numerics.compiled import compiled
+from vibrissa.contact import Law, Reached, Scene, State, step_from, touching
+from vibrissa.mechanics.model import Clamp
+from vibrissa.numerics.lanes import lanes
+
+Scalar = Float[Any, ""]
 
 
 class Mode(IntEnum):
@@ -30,248 +31,219 @@ class Mode(IntEnum):
 
 
 class Legs(NamedTuple):
-    """What the march needs of each lane, in blocks; the last axis is the lane."""
+    """What the march needs of a lane; the first six of all its positions (n, …)."""
 
-    point: Float[AnyArray, "blocks n 3 width"]
-    tangent: Float[AnyArray, "blocks n 3 width"]
-    clear: Bool[AnyArray, "blocks n width"]
+    clamp: Clamp
+    clear: Bool[Any, "n"]
     """The straight rod is outside the object."""
-    met: Bool[AnyArray, "blocks n width"]
+    met: Bool[Any, "n"]
     """First contact of the straight rod lies on the stretch that ends here."""
-    meeting: Float[AnyArray, "blocks n size width"]
+    meeting: Reached
     """State at that first contact."""
-    start: Int[AnyArray, "blocks width"]
-    """Index at which the lane enters, with `mode` and `x` given there."""
-    mode: Int[AnyArray, "blocks width"]
-    x: Float[AnyArray, "blocks size width"]
-    sign: Float[AnyArray, "blocks width"]
+    start: Int[Any, ""]
+    """Index at which the lane enters, with `mode` and `reached` given there."""
+    mode: Int[Any, ""]
+    reached: Reached
+    sign: Scalar
     """Sign of the Jacobian's determinant: negative on a stable branch."""
 
 
 class Steps(NamedTuple):
-    """What the march found, in blocks."""
+    """What the march found at the positions of a lane (n, …)."""
 
-    x: Float[Array, "blocks n size width"]
-    mode: Int[Array, "blocks n width"]
-    figure: Float[Array, "blocks n width"]
+    reached: Reached
+    mode: Int[Any, "n"]
+    figure: Float[Any, "n"]
     """Determinant of the Jacobian; with friction, how far outside the cone the force would lie
     without sliding.
     """
-    phase: Float[Array, "blocks n width"]
+    phase: Float[Any, "n"]
 
 
 class _Carry(NamedTuple):
-    x: Array
-    before: Array
-    second_before: Array
+    last: Reached
+    before: Float[Any, "four"]
+    """Point and force of the position before the last, and of that before."""
+    second_before: Float[Any, "four"]
     age: Array
     mode: Array
-    sign: Array
 
 
 TOLERANCE = 1e-9
 """Largest residual from which one more quadratic step is taken, and no other."""
-
-_MOST_ITERATIONS = 12
-JUMP = 8.0
-JUMP_FLOOR = 0.02
-_MISS = 0.7
-_MISS_FLOOR = 0.005
+JUMP, JUMP_FLOOR = 8.0, 0.02
+"""A contact that moves farther [L] than this many times the clamp's motion, and a bit, has jumped:
+before a smooth change of phase it may move several times as fast as the clamp.
+"""
+_MISS, _MISS_FLOOR = 0.7, 0.005
+"""The same of how far it is from where it was expected, in shares of its own motion."""
+MOST_ITERATIONS = {True: 12, False: 25}
+"""On a branch, where a guess that is no good is better resolved with care; and with friction, whose
+conditions have corners.
+"""
 
 
 class Solved(NamedTuple):
-    """What Newton's method ends with; lanes last."""
+    """What Newton's method ends with."""
 
-    x: Float[Array, "size width"]
-    residual: Float[Array, "width"]
-    figure: Float[Array, "width"]
-    phase: Float[Array, "width"]
+    reached: Reached
+    residual: Scalar
+    figure: Scalar
+    phase: Scalar
 
 
-class Solver(NamedTuple):
-    """Newton's method for one position of all lanes."""
+def solved(
+    scene: Scene,
+    law: Law,
+    guess: State,
+    clamp: Clamp,
+    before: Reached | None,
+    side: Float[Any, "3"] | None,
+    active: Bool[Any, ""],
+) -> Solved:
+    """Newton's method for one position, given the one before, if the lane is active."""
 
-    solve: Callable[[Scene, Array, Clamp, Array, Array, Array], Solved]
-    """Of scene, guess (size, width), clamps, the lanes that matter, and of before the states (size,
-    width) and clamp points (3, width).
+    def iterate(state: tuple[Solved, Array]) -> tuple[Solved, Array]:
+        found = once(scene, law, state[0].reached.state, clamp, before, side)
+        return found, state[1] + 1
+
+    def unfinished(state: tuple[Solved, Array]) -> Array:
+        return active & (state[0].residual > TOLERANCE) & (state[1] < MOST_ITERATIONS[law.branch])
+
+    nan = jnp.full((), jnp.nan)
+    start = Solved(Reached(guess, nan, jnp.full(3, jnp.nan)), jnp.full((), jnp.inf), nan, nan)
+    found: tuple[Solved, Array] = lax.while_loop(
+        unfinished, iterate, (start, jnp.zeros((), dtype=int))
+    )
+    return found[0]
+
+
+def once(
+    scene: Scene,
+    law: Law,
+    state: State,
+    clamp: Clamp,
+    before: Reached | None,
+    side: Float[Any, "3"] | None,
+) -> Solved:
+    """One step of it; all but the state are of before the step."""
+
+    def conditions(x: Float[Array, "unknowns"]) -> tuple[Any, Any]:
+        found = touching(scene, law, State.of(x), clamp, before, side)
+        return found.residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
+
+    step, (arc_length, tangent, phase, beyond) = step_from(conditions, state.flat)
+    figure = step.determinant if law.branch else beyond
+    reached = Reached(State.of(step.x), arc_length, tangent)
+    return Solved(reached, step.residual, figure, phase)
+
+
+@lanes(blocks=1, alone=True)
+def march(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
+    """Walk a lane through the first `count` of its positions, for what is shared: scene, law and
+    count.
     """
-    branch: bool
-    """Whether the figure keeps its sign."""
-
-
-March: TypeAlias = Callable[[Scene, Legs, AnyArray, AnyArray], Steps]
-
-
-def marching(solver: Solver) -> March:
-    """A march with a given solver."""
-
-    @compiled
-    def march(
-        scene: Scene, legs: Legs, count: Int[AnyArray, ""], blocks: Int[AnyArray, ""]
-    ) -> Steps:
-        """Walk the lanes of the first `blocks` blocks through the first `count` positions."""
-        legs = Legs(*(jnp.asarray(part) for part in legs))
-        lanes = legs.point.shape[0]
-        steps = Steps(*(jnp.broadcast_to(part, (lanes, *part.shape)) for part in _nothing(legs)))
-
-        def walk(index: Array, steps: Steps) -> Steps:
-            found = _march_block(solver, scene, Legs(*(part[index] for part in legs)), count)
-            return Steps(
-                *(whole.at[index].set(part) for whole, part in zip(steps, found, strict=True))
-            )
-
-        walked: Steps = lax.fori_loop(0, blocks, walk, steps)
-        return walked
-
-    return march
-
-
-def _nothing(legs: Legs) -> Steps:
-    capacity, size, width = legs.meeting.shape[-3:]
-    nothing = jnp.full((capacity, width), jnp.nan)
-    return Steps(
-        jnp.full((capacity, size, width), jnp.nan),
-        jnp.full((capacity, width), int(Mode.WAITING)),
-        nothing,
-        nothing,
+    scene, law, count = shared
+    size = legs.clear.shape[0]
+    nothing: Steps = jax.tree.map(
+        lambda part: jnp.full((size, *part.shape), jnp.nan),
+        Steps(legs.reached, *(legs.sign,) * 3),
     )
-
-
-def _march_block(solver: Solver, scene: Scene, legs: Legs, count: Int[AnyArray, ""]) -> Steps:
-    steps = _nothing(legs)
-    width = legs.point.shape[-1]
-    waiting, start = jnp.full(width, int(Mode.WAITING)), jnp.asarray(legs.x)
-    carry = _Carry(
-        start, start, start, jnp.zeros(width, dtype=int), waiting, jnp.asarray(legs.sign)
-    )
+    steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
+    start = jnp.append(legs.reached.state.point, legs.reached.state.force)
+    waiting = jnp.asarray(int(Mode.WAITING))
+    carry = _Carry(legs.reached, start, start, jnp.zeros((), dtype=int), waiting)
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
-        carry, steps = state
-        carry, row = _advance(solver, scene, legs, index, carry)
-        return carry, Steps(
-            *(whole.at[index].set(part) for whole, part in zip(steps, row, strict=True))
-        )
+        carry, row = _advance(scene, law, legs, index, state[0])
+        steps = jax.tree.map(lambda whole, part: whole.at[index].set(part), state[1], row)
+        return carry, steps
 
-    walked: tuple[_Carry, Steps] = lax.fori_loop(
-        jnp.min(legs.start), count, advance, (carry, steps)
-    )
+    walked: tuple[_Carry, Steps] = lax.fori_loop(0, count, advance, (carry, steps))
     return walked[1]
 
 
 def _advance(
-    solver: Solver, scene: Scene, legs: Legs, index: Array, carry: _Carry
+    scene: Scene, law: Law, legs: Legs, index: Array, carry: _Carry
 ) -> tuple[_Carry, Steps]:
-    clamp = Clamp(legs.point[index], legs.tangent[index])
-    free, touching = carry.mode == Mode.FREE, carry.mode == Mode.CONTACT
+    clamp = Clamp(legs.clamp.point[index], legs.clamp.tangent[index])
+    clear = legs.clear[index]
+    free, touches = carry.mode == Mode.FREE, carry.mode == Mode.CONTACT
     entering = free & legs.met[index]
-    active = touching | entering
-    met = legs.meeting[index]
-    guess = _extrapolated(carry)
-    start, before = jnp.where(entering, met, guess), jnp.where(entering, met, carry.x)
-    x, residual, figure, phase = solver.solve(
-        scene, start, clamp, active, before, legs.point[jnp.maximum(index - 1, 0)]
-    )
+    active = touches | entering
+    last = carry.last
+    here = jnp.append(last.state.point, last.state.force)
+    expected = _next(here, carry.before, carry.second_before, carry.age)
+    # The tangential force starts from where it was, for sliding may stop or turn.
+    guess = State(expected[:3], expected[3], last.state.lean)
+    meeting = jax.tree.map(lambda part: part[index], legs.meeting)
+    guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
+    before = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting, last)
+    side = before.state.point - legs.clamp.point[jnp.maximum(index - 1, 0)]
+    found = solved(scene, law, guess, clamp, before, side, active)
 
-    solved = residual <= TOLERANCE
-    moved, missed = _distance(x, carry.x), _distance(x, guess)
-    clamp_moved = _clamp_motion(legs, index)
-    tolerated = _MISS_FLOOR + _MISS * moved
-    if not solver.branch:
+    converged = found.residual <= TOLERANCE
+    state = found.reached.state
+    moved, missed = _length(state.point - here[:3]), _length(state.point - expected[:3])
+    tolerated = moved
+    if not law.branch:
         # With friction the contact turns off its way at a corner of the trail, without a jump, and
         # the guesses behind it still carry that on.
-        strides = _distance(carry.x, carry.before), _distance(carry.before, carry.second_before)
-        tolerated = (
-            _MISS_FLOOR
-            + _MISS * jnp.maximum(moved, jnp.maximum(*strides))
-            + JUMP * _clamp_miss(legs, index, carry.age)
-        )
+        strides = [
+            _length(a - b)
+            for a, b in ((here[:3], carry.before[:3]), (carry.before[:3], carry.second_before[:3]))
+        ]
+        tolerated = jnp.maximum(moved, jnp.maximum(*strides))
+    tolerated = _MISS_FLOOR + _MISS * tolerated
+    if not law.branch:
+        tolerated += JUMP * _clamp_miss(legs.clamp, index, carry.age)
     misses = (carry.age >= 1) & (missed > tolerated)
-    leaps = touching & ((moved > JUMP_FLOOR + JUMP * clamp_moved) | misses)
+    leaps = touches & ((moved > JUMP_FLOOR + JUMP * _clamp_motion(legs.clamp, index)) | misses)
     # A contact that pulls is one that has been lost; the solution beyond tells by how much.
-    released = touching & solved & ~leaps & (x[3] < 0)
-    held = active & solved & ~leaps & (x[3] >= 0)
-    if solver.branch:
-        held &= figure * carry.sign > 0
-    clear = legs.clear[index]
+    released = touches & converged & ~leaps & (state.force < 0)
+    held = active & converged & ~leaps & (state.force >= 0)
+    if law.branch:
+        held &= found.figure * legs.sign > 0
     mode = jnp.where(held, Mode.CONTACT, Mode.LOST)
     mode = jnp.where((free & ~entering & clear) | (released & clear), Mode.FREE, mode)
     given = index == legs.start
     mode = jnp.where(given, legs.mode, mode)
     mode = jnp.where((carry.mode == Mode.WAITING) & ~given, Mode.WAITING, mode)
     mode = jnp.where(carry.mode == Mode.LOST, Mode.LOST, mode)
-    x = jnp.where(given, legs.x, x)
+    reached = jax.tree.map(
+        lambda known, new: jnp.where(given, known, new), legs.reached, found.reached
+    )
 
     fresh = entering | given
-    age = jnp.where(fresh, 0, carry.age + 1)
+    now = jnp.append(reached.state.point, reached.state.force)
     following = _Carry(
-        x, jnp.where(fresh, x, carry.x), jnp.where(fresh, x, carry.before), age, mode, carry.sign
+        reached,
+        jnp.where(fresh, now, here),
+        jnp.where(fresh, now, carry.before),
+        jnp.where(fresh, 0, carry.age + 1),
+        mode,
     )
-    return following, Steps(x, mode, figure, phase)
+    return following, Steps(reached, mode, found.figure, found.phase)
 
 
-def _distance(x: Array, y: Array) -> Float[Array, "width"]:
-    """Between two contact points."""
-    return jnp.sqrt(jnp.sum((x - y)[:3] ** 2, axis=0))
+def _length(vector: Float[Array, "n"]) -> Scalar:
+    return jnp.sqrt(jnp.sum(vector**2))
 
 
-def _extrapolated(carry: _Carry) -> Float[Array, "size width"]:
-    return _next(carry.x, carry.before, carry.second_before, carry.age)
-
-
-def _next(
-    last: Array, before: Array, second_before: Array, age: Array
-) -> Float[Array, "size width"]:
+def _next(last: Array, before: Array, second_before: Array, age: Array) -> Array:
+    """Extrapolation by as many of the last three as the contact is old."""
     linear = 2 * last - before
     quadratic = 3 * (last - before) + second_before
     return jnp.where(age >= 2, quadratic, jnp.where(age >= 1, linear, last))
 
 
-def _clamp_miss(legs: Legs, index: Array, age: Array) -> Float[Array, "width"]:
-    """How far the clamp is from where its motion would have taken it, by the rule of
-    `_extrapolated`.
-    """
-    last, before, second_before = (jnp.maximum(index - back, 0) for back in (1, 2, 3))
-    misses = (
-        at[index] - _next(at[last], at[before], at[second_before], age)
-        for at in (legs.point, legs.tangent)
-    )
-    return jnp.sqrt(sum(jnp.sum(miss**2, axis=0) for miss in misses))
+def _clamp_miss(clamp: Clamp, index: Array, age: Array) -> Scalar:
+    """How far the clamp is from where its motion would have taken it, by the same rule."""
+    back = [jnp.maximum(index - steps, 0) for steps in (1, 2, 3)]
+    misses = [at[index] - _next(at[back[0]], at[back[1]], at[back[2]], age) for at in clamp]
+    return _length(jnp.concatenate(misses))
 
 
-def _clamp_motion(legs: Legs, index: Array) -> Float[Array, "width"]:
+def _clamp_motion(clamp: Clamp, index: Array) -> Scalar:
     before = jnp.maximum(index - 1, 0)
-    moved = jnp.sum((legs.point[index] - legs.point[before]) ** 2, axis=0)
-    return jnp.sqrt(moved + jnp.sum((legs.tangent[index] - legs.tangent[before]) ** 2, axis=0))
-
-
-def iterated(step: Callable[[Array], Solved], guess: Array, active: Array, most: int) -> Solved:
-    """Newton's method until every active lane has converged."""
-
-    def unfinished(state: tuple[Solved, Array]) -> Array:
-        solved, iteration = state
-        return jnp.any(active & (solved.residual > TOLERANCE)) & (iteration < most)
-
-    def iterate(state: tuple[Solved, Array]) -> tuple[Solved, Array]:
-        return step(state[0].x), state[1] + 1
-
-    width = active.shape[0]
-    nothing = jnp.full(width, jnp.nan)
-    start = Solved(guess, jnp.full(width, jnp.inf), nothing, nothing)
-    solved: tuple[Solved, Array] = lax.while_loop(
-        unfinished, iterate, (start, jnp.zeros((), dtype=int))
-    )
-    return solved[0]
-
-
-def _frictionless(
-    scene: Scene, guess: Array, clamp: Clamp, active: Array, before: Array, clamp_before: Array
-) -> Solved:
-    def step(x: Array, clamp: Clamp, reached: Array) -> NewtonStep:
-        return newton_step(scene, x, clamp, reached=reached)
-
-    axes = NewtonStep(1, 0, 0, 0)  # type: ignore[arg-type]
-    newton, reached = jax.vmap(step, in_axes=1, out_axes=axes), before[:3] - clamp_before
-    return iterated(lambda x: Solved(*newton(x, clamp, reached)), guess, active, _MOST_ITERATIONS)
-
-
-march = marching(Solver(_frictionless, branch=True))
+    return _length(jnp.concatenate([at[index] - at[before] for at in clamp]))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.contacts import ContactKind, Status
+from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.forward.events import Event, EventKind
 from vibrissa.forward.slip import Slip, led, slip_along
 from vibrissa.forward.validity import QuasiStatic, quasi_static
@@ -96,6 +96,22 @@ class Scan:
     friction: float
     offset: float
     second_contact: Float[np.ndarray, "*trail n 3"]
+
+    @property
+    def contacts(self) -> Contacts:
+        """Where the rod touches, one row a position (…)."""
+        several = self.kind.ndim > 1
+        sweep = np.indices(self.kind.shape)[0] if several else None
+        return Contacts(
+            self.point,
+            self.normal,
+            sweep=sweep,
+            time=self.reactions.time,
+            kind=self.kind,
+            force_direction=self.force_direction,
+            arc_length=self.arc_length,
+            status=self.status,
+        )
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:

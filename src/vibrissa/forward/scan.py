@@ -1,26 +1,32 @@
 """The forward problem's entry point."""
 
+from typing import Any, NamedTuple
+
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.contact import COULOMB, FRICTIONLESS, Law, Scene
 from vibrissa.contacts import ContactKind, Motion, Status
-from vibrissa.forward.assess import DEPTH_TOLERANCE, assessed
-from vibrissa.forward.assess import WIDTH as ASSESSED
-from vibrissa.forward.crease import caught
-from vibrissa.forward.equations import NEUTRAL, Scene
+from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assessed
 from vibrissa.forward.events import Event, Happening
-from vibrissa.forward.laws import FRICTIONLESS, RUBBING
 from vibrissa.forward.march import Mode
-from vibrissa.forward.path import Path, path_of
+from vibrissa.forward.path import chosen, path_of
 from vibrissa.forward.result import Scan
+from vibrissa.forward.search import caught
 from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
+from vibrissa.mechanics.model import NEUTRAL, Clamp
+from vibrissa.numerics.lanes import in_threads
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
 
 _RESIDUAL_TOLERANCE = 1e-9
+"""Of the contact conditions, a thousand times what Newton's method leaves."""
+_TRAILS = 64
+"""Of a thread's share: as many as a block of lanes holds."""
 
 
 def scan(
@@ -69,18 +75,37 @@ def scan(
     the result converges with the trail's step. Behind a snap, and where a trail begins in contact
     without a smooth way in, the contact starts without tangential force. Stability against leaving
     the bending plane is not judged with friction.
+
+    Many trails are shared out over the cores (`VIBRISSA_THREADS=1` keeps to one).
     """
     friction = not_negative(friction, "friction")
     touched = touched_surface(rod, surface) if finite_radius else surface
     scene = Scene(touched, rod.length, friction)
+    law = COULOMB if friction > 0 else FRICTIONLESS
     path = path_of(trail, rod.length)
-    found = sweep(scene, path, RUBBING if friction > 0 else FRICTIONLESS)
-    if np.all(found.status == Status.CLAMP_INSIDE):
+    count = len(path.point)
+
+    def part(first: int) -> _Solved:
+        own = np.s_[first : first + _TRAILS]
+        some = type(path)(path.point[own], path.orientation[own], path.stride)
+        found = sweep(scene, some, law)
+        return _solved(scene, law, some.clamps, path.stride, found)
+
+    parts = in_threads(part, range(0, count, _TRAILS))
+    happenings = [
+        happening.on(first * _TRAILS)
+        for first, part in enumerate(parts)
+        for happening in part.happenings
+    ]
+    rows = [part._replace(happenings=()) for part in parts]
+    solved: _Solved = jax.tree.map(lambda *arrays: np.concatenate(arrays), *rows)
+    if np.all(solved.status == Status.CLAMP_INSIDE):
+        first = trail.position.reshape(-1, 3)[0].tolist()
         raise ValueError(
-            f"trail.position = {trail.position.reshape(-1, 3)[0].tolist()} …: the clamp is inside the object; allowed is outside"
+            f"trail.position = {first} …: the clamp is inside the object; allowed is outside"
         )
-    events = _events(found.happenings, rod, trail, path.stride, touched)
-    return _result(rod, surface, trail, scene, path, found, events)
+    events = _events(happenings, rod, trail, path.stride, touched)
+    return _result(rod, surface, trail, scene, solved, events)
 
 
 def touched_surface(rod: Rod, surface: Surface) -> Offset:
@@ -90,110 +115,103 @@ def touched_surface(rod: Rod, surface: Surface) -> Offset:
     return Offset(surface, rod.radius)
 
 
-def _result(
-    rod: Rod,
-    surface: Surface,
-    trail: Trail,
-    scene: Scene,
-    path: Path,
-    found: Sweep,
-    events: list[Event],
-) -> Scan:
-    step, friction = path.stride, float(scene.friction)
-    offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
-    x, mode, figure, status = (
-        part[:, ::step] for part in (found.x, found.mode, found.figure, found.status)
-    )
-    point, tangent = path.point[:, ::step], path.tangent[:, ::step]
-    contact = mode == Mode.CONTACT
-    columns, places = np.full((ASSESSED, mode.size), np.nan), np.full((*mode.shape, 3), np.nan)
-    if contact.any():
-        rows = np.flatnonzero(contact)
-        clamps = np.concatenate([point[contact], tangent[contact]], axis=-1)
-        values, places[contact] = assessed(scene, x[contact], clamps)
-        for column, value in zip(columns, values.T, strict=True):
-            column[rows] = value
-    fields = np.moveaxis(columns.reshape(ASSESSED, *mode.shape), 0, -1)
-    stuck, other_sides = _caught(scene, point, tangent, status, fields)
-    status, contact = np.where(stuck, Status.PENETRATING, status), contact | stuck
-    unsolved = (mode == Mode.LOST) & ~stuck
-    phase, residual, depth = fields[..., 13], fields[..., 14], fields[..., 15]
-    kind = np.where(
-        contact, np.where(phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP), ContactKind.NONE
-    ).astype(np.int8)
-    neutral = np.linalg.norm(np.cross(tangent, fields[..., 22:25]), axis=-1) < NEUTRAL
-    turns = (
-        [(figure > 0, Status.LATERALLY_UNSTABLE), (neutral, Status.HEAD_ON)]
-        if friction == 0
-        else []
-    )
-    status = _status(rod, status, contact, turns, fields)
+class _Solved(NamedTuple):
+    """All rows of some trails (m, n), model units."""
 
-    length, force_scale, moment_scale = rod.length, rod.force_scale, rod.moment_scale
-    absent = np.where(unsolved, np.nan, 0.0)
-    force = np.where(
-        contact[..., None], -fields[..., 3:4] * fields[..., 22:25] * force_scale, absent[..., None]
+    contact: Bool[np.ndarray, "m n"]
+    lost: Bool[np.ndarray, "m n"]
+    values: Assessment
+    """NaN without contact."""
+    figure: Float[np.ndarray, "m n"]
+    status: Int[np.ndarray, "m n"]
+    second_contact: Float[np.ndarray, "m n 3"]
+    """Where the rod lies deepest in the object, or touches a second part."""
+    happenings: Any
+
+
+def _solved(scene: Scene, law: Law, clamps: Clamp, stride: int, found: Sweep) -> _Solved:
+    clamps, steps, status = chosen((clamps, found.steps, found.status), np.s_[:, ::stride])
+    contact, lost = steps.mode == Mode.CONTACT, steps.mode == Mode.LOST
+    values, second = assessed(scene, law, *chosen((steps.reached.state, clamps), contact))
+
+    def spread(rows: np.ndarray) -> np.ndarray:
+        whole = np.full((*contact.shape, *rows.shape[1:]), np.nan)
+        whole[contact] = rows
+        return whole
+
+    values, second, status = jax.tree.map(spread, values), spread(second), status.copy()
+    # What no single contact explains may be a tip that is caught between two parts.
+    jammed = np.argwhere(status == Status.NO_EQUILIBRIUM)
+    if scene.surface.parts_count > 1 and len(jammed):
+        offset = scene.surface.radius / scene.length if isinstance(scene.surface, Offset) else 0.0
+        for at, held in zip(
+            map(tuple, jammed), caught(scene, chosen(clamps, tuple(jammed.T))), strict=True
+        ):
+            if held is not None:
+                for whole, part in zip(values, held[0], strict=True):
+                    whole[at] = part
+                second[at] = held[0].point - offset * held[1]
+                status[at], contact[at], lost[at] = Status.PENETRATING, True, False
+    return _Solved(contact, lost, values, steps.figure, status, second, tuple(found.happenings))
+
+
+def _result(
+    rod: Rod, surface: Surface, trail: Trail, scene: Scene, solved: _Solved, events: list[Event]
+) -> Scan:
+    contact, values, shape = solved.contact, solved.values, trail.shape
+    friction = float(scene.friction)
+    offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
+    tangential = np.where(values.phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP)
+    kind = np.where(contact, tangential, ContactKind.NONE).astype(np.int8)
+    status = _status(rod, trail, friction, solved)
+    absent = np.where(solved.lost, np.nan, 0.0)
+
+    def known(where: np.ndarray, scale: float) -> Float[np.ndarray, "..."]:
+        """A quantity that is zero without contact, and not known of unsolved rows."""
+        missing = absent.reshape(absent.shape + (1,) * (where.ndim - 2))
+        mask = contact.reshape(missing.shape)
+        return np.where(mask, where * scale, missing).reshape(*shape, *where.shape[2:])
+
+    def rows(values: np.ndarray, scale: float = 1.0) -> Float[np.ndarray, "..."]:
+        return (values * scale).reshape(*shape, *values.shape[2:])
+
+    force = -values.force[..., None] * values.direction
+    reactions = Reactions(
+        trail, known(force, rod.force_scale), known(values.moment, rod.moment_scale)
     )
-    moment = np.where(contact[..., None], fields[..., 8:11] * moment_scale, absent[..., None])
-    shape = trail.shape
-    reactions = Reactions(trail, force.reshape(*shape, 3), moment.reshape(*shape, 3))
     return Scan(
-        rod, surface, trail,
-        kind=kind.reshape(shape),
-        point=(fields[..., :3] * length - offset * fields[..., 4:7]).reshape(*shape, 3),
-        normal=fields[..., 4:7].reshape(*shape, 3),
-        force_direction=fields[..., 22:25].reshape(*shape, 3),
-        motion=_motion(kind, figure, friction).reshape(shape),
-        arc_length=(fields[..., 7] * length).reshape(shape),
+        rod,
+        surface,
+        trail,
+        kind=rows(kind).astype(np.int8),
+        point=rows(values.point * rod.length - offset * values.normal),
+        normal=rows(values.normal),
+        force_direction=rows(values.direction),
+        motion=_motion(kind, solved.figure, friction).reshape(shape),
+        arc_length=rows(values.arc_length, rod.length),
         reactions=reactions,
-        energy=np.where(contact, fields[..., 11] * moment_scale, absent).reshape(shape),
-        largest_curvature=np.where(contact, fields[..., 12] / length, absent).reshape(shape),
-        contact_tangent=fields[..., 16:19].reshape(*shape, 3),
-        plane_normal=fields[..., 19:22].reshape(*shape, 3),
-        residual=residual.reshape(shape),
-        depth=(depth * length).reshape(shape),
-        status=status.astype(np.int8).reshape(shape),
+        energy=known(values.energy, rod.moment_scale),
+        largest_curvature=known(values.largest_curvature, 1 / rod.length),
+        contact_tangent=rows(values.tangent),
+        plane_normal=rows(values.plane_normal),
+        residual=rows(values.residual),
+        depth=rows(values.depth, rod.length),
+        status=status.reshape(shape),
         events=events,
         friction=friction,
         offset=offset,
-        second_contact=_second_contacts(scene, places, other_sides, status == Status.PENETRATING).reshape(*shape, 3),
-    )  # fmt: skip
-
-
-def _caught(
-    scene: Scene,
-    point: Float[np.ndarray, "m n 3"],
-    tangent: Float[np.ndarray, "m n 3"],
-    status: np.ndarray,
-    fields: Float[np.ndarray, "m n 25"],
-) -> tuple[Bool[np.ndarray, "m n"], Float[np.ndarray, "m n 3"]]:
-    """Fill in the rows of rods that are caught by their tips between two parts: which they are, and
-    where they touch the second part.
-    """
-    jammed, places = status == Status.NO_EQUILIBRIUM, np.full(point.shape, np.nan)
-    if not jammed.any() or scene.surface.parts_count == 1:
-        return np.zeros_like(jammed), places
-    rows = caught(scene, np.concatenate([point[jammed], tangent[jammed]], axis=-1))
-    stuck = jammed.copy()
-    stuck[jammed] = rows.found
-    offset = scene.surface.radius / scene.length if isinstance(scene.surface, Offset) else 0.0
-    fields[stuck] = rows.fields[rows.found]
-    places[stuck] = (rows.fields[:, :3] - offset * rows.second_normal)[rows.found]
-    return stuck, places
+        second_contact=rows(_second_contacts(scene, solved, (status == Status.PENETRATING))),
+    )
 
 
 def _second_contacts(
-    scene: Scene,
-    deepest: Float[np.ndarray, "m n 3"],
-    other_sides: Float[np.ndarray, "m n 3"],
-    wrong: Bool[np.ndarray, "m n"],
+    scene: Scene, solved: _Solved, wrong: Bool[np.ndarray, "m n"]
 ) -> Float[np.ndarray, "m n 3"]:
     """Points of the object where rods lie deepest in it, or are caught."""
-    places = other_sides * scene.length
-    entered = wrong & np.isfinite(deepest).all(axis=-1)
-    if entered.any():
-        found = deepest[entered] * scene.length
-        places[entered] = scene.surface.foot(found) if isinstance(scene.surface, Offset) else found
+    places = np.where(wrong[..., None], solved.second_contact * scene.length, np.nan)
+    entered = (solved.values.depth > DEPTH_TOLERANCE) & np.isfinite(places).all(axis=-1)
+    if isinstance(scene.surface, Offset) and entered.any():
+        places[entered] = scene.surface.foot(places[entered])
     return places
 
 
@@ -205,28 +223,28 @@ def _motion(
     return np.where(kind == ContactKind.NONE, Motion.NONE, moves).astype(np.int8)
 
 
-def _status(
-    rod: Rod,
-    status: np.ndarray,
-    contact: np.ndarray,
-    turns: list[tuple[Bool[np.ndarray, "m n"], Status]],
-    fields: Float[np.ndarray, "m n 25"],
-) -> np.ndarray:
-    """The worst finding of each row, given those about the bending plane."""
-    findings = [*turns, (fields[..., 15] > DEPTH_TOLERANCE, Status.PENETRATING)]
+def _status(rod: Rod, trail: Trail, friction: float, solved: _Solved) -> Int[np.ndarray, "m n"]:
+    """The worst finding of each row."""
+    values = solved.values
+    findings = [(values.depth > DEPTH_TOLERANCE, Status.PENETRATING)]
+    if friction == 0:
+        axis = trail.axis.reshape(*solved.contact.shape, 3)
+        sine = np.linalg.norm(np.cross(axis, values.direction), axis=-1)
+        findings += [
+            (solved.figure > 0, Status.LATERALLY_UNSTABLE),
+            (sine < NEUTRAL, Status.HEAD_ON),
+        ]
     if rod.yield_strain is not None and rod.radius is not None:
-        findings.append(
-            (fields[..., 12] * rod.radius / rod.length > rod.yield_strain, Status.OVERSTRAINED)
-        )
-    sound = (
-        (fields[..., 14] <= _RESIDUAL_TOLERANCE)
-        & (fields[..., 3] >= 0)
-        & (fields[..., 7] <= 1 + _RESIDUAL_TOLERANCE)
-    )
+        strain = values.largest_curvature * rod.radius / rod.length
+        findings.append((strain > rod.yield_strain, Status.OVERSTRAINED))
+    sound = (values.residual <= _RESIDUAL_TOLERANCE) & (values.force >= 0)
+    sound &= values.arc_length <= 1 + _RESIDUAL_TOLERANCE
     findings.append((~sound, Status.NOT_CONVERGED))
+    status = solved.status
     for wrong, finding in findings:
-        status = np.where(contact & wrong, np.maximum(status, int(finding)), status)
-    return status
+        worse = np.maximum(status, int(finding))
+        status = np.where(solved.contact & wrong, worse, status)
+    return status.astype(np.int8)
 
 
 def _events(
@@ -238,27 +256,18 @@ def _events(
     n = trail.count
     positions, parameters = trail.position.reshape(-1, n, 3), trail.parameter.reshape(-1, n)
     lane, index = (
-        np.array(part)
-        for part in zip(
-            *((happening.lane, happening.index) for happening in happenings), strict=True
-        )
+        np.array(part) for part in zip(*((at.lane, at.index) for at in happenings), strict=True)
     )
-    share = (
-        np.maximum(index - 1, 0)
-        + np.array([happening.fraction for happening in happenings]) * (index > 0)
-    ) / stride
+    fraction = np.array([happening.fraction for happening in happenings]) * (index > 0)
+    share = (np.maximum(index - 1, 0) + fraction) / stride
     before = np.minimum(share.astype(int), max(n - 2, 0))
-    after, fraction = np.minimum(before + 1, n - 1), share - before
-    parameter = parameters[lane, before] * (1 - fraction) + parameters[lane, after] * fraction
-    clamp = (
-        positions[lane, before] * (1 - fraction)[:, None]
-        + positions[lane, after] * fraction[:, None]
-    )
+    after, share = np.minimum(before + 1, n - 1), share - before
+    parameter = parameters[lane, before] * (1 - share) + parameters[lane, after] * share
+    ends, share = (positions[lane, at] for at in (before, after)), share[:, None]
+    clamp = next(ends) * (1 - share) + next(ends) * share
     point = np.array([happening.point for happening in happenings]) * rod.length
     if isinstance(touched, Offset):
         point = touched.foot(point)
     kinds = (happening.kind for happening in happenings)
-    return [
-        Event(*parts)
-        for parts in zip(kinds, lane.tolist(), parameter.tolist(), clamp, point, strict=True)
-    ]
+    columns = kinds, lane.tolist(), parameter.tolist(), clamp, point
+    return [Event(*parts) for parts in zip(*columns, strict=True)]

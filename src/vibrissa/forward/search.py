@@ -1,10 +1,8 @@
 """All equilibria that a search from many starting points finds at one clamp pose: for the rest
-after a snap, and for trails that begin in contact.
+after a snap, for trails that begin in contact, and for tips caught between two parts.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -13,62 +11,71 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Int
 
-from vibrissa.forward.assess import DEPTH_TOLERANCE, ENERGY, assessed
-from vibrissa.forward.equations import NEUTRAL, Clamp, NewtonStep, Scene, level, newton_step
-from vibrissa.numerics.blocks import WIDE, AnyArray, from_blocks, runs, to_blocks
-from vibrissa.numerics.compiled import compiled
+from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State, step_from, touching
+from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assessed
+from vibrissa.forward.path import chosen
+from vibrissa.mechanics.model import NEUTRAL, Clamp
+from vibrissa.numerics.lanes import lanes
 from vibrissa.surfaces import Offset
 
-_DIRECTIONS = 96
-_RAY_SAMPLES = 48
+_DIRECTIONS, _RAY_SAMPLES = 96, 48
+"""Rays from the clamp, one in ten degrees, and points on each: parts as thin as L/48 are seen."""
+_CONE = 1.25
+"""1 − cos of the widest ray's angle to the rod: 105°, behind which no bent rod comes."""
 _BESIDE = 0.04
+"""[L] by which seeds lie to the sides of an expected contact."""
 _INWARD = 1e-4
-_SIDES = 8
-_EVERY = 6
+"""[L] behind the place where the straight rod enters the object."""
+_SIDES, _EVERY = 8, 6
+"""Ways out of the object, from every sixth point of the straight rod in it."""
 FORCES = (0.05, 0.5, 1.5, 4.0)
-# Steps of Newton's method at a time, and how often.
+"""[EI/L²] to start with: from a slight touch to half of the buckling load π²."""
 _STEPS, _ROUNDS = 8, 5
-# Residual before a step of quadratic convergence that changes nothing more.
+"""Steps of Newton's method at a time, and how often."""
 _SETTLED = 1e-9
+"""Residual before a step of quadratic convergence that changes nothing more."""
 _SAME = 1e-6
-# Radius [L] of the thickest rod by whose way an edge is found, and how far [L] from the clamp a
-# contact may lie on the way.
+"""Of unknowns of one and the same equilibrium."""
 _THICKEST = 0.1
-_REACH = 1.2
-_ASTRAY = 3.0
-_MANY = 1024
+"""Radius [L] of the thickest rod by whose way an edge is found."""
+_REACH, _ASTRAY = 1.2, 3.0
+"""How far [L] from the clamp a contact may lie, and on the way to it."""
 _SHORTEST = 0.05
-# How deep [L] a rod that touches twice may lie in the object at its second contact when it is
-# solved for the first alone.
 _CAUGHT = 0.15
-# Shares of a finite radius behind the place where the rod enters: the way out from there ends on
-# all sides of a rounded edge.
+"""How deep [L] a rod that touches twice may lie in the object at its second contact when it is
+solved for the first alone.
+"""
 _ROUND_AN_EDGE = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)
+"""Shares of a finite radius behind the place where the rod enters: the way out from there ends on
+all sides of a rounded edge.
+"""
 _FINER = 33
+_SECOND_PART = 0.2
+"""How far [L] from a second part the seeds of a caught tip may lie."""
 ENERGY_MARGIN = 1e-9
 """[EI/L] by which a snap loses energy at least, and energies of different equilibria differ."""
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibrium:
-    """One equilibrium: unknowns x = (p, f), bending energy [EI/L], sign of the Jacobian's
-    determinant, and the phase difference.
+class Settled:
+    """One equilibrium without friction: state, bending energy [EI/L], and whether the rod might as
+    well bend to any other side.
     """
 
-    x: Float[np.ndarray, "4"]
-    energy: float
+    state: State
+    values: Assessment
     determinant: float
-    phase: float
     neutral: bool
-    """Whether the rod might as well bend to any other side."""
+
+    @property
+    def energy(self) -> float:
+        """[EI/L]."""
+        return float(self.values.energy)
 
 
 def stable_equilibria(
-    scene: Scene,
-    point: Float[np.ndarray, "3"],
-    tangent: Float[np.ndarray, "3"],
-    near: list[Float[np.ndarray, "3"]],
-) -> list[Equilibrium]:
+    scene: Scene, clamp: Clamp, near: list[Float[np.ndarray, "3"]]
+) -> list[Settled]:
     """Admissible stable equilibria found at a clamp pose, lowest energy first; where there are
     none, the one that enters the object least.
 
@@ -79,111 +86,124 @@ def stable_equilibria(
     clamp meet the object within the rod's length; from where the straight rod lies in it, and a
     little beside that; and from points `near` which a contact is expected.
     """
-    seeds = seeds_around(scene, point, tangent, near, FORCES)
-    if not len(seeds):
+    seeds = seeds_around(scene, clamp, near, FORCES)
+    found = solutions(scene, clamp, FRICTIONLESS, eased(scene, clamp, seeds))
+    found = chosen(found, found.determinant < 0)
+    count = len(found.residual)
+    if not count:
         return []
-    clamp = np.concatenate([point, tangent])
-    solved = solved_from(scene, eased(scene, seeds, clamp), clamp).distinct(clamp)
-    stable = solved.determinant < 0
-    x, determinant = solved.x[stable], solved.determinant[stable]
-    if not len(x):
-        return []
-    fields, _ = assessed(scene, x, np.broadcast_to(clamp, (len(x), 6)))
-    arc_length, energy, phase, residual, depth = (
-        fields[:, column] for column in (7, ENERGY, 13, 14, 15)
-    )
-    good = (
-        (residual < DEPTH_TOLERANCE)
-        & (depth < DEPTH_TOLERANCE)
-        & (arc_length < 1 + DEPTH_TOLERANCE)
-    )
+    values, _ = assessed(scene, FRICTIONLESS, found.state, _repeated(clamp, count))
+    sound = (values.residual < DEPTH_TOLERANCE) & (values.arc_length < 1 + DEPTH_TOLERANCE)
+    good = sound & (values.depth < DEPTH_TOLERANCE)
     if not good.any():
         # A rod that is caught touches twice: the equilibrium of one contact that comes nearest to
         # that, which its assessment says.
-        caught = (
-            (residual < DEPTH_TOLERANCE) & (depth < _CAUGHT) & (arc_length < 1 + DEPTH_TOLERANCE)
-        )
-        good = caught & (depth == depth[caught].min(initial=np.inf))
+        caught = sound & (values.depth < _CAUGHT)
+        good = caught & (values.depth == values.depth[caught].min(initial=np.inf))
     rows = np.flatnonzero(good)
     away = (
-        np.linalg.norm(x[rows, :3] - np.reshape(near, (-1, 3))[:1], axis=1)
-        if near
-        else np.zeros(len(rows))
+        np.linalg.norm(found.state.point[rows] - near[0], axis=1) if near else np.zeros(len(rows))
     )
-    least = energy[rows].min(initial=np.inf)
-    order = np.lexsort((away, np.where(energy[rows] < least + ENERGY_MARGIN, least, energy[rows])))
-    neutral = np.linalg.norm(np.cross(tangent, fields[:, 22:25]), axis=1) < NEUTRAL
+    energy = values.energy[rows]
+    least = energy.min(initial=np.inf)
+    order = np.lexsort((away, np.where(energy < least + ENERGY_MARGIN, least, energy)))
+    sine = np.linalg.norm(np.cross(clamp.tangent, values.direction), axis=1)
     return [
-        Equilibrium(
-            x[row],
-            float(energy[row]),
-            float(determinant[row]),
-            float(phase[row]),
-            bool(neutral[row]),
+        Settled(
+            chosen(found.state, row),
+            chosen(values, row),
+            float(found.determinant[row]),
+            bool(sine[row] < NEUTRAL),
         )
         for row in rows[order]
     ]
 
 
+class Caught(NamedTuple):
+    """Rows of rods caught at their tips: their assessments (k, …), and where they touch the second
+    part (k, 3); NaN where none was found.
+    """
+
+    values: Assessment
+    second_normal: Float[np.ndarray, "k 3"]
+
+
+def caught(scene: Scene, clamps: Clamp) -> list[tuple[Assessment, Float[np.ndarray, "3"]] | None]:
+    """The equilibria of least energy of rods that are caught by their tips between two parts and
+    lie outside the object, at clamps (k, …); with the outward normals of the second parts.
+    """
+    return [_caught(scene, chosen(clamps, row)) for row in range(len(clamps.point))]
+
+
+def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "3"]] | None:
+    seeds = seeds_around(scene, clamp, [], FORCES)
+    levels = np.asarray(_part_levels(scene, seeds.point))
+    pairs = np.argsort(levels, axis=1)[:, :2]
+    near = np.take_along_axis(levels, pairs[:, 1:], axis=1)[:, 0] < _SECOND_PART
+    starts = State(seeds.point[near], seeds.force[near], np.full((int(near.sum()), 1), 0.5))
+    found = solutions(scene, clamp, Held(pairs[near]), starts)
+    share = found.state.lean[:, 0]
+    found = chosen(found, (share > 0) & (share < 1))
+    if not len(found.residual):
+        return None
+    clamps = _repeated(clamp, len(found.residual))
+    values, _ = assessed(scene, found.law, found.state, clamps)
+    clear = values.depth < DEPTH_TOLERANCE
+    if not clear.any():
+        return None
+    best = int(np.argmin(np.where(clear, values.energy, np.inf)))
+    law = chosen(found.law, best)
+    normal = np.asarray(law.second_normal(scene, jnp.asarray(values.point[best])))
+    return chosen(values, best), normal
+
+
+def _repeated(clamp: Clamp, count: int) -> Clamp:
+    return Clamp(*(np.broadcast_to(part, (count, 3)) for part in clamp))
+
+
 def seeds_around(
-    scene: Scene,
-    point: Float[np.ndarray, "3"],
-    tangent: Float[np.ndarray, "3"],
-    near: list[Float[np.ndarray, "3"]],
-    forces: tuple[float, ...],
-) -> Float[np.ndarray, "seeds 4"]:
-    """Starting points (p, f) for Newton's method: where rays from the clamp enter the object, and
+    scene: Scene, clamp: Clamp, near: list[Float[np.ndarray, "3"]], forces: tuple[float, ...]
+) -> State:
+    """Starting states (k, …) for Newton's method: where rays from the clamp enter the object, and
     around expected places, with several magnitudes of the force.
     """
-    # A Fibonacci spiral over the directions within 105° of the tangent.
-    order = np.arange(_DIRECTIONS) + 0.5
-    cosine = 1 - 1.25 * order / _DIRECTIONS
-    azimuth = np.pi * (1 + np.sqrt(5)) * order
+    point, tangent = clamp
     first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
     first /= np.linalg.norm(first)
     second = np.cross(tangent, first)
-    sine = np.sqrt(1 - cosine**2)
-    rays = (
-        cosine[:, None] * tangent
-        + (sine * np.cos(azimuth))[:, None] * first
-        + (sine * np.sin(azimuth))[:, None] * second
-    )
+    # A Fibonacci spiral over the directions within 105° of the tangent.
+    order = np.arange(_DIRECTIONS) + 0.5
+    azimuth, cosine = np.pi * (1 + np.sqrt(5)) * order, 1 - _CONE * order / _DIRECTIONS
+    round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
+    rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
     values = _levels(scene, point + distance[None, :, None] * rays[:, None, :])
-    enters = (values[:, 1:] < 0) & (values[:, :-1] >= 0)
-    ray, sample = np.nonzero(enters)
-    meets = _crossing(values, ray, sample, distance)
+    ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
+    meets = point + _crossing(values, ray, sample, distance)[:, None] * rays[ray]
     along = point + distance[:, None] * tangent
-    own = _levels(scene, along[None])
-    inside = along[own[0] < 0]
+    own = _levels(scene, along[None])[0]
+    inside = along[own < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
     # Where the straight rod enters the object, and where it lies in it: out of it sideways.
-    step = np.flatnonzero((own[0, 1:] < 0) & (own[0, :-1] >= 0))
-    depths = np.array(
-        [
-            _INWARD,
-            *(
-                np.array(_ROUND_AN_EDGE) * scene.surface.radius / scene.length
-                if isinstance(scene.surface, Offset)
-                else []
-            ),
-        ]
-    )
-    entered = _entered(scene, point, tangent, distance[step], distance[step + 1])
+    step = np.flatnonzero((own[1:] < 0) & (own[:-1] >= 0))
+    depths = [_INWARD]
+    if isinstance(scene.surface, Offset):
+        depths += [share * scene.surface.radius / scene.length for share in _ROUND_AN_EDGE]
+    entered = _entered(scene, clamp, distance[step], distance[step + 1])
     entries = point + (entered[:, None] + depths).reshape(-1, 1) * tangent
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     sideways = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
     beside = _way_out(scene, np.concatenate([entries, inside[::_EVERY]]), sideways)
-    points = np.concatenate([point + meets[:, None] * rays[ray], around.reshape(-1, 3), beside])
-    seeds = [np.column_stack([points, np.full(len(points), force)]) for force in forces]
-    if len(beside):
-        # Just behind a first contact: the force that bends a cantilever sideways to there.
-        to_there = beside - point
-        reach = np.maximum(to_there @ tangent, _SHORTEST)
-        aside = np.linalg.norm(to_there - (to_there @ tangent)[:, None] * tangent, axis=1)
-        seeds.append(np.column_stack([beside, np.minimum(3 * aside / reach**3, forces[-1])]))
-    return np.concatenate(seeds)
+    points = np.concatenate([meets, around.reshape(-1, 3), beside])
+    # Just behind a first contact: the force that bends a cantilever sideways to there.
+    to_there = beside - point
+    reach = np.maximum(to_there @ tangent, _SHORTEST)
+    aside = np.linalg.norm(to_there - (to_there @ tangent)[:, None] * tangent, axis=1)
+    bending = np.minimum(3 * aside / reach**3, forces[-1])
+    places = np.concatenate([np.tile(points, (len(forces), 1)), beside])
+    pushes = np.concatenate([np.repeat(forces, len(points)), bending])
+    return State(places, pushes, np.zeros((len(places), 0)))
 
 
 def _crossing(
@@ -198,20 +218,16 @@ def _crossing(
 
 
 def _entered(
-    scene: Scene,
-    point: Float[np.ndarray, "3"],
-    tangent: Float[np.ndarray, "3"],
-    low: Float[np.ndarray, "k"],
-    high: Float[np.ndarray, "k"],
+    scene: Scene, clamp: Clamp, low: Float[np.ndarray, "k"], high: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k"]:
     """Arc lengths at which the straight rod enters the object, between one outside and one inside:
     exactly enough for the edge of a thin rod's offset.
     """
-    share = np.linspace(0, 1, _FINER)
-    for _ in range(2 if len(low) else 0):
+    share, rows = np.linspace(0, 1, _FINER), np.arange(len(low))
+    for _ in range(2):
         samples = low[:, None] + (high - low)[:, None] * share
-        first = np.argmax(_levels(scene, point + samples[..., None] * tangent) < 0, axis=1)
-        rows = np.arange(len(low))
+        inside = _levels(scene, clamp.point + samples[..., None] * clamp.tangent) < 0
+        first = np.argmax(inside, axis=1)
         low, high = samples[rows, np.maximum(first, 1) - 1], samples[rows, np.maximum(first, 1)]
     return high
 
@@ -220,143 +236,102 @@ def _way_out(
     scene: Scene, bases: Float[np.ndarray, "bases 3"], sideways: Float[np.ndarray, "sides 3"]
 ) -> Float[np.ndarray, "k 3"]:
     """Where rays from points inside the object leave it, within half a rod length."""
-    if not len(bases):
-        return np.zeros((0, 3))
     distance = np.arange(_RAY_SAMPLES // 2 + 1) / _RAY_SAMPLES
     starts, directions = np.repeat(bases, len(sideways), axis=0), np.tile(sideways, (len(bases), 1))
     values = _levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None])
     ray, sample = np.nonzero((values[:, :-1] < 0) & (values[:, 1:] >= 0))
-    return np.asarray(
-        starts[ray] + _crossing(values, ray, sample, distance)[:, None] * directions[ray]
-    )
+    along = _crossing(values, ray, sample, distance)[:, None]
+    return np.asarray(starts[ray] + along * directions[ray])
 
 
 def _levels(
     scene: Scene, points: Float[np.ndarray, "rays samples 3"]
 ) -> Float[np.ndarray, "rays samples"]:
-    return scene.in_blocks(_level_blocks, points.reshape(-1, 3), width=_MANY)[:, 0].reshape(
-        points.shape[:2]
-    )
+    return np.asarray(_level(scene, points.reshape(-1, 3))).reshape(points.shape[:2])
 
 
-@compiled
-def _level_blocks(
-    scene: Scene, points: Float[AnyArray, "blocks 3 width"]
-) -> Float[Array, "blocks 1 width"]:
-    return lax.map(
-        lambda block: jax.vmap(lambda point: level(scene, point), in_axes=1)(block)[None],
-        jnp.asarray(points),
-    )
+@lanes(width=1024, blocks=8, rarely=True)
+def _level(scene: Scene, point: Float[Array, "3"]) -> Float[Array, ""]:
+    return scene.level(point)
 
 
-class Solved(NamedTuple):
-    """Where Newton's method ended: states (n, 4), the Jacobian's determinants there, and the
-    residuals before the last step.
+@lanes(rarely=True)
+def _part_levels(scene: Scene, point: Float[Array, "3"]) -> Float[Array, "parts"]:
+    return scene.part_levels(point)
+
+
+class Solutions(NamedTuple):
+    """Where Newton's method ended (k, …)."""
+
+    state: State
+    law: Law
+    determinant: Float[np.ndarray, "k"]
+    residual: Float[np.ndarray, "k"]
+    """Before the last step."""
+
+
+def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
+    """Converged contacts that push and lie near the clamp, each once, from each seed (k, …); a few
+    steps at a time: those that have converged or gone astray are not carried on.
+
+    `law` holds a row a seed, if anything.
     """
-
-    x: Float[np.ndarray, "n 4"]
-    determinant: Float[np.ndarray, "n"]
-    residual: Float[np.ndarray, "n"]
-
-    def distinct(self, clamp: Float[np.ndarray, "6"]) -> "Solved":
-        """Converged contacts that push and lie near the clamp, each once."""
-        sound = (
-            (self.residual < _SETTLED)
-            & (self.x[:, 3] > 0)
-            & (np.abs(self.x[:, :3] - clamp[:3]).max(axis=1) < _REACH)
-        )
-        rows = np.flatnonzero(sound)
-        kept: list[int] = []
-        while rows.size:
-            kept.append(int(rows[0]))
-            rows = rows[np.abs(self.x[rows] - self.x[rows[0]]).max(axis=1) > _SAME]
-        return Solved(self.x[kept], self.determinant[kept], self.residual[kept])
-
-
-def solved_from(
-    scene: Scene,
-    seeds: Float[np.ndarray, "seeds 4"],
-    clamp: Float[np.ndarray, "6"],
-    inflections: int = 0,
-) -> Solved:
-    """Newton's method from each seed, a few steps at a time: those that have converged or gone
-    astray are not carried on.
-    """
-    solver = _solver(inflections)
-    x, determinant, residual = (
-        seeds.copy(),
-        np.full(len(seeds), np.nan),
-        np.full(len(seeds), np.inf),
+    count = len(seeds.force)
+    found = Solutions(
+        State(*(np.array(part) for part in seeds)),
+        law,
+        np.full(count, np.nan),
+        np.full(count, np.inf),
     )
-    left = np.arange(len(seeds))
+    left = np.arange(count)
     for _ in range(_ROUNDS):
-        if not left.size:
-            break
-        for first, last, blocks in runs(len(left), WIDE, scene.sizes):
-            rows = left[first:last]
-            used = -(-len(rows) // WIDE)
-            found = from_blocks(
-                np.asarray(solver(scene, to_blocks(x[rows], WIDE, blocks), clamp, used)), len(rows)
-            )
-            x[rows], determinant[rows], residual[rows] = found[:, :4], found[:, 4], found[:, 5]
-        astray = ~np.isfinite(x[left]).all(axis=1) | (
-            np.abs(x[left, :3] - clamp[:3]).max(axis=1) > _ASTRAY
-        )
-        left = left[~astray & ~(residual[left] < _SETTLED)]
-    return Solved(x, determinant, residual)
+        state, determinant, residual = _stepped((scene, clamp), *chosen((found.state, law), left))
+        for part, new in zip(found.state, state, strict=True):
+            part[left] = new
+        found.determinant[left], found.residual[left] = determinant, residual
+        far = np.abs(found.state.point[left] - clamp.point).max(axis=1, initial=0.0) > _ASTRAY
+        astray = far | ~np.isfinite(found.state.flat_rows[left]).all(axis=1)
+        left = left[~astray & ~(found.residual[left] < _SETTLED)]
+    near = np.abs(found.state.point - clamp.point).max(axis=1, initial=0.0) < _REACH
+    sound = (found.residual < _SETTLED) & (found.state.force > 0) & near
+    unknowns, rows, kept = found.state.flat_rows, np.flatnonzero(sound), []
+    while rows.size:
+        kept.append(int(rows[0]))
+        rows = rows[np.abs(unknowns[rows] - unknowns[rows[0]]).max(axis=1) > _SAME]
+    single: Solutions = chosen(found, np.array(kept, dtype=int))
+    return single
 
 
-def eased(
-    scene: Scene,
-    seeds: Float[np.ndarray, "seeds 4"],
-    clamp: Float[np.ndarray, "6"],
-    inflections: int = 0,
-) -> Float[np.ndarray, "starts 4"]:
+@lanes(rarely=True)
+def _stepped(
+    shared: tuple[Scene, Clamp], state: State, law: Law
+) -> tuple[State, Float[Array, ""], Float[Array, ""]]:
+    """A few steps: state, determinant, and residual before the last step."""
+    scene, clamp = shared
+
+    def iterate(_: Array | int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        def conditions(x: Float[Array, "unknowns"]) -> tuple[Float[Array, "unknowns"], None]:
+            return touching(scene, law, State.of(x), clamp).residual, None
+
+        step, _told = step_from(conditions, carry[0])
+        return step.x, step.determinant, step.residual
+
+    zero = jnp.zeros(())
+    x, determinant, residual = lax.fori_loop(0, _STEPS, iterate, (state.flat, zero, zero))
+    return State.of(x), determinant, residual
+
+
+def eased(scene: Scene, clamp: Clamp, seeds: State) -> State:
     """More starting points: the seeds, and for a rod of finite radius where they lead by way of
     thicker rods, which find round a sharp edge more easily.
     """
     if not isinstance(scene.surface, Offset):
         return seeds
-    radius, x = scene.surface.radius, seeds
+    radius, starts = scene.surface.radius, seeds
     doublings = max(0, int(np.log2(_THICKEST * scene.length / radius)))
     for doubling in range(doublings, 0, -1):
         thicker = scene._replace(surface=Offset(scene.surface.surface, radius * 2.0**doubling))
         # From all seeds at the thickest, then along from what they found.
-        x = solved_from(thicker, x, clamp, inflections).distinct(clamp).x
-        if not len(x):
-            break
-    return np.concatenate([x, seeds]) if doublings else seeds
-
-
-@lru_cache(maxsize=8)
-def _solver(inflections: int) -> Callable[[Scene, AnyArray, AnyArray, int], Array]:
-    def step(scene: Scene, x: Array, clamp: Clamp) -> NewtonStep:
-        return newton_step(scene, x, clamp, inflections)
-
-    newton = jax.vmap(step, in_axes=(None, 1, None), out_axes=NewtonStep(1, 0, 0, 0))  # type: ignore[arg-type]
-
-    @compiled
-    def solve_blocks(
-        scene: Scene,
-        x: Float[AnyArray, "blocks 4 width"],
-        clamp: Float[AnyArray, "6"],
-        used: int | Int[Array, ""],
-    ) -> Float[Array, "blocks 6 width"]:
-        """A few steps for each of the first `used` blocks: states, determinants, residuals before
-        the last step.
-        """
-        x, at = jnp.asarray(x), Clamp(jnp.asarray(clamp[:3]), jnp.asarray(clamp[3:]))
-        width = x.shape[2]
-
-        def iterate(_: Array | int, state: tuple[Array, Array]) -> tuple[Array, Array]:
-            step = newton(scene, state[0], at)
-            return step.x, jnp.stack([step.determinant, step.residual])
-
-        def solve(index: Array, found: Array) -> Array:
-            ended = lax.fori_loop(0, _STEPS, iterate, (x[index], jnp.zeros((2, width))))
-            return found.at[index].set(jnp.concatenate(ended))
-
-        solved: Array = lax.fori_loop(0, used, solve, jnp.zeros((x.shape[0], 6, width)))
-        return solved
-
-    return solve_blocks
+        starts = solutions(thicker, clamp, FRICTIONLESS, starts).state
+    both: State = jax.tree.map(lambda *parts: np.concatenate(parts), starts, seeds)
+    return both if doublings else seeds

@@ -20,15 +20,15 @@ from jax import Array
 from jaxtyping import Float
 from scipy.linalg import eigh
 
-from vibrissa.forward.equations import Scene, level
+from vibrissa.contact import Scene
 
 _ELEMENTS = 96
 
 
 @jax.jit
 def _derivatives(scene: Scene, point: Float[Array, "3"]) -> Float[Array, "12"]:
-    gradient = jax.grad(level, argnums=1)(scene, point)
-    hessian = jax.hessian(level, argnums=1)(scene, point)
+    gradient = jax.grad(scene.level)(point)
+    hessian = jax.hessian(scene.level)(point)
     return jnp.concatenate([gradient, hessian.ravel()])
 
 

@@ -5,96 +5,95 @@ then the events.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.contact import Law, Reached, Scene, State
 from vibrissa.contacts import Status
-from vibrissa.forward.equations import Scene
+from vibrissa.forward.approach import (
+    CLEAR,
+    Meetings,
+    along_path,
+    begun,
+    first_meetings,
+)
 from vibrissa.forward.events import EventKind, Happening
-from vibrissa.forward.landing import CLEAR, Outcome
-from vibrissa.forward.laws import ContactLaw
-from vibrissa.forward.locate import Indicator
-from vibrissa.forward.march import Legs, Mode
-from vibrissa.forward.meetings import Meetings, along_trails, first_meetings
-from vibrissa.forward.path import Path, extended_back, stretch
-from vibrissa.numerics.blocks import WIDE, from_blocks, rounded_up, runs, to_blocks
+from vibrissa.forward.follow import Outcome, follow
+from vibrissa.forward.locate import End, Indicator, located
+from vibrissa.forward.march import Legs, Mode, Steps, march
+from vibrissa.forward.path import Path, chosen, extended_back
+from vibrissa.numerics.lanes import rounded_up
 
 _STABLE = -1.0
 _WAY_BACK = 40
+"""Steps of 0.05 L on which a lane that begins in contact is entered: two rod lengths."""
 
 
 @dataclass
 class Sweep:
     """What the solver knows of all positions (m, n), model units."""
 
-    x: Float[np.ndarray, "m n size"]
-    mode: Int[np.ndarray, "m n"]
-    figure: Float[np.ndarray, "m n"]
-    """As in `Steps`."""
-    phase: Float[np.ndarray, "m n"]
+    steps: Steps
     status: Int[np.ndarray, "m n"]
     happenings: list[Happening] = field(default_factory=list)
 
 
-def sweep(scene: Scene, path: Path, law: ContactLaw) -> Sweep:
+def sweep(scene: Scene, path: Path, law: Law) -> Sweep:
     """Equilibria at all positions of the path, and the events between them."""
-    distance, at_clamp = along_trails(scene, path)
-    inside = at_clamp < 0
-    clear = (distance >= CLEAR) & ~inside
-    meetings = first_meetings(scene, path, clear, distance)
+    straight = along_path(scene, path)
+    inside = straight.at_clamp < 0
+    clear = (straight.distance >= CLEAR) & ~inside
+    meetings = first_meetings(scene, path, clear, straight.distance)
     walk = _Walk(scene, path, law, clear, inside, meetings)
     walk.begin()
     while walk.pending:
         walk.march()
-    result = walk.result
-    result.happenings += _smooth_happenings(scene, path, law, result, meetings, walk.by_hand)
-    result.happenings = [
-        happening
-        for happening in result.happenings
-        if np.isfinite([happening.fraction, *happening.point]).all()
-    ]
-    result.happenings.sort(key=_order)
-    result.happenings = _once(result.happenings)
-    return result
+    found = walk.found
+    found.happenings += _smooth_happenings(scene, path, law, found.steps, meetings, walk.by_hand)
+    found.happenings = _in_order(found.happenings)
+    return found
 
 
-def _order(happening: Happening) -> tuple[int, int, float, bool]:
-    """By place; the beginning and the end of a contact, in their own order, come before a change of
-    phase at the same place, whichever way rounding has it.
-    """
-    return (
-        happening.lane,
-        happening.index,
-        round(happening.fraction, 12),
-        happening.kind not in (EventKind.FIRST_CONTACT, EventKind.DETACH),
-    )
-
-
-def _once(happenings: list[Happening]) -> list[Happening]:
-    """Drop changes into a phase that the lane is in already: at a position that lies on a change,
-    rounding may report it on both sides.
-    """
+def _in_order(happenings: list[Happening]) -> list[Happening]:
+    """By place, each once."""
+    lasting = (EventKind.FIRST_CONTACT, EventKind.DETACH)
+    finite = [at for at in happenings if np.isfinite([at.fraction, *at.point]).all()]
+    # The beginning and the end of a contact, in their own order, come before a change of phase at
+    # the same place, whichever way rounding has it.
+    finite.sort(key=lambda at: (at.lane, at.index, round(at.fraction, 12), at.kind not in lasting))
     kept: list[Happening] = []
     last: dict[int, EventKind] = {}
-    for happening in happenings:
-        if happening.kind in (EventKind.TIP_TO_TANGENTIAL, EventKind.TANGENTIAL_TO_TIP):
-            if last.get(happening.lane) == happening.kind:
+    for at in finite:
+        # A change into a phase that the lane is in already: at a position that lies on a change,
+        # rounding may report it on both sides.
+        if at.kind in (EventKind.TIP_TO_TANGENTIAL, EventKind.TANGENTIAL_TO_TIP):
+            if last.get(at.lane) == at.kind:
                 continue
-            last[happening.lane] = happening.kind
-        elif happening.kind not in (EventKind.LATERAL_INSTABILITY, EventKind.LATERAL_RECOVERY):
-            last.pop(happening.lane, None)
-        kept.append(happening)
+            last[at.lane] = at.kind
+        elif at.kind not in (EventKind.LATERAL_INSTABILITY, EventKind.LATERAL_RECOVERY):
+            last.pop(at.lane, None)
+        kept.append(at)
     return kept
 
 
 class _Start(NamedTuple):
     lane: int
-    step: int
+    position: int
     mode: Mode
-    x: Float[np.ndarray, "size"]
+    reached: Reached | None
     sign: float
     patience: int
     """Positions to pass over after the next failure of a search, doubled each time."""
+
+
+def _nowhere(law: Law, *shape: int, fill: float = np.nan) -> Reached:
+    """What is reached where there is no contact."""
+
+    def full(*width: int) -> Float[np.ndarray, "..."]:
+        return np.full((*shape, *width), fill)
+
+    return Reached(State(full(3), full(), full(law.unknowns)), full(), full(3))
 
 
 class _Walk:
@@ -104,59 +103,39 @@ class _Walk:
         self,
         scene: Scene,
         path: Path,
-        law: ContactLaw,
+        law: Law,
         clear: Bool[np.ndarray, "m n"],
         inside: Bool[np.ndarray, "m n"],
         meetings: Meetings,
     ) -> None:
-        m, n = clear.shape
-        self._scene, self._path, self._law, self._clear, self._inside = (
-            scene,
-            path,
-            law,
-            clear,
-            inside,
-        )
-        self._met = np.zeros((m, n), dtype=bool)
-        self._met[meetings.lane, meetings.step] = True
-        self._meeting = np.zeros((m, n, law.size))
-        self._meeting[meetings.lane, meetings.step] = law.states_at(meetings)
-        self.by_hand = np.zeros((m, n), dtype=bool)
+        self._scene, self._path, self._law = scene, path, law
+        self._clear, self._inside, self._meetings = clear, inside, meetings
+        shape = clear.shape
+        self.by_hand = np.zeros(shape, dtype=bool)
         self.pending: list[_Start] = []
-        nothing = np.full((m, n), np.nan)
-        self.result = Sweep(
-            np.full((m, n, law.size), np.nan),
-            np.full((m, n), int(Mode.FREE)),
-            nothing,
-            nothing.copy(),
-            np.zeros((m, n), dtype=np.int64),
-        )
+        nothing = np.full(shape, np.nan)
+        free = np.full(shape, int(Mode.FREE))
+        steps = Steps(_nowhere(law, *shape), free, nothing, nothing.copy())
+        self.found = Sweep(steps, np.zeros(shape, dtype=np.int64))
 
     def begin(self) -> None:
         """Start every lane at its first position: free, or in contact already."""
-        entered = _entered(
-            self._scene,
-            self._path,
-            self._law,
-            np.flatnonzero(~self._clear[:, 0] & ~self._inside[:, 0]),
-        )
-        for lane in range(len(self._clear)):
-            if self._clear[lane, 0]:
-                self.pending.append(self._free(lane, 0))
+        touching = np.flatnonzero(~self._clear[:, 0] & ~self._inside[:, 0])
+        entered = _entered(self._scene, self._path, self._law, touching)
+        for lane, clear in enumerate(self._clear[:, 0]):
+            if clear:
+                self.pending.append(_Start(lane, 0, Mode.FREE, None, _STABLE, 1))
             elif lane in entered:
                 self._settle(lane, 0, entered[lane], 1)
             else:
-                self._resolve(lane, 0, Mode.LOST, self._unknown(), 1)
-
-    def _free(self, lane: int, index: int) -> _Start:
-        return _Start(lane, index, Mode.FREE, np.zeros(self._law.size), _STABLE, 1)
-
-    def _unknown(self) -> Float[np.ndarray, "size"]:
-        return np.full(self._law.size, np.nan)
+                self._resolve(lane, 0, Mode.LOST, 1)
 
     def start_at(self, first: Int[np.ndarray, "m"]) -> None:
         """Start every lane free at a given position."""
-        self.pending = [self._free(lane, int(index)) for lane, index in enumerate(first)]
+        self.pending = [
+            _Start(lane, int(index), Mode.FREE, None, _STABLE, 1)
+            for lane, index in enumerate(first)
+        ]
 
     def march(self, *, resolve: bool = True) -> None:
         """March all pending lanes to their ends, or to where they are lost; resolve those, or leave
@@ -164,110 +143,96 @@ class _Walk:
         """
         starts, self.pending = self.pending, []
         lanes = np.array([start.lane for start in starts])
-        first = np.array([start.step for start in starts])
-        x, mode, figure, phase = self._marched(starts, lanes)
-        n = mode.shape[1]
+        first = np.array([start.position for start in starts])
+        steps = self._marched(starts, lanes, first)
+        n = self._clear.shape[1]
         own = np.arange(n) >= first[:, None]
-        lost = own & (mode == Mode.LOST)
+        lost = own & (steps.mode == Mode.LOST)
         ends = np.where(lost.any(axis=1), lost.argmax(axis=1), n)
         kept = own & (np.arange(n) < ends[:, None])
         # The first row of a resumed lane was found by hand, with its figure and phase.
-        kept &= (np.arange(n) > first[:, None]) | (mode == Mode.FREE)
-        rows = np.nonzero(kept)
-        at = (lanes[rows[0]], rows[1])
-        for target, source in (
-            (self.result.x, x),
-            (self.result.mode, mode),
-            (self.result.figure, figure),
-            (self.result.phase, phase),
+        kept &= (np.arange(n) > first[:, None]) | (steps.mode == Mode.FREE)
+        row, index = np.nonzero(kept)
+        for whole, part in zip(
+            jax.tree.leaves(self.found.steps), jax.tree.leaves(steps), strict=True
         ):
-            target[at] = source[rows]
-        self.result.mode[lanes[ends < n], ends[ends < n]] = int(Mode.LOST)
-        for row in np.flatnonzero(ends < n) if resolve else ():
-            lane, index = int(lanes[row]), int(ends[row])
-            before = Mode(int(self.result.mode[lane, index - 1])) if index else Mode.LOST
-            self._resolve(lane, index, before, self.result.x[lane, index - 1], starts[row].patience)
+            whole[lanes[row], index] = part[row, index]
+        failed = np.flatnonzero(ends < n)
+        self.found.steps.mode[lanes[failed], ends[failed]] = int(Mode.LOST)
+        for which in failed.tolist() if resolve else ():
+            lane, at = int(lanes[which]), int(ends[which])
+            before = Mode(int(self.found.steps.mode[lane, at - 1])) if at else Mode.LOST
+            self._resolve(lane, at, before, starts[which].patience)
 
-    def _marched(self, starts: list[_Start], lanes: Int[np.ndarray, "k"]) -> tuple[np.ndarray, ...]:
-        width = 1 if len(starts) == 1 else WIDE
-        parts = [
-            self._marched_run(starts[first:last], lanes[first:last], width, blocks)
-            for first, last, blocks in runs(len(starts), width, self._scene.sizes)
-        ]
-        return tuple(
-            np.concatenate(columns) if len(parts) > 1 else columns[0]
-            for columns in zip(*parts, strict=True)
-        )
-
-    def _marched_run(
-        self, starts: list[_Start], lanes: Int[np.ndarray, "k"], width: int, blocks: int
-    ) -> tuple[np.ndarray, ...]:
-        n = self._clear.shape[1]
+    def _marched(
+        self, starts: list[_Start], lanes: Int[np.ndarray, "k"], first: Int[np.ndarray, "k"]
+    ) -> Steps:
+        count, n = len(starts), self._clear.shape[1]
         capacity = rounded_up(n)
 
-        def lane_blocks(rows: np.ndarray) -> np.ndarray:
-            return to_blocks(rows, width, blocks)
+        def padded(rows: np.ndarray) -> np.ndarray:
+            return np.pad(rows, ((0, 0), (0, capacity - n), *((0, 0),) * (rows.ndim - 2)))
 
-        def position_blocks(rows: np.ndarray) -> np.ndarray:
-            padded = np.zeros((len(rows), capacity, *rows.shape[2:]), dtype=rows.dtype)
-            padded[:, :n] = rows
-            return to_blocks(padded, width, blocks)
-
+        met, meeting = np.zeros((count, n), dtype=bool), _nowhere(self._law, count, n, fill=0.0)
+        place = np.full(len(self._clear), -1)
+        place[lanes] = np.arange(count)
+        here = place[self._meetings.lane] >= 0
+        at = (place[self._meetings.lane[here]], self._meetings.position[here])
+        met[at] = True
+        states = begun(chosen(self._meetings.at, here), self._law.unknowns)
+        for whole, part in zip(jax.tree.leaves(meeting), jax.tree.leaves(states), strict=True):
+            whole[at] = part
+        nothing = _nowhere(self._law, fill=0.0)
+        reached = [start.reached or nothing for start in starts]
         legs = Legs(
-            point=position_blocks(self._path.point[lanes]),
-            tangent=position_blocks(self._path.tangent[lanes]),
-            clear=position_blocks(self._clear[lanes]),
-            met=position_blocks(self._met[lanes]),
-            meeting=position_blocks(self._meeting[lanes]),
-            start=lane_blocks(np.array([start.step for start in starts])),
-            mode=lane_blocks(np.array([int(start.mode) for start in starts])),
-            x=lane_blocks(np.array([start.x for start in starts])),
-            sign=lane_blocks(np.array([start.sign for start in starts])),
+            jax.tree.map(lambda part: padded(part[lanes]), self._path.clamps),
+            padded(self._clear[lanes]),
+            padded(met),
+            jax.tree.map(padded, meeting),
+            first,
+            np.array([int(start.mode) for start in starts]),
+            jax.tree.map(lambda *parts: np.stack(parts), *reached),
+            np.array([start.sign for start in starts]),
         )
-        steps = self._law.march(
-            self._scene, legs, np.asarray(n), np.asarray(-(-len(starts) // width))
-        )
-        return tuple(from_blocks(np.asarray(part), len(starts))[:, :n] for part in steps)
+        steps: Steps = march((self._scene, self._law, np.asarray(n)), legs)
+        return chosen(steps, np.s_[:, :n])
 
-    def _resolve(
-        self, lane: int, index: int, mode: Mode, x: Float[np.ndarray, "size"], patience: int
-    ) -> None:
+    def _resolve(self, lane: int, index: int, mode: Mode, patience: int) -> None:
         """Settle the stretch that ends at `index` and let the lane go on behind it."""
         if self._inside[lane, index]:
-            outcome = Outcome(Mode.LOST, self._unknown(), status=Status.CLAMP_INSIDE)
+            outcome = Outcome(Mode.LOST, status=Status.CLAMP_INSIDE)
         elif mode in (Mode.LOST, Mode.WAITING) and self._clear[lane, index]:
-            outcome = Outcome(Mode.FREE, np.zeros(self._law.size))
+            outcome = Outcome(Mode.FREE)
         else:
-            outcome = self._followed(lane, index, mode, x)
+            reached = chosen(self.found.steps.reached, (lane, index - 1))
+            try:
+                stretch = self._path.stretch(lane, index)
+                outcome = follow(self._scene, self._law, stretch, mode, reached)
+            except (ArithmeticError, ValueError):
+                # Numbers that a library refuses, such as an eigenvalue that does not converge, are
+                # one lane's failure: the others keep their results.
+                outcome = Outcome(Mode.LOST, status=Status.NOT_CONVERGED)
         self._settle(lane, index, outcome, patience)
 
-    def _followed(self, lane: int, index: int, mode: Mode, x: Float[np.ndarray, "size"]) -> Outcome:
-        try:
-            return self._law.follow(self._scene, stretch(self._path, lane, index), mode, x)
-        except (ArithmeticError, ValueError):
-            # Numbers that a library refuses, such as an eigenvalue that does not converge, are one
-            # lane's failure: the others keep their results.
-            return Outcome(Mode.LOST, self._unknown(), status=Status.NOT_CONVERGED)
-
     def _settle(self, lane: int, index: int, outcome: Outcome, patience: int) -> None:
-        result = self.result
-        self.by_hand[lane, index] = True
-        result.x[lane, index], result.mode[lane, index] = outcome.x, int(outcome.mode)
-        result.figure[lane, index], result.phase[lane, index] = outcome.figure, outcome.phase
-        result.status[lane, index] = int(outcome.status)
-        result.happenings += [
+        steps, at = self.found.steps, (lane, index)
+        self.by_hand[at] = True
+        reached = outcome.reached or _nowhere(self._law)
+        for whole, part in zip(
+            jax.tree.leaves(steps.reached), jax.tree.leaves(reached), strict=True
+        ):
+            whole[at] = part
+        steps.mode[at], self.found.status[at] = int(outcome.mode), int(outcome.status)
+        steps.figure[at], steps.phase[at] = outcome.figure, outcome.phase
+        self.found.happenings += [
             Happening(kind, lane, index, fraction, np.asarray(point))
             for kind, fraction, point in outcome.happened
         ]
         if outcome.mode == Mode.LOST:
             self._pass_over(lane, index, outcome.status, patience)
-        else:
+        elif index < self._clear.shape[1] - 1:
             sign = float(np.sign(outcome.figure)) if outcome.mode == Mode.CONTACT else _STABLE
-            self._go_on(_Start(lane, index, outcome.mode, outcome.x, sign, patience))
-
-    def _go_on(self, start: _Start) -> None:
-        if start.step < self._clear.shape[1] - 1:
-            self.pending.append(start)
+            self.pending.append(_Start(lane, index, outcome.mode, outcome.reached, sign, patience))
 
     def _pass_over(self, lane: int, index: int, status: Status, patience: int) -> None:
         """Give the rows behind a failure its status, up to where the straight rod is clear again or
@@ -282,150 +247,135 @@ class _Walk:
             outside = np.flatnonzero(~self._inside[lane, index + 1 :])
             stop = min(stop, index + 1 + int(outside[0])) if outside.size else n
         stop = max(stop, index + 1)
-        self.result.mode[lane, index + 1 : stop] = int(Mode.LOST)
-        self.result.status[lane, index + 1 : stop] = np.where(
-            self._inside[lane, index + 1 : stop], int(Status.CLAMP_INSIDE), int(status)
-        )
+        passed = np.s_[lane, index + 1 : stop]
+        self.found.steps.mode[passed] = int(Mode.LOST)
+        inside = self._inside[passed]
+        self.found.status[passed] = np.where(inside, int(Status.CLAMP_INSIDE), int(status))
         self.by_hand[lane, index + 1 : stop + 1] = True
         if stop < n:
-            self._resolve_later(lane, stop, patience * 2)
-
-    def _resolve_later(self, lane: int, index: int, patience: int) -> None:
-        self._resolve(lane, index, Mode.LOST, self._unknown(), patience)
+            self._resolve(lane, stop, Mode.LOST, patience * 2)
 
 
-def _entered(
-    scene: Scene, path: Path, law: ContactLaw, lanes: Int[np.ndarray, "k"]
-) -> dict[int, Outcome]:
+def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) -> dict[int, Outcome]:
     """Lanes that begin in contact, as if their first step had come from outside the object; those
     for which that goes smoothly.
     """
     if not len(lanes) or path.point.shape[1] < 2:
         return {}
     way = extended_back(path, lanes, _WAY_BACK)
-    distance, at_clamp = along_trails(scene, way)
-    clear = (distance >= CLEAR) & (at_clamp >= 0)
+    straight = along_path(scene, way)
+    clear = (straight.distance >= CLEAR) & (straight.at_clamp >= 0)
     last_clear = clear.shape[1] - 1 - np.argmax(clear[:, ::-1], axis=1)
     found = np.flatnonzero(clear.any(axis=1))
     if not len(found):
         return {}
     # Only the part of the way that some lane needs.
-    from_ = int(last_clear[found].min())
-    way = Path(way.point[found, from_:], way.orientation[found, from_:], 1)
-    clear, inside = clear[found, from_:], at_clamp[found, from_:] < 0
-    walk = _Walk(
-        scene, way, law, clear, inside, first_meetings(scene, way, clear, distance[found, from_:])
-    )
-    walk.start_at(last_clear[found] - from_)
+    needed = np.s_[found, int(last_clear[found].min()) :]
+    way = Path(way.point[needed], way.orientation[needed], 1)
+    clear, inside = clear[needed], straight.at_clamp[needed] < 0
+    meetings = first_meetings(scene, way, clear, straight.distance[needed])
+    walk = _Walk(scene, way, law, clear, inside, meetings)
+    walk.start_at(last_clear[found] - int(last_clear[found].min()))
     walk.march(resolve=False)
-    x, mode, figure, phase = (
-        part[:, -1]
-        for part in (walk.result.x, walk.result.mode, walk.result.figure, walk.result.phase)
-    )
-    return {
-        int(lanes[row]): Outcome(
-            Mode.CONTACT, x[k], figure[k], phase[k], [(EventKind.STARTED_IN_CONTACT, 1.0, x[k, :3])]
-        )
-        for k, row in enumerate(found)
-        if mode[k] == Mode.CONTACT and (figure[k] < 0 or not law.branch)
-    }
+    last = chosen(walk.found.steps, np.s_[:, -1])
+    entered = {}
+    for row, lane in enumerate(lanes[found]):
+        end = chosen(last, row)
+        if end.mode == Mode.CONTACT and (end.figure < 0 or not law.branch):
+            started = (EventKind.STARTED_IN_CONTACT, 1.0, end.reached.state.point)
+            entered[int(lane)] = Outcome(
+                Mode.CONTACT, end.reached, end.figure, end.phase, [started]
+            )
+    return entered
 
 
 class _Bracket(NamedTuple):
     kind: EventKind
     indicator: Indicator
     lane: int
-    step: int
-    ends: Float[np.ndarray, "ends"]
+    position: int
+    low: End
+    high: End
 
 
 def _smooth_happenings(
     scene: Scene,
     path: Path,
-    law: ContactLaw,
-    result: Sweep,
+    law: Law,
+    steps: Steps,
     meetings: Meetings,
     by_hand: Bool[np.ndarray, "m n"],
 ) -> list[Happening]:
     """Events on stretches that the march passed without help."""
-    contact = result.mode == Mode.CONTACT
-    entered = contact[meetings.lane, meetings.step] & ~by_hand[meetings.lane, meetings.step]
-    entered &= ~contact[meetings.lane, meetings.step - 1]
+    contact, free = steps.mode == Mode.CONTACT, steps.mode == Mode.FREE
+    lane, index = meetings.lane, meetings.position
+    entered = contact[lane, index] & ~by_hand[lane, index] & ~contact[lane, index - 1]
+    met = chosen(meetings, entered)
+    first = begun(met.at, law.unknowns)
     happenings, brackets = [], []
-    met = Meetings(*(part[entered] for part in meetings))
-    for lane, index, fraction, state, phase in zip(
-        met.lane, met.step, met.fraction, law.states_at(met), met.phase, strict=True
-    ):
-        happenings.append(
-            Happening(EventKind.FIRST_CONTACT, int(lane), int(index), float(fraction), state[:3])
-        )
-        after = result.phase[lane, index]
-        if (phase > 0) != (after > 0):
-            ends = np.concatenate([[fraction], state, [phase, 1.0], result.x[lane, index], [after]])
-            brackets.append(_Bracket(_change(after), Indicator.PHASE, int(lane), int(index), ends))
-    before, after = contact[:, :-1], contact[:, 1:]
-    marched = ~by_hand[:, 1:]
-    changed = marched & before & ((result.phase[:, :-1] > 0) != (result.phase[:, 1:] > 0))
-    changed &= after | (result.mode[:, 1:] == Mode.FREE)
-    released = marched & before & (result.mode[:, 1:] == Mode.FREE)
-    for lane, index in _ends_of_steps(changed):
-        ends = _ends(result, lane, index, result.phase[lane, index - 1], result.phase[lane, index])
-        brackets.append(
-            _Bracket(_change(result.phase[lane, index]), Indicator.PHASE, lane, index, ends)
-        )
+    for row, (lane, index) in enumerate(zip(met.lane.tolist(), met.position.tolist(), strict=True)):
+        meeting = chosen(met.at, row)
+        fraction = float(meeting.fraction)
+        happenings.append(Happening(EventKind.FIRST_CONTACT, lane, index, fraction, meeting.point))
+        after = steps.phase[lane, index]
+        if (meeting.phase > 0) != (after > 0):
+            low = End(meeting.fraction, chosen(first, row), meeting.phase)
+            high = End(np.float64(1.0), chosen(steps.reached, (lane, index)), after)
+            brackets.append(_Bracket(_phase_change(after), Indicator.PHASE, lane, index, low, high))
+
+    def bracket(happened: np.ndarray, indicator: Indicator, value: np.ndarray) -> None:
+        """Steps, by lane and by the position before, on which an indicator passes zero."""
+        for lane, before in np.argwhere(happened).tolist():
+            low, high = (
+                End(np.float64(share), chosen(steps.reached, (lane, at)), value[lane, at])
+                for share, at in ((0.0, before), (1.0, before + 1))
+            )
+            kind = _kind(indicator, high.value)
+            brackets.append(_Bracket(kind, indicator, lane, before + 1, low, high))
+
+    before, after = contact[:, :-1] & ~by_hand[:, 1:], contact[:, 1:]
+    ends = free[:, 1:]
+    changed = (steps.phase[:, :-1] > 0) != (steps.phase[:, 1:] > 0)
+    bracket(before & changed & (after | ends), Indicator.PHASE, steps.phase)
     if not law.branch:
-        slid, slides = result.figure[:, :-1] > 0, result.figure[:, 1:] > 0
-        for lane, index in _ends_of_steps(marched & before & after & (slid != slides)):
-            ends = _ends(
-                result, lane, index, result.figure[lane, index - 1], result.figure[lane, index]
-            )
-            kind = (
-                EventKind.STICK_TO_SLIP
-                if result.figure[lane, index] > 0
-                else EventKind.SLIP_TO_STICK
-            )
-            brackets.append(_Bracket(kind, Indicator.CONE, lane, index, ends))
-    for lane, index in _ends_of_steps(released):
-        ends = _ends(result, lane, index, result.x[lane, index - 1, 3], result.x[lane, index, 3])
-        brackets.append(_Bracket(EventKind.DETACH, Indicator.FORCE, lane, index, ends))
+        turned = (steps.figure[:, :-1] > 0) != (steps.figure[:, 1:] > 0)
+        bracket(before & after & turned, Indicator.CONE, steps.figure)
+    bracket(before & ends, Indicator.FORCE, steps.reached.state.force)
     return happenings + _located(scene, path, law, brackets)
 
 
-def _ends_of_steps(chosen: Bool[np.ndarray, "m steps"]) -> list[tuple[int, int]]:
-    """Lane and index of the position at the end of each chosen step."""
-    return [(int(lane), int(step) + 1) for lane, step in np.argwhere(chosen)]
-
-
-def _change(phase: float) -> EventKind:
+def _phase_change(phase: float) -> EventKind:
     return EventKind.TIP_TO_TANGENTIAL if phase > 0 else EventKind.TANGENTIAL_TO_TIP
 
 
-def _ends(
-    result: Sweep, lane: int, index: int, before: float, after: float
-) -> Float[np.ndarray, "ends"]:
-    return np.concatenate(
-        [[0.0], result.x[lane, index - 1], [before, 1.0], result.x[lane, index], [after]]
-    )
+def _kind(indicator: Indicator, after: float) -> EventKind:
+    if indicator == Indicator.FORCE:
+        return EventKind.DETACH
+    if indicator == Indicator.PHASE:
+        return _phase_change(after)
+    return EventKind.STICK_TO_SLIP if after > 0 else EventKind.SLIP_TO_STICK
 
 
-def _located(
-    scene: Scene, path: Path, law: ContactLaw, brackets: list[_Bracket]
-) -> list[Happening]:
+def _located(scene: Scene, path: Path, law: Law, brackets: list[_Bracket]) -> list[Happening]:
     if not brackets:
         return []
-    lanes = np.array([bracket.lane for bracket in brackets])
-    indices = np.array([bracket.step for bracket in brackets])
-    ends = np.array([bracket.ends for bracket in brackets])
-    indicator = np.array([int(bracket.indicator) for bracket in brackets])
-    found = law.roots(scene, stretch(path, lanes, indices), ends, indicator)
+    columns = _Bracket(*zip(*brackets, strict=True))
+    lane, index = np.array(columns.lane), np.array(columns.position)
+    low, high = (
+        jax.tree.map(lambda *parts: np.stack(parts), *ends) for ends in (columns.low, columns.high)
+    )
+    indicator = np.array(columns.indicator, dtype=np.int64)
+    found = located(scene, law, path.stretch(lane, index), low, high, indicator)
     release = {
-        (b.lane, b.step): row[0]
-        for b, row in zip(brackets, found, strict=True)
-        if b.kind == EventKind.DETACH
+        (at.lane, at.position): fraction
+        for at, fraction in zip(brackets, found.fraction, strict=True)
+        if at.kind == EventKind.DETACH
     }
     return [
-        Happening(b.kind, b.lane, b.step, float(row[0]), row[1:4])
-        for b, row in zip(brackets, found, strict=True)
+        Happening(at.kind, at.lane, at.position, float(fraction), point)
+        for at, fraction, point in zip(
+            brackets, found.fraction, found.reached.state.point, strict=True
+        )
         # A change of phase behind the loss of contact belongs to no rod.
-        if b.kind == EventKind.DETACH or row[0] < release.get((b.lane, b.step), np.inf)
+        if at.kind == EventKind.DETACH or fraction < release.get((at.lane, at.position), np.inf)
     ]

@@ -15,19 +15,34 @@ with sin α = k, F(χ') = 2 F(β). That keeps β below 90° where the force pass
 negative.
 """
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+import numpy as np
+from jax import Array, lax
 from jaxtyping import Float
 
+from vibrissa.mechanics.model import Bent, Clamp, Contact, RodModel, is_neutral
 from vibrissa.numerics.carlson import carlson_rf_rd
+from vibrissa.numerics.trigonometry import cosine, sine
 
-Scalar = Float[Array, ""]
-Vector = Float[Array, "3"]
+Scalar = Float[Any, ""]
+Vector = Float[Any, "3"]
 
 _MEANS = 6
+"""Steps of the arithmetic-geometric mean: quadratic, so that the last digit is reached for every k²
+below 1 − 1e-12.
+"""
+_NODE_COUNT = 14
+"""Chebyshev nodes along the bent part: its points are exact to 1e-8 for k² ≤ ½."""
+_LEAST_FORCE = 1e-12
+"""[EI/L²] below which a line is drawn as under this force: it is straight to 1e-12 L."""
+_LARGEST_MODULUS = 1 - 1e-12
+"""k² up to which the curvature is taken to have a zero."""
+_TINY = 1e-300
 
 
 class BasePlane(NamedTuple):
@@ -109,6 +124,112 @@ def largest_curvature(plane: BasePlane, contact: ContactOnRod, force: Scalar) ->
     """
     inside = 2 * jnp.sqrt(jnp.maximum(force * contact.modulus, 0.0))
     return jnp.where(plane.sin_a0 < 0, inside, force * plane.lever_arm)
+
+
+class Inner(NamedTuple):
+    """What the closed form knows of a bent rod besides what every model tells."""
+
+    plane: BasePlane
+    rod: ContactOnRod
+
+
+class Elastica(RodModel):
+    """The uniform straight rod."""
+
+    inflections: int = eqx.field(static=True, default=0)
+    """How often the curvature changes its sign between clamp and contact."""
+
+    def bent(
+        self,
+        clamp: Clamp,
+        point: Vector,
+        force: Scalar,
+        direction: Vector,
+        reached: Vector | None = None,
+    ) -> Bent:
+        """As in `RodModel`."""
+        r, d, t0 = point - clamp.point, direction, clamp.tangent
+        plane = base_plane(d, d * jnp.dot(r, t0) - r * jnp.dot(d, t0), t0)
+        rod = contact_on_rod(plane, force, self.inflections)
+        # Where the force acts along the clamp's axis, any plane through the axis will do: the
+        # rod stays in the one that it had when it came there, as no force turns it.
+        before = jnp.cross(t0, lax.stop_gradient(r) if reached is None else reached)
+        held = before / jnp.sqrt(jnp.maximum(jnp.sum(before * before), _TINY))
+        out_of_plane = jnp.dot(r, jnp.where(is_neutral(d, t0), held, jnp.cross(t0, d)))
+        misses = jnp.stack([out_of_plane, jnp.dot(r, d) + rod.advance])
+        return Bent(point, r, force, d, misses, rod.arc_length, rod.modulus, Inner(plane, rod))
+
+    def side(self, bent: Bent) -> Vector:
+        """Unit vector from the clamp to the line of the force."""
+        r, d = bent.to_contact, bent.direction
+        return (r - jnp.dot(r, d) * d) / bent.inner.plane.lever_arm
+
+    def tangent(self, bent: Bent) -> Vector:
+        """As in `RodModel`; where a = α it makes 2α with −d."""
+        return contact_tangent(bent.direction, self.side(bent), bent.incidence)
+
+    def energy(self, bent: Bent) -> Scalar:
+        """As in `RodModel`."""
+        return bending_energy(bent.inner.rod, bent.force)
+
+    def largest_curvature(self, bent: Bent) -> Scalar:
+        """As in `RodModel`."""
+        return largest_curvature(bent.inner.plane, bent.inner.rod, bent.force)
+
+    def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
+        """As in `RodModel`.
+
+        With c = π/2 − χ: ds = dc / (√f √(1 − k² cos² c)), the distance from the line of the force
+        is κ/f = 2 k sin c / √f, and the rod advances along −d by (1 − 2 k² cos² c) ds.
+        """
+        plane, k2 = bent.inner.plane, bent.inner.rod.modulus
+        root = jnp.sqrt(jnp.maximum(bent.force, _LEAST_FORCE))
+        span = jnp.arctan2(root * plane.lever_arm / 2, plane.sin_a0)
+        nodes, integrate = _cumulative_chebyshev(tuple(share.tolist()))
+        flexed = k2 * cosine(span * nodes) ** 2
+        advance = integrate @ ((1 - 2 * flexed) * lax.rsqrt(1 - flexed) * (span / root))
+        distance = 2 * jnp.sqrt(k2) / root * sine(span * share)
+        return bent.point + advance[:, None] * bent.direction - distance[:, None] * self.side(bent)
+
+    def contact(self, force: Vector, moment: Vector, tangent: Vector) -> Contact:
+        """As in `RodModel`: r = (m0 × F)/f² − I₁ d with F = −f0 = f d (paper, eqs. 14-16).
+
+        The first term is the wrench's central axis; only I₁, how far along it, needs the rod. Noise
+        may leave no zero of the curvature; the value then is that of the last wrench which has one,
+        and the incidence tells.
+        """
+        F = -force
+        f = jnp.sqrt(jnp.sum(F * F))
+        d = F / f
+        # t' = t0 × m0 at the clamp: the rod bends towards it, with κ₀ = f ℓ.
+        plane = base_plane(d, jnp.cross(tangent, moment) / f, tangent)
+        modulus = plane.sin_a0**2 + f * plane.lever_arm**2 / 4
+        held = jnp.where(modulus < _LARGEST_MODULUS, 1.0, jnp.sqrt(_LARGEST_MODULUS / modulus))
+        rod = contact_on_rod(BasePlane(plane.sin_a0 * held, plane.lever_arm * held), f)
+        reach = jnp.cross(moment, F) / (f * f) - rod.advance * d
+        return Contact(reach, d, rod.arc_length, modulus, bending_energy(rod, f))
+
+
+@lru_cache(maxsize=8)
+def _cumulative_chebyshev(
+    targets: tuple[float, ...],
+) -> tuple[Float[np.ndarray, "nodes"], Float[np.ndarray, "targets nodes"]]:
+    """Chebyshev–Lobatto nodes on [0, 1], and the matrix that integrates values at the nodes from 0
+    to each target.
+    """
+    nodes = (1 - np.cos(np.pi * np.arange(_NODE_COUNT) / (_NODE_COUNT - 1))) / 2
+    chebyshev = np.polynomial.chebyshev
+    antiderivatives = chebyshev.chebint(np.eye(_NODE_COUNT), lbnd=-1, axis=0)
+    integrals = chebyshev.chebval(2 * np.array(targets) - 1, antiderivatives).T / 2
+    return nodes, integrals @ np.linalg.inv(chebyshev.chebvander(2 * nodes - 1, _NODE_COUNT - 1))
+
+
+def contact_tangent(direction: Vector, side: Vector, incidence: Scalar) -> Vector:
+    """Unit tangent at the contact, where a = α: it makes 2α with −d, sin² α = k², towards `side`,
+    the unit vector from the clamp to the line of the force.
+    """
+    k2 = incidence
+    return -(1 - 2 * k2) * direction + 2 * jnp.sqrt(jnp.maximum(k2 * (1 - k2), 0.0)) * side
 
 
 @jax.custom_jvp

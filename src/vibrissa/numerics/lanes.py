@@ -182,3 +182,8 @@ def _filled(rows: AnyArray, size: int) -> AnyArray:
     """Rows, the last one repeated up to a number."""
     missing = size - len(rows)
     return np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]) if missing else rows
+
+
+def rounded_up(count: int) -> int:
+    """Next power of two, at least 256: the capacity of an array whose filled length varies."""
+    return max(256, 1 << (count - 1).bit_length())

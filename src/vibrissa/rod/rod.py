@@ -1,10 +1,19 @@
 """Uniform straight rod, clamped at one end."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import jax
 
 from vibrissa.geometry.checks import positive
+
+if TYPE_CHECKING:
+    Figure: TypeAlias = float
+else:
+    # Within a derivative by the rod, what JAX traces.
+    Figure = float | jax.Array
 
 FIRST_CLAMPED_ROOT = 1.8751040687119611
 """First root of cos β cosh β = −1, clamped-free beam (Euler–Bernoulli)."""
@@ -22,6 +31,9 @@ _SI_UNITS = {"length": "m", "force": "N", "moment": "N m", "energy": "J", "curva
 @dataclass(frozen=True)
 class Rod:
     """Uniform, straight, unshearable, inextensible rod of isotropic section (paper, section II).
+
+    A pytree: its figures may be numbers of JAX, so that derivatives by them pass through whatever is
+    computed with `vibrissa.contact`.
 
     All results come in the units in which the rod is given: SI, or the model's own (L = EI = 1;
     paper, eq. 1).
@@ -48,17 +60,18 @@ class Rod:
         If a figure is not positive and finite, or a yield strain comes without a radius.
     """
 
-    length: float
-    bending_stiffness: float
-    radius: float | None = None
-    linear_density: float | None = None
-    yield_strain: float | None = None
+    length: Figure
+    bending_stiffness: Figure
+    radius: Figure | None = None
+    linear_density: Figure | None = None
+    yield_strain: Figure | None = None
     units: Literal["SI", "model"] = "SI"
 
     def __post_init__(self) -> None:
         for name in ("length", "bending_stiffness", "radius", "linear_density", "yield_strain"):
             value = getattr(self, name)
-            if value is not None or name in ("length", "bending_stiffness"):
+            given = value is not None or name in ("length", "bending_stiffness")
+            if given and not isinstance(value, jax.Array):
                 object.__setattr__(self, name, positive(value, name))
         if self.yield_strain is not None and self.radius is None:
             raise ValueError(
@@ -99,12 +112,12 @@ class Rod:
         )
 
     @property
-    def force_scale(self) -> float:
+    def force_scale(self) -> Figure:
         """EI/L² [N]."""
         return self.bending_stiffness / self.length**2
 
     @property
-    def moment_scale(self) -> float:
+    def moment_scale(self) -> Figure:
         """EI/L [N m], also the scale of energy [J]."""
         return self.bending_stiffness / self.length
 
@@ -145,3 +158,19 @@ class Rod:
             if weight is None or self.units != "SI"
             else weight * _GRAVITY * self.length**4 / (8 * self.bending_stiffness)
         )
+
+
+_FIGURES = ("length", "bending_stiffness", "radius", "linear_density", "yield_strain")
+
+
+def _of_figures(units: Literal["SI", "model"], figures: Iterable[Any]) -> Rod:
+    """Return a rod of whatever JAX puts into its trees, which is checked already or no number."""
+    rod = object.__new__(Rod)
+    for name, figure in zip((*_FIGURES, "units"), (*figures, units), strict=True):
+        object.__setattr__(rod, name, figure)
+    return rod
+
+
+jax.tree_util.register_pytree_node(
+    Rod, lambda rod: (tuple(getattr(rod, name) for name in _FIGURES), rod.units), _of_figures
+)

@@ -1,0 +1,23 @@
+"""The equilibrium of one pose: the law of the contact force, the conditions, one solver with
+derivatives. Lengths in L, forces in EI/L².
+"""
+
+from vibrissa.contact.conditions import Touching, touching
+from vibrissa.contact.laws import COULOMB, FRICTIONLESS, Held, Law, Leaning
+from vibrissa.contact.newton import root, step_from
+from vibrissa.contact.scene import Reached, Scene, State
+
+__all__ = [
+    "COULOMB",
+    "FRICTIONLESS",
+    "Held",
+    "Law",
+    "Leaning",
+    "Reached",
+    "Scene",
+    "State",
+    "Touching",
+    "root",
+    "step_from",
+    "touching",
+]

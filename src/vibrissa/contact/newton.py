@@ -1,0 +1,90 @@
+"""Newton's method for the conditions of contact, and derivatives of what it finds."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.numerics.linear import solve_4x4, solve_pivoted
+
+Scalar = Float[Any, ""]
+Unknowns = Float[Array, "unknowns"]
+Told = TypeVar("Told")
+
+_LONGEST_STEP = 0.3
+"""[L] by which the contact point moves at most in one step."""
+_MET, _ASTRAY = 1e-9, 1e-5
+"""A step longer than the second [L] from where the conditions are met to the first comes of a
+singular Jacobian: it would lead away.
+"""
+_CONVERGED = 1e-11
+_MOST_STEPS = 25
+
+
+class Step(NamedTuple):
+    """One step of Newton's method."""
+
+    x: Unknowns
+    residual: Scalar
+    """Largest residual before the step."""
+    determinant: Scalar
+    """Of the Jacobian of point and force before the step: its sign changes where an equilibrium
+    without friction gains or loses stability. NaN of more unknowns.
+    """
+
+
+def solved_linear(
+    matrix: Float[Any, "n n"], right: Float[Array, "n"]
+) -> tuple[Float[Array, "n"], Scalar]:
+    """Solution of a small system, and the determinant of one of four."""
+    if matrix.shape[0] == 4:
+        return solve_4x4(matrix, right)
+    return solve_pivoted(matrix, right), jnp.full((), jnp.nan)
+
+
+def step_from(
+    conditions: Callable[[Unknowns], tuple[Unknowns, Told]], x: Unknowns
+) -> tuple[Step, Told]:
+    """Semi-smooth Newton step; the contact point x[:3] moves by at most 0.3 L.
+
+    `conditions` tells the residual, and whatever else is wanted of x.
+    """
+
+    def both(x: Unknowns) -> tuple[Unknowns, tuple[Unknowns, Told]]:
+        residual, told = conditions(x)
+        return residual, (residual, told)
+
+    jacobian, (residual, told) = jax.jacfwd(both, has_aux=True)(x)
+    step, determinant = solved_linear(jacobian, residual)
+    distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
+    share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(distance, _LONGEST_STEP))
+    largest = jnp.max(jnp.abs(residual))
+    there = (largest <= _MET) & ~(distance < _ASTRAY)
+    return Step(jnp.where(there, x, x - share * step), largest, determinant), told
+
+
+def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
+    """Root of conditions by Newton's method, with the derivatives of the conditions, not of the
+    iterations: dx/dθ = −(∂R/∂x)⁻¹ ∂R/∂θ for every θ that `residual` closes over.
+    """
+
+    def newton(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
+        def advance(state: tuple[Unknowns, Scalar, Array]) -> tuple[Unknowns, Scalar, Array]:
+            step, _ = step_from(lambda x: (residual(x), None), state[0])
+            return step.x, step.residual, state[2] + 1
+
+        def unfinished(state: tuple[Unknowns, Scalar, Array]) -> Array:
+            return (state[1] > _CONVERGED) & (state[2] < _MOST_STEPS)
+
+        first = (start, jnp.asarray(jnp.inf), jnp.zeros((), dtype=int))
+        found: Unknowns = lax.while_loop(unfinished, advance, first)[0]
+        return found
+
+    def tangent(linear: Callable[[Unknowns], Unknowns], right: Unknowns) -> Unknowns:
+        return solved_linear(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
+
+    found: Unknowns = lax.custom_root(residual, start, newton, tangent)
+    return found

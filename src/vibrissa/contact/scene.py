@@ -1,0 +1,77 @@
+"""What touches what, and what is solved for."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float
+
+from vibrissa.mechanics.elastica import Elastica
+from vibrissa.mechanics.model import RodModel
+from vibrissa.surfaces import Surface
+
+Scalar = Float[Any, ""]
+Vector = Float[Any, "3"]
+
+
+class Scene(NamedTuple):
+    """The object, the rod's length, which turns its units into the model's, the coefficient of
+    friction between them, and the rod.
+    """
+
+    surface: Surface
+    length: Scalar | float
+    friction: Scalar | float = 0.0
+    rod: RodModel = Elastica()
+
+    def level(self, point: Vector) -> Scalar:
+        """Level function of the object in model units."""
+        return self.surface.level(point * self.length) / self.length
+
+    def part_levels(self, point: Vector) -> Float[Array, "parts"]:
+        """Level functions of the object's parts in model units."""
+        return self.surface.part_levels(point * self.length) / self.length
+
+    def each(self, function: Callable[[Vector], Any], points: Float[Array, "n 3"]) -> Any:
+        """The function of several points: side by side, or one by one where that would take long to
+        compile.
+        """
+        return lax.map(function, points) if self.surface.heavy else jax.vmap(function)(points)
+
+
+class State(NamedTuple):
+    """What is solved for: contact point [L], magnitude of the contact force [EI/L²], and what the
+    law adds.
+    """
+
+    point: Vector
+    force: Scalar
+    lean: Float[Any, "lean"]
+
+    @property
+    def flat(self) -> Float[Array, "unknowns"]:
+        """As one vector, for Newton's method."""
+        return jnp.concatenate([self.point, self.force[None], self.lean])
+
+    @property
+    def flat_rows(self) -> Float[np.ndarray, "n unknowns"]:
+        """The same of many, one a row."""
+        return np.column_stack([self.point, self.force, self.lean])
+
+    @classmethod
+    def of(cls, flat: Float[Array, "unknowns"]) -> "State":
+        """Undo `flat`."""
+        return cls(flat[:3], flat[3], flat[4:])
+
+
+class Reached(NamedTuple):
+    """What one position hands on to the next."""
+
+    state: State
+    arc_length: Scalar
+    """Of the contact [L]."""
+    tangent: Vector
+    """Of the rod at the contact."""

@@ -1,0 +1,443 @@
+"""The ways that an equilibrium takes along a stretch: a branch, followed by its arc length, so that
+it can be seen to turn back (fold); or, with friction, steps that only go forward, since a state has
+a memory.
+
+Steps are halved where Newton's method does not converge.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float
+from scipy.optimize import brentq
+
+from vibrissa.contact import FRICTIONLESS, Law, Reached, Scene, State, touching
+from vibrissa.forward.approach import Meeting, clearances
+from vibrissa.forward.assess import Assessment, assess, reached_by
+from vibrissa.forward.events import EventKind
+from vibrissa.forward.locate import End as Bracket
+from vibrissa.forward.locate import Indicator, Located, located
+from vibrissa.forward.march import JUMP, JUMP_FLOOR, TOLERANCE, solved
+from vibrissa.forward.path import Stretch, chosen
+from vibrissa.forward.search import Settled
+from vibrissa.numerics.compiled import compiled
+from vibrissa.numerics.linear import solve_pivoted
+
+Happened: TypeAlias = tuple[EventKind, float, Float[np.ndarray, "3"]]
+"""What happened, at which fraction of the stretch, and the contact point [L]."""
+
+NO_FORCE = 1e-7
+"""[EI/L²] up to which a contact counts as one that has just begun, or is about to end."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A state on the way, with its figure (as in `Steps`) and its phase difference; on a branch,
+    the branch's unit tangent in weighted coordinates.
+    """
+
+    fraction: float
+    reached: Reached
+    figure: float
+    phase: float
+    onward: Any = None
+
+
+@dataclass(frozen=True)
+class End:
+    """Why a way ended: arrived, released, snapped, or stuck."""
+
+    reason: str
+    at: Place
+
+
+class Way(ABC):
+    """A way along a stretch."""
+
+    def __init__(self, scene: Scene, law: Law, stretch: Stretch) -> None:
+        self._scene, self._law, self._stretch = scene, law, stretch
+
+    @abstractmethod
+    def enter(self, reached: Reached) -> Place | None:
+        """The state that was reached before the stretch, at its start."""
+
+    @abstractmethod
+    def met(self, meeting: Meeting) -> Place | None:
+        """A first contact."""
+
+    @abstractmethod
+    def settled(self, found: Settled, fraction: float) -> Place | None:
+        """An equilibrium without friction at a fraction, at rest."""
+
+    @abstractmethod
+    def track(self, start: Place, happened: list[Happened]) -> End:
+        """Follow the way to the end of the stretch, its release, or to where no neighbouring state
+        is left; changes are noted as they happen.
+        """
+
+    def energy(self, at: Place) -> float:
+        """Bending energy [EI/L]."""
+        return float(self._assessed(at.reached.state, at.fraction).energy)
+
+    def _assessed(self, state: State, fraction: float) -> Assessment:
+        clamp = self._stretch.clamps(np.array([fraction]))
+        one = jax.tree.map(lambda part: np.asarray(part)[None], (state, clamp))
+        values: Assessment = chosen(assess(self._scene, *one, self._law), 0)
+        return values
+
+
+_CONVERGED, _SOUND, _NO_STEP = 1e-12, 1e-9, 1e-15
+"""Residual that is met; the same where steps have come to rounding; and such a step."""
+_ASTRAY = 1e-5
+"""Longest step (weighted) that is taken from where the conditions are met: a longer one comes of a
+singular Jacobian.
+"""
+_MOST_ITERATIONS = 12
+_FIRST_STEP, _LONGEST_STEP, _SHORTEST_STEP = 0.01, 0.03, 1e-10
+"""[L] along the branch; the shortest is what rounding leaves of a fold."""
+_MOST_STEPS = 600
+_BIFURCATION_STEP = 2e-5
+"""[L] down to which a step across a change of the determinant's sign is refined."""
+_LOOKS_AHEAD, _NEAR = (1e-6, 1e-5), 1e-3
+"""Fractions of the stretch beyond the end of a branch, and how near [L] an equilibrium there
+continues it.
+"""
+_FORCE_WEIGHT, _LARGE_FORCE = 0.1, 5.0
+"""Make force [EI/L²] and fraction of the stretch commensurable with the contact point's path."""
+_ONWARD = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+class _Corrected(NamedTuple):
+    """Newton's method on a plane across the branch: y = (p, f, fraction), the step to come, the
+    largest miss before it, and phase difference, arc length, tangent and Jacobian there.
+    """
+
+    y: Float[Array, "five"]
+    step: Float[Array, "five"]
+    miss: Float[Array, ""]
+    iteration: Array
+    phase: Float[Array, ""]
+    arc_length: Float[Array, ""]
+    tangent: Float[Array, "3"]
+    jacobian: Float[Array, "four five"]
+
+
+def _correct(
+    scene: Scene, stretch: Stretch, guess: Any, normal: Any, weights: Any, reached: Any, most: Any
+) -> _Corrected:
+    """At most that many steps from the guess on the plane through it with the given normal, in
+    weighted coordinates; none evaluates the guess. `reached` is r of the state before.
+    """
+
+    def conditions(y: Float[Array, "five"]) -> tuple[Any, Any]:
+        clamp = stretch.clamp(y[4])
+        found = touching(scene, FRICTIONLESS, State.of(y[:4]), clamp, side=reached)
+        told = found.phase, found.bent.arc_length, found.tangent
+        return found.residual, (found.residual, told)
+
+    def unfinished(at: _Corrected) -> Array:
+        moves = (at.miss >= _CONVERGED) & (jnp.max(jnp.abs(at.step * weights)) >= _NO_STEP)
+        return (at.iteration == 0) | ((at.iteration <= most) & moves & jnp.isfinite(at.miss))
+
+    def refine(at: _Corrected) -> _Corrected:
+        y = at.y - at.step
+        jacobian, (residual, told) = jax.jacfwd(conditions, has_aux=True)(y)
+        right = jnp.append(residual, jnp.dot(normal, (y - guess) * weights))
+        step = solve_pivoted(jnp.concatenate([jacobian / weights, normal[None]]), right) / weights
+        phase, arc_length, tangent = told
+        miss, done = jnp.max(jnp.abs(right)), at.iteration + 1
+        return _Corrected(y, step, miss, done, phase, arc_length, tangent, jacobian)
+
+    zero = jnp.zeros(())
+    start = _Corrected(
+        guess, jnp.zeros(5), zero, jnp.zeros((), int), zero, zero, jnp.zeros(3), jnp.zeros((4, 5))
+    )
+    end = lax.while_loop(unfinished, refine, start)
+    size = jnp.max(jnp.abs(end.step * weights))
+    # The last step is taken too, unless the conditions leave the point free and it leads astray.
+    last = jnp.where((most > 0) & (size < _ASTRAY), end.step, 0.0)
+    sound = (end.miss < _CONVERGED) | ((end.miss < _SOUND) & (size < _NO_STEP))
+    found: _Corrected = end._replace(y=end.y - last, miss=jnp.where(sound, end.miss, jnp.inf))
+    return found
+
+
+_corrected = compiled(_correct, rarely=True)
+
+
+class Branch(Way):
+    """Pseudo-arclength continuation."""
+
+    def __init__(self, scene: Scene, law: Law, stretch: Stretch) -> None:
+        super().__init__(scene, law, stretch)
+        self._weighted(0.0)
+
+    def _weighted(self, force: float) -> None:
+        of_force = _FORCE_WEIGHT / max(1.0, force / _LARGE_FORCE)
+        self._weights = np.array([1.0, 1.0, 1.0, of_force, max(self._stretch.motion, 1e-6)])
+
+    def enter(self, reached: Reached) -> Place | None:
+        """As in `Way`."""
+        self._weighted(float(reached.state.force))
+        return self._at(_flat(reached.state, 0.0))
+
+    def met(self, meeting: Meeting) -> Place | None:
+        """As in `Way`."""
+        return self._at(np.array([*meeting.point, 0.0, meeting.fraction]))
+
+    def settled(self, found: Settled, fraction: float) -> Place | None:
+        """As in `Way`."""
+        return self._at(_flat(found.state, fraction))
+
+    def _at(self, y: Float[np.ndarray, "five"]) -> Place | None:
+        """Place at y as it is, its tangent forward on the stretch."""
+        return self._place(self._solved(y, _ONWARD, y, 0), None)
+
+    def _solved(
+        self, guess: Any, normal: Any, origin: Any, most: int = _MOST_ITERATIONS
+    ) -> _Corrected:
+        """As `_correct`; where nothing else fixes the bending plane, it stays that of `origin`."""
+        reached = origin[:3] - self._stretch.at(origin[4:]).point
+        found = _corrected(
+            self._scene, self._stretch, guess, normal, self._weights, reached, np.asarray(most)
+        )
+        result: _Corrected = jax.tree.map(np.asarray, found)
+        return result
+
+    def _place(self, found: _Corrected, ahead: Any) -> Place | None:
+        if not np.all(np.isfinite(found.jacobian)):
+            return None
+        tangent = np.linalg.svd(found.jacobian / self._weights)[2][-1]
+        onward = tangent[4] if ahead is None else tangent @ ahead
+        y = found.y
+        state = State(y[:3], y[3], y[:0])
+        return Place(
+            float(y[4]),
+            Reached(state, found.arc_length, found.tangent),
+            float(np.linalg.det(found.jacobian[:, :4])),
+            float(found.phase),
+            tangent if onward > 0 else -tangent,
+        )
+
+    def _on_plane(self, guess: Any, normal: Any, origin: Any) -> _Corrected | None:
+        """None without convergence."""
+        found = self._solved(guess, normal, origin)
+        return found if np.isfinite(found.y).all() and np.isfinite(found.miss) else None
+
+    def _at_fraction(self, guess: Any, fraction: float, ahead: Any = None) -> Place | None:
+        """Equilibrium at a given fraction of the stretch."""
+        found = self._on_plane(np.append(guess[:4], fraction), _ONWARD, guess)
+        return None if found is None else self._place(found, ahead)
+
+    def _along(self, start: Place, step: float) -> Place | None:
+        """Place one step of arc length on."""
+        y = _of(start)
+        found = self._on_plane(y + step * start.onward / self._weights, start.onward, y)
+        if found is None or np.abs((found.y - y) * self._weights).max() > 3 * step:
+            return None
+        return self._place(found, start.onward)
+
+    def _root(self, start: Place, step: float, figure: Callable[[Place], float]) -> Place:
+        """Place between `start` and one step on at which a figure of opposite signs there is zero."""
+
+        def at(length: float) -> Place:
+            place = self._along(start, length) if length > 0 else start
+            if place is None:
+                raise ValueError
+            return place
+
+        try:
+            return at(brentq(lambda length: figure(at(length)), 0.0, step, xtol=1e-15, rtol=1e-14))
+        except ValueError:
+            # No root between them, to rounding: the end that comes nearer to it.
+            end = self._along(start, step)
+            return start if end is None or abs(figure(start)) <= abs(figure(end)) else end
+
+    def track(self, start: Place, happened: list[Happened]) -> End:
+        """As in `Way`."""
+        here, step = start, _FIRST_STEP
+        for _ in range(_MOST_STEPS):
+            if step < _SHORTEST_STEP:
+                beyond = self._beyond(here)
+                if beyond is None:
+                    return End("snapped", here)
+                here, step = beyond, _FIRST_STEP
+            following = self._along(here, step)
+            if following is not None and following.onward[4] <= 0:
+                return End("snapped", self._root(here, step, lambda place: place.onward[4]))
+            if following is not None and following.fraction >= 1:
+                following, step = self._arrival(here, following, step)
+            if following is not None and following.reached.state.force < 0:
+                release = here
+                if here.reached.state.force > 0:
+                    release = self._root(here, step, lambda place: float(place.reached.state.force))
+                if abs(release.reached.state.force) <= NO_FORCE:
+                    self._changes(here, release, step, happened)
+                    return End("released", release)
+                # Not a force that falls to zero, but another branch on which it pulls.
+                following = None
+            if following is None:
+                step /= 2
+                continue
+            if following.figure * here.figure < 0 and step > _BIFURCATION_STEP:
+                # A bifurcation keeps its place when the step is refined; a branch that only comes
+                # near another one is followed round.
+                step = max(step / 4, 0.5 * _BIFURCATION_STEP)
+                continue
+            self._changes(here, following, step, happened)
+            here = following
+            if here.fraction >= 1:
+                return End("arrived", here)
+            step = min(1.5 * step, _LONGEST_STEP)
+        return End("stuck", here)
+
+    def _arrival(self, here: Place, following: Place, step: float) -> tuple[Place | None, float]:
+        """The place at the end of the stretch, between two others, and the step to it."""
+        y, beyond = _of(here), _of(following)
+        between = y + (beyond - y) * (1 - y[4]) / (beyond[4] - y[4])
+        end = self._at_fraction(between, 1.0, here.onward)
+        if end is None:
+            return None, step
+        return end, float(here.onward @ ((_of(end) - y) * self._weights))
+
+    def _beyond(self, here: Place) -> Place | None:
+        """Past a corner of the branch, where the phases meet or the object's curvature jumps: the
+        equilibrium near by and a little further on, if there is one.
+        """
+        y = _of(here)
+        for ahead in _LOOKS_AHEAD:
+            there = self._at_fraction(y, min(here.fraction + ahead, 1.0))
+            if there is None or there.reached.state.force < 0:
+                continue
+            if np.abs((_of(there) - y) * self._weights).max() < _NEAR:
+                return there
+        return None
+
+    def _changes(
+        self, here: Place, following: Place, step: float, happened: list[Happened]
+    ) -> None:
+        if (here.phase > 0) != (following.phase > 0):
+            change = self._root(here, step, lambda place: place.phase)
+            happened.append((_phase_change(following), change.fraction, change.reached.state.point))
+        if here.figure * following.figure < 0:
+            # The step is short here: between its ends the determinant is a straight line.
+            share = here.figure / (here.figure - following.figure)
+            y = _of(here) + share * (_of(following) - _of(here))
+            lost = following.figure > 0
+            kind = EventKind.LATERAL_INSTABILITY if lost else EventKind.LATERAL_RECOVERY
+            happened.append((kind, float(y[4]), y[:3]))
+
+
+def _phase_change(following: Place) -> EventKind:
+    rises = following.phase > 0
+    return EventKind.TIP_TO_TANGENTIAL if rises else EventKind.TANGENTIAL_TO_TIP
+
+
+def _flat(state: State, fraction: float) -> Float[np.ndarray, "five"]:
+    return np.array([*state.point, state.force, fraction])
+
+
+def _of(place: Place) -> Float[np.ndarray, "five"]:
+    return _flat(place.reached.state, place.fraction)
+
+
+_SHORTEST_RUB = 2.0**-20
+"""Fraction of the stretch below which no step is tried."""
+_CLEARLY_INSIDE = -1e-6
+"""Clearance [L] at which a contact cannot have been released."""
+_ON_THE_CONE = 1 - 1e-9
+
+
+def _rubbed(scene: Scene, law: Law, stretch: Stretch, fraction: Any, before: Reached) -> Any:
+    before = jax.tree.map(jnp.asarray, before)
+    clamp = jax.tree.map(jnp.asarray, stretch).clamp(jnp.asarray(fraction))
+    return solved(scene, law, before.state, clamp, before, None, jnp.asarray(True))  # noqa: FBT003
+
+
+_rub = compiled(_rubbed, rarely=True)
+
+
+class Rubbing(Way):
+    """Steps forward with friction."""
+
+    def enter(self, reached: Reached) -> Place | None:
+        """As in `Way`; the figure stands in for that of a step before: positive on the cone."""
+        state = reached.state
+        beyond = float(np.linalg.norm(state.lean) - self._scene.friction * _ON_THE_CONE)
+        return Place(0.0, reached, beyond, float(self._assessed(state, 0.0).phase))
+
+    def met(self, meeting: Meeting) -> Place | None:
+        """As in `Way`."""
+        state = State(meeting.point, np.zeros(()), np.zeros(self._law.unknowns))
+        reached = Reached(state, meeting.arc_length, meeting.tangent)
+        return Place(float(meeting.fraction), reached, -float(self._scene.friction), np.nan)
+
+    def settled(self, found: Settled, fraction: float) -> Place | None:
+        """As in `Way`."""
+        state = found.state._replace(lean=np.zeros(self._law.unknowns))
+        values = self._assessed(state, fraction)
+        reached = reached_by(values, state)
+        return Place(fraction, reached, -float(self._scene.friction), float(values.phase))
+
+    def track(self, start: Place, happened: list[Happened]) -> End:
+        """As in `Way`."""
+        motion, here, step = self._stretch.motion, start, (1 - start.fraction) / 2
+        while here.fraction < 1:
+            if step < _SHORTEST_RUB:
+                return End("snapped", here)
+            target = min(1.0, here.fraction + step)
+            found = jax.tree.map(
+                np.asarray, _rub(self._scene, self._law, self._stretch, target, here.reached)
+            )
+            following = Place(target, found.reached, float(found.figure), float(found.phase))
+            moved = np.linalg.norm(found.reached.state.point - here.reached.state.point)
+            far = moved > JUMP_FLOOR * step + JUMP * motion * step
+            if not found.residual <= TOLERANCE or far:
+                step /= 2
+                continue
+            if found.reached.state.force < 0:
+                release = self._zero(here, following, Indicator.FORCE)
+                clamps = self._stretch.clamps(np.array([[release.fraction]]))
+                if clearances(self._scene, clamps).distance[0] < _CLEARLY_INSIDE:
+                    step /= 2
+                    continue
+                return End(
+                    "released",
+                    replace(following, fraction=release.fraction, reached=release.reached),
+                )
+            self._changes(here, following, happened)
+            here, step = following, 2 * step
+        return End("arrived", here)
+
+    def _changes(self, here: Place, following: Place, happened: list[Happened]) -> None:
+        slides = following.figure > 0
+        cone = EventKind.STICK_TO_SLIP if slides else EventKind.SLIP_TO_STICK
+        changes = (
+            (here.phase, following.phase, Indicator.PHASE, _phase_change(following)),
+            (here.figure, following.figure, Indicator.CONE, cone),
+        )
+        found = []
+        for before, after, indicator, kind in changes:
+            if np.isfinite(before) and (before > 0) != (after > 0):
+                zero = self._zero(here, following, indicator)
+                found.append((kind, float(zero.fraction), zero.reached.state.point))
+        happened.extend(sorted(found, key=lambda happening: happening[1]))
+
+    def _zero(self, here: Place, following: Place, indicator: Indicator) -> Located:
+        ends = []
+        for place in (here, following):
+            figures = (float(place.reached.state.force), place.phase, place.figure)
+            ends.append(
+                Bracket(np.asarray(place.fraction), place.reached, np.asarray(figures[indicator]))
+            )
+        way, low, high = jax.tree.map(
+            lambda part: np.asarray(part)[None], (self._stretch, ends[0], ends[1])
+        )
+        found = located(self._scene, self._law, way, low, high, np.array([int(indicator)]))
+        zero: Located = chosen(found, 0)
+        return zero._replace(fraction=float(zero.fraction))

@@ -109,7 +109,7 @@ class Problem:
         for recording in range(rows.recordings if self.drift > 0 else 0):
             own = rows.recording == recording
             variances = np.diagonal(rows.covariance[own], axis1=1, axis2=2)
-            one = np.median(variances * rows.count[own, None], axis=0)
+            one = np.median(variances * rows.samples[own, None], axis=0)
             offsets[recording, 1] = 1 / (self.drift * np.sqrt(one))
         uneven = np.full(self.hats.shape[1] * rows.recordings, 1 / (self.unevenness or 1.0))
         return np.concatenate([1 / self.prior, offsets.ravel(), uneven])

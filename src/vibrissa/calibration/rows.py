@@ -66,7 +66,7 @@ class Rows(NamedTuple):
     noise: PoseNoise
     contact: Chosen
     """Whether the rod touches; it is at rest otherwise."""
-    count: Int[np.ndarray, "n"]
+    samples: Int[np.ndarray, "n"]
     """How many samples were averaged."""
 
     @property
@@ -265,5 +265,5 @@ def _averaged(
             mean(noise.position) / shared, mean(noise.rotation) / shared, mean(noise.center)
         ),
         contact=np.full(len(starts), touching),
-        count=count,
+        samples=count,
     )

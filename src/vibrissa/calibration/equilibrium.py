@@ -4,7 +4,7 @@ The reading is that of the contact equilibrium (`vibrissa.contact`) under a tang
 given, with the derivatives of the equations, not of the iterations (implicit function theorem).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -67,7 +67,7 @@ class Reading(NamedTuple):
 def _reading(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
     surface, given = shared
 
-    def read(step: Step, leaning: Float[Array, "3"]) -> tuple[Array, tuple[Array, ...]]:
+    def read(step: Step, leaning: Float[Array, "3"]) -> tuple[Any, tuple[Any, ...]]:
         bench = moved(given, step)
         unit = bench.stiffness / bench.length**2
 

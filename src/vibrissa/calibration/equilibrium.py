@@ -22,6 +22,9 @@ from vibrissa.surfaces import Surface
 _SOLVED = 1e-9
 """Residual up to which a state counts as an equilibrium: a millionth of any sensor's noise."""
 
+_ASTRAY = 0.2
+"""[L] from its start beyond which a contact is another equilibrium: an unloaded row finds any."""
+
 
 class Pose(NamedTuple):
     """Of the sensor in the world."""
@@ -81,7 +84,9 @@ def _reading(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
         force = -magnitude * (pose.axes.T @ found.push.direction)
         arm = pose.axes.T @ (point - pose.position) - bench.wrench_point
         wrench = bench.gain * jnp.concatenate([force, jnp.cross(arm, force)])
-        return wrench, (wrench, point, magnitude, jnp.max(jnp.abs(found.residual)))
+        astray = jnp.sum((point - start.point) ** 2) > (_ASTRAY * bench.length) ** 2
+        residual = jnp.where(astray, jnp.inf, jnp.max(jnp.abs(found.residual)))
+        return wrench, (wrench, point, magnitude, residual)
 
     (by_step, by_leaning), (wrench, point, magnitude, residual) = jax.jacfwd(
         read, argnums=(0, 1), has_aux=True

@@ -97,7 +97,8 @@ class Contacts:
     def __getitem__(self, rows: Any) -> "Contacts":
         """Return the chosen rows, all fields together."""
         whole: list[Any] = [getattr(self, field.name) for field in fields(self)]
-        return Contacts(*(None if value is None else value[rows] for value in whole))
+        chosen: list[Any] = [None if value is None else value[rows] for value in whole]
+        return Contacts(*chosen)
 
     def __len__(self) -> int:
         """Rows along the first axis."""

@@ -20,7 +20,7 @@ from vibrissa.calibration.bench import Bench, Step, moved_at_once
 from vibrissa.calibration.equilibrium import Reading, State, readings
 from vibrissa.calibration.parameters import Parameter, stepped
 from vibrissa.calibration.rows import Rows
-from vibrissa.sensor.mount import cross_matrices
+from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.surfaces import Surface
 
 WRENCH = 6

@@ -14,10 +14,9 @@ from jaxtyping import Float, Int
 
 from vibrissa.geometry.rotation import lengths, third_axis
 from vibrissa.mechanics.model import Clamp
+from vibrissa.numerics.lanes import AnyArray
 from vibrissa.numerics.rotation import third_axis as traced_third_axis
 from vibrissa.trail import Trail
-
-AnyArray = Array | np.ndarray
 
 LONGEST_STEP = 0.05
 """[L] by which a step moves the rod's ends at most; longer ones are divided, so that a coarse trail

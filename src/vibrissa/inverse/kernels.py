@@ -66,7 +66,7 @@ class Sample(NamedTuple):
     force: Vector
     moment: Vector
     position: Vector
-    orientation: Float[Array, "4"]
+    orientation: Float[AnyArray, "4"]
     covariance: Spread | None = None
     """Of the wrench, model units."""
     velocity: Wrench | None = None
@@ -76,8 +76,8 @@ class Sample(NamedTuple):
 class Errors(NamedTuple):
     """Covariances of point and force direction."""
 
-    point: Float[Array, "3 3"]
-    direction: Float[Array, "3 3"]
+    point: Float[AnyArray, "3 3"]
+    direction: Float[AnyArray, "3 3"]
 
 
 class Found(NamedTuple):
@@ -209,12 +209,16 @@ def _noisy(setting: Setting, sample: Sample) -> tuple[Found, _Probable]:
         _FIRST_ORDER**2 * (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
     )
     scale = jnp.where(found.kind == ContactKind.NONE, jnp.nan, setting.length)
-    noise, setup = (
+    of_noise, of_setup = (
         None if part is None else Errors(part.point * scale**2, part.direction + 0 * scale)
         for part in (noise, setup)
     )
     return found._replace(
-        noise=noise, setup=setup, deviation=deviation * scale, chi_square=chi_square, weak=weak
+        noise=of_noise,
+        setup=of_setup,
+        deviation=deviation * scale,
+        chi_square=chi_square,
+        weak=weak,
     ), probable
 
 
@@ -398,7 +402,7 @@ def _within_the_rod(
         return value, value
 
     class Step(NamedTuple):
-        count: Array
+        done: Array
         wrench: Wrench
         deviations: Scalar
         """Change of the wrench, Σ · slope · multiplier, in standard deviations."""
@@ -411,8 +415,8 @@ def _within_the_rod(
         multiplier = (value + slope @ (wrench - last.wrench)) / (slope @ spread)
         moved = wrench - spread * multiplier
         change = jnp.max(jnp.abs(moved - last.wrench)) > _SETTLED * jnp.max(jnp.abs(wrench))
-        goes_on = change & (last.count + 1 < _TIP_STEPS)
-        return Step(last.count + 1, moved, multiplier * jnp.sqrt(slope @ spread), value, goes_on)
+        goes_on = change & (last.done + 1 < _TIP_STEPS)
+        return Step(last.done + 1, moved, multiplier * jnp.sqrt(slope @ spread), value, goes_on)
 
     beyond = log_arc_length(wrench)[0] > 0
     none = jnp.zeros(())

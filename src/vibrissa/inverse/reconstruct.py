@@ -114,7 +114,8 @@ def reconstruct(
         weak = np.flatnonzero(found.weak & (found.kind != ContactKind.NONE))
         if weak.size:
             picked = jax.tree.map(lambda part: part[weak], samples)
-            for whole, part in zip(found.noise, weak_contacts(setting, picked).noise, strict=True):
+            moments: Any = weak_contacts(setting, picked).noise
+            for whole, part in zip(found.noise, moments, strict=True):
                 whole[weak] = part
     result = _reconstruction(rod, reactions, friction, found)
     if not check:

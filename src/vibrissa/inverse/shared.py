@@ -33,8 +33,11 @@ def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sampl
         covariance = np.broadcast_to(relative, (*shape, 6, 6)).reshape(-1, 6, 6)
         if moving or reactions.setup_errors is not None:
             velocity = velocities_of(rod, reactions).reshape(-1, 6)
-    rows = (reactions.force, reactions.moment, trail.position, trail.orientation)
-    return Sample(*(part.reshape(-1, part.shape[-1]) for part in rows), covariance, velocity)
+    force, moment, position, orientation = (
+        part.reshape(-1, part.shape[-1])
+        for part in (reactions.force, reactions.moment, trail.position, trail.orientation)
+    )
+    return Sample(force, moment, position, orientation, covariance, velocity)
 
 
 def in_clamp_axes(

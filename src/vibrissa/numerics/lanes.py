@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,8 @@ Row = TypeVar("Row")
 Part = TypeVar("Part")
 Found = TypeVar("Found")
 
-AnyArray = Array | np.ndarray
+AnyArray: TypeAlias = Any
+"""An array of JAX in a kernel, of NumPy outside."""
 WIDTH = 64
 BLOCKS = 16
 """Of a call: 1024 rows, which take far longer than the call itself."""

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from vibrissa.numerics.blocks import AnyArray
+from vibrissa.numerics.lanes import AnyArray
 
 
 def third_axis(quaternion: Float[Array, "4"]) -> Float[Array, "3"]:

@@ -1,0 +1,56 @@
+"""Rows come out of the lanes as they went in, however many there are, on any number of threads."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from vibrissa.numerics.lanes import in_threads, lanes, threads
+
+
+class Arm(NamedTuple):
+    """A force at a place."""
+
+    position: jax.Array
+    force: jax.Array
+
+
+class Turned(NamedTuple):
+    """Its moment, and how large that is."""
+
+    moment: jax.Array
+    size: jax.Array
+
+
+@lanes(width=8, blocks=4, alone=True)
+def moment(factor: jax.Array, arm: Arm) -> Turned:
+    """R × F, times what all rows share."""
+    found = factor * jnp.cross(arm.position, arm.force)
+    return Turned(found, jnp.sqrt(jnp.sum(found**2)))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 8, 9, 32, 33, 300, 5001])
+@pytest.mark.parametrize("cores", ["1", "2"])
+def test_every_row_gets_its_own_result(
+    count: int, cores: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VIBRISSA_THREADS", cores)
+    position, force = np.random.default_rng(count).normal(size=(2, count, 3))
+    found = moment(np.array(2.0), Arm(position, force))
+    expected = 2 * np.cross(position, force)
+    np.testing.assert_allclose(found.moment, expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.size, np.linalg.norm(expected, axis=1), rtol=0, atol=1e-13)
+
+
+def test_within_a_thread_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VIBRISSA_THREADS", "3")
+    assert threads() == 3
+    assert in_threads(lambda part: (part, threads()), range(4)) == [(part, 1) for part in range(4)]
+
+
+def test_what_fails_in_a_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VIBRISSA_THREADS", "2")
+    with pytest.raises(ZeroDivisionError):
+        in_threads(lambda part: 1 / part, [1, 0])

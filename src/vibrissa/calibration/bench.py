@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.rotation import rotation_matrices, turning_axis_to
 from vibrissa.numerics.compiled import compiled
-from vibrissa.numerics.lanes import AnyArray
 from vibrissa.numerics.rotation import rotation_matrix
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
@@ -42,21 +41,21 @@ SetupType = TypeVar("SetupType", bound=SetupLike)
 class Step(NamedTuple):
     """A small change of the bench; also its numbers, and derivatives by them (…, entries)."""
 
-    stiffness: Float[AnyArray, "*rows 1"]
+    stiffness: Float[Any, "*rows 1"]
     """ln EI."""
-    length: Float[AnyArray, "*rows 1"]
+    length: Float[Any, "*rows 1"]
     """ln L."""
-    clamp: Float[AnyArray, "*rows 3"]
+    clamp: Float[Any, "*rows 3"]
     """Of the clamp point, sensor axes."""
-    tilt: Float[AnyArray, "*rows 3"]
+    tilt: Float[Any, "*rows 3"]
     """Rotation vector of the clamp, in its own axes."""
-    gain: Float[AnyArray, "*rows 6"]
+    gain: Float[Any, "*rows 6"]
     """ln of the gains."""
-    shift: Float[AnyArray, "*rows 3"]
+    shift: Float[Any, "*rows 3"]
     """Of the object, world axes."""
-    turn: Float[AnyArray, "*rows 3"]
+    turn: Float[Any, "*rows 3"]
     """Rotation vector of the object about `Bench.pivot`, world axes."""
-    standoff: Float[AnyArray, "*rows 1"]
+    standoff: Float[Any, "*rows 1"]
 
 
 LOGARITHMIC = ("stiffness", "length", "gain")
@@ -66,22 +65,22 @@ NO_STEP = Step(*(np.zeros(size) for size in (1, 1, 3, 3, 6, 3, 3, 1)))
 class Bench(NamedTuple):
     """Rod, mount, sensor and the object's place, in units of the rod."""
 
-    stiffness: Float[AnyArray, ""]
-    length: Float[AnyArray, ""]
-    clamp: Float[AnyArray, "3"]
+    stiffness: Float[Any, ""]
+    length: Float[Any, ""]
+    clamp: Float[Any, "3"]
     """Clamp point in the sensor frame."""
-    axes: Float[AnyArray, "3 3"]
+    axes: Float[Any, "3 3"]
     """Clamp axes as columns, in the sensor frame."""
-    wrench_point: Float[AnyArray, "3"]
+    wrench_point: Float[Any, "3"]
     """About which torques are given, in the sensor frame."""
-    gain: Float[AnyArray, "6"]
+    gain: Float[Any, "6"]
     """Readings over those of the sensor as given."""
-    shift: Float[AnyArray, "3"]
+    shift: Float[Any, "3"]
     """By which the object is moved from where it is given, world axes."""
-    turn: Float[AnyArray, "3 3"]
+    turn: Float[Any, "3 3"]
     """By which it is turned about `pivot` before that."""
-    pivot: Float[AnyArray, "3"]
-    standoff: Float[AnyArray, ""]
+    pivot: Float[Any, "3"]
+    standoff: Float[Any, ""]
     """How far the centre line stays off the object as given, where it touches."""
 
     @property
@@ -90,7 +89,7 @@ class Bench(NamedTuple):
         return np.asarray(self.pivot + self.shift)
 
     @property
-    def move(self) -> Float[AnyArray, "3"]:
+    def move(self) -> Float[Any, "3"]:
         """By which the object is moved after it was turned about the origin."""
         return self.pivot + self.shift - self.turn @ self.pivot
 
@@ -170,6 +169,6 @@ moved_at_once = compiled(moved)
 """The same outside compiled code."""
 
 
-def _rotation(vector: Float[AnyArray, "3"]) -> Float[Array, "3 3"]:
+def _rotation(vector: Float[Any, "3"]) -> Float[Array, "3 3"]:
     """Matrix of a rotation vector, rational in it: of a calibration's few degrees right to 1e-4."""
     return rotation_matrix(jnp.append(vector / 2, 1.0))

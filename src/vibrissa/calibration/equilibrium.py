@@ -16,30 +16,30 @@ from vibrissa.calibration.bench import NO_STEP, Bench, Step, moved
 from vibrissa.contact import Leaning, Scene, Touching, root, touching
 from vibrissa.contact import State as Unknowns
 from vibrissa.mechanics.model import Clamp
-from vibrissa.numerics.lanes import AnyArray, lanes
+from vibrissa.numerics.lanes import lanes
 from vibrissa.surfaces import Surface
 
 _SOLVED = 1e-9
 """Residual up to which a state counts as an equilibrium: a millionth of any sensor's noise."""
 
-_ASTRAY = 0.2
+_ASTRAY = 0.5
 """[L] from its start beyond which a contact is another equilibrium: an unloaded row finds any."""
 
 
 class Pose(NamedTuple):
     """Of the sensor in the world."""
 
-    position: Float[AnyArray, "*n 3"]
-    axes: Float[AnyArray, "*n 3 3"]
+    position: Float[Any, "*n 3"]
+    axes: Float[Any, "*n 3 3"]
 
 
 class State(NamedTuple):
     """Of the contact, world axes, in units of the rod."""
 
-    point: Float[AnyArray, "*n 3"]
-    force: Float[AnyArray, "*n"]
+    point: Float[Any, "*n 3"]
+    force: Float[Any, "*n"]
     """Magnitude of the contact force."""
-    leaning: Float[AnyArray, "*n 3"]
+    leaning: Float[Any, "*n 3"]
     """Tangential force in units of the normal one."""
 
 
@@ -47,13 +47,13 @@ class Reading(NamedTuple):
     """Of rows in contact."""
 
     state: State
-    residual: Float[AnyArray, "*n"]
+    residual: Float[Any, "*n"]
     """Largest of the equilibrium, dimensionless."""
-    wrench: Float[AnyArray, "*n 6"]
+    wrench: Float[Any, "*n 6"]
     """Support reaction on the rod as the sensor reads it, its own axes, without tare."""
     by_step: Step
     """Derivatives (…, 6, entries) by small steps of the bench."""
-    by_leaning: Float[AnyArray, "*n 6 3"]
+    by_leaning: Float[Any, "*n 6 3"]
     """Derivatives by the tangential force."""
 
     @property

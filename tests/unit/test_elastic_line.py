@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from vibrissa.mechanics.elastic_line import bent_part, contact_tangent, elastic_line, sampled_line
-from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
+from vibrissa.mechanics.elastic_line import elastic_line, sampled_line
+from vibrissa.mechanics.elastica import (
+    BasePlane,
+    ContactOnRod,
+    Elastica,
+    contact_on_rod,
+    contact_tangent,
+)
+from vibrissa.mechanics.model import Clamp
 
 T0, B = np.array([1.0, -2.0, 2.0]) / 3, np.array([2.0, 2.0, 1.0]) / 3
 """Clamp tangent, and the side to which the rod bends."""
@@ -132,7 +139,9 @@ def test_curvature_vanishes_at_the_contact_and_beyond(bent: Bent) -> None:
 def test_is_straight_beyond_the_contact_along_the_contact_tangent(bent: Bent) -> None:
     s1 = float(bent.rod.arc_length)
     beyond = bent.line(s1 + np.array([0.0, 0.1, 0.5]))
-    tangent = np.asarray(contact_tangent(jnp.asarray(bent.n), jnp.asarray(bent.side), bent.rod))
+    tangent = np.asarray(
+        contact_tangent(jnp.asarray(bent.n), jnp.asarray(bent.side), bent.rod.modulus)
+    )
     theta1 = bent.integrated(np.array([0.0, s1]))[-1, 2]
     np.testing.assert_allclose(
         tangent, np.cos(theta1) * T0 + np.sin(theta1) * B, rtol=0, atol=1e-11
@@ -144,10 +153,12 @@ def test_is_straight_beyond_the_contact_along_the_contact_tangent(bent: Bent) ->
 
 @ALL
 def test_bent_part_runs_from_contact_to_clamp_on_the_rod(bent: Bent) -> None:
-    advance, distance = (
-        np.asarray(part) for part in bent_part(bent.plane, bent.rod, jnp.asarray(bent.force))
-    )
-    nodes = bent.reach + advance[:, None] * bent.n - distance[:, None] * bent.side
+    clamp = Clamp(jnp.zeros(3), jnp.asarray(T0))
+    force, n = jnp.asarray(bent.force), jnp.asarray(bent.n)
+    model = Elastica()
+    pushed = model.bent(clamp, jnp.asarray(bent.reach), force, n)
+    np.testing.assert_allclose(pushed.misses, 0, atol=1e-13)
+    nodes = np.asarray(model.points(pushed, np.linspace(0, 1, 25)))
     np.testing.assert_allclose(nodes[0], bent.reach, rtol=0, atol=1e-12)
     np.testing.assert_allclose(nodes[-1], 0, atol=1e-8)
     # Their arc lengths from the contact, by quadrature of ds = dc / (√f √(1 − k² cos² c)); they are

@@ -61,7 +61,7 @@ def test_the_inverse_map_leads_back(x: tuple[float, ...]) -> None:
     tolerance = 1e-6 if x[4] == 0 else 1e-5
     assert back.arc_length == pytest.approx(x[3], abs=tolerance)
     np.testing.assert_allclose(value.reach, back.reach, rtol=0, atol=tolerance)
-    assert value.incidence == pytest.approx(float(back.modulus), abs=tolerance)
+    assert value.incidence == pytest.approx(float(back.incidence), abs=tolerance)
 
 
 @pytest.mark.parametrize("x", COORDINATES)

@@ -20,6 +20,10 @@ _MET, _ASTRAY = 1e-9, 1e-5
 """A step longer than the second [L] from where the conditions are met to the first comes of a
 singular Jacobian: it would lead away.
 """
+_SINGULAR = 1e-12
+"""Determinant that is rounding: the Jacobian's entries are of order one. It counts as positive, the
+sign of what is unstable, so that a branch is always followed from where its direction is sure.
+"""
 _CONVERGED = 1e-11
 _MOST_STEPS = 25
 
@@ -34,6 +38,11 @@ class Step(NamedTuple):
     """Of the Jacobian of point and force before the step: its sign changes where an equilibrium
     without friction gains or loses stability. NaN of more unknowns.
     """
+
+
+def signed(determinant: Scalar) -> Scalar:
+    """A determinant whose sign can be relied on."""
+    return jnp.where(jnp.abs(determinant) < _SINGULAR, _SINGULAR, determinant)
 
 
 def solved_linear(
@@ -63,7 +72,7 @@ def step_from(
     share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(distance, _LONGEST_STEP))
     largest = jnp.max(jnp.abs(residual))
     there = (largest <= _MET) & ~(distance < _ASTRAY)
-    return Step(jnp.where(there, x, x - share * step), largest, determinant), told
+    return Step(jnp.where(there, x, x - share * step), largest, signed(determinant)), told
 
 
 def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:

@@ -17,7 +17,7 @@ from jax import Array, lax
 from jaxtyping import Float
 from scipy.optimize import brentq
 
-from vibrissa.contact import FRICTIONLESS, Law, Reached, Scene, State, touching
+from vibrissa.contact import FRICTIONLESS, Law, Reached, Scene, State, signed, touching
 from vibrissa.forward.approach import Meeting, clearances
 from vibrissa.forward.assess import Assessment, assess, reached_by
 from vibrissa.forward.events import EventKind
@@ -219,7 +219,7 @@ class Branch(Way):
         return Place(
             float(y[4]),
             Reached(state, found.arc_length, found.tangent),
-            float(np.linalg.det(found.jacobian[:, :4])),
+            float(signed(np.linalg.det(found.jacobian[:, :4]))),
             float(found.phase),
             tangent if onward > 0 else -tangent,
         )

@@ -3,7 +3,6 @@ were asked for.
 """
 
 import json
-import os
 import sys
 from pathlib import Path
 
@@ -21,9 +20,6 @@ def _run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     from vibrissa.cli.app import main
 
     monkeypatch.setattr(sys, "argv", ["vibrissa", *map(str, arguments)])
-    # main() offers the user's cache to JAX by way of the environment; what it sets is undone after
-    # the test.
-    monkeypatch.setattr(os, "environ", dict(os.environ))
     with pytest.raises(SystemExit) as stopped:
         main()
     return int(stopped.value.code or 0)

@@ -1,11 +1,9 @@
 """The commands' names, and what happens to their errors."""
 
-import os
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import typer
 
@@ -47,7 +45,6 @@ def _version(
 
 def main() -> None:
     """Run a command; exit status 2 for wrong input, in one line, and 1 for failed work."""
-    _keep_compiled_code()
     try:
         with _warnings_in_one_line():
             app()
@@ -85,36 +82,3 @@ def _warnings_in_one_line() -> Iterator[None]:
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = show
         yield
-
-
-def _keep_compiled_code() -> None:
-    """Let JAX keep what it compiles between runs, in the user's cache folder, one for each kind of
-    machine.
-    """
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    os.environ.setdefault(
-        "JAX_COMPILATION_CACHE_DIR", str(root / "vibrissa" / "compiled" / _machine())
-    )
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
-
-
-def _machine() -> str:
-    """Name of the processor's instruction set: compiled code does not travel between different
-    ones.
-    """
-    import hashlib  # noqa: PLC0415
-    import platform  # noqa: PLC0415
-
-    description = platform.machine() + platform.processor()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        description += next(
-            (
-                line
-                for line in cpuinfo.read_text(errors="replace").splitlines()
-                if line.startswith(("flags", "Features"))
-            ),
-            "",
-        )
-    return hashlib.sha256(description.encode()).hexdigest()[:12]

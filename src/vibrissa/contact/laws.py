@@ -171,7 +171,7 @@ class Held(Law):
     """
 
     unknowns: ClassVar[int] = 1
-    pair: Int[Any, "two"]
+    pair: Int[Any, "*rows two"]
 
     def push(self, scene: Scene, state: State) -> Push:
         """As in `Law`, with the first part's normal."""

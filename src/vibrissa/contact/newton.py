@@ -16,6 +16,8 @@ Told = TypeVar("Told")
 
 _LONGEST_STEP = 0.3
 """[L] by which the contact point moves at most in one step."""
+_CAUTIOUS_STEP = 0.2
+"""[L] from a start that is near the root, where a longer step leads to another equilibrium."""
 _MET, _ASTRAY = 1e-9, 1e-5
 """A step longer than the second [L] from where the conditions are met to the first comes of a
 singular Jacobian: it would lead away.
@@ -55,9 +57,15 @@ def solved_linear(
 
 
 def step_from(
-    conditions: Callable[[Unknowns], tuple[Unknowns, Told]], x: Unknowns
+    conditions: Callable[[Unknowns], tuple[Unknowns, Told]],
+    x: Unknowns,
+    *,
+    cautious: bool = False,
 ) -> tuple[Step, Told]:
     """Semi-smooth Newton step; the contact point x[:3] moves by at most 0.3 L.
+
+    A cautious step is at most 0.2 L long, and goes on from where a singular Jacobian leaves the
+    state open: such a state is then no root.
 
     `conditions` tells the residual, and whatever else is wanted of x.
     """
@@ -69,9 +77,10 @@ def step_from(
     jacobian, (residual, told) = jax.jacfwd(both, has_aux=True)(x)
     step, determinant = solved_linear(jacobian, residual)
     distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
-    share = jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(distance, _LONGEST_STEP))
+    longest = _CAUTIOUS_STEP if cautious else _LONGEST_STEP
+    share = jnp.minimum(1.0, longest / jnp.maximum(distance, longest))
     largest = jnp.max(jnp.abs(residual))
-    there = (largest <= _MET) & ~(distance < _ASTRAY)
+    there = (not cautious) & (largest <= _MET) & ~(distance < _ASTRAY)
     return Step(jnp.where(there, x, x - share * step), largest, signed(determinant)), told
 
 
@@ -82,7 +91,7 @@ def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
 
     def newton(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
         def advance(state: tuple[Unknowns, Scalar, Array]) -> tuple[Unknowns, Scalar, Array]:
-            step, _ = step_from(lambda x: (residual(x), None), state[0])
+            step, _ = step_from(lambda x: (residual(x), None), state[0], cautious=True)
             return step.x, step.residual, state[2] + 1
 
         def unfinished(state: tuple[Unknowns, Scalar, Array]) -> Array:

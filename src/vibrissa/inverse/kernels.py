@@ -39,9 +39,9 @@ _TINY = 1e-300
 
 
 Flag = Bool[Array, ""]
-Wrench = Float[Array, "6"]
+Wrench = Float[AnyArray, "6"]
 """Force and moment, or a derivative by these."""
-Spread = Float[Array, "6 6"]
+Spread = Float[AnyArray, "6 6"]
 """Covariance of a wrench."""
 
 

@@ -26,6 +26,8 @@ from vibrissa.forward.path import Path, chosen, extended_back
 from vibrissa.numerics.lanes import rounded_up
 
 _STABLE = -1.0
+_AT_ONCE = 1e-9
+"""Fraction of a step between events that are one, to rounding."""
 _WAY_BACK = 40
 """Steps of 0.05 L on which a lane that begins in contact is entered: two rod lengths."""
 
@@ -376,6 +378,7 @@ def _located(scene: Scene, path: Path, law: Law, brackets: list[_Bracket]) -> li
         for at, fraction, point in zip(
             brackets, found.fraction, found.reached.state.point, strict=True
         )
-        # A change of phase behind the loss of contact belongs to no rod.
-        if at.kind == EventKind.DETACH or fraction < release.get((at.lane, at.position), np.inf)
+        # A change of phase with or behind the loss of contact belongs to no rod.
+        if at.kind == EventKind.DETACH
+        or fraction < release.get((at.lane, at.position), np.inf) - _AT_ONCE
     ]

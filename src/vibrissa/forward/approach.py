@@ -15,7 +15,7 @@ from vibrissa.contact import Reached, Scene, State
 from vibrissa.forward.path import Path, Stretch, chosen
 from vibrissa.geometry.rotation import lengths
 from vibrissa.mechanics.model import Clamp
-from vibrissa.numerics.bracket import bracketed_root
+from vibrissa.numerics.bracket import roots
 from vibrissa.numerics.lanes import lanes
 
 Scalar = Float[Any, ""]
@@ -42,6 +42,8 @@ class Clearance(NamedTuple):
     """Where that is [L]."""
     at_clamp: Scalar
     """Level at the clamp."""
+    cosine: Scalar
+    """Between the object's normal there and the rod: −1 is head-on."""
 
 
 def clearance(scene: Scene, clamp: Clamp) -> Clearance:
@@ -74,13 +76,14 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     candidates = jnp.stack([refined, s])
     places = clamp.point + candidates[:, None] * clamp.tangent
     values, gradients = scene.each(jax.value_and_grad(scene.level), places)
-    distances = values / jnp.sqrt(jnp.sum(gradients * gradients, axis=-1))
-    better = values[0] <= values[1]
-    distance = jnp.where(better, distances[0], distances[1])
-    return Clearance(distance, jnp.where(better, refined, s), sampled[0])
+    better = jnp.where(values[0] <= values[1], 0, 1)
+    value, gradient = values[better], gradients[better]
+    steepness = jnp.sqrt(jnp.sum(gradient * gradient))
+    cosine = jnp.dot(gradient, clamp.tangent) / steepness
+    return Clearance(value / steepness, candidates[better], sampled[0], cosine)
 
 
-@lanes(blocks=64)
+@lanes()
 def clearances(scene: Scene, clamp: Clamp) -> Clearance:
     """Clearance of the straight rod at clamp poses."""
     return clearance(scene, clamp)
@@ -104,23 +107,22 @@ class Meeting(NamedTuple):
         return (1 - self.arc_length) + self.cosine / 2
 
 
-@lanes(width=16, blocks=4)
-def meetings_on(scene: Scene, stretch: Stretch, before: Scalar, after: Scalar) -> Meeting:
-    """First contact on stretches at whose start the straight rod is clear by `before`, and at the
-    end not, by `after`.
+def meetings_on(scene: Scene, stretches: Stretch) -> Meeting:
+    """First contacts on stretches (k, …) at whose start the straight rod is clear, and at whose end
+    it is not.
     """
 
-    def distance(fraction: Scalar, _: Scalar) -> tuple[Scalar, Scalar]:
-        found = clearance(scene, stretch.clamp(fraction))
-        return found.distance, found.arc_length
+    def at(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> tuple[Clearance, Clamp]:
+        clamps = chosen(stretches, row).clamps(fraction[:, None])
+        return clearances(scene, clamps), clamps
 
-    zero, full = jnp.zeros(()), jnp.ones(())
-    fraction, s = bracketed_root(distance, (zero, full), (before, after), (zero, zero))
-    clamp = stretch.clamp(fraction)
-    point = clamp.point + s * clamp.tangent
-    gradient = jax.grad(scene.level)(point)
-    cosine = jnp.dot(gradient, clamp.tangent) / jnp.sqrt(jnp.sum(gradient * gradient))
-    return Meeting(fraction, point, s, clamp.tangent, cosine)
+    rows = np.arange(len(stretches.first.point))
+    ends = np.zeros(len(rows)), np.ones(len(rows))
+    fraction = roots(lambda fraction, row: at(fraction, row)[0].distance, *ends)
+    straight, clamp = at(fraction, rows)
+    s = straight.arc_length
+    point = clamp.point + s[:, None] * clamp.tangent
+    return Meeting(fraction, point, s, clamp.tangent, straight.cosine)
 
 
 def begun(meeting: Meeting, unknowns: int) -> Reached:
@@ -152,23 +154,20 @@ def first_meetings(
     through something thin.
     """
     lane, step = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
-    direct = lane, step + 1, np.ones(len(lane)), distance[lane, step + 1]
+    direct = lane, step + 1, np.ones(len(lane))
     thin = _passed_through(scene, path, clear, distance)
-    lane, index, stop, after = (np.concatenate(parts) for parts in zip(direct, thin, strict=True))
+    lane, index, stop = (np.concatenate(parts) for parts in zip(direct, thin, strict=True))
     whole = path.stretch(lane, index)
-    parts = whole.part(np.zeros((len(lane), 1)), stop[:, None])
-    met = meetings_on(scene, parts, distance[lane, index - 1], after)
+    met = meetings_on(scene, whole.part(np.zeros((len(lane), 1)), stop[:, None]))
     met = met._replace(fraction=met.fraction * stop)
     return chosen(Meetings(lane, index, met), met.cosine > HEAD_ON_COSINE)
 
 
 def _passed_through(
     scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]
-) -> tuple[
-    Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]
-]:
+) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Steps between two clear positions on which the straight rod passes through something thin:
-    lane, index of the end, fraction and clearance within.
+    lane, index of the end, and fraction within.
     """
     motion = lengths(np.diff(path.point, axis=1)) + lengths(np.diff(path.tangent, axis=1))
     near = clear[:, :-1] & clear[:, 1:] & (np.maximum(distance[:, :-1], distance[:, 1:]) < motion)
@@ -179,4 +178,4 @@ def _passed_through(
     within = clearances(scene, clamps).distance.reshape(len(lane), _LOOKS - 1)
     hit = np.flatnonzero((within < CLEAR).any(axis=1))
     first = np.argmax(within[hit] < CLEAR, axis=1)
-    return lane[hit], step[hit] + 1, fractions[first], within[hit, first]
+    return lane[hit], step[hit] + 1, fractions[first]

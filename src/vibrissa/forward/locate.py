@@ -6,18 +6,13 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
 from jaxtyping import Float, Int
 
 from vibrissa.contact import Law, Reached, Scene
-from vibrissa.forward.march import once
-from vibrissa.forward.path import Stretch
-from vibrissa.numerics.bracket import bracketed_root
-from vibrissa.numerics.lanes import lanes
-
-Scalar = Float[Any, ""]
+from vibrissa.forward.march import Legs, Mode, march
+from vibrissa.forward.path import Stretch, chosen, either
+from vibrissa.numerics.bracket import roots
 
 
 class Indicator(IntEnum):
@@ -28,82 +23,96 @@ class Indicator(IntEnum):
     CONE = 2
 
 
-class End(NamedTuple):
-    """One end of a bracket: fraction of the stretch, state, and the indicator there."""
+class Place(NamedTuple):
+    """A state on a stretch, with its figure and phase as in `Steps`; or one a row."""
 
-    fraction: Scalar
+    fraction: Float[Any, "*k"]
     reached: Reached
-    value: Scalar
+    figure: Float[Any, "*k"]
+    phase: Float[Any, "*k"]
+    onward: Any = None
+    """Unit tangent of its branch in weighted coordinates, where that is followed."""
 
-
-class Located(NamedTuple):
-    """Where the indicator is zero."""
-
-    fraction: Scalar
-    reached: Reached
-
-
-_ITERATIONS = {True: 2, False: 4}
-"""The guess improves with the bracket, so that few steps are enough wherever the last evaluations
-lie; with friction, from whose corners Newton's method starts badly, twice as many.
-"""
-
-
-@lanes(width=16, blocks=4)
-def _located(
-    shared: tuple[Scene, Law],
-    stretch: Stretch,
-    low: End,
-    high: End,
-    indicator: Int[Any, ""],
-) -> Located:
-    scene, law = shared
-    before = None if law.branch else low.reached
-
-    def value(fraction: Scalar, guess: Reached) -> tuple[Scalar, Reached]:
-        clamp = stretch.clamp(fraction)
-
-        def iterate(_: Array | int, state: tuple[Reached, Array]) -> tuple[Reached, Array]:
-            found = once(scene, law, state[0].state, clamp, before, None)
-            figures = jnp.stack([found.reached.state.force, found.phase, found.figure])
-            return found.reached, figures
-
-        reached, figures = lax.fori_loop(0, _ITERATIONS[law.branch], iterate, (guess, jnp.zeros(3)))
-        return figures[indicator], reached
-
-    return Located(
-        *bracketed_root(
-            value,
-            (low.fraction, high.fraction),
-            (low.value, high.value),
-            (low.reached, high.reached),
-        )
-    )
+    @property
+    def indicators(self) -> Float[np.ndarray, "*k three"]:
+        """Values of each `Indicator`."""
+        return np.stack([self.reached.state.force, self.phase, self.figure], axis=-1)
 
 
 def located(
     scene: Scene,
     law: Law,
     stretches: Stretch,
-    low: End,
-    high: End,
+    low: Place,
+    high: Place,
     indicator: Int[np.ndarray, "k"],
-) -> Located:
-    """Where indicators are zero on stretches (k, …), between two ends of opposite signs; with
-    friction each a step from the first.
+) -> Place:
+    """Where indicators pass zero on stretches (k, …), between two places; with friction each a
+    step from the first.
     """
-    found = _located((scene, law), stretches, low, high, indicator)
+
+    def indicated(places: Place, row: Int[np.ndarray, "j"]) -> Float[np.ndarray, "j"]:
+        return np.take_along_axis(places.indicators, indicator[row, None], axis=1)[:, 0]
+
+    def at(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> Place:
+        before, after, way = chosen((low, high, stretches), row)
+        if law.branch:
+            gap = after.fraction - before.fraction
+            share = (fraction - before.fraction) / np.where(gap == 0, 1.0, gap)
+            before = _between(before, after, share)
+        return _stepped(scene, law, way, before, fraction)
+
+    rows = np.arange(len(low.fraction))
+    fraction = roots(
+        lambda fraction, row: indicated(at(fraction, row), row), low.fraction, high.fraction
+    )
+    found = at(fraction, rows)
     # Where a step on the way does not converge, as next to a contact that jumps or of a rod that
     # comes to lie along a face, what lies between the ends in proportion.
-    gap = low.value - high.value
-    share = low.value / np.where(gap == 0, 1.0, gap)
-    sound = np.isfinite(found.reached.state.flat_rows).all(axis=1) & np.isfinite(found.fraction)
+    before, after = indicated(low, rows), indicated(high, rows)
+    share = before / np.where(before == after, 1.0, before - after)
+    sound = np.isfinite(found.reached.state.flat_rows).all(axis=1)
+    result: Place = either(sound, found, _between(low, high, share))
+    return result
 
-    def between(first: np.ndarray, last: np.ndarray, root: np.ndarray) -> np.ndarray:
-        rows = (-1,) + (1,) * (first.ndim - 1)
-        proportional = first + share.reshape(rows) * (last - first)
-        return np.where(sound.reshape(rows), root, proportional)
 
-    ends = (Located(end.fraction, end.reached) for end in (low, high))
-    result: Located = jax.tree.map(between, *ends, found)
+def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:
+    """In proportion."""
+    between: Place = jax.tree.map(
+        lambda first, last: first + share.reshape(-1, *(1,) * (first.ndim - 1)) * (last - first),
+        low,
+        high,
+    )
+    return between
+
+
+def _stepped(
+    scene: Scene, law: Law, way: Stretch, start: Place, fraction: Float[np.ndarray, "k"]
+) -> Place:
+    """States at fractions, one step of the march from the start; on a branch and a step on the
+    spot, which tells figure and phase at the state itself.
+    """
+    fractions = np.column_stack([start.fraction, fraction, fraction])[:, : 3 if law.branch else 2]
+    clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])
+    never = np.zeros(fractions.shape, dtype=bool)
+    meeting = jax.tree.map(
+        lambda part: np.zeros((*fractions.shape, *part.shape[1:])), start.reached
+    )
+    legs = Legs(
+        clamps,
+        never,
+        never,
+        meeting,
+        np.zeros(len(fraction), dtype=int),
+        np.full(len(fraction), int(Mode.CONTACT)),
+        start.reached,
+        np.where(start.figure > 0, 1.0, -1.0),
+    )
+    steps = march(scene, law, legs)
+    first, last = (
+        Place(fraction, part.reached, part.figure, part.phase)
+        for part in (chosen(steps, np.s_[:, 1]), chosen(steps, np.s_[:, -1]))
+    )
+    # A contact that has been lost at the first is not tried again.
+    result: Place = either(np.isfinite(last.phase), last, first)
     return result

@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contact import Law, Reached, Scene, State, step_from, touching
+from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import lanes
 
@@ -85,6 +87,12 @@ conditions have corners.
 """
 
 
+_SHORT, _SHORTEST_TRAIL = 3, 256
+"""Positions of lanes that only locate an event, and room for those of a trail."""
+_SINGLE = 8
+"""Lanes that are walked one by one: more are quicker side by side."""
+
+
 class Solved(NamedTuple):
     """What Newton's method ends with."""
 
@@ -144,8 +152,23 @@ def once(
     return Solved(reached, step.residual, figure, phase)
 
 
-@lanes(blocks=1, alone=True)
-def march(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
+def march(scene: Scene, law: Law, legs: Legs) -> Steps:
+    """Walk lanes (k, n, …) through all of their positions."""
+    count, n = legs.clear.shape
+    # Each size is compiled for itself: a few short lanes share that of a trail.
+    short = n <= _SHORT and count > _SINGLE
+    size = _SHORT if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
+
+    def padded(rows: np.ndarray) -> np.ndarray:
+        return np.pad(rows, ((0, 0), (0, size - n), *((0, 0),) * (rows.ndim - 2)))
+
+    along = jax.tree.map(padded, (legs.clamp, legs.clear, legs.met, legs.meeting))
+    steps: Steps = _walk((scene, law, np.asarray(n)), Legs(*along, *legs[4:]))
+    return chosen(steps, np.s_[:, :n])
+
+
+@lanes(blocks=1, alone=_SINGLE)
+def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     """Walk a lane through the first `count` of its positions, for what is shared: scene, law and
     count.
     """

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrissa.geometry.rotation import lengths, third_axis
 from vibrissa.mechanics.model import Clamp
@@ -143,6 +143,15 @@ def slerp(first: AnyArray, last: AnyArray, fraction: AnyArray, xp: Any = np) -> 
 def chosen(rows: Any, which: Any) -> Any:
     """Rows of every array of a tree."""
     return jax.tree.map(lambda array: array[which], rows)
+
+
+def either(which: Bool[np.ndarray, "k"], rows: Any, others: Any) -> Any:
+    """Of two trees of arrays (k, …), the rows of the first where it says so, else of the second."""
+
+    def of(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.where(which.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
+
+    return jax.tree.map(of, rows, others)
 
 
 def _continuous(orientation: Float[np.ndarray, "m n 4"]) -> Float[np.ndarray, "m n 4"]:

@@ -20,10 +20,9 @@ from vibrissa.forward.approach import (
 )
 from vibrissa.forward.events import EventKind, Happening
 from vibrissa.forward.follow import Outcome, follow
-from vibrissa.forward.locate import End, Indicator, located
+from vibrissa.forward.locate import Indicator, Place, located
 from vibrissa.forward.march import Legs, Mode, Steps, march
 from vibrissa.forward.path import Path, chosen, extended_back
-from vibrissa.numerics.lanes import rounded_up
 
 _STABLE = -1.0
 _AT_ONCE = 1e-9
@@ -170,10 +169,6 @@ class _Walk:
         self, starts: list[_Start], lanes: Int[np.ndarray, "k"], first: Int[np.ndarray, "k"]
     ) -> Steps:
         count, n = len(starts), self._clear.shape[1]
-        capacity = rounded_up(n)
-
-        def padded(rows: np.ndarray) -> np.ndarray:
-            return np.pad(rows, ((0, 0), (0, capacity - n), *((0, 0),) * (rows.ndim - 2)))
 
         met, meeting = np.zeros((count, n), dtype=bool), _nowhere(self._law, count, n, fill=0.0)
         place = np.full(len(self._clear), -1)
@@ -187,17 +182,16 @@ class _Walk:
         nothing = _nowhere(self._law, fill=0.0)
         reached = [start.reached or nothing for start in starts]
         legs = Legs(
-            jax.tree.map(lambda part: padded(part[lanes]), self._path.clamps),
-            padded(self._clear[lanes]),
-            padded(met),
-            jax.tree.map(padded, meeting),
+            chosen(self._path.clamps, lanes),
+            self._clear[lanes],
+            met,
+            meeting,
             first,
             np.array([int(start.mode) for start in starts]),
             jax.tree.map(lambda *parts: np.stack(parts), *reached),
             np.array([start.sign for start in starts]),
         )
-        steps: Steps = march((self._scene, self._law, np.asarray(n)), legs)
-        return chosen(steps, np.s_[:, :n])
+        return march(self._scene, self._law, legs)
 
     def _resolve(self, lane: int, index: int, mode: Mode, patience: int) -> None:
         """Settle the stretch that ends at `index` and let the lane go on behind it."""
@@ -296,8 +290,8 @@ class _Bracket(NamedTuple):
     indicator: Indicator
     lane: int
     position: int
-    low: End
-    high: End
+    low: Place
+    high: Place
 
 
 def _smooth_happenings(
@@ -315,34 +309,36 @@ def _smooth_happenings(
     met = chosen(meetings, entered)
     first = begun(met.at, law.unknowns)
     happenings, brackets = [], []
+
+    def place(lane: int, index: int, fraction: float) -> Place:
+        at = chosen((steps.reached, steps.figure, steps.phase), (lane, index))
+        return Place(np.float64(fraction), *at)
+
     for row, (lane, index) in enumerate(zip(met.lane.tolist(), met.position.tolist(), strict=True)):
         meeting = chosen(met.at, row)
         fraction = float(meeting.fraction)
         happenings.append(Happening(EventKind.FIRST_CONTACT, lane, index, fraction, meeting.point))
         after = steps.phase[lane, index]
         if (meeting.phase > 0) != (after > 0):
-            low = End(meeting.fraction, chosen(first, row), meeting.phase)
-            high = End(np.float64(1.0), chosen(steps.reached, (lane, index)), after)
+            low = Place(meeting.fraction, chosen(first, row), np.float64(_STABLE), meeting.phase)
+            high = place(lane, index, 1.0)
             brackets.append(_Bracket(_phase_change(after), Indicator.PHASE, lane, index, low, high))
 
-    def bracket(happened: np.ndarray, indicator: Indicator, value: np.ndarray) -> None:
+    def bracket(happened: np.ndarray, indicator: Indicator) -> None:
         """Steps, by lane and by the position before, on which an indicator passes zero."""
         for lane, before in np.argwhere(happened).tolist():
-            low, high = (
-                End(np.float64(share), chosen(steps.reached, (lane, at)), value[lane, at])
-                for share, at in ((0.0, before), (1.0, before + 1))
-            )
-            kind = _kind(indicator, high.value)
+            low, high = place(lane, before, 0.0), place(lane, before + 1, 1.0)
+            kind = _kind(indicator, high.indicators[indicator])
             brackets.append(_Bracket(kind, indicator, lane, before + 1, low, high))
 
     before, after = contact[:, :-1] & ~by_hand[:, 1:], contact[:, 1:]
     ends = free[:, 1:]
     changed = (steps.phase[:, :-1] > 0) != (steps.phase[:, 1:] > 0)
-    bracket(before & changed & (after | ends), Indicator.PHASE, steps.phase)
+    bracket(before & changed & (after | ends), Indicator.PHASE)
     if not law.branch:
         turned = (steps.figure[:, :-1] > 0) != (steps.figure[:, 1:] > 0)
-        bracket(before & after & turned, Indicator.CONE, steps.figure)
-    bracket(before & ends, Indicator.FORCE, steps.reached.state.force)
+        bracket(before & after & turned, Indicator.CONE)
+    bracket(before & ends, Indicator.FORCE)
     return happenings + _located(scene, path, law, brackets)
 
 

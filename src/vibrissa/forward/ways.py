@@ -7,7 +7,7 @@ Steps are halved where Newton's method does not converge.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -21,8 +21,7 @@ from vibrissa.contact import FRICTIONLESS, Law, Reached, Scene, State, signed, t
 from vibrissa.forward.approach import Meeting, clearances
 from vibrissa.forward.assess import Assessment, assess, reached_by
 from vibrissa.forward.events import EventKind
-from vibrissa.forward.locate import End as Bracket
-from vibrissa.forward.locate import Indicator, Located, located
+from vibrissa.forward.locate import Indicator, Place, located
 from vibrissa.forward.march import JUMP, JUMP_FLOOR, TOLERANCE, solved
 from vibrissa.forward.path import Stretch, chosen
 from vibrissa.forward.search import Settled
@@ -34,19 +33,6 @@ Happened: TypeAlias = tuple[EventKind, float, Float[np.ndarray, "3"]]
 
 NO_FORCE = 1e-7
 """[EI/L²] up to which a contact counts as one that has just begun, or is about to end."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """A state on the way, with its figure (as in `Steps`) and its phase difference; on a branch,
-    the branch's unit tangent in weighted coordinates.
-    """
-
-    fraction: float
-    reached: Reached
-    figure: float
-    phase: float
-    onward: Any = None
 
 
 @dataclass(frozen=True)
@@ -406,10 +392,7 @@ class Rubbing(Way):
                 if clearances(self._scene, clamps).distance[0] < _CLEARLY_INSIDE:
                     step /= 2
                     continue
-                return End(
-                    "released",
-                    replace(following, fraction=release.fraction, reached=release.reached),
-                )
+                return End("released", release)
             self._changes(here, following, happened)
             here, step = following, 2 * step
         return End("arrived", here)
@@ -428,16 +411,11 @@ class Rubbing(Way):
                 found.append((kind, float(zero.fraction), zero.reached.state.point))
         happened.extend(sorted(found, key=lambda happening: happening[1]))
 
-    def _zero(self, here: Place, following: Place, indicator: Indicator) -> Located:
-        ends = []
-        for place in (here, following):
-            figures = (float(place.reached.state.force), place.phase, place.figure)
-            ends.append(
-                Bracket(np.asarray(place.fraction), place.reached, np.asarray(figures[indicator]))
-            )
+    def _zero(self, here: Place, following: Place, indicator: Indicator) -> Place:
+        """Where an indicator passes zero between two places."""
         way, low, high = jax.tree.map(
-            lambda part: np.asarray(part)[None], (self._stretch, ends[0], ends[1])
+            lambda part: np.asarray(part, dtype=float)[None], (self._stretch, here, following)
         )
         found = located(self._scene, self._law, way, low, high, np.array([int(indicator)]))
-        zero: Located = chosen(found, 0)
+        zero: Place = chosen(found, 0)
         return zero._replace(fraction=float(zero.fraction))

@@ -73,7 +73,7 @@ class Lanes(Generic[Shared, Row]):
         *,
         width: int = WIDTH,
         blocks: int = BLOCKS,
-        alone: bool = False,
+        alone: int = 0,
     ) -> None:
         self._one, self._width, self._blocks = one, width, blocks
         self._alone = alone
@@ -86,8 +86,8 @@ class Lanes(Generic[Shared, Row]):
         count, size = len(leaves[0]), self._width * self._blocks
         if count == 0:
             return self._nothing(shared, rows)
-        if count == 1 and self._alone:
-            return jax.tree.map(np.array, self._guarded(self._single, shared, rows))
+        if count <= self._alone:
+            return self._one_by_one(shared, rows, count)
         starts = range(0, count, size)
 
         def call(first: int) -> Row:
@@ -102,6 +102,13 @@ class Lanes(Generic[Shared, Row]):
         return jax.tree.map(
             lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
         )
+
+    def _one_by_one(self, shared: Shared, rows: Any, count: int) -> Row:
+        found = [
+            self._guarded(self._single, shared, jax.tree.map(lambda leaf, k=k: leaf[k], rows))
+            for k in range(count)
+        ]
+        return jax.tree.map(lambda *parts: np.stack(parts), *found)
 
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
         """Call a kernel; while one thread compiles it, others wait."""
@@ -122,11 +129,10 @@ class Lanes(Generic[Shared, Row]):
     def _single(self) -> Callable[..., Any]:
         """The kernel of one row, quickest to answer one question."""
 
-        def single(shared: Shared, rows: Any) -> Any:
-            first = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], rows)
-            return jax.tree.map(lambda leaf: leaf[None], self._one(shared, *first))
+        def single(shared: Shared, row: Any) -> Any:
+            return self._one(shared, *row)
 
-        return compiled(single)
+        return compiled(self._named(single))
 
     @cached_property
     def _kernel(self) -> Callable[..., Any]:
@@ -134,13 +140,15 @@ class Lanes(Generic[Shared, Row]):
 
         def kernel(shared: Shared, used: Array, rows: Any) -> Any:
             """Of the first `used` blocks."""
-            lanes = jax.vmap(partial(self._one, shared), in_axes=-1, out_axes=-1)
+            axes = (None, *(-1,) * len(rows))
+            # Traced once, for its shapes and for its loop.
+            lanes = jax.jit(jax.vmap(self._one, in_axes=axes, out_axes=-1))
 
             def of(index: Array | int) -> Any:
                 blocks = jax.tree.map(
                     lambda leaf: lax.dynamic_slice_in_dim(leaf, index * width, width), rows
                 )
-                return lanes(*jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), blocks))
+                return lanes(shared, *jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), blocks))
 
             def put(whole: Array, part: Array, index: Array) -> Array:
                 return lax.dynamic_update_slice_in_dim(whole, part, index * width, whole.ndim - 1)
@@ -156,11 +164,16 @@ class Lanes(Generic[Shared, Row]):
                 nothing,
             )
 
-        return compiled(kernel)
+        return compiled(self._named(kernel))
+
+    def _named(self, kernel: Callable[..., Any]) -> Callable[..., Any]:
+        """As profiles and logs of compilation show it."""
+        kernel.__name__ = self._one.__name__
+        return kernel
 
 
 def lanes(
-    *, width: int = WIDTH, blocks: int = BLOCKS, alone: bool = False
+    *, width: int = WIDTH, blocks: int = BLOCKS, alone: int = 0
 ) -> Callable[[Callable[..., Row]], Lanes[Any, Row]]:
     """Make a function of (shared, *row) one of (shared, *rows).
 
@@ -169,7 +182,7 @@ def lanes(
     width, blocks
         Lanes of a block, and blocks of a call.
     alone
-        Whether single rows are asked for often enough for a kernel of their own.
+        How many rows are taken one by one, by a kernel of a single row.
     """
     return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone)
 
@@ -178,8 +191,3 @@ def _filled(rows: AnyArray, size: int) -> AnyArray:
     """Rows, the last one repeated up to a number."""
     missing = size - len(rows)
     return np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]) if missing else rows
-
-
-def rounded_up(count: int) -> int:
-    """Next power of two, at least 256: the capacity of an array whose filled length varies."""
-    return max(256, 1 << (count - 1).bit_length())

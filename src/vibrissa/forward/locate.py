@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.contact import Law, Reached, Scene
-from vibrissa.forward.march import Legs, Mode, march
+from vibrissa.forward.march import Legs, Mode, Steps, march
 from vibrissa.forward.path import Stretch, chosen, either
 from vibrissa.numerics.bracket import roots
 
@@ -60,7 +60,7 @@ def located(
             gap = after.fraction - before.fraction
             share = (fraction - before.fraction) / np.where(gap == 0, 1.0, gap)
             before = _between(before, after, share)
-        return _stepped(scene, law, way, before, fraction)
+        return stepped(scene, law, way, before, fraction)[0]
 
     rows = np.arange(len(low.fraction))
     fraction = roots(
@@ -86,11 +86,11 @@ def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:
     return between
 
 
-def _stepped(
+def stepped(
     scene: Scene, law: Law, way: Stretch, start: Place, fraction: Float[np.ndarray, "k"]
-) -> Place:
-    """States at fractions, one step of the march from the start; on a branch and a step on the
-    spot, which tells figure and phase at the state itself.
+) -> tuple[Place, Float[np.ndarray, "k"]]:
+    """States at fractions, one step of the march from the start, and their residuals; on a branch
+    and a step on the spot, which tells figure and phase at the state itself.
     """
     fractions = np.column_stack([start.fraction, fraction, fraction])[:, : 3 if law.branch else 2]
     clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])
@@ -109,10 +109,7 @@ def _stepped(
         np.where(start.figure > 0, 1.0, -1.0),
     )
     steps = march(scene, law, legs)
-    first, last = (
-        Place(fraction, part.reached, part.figure, part.phase)
-        for part in (chosen(steps, np.s_[:, 1]), chosen(steps, np.s_[:, -1]))
-    )
     # A contact that has been lost at the first is not tried again.
-    result: Place = either(np.isfinite(last.phase), last, first)
-    return result
+    first, last = chosen(steps, np.s_[:, 1]), chosen(steps, np.s_[:, -1])
+    found: Steps = either(np.isfinite(last.phase), last, first)
+    return Place(fraction, found.reached, found.figure, found.phase), found.residual

@@ -60,6 +60,7 @@ class Steps(NamedTuple):
     without sliding.
     """
     phase: Float[Any, "n"]
+    residual: Float[Any, "n"]
 
 
 class _Carry(NamedTuple):
@@ -176,7 +177,7 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     size = legs.clear.shape[0]
     nothing: Steps = jax.tree.map(
         lambda part: jnp.full((size, *part.shape), jnp.nan),
-        Steps(legs.reached, *(legs.sign,) * 3),
+        Steps(legs.reached, *(legs.sign,) * 4),
     )
     steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
     start = jnp.append(legs.reached.state.point, legs.reached.state.force)
@@ -252,7 +253,7 @@ def _advance(
         jnp.where(fresh, 0, carry.age + 1),
         mode,
     )
-    return following, Steps(reached, mode, found.figure, found.phase)
+    return following, Steps(reached, mode, found.figure, found.phase, found.residual)
 
 
 def _length(vector: Float[Array, "n"]) -> Scalar:

@@ -116,7 +116,7 @@ class _Walk:
         self.pending: list[_Start] = []
         nothing = np.full(shape, np.nan)
         free = np.full(shape, int(Mode.FREE))
-        steps = Steps(_nowhere(law, *shape), free, nothing, nothing.copy())
+        steps = Steps(_nowhere(law, *shape), free, *(nothing.copy() for _ in range(3)))
         self.found = Sweep(steps, np.zeros(shape, dtype=np.int64))
 
     def begin(self) -> None:

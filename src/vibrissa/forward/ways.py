@@ -21,8 +21,8 @@ from vibrissa.contact import FRICTIONLESS, Law, Reached, Scene, State, signed, t
 from vibrissa.forward.approach import Meeting, clearances
 from vibrissa.forward.assess import Assessment, assess, reached_by
 from vibrissa.forward.events import EventKind
-from vibrissa.forward.locate import Indicator, Place, located
-from vibrissa.forward.march import JUMP, JUMP_FLOOR, TOLERANCE, solved
+from vibrissa.forward.locate import Indicator, Place, located, stepped
+from vibrissa.forward.march import JUMP, JUMP_FLOOR, TOLERANCE
 from vibrissa.forward.path import Stretch, chosen
 from vibrissa.forward.search import Settled
 from vibrissa.numerics.compiled import compiled
@@ -339,13 +339,9 @@ _CLEARLY_INSIDE = -1e-6
 _ON_THE_CONE = 1 - 1e-9
 
 
-def _rubbed(scene: Scene, law: Law, stretch: Stretch, fraction: Any, before: Reached) -> Any:
-    before = jax.tree.map(jnp.asarray, before)
-    clamp = jax.tree.map(jnp.asarray, stretch).clamp(jnp.asarray(fraction))
-    return solved(scene, law, before.state, clamp, before, None, jnp.asarray(True))  # noqa: FBT003
-
-
-_rub = compiled(_rubbed)
+def _row(parts: Any) -> Any:
+    """Each array as the only row of one."""
+    return jax.tree.map(lambda part: np.asarray(part, dtype=float)[None], parts)
 
 
 class Rubbing(Way):
@@ -377,16 +373,15 @@ class Rubbing(Way):
             if step < _SHORTEST_RUB:
                 return End("snapped", here)
             target = min(1.0, here.fraction + step)
-            found = jax.tree.map(
-                np.asarray, _rub(self._scene, self._law, self._stretch, target, here.reached)
-            )
-            following = Place(target, found.reached, float(found.figure), float(found.phase))
-            moved = np.linalg.norm(found.reached.state.point - here.reached.state.point)
+            way, start = _row((self._stretch, here))
+            found = stepped(self._scene, self._law, way, start, np.array([target]))
+            following, residual = chosen(found, 0)
+            moved = np.linalg.norm(following.reached.state.point - here.reached.state.point)
             far = moved > JUMP_FLOOR * step + JUMP * motion * step
-            if not found.residual <= TOLERANCE[self._law.branch] or far:
+            if not residual <= TOLERANCE[self._law.branch] or far:
                 step /= 2
                 continue
-            if found.reached.state.force < 0:
+            if following.reached.state.force < 0:
                 release = self._zero(here, following, Indicator.FORCE)
                 clamps = self._stretch.clamps(np.array([[release.fraction]]))
                 if clearances(self._scene, clamps).distance[0] < _CLEARLY_INSIDE:
@@ -413,9 +408,7 @@ class Rubbing(Way):
 
     def _zero(self, here: Place, following: Place, indicator: Indicator) -> Place:
         """Where an indicator passes zero between two places."""
-        way, low, high = jax.tree.map(
-            lambda part: np.asarray(part, dtype=float)[None], (self._stretch, here, following)
-        )
+        way, low, high = _row((self._stretch, here, following))
         found = located(self._scene, self._law, way, low, high, np.array([int(indicator)]))
         zero: Place = chosen(found, 0)
         return zero._replace(fraction=float(zero.fraction))

@@ -245,13 +245,11 @@ def _unit_lever_jvp(
     primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]
 ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     # Both partial derivatives once, however many directions Newton asks for.
-    sin_a0, w = primals
-    values, (sigma_a, iota_a) = jax.jvp(
-        _unit_lever, primals, (jnp.ones_like(sin_a0), jnp.zeros_like(w))
-    )
-    _, (sigma_w, iota_w) = jax.jvp(_unit_lever, primals, (jnp.zeros_like(sin_a0), jnp.ones_like(w)))
+    values, (sigma, iota) = jax.vmap(
+        lambda *direction: jax.jvp(_unit_lever, primals, direction), out_axes=(None, 0)
+    )(*jnp.eye(2))
     da, dw = tangents
-    return values, (sigma_a * da + sigma_w * dw, iota_a * da + iota_w * dw)
+    return values, (sigma[0] * da + sigma[1] * dw, iota[0] * da + iota[1] * dw)
 
 
 def _unit_lever(sin_a0: Scalar, w: Scalar) -> tuple[Scalar, Scalar]:

@@ -2,8 +2,10 @@
 library call a matrix.
 """
 
+from itertools import combinations
+
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 from jaxtyping import Float
 
 
@@ -16,11 +18,12 @@ def solve_4x4(
     The solution is not finite where the matrix is singular. Relative error about 1e-16 times the
     condition number squared: enough for Newton's method, whose residual is computed anew.
     """
-    a = matrix
-    s01, s02, s03 = _minor(a, 0, 0, 1), _minor(a, 0, 0, 2), _minor(a, 0, 0, 3)
-    s12, s13, s23 = _minor(a, 0, 1, 2), _minor(a, 0, 1, 3), _minor(a, 0, 2, 3)
-    c01, c02, c03 = _minor(a, 2, 0, 1), _minor(a, 2, 0, 2), _minor(a, 2, 0, 3)
-    c12, c13, c23 = _minor(a, 2, 1, 2), _minor(a, 2, 1, 3), _minor(a, 2, 2, 3)
+    a = [[matrix[i, j] for j in range(4)] for i in range(4)]
+    b = [right[i] for i in range(4)]
+    (s01, s02, s03, s12, s13, s23), (c01, c02, c03, c12, c13, c23) = (
+        [upper[i] * lower[j] - upper[j] * lower[i] for i, j in combinations(range(4), 2)]
+        for upper, lower in (a[:2], a[2:])
+    )
     determinant = s01 * c23 - s02 * c13 + s03 * c12 + s12 * c03 - s13 * c02 + s23 * c01
     lower = ((c23, c13, c12), (c23, c03, c02), (c13, c03, c01), (c12, c02, c01))
     upper = ((s23, s13, s12), (s23, s03, s02), (s13, s03, s01), (s12, s02, s01))
@@ -31,25 +34,21 @@ def solve_4x4(
         sign = 1.0 if unknown % 2 == 0 else -1.0
         (l0, l1, l2), (u0, u1, u2) = lower[unknown], upper[unknown]
         cofactors = (
-            a[1, i] * l0 - a[1, j] * l1 + a[1, k] * l2,
-            -(a[0, i] * l0 - a[0, j] * l1 + a[0, k] * l2),
-            a[3, i] * u0 - a[3, j] * u1 + a[3, k] * u2,
-            -(a[2, i] * u0 - a[2, j] * u1 + a[2, k] * u2),
+            a[1][i] * l0 - a[1][j] * l1 + a[1][k] * l2,
+            -(a[0][i] * l0 - a[0][j] * l1 + a[0][k] * l2),
+            a[3][i] * u0 - a[3][j] * u1 + a[3][k] * u2,
+            -(a[2][i] * u0 - a[2][j] * u1 + a[2][k] * u2),
         )
         values.append(
             sign
             * (
-                cofactors[0] * right[0]
-                + cofactors[1] * right[1]
-                + cofactors[2] * right[2]
-                + cofactors[3] * right[3]
+                cofactors[0] * b[0]
+                + cofactors[1] * b[1]
+                + cofactors[2] * b[2]
+                + cofactors[3] * b[3]
             )
         )
     return jnp.stack(values) / determinant, determinant
-
-
-def _minor(a: Float[Array, "4 4"], row: int, i: int, j: int) -> Float[Array, ""]:
-    return a[row, i] * a[row + 1, j] - a[row, j] * a[row + 1, i]
 
 
 def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -65,27 +64,30 @@ def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Ar
 
 
 def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Solution by Gaussian elimination with partial pivoting, rows kept as separate vectors; not
+    """Solution by Gauss-Jordan elimination with partial pivoting, one loop over the columns; not
     finite where the matrix is singular.
     """
-    size = matrix.shape[0]
-    rows = [jnp.concatenate([matrix[i], right[i, None]]) for i in range(size)]
-    for column in range(size):
-        for other in range(column + 1, size):
-            above, below = rows[column], rows[other]
-            swap = jnp.abs(below[column]) > jnp.abs(above[column])
-            rows[column], rows[other] = jnp.where(swap, below, above), jnp.where(swap, above, below)
-        pivot = rows[column]
-        for other in range(column + 1, size):
-            rows[other] = rows[other] - rows[other][column] / pivot[column] * pivot
-    values = [jnp.zeros(())] * size
-    for row in reversed(range(size)):
-        known = sum(
-            (rows[row][column] * values[column] for column in range(row + 1, size)),
-            start=jnp.zeros(()),
-        )
-        values[row] = (rows[row][size] - known) / rows[row][row]
-    return jnp.stack(values)
+    rows = jnp.arange(len(right))
+
+    def eliminate(column: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        matrix, right = state
+        own = rows == column
+        entries = jnp.sum(jnp.where(own, matrix, 0.0), axis=1)
+        best = rows == jnp.argmax(jnp.where(rows >= column, jnp.abs(entries), -1.0))
+        pivot = jnp.sum(jnp.where(best, entries, 0.0))
+
+        def without(part: Array) -> Array:
+            """The column eliminated from all rows but its own, which changes places."""
+            of = (slice(None), *(None,) * (part.ndim - 1))
+            chosen = jnp.sum(jnp.where(best[of], part, 0.0), axis=0)
+            other = jnp.sum(jnp.where(own[of], part, 0.0), axis=0)
+            factor = jnp.where(best, jnp.sum(jnp.where(own, entries, 0.0)), entries) / pivot
+            left = jnp.where(best[of], other, part) - factor[of] * chosen
+            return jnp.where(own[of], chosen / pivot, left)
+
+        return without(matrix), without(right)
+
+    return lax.fori_loop(0, len(right), eliminate, (matrix, right))[1]
 
 
 def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:

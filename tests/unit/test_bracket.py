@@ -12,7 +12,8 @@ Function = Callable[[np.ndarray], np.ndarray]
 
 
 def root(function: Function, low: float, high: float) -> float:
-    return float(roots(lambda x, _: function(x), np.array([low]), np.array([high]))[0])
+    ends = np.array([low]), np.array([high])
+    return float(roots(lambda x, _: function(x), ends, tuple(map(function, ends)))[0])
 
 
 SMOOTH = {
@@ -44,7 +45,8 @@ def test_a_kink_at_the_root_costs_no_digits(ratio: float) -> None:
 
 def test_each_row_has_its_own_root() -> None:
     levels = np.linspace(0.01, 0.99, 50)
-    found = roots(lambda x, row: x * np.exp(x - 1) - levels[row], np.zeros(50), np.ones(50))
+    ends = np.zeros(50), np.ones(50)
+    found = roots(lambda x, row: x * np.exp(x - 1) - levels[row], ends, (-levels, 1 - levels))
     exact = [brentq(lambda x, c=c: x * np.exp(x - 1) - c, 0, 1, xtol=1e-15) for c in levels]
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-13)
 
@@ -70,5 +72,21 @@ def test_a_function_that_is_not_finite_on_the_way_leaves_an_end() -> None:
     assert root(lambda x: np.where((x > 0.2) & (x < 0.8), np.nan, x - 0.6), 0.0, 1.0) == 1.0
 
 
+def test_a_line_takes_one_evaluation_and_a_smooth_function_few() -> None:
+    counts = []
+    for function, most in ((lambda x: 3 * x - 1, 1), (lambda x: np.sin(x) - 0.4, 5)):
+        calls = []
+        ends = np.zeros(1), np.ones(1)
+
+        def counted(x, _, function=function, calls=calls):
+            calls.append(x)
+            return function(x)
+
+        roots(counted, ends, tuple(map(function, ends)))
+        counts.append(len(calls) <= most)
+    assert all(counts)
+
+
 def test_no_rows() -> None:
-    assert roots(lambda x, _: x, np.zeros(0), np.zeros(0)).shape == (0,)
+    nothing = np.zeros(0), np.zeros(0)
+    assert roots(lambda x, _: x, nothing, nothing).shape == (0,)

@@ -107,9 +107,14 @@ class Meeting(NamedTuple):
         return (1 - self.arc_length) + self.cosine / 2
 
 
-def meetings_on(scene: Scene, stretches: Stretch) -> Meeting:
-    """First contacts on stretches (k, …) at whose start the straight rod is clear, and at whose end
-    it is not.
+def meetings_on(
+    scene: Scene,
+    stretches: Stretch,
+    before: Float[np.ndarray, "k"],
+    after: Float[np.ndarray, "k"],
+) -> Meeting:
+    """First contacts on stretches (k, …) at whose start the straight rod is clear by `before`, and
+    at whose end it is not, by `after`.
     """
 
     def at(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> tuple[Clearance, Clamp]:
@@ -118,7 +123,7 @@ def meetings_on(scene: Scene, stretches: Stretch) -> Meeting:
 
     rows = np.arange(len(stretches.first.point))
     ends = np.zeros(len(rows)), np.ones(len(rows))
-    fraction = roots(lambda fraction, row: at(fraction, row)[0].distance, *ends)
+    fraction = roots(lambda fraction, row: at(fraction, row)[0].distance, ends, (before, after))
     straight, clamp = at(fraction, rows)
     s = straight.arc_length
     point = clamp.point + s[:, None] * clamp.tangent
@@ -154,20 +159,23 @@ def first_meetings(
     through something thin.
     """
     lane, step = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
-    direct = lane, step + 1, np.ones(len(lane))
+    direct = lane, step + 1, np.ones(len(lane)), distance[lane, step + 1]
     thin = _passed_through(scene, path, clear, distance)
-    lane, index, stop = (np.concatenate(parts) for parts in zip(direct, thin, strict=True))
+    lane, index, stop, after = (np.concatenate(parts) for parts in zip(direct, thin, strict=True))
     whole = path.stretch(lane, index)
-    met = meetings_on(scene, whole.part(np.zeros((len(lane), 1)), stop[:, None]))
+    parts = whole.part(np.zeros((len(lane), 1)), stop[:, None])
+    met = meetings_on(scene, parts, distance[lane, index - 1], after)
     met = met._replace(fraction=met.fraction * stop)
     return chosen(Meetings(lane, index, met), met.cosine > HEAD_ON_COSINE)
 
 
 def _passed_through(
     scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]
-) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+) -> tuple[
+    Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]
+]:
     """Steps between two clear positions on which the straight rod passes through something thin:
-    lane, index of the end, and fraction within.
+    lane, index of the end, fraction and clearance within.
     """
     motion = lengths(np.diff(path.point, axis=1)) + lengths(np.diff(path.tangent, axis=1))
     near = clear[:, :-1] & clear[:, 1:] & (np.maximum(distance[:, :-1], distance[:, 1:]) < motion)
@@ -178,4 +186,4 @@ def _passed_through(
     within = clearances(scene, clamps).distance.reshape(len(lane), _LOOKS - 1)
     hit = np.flatnonzero((within < CLEAR).any(axis=1))
     first = np.argmax(within[hit] < CLEAR, axis=1)
-    return lane[hit], step[hit] + 1, fractions[first]
+    return lane[hit], step[hit] + 1, fractions[first], within[hit, first]

@@ -123,10 +123,11 @@ class _Follower:
 
     def _first_contact(self, fraction: float) -> Meeting | None:
         """Next first contact of the free rod between a fraction and the end, if there is one."""
-        if self._clear(1.0):
+        before, after = self._clearance(fraction), self._clearance(1.0)
+        if after >= CLEAR:
             return None
         rest = self._stretch.part(np.array([[fraction]]), np.ones((1, 1)))
-        met = chosen(meetings_on(self._scene, rest), 0)
+        met = chosen(meetings_on(self._scene, rest, np.array([before]), np.array([after])), 0)
         return Meeting(fraction + (1 - fraction) * met.fraction, *met[1:])
 
     def _found(

@@ -51,25 +51,27 @@ def located(
     step from the first.
     """
 
+    rows = np.arange(len(low.fraction))
+
     def indicated(places: Place, row: Int[np.ndarray, "j"]) -> Float[np.ndarray, "j"]:
         return np.take_along_axis(places.indicators, indicator[row, None], axis=1)[:, 0]
 
-    def at(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> Place:
-        before, after, way = chosen((low, high, stretches), row)
-        if law.branch:
-            gap = after.fraction - before.fraction
-            share = (fraction - before.fraction) / np.where(gap == 0, 1.0, gap)
-            before = _between(before, after, share)
-        return stepped(scene, law, way, before, fraction)[0]
+    before, after = indicated(low, rows), indicated(high, rows)
+    found = jax.tree.map(np.array, either(np.abs(before) <= np.abs(after), low, high))
 
-    rows = np.arange(len(low.fraction))
-    fraction = roots(
-        lambda fraction, row: indicated(at(fraction, row), row), low.fraction, high.fraction
-    )
-    found = at(fraction, rows)
+    def value(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> np.ndarray:
+        start, end, way = chosen((low, high, stretches), row)
+        if law.branch:
+            gap = end.fraction - start.fraction
+            start = _between(start, end, (fraction - start.fraction) / np.where(gap == 0, 1.0, gap))
+        place, _ = stepped(scene, law, way, start, fraction)
+        for whole, part in zip(jax.tree.leaves(found), jax.tree.leaves(place), strict=True):
+            whole[row] = part
+        return indicated(place, row)
+
+    roots(value, (low.fraction, high.fraction), (before, after))
     # Where a step on the way does not converge, as next to a contact that jumps or of a rod that
     # comes to lie along a face, what lies between the ends in proportion.
-    before, after = indicated(low, rows), indicated(high, rows)
     share = before / np.where(before == after, 1.0, before - after)
     sound = np.isfinite(found.reached.state.flat_rows).all(axis=1)
     result: Place = either(sound, found, _between(low, high, share))

@@ -161,7 +161,9 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
     size = _SHORT if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
 
     def padded(rows: np.ndarray) -> np.ndarray:
-        return np.pad(rows, ((0, 0), (0, size - n), *((0, 0),) * (rows.ndim - 2)))
+        whole = np.zeros((count, size, *rows.shape[2:]), rows.dtype)
+        whole[:, :n] = rows
+        return whole
 
     along = jax.tree.map(padded, (legs.clamp, legs.clear, legs.met, legs.meeting))
     steps: Steps = _walk((scene, law, np.asarray(n)), Legs(*along, *legs[4:]))

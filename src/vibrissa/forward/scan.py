@@ -17,7 +17,7 @@ from vibrissa.forward.search import caught
 from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
 from vibrissa.mechanics.model import NEUTRAL, Clamp
-from vibrissa.numerics.lanes import in_threads
+from vibrissa.numerics.lanes import WIDTH, in_threads, threads
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
@@ -25,8 +25,9 @@ from vibrissa.trail import Trail
 
 _RESIDUAL_TOLERANCE = 1e-9
 """Of the contact conditions, a thousand times what Newton's method leaves."""
-_TRAILS = 64
-"""Of a thread's share: as many as a block of lanes holds."""
+_TRAILS = 512
+"""Of a thread's share at most: what is done once a share then weighs little, and memory is some
+30 MB."""
 
 
 def scan(
@@ -85,15 +86,18 @@ def scan(
     path = path_of(trail, rod.length)
     count = len(path.point)
 
+    # Whole blocks of lanes, and work for every thread.
+    share = min(_TRAILS, WIDTH * -(-count // (WIDTH * threads())))
+
     def part(first: int) -> _Solved:
-        own = np.s_[first : first + _TRAILS]
+        own = np.s_[first : first + share]
         some = type(path)(path.point[own], path.orientation[own], path.stride)
         found = sweep(scene, some, law)
         return _solved(scene, law, some.clamps, path.stride, found)
 
-    parts = in_threads(part, range(0, count, _TRAILS))
+    parts = in_threads(part, range(0, count, share))
     happenings = [
-        happening.on(first * _TRAILS)
+        happening.on(first * share)
         for first, part in enumerate(parts)
         for happening in part.happenings
     ]

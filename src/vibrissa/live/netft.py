@@ -109,16 +109,16 @@ class NetFtSource(Source):
 
     def read(self, timeout: float) -> Samples | None:
         """Samples that have come, in order; None if there are none within `timeout` seconds."""
-        parts, came = [np.empty(0, dtype=rdt.RECORD)], []
+        sound, came = b"", []
         for data, moment in self._datagrams(timeout):
             try:
-                parts.append(rdt.parse_records(data))
-                came += [moment] * len(parts[-1])
+                came += [moment] * len(rdt.parse_records(data))
+                sound += data
             except ValueError as error:
                 self.counts.malformed += 1
                 self.complaint = str(error)
-        now, arrival = time.monotonic_ns(), np.array(came, dtype=np.int64)
-        rows = self._sequencer.accept(np.concatenate(parts), arrival, now)
+        now, records = time.monotonic_ns(), np.frombuffer(sound, dtype=rdt.RECORD)
+        rows = self._sequencer.accept(records, np.array(came, dtype=np.int64), now)
         if self._early is not None:
             # The first records are held for a moment: the clock is set by the least late of many.
             self._early.append(rows)

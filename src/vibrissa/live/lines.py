@@ -49,7 +49,7 @@ def parse_header(line: bytes) -> tuple[str, ...] | None:
         If it holds other words.
     """
     cells = line.decode("utf-8", "replace").lstrip("\ufeff").split(",")
-    names = tuple(cell.strip().strip('"').strip().lower() for cell in cells)
+    names = tuple(cell.strip('" \t').lower() for cell in cells)
     words = [name for name in names if name[:1].isalpha() and name not in ("nan", "inf")]
     if 2 * len(words) < len(names) or not words:
         return None

@@ -118,11 +118,11 @@ class _Reader(threading.Thread):
         try:
             while not self._stopping.is_set():
                 samples = self._source.read(_READ_WAIT)
-                while samples is not None and not self._stopping.is_set():
+                while samples is not None:
                     try:
                         self._queue.put(samples, timeout=_READ_WAIT)
                     except Full:
-                        if self._source.waits:
+                        if self._source.waits and not self._stopping.is_set():
                             continue
                         self.overflow += len(samples)
                     break

@@ -183,10 +183,10 @@ class Processor:
             samples = self._waiting.pop()
             count = self._workable(samples, now)
             if count < len(samples):
-                self._waiting = [samples[count:]]
+                self._waiting, samples = [samples[count:]], samples[:count]
             if count == 0:
                 return
-            yield self._result(samples[:count])
+            yield self._result(samples)
 
     def _workable(self, samples: Samples, now: int) -> int:
         """How many leading samples are the next batch: of one zero, with poses, and, before the

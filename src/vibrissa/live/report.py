@@ -149,7 +149,7 @@ class SilenceWatch:
         self._last = self._samples = self._lively = self._silent = self.count = 0
         self._noticed = False
 
-    def _silences(self, pause: Nanoseconds) -> Nanoseconds:
+    def _silences(self, pause: Nanoseconds) -> np.ndarray:
         """Those pauses (n,) [ns] that are silences; none are until so many samples have shown the
         sensor's pace.
         """

@@ -84,6 +84,8 @@ def rows_of(table: Table, rows: slice | Flags) -> Table:
 
 def joined(parts: Sequence[Table]) -> Table:
     """Tables with the same columns, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
     return jax.tree.map(lambda *columns: np.concatenate(columns), *parts)
 
 

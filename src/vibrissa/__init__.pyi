@@ -1,4 +1,4 @@
-from . import surfaces
+from . import io, live, plot, surfaces
 from .calibration import Calibration, CalibrationError, calibrate
 from .contacts import ContactKind, Contacts, Motion, RecordingWarning, Status
 from .design import ExpectedError, expected_error
@@ -64,8 +64,11 @@ __all__ = [
     "equilibria",
     "estimate_friction",
     "expected_error",
+    "io",
+    "live",
     "load_case",
     "load_setup",
+    "plot",
     "read_contacts",
     "read_recording",
     "reconstruct",

@@ -344,7 +344,6 @@ def test_a_sensor_on_the_loopback_address(
             source,
             Processor(setup.rod, fast, poses),
             [Callback(kept)],
-            poses=poses,
             silence=1.0,
             duration=0.88,
         )
@@ -427,7 +426,6 @@ def test_poses_over_udp(setup: vb.Setup, raw: RawRecording) -> None:
             source_of(simulator),
             Processor(setup.rod, still, poses),
             [rows],
-            poses=poses,
             silence=0,
             duration=0.8,
         )
@@ -459,7 +457,7 @@ def worked_on(processor: Processor, samples: Samples) -> Kept:
     """A processor's answer to samples that come in pieces."""
     kept = Kept()
     for first in range(0, len(samples), 50):
-        processor.push(samples.rows(first, min(first + 50, len(samples))))
+        processor.push(samples[first : first + 50])
         for result in processor.ready(int(samples.stamp[-1]) + 10**9):
             kept(result.stamp, result.found)
     return kept
@@ -512,7 +510,7 @@ def test_poses_that_begin_after_the_tare(setup: vb.Setup, raw: RawRecording) -> 
     kept = worked_on(processor, as_samples(sent, np.ones(count, dtype=bool)))
     expected = vb.reconstruct(setup.rod, sensor.reactions(sent))
     known = np.arange(count) >= begin - 5
-    assert processor.without_pose == np.count_nonzero(~known)
+    assert processor.report.without_pose == np.count_nonzero(~known)
     assert np.array_equal(kept.all("status") == vb.Status.BAD_DATA, ~known)
     rows = slice(begin, None)
     np.testing.assert_allclose(kept.all("point")[rows], expected.point[rows], atol=1e-9)

@@ -30,7 +30,7 @@ from vibrissa.live import (
     Sink,
     stream,
 )
-from vibrissa.live.silence import SilenceWatch
+from vibrissa.live.report import SilenceWatch
 from vibrissa.sensor import RawRecording
 
 FOLDER = Path(__file__).parents[2] / "examples/recordings/sphere_60mm"
@@ -77,15 +77,13 @@ def restarted(raw: RawRecording, row: int, shift: np.ndarray) -> Samples:
     )
 
 
-def through(
-    processor: Processor, samples: Samples
-) -> tuple[dict[str, np.ndarray], list[tuple[str, bool]]]:
+def through(processor: Processor, samples: Samples) -> tuple[dict[str, np.ndarray], list[str]]:
     """Kind, status and point of all rows, and what was said."""
     found: list[vb.Reconstruction] = []
-    news: list[tuple[str, bool]] = []
-    processor.say = lambda text, *, warns=False: news.append((text, warns))
+    news: list[str] = []
+    processor.report.notice = news.append
     for first in range(0, len(samples), 50):
-        processor.push(samples.rows(first, min(first + 50, len(samples))))
+        processor.push(samples[first : first + 50])
         found += [result.found for result in processor.ready(int(samples.stamp[-1]))]
     return {
         name: np.concatenate([getattr(part, name) for part in found])
@@ -104,12 +102,12 @@ def test_the_zero_of_a_restarted_sensor(
     found, news = through(
         processor, restarted(raw, row, np.array([1, -1, 1, 0.01, 0.01, -0.01]) * offset)
     )
-    assert [warns for text, warns in news if "restart" in text] == [offset > 0]
-    assert processor.zero_changes == (offset > 0)
+    assert [line.startswith("warning: ") for line in news if "restart" in line] == [offset > 0]
+    assert processor.report.zero_changes == (offset > 0)
     after = found["status"][row:]
-    assert 0 < processor.unsure < 120
-    assert np.all(after[: processor.unsure] != vb.Status.OK)
-    assert np.count_nonzero(after[processor.unsure :] == vb.Status.OK) > 700
+    assert 0 < processor.report.unsure < 120
+    assert np.all(after[: processor.report.unsure] != vb.Status.OK)
+    assert np.count_nonzero(after[processor.report.unsure :] == vb.Status.OK) > 700
     assert setup.surface is not None
     sound = (found["kind"] > 0) & (found["status"] == vb.Status.OK)
     off = np.abs(setup.surface.distances(found["point"][sound]))
@@ -133,7 +131,7 @@ def test_a_zero_that_a_contact_may_hide_stays_unknown(setup: vb.Setup, raw: RawR
                       columns["position"], columns["orientation"], np.arange(750) == 500)  # fmt: skip
     processor = Processor(setup.rod, setup.sensor, ConstantPose())
     found, _ = through(processor, samples)
-    assert processor.zero_changes == 0
+    assert processor.report.zero_changes == 0
     assert np.all(found["status"][500:] != vb.Status.OK)
     assert np.any(found["status"][200:500] == vb.Status.OK)
 

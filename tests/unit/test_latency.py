@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vibrissa.live.latency import Latency
+from vibrissa.live.report import Latency
 
 
 def test_percentiles_are_right_to_a_percent() -> None:

@@ -80,75 +80,35 @@ def test_addresses_that_are_none(text: str) -> None:
 
 
 REPLAY = f"replay:{TRAIL}?speed=max"
+LIVE = ("live", "--source", REPLAY, "--setup", SETUP)
+SIMULATE = ("simulate-sensor", CASE, "--setup", SETUP)
 REFUSED = {
     "no source": (("live", "--source", "nowhere", "--setup", SETUP), ["nowhere", "netft://"]),
     "no such file": (
         ("live", "--source", "replay:none.csv", "--setup", SETUP),
         ["none.csv", "cannot be read"],
     ),
-    "no such setup": (
-        ("live", "--source", REPLAY, "--setup", "none.toml"),
-        ["none.toml", "cannot be read"],
-    ),
-    "another sink": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "x.bag"),
-        ["x.bag", "FILE.mcap"],
-    ),
-    "no sink": (("live", "--source", REPLAY, "--setup", SETUP, "--sink", "jsonl:"), ["jsonl:"]),
-    "a sink that is there": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "there.mcap"),
-        ["there.mcap", "--overwrite"],
-    ),
-    "a folder that holds something": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:."),
-        ["sink .", "--overwrite"],
-    ),
-    "no folder": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--sink", "rosbag2:there.mcap"),
-        ["there.mcap", "folder"],
-    ),
+    "no such setup": ((*LIVE[:4], "none.toml"), ["none.toml", "cannot be read"]),
+    "another sink": ((*LIVE, "--sink", "x.bag"), ["x.bag", "FILE.mcap"]),
+    "no sink": ((*LIVE, "--sink", "jsonl:"), ["jsonl:"]),
+    "a sink that is there": ((*LIVE, "--sink", "there.mcap"), ["there.mcap", "--overwrite"]),
+    "a folder that holds something": ((*LIVE, "--sink", "rosbag2:."), ["sink .", "--overwrite"]),
+    "no folder": ((*LIVE, "--sink", "rosbag2:there.mcap"), ["there.mcap", "folder"]),
     "one file twice": (
-        (
-            "live",
-            "--source",
-            REPLAY,
-            "--setup",
-            SETUP,
-            "--sink",
-            "x.jsonl",
-            "--sink",
-            "jsonl:./x.jsonl",
-        ),
+        (*LIVE, "--sink", "x.jsonl", "--sink", "jsonl:./x.jsonl"),
         ["x.jsonl", "twice"],
     ),
-    "no time": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--duration", "0"),
-        ["--duration", "0"],
-    ),
-    "no batch": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--batch", "nan"),
-        ["--batch", "nan"],
-    ),
-    "negative friction": (
-        ("live", "--source", REPLAY, "--setup", SETUP, "--friction", "-1"),
-        ["--friction", "-1"],
-    ),
+    "no time": ((*LIVE, "--duration", "0"), ["--duration", "0"]),
+    "no batch": ((*LIVE, "--batch", "nan"), ["--batch", "nan"]),
+    "negative silence": ((*LIVE, "--silence", "-1"), ["--silence", "-1"]),
+    "negative friction": ((*LIVE, "--friction", "-1"), ["--friction", "-1"]),
     "no case": (("simulate-sensor", "none.toml", "--setup", SETUP), ["none.toml"]),
-    "no rate": (("simulate-sensor", CASE, "--setup", SETUP, "--rate", "-5"), ["rate", "-5"]),
-    "half a tare": (
-        ("simulate-sensor", CASE, "--setup", SETUP, "--tare", "1,2,3"),
-        ["tare", "1,2,3", "six"],
-    ),
-    "more than all": (
-        ("simulate-sensor", CASE, "--setup", SETUP, "--drop", "1.5"),
-        ["drop", "1.5"],
-    ),
-    "no port": (("simulate-sensor", CASE, "--setup", SETUP, "--port", "70000"), ["port", "70000"]),
-    "no address for poses": (
-        ("simulate-sensor", CASE, "--setup", SETUP, "--pose", "here"),
-        ["here", "HOST:PORT"],
-    ),
-    "no sweep": (("simulate-sensor", CASE, "--setup", SETUP, "--sweep", "0"), ["sweep", "0"]),
+    "no rate": ((*SIMULATE, "--rate", "-5"), ["rate", "-5"]),
+    "half a tare": ((*SIMULATE, "--tare", "1,2,3"), ["tare", "1,2,3", "six"]),
+    "more than all": ((*SIMULATE, "--drop", "1.5"), ["drop", "1.5"]),
+    "no port": ((*SIMULATE, "--port", "70000"), ["port", "70000"]),
+    "no address for poses": ((*SIMULATE, "--pose", "here"), ["here", "HOST:PORT"]),
+    "no sweep": ((*SIMULATE, "--sweep", "0"), ["sweep", "0"]),
 }
 
 
@@ -233,12 +193,7 @@ def test_json_lines_on_standard_output(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Only rows there; the summary goes to stderr."""
-    assert (
-        run(
-            monkeypatch, "live", "--source", REPLAY, "--setup", SETUP, "--sink", "jsonl:-", "--json"
-        )
-        == 0
-    )
+    assert run(monkeypatch, *LIVE, "--sink", "jsonl:-", "--json") == 0
     out, err = capfd.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
     summary = json.loads(err[err.index("{") :])

@@ -5,7 +5,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -17,36 +17,29 @@ from hypothesis import strategies as st
 from vibrissa.live.lines import (
     BARE,
     POSED,
-    Line,
     LineSource,
-    SerialLine,
-    TcpLine,
     WrongColumnsError,
     parse_header,
     parse_line,
+    serial_line,
+    tcp_line,
 )
 from vibrissa.live.samples import EndOfStreamError, Samples, joined
 
 LINES = RECORDING.splitlines()
 
 
-class Pieces(Line):
-    """Bytes in given pieces."""
+@contextmanager
+def pieces(*given: bytes) -> Iterator[Callable[[float], bytes]]:
+    """A line that gives these, one at a time."""
+    left = list(given)
 
-    def __init__(self, *pieces: bytes) -> None:
-        self._pieces = list(pieces)
-
-    def open(self) -> None:
-        """Nothing is to be opened."""
-
-    def receive(self, timeout: float) -> bytes:  # noqa: ARG002
-        """The next piece."""
-        if not self._pieces:
+    def receive(timeout: float) -> bytes:
+        if not left:
             raise EndOfStreamError
-        return self._pieces.pop(0)
+        return left.pop(0)
 
-    def close(self) -> None:
-        """Nothing is held open."""
+    yield receive
 
 
 def everything(source: LineSource) -> Samples | None:
@@ -87,7 +80,7 @@ def check(found: Samples | None, rows: slice = slice(None), *, paced: bool = Tru
 def test_lines_in_pieces_of_any_size(size: int) -> None:
     data = RECORDING.encode()
     source = LineSource(
-        Pieces(*(data[start : start + size] for start in range(0, len(data), size)))
+        pieces(*(data[start : start + size] for start in range(0, len(data), size)))
     )
     found = everything(source)
     assert len(found or ()) == source.counts.samples == 40
@@ -97,7 +90,7 @@ def test_lines_in_pieces_of_any_size(size: int) -> None:
 
 def test_on_the_hosts_clock_no_line_is_stamped_after_it_came() -> None:
     """Lines that were sent faster than their times say."""
-    source = LineSource(Pieces(RECORDING.encode()), on_host_clock=True)
+    source = LineSource(pieces(RECORDING.encode()), on_host_clock=True)
     found = everything(source)
     check(found, paced=False)
     assert found is not None
@@ -105,9 +98,9 @@ def test_on_the_hosts_clock_no_line_is_stamped_after_it_came() -> None:
 
 
 def test_without_a_header_and_without_poses() -> None:
-    check(everything(LineSource(Pieces("\n".join(LINES[1:]).encode() + b"\n"))))
+    check(everything(LineSource(pieces("\n".join(LINES[1:]).encode() + b"\n"))))
     bare = "\n".join(",".join([line.split(",")[0], *line.split(",")[8:]]) for line in LINES[1:])
-    found = everything(LineSource(Pieces(bare.encode() + b"\r\n")))
+    found = everything(LineSource(pieces(bare.encode() + b"\r\n")))
     assert found is not None
     assert found.position is None
     np.testing.assert_allclose(found.force, recording_table()[:, 8:11], atol=6e-6)
@@ -116,18 +109,18 @@ def test_without_a_header_and_without_poses() -> None:
 def test_columns_in_another_order() -> None:
     order = np.random.default_rng(0).permutation(14)
     text = "\n".join(",".join(np.array(line.split(","))[order]) for line in LINES)
-    check(everything(LineSource(Pieces(text.encode() + b"\n"))))
+    check(everything(LineSource(pieces(text.encode() + b"\n"))))
 
 
 @pytest.mark.parametrize("end", ["\r", "\r\n"])
 def test_other_ends_of_lines(end: str) -> None:
-    check(everything(LineSource(Pieces((end.join(LINES) + end).encode()))))
+    check(everything(LineSource(pieces((end.join(LINES) + end).encode()))))
 
 
 def test_further_columns_are_left_out() -> None:
     names = " , ".join(f'"{name}"' for name in ["state", *LINES[0].upper().split(",")])
     source = LineSource(
-        Pieces("\n".join([names, *(f"ok,{line}" for line in LINES[1:]), ""]).encode())
+        pieces("\n".join([names, *(f"ok,{line}" for line in LINES[1:]), ""]).encode())
     )
     check(everything(source))
     assert source.counts.malformed == 0
@@ -145,11 +138,11 @@ def test_further_columns_are_left_out() -> None:
 def test_other_columns_are_no_guess(names: str) -> None:
     """Numbers below such names would be taken for others."""
     with pytest.raises(WrongColumnsError, match=r"allowed are time,px"):
-        everything(LineSource(Pieces(f"{names}\n1,2,3,4,5,6,7\n".encode())))
+        everything(LineSource(pieces(f"{names}\n1,2,3,4,5,6,7\n".encode())))
 
 
 def test_the_rest_of_a_line_of_names_is_no_error() -> None:
-    source = LineSource(Pieces((LINES[0][20:] + "\n" + "\n".join(LINES[1:]) + "\n").encode()))
+    source = LineSource(pieces((LINES[0][20:] + "\n" + "\n".join(LINES[1:]) + "\n").encode()))
     check(everything(source))
     assert source.counts.malformed == 0
 
@@ -164,7 +157,7 @@ def test_a_clock_that_is_set_or_damaged_moves_nothing() -> None:
         text += [f"{moment},{rest}"]
         if place % 10 == 4:
             text += [f"{wrong},{rest}" for wrong in ("3.9e9", "-3.9e9", "1e11", "-1e300")]
-    source = LineSource(Pieces(("\n".join(text) + "\n").encode()))
+    source = LineSource(pieces(("\n".join(text) + "\n").encode()))
     found = everything(source)
     assert found is not None
     assert (source.counts.restarts, source.counts.malformed, len(found)) == (12, 8, 48)
@@ -185,14 +178,14 @@ def test_bad_lines_are_counted_and_left_out() -> None:
         "\0\xff",
     ]
     text = "\n".join([*LINES[:6], *bad, *LINES[6:]]) + "\n"
-    source = LineSource(Pieces(text.encode("latin-1")))
+    source = LineSource(pieces(text.encode("latin-1")))
     check(everything(source))
     assert source.counts.malformed == len(bad)
 
 
 def test_a_line_without_end_takes_no_memory() -> None:
     source = LineSource(
-        Pieces(LINES[0].encode() + b"\n", *[b"7" * 60_000] * 50, b"\n" + LINES[1].encode() + b"\n")
+        pieces(LINES[0].encode() + b"\n", *[b"7" * 60_000] * 50, b"\n" + LINES[1].encode() + b"\n")
     )
     found = everything(source)
     assert len(found or ()) == 1
@@ -201,7 +194,7 @@ def test_a_line_without_end_takes_no_memory() -> None:
 
 def test_time_that_stands_goes_back_or_begins_anew() -> None:
     text = "\n".join([*LINES[:30], LINES[29], LINES[27], *LINES[30:40], *LINES[1:11]]) + "\n"
-    source = LineSource(Pieces(text.encode()))
+    source = LineSource(pieces(text.encode()))
     found = everything(source)
     assert found is not None
     assert np.all(np.diff(found.stamp) > 0)
@@ -215,7 +208,7 @@ def test_time_that_stands_goes_back_or_begins_anew() -> None:
 
 def test_poses_do_not_begin_in_the_middle() -> None:
     bare = ",".join([LINES[3].split(",")[0], *LINES[3].split(",")[8:]])
-    source = LineSource(Pieces(("\n".join([*LINES[1:3], bare, *LINES[4:]]) + "\n").encode()))
+    source = LineSource(pieces(("\n".join([*LINES[1:3], bare, *LINES[4:]]) + "\n").encode()))
     found = everything(source)
     assert found is not None
     assert found.position is not None
@@ -223,7 +216,7 @@ def test_poses_do_not_begin_in_the_middle() -> None:
 
 
 def test_the_rest_of_a_line_that_began_before_is_no_error() -> None:
-    source = LineSource(Pieces(("0.3,17\n" + "\n".join(LINES[1:]) + "\n").encode()))
+    source = LineSource(pieces(("0.3,17\n" + "\n".join(LINES[1:]) + "\n").encode()))
     check(everything(source))
     assert source.counts.malformed == 0
 
@@ -265,7 +258,7 @@ def serving(data: bytes) -> Iterator[int]:
 
 def test_over_tcp() -> None:
     with serving(RECORDING.encode()) as port:
-        check(everything(LineSource(TcpLine("127.0.0.1", port))))
+        check(everything(LineSource(tcp_line("127.0.0.1", port))))
 
 
 def test_over_a_serial_line() -> None:
@@ -274,7 +267,7 @@ def test_over_a_serial_line() -> None:
 
     master, slave = os.openpty()
     tty.setraw(slave)
-    source = LineSource(SerialLine(os.ttyname(slave), 115200))
+    source = LineSource(serial_line(os.ttyname(slave), 115200))
     source.open()
     try:
         os.write(master, "\n".join([HEADER, *LINES[1:15]]).encode() + b"\n")
@@ -296,4 +289,4 @@ def test_over_a_serial_line() -> None:
 def test_without_pyserial_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(ImportError, match=r"pip install 'vibrissa\[live\]'"):
-        LineSource(SerialLine("/dev/null", 9600)).open()
+        LineSource(serial_line("/dev/null", 9600)).open()

@@ -7,29 +7,27 @@ from contextlib import contextmanager
 
 import typer
 
+import vibrissa as vb
 from vibrissa.cli.calibrate import calibrate
 from vibrissa.cli.demo import demo
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
+from vibrissa.cli.said import of_setup, one_line
 from vibrissa.cli.scan import scan
 from vibrissa.cli.simulate_sensor import simulate_sensor
 
 app = typer.Typer(
     name="vibrissa",
-    help="Whisker-like tactile sensing: contact mechanics of a swept elastic rod, forward and inverse.",
+    help="Whisker-like tactile sensing: contact mechanics of a swept elastic rod, forward and "
+    "inverse.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-app.command()(demo)
-app.command()(scan)
-app.command()(reconstruct)
-app.command()(inspect)
-app.command()(live)
-app.command("simulate-sensor")(simulate_sensor)
-app.command()(calibrate)
+for command in (demo, scan, reconstruct, inspect, live, simulate_sensor, calibrate):
+    app.command(command.__name__.replace("_", "-"))(command)
 
 
 @app.callback(invoke_without_command=True)
@@ -37,9 +35,7 @@ def _version(
     *, version: bool = typer.Option(False, "--version", help="Print the version and exit.")
 ) -> None:
     if version:
-        from vibrissa import __version__  # noqa: PLC0415
-
-        typer.echo(__version__)
+        typer.echo(vb.__version__)
         raise typer.Exit
 
 
@@ -49,9 +45,7 @@ def main() -> None:
         with _warnings_in_one_line():
             app()
     except ValueError as error:
-        from vibrissa.io.errors import InputError  # noqa: PLC0415
-
-        if not isinstance(error, InputError):
+        if not isinstance(error, vb.io.InputError):
             raise
         print(f"vibrissa: error: {error}", file=sys.stderr)  # noqa: T201
         sys.exit(2)
@@ -67,15 +61,10 @@ def _warnings_in_one_line() -> Iterator[None]:
     def show(
         message: Warning | str, category: type[Warning], *_place: object, **_more: object
     ) -> None:
-        from vibrissa.contacts import RecordingNote, RecordingWarning  # noqa: PLC0415
-
-        line = " ".join(str(message).split())
+        line = one_line(message)
         if line not in said:
             said.add(line)
-            of_setup = issubclass(category, RecordingWarning) and not issubclass(
-                category, RecordingNote
-            )
-            print(f"{'' if of_setup else 'vibrissa: '}warning: {line}", file=sys.stderr)  # noqa: T201
+            print(f"{'' if of_setup(category) else 'vibrissa: '}warning: {line}", file=sys.stderr)  # noqa: T201
 
     with warnings.catch_warnings():
         # Each line, also one that two files share; `show` passes over those that were said.

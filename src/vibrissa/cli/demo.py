@@ -1,10 +1,14 @@
 """`vibrissa demo`: the paper, end to end."""
 
-import json
+from __future__ import annotations
+
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from vibrissa.cli import common
+from vibrissa.cli.progress import reporting
 
 if TYPE_CHECKING:
     from vibrissa.paper import Demo
@@ -14,12 +18,11 @@ def demo(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for figures, tables and datasets.")
     ] = Path("demo"),
-    as_json: Annotated[bool, typer.Option("--json", help="Print the statements as JSON.")] = False,
+    as_json: common.AsJson = False,
 ) -> None:
     """Compute the whole paper: figures 2, 3a and 3b, its statements checked, and the sweeps it
     suggests.
     """
-    from vibrissa.cli.progress import reporting  # noqa: PLC0415
     from vibrissa.io.errors import writable_folder  # noqa: PLC0415
 
     folder = writable_folder(output)
@@ -32,27 +35,21 @@ def demo(
 
         result = run_demo(folder, report)
     if as_json:
-        rows = [
-            {"statement": part.text, "measured": part.measured, "holds": part.holds}
-            for part in result.statements
-        ]
-        typer.echo(
-            json.dumps(
-                {
-                    "statements": rows,
-                    "coverage": result.coverage,
-                    "files": [str(path) for path in result.files],
-                },
-                indent=1,
-            )
-        )
+        names = ("statement", "measured", "holds")
+        rows = [(part.text, part.measured, part.holds) for part in result.statements]
+        summary = {
+            "statements": [dict(zip(names, row, strict=True)) for row in rows],
+            "coverage": result.coverage,
+            "files": [str(path) for path in result.files],
+        }
+        common.show(summary, str, as_json=True)
     else:
         _print(result, folder)
     if not all(part.holds for part in result.statements):
         raise typer.Exit(1)
 
 
-def _print(result: "Demo", folder: Path) -> None:
+def _print(result: Demo, folder: Path) -> None:
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 

@@ -2,23 +2,26 @@
 moves.
 """
 
+from __future__ import annotations
+
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+import vibrissa as vb
+
 if TYPE_CHECKING:
-    from vibrissa.io import Setup
-    from vibrissa.io.live_setup import CasePoseTable, RdtTable
-    from vibrissa.live.poses import PoseSource, TimedPoses
-    from vibrissa.sensor import Sensor
-    from vibrissa.trail import Trail
+    from vibrissa.io.live_setup import RdtTable
 
 _COUNTS, _RATE = 1e6, 1000.0
+say = partial(typer.echo, err=True)
+"""Tell a line on stderr."""
 
 
 @contextmanager
@@ -38,34 +41,30 @@ def interrupts() -> Iterator[threading.Event]:
 @contextmanager
 def one_line() -> Iterator[None]:
     """Failed work is one line on stderr and exit status 1."""
-    from vibrissa.live.loop import SilentSourceError  # noqa: PLC0415
-
     try:
         yield
-    except (OSError, ImportError, ValueError, SilentSourceError) as error:
-        text = (
-            f"{error.filename}: {error.strerror}"
-            if isinstance(error, OSError) and error.filename is not None
-            else str(error)
-        )
-        typer.echo(f"vibrissa: error: {' '.join(text.splitlines())}", err=True)
+    except (OSError, ImportError, ValueError, vb.live.SilentSourceError) as error:
+        text = str(error)
+        if isinstance(error, OSError) and error.filename is not None:
+            text = f"{error.filename}: {error.strerror}"
+        say(f"vibrissa: error: {' '.join(text.splitlines())}")
         raise typer.Exit(1) from error
 
 
-def rdt_of(loaded: "Setup") -> "RdtTable":
+def rdt_of(loaded: vb.Setup) -> RdtTable:
     """Table [rdt] of the setup, or what such sensors do unless set otherwise."""
     from vibrissa.io.live_setup import RdtTable  # noqa: PLC0415
 
     if loaded.rdt is not None:
         return loaded.rdt
-    typer.echo(
-        f"the setup has no [rdt]: {_COUNTS:g} counts for 1 N and 1 N m, {_RATE:g} records a second are taken",
-        err=True,
+    say(
+        f"the setup has no [rdt]: {_COUNTS:g} counts for 1 N and 1 N m, {_RATE:g} records a second "
+        "are taken"
     )
     return RdtTable(counts_per_force=_COUNTS, counts_per_torque=_COUNTS, rate=_RATE)
 
 
-def poses_of(loaded: "Setup", folder: Path, *, needed: bool) -> "PoseSource":
+def poses_of(loaded: vb.Setup, folder: Path, *, needed: bool) -> vb.live.PoseSource:
     """Where the sensor's pose comes from, as [pose] says; `folder` is the setup's.
 
     Raises
@@ -73,55 +72,41 @@ def poses_of(loaded: "Setup", folder: Path, *, needed: bool) -> "PoseSource":
     InputError
         If the table names a file that cannot be used, or an address that is none.
     """
-    from vibrissa.io.errors import InputError  # noqa: PLC0415
-    from vibrissa.io.live_setup import (  # noqa: PLC0415
-        CasePoseTable,
-        ConstantPoseTable,
-        TrailPoseTable,
-        UdpPoseTable,
-    )
+    from vibrissa.io import live_setup as tables  # noqa: PLC0415
     from vibrissa.live.address import host_and_port  # noqa: PLC0415
-    from vibrissa.live.poses import ConstantPose, StreamedPoses  # noqa: PLC0415
+    from vibrissa.live.scene import motion, sensor_poses  # noqa: PLC0415
 
     table = loaded.pose
     try:
         match table:
-            case UdpPoseTable():
-                return StreamedPoses(*host_and_port(table.listen), patience=table.patience)
-            case TrailPoseTable():
+            case tables.UdpPoseTable():
+                return vb.live.StreamedPoses(*host_and_port(table.listen), patience=table.patience)
+            case tables.TrailPoseTable():
                 return _from_csv(folder / table.path)
-            case CasePoseTable():
-                return _from_case(table, folder, loaded.sensor)
-            case ConstantPoseTable():
-                return ConstantPose(table.position, table.orientation)
-    except InputError:
+            case tables.CasePoseTable():
+                trail = vb.load_case(folder / table.path).trail
+                times = {"rest": table.rest, "sweep": table.sweep, "pause": table.pause}
+                time, clamp = motion(trail, **times)
+                poses = sensor_poses(loaded.sensor, clamp)
+                return vb.live.TimedPoses(time, poses.position, poses.orientation)
+            case tables.ConstantPoseTable():
+                return vb.live.ConstantPose(table.position, table.orientation)
+    except vb.io.InputError:
         raise
     except ValueError as error:
-        raise InputError(f"[pose]: {error}") from error
+        raise vb.io.InputError(f"[pose]: {error}") from error
     if needed:
-        typer.echo("the setup has no [pose]: contacts are in the sensor's frame", err=True)
-    return ConstantPose()
+        say("the setup has no [pose]: contacts are in the sensor's frame")
+    return vb.live.ConstantPose()
 
 
-def _from_csv(file: Path) -> "TimedPoses":
+def _from_csv(file: Path) -> vb.live.TimedPoses:
     import numpy as np  # noqa: PLC0415
 
     from vibrissa.files import check_increasing, read_table  # noqa: PLC0415
-    from vibrissa.live.poses import TimedPoses  # noqa: PLC0415
     from vibrissa.trail import COLUMNS  # noqa: PLC0415
 
     table = read_table(file, ("time", *COLUMNS), any_order=True)
     check_increasing(file, table["time"])
     columns = np.column_stack([table[name] for name in COLUMNS])
-    return TimedPoses(table["time"] - table["time"][0], columns[:, :3], columns[:, 3:])
-
-
-def _from_case(table: "CasePoseTable", folder: Path, sensor: "Sensor") -> "TimedPoses":
-    from vibrissa.io.case import load_case  # noqa: PLC0415
-    from vibrissa.live.poses import TimedPoses  # noqa: PLC0415
-    from vibrissa.live.scene import motion, sensor_poses  # noqa: PLC0415
-
-    trail: Trail = load_case(folder / table.path).trail
-    time, clamp = motion(trail, rest=table.rest, sweep=table.sweep, pause=table.pause)
-    poses = sensor_poses(sensor, clamp)
-    return TimedPoses(time, poses.position, poses.orientation)
+    return vb.live.TimedPoses(table["time"] - table["time"][0], columns[:, :3], columns[:, 3:])

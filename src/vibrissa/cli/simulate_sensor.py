@@ -82,8 +82,7 @@ def simulate_sensor(
     from vibrissa.io.case import load_case  # noqa: PLC0415
     from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
-    from vibrissa.live.address import host_and_port  # noqa: PLC0415
-    from vibrissa.live.ports import listening  # noqa: PLC0415
+    from vibrissa.live.address import host_and_port, listening  # noqa: PLC0415
     from vibrissa.live.scene import measured, swept  # noqa: PLC0415
     from vibrissa.live.simulator import Flaws, SensorSimulator  # noqa: PLC0415
 

@@ -1,11 +1,12 @@
 """Addresses of sources: `netft://HOST:PORT`, `tcp://HOST:PORT`, `serial:DEVICE`, `replay:FILE`,
-with options after a question mark.
+with options after a question mark; and sockets whose errors name the address.
 """
 
 import re
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Literal
-from urllib.parse import urlsplit
 
 from vibrissa.files import InputError
 from vibrissa.live.rdt import PORT
@@ -13,6 +14,7 @@ from vibrissa.live.rdt import PORT
 FORMS = (
     "netft://HOST[:PORT], tcp://HOST:PORT, serial:DEVICE[?baud=115200] and replay:FILE[?speed=1]"
 )
+_WITH_A_HOST = re.compile(r"(\w+)://(?:\[([^]]+)\]|([^]:/?#@[]+))(?::([0-9]{1,5}))?/?")
 _WITH_A_PATH = re.compile(r"(serial|replay):(.+?)(?:\?(\w+)=([^?]*))?")
 _FASTEST_BAUD = 20_000_000  # of any serial port, with room
 
@@ -24,7 +26,7 @@ class Address:
     Attributes
     ----------
     kind
-        Of the source.
+        Of the source: netft, tcp, serial or replay.
     path
         Host, device or file.
     port
@@ -33,13 +35,22 @@ class Address:
         Of a replay, infinity for as fast as possible.
     baud
         Of a serial line.
+
+    Raises
+    ------
+    ValueError
+        If the speed is not greater than 0, or the baud rate is not one of a serial port.
     """
 
-    kind: Literal["netft", "tcp", "serial", "replay"]
+    kind: str
     path: str
     port: int = 0
     speed: float = 1.0
     baud: int = 115200
+
+    def __post_init__(self) -> None:
+        if not (self.speed > 0 and 0 < self.baud <= _FASTEST_BAUD):
+            raise ValueError(f"speed = {self.speed}, baud = {self.baud}")
 
 
 def parse_address(text: str) -> Address:
@@ -51,24 +62,24 @@ def parse_address(text: str) -> Address:
         If the text has none of the forms named above.
     """
     kind = text.partition(":")[0]
-    if kind == "netft":
-        return Address("netft", *host_and_port(text, PORT))
-    if kind == "tcp":
-        return Address("tcp", *host_and_port(text))
+    if kind in ("netft", "tcp"):
+        return Address(kind, *host_and_port(text, PORT if kind == "netft" else 0))
     found = _WITH_A_PATH.fullmatch(text)
-    if found is None:
-        raise InputError(f"source {text!r}; allowed are {FORMS}")
-    kind, path, option, value = found.groups()
-    match kind, option:
-        case "serial", None | "baud":
-            return Address("serial", path, baud=_baud(text, value or "115200"))
-        case "replay", None | "speed":
-            return Address("replay", path, speed=_speed(text, value or "1"))
-    allowed = {"serial": "baud", "replay": "speed"}[kind]
-    raise InputError(f"source {text!r}: unknown option {option!r}; allowed is {allowed}")
+    with suppress(ValueError):
+        match found and found.groups():
+            case kind, path, None, None:
+                return Address(kind, path)
+            case "serial", path, "baud", value:
+                return Address("serial", path, baud=int(value))
+            case "replay", path, "speed", value:
+                return Address("replay", path, speed=float("inf" if value == "max" else value))
+    raise InputError(
+        f"source {text!r}; allowed are {FORMS}, with a baud rate from 1 to {_FASTEST_BAUD} and a "
+        "speed greater than 0, or max"
+    )
 
 
-def host_and_port(text: str, default: int | None = None) -> tuple[str, int]:
+def host_and_port(text: str, default: int = 0) -> tuple[str, int]:
     """Parts of `SCHEME://HOST:PORT`; an IPv6 address stands in brackets.
 
     Raises
@@ -76,36 +87,38 @@ def host_and_port(text: str, default: int | None = None) -> tuple[str, int]:
     InputError
         If there is no host, more than these, or the port is missing or not from 1 to 65535.
     """
+    found = _WITH_A_HOST.fullmatch(text)
+    port = int(found[4] or default) if found else 0
+    if found is None or not 1 <= port <= 65535:
+        raise InputError(
+            f"address {text!r}; allowed is SCHEME://HOST:PORT with a port from 1 to 65535"
+        )
+    return found[2] or found[3], port
+
+
+@contextmanager
+def naming(address: str) -> Iterator[None]:
+    """Let an OSError raised within name the address."""
     try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port or (default if parts.port is None else 0)
-    except ValueError as error:
-        scheme = text.partition(":")[0]
-        raise InputError(f"address {text!r}: {error}; allowed is {scheme}://HOST:PORT") from error
-    more = parts.path.strip("/") or parts.query or parts.fragment or parts.username is not None
-    if not host or not port or more:
-        raise InputError(
-            f"address {text!r}; allowed is {parts.scheme}://HOST:PORT with a port from 1 to 65535"
-        )
-    return host, port
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), address) from error
 
 
-def _speed(text: str, value: str) -> float:
+def listening(host: str, port: int) -> socket.socket:
+    """A socket for datagrams to this address.
+
+    Raises
+    ------
+    OSError
+        If another program has the port, or the address is not one of this machine; it names both.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    opened = socket.socket(family, socket.SOCK_DGRAM)
     try:
-        speed = float("inf" if value == "max" else value)
-    except ValueError:
-        speed = 0.0
-    if not speed > 0:
-        raise InputError(
-            f"source {text!r}: speed = {value!r}; allowed is a number greater than 0, or max"
-        )
-    return speed
-
-
-def _baud(text: str, value: str) -> int:
-    if not re.fullmatch("[0-9]{1,8}", value) or not 0 < int(value) <= _FASTEST_BAUD:
-        raise InputError(
-            f"source {text!r}: baud = {value!r}; allowed is a whole number from 1 to "
-            f"{_FASTEST_BAUD}"
-        )
-    return int(value)
+        with naming(f"udp://{host}:{port}"):
+            opened.bind((host, port))
+    except OSError:
+        opened.close()
+        raise
+    return opened

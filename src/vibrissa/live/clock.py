@@ -136,40 +136,38 @@ class SequenceClock:
 
     def __post_init__(self) -> None:
         self._clock, self._watch = SampleClock(), RateWatch()
-        self._anchor = Tick(0, 0, 0)
         self._last: Tick | None = None
 
     def stamps(self, number: Nanoseconds, arrival: Nanoseconds) -> tuple[Nanoseconds, bool]:
         """Stamps (n,) [ns] on the clock of `arrival` for numbers (n,) of one stream, and whether it
         is another stream than before: there the sensor's clock goes on.
         """
-        first, came, last = int(number[0]), int(arrival[0]), self._last
-        anew = last is not None and first - last.number > AHEAD
+        first, last, begin, anew = int(number[0]), self._last, 0, False
+        if last is not None and first - last.number > AHEAD:
+            # Its numbers do not say what was lost before it, but the time does.
+            lost = max(round((int(arrival[0]) - last.arrival) / self.period) - 1, 0)
+            self.counts.lost += lost
+            self.counts.gaps += lost > 0
+            begin, anew = last.own + round(self.period), True
         if last is None or anew:
-            self._anchor = Tick(first, 0 if last is None else self._lost_before(came, last), came)
             self._watch = RateWatch()
-            self._clock.restart()
+            self._begin(first, begin)
         own = self._own(number)
         factor = self._watch.factor(own, arrival)
         if factor is not None:
             least = _OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE
             self.counts.rate_changes += abs(factor - 1) > least
-            self._anchor = Tick(first, int(own[0]), came)
             self.period *= factor
-            self._clock.restart()
+            self._begin(first, int(own[0]))
             own = self._own(number)
         self._last = Tick(int(number[-1]), int(own[-1]), int(arrival[-1]))
         return self._clock.stamps(own, arrival), anew
 
-    def _lost_before(self, came: int, last: Tick) -> int:
-        """Own time [ns] of a new stream. Its numbers do not say what was lost before it, but the
-        time does.
-        """
-        lost = max(round((came - last.arrival) / self.period) - 1, 0)
-        self.counts.lost += lost
-        self.counts.gaps += lost > 0
-        return last.own + round(self.period)
+    def _begin(self, number: int, own: int) -> None:
+        """Count own time [ns] from this number on, on a clock that is not known yet."""
+        self._number, self._number_own = number, own
+        self._clock.restart()
 
     def _own(self, number: Nanoseconds) -> Nanoseconds:
-        since = (number - int(self._anchor.number)) * self.period
-        return self._anchor.own + np.round(since).astype(np.int64)
+        since = np.round((number - self._number) * self.period)
+        return self._number_own + since.astype(np.int64)

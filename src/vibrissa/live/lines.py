@@ -2,28 +2,25 @@
 
 import socket
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from vibrissa.files import LARGEST
 from vibrissa.libraries import extra_library
+from vibrissa.live.address import naming
 from vibrissa.live.clock import LEAST_STEP, SampleClock, Tick, epoch_offset
-from vibrissa.live.ports import naming
 from vibrissa.live.poses import with_unit_norm
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
+from vibrissa.sensor import CHANNELS
 
-_POSITION = ("px", "py", "pz")
-_ORIENTATION = ("qx", "qy", "qz", "qw")
-_FORCE = ("fx", "fy", "fz")
-_TORQUE = ("tx", "ty", "tz")
-POSED = ("time", *_POSITION, *_ORIENTATION, *_FORCE, *_TORQUE)
+_PLACE, _TURN = ("px", "py", "pz"), ("qx", "qy", "qz", "qw")
+POSED = ("time", *_PLACE, *_TURN, *CHANNELS)
 """Columns of a recording: time [s], pose of the sensor, wrench."""
-BARE = ("time", *_FORCE, *_TORQUE)
+BARE = ("time", *CHANNELS)
 """The same without the pose."""
 
 _LONGEST_LINE = 4096  # bytes: ten times what a recording's line has with all digits
@@ -52,7 +49,7 @@ def parse_header(line: bytes) -> tuple[str, ...] | None:
         If it holds other words.
     """
     cells = line.decode("utf-8", "replace").lstrip("\ufeff").split(",")
-    names = tuple(cell.strip().strip('"').strip().lower() for cell in cells)
+    names = tuple(cell.strip('" \t').lower() for cell in cells)
     words = [name for name in names if name[:1].isalpha() and name not in ("nan", "inf")]
     if 2 * len(words) < len(names) or not words:
         return None
@@ -82,92 +79,68 @@ def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, f
         If the number of cells is another, one is not a finite number up to 1e12, the time is
         beyond 4e9 s, or the quaternion is not of unit norm.
     """
-    cells = line.split(b",")
+    cells = line.replace(b"_", b"?").split(b",")
     names = columns or (BARE if len(cells) == len(BARE) else POSED)
     if len(cells) != len(names):
         raise ValueError(f"{len(cells)} cells; allowed are {len(names) if columns else '14 or 7'}")
-    if b"_" in line:
-        raise ValueError("an underscore; allowed are numbers")
     row = {name: float(cell) for name, cell in zip(names, cells, strict=True) if name in POSED}
-    if abs(row["time"]) > _LATEST:
-        raise ValueError(f"time = {row['time']:g}; allowed are seconds, up to {_LATEST:g}")
-    if not all(abs(value) <= LARGEST for value in row.values()):
-        raise ValueError("a number that is not finite, or beyond 1e12; allowed are finite numbers")
+    if not all(abs(value) <= LARGEST for value in row.values()) or abs(row["time"]) > _LATEST:
+        raise ValueError(
+            f"a number out of range; allowed are finite ones up to {LARGEST:g}, times [s] up to "
+            f"{_LATEST:g}"
+        )
     if "qw" in row:
-        with_unit_norm(tuple(row[name] for name in _ORIENTATION))
+        with_unit_norm(tuple(row[name] for name in _TURN))
     return row
 
 
-class Line(ABC):
-    """A stream of bytes."""
-
-    _open: Any = None
-    """The socket or device, which has a method `close`."""
-
-    @abstractmethod
-    def open(self) -> None:
-        """Begin."""
-
-    @abstractmethod
-    def receive(self, timeout: float) -> bytes:
-        """Bytes that have come; empty if there are none within `timeout` seconds. Raise
-        EndOfStreamError at the end.
-        """
-
-    def close(self) -> None:
-        """Release the line; may be called twice, and before `open`."""
-        if self._open is not None:
-            with suppress(OSError):
-                self._open.close()
+Receive = Callable[[float], bytes]
+"""Gives the bytes that have come; none if there are none within so many seconds. Raises
+EndOfStreamError at the end.
+"""
 
 
-@dataclass(eq=False)
-class TcpLine(Line):
-    """A server's bytes."""
+@contextmanager
+def tcp_line(host: str, port: int) -> Iterator[Receive]:
+    """A server's bytes; connects within 5 s. Raise OSError, which names the address, if nobody
+    answers.
+    """
+    with naming(f"tcp://{host}:{port}"):
+        connection = socket.create_connection((host, port), timeout=5)
 
-    host: str
-    port: int
-
-    def open(self) -> None:
-        """Connect, within 5 s. Raise OSError, which names the address, if nobody answers."""
-        with naming(f"tcp://{self.host}:{self.port}"):
-            self._open = socket.create_connection((self.host, self.port), timeout=5)
-
-    def receive(self, timeout: float) -> bytes:
-        """Bytes that have come."""
-        self._open.settimeout(timeout)
+    def receive(timeout: float) -> bytes:
+        connection.settimeout(timeout)
         try:
-            data: bytes = self._open.recv(_READ)
+            data = connection.recv(_READ)
         except TimeoutError:
             return b""
-        except ConnectionResetError as error:
-            raise EndOfStreamError from error
+        except ConnectionResetError:
+            data = b""
         if not data:
             raise EndOfStreamError
         return data
 
+    with connection:
+        yield receive
 
-@dataclass(eq=False)
-class SerialLine(Line):
-    """A serial device's bytes; needs pyserial."""
 
-    device: str
-    baud: int
+@contextmanager
+def serial_line(device: str, baud: int) -> Iterator[Receive]:
+    """A serial device's bytes. Raise ImportError if pyserial is missing."""
+    serial = extra_library("serial", extra="live", need="serial lines need it")
+    port = serial.Serial(device, baud)
 
-    def open(self) -> None:
-        """Open the device. Raise ImportError if pyserial is missing."""
-        serial = extra_library("serial", extra="live", need="serial lines need it")
-        self._open = serial.Serial(self.device, self.baud)
-
-    def receive(self, timeout: float) -> bytes:
-        """Bytes that have come."""
+    def receive(timeout: float) -> bytes:
         try:
-            if self._open.timeout != timeout:  # to set it configures the device
-                self._open.timeout = timeout
-            first = self._open.read(1)
-            return bytes(first + self._open.read(self._open.in_waiting) if first else b"")
+            if port.timeout != timeout:  # to set it configures the device
+                port.timeout = timeout
+            first = port.read(1)
+            return bytes(first + port.read(port.in_waiting) if first else b"")
         except OSError as error:
             raise EndOfStreamError from error
+
+    with closing(port):
+        yield receive
 
 
 class _Row(NamedTuple):
@@ -190,7 +163,7 @@ class LineSource(Source):
     Parameters
     ----------
     line
-        Where the bytes come from.
+        Where the bytes come from: `tcp_line`, `serial_line`, or what else gives such a function.
     on_host_clock
         Whether stamps are to follow the host's clock (`SampleClock`), as poses from elsewhere
         require; lines that are sent faster than their times say are then stamped as they come.
@@ -203,13 +176,13 @@ class LineSource(Source):
 
     waits = True
 
-    line: Line
+    line: AbstractContextManager[Receive]
     _: KW_ONLY
     on_host_clock: bool = False
 
     def __post_init__(self) -> None:
         self.counts = Counts()
-        self._rest = b""
+        self._closing, self._rest = ExitStack(), b""
         self._columns: tuple[str, ...] | None = None
         self._first = True
         self._posed: bool | None = None
@@ -221,15 +194,16 @@ class LineSource(Source):
     def open(self) -> None:
         """Connect, or open the device."""
         self._epoch = epoch_offset()
-        self.line.open()
+        self._receive = self._closing.enter_context(self.line)
 
     def close(self) -> None:
         """Close the line."""
-        self.line.close()
+        with suppress(OSError):
+            self._closing.close()
 
     def read(self, timeout: float) -> Samples | None:
         """Samples of the whole lines that have come."""
-        data, now = self.line.receive(timeout), time.monotonic_ns()
+        data, now = self._receive(timeout), time.monotonic_ns()
         *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         # A line without end takes no memory: its beginning is enough to reject it.
         self._rest = rest[: _LONGEST_LINE + 1]
@@ -242,20 +216,18 @@ class LineSource(Source):
 
         count, first = len(rows), self.counts.samples
         self.counts.samples += count
-        if not first:
-            self._begun = now
-        own = np.array([row.own for row in rows], dtype=np.int64)
-        arrival = np.full(count, now)
+        self._begun = self._begun or now
+        own, arrival = np.array([row.own for row in rows]), np.full(count, now)
         stamp = own + self._begun if self._clock is None else self._clock.stamps(own, arrival)
         return Samples(
             stamp + self._epoch,
             np.arange(first, first + count),
-            columns(*_FORCE),
-            columns(*_TORQUE),
+            columns(*CHANNELS[:3]),
+            columns(*CHANNELS[3:]),
             np.ones(count, dtype=bool),
             arrival,
-            columns(*_POSITION) if self._posed else None,
-            columns(*_ORIENTATION) if self._posed else None,
+            columns(*_PLACE) if self._posed else None,
+            columns(*_TURN) if self._posed else None,
             np.array([row.anew for row in rows]),
         )
 
@@ -275,10 +247,8 @@ class LineSource(Source):
             # The first line may be the rest of one that began before we listened.
             if isinstance(error, WrongColumnsError) and not (first and _end_of_header(line)):
                 raise
-            if first:
-                self.complaint = str(error)
-            else:
-                self.reject(str(error))
+            self.counts.malformed += not first
+            self.complaint = str(error)
             return None
         self._posed = "qw" in numbers
         return self._in_time(numbers, now)
@@ -286,11 +256,11 @@ class LineSource(Source):
     def _in_time(self, numbers: dict[str, float], now: int) -> _Row | None:
         """The row, if it is later than the last one or of a clock that was set."""
         moment, last = numbers["time"], self._last
+        anew, earliest = False, 0
         if last is None:
-            own, anew = 0, False
             self._anchor = Tick(moment, 0, now)
         else:
-            step = moment - last.number
+            step, earliest = moment - last.number, last.own + LEAST_STEP
             if -_CLOCK_JUMP < step <= 0:
                 self.counts.duplicates += step == 0
                 self.counts.late += step < 0
@@ -300,10 +270,9 @@ class LineSource(Source):
                 self.counts.restarts += 1
                 passed = max(now - last.arrival, _AFTER_RESTART)
                 self._anchor = Tick(moment, last.own + passed, now)
-            since = round((moment - self._anchor.number) * 1e9)
-            own = max(self._anchor.own + since, last.own + LEAST_STEP)
-        self._last = Tick(moment, own, now)
-        return _Row(numbers, own, anew)
+        own = self._anchor.own + round((moment - self._anchor.number) * 1e9)
+        self._last = Tick(moment, max(own, earliest), now)
+        return _Row(numbers, self._last.own, anew)
 
 
 def _end_of_header(line: bytes) -> bool:

@@ -3,25 +3,24 @@
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, suppress
+from queue import Empty, Full, Queue
 
 import numpy as np
 
 from vibrissa.contacts import ContactKind
 from vibrissa.geometry.checks import not_negative, positive
-from vibrissa.live.latency import Latency
-from vibrissa.live.poses import PoseSource
 from vibrissa.live.process import Processor
-from vibrissa.live.reader import Reader
-from vibrissa.live.report import Report
-from vibrissa.live.samples import Samples, Source
-from vibrissa.live.silence import SilenceWatch
+from vibrissa.live.report import Latency, Report, SilenceWatch
+from vibrissa.live.samples import EndOfStreamError, Samples, Source, joined
 from vibrissa.live.sinks import Sink
 
 _FLUSH = 25_000_000  # [ns]: half of what sinks are promised
 _WAIT = 0.02  # [s] for samples, before poses that came are looked at
+_READ_WAIT = 0.05  # [s]: how late a stop may be seen
 _LAST_WAIT = 0.2  # [s] for poses of the last samples: four times the usual patience
+_QUEUED = 30_000  # reads: half a minute of the fastest sensor, some 30 MB
+_QUEUED_WAITING = 64  # reads, where the source can wait
 
 
 class SilentSourceError(RuntimeError):
@@ -33,7 +32,6 @@ def stream(
     processor: Processor,
     sinks: Sequence[Sink] | Callable[[], Iterable[Sink]],
     *,
-    poses: PoseSource | None = None,
     duration: float | None = None,
     silence: float = 5.0,
     batch_seconds: float = 0.005,
@@ -45,12 +43,10 @@ def stream(
     Parameters
     ----------
     source, processor
-        Opened and warmed up here; the source is closed here.
+        Opened and warmed up here, with the processor's poses; source and poses are closed here.
     sinks
         Closed here. Or a function that makes them, which is called when the first sample is there:
         then a source that cannot be reached leaves no empty files.
-    poses
-        Those of the processor, opened and closed here; None where the source gives poses.
     duration
         Seconds after the first sample at which to end; None for no end.
     silence
@@ -82,62 +78,107 @@ def stream(
         positive(duration, "duration")
     positive(batch_seconds, "batch_seconds")
     not_negative(silence, "silence")
+    report, poses = processor.report, processor.poses
+    report.counts, report.notice = source.counts, notice
     with ExitStack() as closing:
-        make_sinks = sinks if callable(sinks) else None
-        loop = _Loop(source, processor, notice or (lambda _: None), closing, make_sinks)
+        loop = _Loop(source, processor, sinks if callable(sinks) else lambda: (), closing)
         if not callable(sinks):
             loop.add(sinks)
         processor.warm_up()
-        if poses is not None:
-            closing.callback(poses.close)
-            poses.open()
-        closing.callback(source.close)
-        source.open()
-        stopping = stop or threading.Event()
-        report = loop.run(stopping, duration or np.inf, silence or np.inf, batch_seconds)
-    if poses is not None:
-        report.malformed_poses, report.misplaced_poses = poses.malformed, poses.misplaced
+        for opened in (poses, source):
+            closing.callback(opened.close)
+            opened.open()
+        loop.run(stop or threading.Event(), duration or np.inf, silence or np.inf, batch_seconds)
+    report.malformed_poses, report.misplaced_poses = poses.malformed, poses.misplaced
     for text in report.losses():
-        loop.say(text, warns=True)
+        report.say(text, warns=True)
     return report
 
 
-@dataclass(eq=False)
-class _Loop:
-    source: Source
-    processor: Processor
-    notice: Callable[[str], None]
-    closing: ExitStack
-    make_sinks: Callable[[], Iterable[Sink]] | None
+class _Reader(threading.Thread):
+    """Reads the source in a thread of its own, into a bounded queue, so that nothing is missed
+    while another thread works.
+    """
 
-    def __post_init__(self) -> None:
+    def __init__(self, source: Source) -> None:
+        super().__init__(name="source", daemon=True)
+        self._source, self._stopping = source, threading.Event()
+        self._queue: Queue[Samples] = Queue(_QUEUED_WAITING if source.waits else _QUEUED)
+        self.error: BaseException | None = None
+        self.overflow = 0
+
+    def stop(self) -> None:
+        """Stop reading."""
+        self._stopping.set()
+        if self.is_alive():
+            self.join(5)
+
+    def run(self) -> None:
+        """Read until the end, an error, or a stop."""
+        try:
+            while not self._stopping.is_set():
+                samples = self._source.read(_READ_WAIT)
+                while samples is not None:
+                    try:
+                        self._queue.put(samples, timeout=_READ_WAIT)
+                    except Full:
+                        if self._source.waits and not self._stopping.is_set():
+                            continue
+                        self.overflow += len(samples)
+                    break
+        except EndOfStreamError:
+            pass
+        except BaseException as error:
+            self.error = error
+
+    def take(self, wait: float) -> Samples | None:
+        """Everything that is there, or None after `wait` seconds."""
+        parts: list[Samples] = []
+        with suppress(Empty):
+            parts.append(self._queue.get(timeout=wait))
+            while True:
+                parts.append(self._queue.get_nowait())
+        return joined(parts) if parts else None
+
+
+class _Loop:
+    """What `stream` does between opening and closing."""
+
+    def __init__(
+        self,
+        source: Source,
+        processor: Processor,
+        make_sinks: Callable[[], Iterable[Sink]],
+        closing: ExitStack,
+    ) -> None:
+        self._source, self._processor, self._report = source, processor, processor.report
+        self._make_sinks, self._closing = make_sinks, closing
         self._sinks: list[Sink] = []
-        self._reader, self._silence = Reader(self.source), SilenceWatch()
-        self._latency, self._report = Latency(), Report(self.source.counts)
+        self._reader, self._silence, self._latency = _Reader(source), SilenceWatch(), Latency()
         self._flushed = 0
         self._steady = np.inf
-        self.processor.say = self.say
         self._first: int | None = None
         self._cpu = 0.0
 
     def add(self, sinks: Iterable[Sink]) -> None:
         """Give to these sinks too, and close them in the end."""
         for sink in sinks:
-            self.closing.callback(sink.close)
+            self._closing.callback(sink.close)
             self._sinks.append(sink)
 
     def run(
         self, stop: threading.Event, duration: float, silence: float, batch_seconds: float
-    ) -> Report:
+    ) -> None:
         """Until the source, the duration or `stop` ends it; times in seconds."""
-        self.closing.callback(self._reader.stop)
-        self._reader.start()
-        self.notice("waiting for samples")
+        report, reader = self._report, self._reader
+        self._closing.callback(reader.stop)
+        reader.start()
+        report.say("waiting for samples")
         ended = silent = False
         begun = last = time.monotonic_ns()
         while not (stop.is_set() or ended or silent or self._seconds() > duration):
             begun = time.monotonic_ns()
-            over, samples = self._reader.ended, self._reader.take(_WAIT)
+            over, samples = not reader.is_alive(), reader.take(_WAIT)
             if samples is not None:
                 last = begun
                 self._take(samples)
@@ -145,42 +186,32 @@ class _Loop:
                 ended = True
             elif begun - last > silence * 1e9:
                 silent = True
-            elif not self.source.recorded and self._silence.begins(begun):
+            elif not self._source.recorded and self._silence.begins(begun):
                 text = "no samples come: is the sensor on, its cable in, or has another program"
-                self.say(f"{text} taken its stream?", warns=True)
+                report.say(f"{text} taken its stream?", warns=True)
             self._work()
             time.sleep(max(batch_seconds - (time.monotonic_ns() - begun) * 1e-9, 0.0))
-        lasting = self._silence.until(0 if ended else begun)
-        self._report.silences, self._report.silent_seconds = lasting
+        report.silences, report.silent_seconds = self._silence.until(0 if ended else begun)
         self._finish()
         why = f"nothing came for {silence:g} s" if silent else "the source ended before a sample"
         if self._first is None and (ended or silent):
-            malformed = self.source.counts.malformed
-            unread = f"{malformed} lines or datagrams could not be read, the last one for: "
-            unread = f"; {unread}{self.source.complaint}" if malformed else ""
-            raise SilentSourceError(f"{why}{unread}")
+            malformed, last_one = report.counts.malformed, self._source.complaint
+            unread = f"; {malformed} lines or datagrams could not be read, the last one for: "
+            raise SilentSourceError(f"{why}{unread}{last_one}" if malformed else why)
+        report.silent = silent
         if silent:
-            self._report.silent = True
-            self.say(f"{why}: the stream ends here", warns=True)
-        return self._summed_up()
+            report.say(f"{why}: the stream ends here", warns=True)
 
     def _seconds(self) -> float:
         """Since the first sample."""
         return 0.0 if self._first is None else (time.monotonic_ns() - self._first) * 1e-9
 
-    def say(self, text: str, *, warns: bool = False) -> None:
-        """Tell something; a warning is kept for the report, and not told where that is full."""
-        if not warns:
-            self.notice(text)
-        elif self._report.warn(text):
-            self.notice(f"warning: {text}")
-
     def _take(self, samples: Samples) -> None:
         if self._first is None:
             self._first, self._cpu = int(samples.arrival[0]), time.process_time()
-            self.notice("first sample")
-            self.add(self.make_sinks() if self.make_sinks is not None else ())
-        pause = None if self.source.recorded else self._silence.came(samples.arrival)
+            self._report.say("first sample")
+            self.add(self._make_sinks())
+        pause = None if self._source.recorded else self._silence.came(samples.arrival)
         said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
         if samples.anew.any():
             said.append(
@@ -188,13 +219,13 @@ class _Loop:
                 "stream; its zero is compared with that before"
             )
         if said:
-            self.say("; ".join(said), warns=True)
+            self._report.say("; ".join(said), warns=True)
         for sink in self._sinks:
             sink.wrench(samples.stamp, samples.sequence, samples.force, samples.torque)
-        self.processor.push(samples)
+        self._processor.push(samples)
 
     def _work(self) -> None:
-        for result in self.processor.ready(time.time_ns()):
+        for result in self._processor.ready(time.time_ns()):
             now = time.monotonic_ns()
             self._latency.add(now - result.arrival[result.arrival > self._steady])
             self._report.rows += len(result.stamp)
@@ -204,7 +235,7 @@ class _Loop:
                 sink.contacts(result.stamp, result.raw, result.found)
             self._flush()
         self._flush()
-        if self.processor.tare is not None:
+        if self._processor.tare is not None:
             # Latencies count from here on: earlier rows waited for the tare, or behind such.
             self._steady = min(self._steady, time.monotonic_ns())
 
@@ -216,29 +247,24 @@ class _Loop:
                 sink.flush()
 
     def _finish(self) -> None:
-        """What has come already is worked on, and poses that are due are awaited."""
-        self._reader.stop()
-        samples = self._reader.take(0)
+        """What has come already is worked on, poses that are due are awaited, and all is summed
+        up.
+        """
+        report, reader, processor = self._report, self._reader, self._processor
+        reader.stop()
+        samples = reader.take(0)
         if samples is not None:
             self._take(samples)
         until = time.monotonic() + _LAST_WAIT
         self._work()
-        untared = self.processor.tare is None
-        while self.processor.waiting and not untared and time.monotonic() < until:
+        while processor.waiting and processor.tare is not None and time.monotonic() < until:
             time.sleep(0.01)
             self._work()
-        if self._reader.error is not None:
-            raise self._reader.error
-
-    def _summed_up(self) -> Report:
-        report, processor = self._report, self.processor
-        report.overflow, report.unused = self._reader.overflow, processor.waiting
-        report.without_pose, report.unsure = processor.without_pose, processor.unsure
-        report.moved_during_tare = processor.moved_during_tare
-        report.zero_changes = processor.zero_changes
+        if reader.error is not None:
+            raise reader.error
+        report.overflow, report.unused = reader.overflow, processor.waiting
         report.latency_median = self._latency.percentile(50)
         report.latency_999 = self._latency.percentile(99.9)
         if self._first is not None:
             report.seconds = self._seconds()
             report.cpu_share = (time.process_time() - self._cpu) / report.seconds
-        return report

@@ -6,15 +6,15 @@ import struct
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
 from vibrissa.geometry.checks import positive
 from vibrissa.live import rdt
+from vibrissa.live.address import naming
 from vibrissa.live.clock import AHEAD, SequenceClock, epoch_offset
-from vibrissa.live.ports import naming
 from vibrissa.live.samples import Counts, Samples, Source, joined
 from vibrissa.live.sequence import Sequencer
 
@@ -83,7 +83,8 @@ class NetFtSource(Source):
         self._sequencer = Sequencer(self.counts)
         self._clock = SequenceClock(1e9 / positive(self.rate, "rate"), self.counts)
         self._early: list[np.ndarray] | None = []
-        self._socket: socket.socket | None = None
+        self._stream = rdt.Command.BUFFERED if self.buffered else rdt.Command.REAL_TIME
+        self._closing = ExitStack()
         self._asked = 0.0
 
     def open(self) -> None:
@@ -92,23 +93,19 @@ class NetFtSource(Source):
             found = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)
         family, kind, protocol, _, address = found[0]
         self._epoch = epoch_offset()
-        self._socket = socket.socket(family, kind, protocol)
+        self._socket = self._closing.enter_context(socket.socket(family, kind, protocol))
         for option, value in _OPTIONS.items():
             with suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, option, value)
         self._socket.connect(address)
-        if self.bias:
-            self._request(rdt.Command.BIAS)
-        self._ask()
+        self._ask(*[rdt.Command.BIAS] * self.bias, self._stream)
+        self._closing.callback(self._ask, rdt.Command.STOP)
 
-    def _ask(self) -> None:
+    def _ask(self, *commands: rdt.Command) -> None:
         self._asked = time.monotonic()
-        self._request(rdt.Command.BUFFERED if self.buffered else rdt.Command.REAL_TIME)
-
-    def _request(self, command: rdt.Command) -> None:
-        assert self._socket is not None
-        with _may_be_away():
-            self._socket.send(rdt.request_bytes(command))
+        for command in commands:
+            with _may_be_away():
+                self._socket.send(rdt.request_bytes(command))
 
     def read(self, timeout: float) -> Samples | None:
         """Samples that have come, in order; None if there are none within `timeout` seconds."""
@@ -118,9 +115,9 @@ class NetFtSource(Source):
                 came += [moment] * len(rdt.parse_records(data))
                 sound += data
             except ValueError as error:
-                self.reject(str(error))
-        now = time.monotonic_ns()
-        records = np.frombuffer(sound, dtype=rdt.RECORD)
+                self.counts.malformed += 1
+                self.complaint = str(error)
+        now, records = time.monotonic_ns(), np.frombuffer(sound, dtype=rdt.RECORD)
         rows = self._sequencer.accept(records, np.array(came, dtype=np.int64), now)
         if self._early is not None:
             # The first records are held for a moment: the clock is set by the least late of many.
@@ -129,9 +126,10 @@ class NetFtSource(Source):
             if not len(rows) or now - rows["arrival"][0] < _SETTLE:
                 return None
             self._early = None
-        breaks = np.flatnonzero(np.diff(rows["number"]) > AHEAD) + 1
-        streams = np.split(rows, breaks) if len(breaks) else [rows]
-        return joined([self._samples(stream) for stream in streams]) if len(rows) else None
+        if not len(rows):
+            return None
+        streams = np.split(rows, np.flatnonzero(np.diff(rows["number"]) > AHEAD) + 1)
+        return joined([self._samples(stream) for stream in streams])
 
     def _samples(self, rows: np.ndarray) -> Samples:
         """Of records of one stream."""
@@ -157,7 +155,6 @@ class NetFtSource(Source):
         """All that is there, after the first one and a moment in which more may come, each with
         its arrival [ns].
         """
-        assert self._socket is not None
         found: list[tuple[bytes, int]] = []
         with suppress(TimeoutError, BlockingIOError), _may_be_away():
             self._socket.settimeout(timeout)
@@ -169,11 +166,10 @@ class NetFtSource(Source):
         if found:
             self._asked = time.monotonic()
         elif time.monotonic() - self._asked > _ASK_AGAIN:
-            self._ask()
+            self._ask(self._stream)
         return found
 
     def _datagram(self) -> tuple[bytes, int]:
-        assert self._socket is not None
         data, ancillary, _, _ = self._socket.recvmsg(_LONGEST, _ANCILLARY)
         arrival = time.monotonic_ns()
         for _, _, stamp in ancillary:
@@ -183,11 +179,8 @@ class NetFtSource(Source):
 
     def close(self) -> None:
         """Ask the sensor to stop, and close the socket."""
-        if self._socket is not None:
-            with suppress(OSError):
-                self._request(rdt.Command.STOP)
-            self._socket.close()
-            self._socket = None
+        with suppress(OSError):
+            self._closing.close()
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """Samples to contacts: tare, pose, inverse, batch by batch."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -13,14 +13,14 @@ from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.live.poses import ConstantPose, Poses, PoseSource
+from vibrissa.live.report import Report
 from vibrissa.live.samples import Flags, Nanoseconds, Samples, Wrenches, joined
-from vibrissa.live.zero import RESTLESS, Verdict, ZeroWatch
+from vibrissa.live.zero import RESTLESS, ZeroWatch
 from vibrissa.reactions import VELOCITY_SPAN, velocities
 from vibrissa.rod import Rod
 from vibrissa.sensor import CHANNELS, RawRecording, Sensor, Tare
 from vibrissa.tolerances import PARAMETERS, Tolerances
 
-Velocities = Float[np.ndarray, "n 6"]
 MOST_ROWS = 64
 """Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
 TARE_SECONDS = 1.0
@@ -83,6 +83,11 @@ class Processor:
         As for `vibrissa.reconstruct`.
     tolerances
         As for `vibrissa.Sensor.reactions`.
+
+    Attributes
+    ----------
+    report
+        Counts what is done here, and is told what happens. `stream` completes it.
     """
 
     rod: Rod
@@ -100,21 +105,18 @@ class Processor:
         self._sensor = self.sensor.updated(
             tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
         )
-        self._nothing = self._sensor.updated(tare_seconds=0.0).tare(_unloaded(1))
-        self._tare = None if self._seconds else self._nothing
+        self._tare = self._sensor.updated(tare_seconds=0.0).tare(_unloaded(1))
+        self._tared = not self._seconds
         self._waiting: list[Samples] = []
         self._origin: int | None = None
         self._passed: deque[_Place] = deque()
         self._zero: ZeroWatch | None = None
-        # Is told, in a line, what happens; `warns` where that is a warning. `stream` sets it.
-        self.say: Callable[..., None] = lambda *_, **__: None
-        self.moved_during_tare = False
-        self.without_pose = self.unsure = self.zero_changes = 0
+        self.report = Report()
 
     @property
     def tare(self) -> Float[np.ndarray, "6"] | None:
         """What is taken off [N], [N m]; None as long as that is not known."""
-        return None if self._tare is None else self._tare.offset
+        return self._tare.offset if self._tared else None
 
     @property
     def waiting(self) -> int:
@@ -124,8 +126,7 @@ class Processor:
     def warm_up(self) -> None:
         """Compile, for every size of batch that may come, before samples do."""
         for rows in (1, MOST_ROWS):
-            raw = replace(_unloaded(rows), force=np.ones((rows, 3)))
-            self._found(raw, self._tare or self._nothing, None)
+            self._found(replace(_unloaded(rows), force=np.ones((rows, 3))), None)
 
     def push(self, samples: Samples) -> None:
         """Take samples in."""
@@ -133,161 +134,141 @@ class Processor:
             return
         if self._origin is None:
             self._origin = int(samples.stamp[0])
-        if self._tare is None and samples.anew.any():
+        waiting = joined([*self._waiting, samples])
+        if not self._tared and samples.anew.any():
             # What came from the sensor before its restart is of another zero.
-            valid = np.arange(len(samples)) >= np.flatnonzero(samples.anew)[-1]
-            self._waiting = [replace(part, valid=part.valid & False) for part in self._waiting]
-            samples = replace(samples, valid=samples.valid & valid)
-        self._waiting.append(samples)
-        if self._tare is None:
-            self._try_tare()
+            here = np.arange(len(waiting)) >= np.flatnonzero(waiting.anew)[-1]
+            waiting = replace(waiting, valid=waiting.valid & here)
+        self._waiting = [waiting]
+        if not self._tared:
+            self._try_tare(waiting[int(np.argmax(waiting.valid)) :])
         elif self._tare.coloured is None and len(samples) > 1:
-            time = (samples.stamp - self._origin) * 1e-9
-            self._tare = self._going_on(self._tare, 0.0, time)
+            self._take_tare(self._tare, 0.0, (samples.stamp - self._origin) * 1e-9)
 
-    def _try_tare(self) -> None:
+    def _try_tare(self, rest: Samples) -> None:
         """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from
         a recording.
         """
-        samples = joined(self._waiting)
-        self._waiting = [samples]
-        rest = samples.rows(int(np.argmax(samples.valid)), len(samples))
         end = rest.stamp[0] + self._seconds * 1e9
         if not rest.valid[0] or rest.stamp[-1] < end:
             return
         # Without a mount that weighs, the tare needs no pose.
         posed = ConstantPose().at(rest.stamp) if self._sensor.mount is None else self._posed(rest)
-        raw = self._raw(rest, posed)
-        self._tare = self._going_on(self._sensor.tare(raw), raw.time[0], raw.time)
+        raw, sensor = self._raw(rest, posed), self._sensor
+        self._take_tare(sensor.tare(raw), raw.time[0], raw.time)
         shown = ", ".join(f"{value:.6g}" for value in self._tare.offset)
-        self.say(f"tare: {shown} (N, N m)")
+        self.report.say(f"tare: {shown} (N, N m)")
         noise = spread = np.nanstd(raw.wrench[rest.stamp < end], axis=0, ddof=1)
-        if self._sensor.force_noise is not None:
-            times = float(np.max(spread / self._sensor.noise.white))
-            noise = np.sqrt(self._sensor.reading_variance)
-            self.moved_during_tare = times > RESTLESS
-            if self.moved_during_tare:
+        if sensor.force_noise is not None:
+            noise, times = np.sqrt(sensor.reading_variance), np.max(spread / sensor.noise.white)
+            self.report.moved_during_tare = bool(times > RESTLESS)
+            if times > RESTLESS:
                 text = f"the wrench varied by {times:.1f} times its noise during the tare"
-                self.say(f"{text}: is the rod free?", warns=True)
-        self._zero = ZeroWatch(noise, self._sensor.noise.resolution, self.rod.length, self._seconds)
+                self.report.say(f"{text}: is the rod free?", warns=True)
+        self._zero = ZeroWatch(noise, sensor.noise.resolution, self.rod.length, self._seconds)
 
-    def _going_on(self, tare: Tare, start: float, time: Float[np.ndarray, "n"]) -> Tare:
-        """A tare whose covariance holds pink noise and random walk of a stream that began at
-        `start` [s] and goes on, by times (n,) [s] of its samples.
+    def _take_tare(self, tare: Tare, start: float, time: Float[np.ndarray, "n"]) -> None:
+        """From now on this one, with a covariance that holds pink noise and random walk of a stream
+        that began at `start` [s] and goes on, by times (n,) [s] of its samples.
         """
         interval = float(np.median(np.diff(time)))
         coloured = self._sensor.noise.coloured_within(float(start), _DAY, interval)
-        return replace(tare, coloured=tuple(coloured))
+        self._tare, self._tared = replace(tare, coloured=tuple(coloured)), True
 
     def ready(self, now: int) -> Iterator[Result]:
         """Batches that can be worked on at `now` [ns since 1970], for sources whose stamps are of
         the host's clock.
         """
         while self._waiting:
-            samples = joined(self._waiting)
+            samples = self._waiting.pop()
             count = self._workable(samples, now)
-            self._waiting = [samples.rows(count, len(samples))] if count < len(samples) else []
+            if count < len(samples):
+                self._waiting, samples = [samples[count:]], samples[:count]
             if count == 0:
                 return
-            yield self._result(samples.rows(0, count))
+            yield self._result(samples)
 
     def _workable(self, samples: Samples, now: int) -> int:
-        """How many leading samples are the next batch."""
-        if self._tare is None and samples.valid[0]:
-            return 0
-        ends = [len(samples), MOST_ROWS]
+        """How many leading samples are the next batch: of one zero, with poses, and, before the
+        tare is known, those in error.
+        """
+        ends = [len(samples), MOST_ROWS, *(np.flatnonzero(samples.anew[1:])[:1] + 1)]
         if samples.position is None:
             ends.append(self.poses.ready(samples.stamp, now))
-        if self._tare is None:
+        if not self._tared:
             ends += np.flatnonzero(samples.valid)[:1].tolist()
-        ends += (np.flatnonzero(samples.anew[1:])[:1] + 1).tolist()
-        return min(ends)
+        return int(min(ends))
 
     def _result(self, samples: Samples) -> Result:
-        tare = self._tare or self._nothing
         if self._zero is not None and samples.anew[0]:
             self._zero.restart()
         poses = self._posed(samples)
-        self.without_pose += int(np.count_nonzero(~poses.known))
         raw = self._raw(samples, poses)
-        found = self._found(raw, tare, self._velocity(raw, poses.known))
-        tared = raw.wrench - tare.readings(self._sensor, raw.time, raw.orientation)
+        found = self._found(raw, self._velocity(raw, poses.known))
+        tared = raw.wrench - self._tare.readings(self._sensor, raw.time, raw.orientation)
         unsure = self._zero is not None and self._zero.pending
         self._watch(raw, tared, found)
         found = found if self.stage is None else self.stage.push(found)
         if unsure:
-            self.unsure += len(samples)
             status = np.where(found.status == Status.OK, Status.SETUP_CONTRADICTED, found.status)
             found = replace(found, status=status.astype(np.int8))
-        known = poses.known[:, None]
-        shown = RawRecording(
-            raw.time,
-            np.where(known, raw.position, np.nan),
-            np.where(known, raw.orientation, np.nan),
-            tared[:, :3],
-            tared[:, 3:],
-        )
+        self.report.unsure += unsure * len(samples)
+        self.report.without_pose += int(np.count_nonzero(~poses.known))
+        position, orientation = (np.where(poses.known[:, None], part, np.nan) for part in poses[:2])
+        shown = RawRecording(raw.time, position, orientation, tared[:, :3], tared[:, 3:])
         return Result(samples.stamp, samples.arrival, shown, found)
 
-    def _found(self, raw: RawRecording, tare: Tare, velocity: Velocities | None) -> Reconstruction:
-        reactions = self._sensor.reactions(raw, tare, tolerances=self._errors, velocity=velocity)
+    def _found(self, raw: RawRecording, velocity: Wrenches | None) -> Reconstruction:
+        reactions = self._sensor.reactions(
+            raw, self._tare, tolerances=self._errors, velocity=velocity
+        )
         return reconstruct(self.rod, reactions, friction=self.friction, check=False)
 
     def _watch(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> None:
         """Follow the zero, and take it anew if it is another."""
-        if self._zero is None or self._tare is None:
-            return
-        verdict = self._zero.take(raw, tared, found)
-        if verdict is Verdict.SAME:
-            self.say("the sensor's zero is as it was before the restart")
-        if verdict is not Verdict.CHANGED:
+        same = None if self._zero is None else self._zero.take(raw, tared, found)
+        if same:
+            self.report.say("the sensor's zero is as it was before the restart")
+        if self._zero is None or same is not False:
             return
         rest, before = self._zero.rest(), self._tare.offset
-        self._tare = self._going_on(self._sensor.tare(rest), rest.time[0], rest.time)
-        self.zero_changes += 1
-        reset = getattr(self.stage, "reset", None)
-        if reset is not None:
-            reset()
+        self._take_tare(self._sensor.tare(rest), rest.time[0], rest.time)
+        self.report.zero_changes += 1
+        getattr(self.stage, "reset", lambda: None)()
         changes = zip(CHANNELS, self._tare.offset - before, strict=True)
         moved = ", ".join(f"{name} {value:+.4g}" for name, value in changes)
         text = f"the sensor's zero has changed with its restart ({moved} N, N m): it is tared again"
-        self.say(text, warns=True)
+        self.report.say(text, warns=True)
 
-    def _velocity(self, raw: RawRecording, known: Flags) -> Velocities | None:
+    def _velocity(self, raw: RawRecording, known: Flags) -> Wrenches | None:
         """Of the clamp, one for the batch: between its last pose and one some 50 ms before; None
         if no pose comes late.
         """
         late = PARAMETERS.index("pose_delay")
         if self._errors is None or not self._errors.covariance[late, late]:
             return None
+        passed = self._passed
         for row in np.flatnonzero(known)[-1:]:
             arm = rotation_matrices(raw.orientation[row]) @ self._sensor.clamp_position
-            place = _Place(raw.time[row], raw.position[row] + arm, raw.orientation[row])
-            self._passed.append(place)
-        passed = self._passed
+            passed.append(_Place(raw.time[row], raw.position[row] + arm, raw.orientation[row]))
         while len(passed) > 2 and passed[-1].time - passed[1].time >= VELOCITY_SPAN:
             passed.popleft()
-        if len(passed) < 2:
-            return np.zeros((len(raw.time), 6))
-        time, position, orientation = map(np.array, zip(passed[0], passed[-1], strict=True))
-        return np.broadcast_to(velocities(time, position, orientation)[1], (len(raw.time), 6))
+        ends = map(np.array, zip(passed[0], passed[-1], strict=True)) if len(passed) > 1 else None
+        velocity = np.zeros(6) if ends is None else velocities(*ends)[1]
+        return np.broadcast_to(velocity, (len(raw.time), 6))
 
     def _raw(self, samples: Samples, poses: Poses) -> RawRecording:
         """Samples as a recording, NaN for those without a pose or not valid."""
         assert self._origin is not None
         good = (samples.valid & poses.known)[:, None]
-        return RawRecording(
-            (samples.stamp - self._origin) * 1e-9,
-            poses.position,
-            poses.orientation,
-            np.where(good, samples.force, np.nan),
-            np.where(good, samples.torque, np.nan),
-        )
+        force, torque = (np.where(good, part, np.nan) for part in (samples.force, samples.torque))
+        time = (samples.stamp - self._origin) * 1e-9
+        return RawRecording(time, poses.position, poses.orientation, force, torque)
 
     def _posed(self, samples: Samples) -> Poses:
-        if samples.position is not None and samples.orientation is not None:
-            return Poses(samples.position, samples.orientation, np.ones(len(samples), dtype=bool))
-        return self.poses.at(samples.stamp)
+        if samples.position is None or samples.orientation is None:
+            return self.poses.at(samples.stamp)
+        return Poses(samples.position, samples.orientation, np.ones(len(samples), dtype=bool))
 
 
 def _unloaded(rows: int) -> RawRecording:

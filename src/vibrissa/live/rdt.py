@@ -4,7 +4,6 @@ bytes. No sockets here.
 
 import struct
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -73,15 +72,8 @@ class Command(IntEnum):
     """Take the present wrench for zero."""
 
 
-class Request(NamedTuple):
-    """A command, and how many records are wanted: 0 for no end."""
-
-    command: Command
-    records: int
-
-
 def request_bytes(command: Command, count: int = 0) -> bytes:
-    """Eight bytes `>HHI`: 0x1234, command, count.
+    """Eight bytes `>HHI`: 0x1234, command, and how many records are wanted, 0 for no end.
 
     Raises
     ------
@@ -93,23 +85,22 @@ def request_bytes(command: Command, count: int = 0) -> bytes:
     return _REQUEST.pack(_HEADER, command, count)
 
 
-def parse_request(data: bytes) -> Request:
-    """Read the bytes of `request_bytes`.
+def parse_request(data: bytes) -> tuple[Command, int]:
+    """Command and count, of the bytes of `request_bytes`.
 
     Raises
     ------
     ValueError
         If there are not eight bytes, they do not begin with 0x1234, or the command is not known.
     """
-    if len(data) != _REQUEST.size:
-        raise ValueError(f"request of {len(data)} bytes; allowed are {_REQUEST.size}")
-    header, command, count = _REQUEST.unpack(data)
-    if header != _HEADER:
-        raise ValueError(f"request begins with {header:#06x}; allowed is {_HEADER:#06x}")
-    if command not in list(Command):
+    header, command, count = _REQUEST.unpack(data) if len(data) == _REQUEST.size else (0, 0, 0)
+    if header != _HEADER or command not in list(Command):
         allowed = ", ".join(f"{known:#06x}" for known in Command)
-        raise ValueError(f"command = {command:#06x}; allowed are {allowed}")
-    return Request(Command(command), count)
+        raise ValueError(
+            f"request {data[:16].hex()} of {len(data)} bytes; allowed are {_REQUEST.size} that "
+            f"begin with {_HEADER:#06x} and one of {allowed}"
+        )
+    return Command(command), count
 
 
 def parse_records(data: bytes) -> np.ndarray:

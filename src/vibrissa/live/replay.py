@@ -72,7 +72,7 @@ class ReplaySource(Source):
         if self._next == first:
             return None
         self.counts.samples += self._next - first
-        part = self._samples.rows(first, self._next)
+        part = self._samples[first : self._next]
         return replace(part, arrival=np.full(len(part), now))
 
     def close(self) -> None:

@@ -1,12 +1,20 @@
-"""What a stream did, in figures and in words."""
+"""What a stream did, in figures and in words; its delays and its silences."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
-from vibrissa.contacts import ContactKind
-from vibrissa.live.samples import Counts
+import numpy as np
 
-_MOST_WARNINGS = 100
-"""A stream that falters for hours must not fill the memory with that."""
+from vibrissa.contacts import ContactKind
+from vibrissa.live.samples import Counts, Nanoseconds
+
+_MOST_WARNINGS = 100  # a stream that falters for hours must not fill the memory with that
+# From 1 µs in steps of 1 %, the accuracy of a percentile, to 7 minutes.
+_EDGES = 1e3 * 1.01 ** np.arange(2000)
+_LEAST_SILENCE = 500_000_000
+"""Shortest silence [ns]: networks and busy computers hold datagrams back for less."""
+_SILENT_STEPS = 20
+"""Nor is it shorter than the time of so many samples, for slow sensors."""
 
 
 @dataclass
@@ -52,7 +60,7 @@ class Report:
         What was said while it ran, and what the figures above say at the end, one line each.
     """
 
-    counts: Counts
+    counts: Counts = field(default_factory=Counts)
     contacts: dict[str, int] = field(default_factory=lambda: {kind.name: 0 for kind in ContactKind})
     rows: int = 0
     unused: int = 0
@@ -72,16 +80,22 @@ class Report:
     zero_changes: int = 0
     warnings: list[str] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        # Is told, in one line, what happens.
+        self.notice: Callable[[str], None] | None = None
+
     def as_dict(self) -> dict[str, object]:
         """All figures, for JSON."""
         return asdict(self)
 
-    def warn(self, text: str) -> bool:
-        """Keep a warning; return whether there was room for it."""
-        room = len(self.warnings) < _MOST_WARNINGS
-        if room:
+    def say(self, text: str, *, warns: bool = False) -> None:
+        """Tell something; a warning is kept, and not told where there is no room for it."""
+        if warns and len(self.warnings) >= _MOST_WARNINGS:
+            return
+        if warns:
             self.warnings.append(text)
-        return room
+        if self.notice is not None:
+            self.notice(f"warning: {text}" if warns else text)
 
     def losses(self) -> list[str]:
         """What the figures say against the stream, one line each; nothing if all is well."""
@@ -103,3 +117,66 @@ class Report:
             "their status says so": self.unsure,
         }
         return [text for text, count in said.items() if count]
+
+
+class Latency:
+    """Counts times in bins that widen by 1 %, so that every percentile is right to 1 %."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(len(_EDGES) + 1, dtype=np.int64)
+
+    def add(self, nanoseconds: Nanoseconds) -> None:
+        """Count these (n,)."""
+        self._counts += np.bincount(
+            np.searchsorted(_EDGES, nanoseconds), minlength=len(self._counts)
+        )
+
+    def percentile(self, percent: float) -> float | None:
+        """Time [s] that this share of all does not exceed: the upper end of its bin; None if none
+        was counted.
+        """
+        total = np.cumsum(self._counts)
+        if not total[-1]:
+            return None
+        place = int(np.searchsorted(total, total[-1] * percent / 100))
+        return float(_EDGES[min(place, len(_EDGES) - 1)] * 1e-9)
+
+
+class SilenceWatch:
+    """Notices silences of a source by the arrivals of its samples [ns]."""
+
+    def __init__(self) -> None:
+        self._last = self._samples = self._lively = self._silent = self.count = 0
+        self._noticed = False
+
+    def _silences(self, pause: Nanoseconds) -> np.ndarray:
+        """Those pauses (n,) [ns] that are silences; none are until so many samples have shown the
+        sensor's pace.
+        """
+        if self._samples < _SILENT_STEPS:
+            return pause[:0]
+        pace = self._lively / (self._samples - 1)
+        return pause[pause >= max(_LEAST_SILENCE, _SILENT_STEPS * pace)]
+
+    def came(self, arrival: Nanoseconds) -> float | None:
+        """Take note of samples (n,), and return the longest silence [s] before one of them; None
+        for none.
+        """
+        pause = np.diff(arrival, prepend=self._last if self._samples else arrival[0])
+        silences = self._silences(pause)
+        self._samples += len(arrival)
+        self._last, self._noticed = int(arrival[-1]), False
+        self._silent += int(silences.sum())
+        self._lively += int(pause.sum() - silences.sum())
+        self.count += len(silences)
+        return float(silences.max()) * 1e-9 if len(silences) else None
+
+    def begins(self, now: int) -> bool:
+        """Whether a silence is noticed now; once each."""
+        before, self._noticed = self._noticed, len(self._silences(np.array([now - self._last]))) > 0
+        return self._noticed and not before
+
+    def until(self, now: int) -> tuple[int, float]:
+        """How many silences there were, and their seconds, with one that has not ended."""
+        lasting = self._silences(np.array([now - self._last]))
+        return self.count + len(lasting), (self._silent + int(lasting.sum())) * 1e-9

@@ -2,9 +2,10 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+from dataclasses import dataclass, field
+from typing import TypeVar
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -15,15 +16,14 @@ Vectors = Float[np.ndarray, "n 3"]
 Quaternions = Float[np.ndarray, "n 4"]
 Wrenches = Float[np.ndarray, "n 6"]
 Table = TypeVar("Table")
-"""A dataclass whose fields are columns of equal length, or None."""
-
-_WIDTHS = {"force": (3,), "torque": (3,), "position": (3,), "orientation": (4,)}
+"""A tree of columns of equal length."""
 
 
 class EndOfStreamError(Exception):
     """A source has nothing more to give."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Rows of one sensor, in order.
@@ -50,7 +50,7 @@ class Samples:
     Raises
     ------
     ValueError
-        If a column has another shape.
+        If columns have different lengths.
     """
 
     stamp: Nanoseconds
@@ -66,36 +66,27 @@ class Samples:
     def __post_init__(self) -> None:
         if not self.anew.size:
             object.__setattr__(self, "anew", np.zeros(len(self), dtype=bool))
-        for name, column in _columns(self).items():
-            allowed = (len(self), *_WIDTHS.get(name, ()))
-            if column.shape != allowed:
-                raise ValueError(f"{name} has shape {column.shape}; allowed is {allowed}")
+        lengths = {len(column) for column in vars(self).values() if column is not None}
+        if len(lengths) > 1:
+            raise ValueError(f"columns of {sorted(lengths)} rows; allowed is one number of rows")
 
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def rows(self, first: int, last: int) -> "Samples":
-        """Rows from `first` up to, not including, `last`."""
-        return rows_of(self, slice(first, last))
+    def __getitem__(self, rows: slice) -> "Samples":
+        return rows_of(self, rows)
 
 
 def rows_of(table: Table, rows: slice | Flags) -> Table:
     """These rows of a table."""
-    return type(table)(**{name: column[rows] for name, column in _columns(table).items()})
+    return jax.tree.map(lambda column: column[rows], table)
 
 
 def joined(parts: Sequence[Table]) -> Table:
     """Tables with the same columns, one after the other."""
     if len(parts) == 1:
         return parts[0]
-    names = {name for part in parts for name in _columns(part)}
-    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return type(parts[0])(**columns)
-
-
-def _columns(table: Any) -> dict[str, np.ndarray]:
-    given = {part.name: getattr(table, part.name) for part in fields(table)}
-    return {name: column for name, column in given.items() if column is not None}
+    return jax.tree.map(lambda *columns: np.concatenate(columns), *parts)
 
 
 @dataclass
@@ -171,8 +162,3 @@ class Source(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release sockets and files; may be called twice, and before `open`."""
-
-    def reject(self, why: str) -> None:
-        """Count a line or datagram that could not be read."""
-        self.counts.malformed += 1
-        self.complaint = why

@@ -124,13 +124,10 @@ def _refined(trail: Trail) -> Trail:
     """The same motion in more steps, so that reactions may be taken for linear between them."""
     steps = max(trail.count - 1, 1)
     wanted = np.linspace(0, steps, max((_MOST_POSITIONS - 1) // steps, 1) * steps + 1)
-    position = trail.position.reshape(-1, trail.count, 3)
-    orientation = trail.orientation.reshape(-1, trail.count, 4)
-    lanes = [
-        between(np.arange(float(trail.count)), Trail(*poses), wanted)
-        for poses in zip(position, orientation, strict=True)
-    ]
-    return lanes[0] if trail.position.ndim == 2 else Trail.stack(lanes)
+    several = trail if trail.position.ndim == 3 else Trail.stack([trail])
+    given = np.arange(float(trail.count))
+    lanes = range(len(several.position))
+    return Trail.stack([between(given, several[lane], wanted) for lane in lanes])
 
 
 def measured(

@@ -10,12 +10,10 @@ from vibrissa.live.clock import AHEAD
 from vibrissa.live.rdt import MODULUS, MOST_RECORDS, RECORD
 from vibrissa.live.samples import Counts, Nanoseconds
 
-_BACK = (
-    1000  # records remembered to tell doubles: 0.14 s at 7000 a second, more than networks delay
-)
-_MOST_HELD = (
-    512  # records that wait for a missing one: 0.07 s at 7000 a second, beyond any patience
-)
+# Records remembered to tell doubles: 0.14 s at 7000 a second, more than networks delay.
+_BACK = 1000
+# Records that wait for a missing one: 0.07 s at 7000 a second, beyond any patience.
+_MOST_HELD = 512
 _BYTES = np.dtype(f"V{RECORD.itemsize}")
 _ORDERED = [("number", "i8"), ("record", _BYTES), ("arrival", "i8")]
 ORDERED = np.dtype([("number", "i8"), ("record", RECORD), ("arrival", "i8")])
@@ -43,7 +41,7 @@ class Sequencer:
     patience: int = 3_000_000
 
     def __post_init__(self) -> None:
-        self._next: int | None = None
+        self._next = -1  # until the first record
         self._held: dict[int, tuple[bytes, int]] = {}
         # What was given on by number, the last 1000; None for a number that was given up.
         self._past: dict[int, bytes | None] = {}
@@ -66,13 +64,14 @@ class Sequencer:
         return np.array(out, dtype=_ORDERED).view(ORDERED)
 
     def _take(self, wrapped: int, row: bytes, came: int) -> None:
-        if self._next is None:
+        if self._next < 0:
             self._next = wrapped
         half = MODULUS // 2
         number = self._next + (wrapped - self._next + half) % MODULUS - half
-        if number in self._held or self._past.get(number) == row:
+        seen = self._past.get(number, b"")
+        if number in self._held or seen == row:
             self.counts.duplicates += 1
-        elif number in self._past and self._past[number] is None:
+        elif seen is None:
             self._past[number] = row
             self.counts.late += 1
         elif self._next <= number <= self._next + AHEAD:
@@ -99,7 +98,6 @@ class Sequencer:
 
     def _give_up(self) -> None:
         """Skip the numbers before the first held record."""
-        assert self._next is not None
         first = min(self._held)
         self.counts.gaps += 1
         self.counts.lost += first - self._next
@@ -119,10 +117,9 @@ class Sequencer:
         self._aside = None
         while self._held:
             self._give_up()
-        assert self._next is not None
         self.counts.restarts += 1
         self._past.clear()
-        self._next = max(self._next, 0) + MODULUS - self._next % MODULUS + before[0]
+        self._next = self._next + MODULUS - self._next % MODULUS + before[0]
         self._take(*before)
         self._take(wrapped, row, came)
 

@@ -1,7 +1,6 @@
 """A simulated force/torque sensor: it answers RDT requests with what a sensor would feel."""
 
 import select
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,8 +14,8 @@ from jaxtyping import Float, Int
 
 from vibrissa.geometry.checks import positive
 from vibrissa.live import rdt
+from vibrissa.live.address import listening
 from vibrissa.live.clock import epoch_offset
-from vibrissa.live.ports import listening
 from vibrissa.live.poses import pose_bytes
 from vibrissa.sensor import RawRecording
 
@@ -120,7 +119,7 @@ class SensorSimulator:
     pose_rate
         Poses a second.
     notice
-        Is told, in one line, when a client takes the stream from another.
+        Is told, in one line, when a client takes the stream from another; by default nobody is.
 
     Raises
     ------
@@ -140,7 +139,7 @@ class SensorSimulator:
     seed: int = 0
     poses: tuple[str, int] | None = None
     pose_rate: float = 250.0
-    notice: Callable[[str], None] | None = None
+    notice: Callable[[str], object] = str
 
     def __post_init__(self) -> None:
         if not 1 <= self.buffer <= rdt.MOST_RECORDS:
@@ -151,12 +150,11 @@ class SensorSimulator:
         self._samples = _in_counts(self.samples, scale)
         self._next: list[_Sample] = []
         self._rng = np.random.default_rng(self.seed)
-        self._socket: socket.socket | None = None
         self._client: tuple[str, int] | None = None
         self._per_datagram = 1
         self._wanted = self._sequence = 0
         self._bias = np.zeros(6, dtype=np.int64)
-        self._swapped: bytes | None = None
+        self._swapped: list[bytes] = []
         self.sent = Sent()
 
     def open(self) -> None:
@@ -167,9 +165,7 @@ class SensorSimulator:
 
     def close(self) -> None:
         """Stop listening."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        self._socket.close()
 
     def run(self, *, duration: float | None = None, stop: threading.Event | None = None) -> Sent:
         """Answer requests until `stop` is set, the samples end, or `duration` seconds after the
@@ -194,92 +190,81 @@ class SensorSimulator:
         return self.sent
 
     def _listen(self, timeout: float) -> None:
-        assert self._socket is not None, "open() comes first"
         while select.select([self._socket], [], [], timeout)[0]:
             timeout = 0
-            try:
+            with suppress(ConnectionRefusedError, BlockingIOError):
                 data, sender = self._socket.recvfrom(2048)
-                self._obey(rdt.parse_request(data), sender)
-            except ValueError:
-                self.sent.malformed_requests += 1
-            except (ConnectionRefusedError, BlockingIOError):
-                pass
+                try:
+                    self._obey(*rdt.parse_request(data), sender)
+                except ValueError:
+                    self.sent.malformed_requests += 1
 
-    def _obey(self, request: rdt.Request, sender: tuple[str, int]) -> None:
-        match request.command:
-            case rdt.Command.STOP:
-                if sender == self._client:
-                    self._client = None
+    def _obey(self, command: rdt.Command, records: int, sender: tuple[str, int]) -> None:
+        client = self._client
+        match command:
+            case rdt.Command.STOP if sender == client:
+                self._client = None
             case rdt.Command.REAL_TIME | rdt.Command.BUFFERED:
-                if self._client is not None and self._client != sender:
-                    self._taken_over(self._client, sender)
-                self._client, self._sequence, self._wanted = sender, 0, request.records
-                self._per_datagram = self.buffer if request.command == rdt.Command.BUFFERED else 1
+                if client is not None and client != sender:
+                    self.sent.takeovers += 1
+                    before, after = (f"{host}:{port}" for host, port, *_ in (client, sender))
+                    self.notice(
+                        f"{after} asked for the stream, and {before} loses it: there is one "
+                        "stream, for the client that asked last"
+                    )
+                self._client, self._sequence, self._wanted = sender, 0, records
+                self._per_datagram = self.buffer if command == rdt.Command.BUFFERED else 1
             case rdt.Command.BIAS if self._next:
                 self._bias = self._next[0].counts
 
-    def _taken_over(self, *clients: tuple[str, int]) -> None:
-        self.sent.takeovers += 1
-        before, after = (f"{host}:{port}" for host, port, *_ in clients)
-        if self.notice is not None:
-            self.notice(
-                f"{after} asked for the stream, and {before} loses it: there is one stream, for "
-                "the client that asked last"
-            )
-
     def _send(self, start: int, epoch: int) -> None:
         """The next datagram, and the poses of its samples."""
-        samples, first = self._next, self.sent.records
+        samples, first, sent = self._next, self.sent.records, self.sent
         for number, (_, position, orientation) in enumerate(samples, start=first):
             moment = start + round(number / self.rate * 1e9)
             if self.poses is not None and number % self._pose_every == 0:
                 self._put(pose_bytes(moment + epoch, position, orientation), self.poses)
-                self.sent.poses += 1
-            self.sent.latest = max(self.sent.latest, (time.monotonic_ns() - moment) * 1e-9)
-        self.sent.records += len(samples)
+                sent.poses += 1
+            sent.latest = max(sent.latest, (time.monotonic_ns() - moment) * 1e-9)
+        sent.records += len(samples)
         self._next = list(islice(self._samples, self._per_datagram))
         if self._client is not None:
             wanted = self._wanted - self._sequence if self._wanted else len(samples)
-            self._datagram(np.array([sample.counts for sample in samples[:wanted]]), first)
+            counts = np.array([sample.counts for sample in samples[:wanted]])
+            self._datagram(counts, first, self._client)
+            if self._sequence == self._wanted:
+                self._client = None
 
-    def _datagram(self, counts: Int[np.ndarray, "k 6"], first: int) -> None:
+    def _datagram(
+        self, counts: Int[np.ndarray, "k 6"], first: int, client: tuple[str, int]
+    ) -> None:
+        """Send records, or what the flaws make of them."""
         number = np.arange(len(counts))
         records = np.zeros(len(counts), dtype=rdt.RECORD)
         records["rdt_sequence"] = (self._sequence + 1 + number) % rdt.MODULUS
         records["ft_sequence"] = (first + number) % rdt.MODULUS
         records["counts"] = np.clip(counts - self._bias, -_LARGEST_COUNT, _LARGEST_COUNT)
-        records["status"][0] = rdt.ERROR_BIT * self._happens(self.flaws.error)
+        records["status"][0] = rdt.ERROR_BIT * self._happens("error")
         self._sequence += len(counts)
-        self._give(records.tobytes(), len(counts))
-        if self._sequence == self._wanted:
-            self._client = None
+        if self._happens("drop"):
+            self.sent.dropped += len(counts)
+            return
+        self.sent.sent += len(counts)
+        data = records.tobytes()
+        if not self._swapped and self._happens("reorder"):
+            self._swapped = [data]
+            return
+        copies = [data] * (1 + self._happens("duplicate"))
+        torn = [data[:-5]] * self._happens("malformed")
+        for going in (*copies, *torn, *self._swapped):
+            self._put(going, client)
+        self._swapped = []
 
-    def _happens(self, share: float) -> bool:
+    def _happens(self, flaw: str) -> bool:
+        share = getattr(self.flaws, flaw)
         return bool(share) and self._rng.random() < share
 
-    def _give(self, data: bytes, records: int) -> None:
-        """Send a datagram, or what its flaws make of it."""
-        if self._happens(self.flaws.drop):
-            self.sent.dropped += records
-            return
-        self.sent.sent += records
-        if self._swapped is None and self._happens(self.flaws.reorder):
-            self._swapped = data
-            return
-        going = [data]
-        if self._happens(self.flaws.duplicate):
-            going.append(data)
-        if self._happens(self.flaws.malformed):
-            going.append(data[:-5])
-        if self._swapped is not None:
-            going.append(self._swapped)
-            self._swapped = None
-        for each in going:
-            self._put(each, self._client)
-
-    def _put(self, data: bytes, address: tuple[str, int] | None) -> None:
-        assert self._socket is not None
-        assert address is not None
+    def _put(self, data: bytes, address: tuple[str, int]) -> None:
         with suppress(BlockingIOError, ConnectionRefusedError):
             self._socket.sendto(data, address)
 

@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
-from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -28,16 +28,7 @@ _NEAR, _NEAR_TURN = 0.01, 0.01
 _FEW = 0.1  # share of samples that noise may make look like contacts, or like none
 
 
-class Verdict(Enum):
-    """What is known of a zero."""
-
-    UNKNOWN = "unknown"
-    SAME = "same"
-    CHANGED = "changed"
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
+class _Rows(NamedTuple):
     """Rows in time: as logged, the wrench without tare, and whether a single sample is in contact,
     or in one that explains it.
     """
@@ -99,58 +90,56 @@ class ZeroWatch:
         if self._before is not None and self._before.touching.mean() <= _FEW:
             self._free.append(self._before)
 
-    def take(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> Verdict:
-        """Rows as logged, their wrench without tare (n, 6), NaN where it is not good, and their
-        contacts sample by sample.
+    def take(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> bool | None:
+        """Take rows as logged, their wrench without tare (n, 6), NaN where it is not good, and
+        their contacts sample by sample. Return whether the zero is the same as before the restart;
+        None without one, and as long as that is not known.
         """
-        good = np.isfinite(tared).all(axis=1)
-        if not good.any():
-            return Verdict.UNKNOWN
         touching = found.in_contact
         explained = touching & (found.status == Status.OK)
         logged = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
+        good = np.isfinite(tared).all(axis=1)
         rows = rows_of(_Rows(*logged, tared, touching, explained), good)
+        if not len(rows.time):
+            return None
         self._blocks.append(rows)
         now = float(rows.time[-1])
         while self._blocks[0].time[-1] < now - _KEPT * self.seconds:
             self._blocks.popleft()
-        if self._home is None:
-            self._home = rows_of(rows, slice(1))
+        self._home = self._home or rows_of(rows, slice(1))
         self._moved |= not self._at(rows, self._home)
         if not self.pending or now - self._looked < _EVERY:
-            return Verdict.UNKNOWN
+            return None
         self._looked = now
-        verdict = self._verdict()
-        self.pending = verdict is Verdict.UNKNOWN
-        return verdict
+        same = self._same()
+        self.pending = same is None
+        return same
 
     def rest(self) -> RawRecording:
         """The rows by which the zero was found to be another."""
-        rows = joined(self._blocks)
-        return RawRecording(rows.time, rows.position, rows.orientation, rows.force, rows.torque)
+        return RawRecording(*joined(self._blocks)[:5])
 
-    def _verdict(self) -> Verdict:
+    def _same(self) -> bool | None:
         short, before = self._last(self._check), self._before
         if short is None or not self._quiet(short):
-            return Verdict.UNKNOWN
+            return None
         level = short.tared.mean(axis=0)
         # The mean of rounded readings is off by up to half a step: by a quarter on average.
         tolerance = _DEVIATIONS * np.sqrt(
             self.noise**2 / len(short.time) + (self.resolution / 4) ** 2
         )
         if np.all(np.abs(level) <= tolerance):
-            return Verdict.SAME
+            return True
         if before is not None and self._quiet(before) and self._at(short, before):
             change = np.abs(level - before.tared.mean(axis=0))
             if np.all(change <= np.sqrt(2) * tolerance):
-                return Verdict.SAME
+                return True
         whole = self._last(_TARED * self.seconds)
         if whole is None or not self._quiet(whole):
-            return Verdict.UNKNOWN
-        if not self._moved and whole.explained.mean() > _FEW:
-            return Verdict.UNKNOWN
+            return None
+        hidden = not self._moved and whole.explained.mean() > _FEW
         free = any(self._at(whole, rows) for rows in self._free)
-        return Verdict.CHANGED if free else Verdict.UNKNOWN
+        return False if free and not hidden else None
 
     def _last(self, seconds: float) -> _Rows | None:
         """The last rows of so many seconds; None if there are fewer."""

@@ -24,20 +24,16 @@ def coverage_figure(
     cases
         For each: name, contacts (k, 3), which samples are covered (n,), and their share.
     """
-    span = 1.04 * np.max(
-        [np.nanmax(np.abs(contacts[:, :2]), axis=0) for _, contacts, _, _ in cases], axis=0
-    )
+    every = np.concatenate([contacts[:, :2] for _, contacts, _, _ in cases])
+    span = 1.04 * np.nanmax(np.abs(every), axis=0)
     _, panels = plt.subplots(
         1, len(cases), figsize=(PAGE, 2.2), sharey=True, layout="constrained", squeeze=False
     )
     for axes, (name, contacts, covered, share) in zip(panels[0], cases, strict=True):
-        axes.scatter(*samples[~covered, :2].T, s=1.2, color=_OPEN, linewidths=0, rasterized=True)
-        axes.scatter(*samples[covered, :2].T, s=1.2, color=_COVERED, linewidths=0, rasterized=True)
+        for rows, colour in ((~covered, _OPEN), (covered, _COVERED)):
+            axes.scatter(*samples[rows, :2].T, s=1.2, color=colour, linewidths=0, rasterized=True)
         axes.plot(*contacts[:, :2].T, ".", color="black", markersize=0.5)
-        axes.set_title(f"{name}: {share:.0%}")
-        axes.set_xlabel("$x/L$")
-        axes.set_aspect("equal")
-        axes.set_xlim(-span[0], span[0])
-        axes.set_ylim(-span[1], span[1])
+        axes.set(title=f"{name}: {share:.0%}", xlabel="$x/L$", aspect="equal")
+        axes.set(xlim=(-span[0], span[0]), ylim=(-span[1], span[1]))
     panels[0, 0].set_ylabel("$y/L$")
     return list(panels[0])

@@ -34,53 +34,37 @@ def expected_error_map(error: ExpectedError) -> list[Axes]:
     seen = error.detected.ravel() & np.isfinite(longest)
     if not seen.any():
         raise ValueError(
-            "no contact of the scan is detected; allowed is a scan with a contact whose load exceeds the sensor's noise"
+            "no contact of the scan is detected; allowed is a scan with a contact whose load "
+            "exceeds the sensor's noise"
         )
-    clamp, point = (
-        factor * error.scan.trail.position.reshape(-1, 3),
-        factor * error.scan.point.reshape(-1, 3),
-    )
-    across = sorted(np.argsort(-np.ptp(clamp, axis=0), kind="stable")[:2].tolist())
+    places = [
+        factor * place.reshape(-1, 3) for place in (error.scan.trail.position, error.scan.point)
+    ]
+    across = sorted(np.argsort(-np.ptp(places[0], axis=0), kind="stable")[:2].tolist())
     low, high = np.quantile(longest[seen], [0.0, 0.98])
     # An ellipsoid larger than the rod says no more than that nothing is known.
     norm = LogNorm(low, max(min(high, factor * rod.length), 1.01 * low))
+    full = error.saturated.ravel() & seen
     figure, panels = plt.subplots(1, 2, figsize=(PAGE, 3.0), layout="constrained")
-    for axes, places, title, symbols in zip(
-        panels, (clamp, point), ("clamp", "contact point"), ("x_0y_0z_0", "x y z "), strict=True
+    for axes, place, title, index in zip(
+        panels, places, ("clamp", "contact point"), ("_0", ""), strict=True
     ):
-        names = (
-            [symbols[3 * axis : 3 * axis + 3] for axis in across]
-            if symbols.startswith("x_")
-            else [symbols.split()[axis] for axis in across]
-        )
-        if places is clamp:
-            axes.plot(
-                *places[~seen][:, across].T,
-                ".",
-                color=_UNDETECTED,
-                markersize=2,
-                label="not detected",
-            )
-        shown = axes.scatter(
-            *places[seen][:, across].T,
-            c=longest[seen],
-            norm=norm,
-            cmap="viridis_r",
-            s=7,
-            linewidths=0,
-        )
-        full = error.saturated.ravel() & seen
+        flat = place[:, across].T
+        if title == "clamp":
+            label = "not detected"
+            axes.plot(*flat[:, ~seen], ".", color=_UNDETECTED, markersize=2, label=label)
+        style = {"norm": norm, "cmap": "viridis_r", "s": 7, "linewidths": 0}
+        shown = axes.scatter(*flat[:, seen], c=longest[seen], **style)
         axes.plot(
-            *places[full][:, across].T,
+            *flat[:, full],
             "x",
             color=_SATURATED,
             markersize=2.5,
             markeredgewidth=0.4,
             label="saturated" if full.any() else None,
         )
-        axes.set_title(f"over the {title}")
-        axes.set_xlabel(length_label(names[0], rod))
-        axes.set_ylabel(length_label(names[1], rod))
+        names = [length_label("xyz"[axis] + index, rod) for axis in across]
+        axes.set(title=f"over the {title}", xlabel=names[0], ylabel=names[1])
         axes.set_aspect("equal", adjustable="datalim")
     if not seen.all():
         panels[0].legend(loc="upper left", markerscale=3)

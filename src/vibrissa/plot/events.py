@@ -30,48 +30,30 @@ def reactions_along(scan: Scan) -> list[Axes]:
     factor = length_factor(scan.rod)
     x = factor * scan.trail.position[:, 0]
     force = np.where(scan.in_contact, np.linalg.norm(scan.reactions.force, axis=-1), np.nan)
-    si = scan.rod.units == "SI"
     rows = [
-        (force, "$f$ [N]" if si else "$f$ [$EI/L^2$]"),
+        (force, "$f$ [N]" if scan.rod.units == "SI" else "$f$ [$EI/L^2$]"),
         (factor * scan.arc_length, length_label("s_1", scan.rod)),
     ]
     figure, panels = plt.subplots(
         2, 1, figsize=(COLUMN * 1.25, COLUMN * 1.25), sharex=True, layout="constrained"
     )
     unstable = scan.status == Status.LATERALLY_UNSTABLE
+    branches = ((unstable, "-", "stable"), (~unstable, (0, (3, 2)), "laterally unstable"))
     for axes, (values, label) in zip(panels, rows, strict=True):
-        axes.plot(x, np.where(unstable, np.nan, values), color="black", label="stable")
-        if unstable.any():
-            axes.plot(
-                x,
-                np.where(unstable, values, np.nan),
-                color="black",
-                linestyle=(0, (3, 2)),
-                label="laterally unstable",
-            )
+        for left_out, style, name in branches[: 1 + unstable.any()]:
+            shown = np.where(left_out, np.nan, values)
+            axes.plot(x, shown, color="black", linestyle=style, label=name)
         axes.set_ylabel(label)
+        known = np.isfinite(values)
+        order = np.argsort(x[known])
         for event in scan.events:
             marker, name = _MARKS[event.kind]
             at = factor * event.clamp[0]
-            axes.plot(
-                at,
-                _value_at(x, values, at),
-                marker=marker,
-                color="#c1121f",
-                markersize=5,
-                linestyle="none",
-                label=name,
-                clip_on=False,
-            )
+            value = np.interp(at, x[known][order], values[known][order])
+            axes.plot(at, value, marker, color="#c1121f", markersize=5, label=name, clip_on=False)
     panels[-1].set_xlabel(length_label("x_0", scan.rod))
     panels[-1].invert_xaxis()
     handles, names = panels[0].get_legend_handles_labels()
     once = dict(zip(names, handles, strict=True))
     figure.legend(once.values(), once.keys(), loc="outside upper center", ncols=2, handlelength=1.8)
     return list(panels)
-
-
-def _value_at(x: np.ndarray, values: np.ndarray, at: float) -> float:
-    known = np.isfinite(values)
-    order = np.argsort(x[known])
-    return float(np.interp(at, x[known][order], values[known][order]))

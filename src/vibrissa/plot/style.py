@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from vibrissa.contacts import ContactKind
 from vibrissa.rod import Rod
@@ -51,33 +51,23 @@ def journal() -> Iterator[None]:
 def save(axes: Axes | Sequence[Axes], folder: Path, name: str) -> list[Path]:
     """Write the figure of some axes as PNG and as PDF, and close it; return both paths."""
     paths = [folder / f"{name}.{suffix}" for suffix in ("png", "pdf")]
-    for path in paths:
-        _write(_figure(axes), path)
-    plt.close(_figure(axes))
+    _write(axes, paths)
     return paths
 
 
 def save_as(axes: Axes | Sequence[Axes], path: Path) -> Path:
     """Write the figure of some axes in the format of the path's suffix, and close it."""
-    _write(_figure(axes), path)
-    plt.close(_figure(axes))
+    _write(axes, [path])
     return path
 
 
-def _figure(axes: Axes | Sequence[Axes]) -> Figure:
-    figure = (axes if isinstance(axes, Axes) else axes[0]).get_figure(root=True)
-    assert figure is not None
-    return figure
-
-
-def _write(figure: Figure, path: Path) -> None:
-    # Without a date in its metadata the same figure gives the same file.
-    figure.savefig(
-        path,
-        bbox_inches="tight",
-        pad_inches=0.04,
-        metadata={"CreationDate": None} if path.suffix == ".pdf" else None,
-    )
+def _write(axes: Axes | Sequence[Axes], paths: list[Path]) -> None:
+    figure = np.ravel(np.asarray(axes, dtype=object))[0].get_figure(root=True)
+    for path in paths:
+        # Without a date in its metadata the same figure gives the same file.
+        dateless = {"CreationDate": None} if path.suffix == ".pdf" else None
+        figure.savefig(path, bbox_inches="tight", pad_inches=0.04, metadata=dateless)
+    plt.close(figure)
 
 
 def length_label(symbol: str, rod: Rod) -> str:

@@ -1,0 +1,33 @@
+from .calibration import (
+    parameter_correlation,
+    residual_histogram,
+    residuals_over_force,
+    residuals_over_time,
+)
+from .contacts import contacts_figure
+from .coverage import coverage_figure
+from .design import expected_error_map
+from .events import reactions_along
+from .lines import elastic_lines
+from .reactions import reactions_over_plane
+from .recording import recording_figure
+from .sequences import contact_sequences
+from .style import journal, save, save_as
+
+__all__ = [
+    "contact_sequences",
+    "contacts_figure",
+    "coverage_figure",
+    "elastic_lines",
+    "expected_error_map",
+    "journal",
+    "parameter_correlation",
+    "reactions_along",
+    "reactions_over_plane",
+    "recording_figure",
+    "residual_histogram",
+    "residuals_over_force",
+    "residuals_over_time",
+    "save",
+    "save_as",
+]

@@ -4,7 +4,6 @@ are used.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from re import fullmatch
 
 import numpy as np
@@ -21,8 +20,6 @@ from vibrissa.io.recordings.table import RecordingTable
 _OTHER_RATE = 0.3
 # Two turns: an arm's last joint turns no further, and degrees soon do.
 _LARGEST_ANGLE = 4 * np.pi
-# Names in messages, of files that hold hundreds.
-_MOST_SHOWN = 20
 
 
 def streams(columns: Columns, table: RecordingTable, poses: Columns | None = None) -> Streams:
@@ -116,11 +113,9 @@ class _Layout:
         indexed = None if name in held else fullmatch(r"(.+)\[(\d+)\]", name)
         plain = indexed[1] if indexed else name
         if plain not in held:
-            names = self.columns.names
-            more = f" and {len(names) - _MOST_SHOWN} more" * (len(names) > _MOST_SHOWN)
-            shown = ", ".join(names[:_MOST_SHOWN])[:300] or "nothing"
+            shown = ", ".join(self.columns.names)[:300] or "nothing"
             raise InputError(
-                f"{self.columns.file}: {key} = {name!r} is not in the file; it holds {shown}{more}"
+                f"{self.columns.file}: {key} = {name!r} is not in the file; it holds {shown}"
             )
         array = held[plain]
         if indexed is None:
@@ -183,17 +178,14 @@ class _Layout:
         unit = self.table.angle_unit
         numbers = self.together("orientation", names, time, 3)
         angles = self.scaled("angle", names, numbers, unit, units.ANGLE)
-        known = np.isfinite(angles).all(axis=1)
-        largest = np.abs(angles[known]).max(initial=0.0)
+        largest = np.abs(angles[np.isfinite(angles)]).max(initial=0.0)
         if unit is None and largest > _LARGEST_ANGLE:
             finding = f"reaches {largest:.4g} rad, as of degrees"
             allowed = "are radians, or angle_unit in [recording]"
             raise self.wrong("orientation", names, finding, allowed)
-        by_vector = form == "rotation_vector"
-        turned = Rotation.from_rotvec if by_vector else partial(Rotation.from_euler, "xyz")
-        quaternion = np.full((len(angles), 4), np.nan)
-        quaternion[known] = turned(angles[known]).as_quat()
-        return quaternion
+        if form == "rotation_vector":
+            return Rotation.from_rotvec(angles).as_quat()
+        return Rotation.from_euler("xyz", angles).as_quat()
 
     def check_order(self, names: Sequence[str], form: str) -> None:
         """Names that end in w, x, y and z say in which order they are; q0 to q3 leave open whether

@@ -144,13 +144,13 @@ def cells_of(
     while stop > skip and not lines[stop - 1].strip(f'{delimiter}" \t'):
         stop -= 1
     for number, whole in enumerate(lines[skip:stop], skip + 1):
-        line = whole.rstrip()
-        if comments is not None and (not line or line.lstrip().startswith(comments)):
+        line = whole.rstrip(" ")
+        if comments is not None and (not line.strip() or line.lstrip().startswith(comments)):
             continue
         quoted = '"' in line or delimiter == " "
         cells = len(split(line, delimiter)) if quoted else line.count(delimiter) + 1
         while cells > count and line.endswith(delimiter):
-            line, cells = line.removesuffix(delimiter).rstrip(), cells - 1
+            line, cells = line.removesuffix(delimiter).rstrip(" "), cells - 1
         if cells != count:
             raise InputError(
                 f"{file}, line {number}: {cells} of {count} columns, the line is truncated or "

@@ -142,11 +142,10 @@ class _Bag:
                     found.setdefault((not topic.endswith("static"), *pair), []).append(row)
         links = {}
         for (moves, child, parent), rows in sorted(found.items()):
-            # Several nodes may publish one frame: each stamp counts once, as it came last.
-            poses = usable(_stream(Poses, rows[::-1]))
+            # Several nodes may publish one frame: each stamp counts once.
+            poses = usable(_stream(Poses, rows if moves else rows[-1:]))
             if not moves:
-                last = poses.rows(slice(-1, None))
-                poses = replace(last, time=np.full_like(last.time, np.inf))
+                poses = replace(poses, time=np.full_like(poses.time, np.inf))
             if len(poses.time):
                 links[child] = parent, poses
         return links
@@ -191,17 +190,15 @@ class _Bag:
     def topic(self, key: str, *kinds: str) -> str:
         """The topic that the key names, or the only one of these types."""
         name, fitting = getattr(self.table, key), self.bag.of(*kinds)
+        chosen = [topic for topic in fitting if name in {None, topic}]
+        if len(chosen) == 1:
+            return chosen[0]
         allowed = " or ".join(kind.replace("/msg/", "/") for kind in kinds)
-        topics = (f"{topic} ({kind})" for topic, kind in sorted(self.bag.topics.items()))
+        topics = [f"{topic} ({kind})" for topic, kind in sorted(self.bag.topics.items())]
         held = "; ".join([", ".join(topics)[:400] or "no topics", *self.bag.notes[:2]])
-        if name is not None and name not in fitting:
-            raise InputError(
-                f"{self.path}: {key} = {name!r} is no topic of {allowed}; the bag holds {held}"
-            )
-        if name is None and len(fitting) != 1:
-            file = " or pose_file" if key == "pose_topic" else ""
-            raise InputError(
-                f"{self.path}: {len(fitting)} topics of {allowed}; allowed is one, or {key}{file} "
-                f"in [recording]. The bag holds {held}"
-            )
-        return name or fitting[0]
+        given = f"{len(fitting)} topics" if name is None else f"{key} = {name!r} is no topic"
+        file = " or pose_file" if key == "pose_topic" else ""
+        raise InputError(
+            f"{self.path}: {given} of {allowed}; allowed is one, or {key}{file} in [recording]. "
+            f"The bag holds {held}"
+        )

@@ -245,7 +245,7 @@ def test_damaged_contacts_are_one_line_that_names_the_file(
     else:
         file.write_bytes(damage(vb.write_contacts(file, found).read_bytes()))
     message = refusal(lambda: vb.read_contacts(file))
-    assert message.startswith(f"{file}: ")
+    assert message.startswith(str(file))
     assert words in message
 
 

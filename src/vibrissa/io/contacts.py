@@ -1,6 +1,7 @@
 """Contacts to PLY, CSV, Parquet or NetCDF and back, by the file's suffix."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,9 @@ VERTEX = np.dtype(
         "formats": ["<f8"] * 8 + ["u1"] * 2,
     }
 )
-"""A point of a PLY file; its standard deviation is that of the whole vector."""
+"""A point of a PLY file; its standard deviation is that of the whole vector, NaN where the noise is
+not known.
+"""
 _BLOCK = 8192  # rows between two words on progress: some tens of milliseconds
 
 
@@ -63,9 +66,9 @@ def write_contacts(
     InputError
         If the suffix is another, or the file cannot be written.
     """
-    file = checked_output(path)
+    file, unit = checked_output(path), "metre" if found.rod.units == "SI" else "rod length"
     writers: dict[str, Callable[[], object]] = {
-        ".ply": lambda: _write_ply(file, found),
+        ".ply": lambda: cloud(vertices(found, known(found)), unit).write(str(file)),
         ".csv": lambda: _write_csv(file, _table(found), progress),
         ".parquet": lambda: _table(found).to_parquet(file, index=False),
         ".nc": lambda: found.to_dataset().to_netcdf(file, engine="h5netcdf"),
@@ -106,15 +109,6 @@ def _write_csv(
             )
             if progress is not None:
                 progress(min(1.0, (first + _BLOCK) / max(len(table), 1)))
-
-
-def _write_ply(file: Path, found: Reconstruction | Scan) -> None:
-    from numpy.lib.recfunctions import drop_fields  # noqa: PLC0415
-
-    points = vertices(found, known(found))
-    if _covariance(found) is None:
-        points = drop_fields(points, "standard_deviation")
-    cloud(points, "metre" if found.rod.units == "SI" else "rod length").write(str(file))
 
 
 def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
@@ -257,11 +251,9 @@ def _of_dataset(file: Path) -> Contacts:
     import xarray  # noqa: PLC0415
 
     with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
-        new = {"contact_point": "point", "contact_point_covariance": "covariance"}
-        own = data.rename({name: field for name, field in new.items() if name in data})
-        needed = {name: own[name] for name in ("point", "normal", "arc_length", "kind", "status")}
-        more = ("covariance", "normal_covariance", "time", "force_direction")
-        given = needed | {name: own[name] for name in more if name in own}
-        sweep = np.indices(own["kind"].shape)[0] if own["kind"].ndim > 1 else None
-        values = {name: part.to_numpy() for name, part in given.items()}
-        return Contacts(**values, sweep=sweep)
+        own = {"point": "contact_point", "covariance": "contact_point_covariance"}
+        names = {field.name: own.get(field.name, field.name) for field in fields(Contacts)}
+        given = {field: data[name].to_numpy() for field, name in names.items() if name in data}
+        if given["kind"].ndim > 1:
+            given["sweep"] = np.indices(given["kind"].shape)[0]
+        return Contacts(**given)

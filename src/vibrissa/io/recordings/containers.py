@@ -109,16 +109,16 @@ def _storage(folder: Path) -> list[Path]:
 
 
 def _metadata(path: Path, bag: Bag) -> dict[str, Any]:
-    file, state = path / "metadata.yaml", "missing, as where a recorder was killed"
-    if file.is_file():
-        yaml, state = library("ruamel.yaml").YAML(typ="safe", pure=True), "damaged"
-        try:
-            return dict(yaml.load(file.read_text("utf-8"))["rosbag2_bagfile_information"])
-        # YAML of any kind, or none: the files beside it still say what they hold.
-        except Exception:
-            pass
-    bag.notes.append(f"{path.name}: metadata.yaml is {state}; the bag's files are read as they are")
-    return {}
+    yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
+    try:
+        return dict(yaml.load(path / "metadata.yaml")["rosbag2_bagfile_information"])
+    # No file, YAML of any kind, or none: the files beside it still say what they hold.
+    except Exception:
+        bag.notes.append(
+            f"{path.name}: metadata.yaml is missing, as where a recorder was killed, or damaged; "
+            "the bag's files are read as they are"
+        )
+        return {}
 
 
 def _read(file: Path, plain: Path, bag: Bag) -> None:

@@ -145,14 +145,15 @@ def columns(file: Path, kind: Kind, wanted: Sequence[str]) -> Columns:
         If the file is damaged, or an array holds no real numbers or has more than two axes.
     """
     with reading(file, kind.value), _READERS[kind](file) as held:
-        chosen = matched(wanted, held)
-        found = {name: held[own] for name, own in chosen.items()}
-        return Columns(
-            file,
-            list(held),
-            {name: _numbers(file, name, read(), said) for name, (read, said) in found.items()},
-            {name: _unit(said) for name, (_, said) in found.items()},
-        )
+        arrays, units = {}, {}
+        for name, own in matched(wanted, held).items():
+            read, attributes = held[own]
+            stored = np.asarray(read())
+            # MATLAB stores arrays column by column.
+            stored = stored.T if kind is Kind.MATLAB_HDF5 else stored
+            arrays[name] = _numbers(file, name, stored, attributes)
+            units[name] = _unit(attributes)
+        return Columns(file, list(held), arrays, units)
 
 
 def _numbers(file: Path, name: str, stored: np.ndarray, attributes: Mapping[str, Any]) -> Array:
@@ -187,8 +188,8 @@ def _unit(attributes: Mapping[str, Any]) -> str | None:
 
 
 @contextmanager
-def _hdf5(file: Path, *, matlab: bool = False) -> Iterator[Held]:
-    """HDF5; MATLAB stores arrays column by column."""
+def _hdf5(file: Path, separator: str = "/") -> Iterator[Held]:
+    """HDF5 of any writer."""
     import h5py  # noqa: PLC0415
 
     held: Held = {}
@@ -198,19 +199,12 @@ def _hdf5(file: Path, *, matlab: bool = False) -> Iterator[Held]:
         if isinstance(node, h5py.Dataset) and not place.startswith("#"):
             for column in ("", *(node.dtype.names or ())):
                 name = f"{place}/{column}" if column else place
-                held[name.replace("/", ".") if matlab else name] = (
-                    partial(_stored, node, column or (), matlab),
-                    node.attrs,
-                )
+                read = partial(node.__getitem__, column or ())
+                held[name.replace("/", separator)] = read, node.attrs
 
     with h5py.File(file, "r") as opened:
         opened.visititems(note)
         yield held
-
-
-def _stored(node: Any, key: Any, transposed: bool) -> np.ndarray:  # noqa: FBT001
-    array = np.asarray(node[key])
-    return array.T if transposed else array
 
 
 @contextmanager
@@ -220,7 +214,7 @@ def _classic(file: Path) -> Iterator[Held]:
 
     with netcdf_file(file, "r", mmap=False) as opened:
         yield {
-            name: (partial(np.array, variable.data), vars(variable))
+            name: (partial(np.copy, variable.data), vars(variable))
             for name, variable in opened.variables.items()
         }
 
@@ -288,7 +282,7 @@ def _unpacked(arrow: Any, column: Any) -> Any:
 _READERS: dict[Kind, Callable[..., Any]] = {
     Kind.PARQUET: _parquet,
     Kind.HDF5: _hdf5,
-    Kind.MATLAB_HDF5: partial(_hdf5, matlab=True),
+    Kind.MATLAB_HDF5: partial(_hdf5, separator="."),
     Kind.CLASSIC: _classic,
     Kind.MATLAB: _matlab,
 }

@@ -29,7 +29,7 @@ def _in_one(value: object, check: Callable[[object], object]) -> object:
 
 
 IN_ONE = WrapValidator(_in_one)
-"""For a choice of types: one finding, with the whole value, where it is none of them."""
+"""For a union of types: one error, with the whole value, where no type fits."""
 
 Positive = Annotated[float, number("a number greater than 0", gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, number("a number of at least 0", ge=0, allow_inf_nan=False)]
@@ -216,7 +216,7 @@ def _place(
 
 
 def _kinds(table: Any) -> tuple[str, ...]:
-    """Values of the key `kind` by which a table is told from others; none for what has no such."""
+    """Values of the discriminating key `kind`; empty for anything without one."""
     kind = getattr(table, "model_fields", {}).get("kind")
     return get_args(kind.annotation) if kind else ()
 

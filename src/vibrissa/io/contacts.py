@@ -59,7 +59,7 @@ def write_contacts(
     (one row a sample) or NetCDF (everything), by the suffix; units of the rod.
 
     In CSV, Parquet and PLY a row whose point is not finite is a row without contact, and its status
-    is never OK. `progress` is told the share of the rows written to CSV.
+    is never OK. `progress` is called with the share of rows written to CSV.
 
     Raises
     ------

@@ -111,7 +111,7 @@ def _known(values: Float[np.ndarray, "n ..."]) -> list[Any]:
 class PlySink(_ContactsAlone):
     """Contacts as points with normals in a PLY file that is whole whenever the process is killed.
 
-    Points are written behind those that the header counts; then the header, which lies within a
+    Points are written behind the ones the header counts; then the header, which lies within a
     page, is overwritten in one piece with the new count.
 
     Parameters

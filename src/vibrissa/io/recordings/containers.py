@@ -49,7 +49,7 @@ class Bag:
     Attributes
     ----------
     topics
-        Types by topic, also of those that are not read.
+        Types by topic, including topics that are not read.
     messages
         Wrenches, poses and frames, in the order of the files.
     notes
@@ -227,7 +227,7 @@ def _records(content: mmap.mmap | bytes, at: int = 0) -> Iterator[tuple[int, byt
 
 
 def _unpacked(compression: str, data: bytes) -> bytes:
-    """Content of a chunk, or of one frame of Zstandard, as far as it is there."""
+    """Content of a chunk or of one Zstandard frame; of a truncated one, what can be unpacked."""
     match compression:
         case "":
             return data

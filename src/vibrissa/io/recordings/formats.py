@@ -137,7 +137,7 @@ def columns(file: Path, kind: Kind, wanted: Sequence[str]) -> Columns:
         `group/table/column` where an HDF5 array has named columns; fields of MATLAB's structs and
         parts of Parquet's by `struct.field`.
     wanted
-        The arrays to read; those that are not there are left out.
+        The arrays to read; missing ones are left out.
 
     Raises
     ------

@@ -25,8 +25,8 @@ _LARGEST_ANGLE = 4 * np.pi
 def streams(columns: Columns, table: RecordingTable, poses: Columns | None = None) -> Streams:
     """Both streams of a recording; its poses from `poses` where they have a file of their own.
 
-    Rows of which many hold only a wrench or only a pose are streams of different rates, written
-    into one table; where it is a few, their numbers are missing.
+    Where many rows hold only a wrench or only a pose, the table mixes streams of different rates,
+    which are separated; where a few do, their numbers count as missing.
 
     Raises
     ------

@@ -3,8 +3,8 @@ signs and axes.
 
 The clamp's work and the rod's bending energy are two routes to one number
 (`vibrissa.inverse.work`). Where they contradict each other, each known mistake is undone in turn;
-those that bring them together, leave the contacts on the rod and the noise at rest as stated are
-named.
+a mistake is named if undoing it reconciles the two, keeps the contacts on the rod and leaves the
+noise at rest as stated.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -143,8 +143,8 @@ class _Recording:
         return good[:_MOST_NAMED]
 
     def half_turned(self) -> str | None:
-        """Quaternions next to (1, 0, 0, 0) throughout: half a turn about x, or w first; told by the
-        work where the sweep tells, else asked for.
+        """Quaternions next to (1, 0, 0, 0) throughout: half a turn about x, or w first; decided by
+        the work where the sweep allows it, else a question to the user.
         """
         orientation = self.given.raw.orientation
         stated = "orientation_form" in self.table.model_fields_set

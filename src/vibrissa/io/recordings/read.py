@@ -37,7 +37,7 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
     ----------
     path
         CSV, Parquet, HDF5, NetCDF, MATLAB .mat, or a rosbag2 folder or one of its MCAP or SQLite
-        files, told apart by content, then by suffix. Without the table [recording] in the setup a
+        files, recognized by content, then by suffix. Without the table [recording] in the setup a
         CSV has exactly the header `time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz`, SI units, and
         other formats hold those names, or arrays `position`, `orientation`, `force` and `torque`.
         Capitals in names do not matter.

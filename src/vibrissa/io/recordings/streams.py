@@ -103,21 +103,21 @@ class Streams:
 
 def usable(pose: Poses) -> Poses:
     """Poses that can be interpolated: finite, with a rotation, in the order of their stamps, the
-    first of those that share one.
+    first where several share one.
     """
     rows = pose.rows(pose.finite & np.any(pose.orientation != 0, axis=1))
     return rows.rows(np.unique(rows.time, return_index=True)[1])
 
 
 def within(pose: Poses, time: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Whether stamps lie between the first and the last pose, of which there is one at least."""
+    """Whether stamps lie between the first and the last of at least one pose."""
     return (time >= pose.time[0]) & (time <= pose.time[-1])
 
 
 def interpolated(pose: Poses, time: Float[np.ndarray, "n"]) -> Poses:
     """Poses at the stamps `time` [s], in any order, also NaN: positions linearly, orientations along
-    the shortest rotation; NaN before the first and after the last pose. The stamps of the poses, of
-    which there is one at least, increase.
+    the shortest rotation; NaN before the first and after the last pose. There is at least one pose,
+    and their stamps increase.
     """
     inside = within(pose, time)
     position, orientation = np.full((len(time), 3), np.nan), np.full((len(time), 4), np.nan)

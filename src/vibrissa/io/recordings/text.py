@@ -39,12 +39,12 @@ def columns(
     ----------
     file
         Text with a line of names, then one of units or none, and a line a sample. Lines before the
-        names, blank lines, those that begin with # or %, and empty rows at the end are passed over.
+        names, blank lines, comments (# or %) and empty rows at the end are skipped.
     table
-        Encoding, delimiter (where it gives none, the one that parts most of the wanted names),
+        Encoding, delimiter (where it gives none, the one that separates most of the wanted names),
         decimal sign, and how many lines to skip before the names are looked for.
     wanted
-        The columns to read; those that are not there are left out.
+        The columns to read; missing ones are left out.
     exactly
         The names that the file has to have, no other and in this order; then each line is a row, no
         cell is empty, and the delimiter is a comma, or that of Excel's line `sep=;`.
@@ -67,7 +67,7 @@ def columns(
     twice = next((own for own in chosen.values() if names.count(own) > 1), None)
     if exactly:
         found = [name.lower() for name in names]
-        hint = "; another layout is told by a table [recording] in the setup"
+        hint = "; for another layout add a table [recording] to the setup"
         check_header(file, found, exactly, line=line + 1, hint=hint)
     elif twice is not None:
         raise InputError(

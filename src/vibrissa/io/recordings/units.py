@@ -19,7 +19,7 @@ _LONGEST = 30
 
 @cache
 def _unit(text: str) -> Any:
-    """A unit, also of a torque whose letters are joined; None where the text is none."""
+    """A unit, also of a torque whose letters are joined; None if the text is not a unit."""
     # The kilopond is what pint calls kgf.
     plain = sub(r"[.\-·⋅]", "*", text.replace("kp", "kgf"))
     plain = sub(r"(N|gf|lbf)([cm]?m|in|ft)$", r"\1*\2", plain)
@@ -87,8 +87,6 @@ def is_unit(text: str) -> bool:
 
 
 def in_brackets(name: str, allowed: Sequence[str]) -> str | None:
-    """Unit in brackets at the end of a name, as in `Fx [mN]` or `Fx (mN)`; None where there is none
-    of these.
-    """
+    """Unit in brackets at the end of a name, as in `Fx [mN]` or `Fx (mN)`; None otherwise."""
     found = search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)
     return known_or_none(found[1], allowed) if found else None

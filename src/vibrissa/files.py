@@ -139,7 +139,8 @@ def cells_of(
     """
     import pandas as pd  # noqa: PLC0415
 
-    lines, rows, count = text.splitlines(), {}, len(names)
+    lines, count = text.splitlines(), len(names)
+    rows: dict[int, str] = {}
     stop = len(lines)
     while stop > skip and not lines[stop - 1].strip(f'{delimiter}" \t'):
         stop -= 1

@@ -154,7 +154,8 @@ class _Bag:
         """Poses of a frame in the fixed one, or in that which its chain begins with: at every stamp
         of a link where all links are known; no link is extrapolated.
         """
-        links, chain, here = self.links(), [], sensor_frame.lstrip("/")
+        links, here = self.links(), sensor_frame.lstrip("/")
+        chain: list[Poses] = []
         fixed_frame = self.table.fixed_frame
         top = None if fixed_frame is None else fixed_frame.lstrip("/")
         while here != top and here in links and len(chain) <= len(links):

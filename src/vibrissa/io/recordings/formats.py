@@ -145,7 +145,8 @@ def columns(file: Path, kind: Kind, wanted: Sequence[str]) -> Columns:
         If the file is damaged, or an array holds no real numbers or has more than two axes.
     """
     with reading(file, kind.value), _READERS[kind](file) as held:
-        arrays, units = {}, {}
+        arrays: dict[str, Array] = {}
+        units: dict[str, str | None] = {}
         for name, own in matched(wanted, held).items():
             read, attributes = held[own]
             stored = np.asarray(read())

@@ -91,15 +91,18 @@ class GrowingFile:
         self._disk, self.channels = disk, tuple(channels)
         self.message_counts = [0] * len(channels)
         self._chunks: list[records.ChunkIndex] = []
-        declarations: list[records.McapRecord] = []
-        for number, (topic, kind, definition) in enumerate(channels, start=1):
-            declarations += [
-                records.Schema(number, definition.encode(), "ros2msg", kind),
-                records.Channel(number, topic, "cdr", {"offered_qos_profiles": qos}, number),
-            ]
-        self._declarations, self._data_end = packed(*declarations), packed(records.DataEnd(0))
-        self._index = self._data_end + self._declarations
-        head = MAGIC + packed(records.Header("ros2", "vibrissa")) + self._declarations
+        numbered = list(enumerate(channels, start=1))
+        schemas = [
+            records.Schema(number, definition.encode(), "ros2msg", kind)
+            for number, (_, kind, definition) in numbered
+        ]
+        topics = [
+            records.Channel(number, topic, "cdr", {"offered_qos_profiles": qos}, number)
+            for number, (topic, *_) in numbered
+        ]
+        declarations, self._data_end = packed(*schemas, *topics), packed(records.DataEnd(0))
+        self._index = self._data_end + declarations
+        head = MAGIC + packed(records.Header("ros2", "vibrissa")) + declarations
         self._room = _head_place(len(head))
         self._size = _whole_pages(self._room + ROOM)
         self._disk.write(head + _filler(self._room - len(head)) + self._room_head(self._room), 0)

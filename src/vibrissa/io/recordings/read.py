@@ -133,7 +133,9 @@ def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
 
 def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
     poses, table = recording.poses, setup.recording or RecordingTable()
-    own = poses and (poses.time, np.hstack([poses.position, poses.orientation]))
+    own = None
+    if poses is not None:
+        own = poses.time, np.hstack([poses.position, poses.orientation])
     try:
         found = inspect_raw(recording.marked, setup.sensor, setup.rod, poses=own)
     except ValueError as error:
@@ -202,7 +204,8 @@ def _streams(file: Path, stated: RecordingTable | None) -> Streams:
             beside = file.parent / table.pose_file.replace("{name}", file.stem)
             poses = _columns(beside, kind_of(beside), table.model_copy(update=update))
         if kind is Kind.BAG:
-            return bags.streams(file, table, poses and layout.pose_stream(poses, table))
+            given = None if poses is None else layout.pose_stream(poses, table)
+            return bags.streams(file, table, given)
         exactly = COLUMNS if stated is None else ()
         return layout.streams(_columns(file, kind, table, exactly), table, poses)
     except ImportError as error:

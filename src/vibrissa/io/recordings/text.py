@@ -5,7 +5,6 @@ at.
 from collections.abc import Sequence
 from pathlib import Path
 from re import match
-from typing import NamedTuple
 
 from vibrissa.files import InputError, cells_of, check_header, numbers_of, reading, split, text_of
 from vibrissa.io.recordings.formats import Columns, matched
@@ -17,14 +16,6 @@ _DELIMITERS = ",;\t| "
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
 # Loggers put a few dozen lines before the names.
 _LONGEST_PREAMBLE = 200
-
-
-class _Header(NamedTuple):
-    """The line of names: its place, counted from 0, and what is in it."""
-
-    line: int
-    names: list[str]
-    delimiter: str
 
 
 def columns(
@@ -109,15 +100,17 @@ def _header(
     table: RecordingTable,
     wanted: Sequence[str],
     exactly: Sequence[str],
-) -> _Header:
-    """The first line with most of the names that are asked for, by the delimiter that gives most;
-    a comment, as NumPy writes it, only where it holds more of them than any other line.
+) -> tuple[int, list[str], str]:
+    """The line of names, counted from 0, its names, and the delimiter: the first line with most of
+    the names that are asked for, by the delimiter that gives most; a comment, as NumPy writes it,
+    only where it holds more of them than any other line.
     """
     delimiters = table.delimiter or _DELIMITERS.replace(table.decimal, "")
     if exactly:
         stated = match(r'"?sep=(.)', lines[0]) if lines else None
         delimiters = stated[1] if stated else ","
-    best, most, skip = None, (-1, False), table.skip_lines
+    best: tuple[int, list[str], str] | None = None
+    most, skip = (-1, False), table.skip_lines
     for number, line in enumerate(lines[skip : skip + _LONGEST_PREAMBLE], skip):
         is_plain = not line.lstrip().startswith(_COMMENTS)
         names_only = line.lstrip("#% \t")
@@ -127,7 +120,7 @@ def _header(
                 names.pop()
             score = len(matched(wanted, names)), is_plain
             if score > most:
-                best, most = _Header(number, names, delimiter), score
+                best, most = (number, names, delimiter), score
     if best is None:
         raise InputError(
             f"{file}: {f'{len(lines)} lines' if lines else 'empty'}; allowed is CSV with the "

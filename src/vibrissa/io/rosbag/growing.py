@@ -17,7 +17,7 @@ that loses power: nothing waits for the disk.
 
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -220,10 +220,10 @@ class GrowingFile:
 
 def packed(*some: records.McapRecord) -> bytes:
     """Records as they stand in a file."""
-    stream = RecordBuilder()
+    stream: Any = RecordBuilder()
     for record in some:
         record.write(stream)
-    return stream.end()
+    return bytes(stream.end())
 
 
 def _footer(index_start: int) -> bytes:

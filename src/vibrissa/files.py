@@ -1,11 +1,18 @@
-"""What every reader of files needs: errors in one line, and tables of numbers."""
+"""What every reader of files needs: errors in one line, and tables of text."""
 
+import csv
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
+
+if TYPE_CHECKING:
+    import pandas
 
 _LONGEST = 1600  # letters of a message: half a screen
 LARGEST = 1e12
@@ -24,6 +31,21 @@ class InputError(ValueError):
         )
 
 
+@contextmanager
+def reading(file: Path, what: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into an `InputError` of one line that names
+    the file; a missing library stays an `ImportError`.
+    """
+    try:
+        yield
+    except (InputError, ImportError):
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{file}: damaged {what} ({str(error)[:200]}); allowed is a whole file of {what}"
+        ) from error
+
+
 def readable(path: Path) -> Path:
     """Return the path; raise InputError unless it is a file that can be opened."""
     try:
@@ -36,13 +58,190 @@ def readable(path: Path) -> Path:
         ) from error
 
 
+def text_of(file: Path, encoding: str = "utf-8-sig") -> str:
+    """Content of a text file; raise InputError if it cannot be read or has another encoding."""
+    try:
+        return readable(file).read_text(encoding=encoding)
+    except UnicodeError as error:
+        name = encoding.removesuffix("-sig").upper()
+        raise InputError(f"{file}: not a text file ({error}); allowed is CSV in {name}") from error
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Cells of one line, quoted or not; several spaces part as one does."""
+    return next(csv.reader([line.strip(" ")], delimiter=delimiter, skipinitialspace=True), [""])
+
+
+def check_header(
+    file: Path,
+    names: Sequence[str],
+    columns: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    line: int = 1,
+    any_order: bool = False,
+    hint: str = "",
+) -> None:
+    """Raise InputError unless these are the names of the columns, each once and in this order; the
+    message names their line and ends with the hint.
+    """
+    own = [name for name in names if name not in optional]
+    count = Counter(names)
+    wrong = {
+        "missing": [name for name in columns if name not in count],
+        "unknown": [name for name in dict.fromkeys(own) if name not in columns],
+        "twice": [name for name in (*columns, *optional) if count[name] > 1],
+    }
+    findings = [f"{word} {', '.join(found)}" for word, found in wrong.items() if found]
+    if not findings and not any_order and own != list(columns):
+        findings = ["another order"]
+    if findings:
+        more = f", and optionally {','.join(optional)}" if optional else ""
+        raise InputError(
+            f"{file}, line {line}: columns: {', '.join(findings)[:200]}; "
+            f"allowed are {','.join(columns)}{more}{hint}"
+        )
+
+
+def cells_of(
+    file: Path,
+    text: str,
+    names: Sequence[str],
+    *,
+    delimiter: str = ",",
+    decimal: str = ".",
+    skip: int = 1,
+    comments: tuple[str, ...] | None = None,
+) -> "pandas.DataFrame":
+    """Cells of a text, by pandas: numbers where all of a column are, else texts. Columns are counted
+    from 0, rows named by their lines, from 1.
+
+    Parameters
+    ----------
+    file, text
+        For messages, and its content.
+    names
+        Of the columns.
+    delimiter, decimal
+        What separates cells, and the decimal sign. Delimiters behind the last cell and empty rows
+        at the end are ignored.
+    skip
+        Lines before the first row.
+    comments
+        What comments begin with, which are skipped as blank lines are; None where every line has to
+        be a row.
+
+    Raises
+    ------
+    InputError
+        If there is no row, a line holds another number of cells, or the last one is cut off: it has
+        no line end, and fewer digits in its last cell than the line above.
+    """
+    import pandas as pd  # noqa: PLC0415
+
+    lines, count = text.splitlines(), len(names)
+    rows: dict[int, str] = {}
+    stop = len(lines)
+    while stop > skip and not lines[stop - 1].strip(f'{delimiter}" \t'):
+        stop -= 1
+    for number, whole in enumerate(lines[skip:stop], skip + 1):
+        line = whole.rstrip(" ")
+        if comments is not None and (not line.strip() or line.lstrip().startswith(comments)):
+            continue
+        quoted = '"' in line or delimiter == " "
+        cells = len(split(line, delimiter)) if quoted else line.count(delimiter) + 1
+        while cells > count and line.endswith(delimiter):
+            line, cells = line.removesuffix(delimiter).rstrip(" "), cells - 1
+        if cells != count:
+            raise InputError(
+                f"{file}, line {number}: {cells} of {count} columns, the line is truncated or "
+                f"damaged; allowed are {count} numbers a line"
+            )
+        rows[number] = line
+    if not rows:
+        raise InputError(f"{file}: no rows; allowed is at least one sample")
+    last, above = [*reversed(rows.values()), ""][:2]
+    ends = [line.rpartition(delimiter)[2].strip().lstrip("-") for line in (last, above)]
+    if not text.endswith(("\n", "\r")) and stop in rows and len(ends[0]) < len(ends[1]):
+        raise InputError(
+            f"{file}, line {stop}: {names[-1]} = {ends[0]!r}, the last line is truncated: no line "
+            "end, and fewer digits than above; allowed are complete lines"
+        )
+    frame = pd.read_csv(
+        StringIO("\n".join(rows.values())),
+        sep=r"\s+" if delimiter == " " else delimiter,
+        decimal=decimal,
+        header=None,
+        na_filter=False,
+        skipinitialspace=True,
+        skip_blank_lines=False,
+        low_memory=False,
+    )
+    if len(frame) != len(rows):
+        raise ValueError("a quote is not closed")
+    return frame.set_axis(list(rows))
+
+
+def numbers_of(
+    file: Path,
+    name: str,
+    cells: "pandas.Series[Any]",
+    *,
+    missing: Sequence[str] = (),
+    decimal: str = ".",
+    dates: bool = False,
+    hint: str = "",
+) -> Float[np.ndarray, "rows"]:
+    """Floats of the cells of a column; of dates of ISO 8601 the seconds since 1970.
+
+    Parameters
+    ----------
+    file, name
+        For messages.
+    cells
+        Numbers or texts by line.
+    missing
+        Words in small letters for numbers that are missing, which become NaN.
+    decimal
+        Decimal sign.
+    dates
+        Whether they are dates.
+    hint
+        What is said where a number holds a comma.
+
+    Raises
+    ------
+    InputError
+        If a cell is no number.
+    """
+    import pandas as pd  # noqa: PLC0415
+
+    if cells.dtype.kind in "iuf" and not dates:
+        return cells.to_numpy(np.float64)
+    texts = cells.astype(str).str.strip()
+    known = texts[~texts.str.lower().isin(missing)]
+    if dates:
+        moments = pd.to_datetime(known, format="ISO8601", utc=True, errors="coerce")
+        numbers = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    else:
+        points = known if decimal == "." else known.replace({r"\.": "?", ",": "."}, regex=True)
+        numbers = pd.to_numeric(points, errors="coerce").astype(float)
+    bad = known[numbers.isna() & ~known.str.lower().isin(("nan", "-nan"))]
+    if len(bad):
+        allowed = "a date of ISO 8601" if dates else "a number"
+        raise InputError(
+            f"{file}, line {bad.index[0]}: {name} = {bad.iloc[0][:40]!r}; allowed is {allowed}"
+            + hint * ("," in bad.iloc[0])
+        )
+    return numbers.reindex(cells.index).to_numpy(np.float64)
+
+
 def read_table(
     file: Path,
     columns: Sequence[str],
     *,
     optional: Sequence[str] = (),
     any_order: bool = False,
-    finite: bool = True,
 ) -> dict[str, np.ndarray]:
     """Numbers (rows,) by column from a CSV file whose first line names the columns.
 
@@ -56,48 +255,31 @@ def read_table(
         Names that may be there besides.
     any_order
         Whether the columns may come in another order than that of `columns`.
-    finite
-        Whether numbers have to be finite and at most 1e12.
 
     Raises
     ------
     InputError
         If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is
-        short or cut off, or a cell is not a number that is allowed.
+        short or cut off, or a cell is not a finite number of at most 1e12.
     """
-    text = text_of(readable(file))
-    first, *lines = text.rstrip("\r\n ").splitlines() or [""]
+    text = text_of(file)
+    first = text.partition("\n")[0].strip()
     if not first:
         raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(columns)}")
-    names = _header(file, first, columns, optional, any_order=any_order)
-    if not lines:
-        raise InputError(f"{file}: no rows; allowed is at least one sample")
-    check_last_line(file, text, [first, *lines], names)
-    numbers = []
-    for number, line in enumerate(lines, start=2):
-        cells = line.split(",")
-        if len(cells) != len(names):
+    names = [name.strip() for name in first.split(",")]
+    check_header(file, names, columns, optional, any_order=any_order)
+    with reading(file, "text"):
+        cells = cells_of(file, text, names)
+    table = {name: numbers_of(file, name, cells[place]) for place, name in enumerate(names)}
+    for name, numbers in table.items():
+        bad = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
+        if len(bad):
             raise InputError(
-                f"{file}, line {number}: {len(cells)} of {len(names)} columns, the line is "
-                f"truncated or damaged; allowed are {len(names)} numbers a line"
+                f"{file}, line {cells.index[bad[0]]}: {name} = {numbers[bad[0]]:g} "
+                f"({len(bad)} of {len(cells)} rows hold such); "
+                f"allowed are finite numbers up to {LARGEST:g}"
             )
-        for name, cell in zip(names, cells, strict=True):
-            try:
-                numbers.append(float(cell.replace("_", "?")))
-            except ValueError:
-                raise InputError(
-                    f"{file}, line {number}: {name} = {cell.strip()[:40]!r}; allowed is a number"
-                ) from None
-    table = np.array(numbers).reshape(-1, len(names))
-    bad = np.argwhere(~(np.abs(table) <= LARGEST)) if finite else np.empty((0, 2))
-    if len(bad):
-        row, column = bad[0]
-        raise InputError(
-            f"{file}, line {row + 2}: {names[column]} = {table[row, column]:g} "
-            f"({len({*bad[:, 0]})} of {len(table)} rows hold such); "
-            f"allowed are finite numbers up to {LARGEST:g}"
-        )
-    return dict(zip(names, table.T, strict=True))
+    return table
 
 
 def check_increasing(file: Path, time: Float[np.ndarray, "rows"]) -> None:
@@ -108,67 +290,4 @@ def check_increasing(file: Path, time: Float[np.ndarray, "rows"]) -> None:
         raise InputError(
             f"{file}, line {row + 3}: time = {time[row + 1]} after {time[row]} "
             f"({len(falling)} such); allowed are increasing times"
-        )
-
-
-def text_of(file: Path) -> str:
-    """Content of a text file in UTF-8; raise InputError if it is not."""
-    try:
-        return file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{file}: not a text file ({error.reason} at byte {error.start}); "
-            "allowed is CSV in UTF-8"
-        ) from error
-
-
-def _header(
-    file: Path, line: str, columns: Sequence[str], optional: Sequence[str], *, any_order: bool
-) -> list[str]:
-    names = [name.strip() for name in line.split(",")]
-    own = [name for name in names if name not in optional]
-    count = Counter(names)
-    wrong = {
-        "missing": [name for name in columns if name not in count],
-        "unknown": sorted({*own} - {*columns}, key=own.index),
-        "twice": [name for name in (*columns, *optional) if count[name] > 1],
-    }
-    findings = [f"{word} {', '.join(found)}" for word, found in wrong.items() if found]
-    if not findings and not any_order and own != list(columns):
-        findings = ["another order"]
-    if findings:
-        more = f", and optionally {','.join(optional)}" if optional else ""
-        raise InputError(
-            f"{file}, line 1: columns: {', '.join(findings)[:200]}; "
-            f"allowed are {','.join(columns)}{more}"
-        )
-    return names
-
-
-def check_last_line(
-    file: Path,
-    text: str,
-    lines: Sequence[str],
-    names: Sequence[str],
-    *,
-    delimiter: str = ",",
-    first: int = 1,
-) -> None:
-    """A last line without its end may have lost digits: then its last number is shorter than the
-    one above it.
-
-    Raises
-    ------
-    InputError
-        If it is; `first` is the number of the first of the lines in the text.
-    """
-    if text.endswith(("\n", "\r")) or len(lines) < 3:
-        return
-    above, last = (line.split(delimiter) for line in lines[-2:])
-    digits = [len(cells[-1].strip().lstrip("-")) for cells in (above, last)]
-    if len(last) == len(names) and digits[1] < digits[0]:
-        raise InputError(
-            f"{file}, line {first + len(lines) - 1}: {names[-1]} = {last[-1].strip()!r}, the last "
-            "line is truncated: no line end, and fewer digits than above; "
-            "allowed are complete lines"
         )

@@ -22,8 +22,7 @@ from rosbags.rosbag2 import Reader
 
 import vibrissa as vb
 from vibrissa.io import InputError, RecordingWarning
-from vibrissa.io.recordings import mcap
-from vibrissa.io.recordings.messages import Bag
+from vibrissa.io.recordings import containers
 
 TABLE = np.genfromtxt(RECORDING.splitlines()[1:], delimiter=",")
 
@@ -35,11 +34,10 @@ def setup(tmp_path_factory: pytest.TempPathFactory) -> vb.Setup:
     return vb.load_setup(file)
 
 
-def bag_of(folder: Path, content: bytes) -> Bag:
-    file, bag = folder / "a.mcap", Bag()
+def bag_of(folder: Path, content: bytes) -> containers.Bag:
+    file = folder / "a.mcap"
     file.write_bytes(content)
-    mcap.read(file, bag)
-    return bag
+    return containers.bag_of(file)
 
 
 @pytest.mark.parametrize("packing", ["none", "plain", "zstd", "lz4"])

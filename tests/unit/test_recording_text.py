@@ -133,7 +133,7 @@ def test_a_unit_that_is_not_known_is_no_si_unit(tmp_path: Path) -> None:
         for name, column in zip(NAMES, TABLE.T, strict=True):
             opened[name] = column
         opened["fx"].attrs["units"] = "slugs"
-    with pytest.raises(InputError, match="the file says that 'fx' is in 'slugs'; known are N, mN"):
+    with pytest.raises(InputError, match="the file says that force is in 'slugs'; known are N, mN"):
         vb.read_recording(tmp_path / "a.h5", load(tmp_path))
     vb.read_recording(tmp_path / "a.h5", load(tmp_path, LAYOUT))
 

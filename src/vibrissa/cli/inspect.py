@@ -4,7 +4,7 @@ import json
 import math
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -45,7 +45,7 @@ def inspect(
     if as_json:
         typer.echo(json.dumps(summary, indent=1, allow_nan=False))
     else:
-        _print(found, loaded, summary)
+        _print(found, summary)
     if found.unusable:
         raise typer.Exit(1)
 
@@ -75,76 +75,67 @@ def _said(recording: Path, found: "Inspection", loaded: "Setup") -> list[str]:
     return said
 
 
-def _summary(found: "Inspection", loaded: "Setup") -> dict[str, object]:
+def _summary(found: "Inspection", loaded: "Setup") -> dict[str, Any]:
+    """What is printed, for JSON, which knows no NaN."""
     from vibrissa.sensor import CHANNEL_UNITS, CHANNELS  # noqa: PLC0415
 
-    sensor, first = loaded.sensor, float(found.cleaned.time[0])
-    stated = sensor.reading_variance**0.5 if sensor.force_noise is not None else [None] * 6
-    tare = found.tare
-    return {
+    sensor, tare, nothing = loaded.sensor, found.tare, [None] * 6
+    channels = zip(
+        nothing if tare is None else tare.offset,
+        found.noise,
+        nothing if sensor.force_noise is None else sensor.reading_variance**0.5,
+        found.drift,
+        found.drift_deviation,
+        CHANNEL_UNITS,
+        strict=True,
+    )
+    names = ("tare", "noise", "stated_noise", "drift", "drift_standard_deviation", "unit")
+    mount = None if tare is None else tare.mount
+    first, last = map(float, found.cleaned.time[[0, -1]])
+    of_fault = ("kind", "channels", "start", "stop", "count", "unusable", "text")
+    summary = {
         "rows": len(found.usable),
         "usable_rows": int(found.usable.sum()),
         "usable": not found.unusable,
         "start": first,
-        "duration": float(found.cleaned.time[-1]) - first,
-        "rate": _number(found.rate),
+        "duration": last - first,
+        "rate": found.rate,
         "channels": {
-            name: {
-                "tare": _number(tare.offset[channel]) if tare is not None else None,
-                "noise": _number(found.noise[channel]),
-                "stated_noise": _number(stated[channel]),
-                "drift": _number(found.drift[channel]),
-                "drift_standard_deviation": _number(found.drift_deviation[channel]),
-                "unit": CHANNEL_UNITS[channel],
-            }
-            for channel, name in enumerate(CHANNELS)
+            channel: dict(zip(names, numbers, strict=True))
+            for channel, numbers in zip(CHANNELS, channels, strict=True)
         },
-        "tare": None
-        if tare is None
-        else {
-            "found": tare.found,
-            "intervals": [list(part) for part in tare.intervals],
-            "rows": list(tare.counts),
-        },
-        "rest": [list(part) for part in found.rest.intervals],
-        "mount": None
-        if tare is None or tare.mount is None
-        else {"mass": tare.mount.mass, "center": list(tare.mount.center)},
-        "single_contact_misfit": _number(found.single_contact_misfit),
-        "notes": list(found.notes),
-        "counts": dict(Counter(str(fault.kind) for fault in found.faults)),
-        "faults": [
-            {
-                "kind": str(fault.kind),
-                "channels": list(fault.channels),
-                "start": _number(fault.start),
-                "stop": _number(fault.stop),
-                "count": fault.count,
-                "unusable": fault.unusable,
-                "text": fault.text,
-            }
-            for fault in found.faults
-        ],
+        "tare": tare and {"found": tare.found, "intervals": tare.intervals, "rows": tare.counts},
+        "rest": found.rest.intervals,
+        "mount": mount and {"mass": mount.mass, "center": mount.center},
+        "single_contact_misfit": found.single_contact_misfit,
+        "notes": found.notes,
+        "counts": Counter(str(fault.kind) for fault in found.faults),
+        "faults": [{name: getattr(fault, name) for name in of_fault} for fault in found.faults],
     }
+    return {name: _plain(value) for name, value in summary.items()}
 
 
-def _number(value: object) -> float | None:
-    """A number for JSON, which knows no NaN."""
-    return None if value is None or not math.isfinite(float(str(value))) else float(str(value))
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value
 
 
-def _print(found: "Inspection", loaded: "Setup", summary: dict[str, object]) -> None:
+def _print(found: "Inspection", summary: dict[str, Any]) -> None:
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
-
-    from vibrissa.sensor import CHANNELS  # noqa: PLC0415
 
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=160)
-    first, sensor = float(found.cleaned.time[0]), loaded.sensor
+    first = summary["start"]
     lines = [
-        f"{summary['rows']} rows over {summary['duration']:.4g} s, {found.rate:.5g} a second; {summary['usable_rows']} usable",
+        f"{summary['rows']} rows over {summary['duration']:.4g} s, {found.rate:.5g} a second; "
+        f"{summary['usable_rows']} usable",
         *found.notes,
         _tare_line(found, first),
     ]
@@ -152,42 +143,52 @@ def _print(found: "Inspection", loaded: "Setup", summary: dict[str, object]) -> 
         x, y, z = (1e3 * part for part in found.tare.mount.center)
         how = "estimated" if found.tare.mount.estimated else "given"
         lines.append(
-            f"mount, {how}: {1e3 * found.tare.mount.mass:.4g} g at ({x:.3g}, {y:.3g}, {z:.3g}) mm of the sensor frame"
+            f"mount, {how}: {1e3 * found.tare.mount.mass:.4g} g at ({x:.3g}, {y:.3g}, {z:.3g}) mm "
+            "of the sensor frame"
         )
     if math.isfinite(found.single_contact_misfit):
         lines.append(
-            f"m0·f0 = 0 is violated by {found.single_contact_misfit:.2f} standard deviations in the median (0.67 is noise alone)"
+            f"m0·f0 = 0 is violated by {found.single_contact_misfit:.2f} standard deviations in "
+            "the median (0.67 is noise alone)"
         )
     for line in lines:
         console.print(line, soft_wrap=True, markup=False)
-    table = Table()
-    for name in (
-        "channel",
-        "tare",
-        "noise at rest",
-        "stated",
-        "drift a second",
-        "± one standard deviation",
-    ):
-        table.add_column(name, justify="left" if name == "channel" else "right")
-    for channel, name in enumerate(CHANNELS):
-        factor, unit = (1e3, "mN") if channel < 3 else (1e6, "µN m")
-        stated = sensor.reading_variance[channel] ** 0.5 if sensor.force_noise is not None else None
-        tare = None if found.tare is None else found.tare.offset[channel]
-        numbers = (
-            tare,
-            found.noise[channel],
-            stated,
-            found.drift[channel],
-            found.drift_deviation[channel],
-        )
-        table.add_row(
-            f"{name} [{unit}]",
-            *(_shown(value, factor) for value in numbers),
-            end_section=channel == 2,
-        )
+    table = Table("channel")
+    for name in ("tare", "noise at rest", "stated", "drift a second", "± one standard deviation"):
+        table.add_column(name, justify="right")
+    for number, (channel, values) in enumerate(summary["channels"].items()):
+        factor, unit = (1e3, "mN") if number < 3 else (1e6, "µN m")
+        cells = [
+            "–" if value is None else f"{factor * value:.4g}"
+            for name, value in values.items()
+            if name != "unit"
+        ]
+        table.add_row(f"{channel} [{unit}]", *cells, end_section=number == 2)
     console.print(table, markup=False)
-    _print_faults(found, first)
+    if not found.faults:
+        console.print("no faults found")
+        return
+    table = Table("finding", "channels")
+    for name in ("from [s]", "to [s]", "count"):
+        table.add_column(name, justify="right")
+    table.add_column("what", ratio=1, overflow="fold")
+    seen: Counter[str] = Counter()
+    for fault in found.faults:
+        kind = str(fault.kind)
+        seen[kind] += 1
+        if seen[kind] <= _SHOWN or fault.unusable:
+            table.add_row(
+                f"{kind} (UNUSABLE)" if fault.unusable else kind,
+                ", ".join(fault.channels),
+                f"{fault.start - first:.4g}",
+                f"{fault.stop - first:.4g}",
+                str(fault.count),
+                fault.text,
+            )
+    console.print(table, markup=False)
+    for kind, count in seen.items():
+        if count > _SHOWN:
+            console.print(f"and {count - _SHOWN} more of {kind}: --json lists all", markup=False)
 
 
 def _tare_line(found: "Inspection", first: float) -> str:
@@ -198,44 +199,6 @@ def _tare_line(found: "Inspection", first: float) -> str:
         for (start, stop), count in zip(found.tare.intervals, found.tare.counts, strict=True)
     ]
     return f"tare {found.tare.found}" + (": " + ", ".join(parts) if parts else "")
-
-
-def _shown(value: float | None, factor: float) -> str:
-    return "–" if value is None or not math.isfinite(value) else f"{factor * value:.4g}"
-
-
-def _print_faults(found: "Inspection", first: float) -> None:
-    from rich.console import Console  # noqa: PLC0415
-    from rich.table import Table  # noqa: PLC0415
-
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=160)
-    if not found.faults:
-        console.print("no faults found")
-        return
-    table = Table()
-    for name in ("finding", "channels", "from [s]", "to [s]", "count"):
-        table.add_column(name, justify="left" if name in {"finding", "channels"} else "right")
-    table.add_column("what", ratio=1, overflow="fold")
-    left: Counter[str] = Counter()
-    for fault in found.faults:
-        kind = str(fault.kind)
-        left[kind] += 1
-        if left[kind] <= _SHOWN or fault.unusable:
-            word = f"{kind} (UNUSABLE)" if fault.unusable else kind
-            table.add_row(
-                word,
-                ", ".join(fault.channels),
-                f"{fault.start - first:.4g}",
-                f"{fault.stop - first:.4g}",
-                str(fault.count),
-                fault.text,
-            )
-    console.print(table, markup=False)
-    for kind, count in left.items():
-        if count > _SHOWN:
-            console.print(f"and {count - _SHOWN} more of {kind}: --json lists all", markup=False)
 
 
 def _draw(found: "Inspection", loaded: "Setup", path: Path) -> None:

@@ -37,11 +37,12 @@ class ContactTable(Table):
 class CaseFile(Table):
     """The whole file."""
 
-    rod: RodTable
-    object: ObjectTable
+    rod: RodTable  # type: ignore[valid-type]
+    object: ObjectTable  # type: ignore[valid-type]
     contact: ContactTable = ContactTable()
     trail: Annotated[
-        list[TrailTable], Field(min_length=1, description="at least one table [[trail]]")
+        list[TrailTable],  # type: ignore[valid-type]
+        Field(min_length=1, description="at least one table [[trail]]"),
     ]
 
     @model_validator(mode="after")

@@ -1,20 +1,15 @@
 """TOML files as tables: what a key may hold, and the one line that says what is wrong."""
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from inspect import signature
 from pathlib import Path
 from reprlib import repr as shortened
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    WrapValidator,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, WrapValidator, create_model
 from pydantic_core import ErrorDetails
 
 from vibrissa.files import InputError, readable
@@ -34,7 +29,7 @@ def _in_one(value: object, check: Callable[[object], object]) -> object:
 
 
 IN_ONE = WrapValidator(_in_one)
-"""For a choice of types: one finding, with the whole value, where it is none of them."""
+"""For a union of types: one error, with the whole value, where no type fits."""
 
 Positive = Annotated[float, number("a number greater than 0", gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, number("a number of at least 0", ge=0, allow_inf_nan=False)]
@@ -92,41 +87,44 @@ def _built(value: Any, folder: Path) -> Any:
     return folder / value if isinstance(value, Path) else value
 
 
-class CylinderRod(Table):
-    """A wire of circular section, SI units."""
-
-    noun = Rod.cylinder
-    kind: Literal["cylinder"]
-    length: Positive
-    radius: Positive
-    youngs_modulus: Positive
-    density: Positive | None = None
-    yield_strain: Positive | None = None
-
-
-class UniformRod(Table):
-    """A rod by its stiffness, SI units."""
-
-    noun = Rod
-    kind: Literal["uniform"]
-    length: Positive
-    bending_stiffness: Positive
-    radius: Positive | None = None
-    linear_density: Positive | None = None
-    yield_strain: Positive | None = None
+def table_of(
+    noun: Callable[..., Any], types: Mapping[str, Any], kind: str = "", base: type[Table] = Table
+) -> Any:
+    """Model of a table whose keys are those arguments of the noun that have a type; they may be
+    left out where the noun has a default. A kind tells it from other tables by its key `kind`.
+    """
+    fields: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
+    for name, argument in signature(noun).parameters.items():
+        if name in types:
+            needed = argument.default is argument.empty
+            fields[name] = (types[name], ...) if needed else (types[name] | None, None)
+    model = create_model(kind or noun.__name__, __base__=base, **fields)
+    model.noun = noun
+    return model
 
 
-class UnitRod(Table):
-    """The model's units, L = EI = 1."""
+def one_of(tables: Iterable[type[Table]]) -> Any:
+    """A choice of tables, by their key `kind`."""
+    choice = tuple(tables)
+    *names, last = (name for table in choice for name in _kinds(table))
+    description = f"{', '.join(names)} or {last}"
+    return Annotated[Union[choice], Field(discriminator="kind", description=description)]  # noqa: UP007
 
-    noun = Rod.unit
-    kind: Literal["unit"]
 
-
-RodTable = Annotated[
-    CylinderRod | UniformRod | UnitRod,
-    Field(discriminator="kind", description="cylinder, uniform or unit"),
-]
+# A wire of circular section, a rod by its stiffness (SI), and the model's units, L = EI = 1.
+_RODS = {"cylinder": Rod.cylinder, "uniform": Rod, "unit": Rod.unit}
+_ROD = dict.fromkeys(
+    (
+        "length",
+        "radius",
+        "youngs_modulus",
+        "bending_stiffness",
+        "density",
+        "linear_density",
+        "yield_strain",
+    ),
+    Positive,
+)
 
 
 def load(path: str | Path, model: type[Table]) -> Any:
@@ -218,6 +216,9 @@ def _place(
 
 
 def _kinds(table: Any) -> tuple[str, ...]:
-    """Values of the key `kind` by which a table is told from others; none for what has no such."""
+    """Values of the discriminating key `kind`; empty for anything without one."""
     kind = getattr(table, "model_fields", {}).get("kind")
     return get_args(kind.annotation) if kind else ()
+
+
+RodTable = one_of(table_of(noun, _ROD, kind) for kind, noun in _RODS.items())

@@ -1,15 +1,16 @@
-"""Contacts to PLY, CSV or NetCDF and back, by the file's suffix."""
+"""Contacts to PLY, CSV, Parquet or NetCDF and back, by the file's suffix."""
 
-from collections.abc import Callable, Sequence
-from io import StringIO
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from vibrissa.contacts import ContactKind, Status
-from vibrissa.files import InputError, readable, text_of
+from vibrissa.contacts import ContactKind, Contacts, Status
+from vibrissa.files import InputError, cells_of, numbers_of, readable, reading, text_of
+from vibrissa.forward.result import Scan
 from vibrissa.inverse import Reconstruction
 from vibrissa.io.errors import writable
 
@@ -17,24 +18,20 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-SUFFIXES = (".ply", ".csv", ".nc")
+SUFFIXES = (".ply", ".csv", ".nc", ".parquet")
 PLACE = ("x", "y", "z", "nx", "ny", "nz", "arc_length")
 COVARIANCE = ("cxx", "cxy", "cxz", "cyy", "cyz", "czz")
 """Upper triangle, row by row."""
 COLUMNS = ("time", *PLACE, "kind", "status", *COVARIANCE)
 VERTEX = np.dtype(
-    [
-        *((name, "<f8") for name in (*PLACE, "standard_deviation")),
-        ("kind", "u1"),
-        ("status", "u1"),
-    ]
+    {
+        "names": (*PLACE, "standard_deviation", "kind", "status"),
+        "formats": ["<f8"] * 8 + ["u1"] * 2,
+    }
 )
-"""A point of a PLY file; its standard deviation is that of the whole vector."""
-_NEEDED = {
-    ".ply": set(VERTEX.names or ()) - {"standard_deviation"},
-    ".csv": set(COLUMNS),
-    ".nc": {"contact_point", "normal", "arc_length", "kind", "status"},
-}
+"""A point of a PLY file; its standard deviation is that of the whole vector, NaN where the noise is
+not known.
+"""
 _BLOCK = 8192  # rows between two words on progress: some tens of milliseconds
 
 
@@ -42,38 +39,41 @@ def checked_output(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Pa
     """Return the path; raise InputError unless its suffix is known and its folder can be written
     to.
     """
-    return writable(_check_suffix(Path(path), suffixes))
+    _suffix(Path(path), suffixes)
+    return writable(Path(path))
 
 
-def _check_suffix(file: Path, suffixes: tuple[str, ...]) -> Path:
+def _suffix(file: Path, suffixes: tuple[str, ...] = SUFFIXES) -> str:
     if file.suffix.lower() not in suffixes:
         raise InputError(f"{file}: suffix {file.suffix!r}; allowed are {', '.join(suffixes)}")
-    return file
+    return file.suffix.lower()
 
 
 def write_contacts(
-    path: str | Path, found: Reconstruction, *, progress: Callable[[float], None] | None = None
+    path: str | Path,
+    found: Reconstruction | Scan,
+    *,
+    progress: Callable[[float], None] | None = None,
 ) -> Path:
-    """Write contacts as PLY (points with normals), CSV (one row a sample) or NetCDF (everything),
-    by the suffix; units of the rod.
+    """Write the contacts of a reconstruction or a scan as PLY (points with normals), CSV or Parquet
+    (one row a sample) or NetCDF (everything), by the suffix; units of the rod.
 
-    In CSV and PLY a row whose point is not finite is a row without contact, and its status is never
-    OK. `progress` is told the share of the rows written to CSV.
+    In CSV, Parquet and PLY a row whose point is not finite is a row without contact, and its status
+    is never OK. `progress` is called with the share of rows written to CSV.
 
     Raises
     ------
     InputError
-        If the suffix is another, or the folder cannot be written to.
+        If the suffix is another, or the file cannot be written.
     """
-    file = checked_output(path)
-    match file.suffix.lower():
-        case ".ply":
-            _written(file, lambda: _write_ply(file, found))
-        case ".csv":
-            _written(file, lambda: _write_csv(file, found, progress))
-        case _:
-            write_dataset(file, found.to_dataset())
-    return file
+    file, unit = checked_output(path), "metre" if found.rod.units == "SI" else "rod length"
+    writers: dict[str, Callable[[], object]] = {
+        ".ply": lambda: cloud(vertices(found, known(found)), unit).write(str(file)),
+        ".csv": lambda: _write_csv(file, _table(found), progress),
+        ".parquet": lambda: _table(found).to_parquet(file, index=False),
+        ".nc": lambda: found.to_dataset().to_netcdf(file, engine="h5netcdf"),
+    }
+    return _written(file, writers[_suffix(file)])
 
 
 def write_dataset(path: str | Path, dataset: "xarray.Dataset") -> Path:
@@ -82,14 +82,13 @@ def write_dataset(path: str | Path, dataset: "xarray.Dataset") -> Path:
     Raises
     ------
     InputError
-        If the suffix is not .nc, or the folder cannot be written to.
+        If the suffix is not .nc, or the file cannot be written.
     """
     file = checked_output(path, (".nc",))
-    _written(file, lambda: dataset.to_netcdf(file, engine="h5netcdf"))
-    return file
+    return _written(file, lambda: dataset.to_netcdf(file, engine="h5netcdf"))
 
 
-def _written(file: Path, write: Callable[[], object]) -> None:
+def _written(file: Path, write: Callable[[], object]) -> Path:
     try:
         write()
     except OSError as error:
@@ -97,10 +96,12 @@ def _written(file: Path, write: Callable[[], object]) -> None:
             f"{file}: cannot be written ({error.strerror or error}); "
             "allowed is a file that can be written"
         ) from error
+    return file
 
 
-def _write_csv(file: Path, found: Reconstruction, progress: Callable[[float], None] | None) -> None:
-    table = _table(found)
+def _write_csv(
+    file: Path, table: "pandas.DataFrame", progress: Callable[[float], None] | None
+) -> None:
     with file.open("w", newline="", encoding="utf-8") as stream:
         for first in range(0, max(len(table), 1), _BLOCK):
             table[first : first + _BLOCK].to_csv(
@@ -110,23 +111,20 @@ def _write_csv(file: Path, found: Reconstruction, progress: Callable[[float], No
                 progress(min(1.0, (first + _BLOCK) / max(len(table), 1)))
 
 
-def _table(found: Reconstruction) -> "pandas.DataFrame":
+def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
     """A row a sample, trails one after the other; NaN for what is not known."""
     import pandas  # noqa: PLC0415
 
-    there = known(found)
+    there, covariance, time = known(found), _covariance(found), found.reactions.time
     lost = found.in_contact & ~there & (found.status == Status.OK)
-    covariance = np.full((*there.shape, len(COVARIANCE)), np.nan)
-    if found.covariance is not None:
-        covariance = found.covariance[..., *np.triu_indices(3)]
-    values = np.concatenate(
-        [found.point, found.normal, found.arc_length[..., None], covariance], axis=-1
-    )
+    upper = np.full((*there.shape, 6), np.nan)
+    if covariance is not None:
+        upper = covariance[..., *np.triu_indices(3)]
+    numbers = [found.point, found.normal, found.arc_length[..., None], upper]
+    values = np.concatenate(numbers, axis=-1)
     values = np.where(there[..., None] & np.isfinite(values), values, np.nan)
-    table = pandas.DataFrame(
-        values.reshape(-1, values.shape[-1]), columns=[*PLACE, *COVARIANCE]
-    ).assign(
-        time=np.nan if found.reactions.time is None else found.reactions.time.reshape(-1),
+    table = pandas.DataFrame(values.reshape(there.size, -1), columns=[*PLACE, *COVARIANCE]).assign(
+        time=np.nan if time is None else time.reshape(-1),
         kind=np.where(there, found.kind, ContactKind.NONE).reshape(-1),
         # A contact without a place is never OK.
         status=np.where(lost, Status.NOT_CONVERGED, found.status).reshape(-1),
@@ -134,16 +132,22 @@ def _table(found: Reconstruction) -> "pandas.DataFrame":
     return table[list(COLUMNS)]
 
 
-def known(found: Reconstruction) -> Bool[np.ndarray, "*trail n"]:
+def _covariance(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3 3"] | None:
+    """Of the points; a scan has none."""
+    return getattr(found, "covariance", None)
+
+
+def known(found: Reconstruction | Scan) -> Bool[np.ndarray, "*trail n"]:
     """Rows (…) with a contact at a finite place."""
     return found.in_contact & np.isfinite(found.point).all(axis=-1)
 
 
-def deviations(found: Reconstruction) -> Float[np.ndarray, "*trail n 3"]:
+def deviations(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3"]:
     """Standard deviations along x, y, z; NaN where the noise is not known."""
-    if found.covariance is None:
+    covariance = _covariance(found)
+    if covariance is None:
         return np.full(found.point.shape, np.nan)
-    return np.sqrt(np.diagonal(found.covariance, axis1=-2, axis2=-1))
+    return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
 
 
 def structured(
@@ -157,20 +161,12 @@ def structured(
 
 
 def vertices(
-    found: Reconstruction, rows: Bool[np.ndarray, "*trail n"]
+    found: Reconstruction | Scan, rows: Bool[np.ndarray, "*trail n"]
 ) -> Shaped[np.ndarray, "contacts"]:
     """Contacts as PLY holds them."""
-    return structured(
-        VERTEX,
-        (
-            *found.point[rows].T,
-            *found.normal[rows].T,
-            found.arc_length[rows],
-            np.linalg.norm(deviations(found)[rows], axis=1),
-            found.kind[rows],
-            found.status[rows],
-        ),
-    )
+    spread = np.linalg.norm(deviations(found)[rows], axis=1)
+    place = (*found.point[rows].T, *found.normal[rows].T, found.arc_length[rows])
+    return structured(VERTEX, (*place, spread, found.kind[rows], found.status[rows]))
 
 
 def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> Any:
@@ -184,32 +180,22 @@ def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> 
     )
 
 
-def _write_ply(file: Path, found: Reconstruction) -> None:
-    from numpy.lib.recfunctions import drop_fields  # noqa: PLC0415
-
-    points = vertices(found, known(found))
-    if found.covariance is None:
-        points = drop_fields(points, "standard_deviation")
-    cloud(points, "metre" if found.rod.units == "SI" else "rod length").write(str(file))
-
-
-def read_contacts(path: str | Path) -> dict[str, Shaped[np.ndarray, "..."]]:
+def read_contacts(path: str | Path) -> Contacts:
     """Read contacts that `write_contacts` wrote.
 
     Parameters
     ----------
     path
-        PLY, CSV or NetCDF, by the suffix.
+        PLY, CSV, Parquet or NetCDF, by the suffix.
 
     Returns
     -------
-    dict
-        Arrays by the names that they have in the file, in its units. CSV: `time`, the point `x`,
-        `y`, `z`, the normal `nx`, `ny`, `nz`, `arc_length`, `kind`, `status` and the upper triangle
-        of the point's covariance `cxx` to `czz`, each (rows,), NaN where not known. PLY: the same
-        of the rows with a contact only, without time, and `standard_deviation` in place of the
-        covariance, where it was known. NetCDF: every variable of the dataset, over trails,
-        positions and axes as written.
+    Contacts
+        In the units of the file, with what it holds. CSV and Parquet: a row a sample, with the
+        covariance of the point and the time where they were known, NaN in rows without contact.
+        PLY: the rows with a contact only, without time and covariance. NetCDF: over trails and
+        positions as written, with the covariance of the normal and, of a scan, the direction of the
+        force.
 
     Raises
     ------
@@ -217,48 +203,57 @@ def read_contacts(path: str | Path) -> dict[str, Shaped[np.ndarray, "..."]]:
         If the suffix is another, or the file cannot be read, is damaged or lacks one of the names.
     """
     file = Path(path)
-    _check_suffix(file, SUFFIXES)
-    try:
-        columns = _columns_of(readable(file))
-    except InputError:
-        raise
-    except Exception as error:  # of three libraries, each with its own kinds
-        raise InputError(
-            f"{file}: damaged ({error}); allowed is a file that `write_contacts` wrote"
-        ) from error
-    missing = sorted(_NEEDED[file.suffix.lower()] - columns.keys())
-    if missing:
-        raise InputError(
-            f"{file}: {', '.join(missing)}: missing; allowed is a file that `write_contacts` wrote"
-        )
-    return columns
+    suffix = _suffix(file)
+    with reading(readable(file), "contacts"):
+        try:
+            return _of_dataset(file) if suffix == ".nc" else _of_table(_columns(file, suffix))
+        except KeyError as error:
+            raise InputError(
+                f"{file}: {error.args[0]}: missing; allowed is a file that `write_contacts` wrote"
+            ) from error
 
 
-def _columns_of(file: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
+def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
     """Values by name, as written."""
-    match file.suffix.lower():
-        case ".ply":
-            from plyfile import PlyData  # noqa: PLC0415
+    if suffix == ".ply":
+        from plyfile import PlyData  # noqa: PLC0415
 
-            points = PlyData.read(str(file))["vertex"].data
-            return {name: np.array(points[name]) for name in points.dtype.names}
-        case ".csv":
-            import pandas  # noqa: PLC0415
+        points = PlyData.read(str(file))["vertex"].data
+        return {name: points[name] for name in points.dtype.names}
+    if suffix == ".parquet":
+        import pandas  # noqa: PLC0415
 
-            text = text_of(file)
-            widths = {line.count(",") for line in text.splitlines()}
-            if not text.endswith("\n") or len(widths) > 1:
-                raise ValueError("a line is truncated")
-            # As text: pandas parses floats to the last digit by an option that not all have.
-            table = pandas.read_csv(StringIO(text), dtype=object, keep_default_na=False)
-            cells = table.replace("", "nan")
-            flags = {"kind", "status"}
-            return {
-                name: cells[name].to_numpy(np.int64 if name in flags else np.float64)
-                for name in cells
-            }
-        case _:
-            import xarray  # noqa: PLC0415
+        table = pandas.read_parquet(file)
+        return {name: table[name].to_numpy() for name in COLUMNS}
+    text = text_of(file)
+    names = text.partition("\n")[0].strip().split(",")
+    cells = cells_of(file, text, names)
+    return {
+        name: numbers_of(file, name, cells[place], missing=("",))
+        for place, name in enumerate(names)
+    }
 
-            with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as dataset:
-                return {str(name): part.to_numpy() for name, part in dataset.variables.items()}
+
+def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
+    def vectors(names: Sequence[str]) -> np.ndarray:
+        return np.stack([columns[name] for name in names], axis=-1)
+
+    given = {name: columns[name] for name in ("arc_length", "kind", "status")}
+    if "cxx" in columns:
+        # Rows of the matrix by their places in the upper triangle.
+        covariance = vectors(COVARIANCE)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        optional = {"time": columns["time"], "covariance": covariance}
+        given |= {name: part for name, part in optional.items() if not np.isnan(part).all()}
+    return Contacts(vectors(PLACE[:3]), vectors(PLACE[3:6]), **given)
+
+
+def _of_dataset(file: Path) -> Contacts:
+    import xarray  # noqa: PLC0415
+
+    with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+        own = {"point": "contact_point", "covariance": "contact_point_covariance"}
+        names = {field.name: own.get(field.name, field.name) for field in fields(Contacts)}
+        given = {field: data[name].to_numpy() for field, name in names.items() if name in data}
+        if given["kind"].ndim > 1:
+            given["sweep"] = np.indices(given["kind"].shape)[0]
+        return Contacts(**given)

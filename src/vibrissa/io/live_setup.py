@@ -29,7 +29,7 @@ class RdtTable(Table):
     """An Ethernet sensor that speaks RDT: counts for one newton and for one newton metre, records a
     second, whether it sends several a datagram.
 
-    `error_bits` are the status bits of which any one makes a sample invalid.
+    A sample is invalid if any of the status bits `error_bits` is set.
     """
 
     counts_per_force: Positive

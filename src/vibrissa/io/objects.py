@@ -1,4 +1,4 @@
-"""Objects as TOML tables, one class a kind: a surface's arguments, and where it is placed."""
+"""Objects as TOML tables: a surface's arguments, and where it is placed."""
 
 from math import pi
 from pathlib import Path
@@ -18,6 +18,8 @@ from vibrissa.io.config import (
     Table,
     Vector,
     number,
+    one_of,
+    table_of,
 )
 
 Exponent = Annotated[float, number("a number greater than 0 and at most 2", gt=0, le=2)]
@@ -38,115 +40,6 @@ class PlacedTable(Table):
         if (self.rotation, self.translation) == (NO_TURN, ORIGIN):
             return surface
         return surface.placed(self.rotation, self.translation)
-
-
-class ParaboloidTable(PlacedTable):
-    """Solid z > a x² + b y² + h."""
-
-    noun = surfaces.EllipticParaboloid
-    kind: Literal["elliptic_paraboloid"]
-    a: Finite
-    b: Finite
-    h: Finite
-
-
-class SphereTable(PlacedTable):
-    """A ball."""
-
-    noun = surfaces.Sphere
-    kind: Literal["sphere"]
-    center: Vector
-    radius: Positive
-
-
-class EllipsoidTable(PlacedTable):
-    """An ellipsoid with its axes along x, y, z before it is turned."""
-
-    noun = surfaces.Ellipsoid
-    kind: Literal["ellipsoid"]
-    center: Vector
-    semi_axes: Lengths
-
-
-class EllipticCylinderTable(PlacedTable):
-    """A cylinder without ends along y before it is turned."""
-
-    noun = surfaces.EllipticCylinder
-    kind: Literal["elliptic_cylinder"]
-    center: Vector
-    semi_axes: tuple[Positive, Positive]
-
-
-class PlaneTable(PlacedTable):
-    """A half space."""
-
-    noun = surfaces.Plane
-    kind: Literal["plane"]
-    point: Vector
-    normal: Vector
-
-
-class BoxTable(PlacedTable):
-    """A block with its edges along x, y, z before it is turned."""
-
-    noun = surfaces.Box
-    kind: Literal["box"]
-    center: Vector
-    half_extents: Lengths
-
-
-class CylinderTable(PlacedTable):
-    """A circular cylinder with flat ends."""
-
-    noun = surfaces.Cylinder
-    kind: Literal["cylinder"]
-    center: Vector
-    axis: Vector
-    radius: Positive
-    length: Positive
-
-
-class CapsuleTable(PlacedTable):
-    """A cylinder with hemispherical ends; the length is that of the straight part."""
-
-    noun = surfaces.Capsule
-    kind: Literal["capsule"]
-    center: Vector
-    axis: Vector
-    radius: Positive
-    length: Positive
-
-
-class ConeTable(PlacedTable):
-    """A circular cone; the axis runs from the centre of the base to the apex."""
-
-    noun = surfaces.Cone
-    kind: Literal["cone"]
-    center: Vector
-    axis: Vector
-    radius: Positive
-    height: Positive
-
-
-class TorusTable(PlacedTable):
-    """A ring."""
-
-    noun = surfaces.Torus
-    kind: Literal["torus"]
-    center: Vector
-    axis: Vector
-    major_radius: Positive
-    minor_radius: Positive
-
-
-class SuperquadricTable(PlacedTable):
-    """A superquadric with its axes along x, y, z before it is turned."""
-
-    noun = surfaces.Superquadric
-    kind: Literal["superquadric"]
-    center: Vector
-    semi_axes: Lengths
-    exponents: tuple[Exponent, Exponent]
 
 
 class MeshTable(PlacedTable):
@@ -174,49 +67,38 @@ class MeshTable(PlacedTable):
         return surfaces.Mesh.load(file, **options)
 
 
-class UnionTable(PlacedTable):
-    """Several objects as one; each part is the table of an object, placed in its own right."""
-
-    noun = surfaces.Union
-    kind: Literal["union"]
-    parts: Annotated[
-        list["ObjectTable"],
-        Field(
-            min_length=1,
-            description="a list of at least one object, each a table with its own kind",
-        ),
-    ]
-
-
-class OffsetTable(PlacedTable):
-    """An object grown by a radius on all sides."""
-
-    noun = surfaces.Offset
-    kind: Literal["offset"]
-    surface: "ObjectTable"
-    radius: Positive
-
-
-_KINDS = (
-    "elliptic_paraboloid, sphere, ellipsoid, elliptic_cylinder, plane, box, cylinder, capsule, "
-    "cone, torus, superquadric, mesh, union or offset"
-)
-ObjectTable = Annotated[
-    ParaboloidTable
-    | SphereTable
-    | EllipsoidTable
-    | EllipticCylinderTable
-    | PlaneTable
-    | BoxTable
-    | CylinderTable
-    | CapsuleTable
-    | ConeTable
-    | TorusTable
-    | SuperquadricTable
-    | MeshTable
-    | UnionTable
-    | OffsetTable,
-    Field(discriminator="kind", description=_KINDS),
+_PARTS = "a list of at least one object, each a table with its own kind"
+_TYPES = {
+    **dict.fromkeys("abh", Finite),
+    **dict.fromkeys(("center", "point", "normal", "axis"), Vector),
+    **dict.fromkeys(("radius", "length", "height", "major_radius", "minor_radius"), Positive),
+    **dict.fromkeys(("semi_axes", "half_extents"), Lengths),
+    "exponents": tuple[Exponent, Exponent],
+    "parts": Annotated[list["ObjectTable"], Field(min_length=1, description=_PARTS)],
+    "surface": "ObjectTable",
+}
+_KINDS = {
+    "elliptic_paraboloid": surfaces.EllipticParaboloid,
+    "sphere": surfaces.Sphere,
+    "ellipsoid": surfaces.Ellipsoid,
+    "elliptic_cylinder": surfaces.EllipticCylinder,
+    "plane": surfaces.Plane,
+    "box": surfaces.Box,
+    "cylinder": surfaces.Cylinder,
+    "capsule": surfaces.Capsule,
+    "cone": surfaces.Cone,
+    "torus": surfaces.Torus,
+    "superquadric": surfaces.Superquadric,
+    "mesh": MeshTable,
+    "union": surfaces.Union,
+    "offset": surfaces.Offset,
+}
+# A cylinder without ends has two semi-axes.
+_OTHER = {"elliptic_cylinder": {"semi_axes": tuple[Positive, Positive]}}
+_TABLES = [
+    noun if noun is MeshTable else table_of(noun, _TYPES | _OTHER.get(kind, {}), kind, PlacedTable)
+    for kind, noun in _KINDS.items()
 ]
-UnionTable.model_rebuild()
-OffsetTable.model_rebuild()
+ObjectTable = one_of(_TABLES)
+for _table in _TABLES:
+    _table.model_rebuild(_types_namespace={"ObjectTable": ObjectTable})

@@ -22,13 +22,13 @@ from vibrissa.io.config import (
     Table,
     Vector,
     load,
+    table_of,
 )
 from vibrissa.io.live_setup import PoseTable, RdtTable
 from vibrissa.io.objects import ObjectTable
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.rod import Rod
 from vibrissa.sensor import LowPass, Mount, Sensor
-from vibrissa.sensor.mount import STANDARD_GRAVITY
 from vibrissa.sensor.presets import PRESETS, preset_figures
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
@@ -107,23 +107,27 @@ Deviations = Annotated[
 ]
 
 
-class MountTable(Table):
-    """Fields of `vibrissa.sensor.Mount`; SI units."""
-
-    noun = Mount
-    mass: NotNegative = 0.0
-    center: Vector = ORIGIN
-    gravity: Vector = STANDARD_GRAVITY
-    estimated: Boolean = False
-
-
-class LowPassTable(Table):
-    """Fields of `vibrissa.sensor.LowPass`; SI units."""
-
-    noun = LowPass
-    cutoff: Positive | None = None
-    order: Annotated[Literal[1, 2], Field(description="1 or 2")] = 1
-    delay: NotNegative = 0.0
+MountTable = table_of(
+    Mount, {"mass": NotNegative, "center": Vector, "gravity": Vector, "estimated": Boolean}
+)
+LowPassTable = table_of(
+    LowPass,
+    {
+        "cutoff": Positive,
+        "order": Annotated[Literal[1, 2], Field(description="1 or 2")],
+        "delay": NotNegative,
+    },
+)
+TolerancesTable = table_of(
+    Tolerances,
+    {
+        **dict.fromkeys(
+            ("youngs_modulus", "radius", "length", "pose_delay", "object_scale"), NotNegative
+        ),
+        **dict.fromkeys(("clamp_position", "clamp_orientation", "object_position"), Figure),
+        "gain": Deviations,
+    },
+)
 
 
 class SensorTable(Table):
@@ -166,8 +170,8 @@ class SensorTable(Table):
     torque_drift: Vector = ORIGIN
     estimate_drift: Boolean = False
     cross_talk: Matrix | None = None
-    low_pass: LowPassTable | None = None
-    mount: MountTable | None = None
+    low_pass: LowPassTable | None = None  # type: ignore[valid-type]
+    mount: MountTable | None = None  # type: ignore[valid-type]
     gain: Gain = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
     def build(self, folder: Path) -> Sensor:
@@ -179,32 +183,17 @@ class SensorTable(Table):
         return Sensor(**given)
 
 
-class TolerancesTable(Table):
-    """Fields of `vibrissa.Tolerances`: standard deviations of what the setup states."""
-
-    noun = Tolerances
-    youngs_modulus: NotNegative = 0.0
-    radius: NotNegative = 0.0
-    length: NotNegative = 0.0
-    clamp_position: Figure = 0.0
-    clamp_orientation: Figure = 0.0
-    gain: Deviations = 0.0
-    pose_delay: NotNegative = 0.0
-    object_scale: NotNegative = 0.0
-    object_position: Figure = 0.0
-
-
 class SetupFile(Table):
     """The whole file."""
 
-    rod: RodTable
+    rod: RodTable  # type: ignore[valid-type]
     sensor: SensorTable
-    object: ObjectTable | None = None
+    object: ObjectTable | None = None  # type: ignore[valid-type]
     recording: RecordingTable | None = None
     rdt: RdtTable | None = None
     pose: PoseTable | None = None
     calibration: CalibrationTable | None = None
-    tolerances: TolerancesTable | None = None
+    tolerances: TolerancesTable | None = None  # type: ignore[valid-type]
 
     def build(self, folder: Path) -> Setup:
         """Return the setup."""

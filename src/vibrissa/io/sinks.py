@@ -17,10 +17,25 @@ from vibrissa.io.rosbag.disk import naming_file, whole_file
 from vibrissa.sensor import RawRecording
 
 _COUNT_DIGITS = 20  # of the largest number of 64 bits
+_RAW = ("position", "orientation", "force", "torque")
+_FOUND = ("point", "normal", "arc_length")
 _MOST_WRITTEN = 1 << 20  # bytes of one call of the system: a batch of 64 rows has some 40 kB
 
 
-class JsonLinesSink:
+class _ContactsAlone:
+    """What takes raw samples and leaves them."""
+
+    def wrench(
+        self,
+        stamp: Int[np.ndarray, "n"],
+        sequence: Int[np.ndarray, "n"],
+        force: Float[np.ndarray, "n 3"],
+        torque: Float[np.ndarray, "n 3"],
+    ) -> None:
+        """Raw samples are not written."""
+
+
+class JsonLinesSink(_ContactsAlone):
     """One JSON object a row and line, written as soon as it is known.
 
     Keys: `stamp` [ns], `kind`, `status`, `position` and `orientation` of the sensor, `force` and
@@ -41,21 +56,10 @@ class JsonLinesSink:
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._path, self._size = path, 0
-        with naming_file(path or Path("standard output")):
-            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-            self._descriptor = (
-                os.open(path, flags, 0o644) if path is not None else os.dup(sys.stdout.fileno())
-            )
-
-    def wrench(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
-    ) -> None:
-        """Raw samples are not written."""
+        self._path, self._size = path or Path("standard output"), 0
+        with naming_file(self._path):
+            place = os.dup(sys.stdout.fileno()) if path is None else path
+            self._file = open(place, "wb", buffering=0)  # noqa: PTH123, SIM115
 
     def contacts(
         self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
@@ -64,43 +68,37 @@ class JsonLinesSink:
         rows = _rows(stamp, raw, found)
         text = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode()
         done = 0
-        with naming_file(self._path or Path("standard output")):
+        with naming_file(self._path):
             try:
                 while done < len(text):
-                    done += os.write(self._descriptor, text[done : done + _MOST_WRITTEN])
+                    done += os.write(self._file.fileno(), text[done : done + _MOST_WRITTEN])
             finally:
                 whole = text.rfind(b"\n", 0, done) + 1
                 self._size += whole
-                if whole < done and self._path is not None:
+                if whole < done:
+                    # A pipe cannot be cut.
                     with suppress(OSError):
-                        os.ftruncate(self._descriptor, self._size)
+                        self._file.truncate(self._size)
 
     def flush(self) -> None:
         """Nothing is held back."""
 
     def close(self) -> None:
         """Close the file."""
-        os.close(self._descriptor)
+        self._file.close()
 
 
 def _rows(
     stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
 ) -> list[dict[str, object]]:
-    numbers = {
-        "position": raw.position,
-        "orientation": raw.orientation,
-        "force": raw.force,
-        "torque": raw.torque,
-        "point": found.point,
-        "normal": found.normal,
-        "arc_length": found.arc_length,
-        "standard_deviations": deviations(found),
-    }
     columns = {
         "stamp": stamp.tolist(),
         "kind": [ContactKind(kind).name for kind in found.kind.tolist()],
         "status": [Status(status).name for status in found.status.tolist()],
-    } | {name: _known(values) for name, values in numbers.items()}
+        **{name: _known(getattr(raw, name)) for name in _RAW},
+        **{name: _known(getattr(found, name)) for name in _FOUND},
+        "standard_deviations": _known(deviations(found)),
+    }
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
@@ -110,10 +108,10 @@ def _known(values: Float[np.ndarray, "n ..."]) -> list[Any]:
     return [row if known else None for row, known in zip(values.tolist(), finite, strict=True)]
 
 
-class PlySink:
+class PlySink(_ContactsAlone):
     """Contacts as points with normals in a PLY file that is whole whenever the process is killed.
 
-    Points are written behind those that the header counts; then the header, which lies within a
+    Points are written behind the ones the header counts; then the header, which lies within a
     page, is overwritten in one piece with the new count.
 
     Parameters
@@ -139,15 +137,6 @@ class PlySink:
         points = np.broadcast_to(np.zeros(1, dtype=VERTEX), self._count)
         filler = "." * (_COUNT_DIGITS - len(str(self._count)))
         return f"{cloud(points, self._unit, filler).header}\n".encode()
-
-    def wrench(
-        self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
-    ) -> None:
-        """Raw samples are not written."""
 
     def contacts(
         self,

@@ -1,20 +1,14 @@
-"""Motions of the clamp as TOML tables [[trail]]."""
+"""Motions of the clamp as TOML tables [[trail]]: the arguments of a trail."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field
 
-from vibrissa.io.config import Boolean, Finite, Quaternion, Table, Vector, number
+from vibrissa.io.config import Boolean, Finite, Quaternion, Table, Vector, number, one_of, table_of
 from vibrissa.trail import Trail
 
 Count = Annotated[int, number("a whole number of at least 1", ge=1)]
-Quaternions = Annotated[
-    tuple[Quaternion, ...],
-    Field(
-        min_length=1, description="a list of one quaternion x, y, z, w, or one for each position"
-    ),
-]
 
 
 class MotionTable(Table):
@@ -28,97 +22,38 @@ class MotionTable(Table):
         return given
 
 
-class LineTable(MotionTable):
-    """Equally spaced positions on a line."""
-
-    noun = Trail.line
-    kind: Literal["line"]
-    start: Vector
-    stop: Vector
-    count: Count
-    axis: Vector | None = None
+def _several(of: Any, least: int, description: str) -> Any:
+    return Annotated[tuple[of, ...], Field(min_length=least, description=description)]
 
 
-class RasterTable(MotionTable):
-    """Parallel lines, each moved on by `step`."""
-
-    noun = Trail.raster
-    kind: Literal["raster"]
-    start: Vector
-    stop: Vector
-    count: Count
-    axis: Vector | None = None
-    step: Vector
-    trails: Count
-
-
-class PosesTable(MotionTable):
-    """Positions, and one orientation for all or one each."""
-
-    noun = Trail
-    kind: Literal["poses"]
-    position: Annotated[
-        tuple[Vector, ...],
-        Field(min_length=1, description="a list of at least one position of three finite numbers"),
-    ]
-    orientation: Quaternions | None = None
-
-
-class ArcTable(MotionTable):
-    """Positions on a circular arc."""
-
-    noun = Trail.arc
-    kind: Literal["arc"]
-    center: Vector
-    axis: Vector
-    start: Vector
-    angle: Finite
-    count: Count
-    orientation: Quaternion | None = None
-    rod_axis: Vector | None = None
-    turning: Boolean = False
-
-
-class WhiskTable(MotionTable):
-    """A clamp that turns about a pivot axis."""
-
-    noun = Trail.whisk
-    kind: Literal["whisk"]
-    pivot: Vector
-    axis: Vector
-    position: Vector
-    start_angle: Finite
-    stop_angle: Finite
-    count: Count
-    orientation: Quaternion | None = None
-    rod_axis: Vector | None = None
-
-
-class SplineTable(MotionTable):
-    """A smooth curve through way-points."""
-
-    noun = Trail.spline
-    kind: Literal["spline"]
-    points: Annotated[
-        tuple[Vector, ...],
-        Field(
-            min_length=2, description="a list of at least two way-points of three finite numbers"
-        ),
-    ]
-    count: Count
-    orientations: Quaternions | None = None
-    rod_axis: Vector | None = None
-
-
-class CsvTable(MotionTable):
-    """Poses from a file."""
-
-    noun = Trail.from_csv
-    kind: Literal["csv"]
-    path: Annotated[Path, Field(description="the path of a CSV file, seen from the case's folder")]
-
-
-TrailTable = Annotated[
-    LineTable | RasterTable | PosesTable | ArcTable | WhiskTable | SplineTable | CsvTable,
-    Field(discriminator="kind", description="line, raster, poses, arc, whisk, spline or csv"),
-]
+_TURNS = _several(Quaternion, 1, "a list of one quaternion x, y, z, w, or one for each position")
+_TYPES = {
+    **dict.fromkeys(("start", "stop", "axis", "step", "center", "rod_axis", "pivot"), Vector),
+    **dict.fromkeys(("count", "trails"), Count),
+    **dict.fromkeys(("angle", "start_angle", "stop_angle"), Finite),
+    "position": Vector,
+    "orientation": Quaternion,
+    "orientations": _TURNS,
+    "turning": Boolean,
+    "points": _several(Vector, 2, "a list of at least two way-points of three finite numbers"),
+    "path": Annotated[
+        Path, Field(description="the path of a CSV file, seen from the case's folder")
+    ],
+}
+_POSES = {
+    "position": _several(Vector, 1, "a list of at least one position of three finite numbers"),
+    "orientation": _TURNS,
+}
+_KINDS = {
+    "line": Trail.line,
+    "raster": Trail.raster,
+    "poses": Trail,
+    "arc": Trail.arc,
+    "whisk": Trail.whisk,
+    "spline": Trail.spline,
+    "csv": Trail.from_csv,
+}
+TrailTable = one_of(
+    table_of(noun, _TYPES | (_POSES if kind == "poses" else {}), kind, MotionTable)
+    for kind, noun in _KINDS.items()
+)

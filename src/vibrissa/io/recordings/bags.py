@@ -3,36 +3,39 @@
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vibrissa.files import InputError
-from vibrissa.io.recordings.containers import bag_of, is_bag
-from vibrissa.io.recordings.frames import Link, Pair, chained
-from vibrissa.io.recordings.libraries import library
-from vibrissa.io.recordings.messages import FRAMES, POSE, TRANSFORM, WRENCH, Bag, Message
-from vibrissa.io.recordings.streams import Poses, Streams, Wrenches
+from vibrissa.io.recordings.containers import (
+    FRAMES,
+    POSE,
+    TRANSFORM,
+    WRENCH,
+    Bag,
+    Message,
+    bag_of,
+    library,
+)
+from vibrissa.io.recordings.streams import Poses, Streams, Wrenches, interpolated, usable
 from vibrissa.io.recordings.table import RecordingTable
 
-__all__ = ["is_bag", "streams"]
-
-Numbers = Callable[[Any], tuple[float, ...]]
-Row = tuple[float, tuple[float, ...]]
-"""A stamp, and a vector and a vector or quaternion."""
+Stream = TypeVar("Stream", Wrenches, Poses)
 
 
-def _getter(vector: str, other: str, axes: str) -> Numbers:
+def _getter(vector: str, other: str, axes: str) -> Callable[[Any], tuple[float, ...]]:
     return attrgetter(
         *(f"{vector}.{axis}" for axis in "xyz"), *(f"{other}.{axis}" for axis in axes)
     )
 
 
-_NUMBERS: dict[str, Numbers] = {
+_NUMBERS = {
     WRENCH: _getter("wrench.force", "wrench.torque", "xyz"),
     POSE: _getter("pose.position", "pose.orientation", "xyzw"),
     TRANSFORM: _getter("transform.translation", "transform.rotation", "xyzw"),
@@ -49,15 +52,15 @@ def streams(path: Path, table: RecordingTable, poses: Poses | None = None) -> St
         If the bag is damaged from its start, or topics, types or frames are not those asked for.
     """
     bag = _Bag(path, bag_of(path), table)
-    wrench = bag.wrenches()
-    return Streams(wrench, bag.poses() if poses is None else poses, notes=tuple(bag.bag.notes))
+    topic = bag.topic("wrench_topic", WRENCH)
+    wrench = _stream(Wrenches, bag.rows(topic))
+    return Streams(wrench, bag.poses(topic) if poses is None else poses, notes=tuple(bag.bag.notes))
 
 
-def _arrays(rows: list[Row]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stamps, the vectors, and what follows them."""
-    stamps, numbers = zip(*rows, strict=True)
-    first, second = np.split(np.array(numbers, dtype=np.float64), [3], axis=1)
-    return np.array(stamps, dtype=np.float64), first, second
+def _stream(kind: type[Stream], rows: list[tuple[float, ...]]) -> Stream:
+    """Rows of a stamp, a vector, and a vector or quaternion."""
+    table = np.array(rows, dtype=np.float64)
+    return kind(table[:, 0], table[:, 1:4], table[:, 4:])
 
 
 @cache
@@ -80,97 +83,123 @@ class _Bag:
     def contents(self, topic: str) -> Iterator[tuple[Message, Any]]:
         """Messages of a topic, packed and unpacked."""
         kind, types = self.bag.topics[topic], _types()
-        for message in self.bag.on(topic):
-            try:
-                yield message, types.deserialize_cdr(message.data, kind)
-            # The generated code of a message meets damage wherever it is: struct, indices, texts.
-            except Exception as error:
-                raise InputError(
-                    f"{self.path}: a message on {topic!r} at {message.log_time} ns is no {kind} "
-                    f"({str(error)[:80]}); allowed are whole messages"
-                ) from error
+        for message in self.bag.messages:
+            if message.topic == topic:
+                try:
+                    content = types.deserialize_cdr(message.data, kind)
+                # The generated code of a message meets damage wherever it is.
+                except Exception as error:
+                    raise InputError(
+                        f"{self.path}: a message on {topic!r} at {message.log_time} ns is no "
+                        f"{kind} ({str(error)[:80]}); allowed are whole messages"
+                    ) from error
+                yield message, content
 
-    def stamp(self, message: Message, header: Any) -> float:
-        """Stamp of a message [s]."""
-        if self.table.stamps == "log":
-            return message.log_time * 1e-9
-        return float((header.stamp.sec * 1_000_000_000 + header.stamp.nanosec) * 1e-9)
+    def row(self, message: Message, content: Any, kind: str) -> tuple[float, ...]:
+        """Stamp [s] and numbers of a message."""
+        moment = content.header.stamp
+        logged = self.table.stamps == "log"
+        stamp = message.log_time if logged else moment.sec * 1_000_000_000 + moment.nanosec
+        return (stamp * 1e-9, *_NUMBERS[kind](content))
 
-    def rows(self, topic: str) -> list[Row]:
+    def rows(self, topic: str) -> list[tuple[float, ...]]:
         """Stamps [s] and numbers of the messages on a topic."""
-        numbers = _NUMBERS[self.bag.topics[topic]]
-        found = [
-            (self.stamp(message, content.header), numbers(content))
-            for message, content in self.contents(topic)
-        ]
+        kind = self.bag.topics[topic]
+        found = [self.row(message, content, kind) for message, content in self.contents(topic)]
         if not found:
             raise InputError(
                 f"{self.path}: no messages on {topic!r} in CDR, the encoding of ROS 2; "
                 "allowed is at least one"
             )
-        if len(found) > 1 and not any(stamp for stamp, _ in found):
+        if len(found) > 1 and not any(stamp for stamp, *_ in found):
             raise InputError(
                 f"{self.path}: the headers on {topic!r} have the stamp 0 throughout; "
                 "allowed are stamps, or stamps = 'log' in [recording]"
             )
         return found
 
-    def wrenches(self) -> Wrenches:
-        """The wrenches."""
-        topic = self.topic(self.table.wrench_topic, "wrench_topic", WRENCH)
-        return Wrenches(*_arrays(self.rows(topic)))
-
-    def wrench_frame(self) -> str:
-        """The frame that the wrenches are given in, by the first message that names one."""
-        topic = self.topic(self.table.wrench_topic, "wrench_topic", WRENCH)
-        frames = (content.header.frame_id for _, content in self.contents(topic))
-        return next(filter(None, frames), "")
-
-    def poses(self) -> Poses:
-        """Poses of a topic, or of the frames."""
+    def poses(self, wrench_topic: str) -> Poses:
+        """Poses of a topic, or of the frames; without a sensor_frame, of the frame that the first
+        wrench with one is given in.
+        """
         table = self.table
         by_frames = table.fixed_frame is not None or not self.bag.of(POSE, TRANSFORM)
-        if table.pose_topic is None and by_frames and self.bag.of(FRAMES):
-            sensor_frame = table.sensor_frame or self.wrench_frame()
-            return chained(self.path, self.links(), table.fixed_frame, sensor_frame)
-        topic = self.topic(table.pose_topic, "pose_topic", POSE, TRANSFORM)
-        return Poses(*_arrays(self.rows(topic)))
+        if table.pose_topic is not None or not by_frames or not self.bag.of(FRAMES):
+            return _stream(Poses, self.rows(self.topic("pose_topic", POSE, TRANSFORM)))
+        frames = (content.header.frame_id for _, content in self.contents(wrench_topic))
+        return self.chained(table.sensor_frame or next(filter(None, frames), ""))
 
-    def links(self) -> dict[Pair, Link]:
-        """Poses of frames in their parents; of topics whose name ends in "static" the last one
-        holds for all times, unless the frame also moves.
+    def links(self) -> dict[str, tuple[str, Poses]]:
+        """Parent of each frame, and its poses there; a frame that no topic moves has the last pose
+        of those whose name ends in "static", which holds for all times.
         """
-        found: dict[tuple[bool, Pair], list[Row]] = {}
+        found: dict[tuple[bool, str, str], list[tuple[float, ...]]] = {}
         for topic in self.bag.of(FRAMES):
             for message, content in self.contents(topic):
                 for part in content.transforms:
-                    pair = part.header.frame_id.lstrip("/"), part.child_frame_id.lstrip("/")
-                    row = self.stamp(message, part.header), _NUMBERS[TRANSFORM](part)
-                    found.setdefault((not topic.endswith("static"), pair), []).append(row)
+                    pair = part.child_frame_id.lstrip("/"), part.header.frame_id.lstrip("/")
+                    row = self.row(message, part, TRANSFORM)
+                    found.setdefault((not topic.endswith("static"), *pair), []).append(row)
         links = {}
-        for (moves, pair), rows in sorted(found.items()):
-            poses = Poses(*_arrays(rows))
+        for (moves, child, parent), rows in sorted(found.items()):
             # Several nodes may publish one frame: each stamp counts once.
-            chosen = np.unique(poses.time, return_index=True)[1] if moves else np.array([-1])
-            links[pair] = Link(poses.rows(chosen), is_fixed=not moves)
+            poses = usable(_stream(Poses, rows if moves else rows[-1:]))
+            if not moves:
+                poses = replace(poses, time=np.full_like(poses.time, np.inf))
+            if len(poses.time):
+                links[child] = parent, poses
         return links
 
-    def topic(self, name: str | None, key: str, *kinds: str) -> str:
-        """The topic that is named, or the only one of these types."""
-        fitting = self.bag.of(*kinds)
+    def chained(self, sensor_frame: str) -> Poses:
+        """Poses of a frame in the fixed one, or in that which its chain begins with: at every stamp
+        of a link where all links are known; no link is extrapolated.
+        """
+        links, here = self.links(), sensor_frame.lstrip("/")
+        chain: list[Poses] = []
+        fixed_frame = self.table.fixed_frame
+        top = None if fixed_frame is None else fixed_frame.lstrip("/")
+        while here != top and here in links and len(chain) <= len(links):
+            here, poses = links[here]
+            chain.insert(0, poses)
+        if not chain or top not in {None, here} or len(chain) > len(links):
+            known = sorted({*links, *(parent for parent, _ in links.values())})
+            raise InputError(
+                f"{self.path}: no chain of frames from fixed_frame = {fixed_frame!r} to "
+                f"sensor_frame = {sensor_frame!r}; the bag holds {', '.join(known)[:300]}"
+            )
+        ends = f"between {here!r} and {sensor_frame!r}"
+        moving = [poses.time for poses in chain if np.isfinite(poses.time).any()]
+        if not moving:
+            raise InputError(
+                f"{self.path}: no frame {ends} is on /tf, all are static; allowed is a moving sensor"
+            )
+        time = np.unique(np.concatenate(moving))
+        for stamps in moving:
+            time = time[(time >= stamps[0]) & (time <= stamps[-1])]
+        if not len(time):
+            raise InputError(
+                f"{self.path}: the frames {ends} have no time in common; "
+                "allowed are links that overlap"
+            )
+        position, turn = np.zeros(3), Rotation.identity(len(time))
+        for poses in chain:
+            link = interpolated(poses, time) if np.isfinite(poses.time).all() else poses
+            position = position + turn.apply(link.position)
+            turn = turn * Rotation.from_quat(link.orientation)
+        return Poses(time, position, turn.as_quat())
+
+    def topic(self, key: str, *kinds: str) -> str:
+        """The topic that the key names, or the only one of these types."""
+        name, fitting = getattr(self.table, key), self.bag.of(*kinds)
+        chosen = [topic for topic in fitting if name in {None, topic}]
+        if len(chosen) == 1:
+            return chosen[0]
         allowed = " or ".join(kind.replace("/msg/", "/") for kind in kinds)
-        topics = (f"{topic} ({kind})" for topic, kind in sorted(self.bag.topics.items()))
+        topics = [f"{topic} ({kind})" for topic, kind in sorted(self.bag.topics.items())]
         held = "; ".join([", ".join(topics)[:400] or "no topics", *self.bag.notes[:2]])
-        if name in fitting:
-            return str(name)
-        if name is not None:
-            raise InputError(
-                f"{self.path}: {key} = {name!r} is no topic of {allowed}; the bag holds {held}"
-            )
-        if len(fitting) != 1:
-            file = " or pose_file" if key == "pose_topic" else ""
-            raise InputError(
-                f"{self.path}: {len(fitting)} topics of {allowed}; allowed is one, or {key}{file} "
-                f"in [recording]. The bag holds {held}"
-            )
-        return fitting[0]
+        given = f"{len(fitting)} topics" if name is None else f"{key} = {name!r} is no topic"
+        file = " or pose_file" if key == "pose_topic" else ""
+        raise InputError(
+            f"{self.path}: {given} of {allowed}; allowed is one, or {key}{file} in [recording]. "
+            f"The bag holds {held}"
+        )

@@ -9,7 +9,7 @@ stops, starts and turns under load tell.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -53,8 +53,7 @@ _UNDETERMINED = (
 )
 
 
-@dataclass(frozen=True)
-class ClockOffset:
+class ClockOffset(NamedTuple):
     """What is added to the stamps of the poses.
 
     Attributes
@@ -93,12 +92,12 @@ def estimated_offset(wrench: Wrenches, pose: Poses, largest: float, scale: float
     if not windows:
         raise ValueError(_UNDETERMINED)
     offsets, step = np.linspace(-largest, largest, _STEPS, retstep=True)
-    spreads = np.array([_spreads(windows, offset) for offset in offsets])
-    weights = _weights(windows, float(offsets[np.argmin(spreads.sum(axis=(1, 2)))]))
+    spreads = np.array([_fits(windows, offset)[0] for offset in offsets])
+    weights = _fits(windows, float(offsets[np.argmin(spreads.sum(axis=(1, 2)))]))[1]
     misfit = np.einsum("twc,wc->t", spreads, weights)
 
     def cost(offset: float) -> float:
-        return float(np.sum(weights * _spreads(windows, offset)))
+        return float(np.sum(weights * _fits(windows, offset)[0]))
 
     (least, seconds), *others = _lowest(cost, offsets, misfit, float(step))
     error = _standard_error(cost, seconds, largest)
@@ -125,14 +124,12 @@ def _lowest(
     step: float,
 ) -> list[tuple[float, float]]:
     """The deepest minima, lowest first: misfit and offset of each."""
-    higher = np.concatenate([[np.inf], misfit, [np.inf]])
+    higher = np.pad(misfit, 1, constant_values=np.inf)
     minima = np.flatnonzero((misfit <= higher[:-2]) & (misfit <= higher[2:]))
     found = []
-    for index in minima[np.argsort(misfit[minima])][:_MOST_MINIMA]:
-        at = offsets[index]
-        best = minimize_scalar(
-            cost, bounds=(at - step, at + step), method="bounded", options={"xatol": 1e-3 * step}
-        )
+    for at in offsets[minima[np.argsort(misfit[minima])][:_MOST_MINIMA]]:
+        bounds, options = (at - step, at + step), {"xatol": 1e-3 * step}
+        best = minimize_scalar(cost, bounds=bounds, method="bounded", options=options)
         found.append((float(best.fun), float(best.x)))
     return sorted(found)
 
@@ -156,8 +153,7 @@ def _standard_error(cost: Callable[[float], float], at: float, largest: float) -
     return max(reaches) / 2
 
 
-@dataclass(frozen=True, eq=False)
-class _Window:
+class _Window(NamedTuple):
     """Wrenches in a stretch of time, and the clamp's way along the main direction of its motion
     there, with stamps of its own.
     """
@@ -184,70 +180,48 @@ def _windows(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> lis
             f"only {len(rows.time)} wrenches have poses {largest:g} s before and after; "
             "allowed is a smaller largest_offset, or a longer recording"
         )
-    features, channels = _smoothed(_features(pose)), rows.channels
-    floor = 0.1 * _noise(channels)
+    features, channels = _features(pose), rows.channels
+    floor, pitch = 0.1 * _noise(channels), _PITCH * scale
     fast = float(np.quantile(np.linalg.norm(_speeds(pose.time, features), axis=1), 0.9))
     still = _STANDING * float(np.linalg.norm(_noise(features)))
     length = max(_SHORTEST_WINDOW, 4 * largest)
     step = max(length / _OVERLAP, float(np.ptp(rows.time)) / _MOST_STRETCHES)
     found = []
     for start in np.arange(rows.time[0], rows.time[-1], step):
-        stop = start + length
-        part = slice(*np.searchsorted(rows.time, (start, stop)))
-        near = slice(*np.searchsorted(pose.time, (start - largest, stop + largest)))
+        part = slice(*np.searchsorted(rows.time, (start, start + length)))
+        near = slice(*np.searchsorted(pose.time, (start - largest, start + length + largest)))
         time, way_time = rows.time[part], pose.time[near]
         if min(len(time), len(way_time)) < _FEWEST_ROWS:
             continue
-        way = _way(features[near])
+        # Coordinate along the direction of largest spread.
+        spread = features[near] - features[near].mean(axis=0)
+        way = spread @ np.linalg.svd(spread, full_matrices=False)[2][0]
         if _comes_back(way_time, way, fast):
-            thin = _thinned(time, channels[part])
-            found.append(_Window(*thin, way_time, way, floor, _PITCH * scale, still))
+            # Means of as many rows each as keep the count below a bound.
+            each = -(-len(time) // _MOST_ROWS)
+            table = np.column_stack([time, channels[part]])[: len(time) // each * each]
+            table = table.reshape(-1, each, 7).mean(axis=1)
+            found.append(_Window(table[:, 0], table[:, 1:], way_time, way, floor, pitch, still))
     chosen = np.linspace(0, len(found) - 1, min(len(found), _MOST_WINDOWS)).round().astype(int)
     return [found[index] for index in chosen]
-
-
-def _thinned(
-    time: Float[np.ndarray, "n"], values: Float[np.ndarray, "n 6"]
-) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 6"]]:
-    """Means of as many rows each as keep the count below a bound."""
-    each = -(-len(time) // _MOST_ROWS)
-    whole = len(time) // each * each
-    return time[:whole].reshape(-1, each).mean(axis=1), values[:whole].reshape(-1, each, 6).mean(
-        axis=1
-    )
 
 
 def _noise(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
     """Standard deviation of white noise (k,), by second differences, which a smooth motion hardly
     enters.
     """
-    return (
-        np.asarray(np.sqrt(np.mean(np.diff(values, 2, axis=0) ** 2, axis=0) / 6))
-        if len(values) > 2
-        else np.zeros(values.shape[1])
-    )
+    return np.sqrt(np.mean(np.diff(values, 2, axis=0) ** 2, axis=0) / 6)
 
 
 def _features(pose: Poses) -> Float[np.ndarray, "n 6"]:
     """Positions, and turns seen from a lever of 0.1 m: twice the quaternion's vector part, of one
-    sign, relative to the first pose.
+    sign, relative to the first pose. Both as parabolas through nine neighbours each: an encoder's
+    noise else moves the least residual from stamp to stamp.
     """
     turns = Rotation.from_quat(pose.orientation)
     relative = (turns[0].inv() * turns).as_quat(canonical=True)
-    return np.hstack([pose.position - pose.position[0], 2 * _LEVER * relative[:, :3]])
-
-
-def _way(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m"]:
-    """Coordinate along the direction of largest spread."""
-    spread = features - features.mean(axis=0)
-    return np.asarray(spread @ np.linalg.svd(spread, full_matrices=False)[2][0])
-
-
-def _smoothed(features: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m 6"]:
-    """Parabolas through nine neighbours each: an encoder's noise else moves the least residual from
-    stamp to stamp.
-    """
-    return np.asarray(savgol_filter(features, 9, 2, axis=0)) if len(features) >= 9 else features
+    features = np.hstack([pose.position - pose.position[0], 2 * _LEVER * relative[:, :3]])
+    return savgol_filter(features, 9, 2, axis=0) if len(features) >= 9 else features
 
 
 def _speeds(
@@ -268,25 +242,27 @@ def _comes_back(time: Float[np.ndarray, "m"], way: Float[np.ndarray, "m"], fast:
     return bool(0.02 < standing < 0.98 or min(forth, back) > 0.1 * max(forth, back))
 
 
-def _spreads(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
-    """Half the logarithm of the residual variance, by window and channel."""
-    found = []
+def _fits(
+    windows: list[_Window], offset: float
+) -> tuple[Float[np.ndarray, "w 6"], Float[np.ndarray, "w 6"]]:
+    """By window and channel, of what a function of the pose leaves of the reactions: half the
+    logarithm of its variance, and the number of independent samples, which are fewer than there are
+    where neighbouring residuals are alike.
+    """
+    spreads, weights = [], []
     for window in windows:
-        residual, rank = _residual(window, offset)
-        variance = np.sum(residual**2, axis=0) / (len(residual) - rank)
-        found.append(0.5 * np.log(variance + window.floor**2 + 1e-300))
-    return np.array(found)
-
-
-def _residual(window: _Window, offset: float) -> tuple[Float[np.ndarray, "n 6"], int]:
-    """What a function of the pose leaves of the reactions, and the number of its parameters."""
-    along = np.interp(window.time - offset, window.way_time, window.way)
-    basis = _pieces(along, window.pitch, window.still)
-    gram = (basis.T @ basis).toarray()
-    rank = np.count_nonzero(gram.diagonal())
-    gram += _RIDGE * gram.max() * np.eye(len(gram))
-    fitted = basis @ solve(gram, basis.T @ window.values, assume_a="pos")
-    return window.values - fitted, int(rank)
+        along = np.interp(window.time - offset, window.way_time, window.way)
+        basis = _pieces(along, window.pitch, window.still)
+        gram = (basis.T @ basis).toarray()
+        free = len(along) - np.count_nonzero(gram.diagonal())
+        gram += _RIDGE * gram.max() * np.eye(len(gram))
+        fitted = basis @ solve(gram, basis.T @ window.values, assume_a="pos")
+        residual = window.values - fitted
+        square = np.maximum(np.sum(residual**2, axis=0), 1e-300)
+        spreads.append(0.5 * np.log(square / free + window.floor**2))
+        alike = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / square, 0, 0.98)
+        weights.append(free * (1 - alike) / (1 + alike) / _OVERLAP)
+    return np.array(spreads), np.array(weights)
 
 
 def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> csr_array:
@@ -301,16 +277,3 @@ def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> csr_ar
     count = max(1, min(_MOST_PIECES, int(np.ceil(extent / pitch))))
     knots = np.arange(-3, count + 4) * (extent / count)
     return BSpline.design_matrix(np.clip(along - along.min(), 0, extent * (1 - 1e-12)), knots, 3)
-
-
-def _weights(windows: list[_Window], offset: float) -> Float[np.ndarray, "w 6"]:
-    """Independent samples by window and channel: fewer than there are where neighbouring residuals
-    are alike.
-    """
-    weights = []
-    for window in windows:
-        residual, rank = _residual(window, offset)
-        square = np.maximum(np.sum(residual**2, axis=0), 1e-300)
-        alike = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / square, 0, 0.98)
-        weights.append((len(residual) - rank) * (1 - alike) / (1 + alike) / _OVERLAP)
-    return np.array(weights)

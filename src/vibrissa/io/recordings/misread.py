@@ -3,11 +3,11 @@ signs and axes.
 
 The clamp's work and the rod's bending energy are two routes to one number
 (`vibrissa.inverse.work`). Where they contradict each other, each known mistake is undone in turn;
-those that bring them together, leave the contacts on the rod and the noise at rest as stated are
-named.
+a mistake is named if undoing it reconciles the two, keeps the contacts on the rod and leaves the
+noise at rest as stated.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -143,14 +143,14 @@ class _Recording:
         return good[:_MOST_NAMED]
 
     def half_turned(self) -> str | None:
-        """Quaternions next to (1, 0, 0, 0) throughout: half a turn about x, or w first; told by the
-        work where the sweep tells, else asked for.
+        """Quaternions next to (1, 0, 0, 0) throughout: half a turn about x, or w first; decided by
+        the work where the sweep allows it, else a question to the user.
         """
         orientation = self.given.raw.orientation
         stated = "orientation_form" in self.table.model_fields_set
         if stated or np.abs(orientation[:, 0]).min() < _HALF_TURN:
             return None
-        works = self.works(_turned("", self.given, np.roll(orientation, -1, axis=1)))
+        works = self.works(self.changed("", orientation=np.roll(orientation, -1, axis=1)))
         if not works or not all(_is_sound(work, _WITH_FRICTION) for work in works):
             return None
         return (
@@ -175,18 +175,38 @@ class _Recording:
                 )
         return None
 
+    def changed(self, words: str, **parts: Float[np.ndarray, "n k"]) -> Reading:
+        """The recording with other numbers."""
+        return self.given._replace(words=words, raw=replace(self.given.raw, **parts))
+
     def readings(self) -> Iterator[Reading]:
-        """The recording with each known mistake undone."""
-        given, raw = self.given, self.given.raw
-        now = self.table.position_unit or "m"
-        for unit in LENGTH:
-            if unit != now:
-                position = raw.position * (factor(unit) / factor(now))
-                words = f"positions in {unit}, taken for {now}"
-                yield given._replace(words=words, raw=replace(raw, position=position))
-        yield from self.other_wrenches()
+        """The recording with each known mistake undone: units and sign, orientations, axes, and a
+        diameter and a radius mistaken for each other.
+        """
+        given, raw, sensor, table = self.given, self.given.raw, self.given.sensor, self.table
+        for words, scale in _other_units("positions", LENGTH, table.position_unit or "m"):
+            if words:
+                yield self.changed(words, position=raw.position * scale)
+        for (forces, force), (torques, torque) in product(
+            _other_units("forces", FORCE, table.force_unit or "N"),
+            _other_units("torques", (*TORQUE, "lbf ft"), table.torque_unit or "N m"),
+        ):
+            if (force, torque) != (1.0, 1.0):
+                words = " and ".join(filter(None, (forces, torques)))
+                yield self.changed(words, force=raw.force * force, torque=raw.torque * torque)
+        sign: WrenchSign = "on_rod" if sensor.wrench == "on_sensor" else "on_sensor"
+        words = f"a wrench of the other sign (wrench = {sign!r} in [sensor])"
+        yield given._replace(words=words, sensor=replace(sensor, wrench=sign))
         yield from self.other_turns()
-        yield from self.other_axes()
+        if sensor.wrench_frame == "sensor":
+            for axis, angle in product("xyz", (180, 90, -90)):
+                turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix().T
+                words = f"a sensor turned by {angle}° about its {axis} axis"
+                yield self.changed(words, force=raw.force @ turn, torque=raw.torque @ turn)
+        frame: WrenchFrame = "world" if sensor.wrench_frame == "sensor" else "sensor"
+        if Rotation.from_quat(raw.orientation).magnitude().max() > _SAME:
+            words = f"a wrench in the axes of the {frame} (wrench_frame in [sensor])"
+            yield given._replace(words=words, sensor=replace(sensor, wrench_frame=frame))
         # EI goes with the fourth power of the radius.
         for words, scale in (
             ("the rod's diameter, taken for its radius", 1 / 16),
@@ -194,26 +214,6 @@ class _Recording:
         ):
             stiffness = scale * given.rod.bending_stiffness
             yield given._replace(words=words, rod=replace(given.rod, bending_stiffness=stiffness))
-
-    def other_wrenches(self) -> Iterator[Reading]:
-        """Other units of forces and torques, and their sign."""
-        given, raw = self.given, self.given.raw
-        now = self.table.force_unit or "N", self.table.torque_unit or "N m"
-        for units in product(FORCE, (*TORQUE, "lbf ft")):
-            force, torque = (
-                factor(unit) / factor(old) for unit, old in zip(units, now, strict=True)
-            )
-            changed = [
-                f"{name} in {unit}, taken for {old}"
-                for name, unit, old in zip(("forces", "torques"), units, now, strict=True)
-                if unit != old
-            ]
-            if (force, torque) != (1.0, 1.0):
-                scaled = replace(raw, force=raw.force * force, torque=raw.torque * torque)
-                yield given._replace(words=" and ".join(changed), raw=scaled)
-        sign: WrenchSign = "on_rod" if given.sensor.wrench == "on_sensor" else "on_sensor"
-        words = f"a wrench of the other sign (wrench = {sign!r} in [sensor])"
-        yield given._replace(words=words, sensor=replace(given.sensor, wrench=sign))
 
     def other_turns(self) -> Iterator[Reading]:
         """Other orders of the quaternions, the turns back, other units of angles."""
@@ -241,27 +241,16 @@ class _Recording:
             turned[words] = again
         for words, orientation in turned.items():
             if np.linalg.norm(rotation_vectors(read, orientation), axis=1).max() > _SAME:
-                yield _turned(words, self.given, orientation)
-
-    def other_axes(self) -> Iterator[Reading]:
-        """A sensor that is turned on its flange, and axes of the wrench that are the world's, or
-        the sensor's.
-        """
-        given, raw, sensor = self.given, self.given.raw, self.given.sensor
-        if sensor.wrench_frame == "sensor":
-            for axis, angle in product("xyz", (180, 90, -90)):
-                turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix().T
-                words = f"a sensor turned by {angle}° about its {axis} axis"
-                again = replace(raw, force=raw.force @ turn, torque=raw.torque @ turn)
-                yield given._replace(words=words, raw=again)
-        frame: WrenchFrame = "world" if sensor.wrench_frame == "sensor" else "sensor"
-        if Rotation.from_quat(raw.orientation).magnitude().max() > _SAME:
-            words = f"a wrench in the axes of the {frame} (wrench_frame in [sensor])"
-            yield given._replace(words=words, sensor=replace(sensor, wrench_frame=frame))
+                yield self.changed(words, orientation=orientation)
 
 
-def _turned(words: str, given: Reading, orientation: Float[np.ndarray, "n 4"]) -> Reading:
-    return given._replace(words=words, raw=replace(given.raw, orientation=orientation))
+def _other_units(what: str, units: Sequence[str], now: str) -> Iterator[tuple[str, float]]:
+    """Words for each unit that numbers may be in, none for that which they were read in, and its
+    factor.
+    """
+    for unit in units:
+        words = f"{what} in {unit}, taken for {now}" * (unit != now)
+        yield words, factor(unit) / factor(now)
 
 
 def _about_a_point(raw: RawRecording) -> tuple[float, float, float]:

@@ -1,26 +1,26 @@
 """Recordings of any format to support reactions: read, align, judge, take off tare and mount."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from vibrissa.contacts import RecordingNote, RecordingWarning
-from vibrissa.io.errors import InputError
-from vibrissa.io.recordings import bags, hdf5, judge, layout, matlab, parquet, text
+from vibrissa.files import InputError
+from vibrissa.io.recordings import bags, formats, layout, text
 from vibrissa.io.recordings.align import Recording, aligned
-from vibrissa.io.recordings.arrays import Columns
-from vibrissa.io.recordings.kinds import Kind, kind_of
+from vibrissa.io.recordings.formats import Columns, Kind, kind_of
 from vibrissa.io.recordings.misread import misread_faults
-from vibrissa.io.recordings.streams import Streams
+from vibrissa.io.recordings.streams import Poses, Streams
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
-from vibrissa.sensor import FaultKind, Inspection, RawRecording, inspect_raw
+from vibrissa.sensor import Fault, FaultKind, Inspection, RawRecording, inspect_raw
+from vibrissa.sensor.stamps import stamp_faults
+from vibrissa.sensor.units import wrong_norms
 
 
 def read_recording(path: str | Path, setup: Setup) -> Reactions:
@@ -37,7 +37,7 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
     ----------
     path
         CSV, Parquet, HDF5, NetCDF, MATLAB .mat, or a rosbag2 folder or one of its MCAP or SQLite
-        files, told apart by content, then by suffix. Without the table [recording] in the setup a
+        files, recognized by content, then by suffix. Without the table [recording] in the setup a
         CSV has exactly the header `time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz`, SI units, and
         other formats hold those names, or arrays `position`, `orientation`, `force` and `torque`.
         Capitals in names do not matter.
@@ -75,10 +75,9 @@ def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:
 
 def _judged(file: Path, setup: Setup) -> Inspection:
     """What is found in a recording: said as warnings, or raised where that makes it unusable."""
-    table = setup.recording or RecordingTable()
     streams = _streams(file, setup.recording)
-    judge.check(file, streams)
-    recording = aligned(file, streams, table, setup.rod.length)
+    _check(file, streams)
+    recording = aligned(file, streams, setup.recording or RecordingTable(), setup.rod.length)
     for note in recording.notes:
         warnings.warn(f"{file}: {note}", RecordingNote, stacklevel=3)
     inspection = _inspected(file, recording, setup)
@@ -94,6 +93,30 @@ def _judged(file: Path, setup: Setup) -> Inspection:
     for line in inspection.warnings:
         warnings.warn(f"{file}: {line}", RecordingWarning, stacklevel=3)
     return inspection
+
+
+def _check(file: Path, streams: Streams) -> None:
+    """Refuse what leaves open which rows are right: stamps that run backwards, and orientations
+    that are no rotations.
+    """
+    pose = streams.pose
+    wrong = np.flatnonzero(wrong_norms(pose.orientation)).tolist()
+    if wrong:
+        quaternion = pose.orientation[wrong[0]]
+        with np.errstate(over="ignore"):
+            norm = np.linalg.norm(quaternion)
+        raise InputError(
+            f"{file}, {pose.place(wrong[0])}: qx,qy,qz,qw = {quaternion.tolist()} has the norm "
+            f"{norm:.3g} ({len(wrong)} such); allowed is 1"
+        )
+    for stream in (streams.wrench, pose):
+        falling = np.flatnonzero(np.diff(stream.time) < 0).tolist()
+        if falling:
+            row = falling[0] + 1
+            raise InputError(
+                f"{file}, {stream.place(row)}: time = {stream.time[row]} after "
+                f"{stream.time[row - 1]} ({len(falling)} such); allowed are increasing times"
+            )
 
 
 def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
@@ -125,10 +148,36 @@ def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
     faults = [
         *found.faults,
         *misread_faults(found, setup.rod, setup.sensor, table, in_degrees),
-        *(judge.pose_faults(poses) if poses else ()),
+        *(pose_faults(poses) if poses else ()),
     ]
     faults.sort(key=lambda fault: (fault.start, fault.stop))
     return replace(found, faults=tuple(faults), notes=recording.notes)
+
+
+def pose_faults(pose: Poses) -> list[Fault]:
+    """Faults of poses with stamps of their own, on the clock of the wrenches, which bringing them
+    to the stamps of the wrenches would hide.
+    """
+    known = np.isfinite(pose.time)
+    if not known.any():
+        return []
+    channels, wrong = ("position", "orientation"), wrong_norms(pose.orientation)
+    norms = f"of {len(wrong)} quaternions of the poses have another norm than 1; allowed is 1"
+    found = [
+        replace(fault, channels=channels, text=f"stamps of the poses: {fault.text}")
+        for fault in stamp_faults(pose.time)
+    ]
+    for rows, kind, concerned, words in (
+        (wrong, FaultKind.UNITS, channels[1:], norms),
+        (~pose.finite, FaultKind.DROP_OUT, channels, "poses without a number, which are skipped"),
+    ):
+        count = np.count_nonzero(rows)
+        if count:
+            stamps = pose.time[rows & known] if np.any(rows & known) else pose.time[known]
+            span = float(stamps.min()), float(stamps.max())
+            unusable = kind is FaultKind.UNITS
+            found.append(Fault(kind, concerned, *span, count, f"{count} {words}", unusable))
+    return found
 
 
 def read_raw(path: str | Path, setup: Setup) -> Recording:
@@ -146,46 +195,32 @@ def read_raw(path: str | Path, setup: Setup) -> Recording:
 
 def _streams(file: Path, stated: RecordingTable | None) -> Streams:
     """Both streams, whatever the format."""
-    kind, table = kind_of(file), stated or RecordingTable()
+    table = stated or RecordingTable()
     try:
-        poses = _pose_columns(file, table, table.pose_file) if table.pose_file else None
+        kind, poses = kind_of(file), None
+        if table.pose_file:
+            own = {"decimal": table.pose_decimal, "skip_lines": table.pose_skip_lines}
+            update = {key: value for key, value in own.items() if value is not None}
+            beside = file.parent / table.pose_file.replace("{name}", file.stem)
+            poses = _columns(beside, kind_of(beside), table.model_copy(update=update))
         if kind is Kind.BAG:
             given = None if poses is None else layout.pose_stream(poses, table)
             return bags.streams(file, table, given)
-        if kind is Kind.TEXT and stated is None:
-            return layout.streams(text.columns(file, table, COLUMNS, exactly=COLUMNS), table)
-        return layout.streams(_columns(file, kind, table), table, poses)
+        exactly = COLUMNS if stated is None else ()
+        return layout.streams(_columns(file, kind, table, exactly), table, poses)
     except ImportError as error:
         raise InputError(f"{file}: {error}") from error
 
 
-def _pose_columns(file: Path, table: RecordingTable, name: str) -> Columns:
-    own = {"decimal": table.pose_decimal, "skip_lines": table.pose_skip_lines}
-    of_poses = {key: value for key, value in own.items() if value is not None}
-    pose_file = file.parent / name.replace("{name}", file.stem)
-    return _columns(pose_file, kind_of(pose_file), table.model_copy(update=of_poses))
-
-
-_READERS: dict[Kind, Callable[..., Columns]] = {
-    Kind.PARQUET: parquet.columns,
-    Kind.HDF5: hdf5.columns,
-    Kind.MATLAB_HDF5: partial(hdf5.columns, matlab=True),
-    Kind.CLASSIC: hdf5.classic_columns,
-    Kind.MATLAB: matlab.columns,
-}
-
-
-def _columns(file: Path, kind: Kind, table: RecordingTable) -> Columns:
+def _columns(file: Path, kind: Kind, table: RecordingTable, exactly: Sequence[str] = ()) -> Columns:
+    """Columns whose names may be asked for; `name[k]` also without its index."""
     if kind is Kind.BAG:
         raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
-    wanted = _wanted(table)
-    return text.columns(file, table, wanted) if kind is Kind.TEXT else _READERS[kind](file, wanted)
-
-
-def _wanted(table: RecordingTable) -> list[str]:
-    """Names that may be asked for; `name[k]` also without its index."""
     names = [*table.force, *table.torque, *table.position, *table.orientation]
     for time in (table.time, table.pose_time or ()):
         names += [time] if isinstance(time, str) else time
-    whole = [name.rsplit("[", 1)[0] for name in names if name.endswith("]")]
-    return [*names, *whole, "force", "torque", "position", "orientation"]
+    whole = [name.rpartition("[")[0] for name in names if name.endswith("]")]
+    wanted = [*names, *whole, "force", "torque", "position", "orientation"]
+    if kind is Kind.TEXT:
+        return text.columns(file, table, exactly or wanted, exactly)
+    return formats.columns(file, kind, wanted)

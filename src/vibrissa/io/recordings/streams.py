@@ -1,10 +1,13 @@
-"""What every format is read to: wrenches and poses, each with stamps of its own, SI units."""
+"""What every format is read to: wrenches and poses, each with stamps of its own, SI units; and poses
+at other stamps.
+"""
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation, Slerp
 
 Rows = TypeVar("Rows", bound="Stamped")
 
@@ -28,8 +31,8 @@ class Stamped:
         """Say where a row is in its file."""
         return f"row {row}" if self.line is None else f"line {self.line[row]}"
 
-    def rows(self: Rows, chosen: np.ndarray) -> Rows:
-        """Some of the rows, by a mask or by numbers."""
+    def rows(self: Rows, chosen: Any) -> Rows:
+        """Some of the rows, by a mask, numbers or a slice."""
         parts = {part.name: getattr(self, part.name) for part in fields(self)}
         return replace(
             self, **{name: part[chosen] for name, part in parts.items() if part is not None}
@@ -71,8 +74,8 @@ class Poses(Stamped):
     orientation: Float[np.ndarray, "n 4"]
 
     @property
-    def finite(self) -> np.ndarray:
-        """(n,) whether all numbers of a row are there."""
+    def finite(self) -> Bool[np.ndarray, "n"]:
+        """Whether all numbers of a row are there."""
         numbers = np.column_stack([self.time, self.position, self.orientation])
         return np.isfinite(numbers).all(axis=1)
 
@@ -96,3 +99,44 @@ class Streams:
     pose: Poses
     together: bool = False
     notes: tuple[str, ...] = ()
+
+
+def usable(pose: Poses) -> Poses:
+    """Poses that can be interpolated: finite, with a rotation, in the order of their stamps, the
+    first where several share one.
+    """
+    rows = pose.rows(pose.finite & np.any(pose.orientation != 0, axis=1))
+    return rows.rows(np.unique(rows.time, return_index=True)[1])
+
+
+def within(pose: Poses, time: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Whether stamps lie between the first and the last of at least one pose."""
+    return (time >= pose.time[0]) & (time <= pose.time[-1])
+
+
+def interpolated(pose: Poses, time: Float[np.ndarray, "n"]) -> Poses:
+    """Poses at the stamps `time` [s], in any order, also NaN: positions linearly, orientations along
+    the shortest rotation; NaN before the first and after the last pose. There is at least one pose,
+    and their stamps increase.
+    """
+    inside = within(pose, time)
+    position, orientation = np.full((len(time), 3), np.nan), np.full((len(time), 4), np.nan)
+    # The last one twice, so that a single pose can be interpolated.
+    stamps, twice = (
+        np.append(pose.time, np.inf),
+        np.append(pose.orientation, pose.orientation[-1:], 0),
+    )
+    turns = Slerp(stamps, Rotation.from_quat(twice))
+    orientation[inside] = turns(time[inside]).as_quat()
+    for axis, values in enumerate(pose.position.T):
+        position[inside, axis] = np.interp(time[inside], pose.time, values)
+    return Poses(time, position, orientation)
+
+
+def in_gap(pose: Poses, time: Float[np.ndarray, "n"], longest: float) -> Bool[np.ndarray, "n"]:
+    """Whether stamps lie between two poses that are further apart than `longest` [s]; at the ends
+    of a gap the pose is known.
+    """
+    after = np.clip(np.searchsorted(pose.time, time), 1, len(pose.time) - 1)
+    first, last = pose.time[after - 1], pose.time[after]
+    return (last - first > longest) & (first < time) & (time < last)

@@ -4,9 +4,9 @@ clock.
 
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, Field, PlainValidator, StringConstraints
+from pydantic import BeforeValidator, Field, StringConstraints
 
-from vibrissa.io.config import Positive, Table
+from vibrissa.io.config import IN_ONE, Finite, Positive, Table
 from vibrissa.io.recordings import units
 
 Name = Annotated[
@@ -18,14 +18,6 @@ Name = Annotated[
 
 def _listed(value: object) -> object:
     return (value,) if isinstance(value, str) else value
-
-
-def _offset(value: object) -> float | Literal["estimate"]:
-    if value == "estimate":
-        return "estimate"
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf"):
-        return float(value)
-    raise ValueError
 
 
 def _one_or(count: str) -> str:
@@ -136,8 +128,8 @@ class RecordingTable(Table):
     sensor_frame: Name | None = None
     stamps: Annotated[Literal["header", "log"], Field(description="header or log")] = "header"
     time_offset: Annotated[
-        float | Literal["estimate"],
-        PlainValidator(_offset),
+        Finite | Literal["estimate"],
+        IN_ONE,
         Field(description="a finite number of seconds, or 'estimate'"),
     ] = 0.0
     largest_offset: Positive = 1.0

@@ -13,9 +13,21 @@ Angle = Literal["rad", "deg"]
 Time = Literal["s", "ms", "us", "ns", "min", "h"]
 
 FORCE, TORQUE, LENGTH, ANGLE, TIME = map(get_args, (Force, Torque, Length, Angle, Time))
-_UNITLESS = {"", "1", "-"}
 # "newton millimeters" has 18 letters: what is longer is a note or damage.
 _LONGEST = 30
+
+
+@cache
+def _unit(text: str) -> Any:
+    """A unit, also of a torque whose letters are joined; None if the text is not a unit."""
+    # The kilopond is what pint calls kgf.
+    plain = sub(r"[.\-·⋅]", "*", text.replace("kp", "kgf"))
+    plain = sub(r"(N|gf|lbf)([cm]?m|in|ft)$", r"\1*\2", plain)
+    # pint's parser raises whatever the operators in a text that is no unit lead to.
+    try:
+        return _registry().Unit(plain) if len(plain) <= _LONGEST else None
+    except Exception:
+        return None
 
 
 @cache
@@ -44,39 +56,28 @@ def known(text: str | None, allowed: Sequence[str]) -> str | None:
     """
     # As CF writes times: "seconds since 2026-01-01".
     plain = (text or "").split(" since ")[0].strip().replace("µ", "u").replace("μ", "u")
-    if plain in _UNITLESS:
+    if plain in {"", "1", "-"}:
         return None
-    if plain in allowed:
-        return plain
-    units = {name: _registry().Unit(name) for name in allowed}
-    for spelling in (plain, plain.lower()):
-        unit = _parsed(spelling)
-        if unit is None:
-            continue
-        same = next((name for name, one in units.items() if one == unit), None)
-        if same is not None:
-            return same
-        if unit.dimensionality == units[allowed[0]].dimensionality:
+    # By spelling first, then by meaning, last by letters alone.
+    for unit in (_unit(plain), _unit(plain.lower())):
+        for name in allowed:
+            if name == plain or unit == _unit(name):
+                return name
+        if unit is not None and unit.dimensionality == _unit(allowed[0]).dimensionality:
             break
     else:
         letters = sub(r"[\W_]", "", plain).lower()
-        folded = {name.replace(" ", "").lower(): name for name in allowed}
-        if letters in folded:
-            return folded[letters]
+        for name in allowed:
+            if letters == name.replace(" ", "").lower():
+                return name
     raise ValueError(f"{text!r}; known are {', '.join(allowed)}")
 
 
-def _parsed(text: str) -> Any:
-    """A unit, also of a torque whose letters are joined; None where the text is none."""
-    # The kilopond is what pint calls kgf.
-    plain = sub(r"[.\-·⋅]", "*", text.replace("kp", "kgf"))
-    plain = sub(r"(N|gf|lbf)([cm]?m|in|ft)$", r"\1*\2", plain)
-    if len(plain) > _LONGEST:
-        return None
+def known_or_none(text: str, allowed: Sequence[str]) -> str | None:
+    """As `known`, and None for a text that is no unit."""
     try:
-        return _registry().Unit(plain)
-    # pint's parser raises whatever the operators in a text that is no unit lead to.
-    except Exception:
+        return known(text, allowed)
+    except ValueError:
         return None
 
 
@@ -86,16 +87,6 @@ def is_unit(text: str) -> bool:
 
 
 def in_brackets(name: str, allowed: Sequence[str]) -> str | None:
-    """Unit in brackets at the end of a name, as in `Fx [mN]` or `Fx (mN)`; None where there is none
-    of these.
-    """
+    """Unit in brackets at the end of a name, as in `Fx [mN]` or `Fx (mN)`; None otherwise."""
     found = search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)
     return known_or_none(found[1], allowed) if found else None
-
-
-def known_or_none(text: str, allowed: Sequence[str]) -> str | None:
-    """As `known`, and None for a text that is no unit."""
-    try:
-        return known(text, allowed)
-    except ValueError:
-        return None

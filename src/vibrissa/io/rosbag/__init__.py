@@ -1,7 +1,16 @@
-"""MCAP files and rosbag2 folders of a stream, whole at any moment of being written."""
+"""MCAP files and rosbag2 folders of a stream, whole at any moment of being written.
 
-from vibrissa.io.rosbag.growing import Channel, GrowingFile, Messages
-from vibrissa.io.rosbag.mend import mend
-from vibrissa.io.rosbag.sink import McapSink, Rosbag2Sink
+Importing it raises ImportError, with the command that installs them, where `mcap` or `rosbags` are
+missing.
+"""
+
+from vibrissa.io.rosbag.library import library
+
+for _name in ("mcap.records", "rosbags.typesys"):
+    library(_name)
+
+from vibrissa.io.rosbag.growing import Channel, GrowingFile, Messages  # noqa: E402
+from vibrissa.io.rosbag.mend import mend  # noqa: E402
+from vibrissa.io.rosbag.sink import McapSink, Rosbag2Sink  # noqa: E402
 
 __all__ = ["Channel", "GrowingFile", "McapSink", "Messages", "Rosbag2Sink", "mend"]

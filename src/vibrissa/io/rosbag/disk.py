@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 
 @contextmanager
@@ -14,20 +13,6 @@ def naming_file(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
-
-
-@runtime_checkable
-class Disk(Protocol):
-    """A file that is written at places."""
-
-    def write(self, data: bytes, place: int) -> None:
-        """Write all of it."""
-
-    def truncate(self, size: int) -> None:
-        """Cut off what lies beyond."""
-
-    def close(self) -> None:
-        """Let go; may be called twice."""
 
 
 class FileDisk:

@@ -22,9 +22,10 @@ from zlib import crc32
 
 import numpy as np
 from jaxtyping import Int
+from mcap import records
+from mcap.data_stream import RecordBuilder
 
-from vibrissa.io.rosbag.disk import Disk
-from vibrissa.io.rosbag.library import library
+from vibrissa.io.rosbag.disk import FileDisk
 
 PAGE = 4096
 """Bytes of the smallest memory page in use: a write within one page is never torn by a kill."""
@@ -80,48 +81,32 @@ class GrowingFile:
     qos
         Quality of service of each topic, as rosbag2 writes it.
 
-    Raises
-    ------
-    ImportError
-        If `mcap` is missing.
+    Attributes
+    ----------
+    message_counts
+        Messages of each channel so far.
     """
 
-    def __init__(self, disk: Disk, channels: Sequence[Channel], qos: str) -> None:
-        self._records = records = library("mcap.records")
-        self._builder = library("mcap.data_stream").RecordBuilder
+    def __init__(self, disk: FileDisk, channels: Sequence[Channel], qos: str) -> None:
         self._disk, self.channels = disk, tuple(channels)
-        self._schemas: list[Any] = []
-        self._topics: list[Any] = []
-        self._chunks: list[Any] = []
-        for number, (topic, kind, definition) in enumerate(channels, start=1):
-            self._schemas.append(
-                records.Schema(id=number, name=kind, encoding="ros2msg", data=definition.encode())
-            )
-            self._topics.append(
-                records.Channel(
-                    id=number,
-                    schema_id=number,
-                    topic=topic,
-                    message_encoding="cdr",
-                    metadata={"offered_qos_profiles": qos},
-                )
-            )
-        self._counts = [0] * len(channels)
-        self._data_end = self._bytes([records.DataEnd(data_section_crc=0)])
-        declarations = self._bytes([*self._schemas, *self._topics])
+        self.message_counts = [0] * len(channels)
+        self._chunks: list[records.ChunkIndex] = []
+        numbered = list(enumerate(channels, start=1))
+        schemas = [
+            records.Schema(number, definition.encode(), "ros2msg", kind)
+            for number, (_, kind, definition) in numbered
+        ]
+        topics = [
+            records.Channel(number, topic, "cdr", {"offered_qos_profiles": qos}, number)
+            for number, (topic, *_) in numbered
+        ]
+        declarations, self._data_end = packed(*schemas, *topics), packed(records.DataEnd(0))
         self._index = self._data_end + declarations
-        head = MAGIC + self._bytes([records.Header(profile="ros2", library="vibrissa")])
-        head += declarations
+        head = MAGIC + packed(records.Header("ros2", "vibrissa")) + declarations
         self._room = _head_place(len(head))
         self._size = _whole_pages(self._room + ROOM)
         self._disk.write(head + _filler(self._room - len(head)) + self._room_head(self._room), 0)
-        self._disk.write(self._index + self._footer(self._index_start), self._index_place)
-
-    def _bytes(self, records: Sequence[Any]) -> bytes:
-        stream = self._builder()
-        for record in records:
-            record.write(stream)
-        return bytes(stream.end())
+        self._disk.write(self._index + _footer(self._index_start), self._index_place)
 
     @property
     def _index_place(self) -> int:
@@ -136,63 +121,42 @@ class GrowingFile:
         """Head of the record that reaches from a place to the end of the data."""
         return _HEAD.pack(_PRIVATE, self._index_place - place - _HEAD.size)
 
-    def _footer(self, start: int, offsets: int = 0) -> bytes:
-        footer = self._records.Footer(
-            summary_start=start, summary_offset_start=offsets, summary_crc=0
-        )
-        return self._bytes([footer]) + MAGIC
-
     def append(self, blocks: Sequence[Messages]) -> None:
         """Add a chunk; log times must not be before those of the last one. Raise OSError where the
         disk does.
         """
-        blocks = [block for block in blocks if len(block.log_time)]
-        if not blocks:
+        content, times = bytearray(), [np.empty(0, int), *(block.log_time for block in blocks)]
+        rows: dict[int, list[tuple[int, int]]] = {}
+        for block in blocks:
+            own = rows.setdefault(block.channel, [])
+            own += zip(block.log_time.tolist(), (block.offset + len(content)).tolist(), strict=True)
+            content += block.data
+        if not content:
             return
-        data = b"".join(block.data for block in blocks)
-        chunk = self._records.Chunk(
-            compression="",
-            data=data,
-            message_start_time=min(int(block.log_time[0]) for block in blocks),
-            message_end_time=max(int(block.log_time[-1]) for block in blocks),
-            uncompressed_crc=crc32(data),
-            uncompressed_size=len(data),
-        )
-        written = self._bytes([chunk])
+        data, whole = bytes(content), np.concatenate(times)
+        first, last = int(whole.min()), int(whole.max())
+        written = packed(records.Chunk("", data, last, first, crc32(data), len(data)))
         length, places = len(written), {}
-        indexes = self._message_indexes(blocks)
-        for index in indexes:
-            places[index.channel_id] = self._room + len(written)
-            written += self._bytes([index])
+        for channel, own in sorted(rows.items()):
+            places[channel + 1] = self._room + len(written)
+            written += packed(records.MessageIndex(channel + 1, own))
         self._put(written)
         self._chunks.append(
-            self._records.ChunkIndex(
+            records.ChunkIndex(
                 chunk_length=length,
                 chunk_start_offset=self._room,
                 compression="",
                 compressed_size=len(data),
                 uncompressed_size=len(data),
-                message_start_time=chunk.message_start_time,
-                message_end_time=chunk.message_end_time,
+                message_start_time=first,
+                message_end_time=last,
                 message_index_length=len(written) - length,
                 message_index_offsets=places,
             )
         )
-        for index in indexes:
-            self._counts[index.channel_id - 1] += len(index.records)
+        for channel, own in rows.items():
+            self.message_counts[channel] += len(own)
         self._room = _head_place(self._room + len(written))
-
-    def _message_indexes(self, blocks: Sequence[Messages]) -> list[Any]:
-        rows: dict[int, list[tuple[int, int]]] = {}
-        begin = 0
-        for block in blocks:
-            own = rows.setdefault(block.channel + 1, [])
-            own += zip(block.log_time.tolist(), (block.offset + begin).tolist(), strict=True)
-            begin += len(block.data)
-        return [
-            self._records.MessageIndex(channel_id=channel, records=own)
-            for channel, own in sorted(rows.items())
-        ]
 
     def _put(self, written: bytes) -> None:
         """Records in place of the room, and the rest of the room behind them; their first head is
@@ -200,18 +164,20 @@ class GrowingFile:
         """
         end = self._room + len(written)
         rest = _head_place(end)
-        if rest + _HEAD.size > self._index_place:
-            self._grow(rest + _HEAD.size)
+        self._reserve(rest + _HEAD.size)
         behind = written[_HEAD.size :] + _filler(rest - end) + self._room_head(rest)
         self._disk.write(behind, self._room + _HEAD.size)
         self._disk.write(written[: _HEAD.size], self._room)
 
-    def _grow(self, data_end: int) -> None:
+    def _reserve(self, data_end: int) -> None:
+        """Make the file longer, if need be, so that the data may reach to this place."""
+        if data_end <= self._index_place:
+            return
         start, size = self._index_start, self._size
         self._size = max(_whole_pages(data_end + len(self._index) + _FOOTER_BYTES), size + ROOM)
         footer = self._size - _FOOTER_BYTES
         try:
-            self._disk.write(self._footer(start), footer)
+            self._disk.write(_footer(start), footer)
             self._disk.write(self._index, self._index_place)
         except OSError:
             # Of a disk that is full: the old index still holds, and nothing may be written over it.
@@ -219,11 +185,6 @@ class GrowingFile:
             raise
         self._disk.write(self._room_head(self._room), self._room)
         self._disk.write(struct.pack("<Q", self._index_start), footer + _HEAD.size)
-
-    @property
-    def message_counts(self) -> tuple[int, ...]:
-        """Messages of each channel so far."""
-        return tuple(self._counts)
 
     @property
     def time_range(self) -> tuple[int, int]:
@@ -234,43 +195,39 @@ class GrowingFile:
 
     def close(self) -> None:
         """Write the whole index of chunks, cut off the room that is left, and close the file."""
+        first, last = self.time_range
+        count = len(self.channels)
+        statistics = records.Statistics(
+            attachment_count=0,
+            channel_count=count,
+            channel_message_counts=dict(enumerate(self.message_counts, start=1)),
+            chunk_count=len(self._chunks),
+            message_count=sum(self.message_counts),
+            message_end_time=last,
+            message_start_time=first,
+            metadata_count=0,
+            schema_count=count,
+        )
         end = self._room + _HEAD.size
-        tail = self._tail(end)
-        if end + len(tail) > self._index_place:
-            self._grow(end + len(tail))
+        tail = self._index + packed(statistics, *self._chunks)
+        tail += _footer(end + len(self._data_end))
+        self._reserve(end + len(tail))
         self._disk.write(tail, end)
         self._disk.truncate(end + len(tail))
         self._disk.write(_HEAD.pack(_PRIVATE, 0), self._room)
         self._disk.close()
 
-    def _tail(self, place: int) -> bytes:
-        """End of the data, index of everything, footer."""
-        first, last = self.time_range
-        statistics = self._records.Statistics(
-            attachment_count=0,
-            channel_count=len(self._topics),
-            channel_message_counts=dict(enumerate(self._counts, start=1)),
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts),
-            message_end_time=last,
-            message_start_time=first,
-            metadata_count=0,
-            schema_count=len(self._schemas),
-        )
-        tail, offsets = self._data_end, []
-        for group in (self._schemas, self._topics, [statistics], self._chunks):
-            data = self._bytes(group)
-            if data:
-                offsets.append(
-                    self._records.SummaryOffset(
-                        group_opcode=data[0],
-                        group_start=place + len(tail),
-                        group_length=len(data),
-                    )
-                )
-            tail += data
-        footer = self._footer(place + len(self._data_end), place + len(tail))
-        return tail + self._bytes(offsets) + footer
+
+def packed(*some: records.McapRecord) -> bytes:
+    """Records as they stand in a file."""
+    stream: Any = RecordBuilder()
+    for record in some:
+        record.write(stream)
+    return bytes(stream.end())
+
+
+def _footer(index_start: int) -> bytes:
+    return packed(records.Footer(index_start, 0, 0)) + MAGIC
 
 
 def _whole_pages(size: int) -> int:

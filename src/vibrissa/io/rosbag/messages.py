@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from mcap.records import Message
+from rosbags.typesys import Stores, get_typestore
 
 from vibrissa.inverse import Reconstruction
 from vibrissa.io.contacts import deviations, structured
-from vibrissa.io.rosbag.growing import Channel, Messages
-from vibrissa.io.rosbag.library import library
+from vibrissa.io.rosbag.growing import Channel, Messages, packed
 
 WRENCH, POSE, CONTACTS = range(3)
 TYPES = (
@@ -36,31 +37,29 @@ QOS = """\
 """
 """Of all topics: keep the last 100, reliable, volatile."""
 
+_AXES = [f"{vector}{axis}" for vector in ("", "normal_", "deviation_") for axis in "xyz"]
 POINT = np.dtype(
-    [
-        *((name, "<f4") for name in ("x", "y", "z")),
-        *((f"{vector}_{axis}", "<f4") for vector in ("normal", "deviation") for axis in "xyz"),
-        ("arc_length", "<f4"),
-        ("kind", "u1"),
-        ("status", "u1"),
-        ("time", "<f8"),
-    ],
+    {
+        "names": [*_AXES, "arc_length", "kind", "status", "time"],
+        "formats": ["<f4"] * 10 + ["u1", "u1", "<f8"],
+    },
     align=True,
 )
 """Of a cloud; `time` is seconds after the header's stamp."""
 
 _SECOND = 1_000_000_000
-_HEAD = [
-    ("opcode", "u1"),
-    ("length", "<u8"),
-    ("channel", "<u2"),
-    ("sequence", "<u4"),
-    ("log_time", "<u8"),
-    ("publish_time", "<u8"),
-]
-_MESSAGE = 0x05  # opcode
-_BESIDE_DATA = 22  # bytes from `channel` to `publish_time`
-_STAMP = [("encapsulation", "V4"), ("sec", "<i4"), ("nanosec", "<u4")]  # CDR begins with these
+# Of a message record (the specification), and what the CDR of a stamped message begins with.
+_HEAD = {
+    "opcode": "u1",
+    "length": "<u8",
+    "channel": "<u2",
+    "sequence": "<u4",
+    "log_time": "<u8",
+    "publish_time": "<u8",
+    "encapsulation": "V4",
+    "sec": "<i4",
+    "nanosec": "<u4",
+}
 _DATATYPES = {"<f4": 7, "<f8": 8, "|u1": 2}  # of sensor_msgs/msg/PointField
 
 
@@ -74,36 +73,24 @@ class MessageWriter:
     ----------
     wrench_frame, world_frame
         Names of the frames of the wrench, and of poses and contacts.
-
-    Raises
-    ------
-    ImportError
-        If `rosbags` is missing.
     """
 
     def __init__(self, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
-        typesys = library("rosbags.typesys")
-        self._store: Any = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._world, self._counts = world_frame, [0] * len(TOPICS)
-        vector = self._new("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        vector = self._new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
         pose = self._new(
             "geometry_msgs/msg/Pose",
-            position=self._new("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
-            orientation=self._new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0),
+            self._new("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0),
         )
-        wrench = self._new("geometry_msgs/msg/Wrench", force=vector, torque=vector)
+        wrench = self._new("geometry_msgs/msg/Wrench", vector, vector)
         self._patterns = {
-            WRENCH: self._pattern(WRENCH, 6, wrench_frame, wrench=wrench),
-            POSE: self._pattern(POSE, 7, world_frame, pose=pose),
+            WRENCH: self._pattern(WRENCH, 6, wrench_frame, wrench),
+            POSE: self._pattern(POSE, 7, world_frame, pose),
         }
         self._fields = [
-            self._new(
-                "sensor_msgs/msg/PointField",
-                name=name,
-                offset=offset,
-                datatype=_DATATYPES[kind.str],
-                count=1,
-            )
+            self._new("sensor_msgs/msg/PointField", name, offset, _DATATYPES[kind.str], 1)
             for name, (kind, offset, *_) in (POINT.fields or {}).items()
         ]
         # rosbags builds its code for a type when it first meets it.
@@ -116,22 +103,22 @@ class MessageWriter:
             for topic, kind in zip(TOPICS, TYPES, strict=True)
         ]
 
-    def _new(self, message_type: str, **values: Any) -> Any:
-        return self._store.types[message_type](**values)
+    def _new(self, message_type: str, *values: Any) -> Any:
+        return self._store.types[message_type](*values)
 
-    def _data(self, channel: int, frame: str, stamp: int, **values: Any) -> bytes:
-        sec, nanosec = divmod(stamp, _SECOND)
-        moment = self._new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-        header = self._new("std_msgs/msg/Header", stamp=moment, frame_id=frame)
-        message = self._new(TYPES[channel], header=header, **values)
+    def _data(self, channel: int, frame: str, stamp: int, *values: Any) -> bytes:
+        moment = self._new("builtin_interfaces/msg/Time", *divmod(stamp, _SECOND))
+        header = self._new("std_msgs/msg/Header", moment, frame)
+        message = self._new(TYPES[channel], header, *values)
         return bytes(self._store.serialize_cdr(message, TYPES[channel]))
 
-    def _pattern(self, channel: int, count: int, frame: str, **values: Any) -> np.ndarray:
+    def _pattern(self, channel: int, count: int, frame: str, value: Any) -> np.ndarray:
         """One record (1,) of a message that ends with `count` numbers."""
-        data = self._data(channel, frame, 0, **values)
-        between = len(data) - 12 - 8 * count
-        kind = [*_HEAD, *_STAMP, ("frame", f"V{between}"), ("numbers", "<f8", (count,))]
-        return np.frombuffer(_head(channel, len(data)) + data, dtype=kind)
+        record = packed(Message(channel + 1, 0, self._data(channel, frame, 0, value), 0, 0))
+        head = list(_HEAD.items())
+        between = len(record) - np.dtype(head).itemsize - 8 * count
+        kind = [*head, ("frame", f"V{between}"), ("numbers", "<f8", (count,))]
+        return np.frombuffer(record, dtype=kind)
 
     def stamped(
         self,
@@ -175,28 +162,12 @@ class MessageWriter:
             ),
         )
         data = self._cloud_data(points, first, is_dense=found.covariance is not None)
-        head = _head(CONTACTS, len(data), self._counts[CONTACTS], log_time, max(first, 0))
+        sequence = self._counts[CONTACTS]
         self._counts[CONTACTS] += 1
-        return Messages(CONTACTS, np.array([log_time]), np.array([0]), head + data)
+        record = packed(Message(CONTACTS + 1, log_time, data, max(first, 0), sequence))
+        return Messages(CONTACTS, np.array([log_time]), np.array([0]), record)
 
     def _cloud_data(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
-        return self._data(
-            CONTACTS,
-            self._world,
-            stamp,
-            height=1,
-            width=len(points),
-            fields=self._fields,
-            is_bigendian=False,
-            point_step=POINT.itemsize,
-            row_step=points.nbytes,
-            data=points.view(np.uint8).reshape(-1),
-            is_dense=is_dense,
-        )
-
-
-def _head(channel: int, size: int, *numbers: int) -> bytes:
-    """Of a record whose data have this size; sequence, log time and publish time."""
-    head = np.zeros(1, dtype=_HEAD)
-    head[0] = (_MESSAGE, _BESIDE_DATA + size, channel + 1, *(numbers or (0, 0, 0)))
-    return head.tobytes()
+        step, data = points.itemsize, points.view(np.uint8)
+        shape = 1, len(points), self._fields, False, step, points.nbytes
+        return self._data(CONTACTS, self._world, stamp, *shape, data, is_dense)

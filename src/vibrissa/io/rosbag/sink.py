@@ -1,7 +1,7 @@
 """A stream to an MCAP file, alone or in a rosbag2 folder."""
 
+import json
 import time
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 from vibrissa.inverse import Reconstruction
 from vibrissa.io.rosbag.disk import whole_file
 from vibrissa.io.rosbag.growing import GrowingFile, Messages
-from vibrissa.io.rosbag.library import library
 from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
 from vibrissa.sensor import RawRecording
 
@@ -35,8 +34,6 @@ class McapSink:
 
     Raises
     ------
-    ImportError
-        If the libraries for MCAP are missing.
     OSError
         If the file cannot be written.
     """
@@ -106,28 +103,20 @@ class Rosbag2Sink:
     ----------
     folder
         That is there, or whose parent is.
-    wrench_frame, world_frame
+    frames
         As for `McapSink`.
 
     Raises
     ------
-    ImportError
-        If the libraries for MCAP are missing.
     OSError
         If the folder cannot be written to.
     """
 
-    def __init__(
-        self, folder: Path, *, wrench_frame: str = "sensor", world_frame: str = "world"
-    ) -> None:
+    def __init__(self, folder: Path, **frames: str) -> None:
         folder.mkdir(exist_ok=True)
-        self._yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
-        self._yaml.default_flow_style = False
         self._metadata = folder / "metadata.yaml"
         self._name = f"{folder.resolve().name}_0.mcap"
-        self._mcap = McapSink(
-            folder / self._name, wrench_frame=wrench_frame, world_frame=world_frame
-        )
+        self._mcap = McapSink(folder / self._name, **frames)
         # Raw samples and contacts go to the file as they are.
         self.wrench, self.contacts = self._mcap.wrench, self._mcap.contacts
         self._described()
@@ -163,10 +152,10 @@ class Rosbag2Sink:
             "relative_file_paths": [self._name],
             "files": [{"path": self._name, **size}],
         }
-        text = StringIO()
-        self._yaml.dump({"rosbag2_bagfile_information": content}, text)
+        # JSON is YAML, too.
+        text = json.dumps({"rosbag2_bagfile_information": content}, indent=1)
         with whole_file(self._metadata) as disk:
-            disk.write(text.getvalue().encode(), 0)
+            disk.write(text.encode(), 0)
         disk.close()
         self._when = time.monotonic()
 

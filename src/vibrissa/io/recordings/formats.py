@@ -1,0 +1,289 @@
+"""Which format a recording has, and the binary formats of named columns or arrays: Parquet, HDF5,
+NetCDF and MATLAB.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from vibrissa.files import InputError, readable, reading
+from vibrissa.io.recordings.containers import is_bag, library
+from vibrissa.io.recordings.units import factor
+
+Array = Float[np.ndarray, "n"] | Float[np.ndarray, "n k"]
+Held = dict[str, tuple[Callable[[], Any], Mapping[str, Any]]]
+"""By name, what reads an array and its attributes."""
+
+
+class Kind(Enum):
+    """Formats of recordings."""
+
+    TEXT = "CSV"
+    PARQUET = "Parquet"
+    HDF5 = "HDF5 or NetCDF 4"
+    CLASSIC = "NetCDF 3"
+    MATLAB = ".mat"
+    MATLAB_HDF5 = ".mat of MATLAB 7.3"
+    BAG = "rosbag2 or MCAP"
+
+
+# What files begin with; formats named by a text are recognized, and not read.
+_SIGNS: dict[bytes, Kind | str] = {
+    b"PAR1": Kind.PARQUET,
+    b"\x89HDF\r\n\x1a\n": Kind.HDF5,
+    b"CDF\x01": Kind.CLASSIC,
+    b"CDF\x02": Kind.CLASSIC,
+    b"MATLAB 5.0": Kind.MATLAB,
+    b"MATLAB 7.3": Kind.MATLAB_HDF5,
+    b"\x89MCAP0\r\n": Kind.BAG,
+    b"SQLite format 3\0": Kind.BAG,
+    b"\x28\xb5\x2f\xfd": Kind.BAG,
+    b"#ROSBAG V": "a bag of ROS 1",
+    b"ARROW1": "Arrow IPC (Feather)",
+    b"PK\x03\x04": "a ZIP archive, as XLSX and NPZ are",
+    b"\x1f\x8b": "gzip",
+    b"\x93NUMPY": "a NumPy array",
+}
+_SUFFIXES = {
+    **dict.fromkeys((".parquet", ".pq"), Kind.PARQUET),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Kind.HDF5),
+    **dict.fromkeys((".mcap", ".db3"), Kind.BAG),
+    ".mat": Kind.MATLAB,
+}
+_FORMATS = "CSV, Parquet, HDF5, NetCDF, MATLAB .mat, rosbag2 and MCAP"
+
+
+def kind_of(path: Path) -> Kind:
+    """Format of a recording: by what it begins with, then by its suffix.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is of a known format that is no recording, or is not what its
+        suffix says.
+    """
+    if path.is_dir() and is_bag(path):
+        return Kind.BAG
+    with readable(path).open("rb") as opened:
+        start = opened.read(max(map(len, _SIGNS)))
+    found = next((kind for sign, kind in _SIGNS.items() if start.startswith(sign)), None)
+    if isinstance(found, str):
+        raise InputError(f"{path}: is {found}; allowed are {_FORMATS}")
+    said = _SUFFIXES.get(path.suffix.lower(), Kind.TEXT)
+    # MATLAB 4 has no signature of its own.
+    if found is None and said not in {Kind.TEXT, Kind.MATLAB}:
+        raise InputError(
+            f"{path}: begins with {start[:8]!r}, which is no {said.value}; allowed are {_FORMATS}"
+        )
+    return found or said
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns (n,) or arrays (n, k) of a file.
+
+    Attributes
+    ----------
+    file
+        For messages.
+    names
+        All that it holds.
+    arrays
+        Those that were asked for, by the names they were asked for with.
+    units
+        What the file says of their units.
+    lines
+        (n,) lines of the text that the rows stand in, from 1; None for other formats.
+    """
+
+    file: Path
+    names: Sequence[str]
+    arrays: Mapping[str, Array]
+    units: Mapping[str, str | None] = field(default_factory=dict)
+    lines: Int[np.ndarray, "n"] | None = None
+
+
+def matched(wanted: Iterable[str], names: Iterable[str]) -> dict[str, str]:
+    """Names of a file by those asked for: the same, or else the only one that differs in capitals
+    alone.
+    """
+    folded: dict[str, list[str]] = {}
+    for name in dict.fromkeys(names):
+        folded.setdefault(name.casefold(), []).append(name)
+    alike = {name: folded.get(name.strip("/").casefold(), []) for name in wanted}
+    return {
+        name: name if name in same else same[0]
+        for name, same in alike.items()
+        if name in same or len(same) == 1
+    }
+
+
+def columns(file: Path, kind: Kind, wanted: Sequence[str]) -> Columns:
+    """Arrays of a binary file.
+
+    Parameters
+    ----------
+    file
+        Of any writer.
+    kind
+        Its format, which is no text and no bag. Arrays are named by their paths `group/array`, and
+        `group/table/column` where an HDF5 array has named columns; fields of MATLAB's structs and
+        parts of Parquet's by `struct.field`.
+    wanted
+        The arrays to read; missing ones are left out.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or an array holds no real numbers or has more than two axes.
+    """
+    with reading(file, kind.value), _READERS[kind](file) as held:
+        arrays: dict[str, Array] = {}
+        units: dict[str, str | None] = {}
+        for name, own in matched(wanted, held).items():
+            read, attributes = held[own]
+            stored = np.asarray(read())
+            # MATLAB stores arrays column by column.
+            stored = stored.T if kind is Kind.MATLAB_HDF5 else stored
+            arrays[name] = _numbers(file, name, stored, attributes)
+            units[name] = _unit(attributes)
+        return Columns(file, list(held), arrays, units)
+
+
+def _numbers(file: Path, name: str, stored: np.ndarray, attributes: Mapping[str, Any]) -> Array:
+    """Floats of what is stored, rows first; a matrix of one row or column is a vector. Packing and
+    missing values of the CF conventions are undone by xarray.
+    """
+    if stored.dtype.kind not in "iuf" or stored.ndim > 2:
+        raise InputError(
+            f"{file}: {name!r} of shape {stored.shape} holds {stored.ravel()[:1].tolist()}; "
+            "allowed are real numbers (n,) or (n, k)"
+        )
+    # A damaged number of single precision may be a signalling NaN.
+    with np.errstate(invalid="ignore"):
+        floats = stored.astype(np.float64)
+    keys = {"_FillValue", "missing_value", "scale_factor", "add_offset"} & attributes.keys()
+    if keys:
+        import xarray  # noqa: PLC0415
+
+        axes = [f"axis {axis}" for axis in range(floats.ndim)]
+        packed = xarray.Variable(axes, floats, {key: attributes[key] for key in keys})
+        floats = xarray.decode_cf(xarray.Dataset({"numbers": packed}))["numbers"].to_numpy()
+    return np.atleast_1d(floats.ravel() if 1 in floats.shape else floats)
+
+
+def _unit(attributes: Mapping[str, Any]) -> str | None:
+    """Text of the attribute `units`, or `unit`."""
+    value = np.ravel(attributes.get("units", attributes.get("unit", [])))
+    text = value[0] if value.size == 1 else None
+    if isinstance(text, bytes):
+        text = text.decode(errors="replace")
+    return str(text) if isinstance(text, str) else None
+
+
+@contextmanager
+def _hdf5(file: Path, separator: str = "/") -> Iterator[Held]:
+    """HDF5 of any writer."""
+    import h5py  # noqa: PLC0415
+
+    held: Held = {}
+
+    def note(place: str, node: Any) -> None:
+        # MATLAB keeps the contents of its cells under #refs#.
+        if isinstance(node, h5py.Dataset) and not place.startswith("#"):
+            for column in ("", *(node.dtype.names or ())):
+                name = f"{place}/{column}" if column else place
+                read = partial(node.__getitem__, column or ())
+                held[name.replace("/", separator)] = read, node.attrs
+
+    with h5py.File(file, "r") as opened:
+        opened.visititems(note)
+        yield held
+
+
+@contextmanager
+def _classic(file: Path) -> Iterator[Held]:
+    """NetCDF 3, classic or with 64-bit offsets."""
+    from scipy.io import netcdf_file  # noqa: PLC0415
+
+    with netcdf_file(file, "r", mmap=False) as opened:
+        yield {
+            name: (partial(np.copy, variable.data), vars(variable))
+            for name, variable in opened.variables.items()
+        }
+
+
+@contextmanager
+def _matlab(file: Path) -> Iterator[Held]:
+    """MATLAB's `.mat` of version 4, 6 or 7."""
+    from scipy.io import loadmat  # noqa: PLC0415
+
+    def leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+        for key, value in tree.items():
+            if isinstance(value, Mapping):
+                yield from leaves(value, f"{prefix}{key}.")
+            elif not key.startswith("__"):
+                yield f"{prefix}{key}", value
+
+    tree = loadmat(file, appendmat=False, simplify_cells=True)
+    yield {name: (partial(np.asarray, value), {}) for name, value in leaves(tree)}
+
+
+@contextmanager
+def _parquet(file: Path) -> Iterator[Held]:
+    """Parquet: one column, or one list of fixed length, a quantity; nulls are NaN, dates seconds
+    since 1970.
+    """
+    arrow = library("pyarrow")
+
+    def flattened(table: Any) -> Any:
+        while any(arrow.types.is_struct(kind) for kind in table.schema.types):
+            table = table.flatten()
+        return table
+
+    with library("pyarrow.parquet").ParquetFile(file) as opened:
+        schema = opened.schema_arrow
+        said = {
+            one.name: {key.decode(): text for key, text in (one.metadata or {}).items()}
+            for one in schema
+        }
+
+        def read(name: str) -> Any:
+            return _unpacked(arrow, flattened(opened.read(columns=[name]))[name])
+
+        yield {
+            name: (partial(read, name), said.get(name, {}))
+            for name in flattened(schema.empty_table()).column_names
+        }
+
+
+def _unpacked(arrow: Any, column: Any) -> Any:
+    """Numbers (n,), or (n, k) of lists of one length; other types as they are."""
+    kind, types = column.type, arrow.types
+    if hasattr(kind, "value_type"):
+        compute = library("pyarrow.compute")
+        lengths = compute.unique(compute.list_value_length(column)).to_pylist()
+        if len(lengths) > 1:
+            raise ValueError(f"lists of {lengths} numbers in one column")
+        return _unpacked(arrow, compute.list_flatten(column)).reshape(len(column), -1)
+    if types.is_timestamp(kind) or types.is_duration(kind):
+        return column.cast(arrow.int64()).to_numpy() * factor(kind.unit)
+    if types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind):
+        column = column.cast(arrow.float64(), safe=False)
+    return column.to_numpy()
+
+
+_READERS: dict[Kind, Callable[..., Any]] = {
+    Kind.PARQUET: _parquet,
+    Kind.HDF5: _hdf5,
+    Kind.MATLAB_HDF5: partial(_hdf5, separator="."),
+    Kind.CLASSIC: _classic,
+    Kind.MATLAB: _matlab,
+}

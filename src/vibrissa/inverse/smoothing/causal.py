@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.parameters import COUNT, Changes, Rig, changes, prepared, velocities_of
+from vibrissa.inverse.parameters import COUNT, Rig, changes, prepared, velocities_of
 from vibrissa.inverse.shared import in_clamp_axes
 from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.fit import OUTLIER
@@ -37,7 +37,6 @@ from vibrissa.inverse.smoothing.manifold import (
     ARC_LENGTH,
     AT_REST,
     LOADS,
-    Linear,
     chosen,
     linear_at,
 )
@@ -424,14 +423,17 @@ def _one(
         spread += across + across.T + covariance[DRIFT, DRIFT] + jnp.eye(WRENCH)
         away = residual[:WRENCH] - mean[DRIFT]
         distance = away @ jnp.linalg.solve(spread, away)
-        seen = settings.whitening @ _changes(linear, velocity, settings.rig).wrench
+        value = linear.value
+        by_setup = changes(value.wrench, value.reach, value.direction, velocity, settings.rig)
+        seen = settings.whitening @ by_setup.wrench * (kind != FREE)
         variance = jnp.full(ROWS, jnp.inf).at[:WRENCH].set(jnp.maximum(1.0, distance / OUTLIER))
         variance = variance.at[-1].set(
             jnp.where(kind == TANGENTIAL, settings.incidence_variance, jnp.inf)
         )
-        by_setup = jnp.zeros((ROWS, COUNT)).at[:WRENCH].set(-seen * (kind != FREE))
         step = step._replace(
-            target=jnp.column_stack([residual + slope @ linear.x, by_setup]),
+            target=jnp.column_stack(
+                [residual + slope @ linear.x, jnp.zeros((ROWS, COUNT)).at[:WRENCH].set(-seen)]
+            ),
             slope=slope,
             variance=jnp.where(sound | (jnp.arange(ROWS) >= WRENCH), variance, jnp.inf),
         )
@@ -451,13 +453,14 @@ def _one(
     mean, covariance = _mixture(shares, means[1:], covariances[1:])
     linear = linear_at(mean[PLACE])
     slope = jnp.concatenate([linear.slope.reach, linear.slope.direction])
-    seen = _changes(linear, velocity, settings.rig)
+    value = linear.value
+    seen = changes(value.wrench, value.reach, value.direction, velocity, settings.rig)
     moved = slope @ jnp.einsum("k,kij->ij", shares, columns[1:, PLACE])
     return after, {
-        "reach": linear.value.reach,
-        "direction": linear.value.direction,
+        "reach": value.reach,
+        "direction": value.direction,
         "arc_length": mean[ARC_LENGTH],
-        "incidence": linear.value.incidence,
+        "incidence": value.incidence,
         "noise": slope @ covariance[PLACE, PLACE] @ slope.T,
         "sensitivity": moved + jnp.concatenate([seen.reach, seen.direction]),
         "kind": jnp.where(probability[TANGENTIAL] > probability[TIP], TANGENTIAL, TIP),
@@ -474,11 +477,6 @@ def _mixture(
     away = means - mean
     within = jnp.einsum("k,kij->ij", shares, covariances)
     return mean, within + jnp.einsum("k,ki,kj->ij", shares, away, away)
-
-
-def _changes(linear: Linear, velocity: Array, rig: Rig) -> Changes:
-    value = linear.value
-    return changes(value.wrench, value.reach, value.direction, velocity, rig)
 
 
 def _load(state: _Hypotheses) -> Float[Array, ""]:

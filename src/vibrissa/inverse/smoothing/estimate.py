@@ -129,7 +129,7 @@ def contacts_of(
         sensitivity,
     )
     rows = chosen(touching, dict(zip(_FIELDS, given, strict=False)), np.nan) | {
-        "kind": fit.labels.phase * series.sound,
+        "kind": fit.labels.phase.astype(np.int8) * series.sound,
         "energy": np.where(touching, found.rod.moment_scale * value.energy, 0.0),
     }
     rows["status"] = status

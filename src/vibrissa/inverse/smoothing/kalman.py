@@ -46,6 +46,7 @@ _BUCKET = 512
 """Rows are filled up to multiples of it: a recording has some, and each length is compiled anew."""
 
 Tree = TypeVar("Tree")
+Intensities = Float[Any, "intensities"]
 State = Float[Array, "state *k"]
 Square = Float[Array, "state state"]
 Seen = tuple[Array, ...]
@@ -127,7 +128,7 @@ def entered(
 
 
 def predicted(
-    mean: State, covariance: Square, step: Step, intensities: Float[Array, "intensities"]
+    mean: State, covariance: Square, step: Step, intensities: Intensities
 ) -> tuple[State, Square]:
     """State before the sample is seen, from that which entered it."""
     spread = moved(step, moved(step, covariance).T)
@@ -153,7 +154,7 @@ def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square,
         spread = z @ direction + jnp.where(seen, variance, 1.0)
         innovation = jnp.where(seen, target - z @ mean, 0.0)
         gain = jnp.where(seen, direction / spread, 0.0)
-        mean = mean + _outer(gain, innovation)
+        mean = mean + jnp.tensordot(gain, innovation, 0)
         covariance = covariance - jnp.outer(gain, direction)
         told.append((innovation, jnp.where(seen, spread, jnp.inf), gain))
     return mean, (covariance + covariance.T) / 2, tuple(map(jnp.stack, zip(*told, strict=True)))
@@ -162,10 +163,6 @@ def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square,
 def _design(step: Step) -> Float[Array, "observed state"]:
     drift = jnp.eye(ROWS, WRENCH)
     return jnp.concatenate([step.slope, jnp.zeros((ROWS, COORDINATES)), drift], axis=1)
-
-
-def _outer(one: Float[Array, "state"], other: Float[Array, "*k"]) -> State:
-    return jnp.tensordot(one, other, 0)
 
 
 def log_likelihood(step: Step, seen: Seen) -> Float[Array, "*k"]:
@@ -198,7 +195,9 @@ def scanned(
     """
 
     def row(index: Any) -> Any:
-        return jax.tree.map(lambda part: lax.dynamic_index_in_dim(part, index, 0, False), rows)
+        return jax.tree.map(
+            lambda part: lax.dynamic_index_in_dim(part, index, keepdims=False), rows
+        )
 
     def step(number: Array, state: Any) -> Any:
         index = count - 1 - number if back else number
@@ -219,7 +218,7 @@ def scanned(
 
 @compiled
 def _smoothed(
-    steps: Step, count: Int[Any, ""], intensities: Float[Any, "intensities"], start: Gaussian
+    steps: Step, count: Int[Any, ""], intensities: Intensities, start: Gaussian
 ) -> States:
     def forward(carry: Gaussian, step: Step) -> tuple[Gaussian, Any]:
         before = predicted(*entered(*carry, *step[:3]), step, intensities)
@@ -255,7 +254,7 @@ def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[Stat
     each = (part[::-1] for part in (_design(step), *seen))
     for z, innovation, spread, gain in zip(*each, strict=True):
         along = information @ gain
-        r = r + _outer(z, innovation / spread - gain @ r)
+        r = r + jnp.tensordot(z, innovation / spread - gain @ r, 0)
         information = (
             information
             - jnp.outer(z, along)
@@ -265,7 +264,7 @@ def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[Stat
     return r, information
 
 
-def smoothed(steps: Step, intensities: Float[np.ndarray, "intensities"], start: Gaussian) -> States:
+def smoothed(steps: Step, intensities: Intensities, start: Gaussian) -> States:
     """States at the samples of a series, given all of them."""
     count = len(steps.duration)
     states = _smoothed(filled(steps), np.asarray(count), intensities, start)
@@ -273,7 +272,7 @@ def smoothed(steps: Step, intensities: Float[np.ndarray, "intensities"], start: 
 
 
 def log_likelihoods(
-    series: list[Step], intensities: Float[np.ndarray, "intensities"], start: Gaussian
+    series: list[Step], intensities: Intensities, start: Gaussian
 ) -> Float[np.ndarray, "series"]:
     """Logarithms of the marginal likelihoods of several time series of one length: of the wrenches,
     given the constraints.
@@ -282,8 +281,8 @@ def log_likelihoods(
     sample would add its own, and tangential phases would come out too long.
     """
     rows = jax.tree.map(lambda *parts: np.stack(parts), *map(filled, series))
-    shared = np.asarray(len(series[0].duration)), intensities, start
-    return np.asarray(_log_likelihoods(shared, rows))
+    count = np.asarray(len(series[0].duration))
+    return np.asarray(_log_likelihoods((count, intensities, start), rows))
 
 
 @lanes(width=8, blocks=1)
@@ -309,7 +308,7 @@ def _log_likelihoods(
     return wrenches - constraints
 
 
-def _process_noise(step: Step, intensities: Float[Array, "intensities"]) -> Square:
+def _process_noise(step: Step, intensities: Intensities) -> Square:
     """Covariance that motion and drift add; linear in the intensities."""
     moment, axial, arc_length, tilt, drift = intensities
     loads = jnp.stack([moment, moment, axial]) * step.pace

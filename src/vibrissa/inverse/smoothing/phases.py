@@ -56,10 +56,9 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     covariance = np.eye(WRENCH) / seen[..., None] + zero.covariance
     distance = np.einsum("ni,ni->n", mean, np.linalg.solve(covariance, mean[..., None])[..., 0])
     loaded = (count > 0) & (distance > chi2.isf(false_alarm, WRENCH))
+    around = np.pad(loaded, 1)
     for first, last in runs_of(~series.sound):
-        # The mean of a sample next to the gap may hold some of it.
-        around = loaded[max(0, first - 1) : first].any() and loaded[last + 1 : last + 2].any()
-        loaded[first : last + 1] = around
+        loaded[first : last + 1] = around[first] & around[last + 2]
     size = _LONGEST_GAP + 1
     closed = binary_closing(np.pad(loaded, size, mode="edge"), np.ones(size))[size:-size]
     return binary_opening(closed, np.ones(_LEAST_SAMPLES)) & ~series.ringing

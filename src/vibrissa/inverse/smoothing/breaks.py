@@ -54,7 +54,7 @@ def with_snaps(fit: Fit) -> Labels:
         row = place - 1 + int(np.argmax(single[place - 1 : place + 2]))
         for change in labels.changes:
             if abs(change - row) <= _APART:
-                labels = moved(labels, change, row)
+                labels = moved(labels, change, int(row))
         labels = labels.copy()
         labels.link[row] = JUMP
     return labels

@@ -272,7 +272,8 @@ class CausalSmoother:
         )
         self._settings = jax.tree.map(jnp.asarray, settings)
         floor = np.eye(3) * (not_negative(model_error, "model_error") * rod.length) ** 2
-        self._floor = floor + (0 if position_covariance is None else given.position_covariance)
+        clamp = given.position_covariance
+        self._floor = floor if clamp is None else floor + clamp
         self.reset()
 
     def reset(self) -> None:
@@ -310,11 +311,10 @@ class CausalSmoother:
         ValueError
             If the time does not increase, the pose is not finite, or a shape is another one.
         """
-        places, turns, *given = (
-            np.array([part]) for part in (position, orientation, force, moment, time)
-        )
-        reactions = Reactions(Trail(places, turns), *given, velocity=np.array([velocity]))
-        return self.update_all(reactions)[0]
+        trail = Trail(np.array([position]), np.array([orientation]))
+        row = {"force": force, "moment": moment, "time": time, "velocity": velocity}
+        given: dict[str, Any] = {name: np.array([value]) for name, value in row.items()}
+        return self.update_all(Reactions(trail, **given))[0]
 
     def update_all(self, reactions: Reactions) -> LiveContact:
         """Take several samples of one trail (n, …) with time, in one call: as `update` does one by
@@ -383,7 +383,7 @@ class CausalSmoother:
 
 @compiled
 def _advanced(
-    state: _Hypotheses, settings: _Settings, samples: list[Array], count: Int[Any, ""]
+    state: _Hypotheses, settings: _Settings, samples: Any, count: Int[Any, ""]
 ) -> tuple[_Hypotheses, dict[str, Array]]:
     """The first `count` samples taken, one after the other: wrenches in clamp axes and model units,
     times since the one before, velocities of the clamp.
@@ -410,7 +410,7 @@ def _one(
         mean, covariance = _mixture(shares, *entered)
         covariance += jnp.diag(settings.jump) * (jumped & (kind != FREE))
         columns = jnp.einsum("k,ki,kij->ij", shares, entry[0], state.columns)
-        step = Step(*(part[kind] for part in entry), duration, 1.0, None, None, None)
+        step = Step(*[part[kind] for part in entry] + [duration, 1.0, None, None, None])
         mean, covariance = kalman.predicted(mean, covariance, step, settings.intensities)
         mean = mean.at[ARC_LENGTH].set(jnp.clip(mean[ARC_LENGTH], 0.05, 1.0))
         # The sample about the prediction, its squared distance from it, and its errors by setup.

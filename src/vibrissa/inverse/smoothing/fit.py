@@ -2,6 +2,8 @@
 contact moves and the sensor's zero drifts; and averages over what the labels may be.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter, uniform_filter1d
@@ -89,9 +91,9 @@ def first_guess(
     # No outlier is followed from the start.
     residual = series.whitened - median_filter(series.whitened, (_MEDIAN, 1), mode="nearest")
     weight = _robust(np.sum(residual**2, axis=1))
-    nothing = States(*[np.empty(len(phase))] * 6, Gaussian(*[np.empty(len(phase))] * 2))
+    unknown: Any = None
     return Fit(
-        series, labels, linear, linear, weight, nothing, rates, _START, zero, incidence_spread
+        series, labels, linear, linear, weight, unknown, rates, _START, zero, incidence_spread
     )
 
 

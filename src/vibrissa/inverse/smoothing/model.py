@@ -205,8 +205,8 @@ class Fit(NamedTuple):
 
     def rows(self, rows: slice) -> "Fit":
         """Some of the samples."""
-        each = jax.tree.map(lambda part: part[rows], tuple(self)[:6])
-        return Fit(*each, *self[6:])
+        each: list[Any] = jax.tree.map(lambda part: part[rows], list(self)[:6])
+        return Fit(*(each + list(self)[6:]))
 
     def about(self, linear: Linear) -> "Fit":
         """About other coordinates."""
@@ -263,7 +263,7 @@ def entries(
     rates: Rates,
     bend: Rates = _BEND,
     arc_length_variance: float = ARC_LENGTH_SPREAD**2,
-) -> tuple[np.ndarray, ...]:
+) -> tuple[Any, Any, Any, Any]:
     """How states enter samples after those of phase `before`: at rest where there is no contact, at
     the tip in tip contact, with new rates where a contact begins or breaks. The first four fields
     of `Step`.
@@ -357,13 +357,12 @@ def merged(steps: Step, starts: Codes) -> Step:
     target = weight.reshape(*weight.shape, *[1] * (steps.target.ndim - 2)) * steps.target
     with np.errstate(divide="ignore"):
         variance = 1 / total
-    return Step(
-        *(part[starts] for part in steps[:4]),
-        np.diff(_middle(steps, starts), prepend=0.0),
-        steps.pace[starts],
-        np.add.reduceat(target, starts),
-        np.add.reduceat(weight[..., None] * steps.slope, starts),
-        variance,
+    first: Step = jax.tree.map(lambda part: part[starts], steps)
+    return first._replace(
+        duration=np.diff(_middle(steps, starts), prepend=0.0),
+        target=np.add.reduceat(target, starts),
+        slope=np.add.reduceat(weight[..., None] * steps.slope, starts),
+        variance=variance,
     )
 
 

@@ -25,7 +25,6 @@ from vibrissa.inverse.smoothing.model import (
     GO_ON,
     JUMP,
     TARED,
-    Codes,
     Flags,
     NoMotionError,
     incidence_spread_of,
@@ -101,7 +100,7 @@ def smooth(
         _smoothed(trail, false_alarm, model_error, progress)
         for trail in ([found] if alone else map(found.__getitem__, range(len(found.kind))))
     ]
-    rows = {name: np.stack([part[name] for part, _ in each]) for name in each[0][0]}
+    rows: dict[str, Any] = {name: np.stack([part[name] for part, _ in each]) for name in each[0][0]}
     if alone:
         rows = {name: value[0] for name, value in rows.items()}
     smoothing: Any = tuple(told for _, told in each)
@@ -149,11 +148,15 @@ def _smoothed(
         likelihood += told
         if progress is not None and len(segments) > 1:
             progress(cut, len(found.kind))
-    rows = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+    rows: dict[str, Any] = {
+        name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]
+    }
     return rows, Smoothing(
-        _touches(*rows.pop("labels").T, rows.pop("marks")),
+        _touches(rows.pop("labels"), rows.pop("marks")),
         np.median(intensities, axis=0),
-        *(rows.pop(name) for name in ("drift", "weight", "tilt")),
+        rows.pop("drift"),
+        rows.pop("weight"),
+        rows.pop("tilt"),
         model_error,
         likelihood,
     )
@@ -212,9 +215,9 @@ def _smoothed_segment(
             fit, begin, told = with_onset(fit, first)
             marks[begin, :3] = told
         if last < after:
-            back, begin, (time, *told) = with_onset(reversed_fit(fit), after - last)
+            back, begin, told = with_onset(reversed_fit(fit), after - last)
             fit = fit._replace(labels=reversed_fit(back).labels)
-            marks[after - begin, 3:6] = series.time[-1] - time, *told
+            marks[after - begin, 3:6] = series.time[-1] - told[0], *told[1:]
     smoothest = fit = fitted(fit, most_steps=MOST_STEPS)
     if (fit.labels.phase != FREE).any():
         flank = as_flank(fit)
@@ -225,7 +228,8 @@ def _smoothed_segment(
     return rows, zero, fit.intensities, float(np.sum(fit.states.log_likelihood))
 
 
-def _touches(phase: Codes, link: Codes, marks: np.ndarray) -> tuple[Touch, ...]:
+def _touches(labels: np.ndarray, marks: np.ndarray) -> tuple[Touch, ...]:
+    phase, link = labels.T
     begins = np.diff(phase, prepend=FREE) != 0
     broken = (link == JUMP) | (link > GO_ON) & ~begins
     touches = []
@@ -234,6 +238,6 @@ def _touches(phase: Codes, link: Codes, marks: np.ndarray) -> tuple[Touch, ...]:
         inside = slice(first + 1, last + 1)
         changes, jumps = (first + 1 + np.flatnonzero(part[inside]) for part in (begins, broken))
         told = (tuple(part.tolist()) for part in (changes, jumps, marks[changes, 6]))
-        known = (None if np.isnan(edge) else edge for edge in edges)
-        touches.append(Touch(first, last, *known, *told))
+        each: list[Any] = [None if np.isnan(edge) else edge for edge in edges]
+        touches.append(Touch(first, last, *(each + [*told])))
     return tuple(touches)

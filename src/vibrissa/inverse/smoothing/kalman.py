@@ -47,6 +47,7 @@ _BUCKET = 512
 
 Tree = TypeVar("Tree")
 Intensities = Float[Any, "intensities"]
+Vector = Float[Array, "state"]
 State = Float[Array, "state *k"]
 Square = Float[Array, "state state"]
 Seen = tuple[Array, ...]
@@ -121,7 +122,7 @@ def at_rest(zero: Gaussian) -> Gaussian:
 
 
 def entered(
-    mean: State, covariance: Square, keep: State, begin: State, spread: State
+    mean: State, covariance: Square, keep: Vector, begin: Vector, spread: Vector
 ) -> tuple[State, Square]:
     """State as it enters a sample."""
     return (keep * mean.T + begin).T, keep[:, None] * covariance * keep + jnp.diag(spread)

@@ -197,6 +197,13 @@ def test_live_contacts_are_nearly_as_good(swept: Sweep, smooth: vb.Reconstructio
     )
     contacts = [live.update(*row) for row in rows]
     point = np.array([contact.point for contact in contacts])
+    together = vb.CausalSmoother(
+        WIRE, given.covariance, position_covariance=given.position_covariance, speed=SPEED
+    ).update_all(given)
+    np.testing.assert_allclose(together.contacts.point, point, rtol=0, atol=1e-12)
+    assert together.contacts.kind is not None
+    assert together.contacts.kind.tolist() == [contact.kind for contact in contacts]
+    assert contacts[300].contacts.normal.shape == (3,)
     inner = core(swept)
     error = np.linalg.norm(point[inner] - swept.point[inner], axis=1)
     assert np.mean(np.isfinite(error)) > 0.9

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from sweeps import BALL, SENSOR, WIRE
 
 import vibrissa as vb
-from vibrissa.inverse.smoothing import segments
+from vibrissa.inverse.smoothing import smooth as smoothing
 from vibrissa.inverse.work import clamp_work
 
 REST, ROWS = 100, 600
@@ -139,8 +139,8 @@ def test_readings_of_the_wrong_sign_are_not_ok(scan: vb.Scan) -> None:
 def test_segments_meet_without_a_seam(scan: vb.Scan, monkeypatch: pytest.MonkeyPatch) -> None:
     raw = vb.reconstruct(WIRE, readings(scan, 100.0))
     whole = vb.smooth(raw)
-    monkeypatch.setattr(segments, "_LONGEST", 460)
-    monkeypatch.setattr(segments, "_OVERLAP", 160)
+    monkeypatch.setattr(smoothing, "_LONGEST", 460)
+    monkeypatch.setattr(smoothing, "_OVERLAP", 160)
     parts = vb.smooth(raw)
     assert parts.smoothing is not None
     assert whole.covariance is not None

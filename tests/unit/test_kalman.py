@@ -15,7 +15,6 @@ from vibrissa.inverse.smoothing.kalman import (
     ROWS,
     SIZE,
     WRENCH,
-    Entry,
     Gaussian,
     Step,
 )
@@ -46,7 +45,7 @@ def series(seed: int = 3) -> Step:
     duration = np.array([0.0, 0.3, 0.2, 0.4, 0.3, 0.25])
     target = rng.normal(size=(COUNT, ROWS))
     pace = rng.uniform(0.5, 2, COUNT)
-    return Step(Entry(keep, begin, spread, active), duration, pace, target, slope, variance)
+    return Step(keep, begin, spread, active, duration, pace, target, slope, variance)
 
 
 def first() -> Gaussian:
@@ -57,7 +56,7 @@ def first() -> Gaussian:
 
 @jax.jit
 def predicted(start: Gaussian, step: Step) -> Gaussian:
-    entered = kalman.entered(*start, step.entry)
+    entered = kalman.entered(*start, *step[:3])
     return Gaussian(*kalman.predicted(*entered, step, jnp.asarray(INTENSITIES)))
 
 
@@ -76,7 +75,7 @@ def joint(steps: Step) -> tuple[np.ndarray, np.ndarray]:
     means, rows = [], np.zeros((0, 0))
     for k in range(COUNT):
         step = jax.tree.map(lambda part, k=k: part[k], steps)
-        keep, moving = step.entry.keep, step.entry.active * step.duration
+        keep, moving = step.keep, step.active * step.duration
         transition = np.diag(keep)
         transition[:5] += np.eye(16)[5:10] * (moving * keep[5:10])[:, None]
         state = predicted(state, step)
@@ -166,8 +165,7 @@ def test_series_that_differ_in_their_readings_alone_are_smoothed_together() -> N
     """As columns of the same pass; they are what each of them is by itself."""
     steps, start = series(), first()
     targets = np.random.default_rng(9).normal(size=(COUNT, ROWS, 3))
-    begin = np.zeros_like(steps.entry.begin)
-    steps = steps._replace(entry=steps.entry._replace(begin=begin), target=targets)
+    steps = steps._replace(begin=np.zeros_like(steps.begin), target=targets)
     columns = start._replace(mean=np.tile(start.mean[:, None], 3))
     together = kalman.smoothed(steps, INTENSITIES, columns)
     for k in range(3):

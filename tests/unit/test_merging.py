@@ -4,9 +4,18 @@ import numpy as np
 import pytest
 
 from vibrissa.inverse.smoothing import kalman
-from vibrissa.inverse.smoothing.kalman import ROWS, SIZE, Entry, Gaussian, Step
-from vibrissa.inverse.smoothing.merging import group_starts, merged, spread_out
-from vibrissa.inverse.smoothing.series import FREE, GO_ON, KINK, TANGENTIAL, TIP, Labels
+from vibrissa.inverse.smoothing.kalman import ROWS, SIZE, Gaussian, Step
+from vibrissa.inverse.smoothing.model import (
+    FREE,
+    GO_ON,
+    KINK,
+    TANGENTIAL,
+    TIP,
+    Labels,
+    group_starts,
+    merged,
+    spread_out,
+)
 
 COUNT, RATE = 240, 250.0
 INTENSITIES = np.array([0.02, 0.02, 0.002, 1e-6, 0.02])
@@ -35,7 +44,10 @@ def steps() -> Step:
     target = rng.normal(size=(COUNT, ROWS))
     active = np.where(touching[:, None], np.ones(5), 0.0)
     return Step(
-        Entry(keep, np.zeros((COUNT, SIZE)), spread, active),
+        keep,
+        np.zeros((COUNT, SIZE)),
+        spread,
+        active,
         np.full(COUNT, 1 / RATE),
         np.ones(COUNT),
         target,

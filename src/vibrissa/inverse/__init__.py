@@ -9,8 +9,8 @@ from vibrissa.inverse.friction import FrictionEstimate, estimate_friction
 from vibrissa.inverse.integration import reconstruct_by_integration
 from vibrissa.inverse.reconstruct import reconstruct
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.smoothing.causal import CausalSmoother, LiveContact
-from vibrissa.inverse.smoothing.result import Smoothing, Touch
+from vibrissa.inverse.smoothing.causal import CausalSmoother
+from vibrissa.inverse.smoothing.result import LiveContact, Smoothing, Touch
 from vibrissa.inverse.smoothing.smooth import smooth
 
 __all__ = [

@@ -13,7 +13,9 @@ from vibrissa.rod import Rod
 from vibrissa.trail import Trail
 
 _FILTERED = (
+    "kind",
     "point",
+    "force_direction",
     "arc_length",
     "modulus",
     "covariance",
@@ -69,17 +71,9 @@ class SmoothingStage:
         self._last = float(reactions.time[-1])
         rows = self._smoother.update_all(reactions)
         bad = found.status * ~np.isfinite(reactions.force).all(axis=-1)
-        filtered: dict[str, Any] = {
-            name: np.array([getattr(row, name) for row in rows]) for name in _FILTERED
-        }
-        return replace(
-            found,
-            **filtered,
-            force_direction=np.array([row.normal for row in rows]),
-            kind=np.array([row.kind for row in rows], dtype=np.int8),
-            arc_length_deviation=None,
-            status=np.maximum(bad, [row.status for row in rows]).astype(np.int8),
-        )
+        filtered: dict[str, Any] = {name: getattr(rows, name) for name in _FILTERED}
+        status = np.maximum(bad, rows.status)
+        return replace(found, **filtered, arc_length_deviation=None, status=status)
 
     def reset(self) -> None:
         """Begin anew: the sensor's zero was taken anew."""

@@ -6,9 +6,19 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.stats import chi2
 
 from vibrissa.inverse.smoothing.changes import moved
-from vibrissa.inverse.smoothing.kalman import RATE, SIZE, States
+from vibrissa.inverse.smoothing.kalman import RATE, States
 from vibrissa.inverse.smoothing.manifold import LOADS
-from vibrissa.inverse.smoothing.series import FREE, GO_ON, JUMP, KINK, Codes, Fit, Labels, Samples
+from vibrissa.inverse.smoothing.model import (
+    FREE,
+    GO_ON,
+    JUMP,
+    KINK,
+    TINY,
+    Codes,
+    Fit,
+    Labels,
+    Samples,
+)
 
 _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
@@ -26,12 +36,12 @@ def with_snaps(fit: Fit) -> Labels:
     """Jumps where the wrench steps from one sample to the next, far from its noise and from its
     course before and after; a change of phase beside one is moved there.
     """
-    labels, sound = fit.labels, fit.series.sound
-    touching, load, count = (labels.phase != FREE) & sound, fit.series.whitened, len(sound)
+    labels, sound, count = fit.labels, fit.series.sound, len(fit.labels.phase)
     if count < 2 * _HALF or not sound.any():
         return labels
-    known = np.flatnonzero(sound)
-    load = np.stack([np.interp(np.arange(count), known, part[known]) for part in load.T], axis=1)
+    known, touching = np.flatnonzero(sound), (labels.phase != FREE) & sound
+    parts = [np.interp(np.arange(count), known, part) for part in fit.series.whitened[known].T]
+    load = np.stack(parts, axis=1)
     # Medians of some samples to either side: a spike is no step.
     around = np.median(np.lib.stride_tricks.sliding_window_view(load, _SIDE, axis=0), axis=-1)
     step = np.zeros(count)
@@ -57,24 +67,23 @@ def with_jumps(fit: Fit) -> Labels:
     labels = fit.labels.copy()
     touching = labels.phase != FREE
     rows = np.flatnonzero(touching[1:] & touching[:-1] & (labels.link[1:] == GO_ON)) + 1
-    loads, rates = np.arange(SIZE)[:LOADS], np.arange(SIZE)[RATE][:LOADS]
-    shock, turn = _shock(fit.states, rows, np.append(loads, rates)), _shock(fit.states, rows, rates)
+    rates = RATE.start + np.arange(LOADS)
+    turn = _shock(fit.states, rows, rates)
+    shock = _shock(fit.states, rows, np.append(np.arange(LOADS), rates))
     level = _FALSE_JUMPS / max(len(rows), 1)
     limit, value_limit = chi2.isf(level, 2 * LOADS), chi2.isf(level, LOADS)
     for k in np.argsort(-shock):
-        row = int(rows[k])
         if shock[k] < limit:
             break
-        broken = np.flatnonzero((labels.link > GO_ON) | labels.begins)
-        if not broken.size or np.abs(broken - row).min() >= _APART:
-            labels.link[row] = KINK if shock[k] - turn[k] < value_limit else JUMP
+        if np.abs(labels.breaks - rows[k]).min(initial=_APART) >= _APART:
+            labels.link[rows[k]] = KINK if shock[k] - turn[k] < value_limit else JUMP
     return labels
 
 
 def _shock(states: States, rows: Codes, entries: Int[np.ndarray, "k"]) -> Samples:
     """Chi-square of a shock to these entries of the state on the way to a sample."""
     information = states.information[rows][:, entries][:, :, entries]
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-300))
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), TINY))
     relative = information / scale[:, :, None] / scale[:, None, :]
     inverse = np.linalg.pinv(relative, rcond=1e-10, hermitian=True)
     pull = states.pull[rows][:, entries] / scale

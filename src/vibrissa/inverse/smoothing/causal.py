@@ -5,90 +5,112 @@ filter as the fixed-interval smoother's way forward, and they mix by their proba
 (interacting multiple models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
 """
 
-import math
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jax import Array
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from vibrissa.contacts import ContactKind, Status
+from vibrissa.contacts import Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
-from vibrissa.inverse.parameters import COUNT, prepared
-from vibrissa.inverse.smoothing.fit import TARED
-from vibrissa.inverse.smoothing.hypotheses import Hypotheses, Report, Sample, Settings, advanced
-from vibrissa.inverse.smoothing.kalman import INTENSITIES, SIZE, WRENCH, at_rest
-from vibrissa.inverse.smoothing.loops import filled
-from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES, LOADS
-from vibrissa.inverse.smoothing.model import TILT_SPREAD, entries, incidence_spread_of
-from vibrissa.inverse.smoothing.series import (
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.parameters import COUNT, Rig, changes, prepared, velocities_of
+from vibrissa.inverse.shared import in_clamp_axes
+from vibrissa.inverse.smoothing import kalman
+from vibrissa.inverse.smoothing.fit import OUTLIER
+from vibrissa.inverse.smoothing.kalman import (
+    DRIFT,
+    INTENSITIES,
+    PLACE,
+    RATE,
+    ROWS,
+    SIZE,
+    WRENCH,
+    Step,
+)
+from vibrissa.inverse.smoothing.manifold import (
+    ARC_LENGTH,
+    AT_REST,
+    LOADS,
+    chosen,
+    linear_at,
+)
+from vibrissa.inverse.smoothing.model import (
     FREE,
     GO_ON,
     KINK,
+    TANGENTIAL,
+    TARED,
+    TILT_SPREAD,
+    TINY,
+    TIP,
     Labels,
+    entries,
+    incidence_spread_of,
+    observed,
+    series_of,
 )
+from vibrissa.inverse.smoothing.result import LiveContact
+from vibrissa.numerics.compiled import compiled
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import SetupErrors
+from vibrissa.trail import Trail
 
 _MEAN_SAMPLES = 5
 """Averaged before a load is tested, as offline."""
 _BATCH = 64
+"""Samples of a call: they take far longer than the call itself."""
 _SPEED = 0.2
-"""Rod lengths a second, of a clamp of which nothing else is known."""
+"""Rod lengths a second, of a clamp of unknown speed."""
 _RATES = np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD])
-"""Standard deviations of rates of which nothing is known, at a speed of a rod length a second: ten
-times those of a sweep."""
+"""Standard deviations of unknown rates, at a speed of a rod length a second: ten times those of a
+sweep."""
 _BEND = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
 """Of them where a phase changes: the rate of s₁ is then another one."""
 _ARC_LENGTH_VARIANCE = 0.1
 """Of a contact that begins with the flank: that of a uniform s₁ about 1."""
 _JUMP = 2.0
-"""Standard deviation of loads of which nothing is known: those of a strongly bent rod."""
+"""Standard deviation of unknown loads: those of a strongly bent rod."""
+_SWITCH = 1e-2
+"""Probability a sample that the hypothesis changes, to each of the others: contacts last hundreds
+of samples, and a wrong hypothesis is left within some."""
+_PATIENCE = 4
+"""Consecutive outliers that are taken for a jump of the contact."""
 
 
-@dataclass(frozen=True, eq=False)
-class LiveContact:
-    """One sample's contact, given the samples so far. World axes, units of the rod.
+class _Settings(NamedTuple):
+    """What does not change."""
 
-    Attributes
-    ----------
-    time
-        [s].
-    kind
-        `ContactKind.NONE` without contact.
-    point, normal
-        (3,); NaN without contact.
-    arc_length, modulus
-        s₁ and k².
-    covariance, normal_covariance
-        (3, 3): from sample to sample, and of what the whole sweep shares.
-    covariance_noise, normal_covariance_noise
-        (3, 3): from sample to sample alone.
-    sensitivity
-        (6, 15): as that of `Reconstruction`.
-    probability
-        Of contact, among the hypotheses.
-    status
-        BAD_DATA where the sample holds numbers that are not finite: the contact is then that
-        predicted from the samples before.
+    whitening: Float[Any, "wrench wrench"]
+    intensities: Float[Any, "intensities"]
+    entries: tuple[Any, ...]
+    """How the state of each kind (rows) enters each other (columns)."""
+    jump: Float[Any, "state"]
+    """Variances of the state added where the contact jumps."""
+    incidence_variance: Float[Any, ""]
+    """Of k² about ½ in tangential contact; infinite where friction may make it another one."""
+    rig: Rig
+
+
+class _Hypotheses(NamedTuple):
+    """What the filter carries from sample to sample: a state for each `ContactKind`."""
+
+    mean: Float[Any, "kinds state"]
+    covariance: Float[Any, "kinds state state"]
+    probability: Float[Any, "kinds"]
+    recent: Float[Any, "samples wrench"]
+    """The last whitened wrenches, the newest first; NaN where there was none."""
+    strange: Float[Any, ""]
+    """Consecutive outliers."""
+    columns: Float[Any, "kinds state parameters"]
+    """Derivatives of `mean` by the setup's numbers, for given readings: the same filter, with what
+    they change in the wrench in the place of the readings.
     """
-
-    time: float
-    kind: ContactKind
-    point: Float[np.ndarray, "3"]
-    normal: Float[np.ndarray, "3"]
-    arc_length: float
-    modulus: float
-    covariance: Float[np.ndarray, "3 3"]
-    normal_covariance: Float[np.ndarray, "3 3"]
-    covariance_noise: Float[np.ndarray, "3 3"]
-    normal_covariance_noise: Float[np.ndarray, "3 3"]
-    sensitivity: Float[np.ndarray, "6 15"]
-    probability: float
-    status: Status
 
 
 class CausalSmoother:
@@ -144,50 +166,55 @@ class CausalSmoother:
     ) -> None:
         if not 0 < false_alarm < 1:
             raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
-        self._rod = rod
-        units = np.repeat([rod.force_scale, rod.moment_scale], 3)
+        still = np.zeros((1, 3))
+        given = Reactions(
+            Trail(still),
+            still,
+            still,
+            covariance=covariance,
+            position_covariance=position_covariance,
+            setup_errors=setup_errors,
+        )
+        self._rod, self._threshold = rod, float(chi2.isf(false_alarm, WRENCH))
         pace = _SPEED if speed is None else positive(speed, "speed") / rod.length
+        # Of a sweep: accelerations are of the order of the speed squared, and last for its inverse.
+        expected = np.array([100.0, 100.0, 1.0, 1e-4, 0.0]) * pace**3 + [0, 0, 0, 0, 1e-4]
+        if intensities is not None:
+            expected = finite_array(intensities, "intensities", last=INTENSITIES, ndim=1)
+            if not np.all(expected > 0):
+                raise ValueError(
+                    f"intensities = {expected.tolist()}; allowed are numbers greater than 0"
+                )
         if friction is not None:
             friction = not_negative(friction, "friction")
         spread, rates = incidence_spread_of(friction, setup_errors), _RATES * pace
         before, kind = np.divmod(np.arange(3 * 3), 3)
-        link = np.where((before != kind) & (before != FREE), KINK, GO_ON)
-        one = np.ones(len(kind))
-        x = np.tile(AT_REST, (len(kind), 1))
-        entry = entries(before, Labels(kind, link, one, one), x, rates, _BEND, _ARC_LENGTH_VARIANCE)
-        jump = np.zeros((3, COORDINATES))
-        jump[0, :LOADS], jump[1, :LOADS] = _JUMP**2, rates[:LOADS] ** 2
-        rig, _, errors = prepared(rod, setup_errors)
-        self._settings = jax.tree.map(
-            jax.numpy.asarray,
-            Settings(
-                np.asarray(rod.length),
-                units,
-                _whitening(covariance, units),
-                _intensities(intensities, pace),
-                jax.tree.map(lambda part: part.reshape(3, 3, -1), entry),
-                np.append(jump[:2], np.zeros(WRENCH)),
-                np.asarray(np.inf if spread is None else spread**2),
-                rig,
-                errors,
-            ),
+        link, one = np.where((before != kind) & (before != FREE), KINK, GO_ON), np.ones(len(kind))
+        x, labels = np.tile(AT_REST, (len(kind), 1)), Labels(kind, link, one, one)
+        entry = entries(before, labels, x, rates, _BEND, _ARC_LENGTH_VARIANCE)
+        jump = np.zeros(SIZE)
+        jump[:LOADS], jump[RATE][:LOADS] = _JUMP**2, rates[:LOADS] ** 2
+        rig, _, self._errors = prepared(rod, setup_errors)
+        settings = _Settings(
+            series_of(rod, given, np.zeros(1, dtype=bool)).whitening[0],
+            expected,
+            tuple(part.reshape(3, 3, -1) for part in entry),
+            jump,
+            np.asarray(np.inf if spread is None else spread**2),
+            rig,
         )
-        clamp = (
-            np.zeros((3, 3))
-            if position_covariance is None
-            else finite_array(position_covariance, "position_covariance", last=3, ndim=2)
-        )
-        floor = not_negative(model_error, "model_error") * rod.length
-        self._floor = clamp + np.eye(3) * floor**2
-        self._threshold = float(chi2.isf(false_alarm, WRENCH))
+        self._settings = jax.tree.map(jnp.asarray, settings)
+        floor = np.eye(3) * (not_negative(model_error, "model_error") * rod.length) ** 2
+        clamp = given.position_covariance
+        self._floor = floor if clamp is None else floor + clamp
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples: a new recording begins, free of contact, with its zero as good as a
         tare over 50 samples.
         """
-        start = at_rest(TARED)
-        self._state = Hypotheses(
+        start = kalman.at_rest(TARED)
+        self._state = _Hypotheses(
             np.tile(start.mean, (3, 1)),
             np.tile(start.covariance, (3, 1, 1)),
             np.array([1.0, 0.0, 0.0]),
@@ -215,33 +242,14 @@ class CausalSmoother:
         Raises
         ------
         ValueError
-            If the time does not increase, or the pose is not finite.
+            If the time does not increase, the pose is not finite, or a shape is another one.
         """
-        if not math.isfinite(time) or (self._time is not None and time <= self._time):
-            before = "" if self._time is None else f", after the sample before at {self._time}"
-            raise ValueError(f"time = {time!r}; allowed are finite increasing times{before}")
-        parts = [
-            np.asarray(part, dtype=float)
-            for part in (position, orientation, force, moment, velocity)
-        ]
-        shapes = [part.shape for part in parts]
-        if (
-            shapes != [(3,), (4,), (3,), (3,), (6,)]
-            or not np.isfinite([*parts[0], *parts[1]]).all()
-            or not parts[1].any()
-        ):
-            given = [part.tolist() for part in parts[:4]]
-            raise ValueError(
-                f"position, orientation, force, moment = {given}; allowed are 3, 4, 3 and 3 "
-                "numbers, a finite position and a quaternion"
-            )
-        wrench = np.concatenate(parts[2:4])
-        duration = np.asarray(0.0 if self._time is None else time - self._time)
-        sample = Sample(parts[0], parts[1], wrench, duration, parts[4])
-        (found,) = self._taken(jax.tree.map(lambda part: part[None], sample), np.array([time]))
-        return found
+        trail = Trail(np.array([position]), np.array([orientation]))
+        row = {"force": force, "moment": moment, "time": time, "velocity": velocity}
+        given: dict[str, Any] = {name: np.array([value]) for name, value in row.items()}
+        return self.update_all(Reactions(trail, **given))[0]
 
-    def update_all(self, reactions: Reactions) -> list[LiveContact]:
+    def update_all(self, reactions: Reactions) -> LiveContact:
         """Take several samples of one trail (n, …) with time, in one call: as `update` does one by
         one, at a fraction of its cost for each.
 
@@ -251,79 +259,166 @@ class CausalSmoother:
             If the reactions are of several trails or have no time, or the first is not after the
             last sample before.
         """
-        time, trail = reactions.time, reactions.trail
+        rod, time, trail = self._rod, reactions.time, reactions.trail
         if time is None or time.ndim != 1:
             raise ValueError(
                 f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …) with time"
             )
-        if self._time is not None and len(time) and time[0] <= self._time:
+        if self._time is not None and time[0] <= self._time:
             raise ValueError(
-                f"time[0] = {time[0]}; allowed is after the sample before at {self._time}"
+                f"time = {time[0]}; allowed are finite increasing times, after the sample before "
+                f"at {self._time}"
             )
-        samples = Sample(
-            trail.position,
-            trail.orientation,
-            np.concatenate([reactions.force, reactions.moment], axis=1),
-            np.diff(time, prepend=time[0] if self._time is None else self._time),
-            reactions.clamp_velocity(),
-        )
-        found: list[LiveContact] = []
+        wrench, _ = in_clamp_axes(reactions, np.repeat([rod.force_scale, rod.moment_scale], 3))
+        since = np.diff(time, prepend=time[0] if self._time is None else self._time)
+        samples, told = (wrench, since, velocities_of(rod, reactions)), []
         for first in range(0, len(time), _BATCH):
-            rows = slice(first, first + _BATCH)
-            part = filled(jax.tree.map(lambda values, rows=rows: values[rows], samples), _BATCH)
-            found += self._taken(part, time[rows])
-        return found
-
-    def _taken(self, samples: Sample, time: Float[np.ndarray, "n"]) -> list[LiveContact]:
-        """The first samples, one for each time."""
-        self._state, report = advanced(self._state, self._settings, samples, np.asarray(len(time)))
+            part = [values[first : first + _BATCH] for values in samples]
+            count = np.asarray(len(part[0]))
+            filled = kalman.filled(part, _BATCH)
+            self._state, report = _advanced(self._state, self._settings, filled, count)
+            told.append(
+                jax.tree.map(lambda values, count=count: np.asarray(values)[:count], report)
+            )
         self._time = float(time[-1])
-        report = jax.tree.map(np.asarray, report)
-        return [
-            self._contact(jax.tree.map(lambda part, k=k: part[k], report), float(at))
-            for k, at in enumerate(time)
-        ]
-
-    def _contact(self, report: Report, time: float) -> LiveContact:
-        kind, located, length = ContactKind(int(report.kind)), report.located, self._rod.length
-        if report.probability < 0.5 or not report.load > self._threshold:
-            kind = ContactKind.NONE
-            located = jax.tree.map(lambda part: np.full(np.shape(part), np.nan), located)
-        point, normal = slice(0, 3), slice(3, 6)
-        noise, whole = located.noise, located.noise + located.shared
+        found = jax.tree.map(lambda *parts: np.concatenate(parts), *told)
+        turn = rotation_matrices(trail.orientation)
+        both = np.kron(np.eye(2), turn)
+        sensitivity = both @ found["sensitivity"]
+        shared = sensitivity @ self._errors @ np.swapaxes(sensitivity, 1, 2)
+        noise = both @ found["noise"] @ np.swapaxes(both, 1, 2)
+        (of_point, of_normal), (point_noise, normal_noise) = (
+            (part[:, :3, :3] * rod.length**2 + self._floor, part[:, 3:, 3:])
+            for part in (noise + shared, noise)
+        )
+        reach, direction = (turn @ found[name][..., None] for name in ("reach", "direction"))
+        located = {
+            "point": trail.position + rod.length * reach[..., 0],
+            "force_direction": direction[..., 0],
+            "arc_length": rod.length * found["arc_length"],
+            "modulus": found["incidence"],
+            "covariance": of_point,
+            "normal_covariance": of_normal,
+            "covariance_noise": point_noise,
+            "normal_covariance_noise": normal_noise,
+            "sensitivity": sensitivity,
+        }
+        touching = (found["probability"] >= 0.5) & (found["load"] > self._threshold)
+        sound = np.isfinite(wrench).all(axis=1)
         return LiveContact(
             time,
-            kind,
-            length * located.point,
-            located.direction,
-            float(length * located.arc_length),
-            float(located.incidence),
-            length**2 * whole[point, point] + self._floor,
-            whole[normal, normal],
-            length**2 * noise[point, point] + self._floor,
-            noise[normal, normal],
-            located.sensitivity,
-            float(report.probability),
-            Status.OK if report.sound else Status.BAD_DATA,
+            np.where(touching, found["kind"], FREE).astype(np.int8),
+            **chosen(touching, located, np.nan),
+            probability=found["probability"],
+            status=np.where(sound, Status.OK, Status.BAD_DATA).astype(np.int8),
         )
 
 
-def _whitening(covariance: ArrayLike, units: np.ndarray) -> Float[np.ndarray, "6 6"]:
-    square = finite_array(covariance, "covariance", last=WRENCH, ndim=2) / np.outer(units, units)
-    if square.shape != (WRENCH, WRENCH) or np.linalg.eigvalsh((square + square.T) / 2)[0] <= 0:
-        raise ValueError(
-            f"covariance of shape {square.shape}; allowed is a positive definite (6, 6)"
-        )
-    return np.linalg.inv(np.linalg.cholesky(square))
-
-
-def _intensities(given: ArrayLike | None, pace: float) -> Float[np.ndarray, "5"]:
-    """Those of a sweep at a speed (rod lengths a second): accelerations are of the order of its
-    square, and last for its inverse.
+@compiled
+def _advanced(
+    state: _Hypotheses, settings: _Settings, samples: Any, count: Int[Any, ""]
+) -> tuple[_Hypotheses, dict[str, Array]]:
+    """The first `count` samples taken, one after the other: wrenches in clamp axes and model units,
+    times since the one before, velocities of the clamp.
     """
-    if given is None:
-        return np.array([100.0, 100.0, 1.0, 1e-4, 0.0]) * pace**3 + np.array([0, 0, 0, 0, 1e-4])
-    values = finite_array(given, "intensities", last=INTENSITIES, ndim=1)
-    if not np.all(values > 0):
-        raise ValueError(f"intensities = {values.tolist()}; allowed are numbers greater than 0")
-    return values
+    found: tuple[_Hypotheses, dict[str, Array]] = kalman.scanned(
+        lambda state, sample: _one(state, settings, *sample), state, samples, count
+    )
+    return found
+
+
+def _one(
+    state: _Hypotheses, settings: _Settings, wrench: Array, duration: Array, velocity: Array
+) -> tuple[_Hypotheses, dict[str, Array]]:
+    sound = jnp.all(jnp.isfinite(wrench))
+    wrench = jnp.where(jnp.isfinite(wrench), wrench, 0.0)
+    switch = jnp.full((3, 3), _SWITCH) + (1 - 3 * _SWITCH) * jnp.eye(3)
+    arrival = state.probability @ switch
+    jumped = state.strange >= _PATIENCE
+
+    def one(kind: Array) -> tuple[Array, ...]:
+        entry = [part[:, kind] for part in settings.entries]
+        shares = state.probability * switch[:, kind] / jnp.maximum(arrival[kind], TINY)
+        entered = jax.vmap(kalman.entered)(state.mean, state.covariance, *entry[:3])
+        mean, covariance = _mixture(shares, *entered)
+        covariance += jnp.diag(settings.jump) * (jumped & (kind != FREE))
+        columns = jnp.einsum("k,ki,kij->ij", shares, entry[0], state.columns)
+        step = Step(*[part[kind] for part in entry] + [duration, 1.0, None, None, None])
+        mean, covariance = kalman.predicted(mean, covariance, step, settings.intensities)
+        mean = mean.at[ARC_LENGTH].set(jnp.clip(mean[ARC_LENGTH], 0.05, 1.0))
+        # The sample about the prediction, its squared distance from it, and its errors by setup.
+        linear = linear_at(mean[PLACE])
+        residual, slope = observed(linear, wrench, settings.whitening, jnp)
+        slope = slope * (kind != FREE)
+        of_wrench = slope[:WRENCH]
+        spread = of_wrench @ covariance[PLACE, PLACE] @ of_wrench.T
+        across = of_wrench @ covariance[PLACE, DRIFT]
+        spread += across + across.T + covariance[DRIFT, DRIFT] + jnp.eye(WRENCH)
+        away = residual[:WRENCH] - mean[DRIFT]
+        distance = away @ jnp.linalg.solve(spread, away)
+        value = linear.value
+        by_setup = changes(value.wrench, value.reach, value.direction, velocity, settings.rig)
+        seen = settings.whitening @ by_setup.wrench * (kind != FREE)
+        variance = jnp.full(ROWS, jnp.inf).at[:WRENCH].set(jnp.maximum(1.0, distance / OUTLIER))
+        variance = variance.at[-1].set(
+            jnp.where(kind == TANGENTIAL, settings.incidence_variance, jnp.inf)
+        )
+        step = step._replace(
+            target=jnp.column_stack(
+                [residual + slope @ linear.x, jnp.zeros((ROWS, COUNT)).at[:WRENCH].set(-seen)]
+            ),
+            slope=slope,
+            variance=jnp.where(sound | (jnp.arange(ROWS) >= WRENCH), variance, jnp.inf),
+        )
+        both = jnp.column_stack([mean, kalman.moved(step, columns)])
+        both, covariance, told = kalman.updated(both, covariance, step)
+        likelihood = kalman.log_likelihood(step, told)[0]
+        return both[:, 0], covariance, both[:, 1:], likelihood, jnp.where(sound, distance, 0.0)
+
+    means, covariances, columns, likelihoods, excess = jax.vmap(one)(jnp.arange(3))
+    weight = arrival * jnp.exp(likelihoods - jnp.max(likelihoods))
+    probability = jnp.where(sound, weight / jnp.sum(weight), arrival)
+    newest = jnp.where(sound, settings.whitening @ wrench, jnp.nan)
+    recent = jnp.concatenate([newest[None], state.recent[:-1]])
+    strange = jnp.where(jumped, 0.0, state.strange + 1) * (jnp.min(excess) > OUTLIER)
+    after = _Hypotheses(means, covariances, probability, recent, strange, columns)
+    shares = probability[1:] / jnp.maximum(jnp.sum(probability[1:]), TINY)
+    mean, covariance = _mixture(shares, means[1:], covariances[1:])
+    linear = linear_at(mean[PLACE])
+    slope = jnp.concatenate([linear.slope.reach, linear.slope.direction])
+    value = linear.value
+    seen = changes(value.wrench, value.reach, value.direction, velocity, settings.rig)
+    moved = slope @ jnp.einsum("k,kij->ij", shares, columns[1:, PLACE])
+    return after, {
+        "reach": value.reach,
+        "direction": value.direction,
+        "arc_length": mean[ARC_LENGTH],
+        "incidence": value.incidence,
+        "noise": slope @ covariance[PLACE, PLACE] @ slope.T,
+        "sensitivity": moved + jnp.concatenate([seen.reach, seen.direction]),
+        "kind": jnp.where(probability[TANGENTIAL] > probability[TIP], TANGENTIAL, TIP),
+        "probability": 1 - probability[FREE],
+        "load": _load(after),
+    }
+
+
+def _mixture(
+    shares: Float[Array, "k"], means: Float[Array, "k state"], covariances: Array
+) -> tuple[Float[Array, "state"], Float[Array, "state state"]]:
+    """Mean and covariance of a mixture."""
+    mean = shares @ means
+    away = means - mean
+    within = jnp.einsum("k,kij->ij", shares, covariances)
+    return mean, within + jnp.einsum("k,ki,kj->ij", shares, away, away)
+
+
+def _load(state: _Hypotheses) -> Float[Array, ""]:
+    """Of the mean of the last wrenches being noise and drift: chi-square with six degrees of
+    freedom.
+    """
+    present = jnp.all(jnp.isfinite(state.recent), axis=1)
+    count = jnp.maximum(jnp.sum(present), 1)
+    drift = state.probability @ state.mean[:, DRIFT]
+    average = jnp.sum(jnp.where(present[:, None], state.recent - drift, 0.0), axis=0) / count
+    spread = jnp.eye(WRENCH) / count + state.covariance[FREE, DRIFT, DRIFT]
+    return average @ jnp.linalg.solve(spread, average)

@@ -1,35 +1,41 @@
-"""Phases of contacts, tip or tangential: which there are and where they change, by the likelihood
-of the samples around. Places of changes come with their probabilities.
+"""Where a contact begins, ends and changes its phase, which phases it has, and which else it may
+have: all by the likelihood of the samples around, of candidates that differ in their labels.
 """
 
+from itertools import combinations, compress
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from scipy.special import logsumexp, softmax
 
 from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.kalman import RATE, SIZE, Gaussian
-from vibrissa.inverse.smoothing.merging import TOGETHER, group_starts, merged
-from vibrissa.inverse.smoothing.model import steps_of
-from vibrissa.inverse.smoothing.phases import raw_arc_lengths, runs_of
-from vibrissa.inverse.smoothing.series import (
+from vibrissa.inverse.smoothing.manifold import LOADS
+from vibrissa.inverse.smoothing.model import (
     FREE,
     GO_ON,
     JUMP,
     KINK,
     TANGENTIAL,
+    TINY,
     TIP,
+    TOGETHER,
+    Codes,
     Fit,
     Labels,
     NoMotionError,
     Samples,
+    group_starts,
+    merged,
+    runs_of,
+    steps_of,
 )
-
-Rows = Int[np.ndarray, "k"]
+from vibrissa.inverse.smoothing.phases import raw_arc_lengths
 
 _MARGIN = 96
 """Samples about a place within which others of it are told from each other."""
 _MOST_ROWS = 1536
+"""Compared at most in groups of four: some seconds."""
 _SWEEPS, _REACHES = 2, 3
 _REACH, _SPACING, _FINE = 160, 8, 32
 """Samples within which a change is looked for, at first, their spacing, and most places after."""
@@ -43,8 +49,31 @@ have two places and its motion one more rate."""
 _CLEARLY = 3.0
 """Standard deviations of a mean below the rod's length from which tangential contact is tried."""
 _SIZES, _WIDER = (32, 64, 128, 256, 384), (1.0, 1.5, 2.25)
-_TINY = 1e-300
-"""In place of a divisor of zero."""
+"""Samples over which that mean is taken, and widths of the phases tried in terms of them."""
+_BEFORE, _AFTER = 96, 128
+"""Samples about a start from which its likelihood is taken."""
+_ABOUT_GUESS, _ABOUT_BEST = np.arange(-64.0, 33.0, 4.0), np.arange(-8.0, 8.0, 0.5)
+"""Starts tried [samples] about the first guess, then about the best one."""
+_OUTERMOST = 1e-3
+"""Probability of the outermost starts at which no more need be tried."""
+_LEAST_SHARE = 0.1
+"""Of the time to the first sample: a shorter one is no motion to the filter."""
+_DRAWN = 8
+"""Of the labels: a power of two, so that odd multiples permute them."""
+_EDGES = np.arange(7) / 6
+"""Where a tangential phase may begin and end, in shares of the contact."""
+_BENDS = (1.0, 1 / 4, 1 / 16)
+"""Of unknown rates."""
+_GROUPS, _ROUGH_GROUPS = 350, 120
+"""Groups of a contact in which rivals are compared, and are at first."""
+_HOPELESS = 40.0
+"""Logarithm of the likelihood by which a rival may be behind at first, with few groups and one
+scale: the scales change it by up to 28.
+"""
+_ALWAYS = 2
+"""The given phases, and the tip throughout, with which all are compared."""
+_LEAST_ROWS = 24
+"""Samples of a contact that may have a tangential phase of four in the least of its sixths."""
 
 
 def log_likelihoods(
@@ -58,8 +87,8 @@ def log_likelihoods(
     """Log-likelihoods of the rows from `first` to `last` by candidates for the labels; the drift
     before them is what the samples before tell.
 
-    With several `bends`, factors of the rates of which nothing is known, those of all candidates
-    for the first one come first.
+    With several `bends`, factors of the unknown rates, those of all candidates for the first one
+    come first.
     """
     first = max(first, 0)
     rows = slice(first, min(last + 1, first + _MOST_ROWS * together // TOGETHER))
@@ -70,105 +99,89 @@ def log_likelihoods(
     for labels in parts:
         labels.link[0] = JUMP if labels.phase[0] != FREE else GO_ON
         steps.append(merged(steps_of(cut.with_phases(labels)), starts))
-    before = cut.states.expected_zero
+    scales = np.ones((len(bends), SIZE))
+    scales[:, RATE] = np.square(bends)[:, None]
+    before = Gaussian(*(part[0] for part in cut.states.expected_zero))
     values = kalman.log_likelihoods(
-        [_bending(step, bend) for bend in bends for step in steps],
+        [step._replace(spread=step.spread * scale) for scale in scales for step in steps],
         fit.intensities,
-        kalman.at_rest(Gaussian(before.mean[0], before.covariance[0])),
+        kalman.at_rest(before),
     )
     if not np.isfinite(values).any():
         raise NoMotionError
     return np.nan_to_num(values, nan=-np.inf)
 
 
-def _bending(steps: kalman.Step, factor: float) -> kalman.Step:
-    """With that factor of the rates of which nothing is known."""
-    scale = np.ones(SIZE)
-    scale[RATE] = factor**2
-    return steps._replace(entry=steps.entry._replace(spread=steps.entry.spread * scale))
-
-
-def moved(labels: Labels, change: int, place: int) -> Labels:
-    """Labels with the change of phase at sample `change` moved to `place`; links go with it."""
-    moving, count = labels.copy(), len(labels.phase)
-    kind = labels.link[change] if change < count else GO_ON
-    if place < change:
-        moving.phase[place:change] = labels.phase[change] if change < count else FREE
-    else:
-        moving.phase[change:place] = labels.phase[change - 1]
-    moving.link[change : change + 1] = GO_ON
-    moving.link[place : place + 1] = max(kind, KINK)
-    return moving
-
-
 class Places(NamedTuple):
-    """Where one change of phase may be."""
+    """Where something may begin."""
 
-    place: Rows
-    """First samples of the new phase, increasing."""
-    probability: Float[np.ndarray, "k"]
+    place: np.ndarray
+    """First samples of it, or places between samples, increasing."""
+    probability: Samples
 
     def quantile(self, share: float) -> int:
-        """Place before which, with this probability, the phase has changed."""
+        """Place before which, with this probability, it has begun."""
         number = int(np.searchsorted(np.cumsum(self.probability), share))
         return int(self.place[min(number, len(self.place) - 1)])
 
     @property
+    def mean(self) -> float:
+        """In samples."""
+        return float(self.probability @ self.place)
+
+    @property
     def deviation(self) -> float:
-        """Standard deviation, in samples."""
-        return deviation_of(self.place, self.probability)
+        """Standard deviation, in samples, of places that are each as wide as they are apart."""
+        spacing = float(np.median(np.diff(self.place))) if len(self.place) > 1 else 1.0
+        variance = self.probability @ (self.place - self.mean) ** 2
+        return float(np.sqrt(variance + spacing**2 / 12))
 
 
-def deviation_of(places: np.ndarray, probability: Float[np.ndarray, "k"]) -> float:
-    """Standard deviation of places that are each as wide as they are apart."""
-    spacing = float(np.median(np.diff(places))) if len(places) > 1 else 1.0
-    variance = probability @ (places - probability @ places) ** 2
-    return float(np.sqrt(variance + spacing**2 / 12))
+def moved(labels: Labels, change: int, place: int) -> Labels:
+    """Labels with the change of phase at sample `change` moved to `place`; links go with it."""
+    moving, kind = labels.copy(), labels.link[change]
+    moving.phase[place:change], moving.phase[change:place] = labels.phase[[change, change - 1]]
+    moving.link[change], moving.link[place] = GO_ON, max(kind, KINK)
+    return moving
 
 
 def with_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
-    """The fit with the phases that are most probable, and where each of their changes may be."""
-    labels, places = _with_placed_changes(with_tangential_phases(with_fewer_phases(fit)))
-    return fit._replace(labels=labels), places
-
-
-def _with_placed_changes(fit: Fit) -> tuple[Labels, dict[int, Places]]:
-    """Each change between tip and tangential contact at the median of its likelihood, and where
-    else it may be, given the others.
+    """The fit with the phases that are most probable, each change between tip and tangential
+    contact at the median of its likelihood; and where else each may be, given the others.
     """
-    labels, places = fit.labels, dict[int, Places]()
+    fit = _with_tangential_phases(_with_fewer_phases(fit))
+    places = dict[int, Places]()
     for _ in range(_SWEEPS):
-        places, before = {}, labels.changes
+        places, before = {}, fit.labels.changes
         for change in before:
-            found = places_of(fit._replace(labels=labels), change)
+            found = _places_of(fit, change)
             median = found.quantile(0.5)
-            labels, places[median] = moved(labels, change, median), found
+            fit, places[median] = fit._replace(labels=moved(fit.labels, change, median)), found
         # Only a change near to another depends on where that is.
         if len(before) < 2 or np.diff(before).min() > _REACH + _MARGIN:
             break
-    return labels, places
+    return fit, places
 
 
-def places_of(fit: Fit, change: int) -> Places:
+def _places_of(fit: Fit, change: int) -> Places:
     """Likelihood of a change's place as a density: over all places within reach, then more closely
     where it is not negligible.
     """
-    low, high = room(fit.labels, change)
+    low, high = _room(fit.labels, change)
 
-    def tried(first: int, last: int, spacing: int, best: int) -> tuple[Rows, Samples]:
+    def tried(first: int, last: int, spacing: int, best: int) -> tuple[Codes, Samples]:
         first, last = max(low, first), min(high, last)
         places = np.unique([*range(first, last + 1, spacing), best, last])
+        other = [moved(fit.labels, change, place) for place in places.tolist()]
         around = min(change, int(places[0])), max(change, int(places[-1]))
-        other = [moved(fit.labels, change, int(place)) for place in places]
-        return places, log_likelihoods(
-            fit, other, around[0] - _MARGIN // 2, around[1] + _MARGIN // 2
-        )
+        begin, end = around[0] - _MARGIN // 2, around[1] + _MARGIN // 2
+        return places, log_likelihoods(fit, other, begin, end)
 
     best = change
     for _ in range(_REACHES):
         coarse, values = tried(best - _REACH, best + _REACH, _SPACING, best)
-        moved_on, best = best, int(coarse[np.argmax(values)])
-        if abs(best - moved_on) < _REACH - 2 * _SPACING or best in (low, high):
+        before, best = best, int(coarse[np.argmax(values)])
+        if abs(best - before) < _REACH - 2 * _SPACING or best in (low, high):
             break
     likely = coarse[values > values.max() - _NEGLIGIBLE]
     first, last = max(low, int(likely[0]) - _SPACING), min(high, int(likely[-1]) + _SPACING)
@@ -178,7 +191,7 @@ def places_of(fit: Fit, change: int) -> Places:
     return Places(fine, probability / probability.sum())
 
 
-def room(labels: Labels, change: int) -> tuple[int, int]:
+def _room(labels: Labels, change: int) -> tuple[int, int]:
     """Between the neighbouring changes of any kind."""
     edges = np.flatnonzero(labels.begins | (labels.link == JUMP))
     low = max(edges[edges < change], default=0) + _LEAST_RUN
@@ -186,66 +199,188 @@ def room(labels: Labels, change: int) -> tuple[int, int]:
     return min(int(low), change), max(int(high), change)
 
 
-def with_fewer_phases(fit: Fit) -> Fit:
+def _with_fewer_phases(fit: Fit) -> Fit:
     """Short phases that the likelihood does not ask for are taken into the other phase; and tip
     contact is tried where a contact begins or ends tangentially.
     """
     phase = fit.labels.phase
-    runs = [run for kind in (TIP, TANGENTIAL) for run in runs_of(phase == kind)]
-    for first, last in runs:
+    for first, last in [run for kind in (TIP, TANGENTIAL) for run in runs_of(phase == kind)]:
         other = fit.labels.copy()
         other.phase[first : last + 1] = TIP + TANGENTIAL - fit.labels.phase[first]
-        edges = [row for row in (first, last + 1) if 0 < row < len(phase)]
-        beside = [other.phase[first - 1 : first], other.phase[last + 1 : last + 2]]
-        neighbours = [kind for kind in np.concatenate(beside) if kind != FREE]
-        if last - first >= _SHORT_RUN or any(kind != other.phase[first] for kind in neighbours):
+        beside = {*other.phase[:first][-1:], *other.phase[last + 1 :][:1]} - {FREE}
+        if last - first >= _SHORT_RUN or beside - {other.phase[first]}:
             continue
-        other.link[
-            [row for row in edges if other.link[row] == KINK and other.phase[row - 1] != FREE]
-        ] = GO_ON
+        for row in (first, last + 1):
+            if 0 < row < len(phase) and other.phase[row - 1] != FREE and other.link[row] == KINK:
+                other.link[row] = GO_ON
         values = log_likelihoods(fit, [fit.labels, other], first - _MARGIN, last + _MARGIN)
-        if values[1] > values[0] - _LEAST_GAIN * bool(neighbours):
+        if values[1] > values[0] - _LEAST_GAIN * bool(beside):
             fit = fit._replace(labels=other)
     return fit
 
 
-def with_tangential_phases(fit: Fit) -> Fit:
+def _with_tangential_phases(fit: Fit) -> Fit:
     """Tangential contact is tried within each stretch of tip contact, about where the samples by
     themselves put the contact most clearly before the tip.
     """
     value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
-    for first, last in list(runs_of(fit.labels.phase == TIP)):
+    for first, last in runs_of(fit.labels.phase == TIP):
         inside = slice(first, last + 1)
+        edges = first + _clearly_short(value[inside], deviation[inside] ** -2)
+        if not edges.size:
+            continue
         tried = [fit.labels]
-        for low, high in _clearly_short(value[inside], deviation[inside] ** -2):
+        for low, high in edges.tolist():
             labels = fit.labels.copy()
-            labels.phase[first + low : first + high] = TANGENTIAL
-            edges = [first + low, first + high]
-            labels.link[edges] = np.maximum(labels.link[edges], KINK)
+            labels.phase[low:high] = TANGENTIAL
+            labels.link[[low, high]] = np.maximum(labels.link[[low, high]], KINK)
             tried.append(labels)
-        if len(tried) > 1:
-            rows = np.flatnonzero(np.ptp([labels.phase for labels in tried], axis=0))
-            begin, end = int(rows[0]) - _MARGIN // 2, int(rows[-1]) + _MARGIN // 2
-            values = log_likelihoods(fit, tried, min(begin, first - 1), max(end, first))
-            # Tip contact all along and tangential contact in the middle are equally usual.
-            fit = fit._replace(labels=tried[int(np.argmax(values))])
+        begin, end = int(edges.min()) - _MARGIN // 2, int(edges.max()) - 1 + _MARGIN // 2
+        values = log_likelihoods(fit, tried, min(begin, first - 1), end)
+        # Tip contact all along and tangential contact in the middle are equally usual.
+        fit = fit._replace(labels=tried[int(np.argmax(values))])
     return fit
 
 
-def _clearly_short(value: Samples, weight: Samples) -> list[tuple[int, int]]:
-    """Stretches about those over which the weighted mean of the arc lengths lies most clearly below
-    the rod's: as s₁ leaves and returns slowly, longer ones too.
+def _clearly_short(value: Samples, weight: Samples) -> Codes:
+    """Stretches (k, 2), first and after the last, about those over which the weighted mean of the
+    arc lengths lies most clearly below the rod's: as s₁ leaves and returns slowly, longer ones too.
     """
     sums = np.cumsum(np.stack([weight, weight * (1 - value)]), axis=1)
-    sums, found, count = np.pad(sums, ((0, 0), (1, 0))), set(), len(value)
+    sums, count, found = np.pad(sums, ((0, 0), (1, 0))), len(value), set[tuple[int, int]]()
     for size in (size for size in _SIZES if size < count):
         total, short = sums[:, size:] - sums[:, :-size]
-        clearness = short / np.sqrt(np.maximum(total, _TINY))
+        clearness = short / np.sqrt(np.maximum(total, TINY))
         place = int(np.argmax(clearness))
         if clearness[place] < _CLEARLY:
             continue
-        middle = place + size / 2
         for half in np.multiply(_WIDER, size / 2):
-            low, high = round(middle - half), round(middle + half)
+            low, high = round(place + size / 2 - half), round(place + size / 2 + half)
             found.add((max(low, _LEAST_RUN), min(high, count - _LEAST_RUN)))
-    return sorted(found)
+    return np.array(sorted(found), dtype=int).reshape(-1, 2)
+
+
+def reversed_fit(fit: Fit) -> Fit:
+    """The same series run backwards: an end becomes a beginning. An integrated Wiener process has
+    the same law both ways.
+    """
+    back = fit.rows(slice(None, None, -1))
+    # A break between two samples stays between them; all else begins with whole steps.
+    link = np.append(GO_ON, fit.labels.link[:0:-1])
+    return back._replace(
+        series=back.series._replace(time=fit.series.time[-1] - back.series.time),
+        labels=back.labels._replace(link=link, share=np.ones(len(link))).copy(),
+        # What later samples alone tell of the drift is not kept.
+        states=back.states._replace(expected_zero=back.states.zero),
+    )
+
+
+def onset_at(labels: Labels, first: int, place: float) -> Labels:
+    """Labels with the contact that begins at sample `first` beginning at `place` instead."""
+    begins = int(np.floor(place)) + 1
+    phase, link, share, pace = placed = labels.copy()
+    phase[begins:first], pace[begins:first] = phase[first], pace[first]
+    phase[first:begins] = FREE
+    link[min(first, begins) : max(first, begins) + 1] = GO_ON
+    link[begins], share[first] = KINK, 1.0
+    share[begins] = max(begins - place, _LEAST_SHARE)
+    return placed
+
+
+def with_onset(fit: Fit, first: int) -> tuple[Fit, int, Samples]:
+    """The fit with the contact whose first sample is `first` beginning where it most probably
+    does, no earlier than the rod ceases to swing; its first sample then; and the time, its
+    deviation, that of the likelihood taken as a density, and the least that noise allows [s].
+    """
+    labels, place = fit.labels, first - 0.5
+    # From the contact before to the next break of this one.
+    low = np.flatnonzero(labels.phase[:first]).max(initial=-2) + 2.0
+    high = labels.breaks[labels.breaks > first].min(initial=len(labels.phase)) - 3.0
+    for offsets in (_ABOUT_GUESS, _ABOUT_BEST, _ABOUT_BEST):
+        tried = np.clip(place + offsets, min(low, first - 0.5), max(high, first - 0.5))
+        places = np.unique(tried)
+        begin, end = int(places[0]) - _BEFORE, max(int(places[-1]), first) + _AFTER
+        candidates = [onset_at(labels, first, part) for part in places.tolist()]
+        values = log_likelihoods(fit, candidates, begin, end)
+        found, place = Places(places, softmax(values)), float(places[int(np.argmax(values))])
+        if offsets is _ABOUT_BEST and found.probability[[0, -1]].max() < _OUTERMOST:
+            break
+    swings = np.flatnonzero(fit.series.ringing[:first]).max(initial=-1)
+    mean, time = max(found.mean, swings + 0.5), fit.series.time
+    fit, begin = fit._replace(labels=onset_at(labels, first, mean)), int(np.floor(mean)) + 1
+    at = np.interp(mean, np.arange(len(time)), time)
+    return fit, begin, np.array([at, found.deviation * fit.series.step, _limit(fit, begin)])
+
+
+def _limit(fit: Fit, first: int) -> float:
+    """Cramér-Rao: (gᵀ P⁻¹ g)^(−½), g the rates of the loads at the beginning, P the covariance with
+    which what follows tells the loads there [s].
+    """
+    cut = fit.rows(slice(first, None))
+    link = np.append(JUMP, cut.labels.link[1:])
+    cut = cut._replace(labels=cut.labels._replace(link=link, share=np.ones(len(link))))
+    before = Gaussian(*(part[0] for part in cut.states.zero))
+    steps = merged(steps_of(cut), group_starts([cut.labels]))
+    states = kalman.smoothed(steps, fit.intensities, kalman.at_rest(before))
+    rates, told = states.mean[0, RATE][:LOADS], states.covariance[0, :LOADS, :LOADS]
+    return float(max(rates @ np.linalg.solve(told, rates), TINY)) ** -0.5
+
+
+def drawn(fit: Fit, places: dict[int, Places]) -> list[Labels]:
+    """Equally probable labels: for each contact one of its rivals, each change at one quantile of
+    its places; those of different contacts and changes unrelated.
+    """
+    rivals = [_rivals_of(fit, *run) for run in runs_of(fit.labels.phase != FREE)]
+    changes = [change for change in fit.labels.changes if change in places]
+    found = []
+    for k in range(_DRAWN):
+        shares = ((np.arange(len(changes) + len(rivals)) * 2 + 1) * k % _DRAWN + 0.5) / _DRAWN
+        other = fit.labels.copy()
+        for change, share in zip(changes, shares, strict=False):
+            place = int(np.clip(places[change].quantile(share), *_room(other, change)))
+            other = moved(other, change, place)
+        for (rows, labels, probability), share in zip(rivals, shares[len(changes) :], strict=True):
+            number = int(np.searchsorted(np.cumsum(probability), share))
+            if 0 < number < len(labels):
+                other.phase[rows] = labels[number].phase[rows]
+                other.link[rows] = labels[number].link[rows]
+        found.append(other)
+    return found
+
+
+def _rivals_of(fit: Fit, first: int, last: int) -> tuple[slice, list[Labels], Samples]:
+    """Rows of a contact, labels and their probabilities, the given ones first: beside them, tip
+    contact throughout and one tangential phase, long or short, early or late; all are as usual.
+    """
+    count, rows = last - first + 1, slice(first, last + 1)
+    alone = rows, [fit.labels], np.ones(1)
+    if count < _LEAST_ROWS:
+        return alone
+    places = np.unique(first + np.round(_EDGES * count).astype(int)).tolist()
+    pairs = [(first, first), *combinations(places, 2)]
+    candidates = [fit.labels, *(_with_tangential(fit.labels, rows, *pair) for pair in pairs)]
+    around = first - _MARGIN // 2, last + _MARGIN // 2
+    rough = log_likelihoods(fit, candidates, *around, max(TOGETHER, -(-count // _ROUGH_GROUPS)))
+    likely = rough > rough.max() - _HOPELESS
+    if not likely[1:].any():
+        return alone
+    likely[:_ALWAYS] = True
+    candidates = list(compress(candidates, likely))
+    # How sharply a motion bends is not known beforehand, and must not decide: all orders of
+    # magnitude are as probable.
+    together = max(TOGETHER, -(-count // _GROUPS))
+    each = log_likelihoods(fit, candidates, *around, together, _BENDS).reshape(len(_BENDS), -1)
+    values = logsumexp(each - each[:, 1:2], axis=0)
+    if not np.isfinite(values[0]):
+        return alone
+    values[~np.isfinite(values)] = -np.inf
+    return rows, candidates, np.exp(values - logsumexp(values))
+
+
+def _with_tangential(labels: Labels, rows: slice, low: int, high: int) -> Labels:
+    """Tangential from `low` to before `high`, at the tip in the rest of the contact. Jumps stay."""
+    other, inside = labels.copy(), slice(rows.start + 1, rows.stop)
+    other.phase[rows], other.phase[low:high] = TIP, TANGENTIAL
+    jumps = np.where(labels.link[inside] == JUMP, JUMP, 0)
+    other.link[inside] = np.maximum(jumps, KINK * other.begins[inside])
+    return other

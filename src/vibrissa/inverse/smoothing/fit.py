@@ -1,55 +1,48 @@
-"""The iteration that smooths one series: linearise, smooth, weigh outliers, estimate the
-intensities.
+"""The iteration that smooths one series: linearise, smooth, weigh outliers, estimate how freely the
+contact moves and the sensor's zero drifts; and averages over what the labels may be.
 """
+
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.optimize import minimize
 from scipy.stats import norm
 
 from vibrissa.inverse.smoothing import kalman
-from vibrissa.inverse.smoothing.intensities import longest_of, most_probable
-from vibrissa.inverse.smoothing.kalman import (
-    DRIFT,
-    PLACE,
-    SIZE,
-    WRENCH,
-    Gaussian,
-    States,
-)
+from vibrissa.inverse.smoothing.kalman import DRIFT, INTENSITIES, PLACE, Gaussian, States, Step
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, AT_REST, LOADS, chosen, linearised
-from vibrissa.inverse.smoothing.merging import (
-    groups_of,
-    merged,
-    smoothed_states,
-)
-from vibrissa.inverse.smoothing.model import TILT_SPREAD, steps_of
-from vibrissa.inverse.smoothing.phases import first_labels
-from vibrissa.inverse.smoothing.series import (
+from vibrissa.inverse.smoothing.model import (
+    ARC_LENGTH_SPREAD,
     FREE,
     GO_ON,
     JUMP,
     KINK,
     TANGENTIAL,
+    TILT_SPREAD,
     TIP,
+    TOGETHER,
+    Codes,
+    Coordinates,
     Fit,
-    Flags,
     Labels,
     NoMotionError,
-    Rates,
     Samples,
     Series,
+    group_starts,
+    merged,
+    runs_of,
+    smoothed_states,
+    steps_of,
+    together_for,
 )
-
-Coordinates = Float[np.ndarray, "n coordinates"]
+from vibrissa.inverse.smoothing.phases import first_labels
 
 OUTLIER = 28.0
 """Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples;
 further ones weigh less.
 """
-TARED = Gaussian(np.zeros(WRENCH), 0.02 * np.eye(WRENCH))
-"""The zero of a recording that begins at rest, in standard deviations of a sample: a tare over 50
-samples."""
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
 """Intensities of a contact that crosses its range in some seconds."""
 _ROUGH_STEPS, MOST_STEPS = 5, 12
@@ -63,48 +56,45 @@ _AVERAGE = 0.04
 """[s] over which the first guess is averaged."""
 _MEDIAN = 9
 """Samples whose median no outlier moves."""
+_STRETCH = 48
+"""Samples of one pace."""
+_USUALLY = 1.5
+"""Standard deviation of the logarithm of s₁'s intensity."""
+_BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
+_PACE_BOUNDS = (-14.0, 14.0)
+"""Of logarithms, beyond which the likelihood is flat."""
+_OF_LENGTH = ARC_LENGTH - 1
+"""The arc length's among the intensities."""
 
 
-def first_guess(series: Series, loaded: Flags, drift: Float[np.ndarray, "*n wrench"]) -> Fit:
-    """Phases, and coordinates from moving averages of the wrench over 40 ms."""
-    phase, arc_length = first_labels(series, loaded, drift)
+def first_guess(
+    series: Series, zero: Gaussian, false_alarm: float, incidence_spread: float | None
+) -> Fit:
+    """Phases, and coordinates from moving averages of the wrench over 40 ms; nothing is known of
+    the states yet.
+    """
+    phase, arc_length = first_labels(series, zero, false_alarm)
+    steady = median_filter(series.wrench, (_MEDIAN, 1), mode="nearest")
     size = max(1, round(_AVERAGE / series.step))
-    average = uniform_filter1d(
-        median_filter(series.wrench, (_MEDIAN, 1), mode="nearest"), size, axis=0, mode="nearest"
-    )
-    force, moment = np.split(average, 2, axis=1)
-    x = np.column_stack([moment[:, :2], -force[:, 2], arc_length, np.zeros(len(phase))])
+    load = uniform_filter1d(steady, size, axis=0, mode="nearest")
+    touching, one = phase != FREE, np.ones(len(phase))
     link = np.where(np.diff(phase, prepend=FREE) != 0, KINK, GO_ON)
     # A series that begins in contact begins with any load.
-    link[:1] = np.where(phase[:1] != FREE, JUMP, GO_ON)
-    count, touching = len(phase), phase != FREE
-    labels = Labels(phase, link, np.ones(count), np.ones(count))
+    link[:1] = np.where(touching[:1], JUMP, GO_ON)
+    labels = Labels(phase, link, one, one)
+    x = np.column_stack([load[:, 3:5], -load[:, 2], arc_length, 0 * one])
+    linear = linearised(np.where(touching[:, None], x, AT_REST))
+    # Unknown rates: thirty times the range over the longest contact.
+    longest = max(_longest_of(series.time, labels) or 1.0, series.step)
+    most = float(np.ptp(linear.x[touching, :LOADS], axis=0).max()) if touching.any() else 1.0
+    rates = np.array([*[max(most, 1e-2)] * LOADS, 0.3, TILT_SPREAD / 10]) * 30 / longest
     # No outlier is followed from the start.
     residual = series.whitened - median_filter(series.whitened, (_MEDIAN, 1), mode="nearest")
-    linear = linearised(np.where(touching[:, None], x, AT_REST))
-    nothing, square = np.zeros((count, SIZE)), np.zeros((count, SIZE, SIZE))
+    weight = _robust(np.sum(residual**2, axis=1))
+    unknown: Any = None
     return Fit(
-        series,
-        labels,
-        linear,
-        linear,
-        _robust(np.sum(residual**2, axis=1)),
-        States(nothing, square, nothing, square, nothing, np.zeros(count), nothing, square),
-        _rates(series, labels, linear.x),
-        _START,
-        TARED,
-        None,
+        series, labels, linear, linear, weight, unknown, rates, _START, zero, incidence_spread
     )
-
-
-def _rates(series: Series, labels: Labels, x: Coordinates) -> Rates:
-    """Standard deviations of rates of which nothing is known: thirty times the range over the
-    longest contact.
-    """
-    touching = labels.phase != FREE
-    longest = max(longest_of(series.time, labels) or 1.0, series.step)
-    load = float(np.ptp(x[touching, :LOADS], axis=0).max()) if touching.any() else 1.0
-    return np.array([*[max(load, 1e-2)] * LOADS, 0.3, TILT_SPREAD / 10]) * 30 / longest
 
 
 def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> Fit:
@@ -117,7 +107,7 @@ def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> F
             steps = steps._replace(pace=fit.labels.pace)
         rough = rough and iteration < most_steps - 1
         fit = fit._replace(states=smoothed_states(fit, steps, rough=rough))
-        new = coordinates(fit.labels, fit.states.mean)
+        new = _coordinates(fit.labels, fit.states)
         change = float(np.abs(new - fit.linear.x).max())
         if not np.isfinite(change):
             raise NoMotionError
@@ -129,9 +119,9 @@ def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> F
     return fit.about(fit.linear)
 
 
-def coordinates(labels: Labels, mean: Float[np.ndarray, "n state"]) -> Coordinates:
+def _coordinates(labels: Labels, states: States) -> Coordinates:
     """About which to linearise."""
-    values = np.where((labels.phase == FREE)[:, None], AT_REST, mean[:, PLACE])
+    values = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, PLACE])
     values[:, ARC_LENGTH] = np.clip(values[:, ARC_LENGTH], 0.02, 1.2)
     return values
 
@@ -140,66 +130,6 @@ def _stepped(fit: Fit, new: Coordinates) -> Fit:
     """About the new coordinates; about the old ones where there is no rod with the new."""
     there = linearised(new)
     return fit._replace(linear=chosen(there.exists, there, fit.linear))
-
-
-def as_flank(fit: Fit) -> Fit:
-    """The fit with what would be its coordinates in tangential contact where the contact is taken
-    for one at the tip: rivals are compared about their own.
-    """
-    labels, tip = fit.labels, fit.labels.phase == TIP
-    if not tip.any():
-        return fit
-    goes_on = (labels.link == KINK) & (np.diff(labels.phase != FREE, prepend=False) == 0)
-    flank = fit._replace(
-        labels=labels._replace(
-            phase=np.where(tip, TANGENTIAL, labels.phase),
-            link=np.where(goes_on, GO_ON, labels.link),
-        )
-    )
-    for _ in range(_FLANK_STEPS):
-        states = smoothed_states(flank, steps_of(flank))
-        flank = _stepped(flank, coordinates(flank.labels, states.mean))
-    return fit.about(chosen(tip, flank.linear, fit.linear))
-
-
-def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
-    """Mean and covariance of the coordinates over equally probable labels and intensities of the
-    drift: that within each, and that between them.
-    """
-    means, squares = [], []
-    # Factors with a log-normal distribution, in an order unrelated to that of the alternatives:
-    # each is followed by the one half the range off.
-    order, count = np.arange(len(candidates)).reshape(2, -1).T.ravel(), len(candidates)
-    factors = np.exp(_drift_deviation(fit) * norm.ppf((order + 0.5) / count))
-    for labels, factor in zip(candidates, factors, strict=True):
-        other = fit.with_phases(labels)._replace(intensities=_with_drift(fit, factor))
-        states = smoothed_states(other, steps_of(other), rough=False)
-        means.append(coordinates(labels, states.mean))
-        squares.append(states.covariance[:, PLACE, PLACE])
-    mean = np.mean(means, axis=0)
-    away = np.stack(means) - mean
-    covariance = fit.states.covariance.copy()
-    between = np.einsum("kni,knj->nij", away, away) / count
-    covariance[:, PLACE, PLACE] = np.mean(squares, axis=0) + between
-    states = fit.states._replace(covariance=covariance)
-    return fit._replace(linear=linearised(mean), states=states)
-
-
-def _with_drift(fit: Fit, factor: float) -> Float[np.ndarray, "intensities"]:
-    """Intensities with that of the drift times a factor."""
-    return np.append(fit.intensities[:-1], factor * fit.intensities[-1])
-
-
-def _drift_deviation(fit: Fit) -> float:
-    """Standard deviation of the logarithm of the drift's intensity, by the curvature of the
-    likelihood.
-    """
-    steps, slopes = merged(steps_of(fit), groups_of(fit.labels)), []
-    for half in (-0.5, 0.5):
-        states = kalman.smoothed(steps, _with_drift(fit, np.exp(half)), kalman.at_rest(fit.zero))
-        slopes.append(states.score[:, -1].sum())
-    # At least that of an e-fold: the likelihood tells nothing of a drift that there is not.
-    return float(1 / np.sqrt(max(slopes[0] - slopes[1], 1.0)))
 
 
 def squared_residuals(fit: Fit) -> Samples:
@@ -218,3 +148,134 @@ def _robust(squared: Samples) -> Samples:
     less it pulls, and no intensity has to explain it.
     """
     return np.minimum(1.0, OUTLIER / np.maximum(squared, OUTLIER))
+
+
+def most_probable(fit: Fit, steps: Step, *, local: bool) -> Fit:
+    """The fit with intensities, and the pace of each sample, that maximise the marginal likelihood.
+
+    The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk
+    from each to the next, with a standard deviation of 1. A short tangential phase tells little of
+    how freely s₁ moves: the logarithm of that intensity has a normal prior about the one with which
+    s₁ crosses its range in the time of a contact. Without `local`, all paces are 1.
+    """
+    labels, start, stretch = fit.labels, kalman.at_rest(fit.zero), stretches(fit.labels)
+    starts = group_starts([labels], stretch, together_for(labels))
+    if not local:
+        stretch[:] = -1
+    grouped, number = merged(steps, starts), stretch[starts]
+    first = np.unique(stretch, return_index=True)[1][int((stretch < 0).any()) :]
+    linked, inside = np.diff(labels.contact[first]) == 0, number >= 0
+    time = np.cumsum(steps.duration)
+    longest = max(_longest_of(time, labels), 1e-3 * (time[-1] - time[0]), 1e-9)
+    # That of an integrated Wiener process of this deviation at the end of the longest contact.
+    expected = np.log(3 * ARC_LENGTH_SPREAD**2 / longest**3)
+
+    def paces(walk: Samples, of: Codes) -> Samples:
+        # Without contact, number -1, the pace is 1.
+        return np.exp(np.append(walk, 0.0))[of]
+
+    def objective(values: Samples) -> tuple[float, Samples]:
+        logarithms, walk = np.split(values, [INTENSITIES])
+        now = grouped._replace(pace=paces(walk, number))
+        states = kalman.smoothed(now, np.exp(logarithms), start)
+        of_walk = np.bincount(number[inside], states.score[inside, :2].sum(axis=1), len(walk))
+        step = np.where(linked, np.diff(walk), 0.0)
+        pull = np.diff(step, prepend=0.0, append=0.0)[: len(walk)]
+        away = (logarithms[_OF_LENGTH] - expected) / _USUALLY
+        total = states.score.sum(axis=0)
+        total[_OF_LENGTH] -= away / _USUALLY
+        # All standard deviations are equally probable (Gelman, *Bayesian Analysis* 1, 2006): none
+        # collapses to zero. Those of the loads have paces.
+        total[_OF_LENGTH:] += 0.5
+        known = np.sum(states.log_likelihood) + np.sum(logarithms[_OF_LENGTH:]) / 2
+        return float(step @ step + away**2) / 2 - float(known), -np.append(total, of_walk + pull)
+
+    begin = np.clip(np.log(fit.intensities), *np.transpose(_BOUNDS))
+    found = minimize(
+        objective,
+        np.append(begin, np.log(labels.pace[first])),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=_BOUNDS + [_PACE_BOUNDS] * len(first),
+        options={"maxiter": 20, "ftol": 1e-5},
+    )
+    logarithms, walk = np.split(found.x, [INTENSITIES])
+    labels = labels._replace(pace=paces(walk, stretch))
+    return fit._replace(labels=labels, intensities=np.exp(logarithms))
+
+
+def stretches(labels: Labels) -> Codes:
+    """Number of the stretch that each sample belongs to; -1 without contact."""
+    number, stretch = 0, np.full(len(labels.phase), -1)
+    size = _STRETCH * together_for(labels) / TOGETHER
+    for first, last in runs_of(labels.phase != FREE):
+        rows = last - first + 1
+        count = max(1, round(rows / size))
+        stretch[first : last + 1] = number + np.arange(rows) * count // rows
+        number += count
+    return stretch
+
+
+def _longest_of(time: Samples, labels: Labels) -> float:
+    """Time [s] that the longest contact takes; 0 without contact."""
+    spans = [time[last] - time[first] for first, last in runs_of(labels.phase != FREE)]
+    return float(max(spans, default=0.0))
+
+
+def as_flank(fit: Fit) -> Fit:
+    """The fit with what would be its coordinates in tangential contact where the contact is taken
+    for one at the tip: rivals are compared about their own.
+    """
+    labels, tip = fit.labels, fit.labels.phase == TIP
+    if not tip.any():
+        return fit
+    goes_on = (labels.link == KINK) & (np.diff(labels.phase != FREE, prepend=False) == 0)
+    phase = np.where(tip, TANGENTIAL, labels.phase)
+    link = np.where(goes_on, GO_ON, labels.link)
+    flank = fit._replace(labels=labels._replace(phase=phase, link=link))
+    for _ in range(_FLANK_STEPS):
+        states = smoothed_states(flank, steps_of(flank))
+        flank = _stepped(flank, _coordinates(flank.labels, states))
+    return fit.about(chosen(tip, flank.linear, fit.linear))
+
+
+def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
+    """Mean and covariance of the coordinates over equally probable labels and intensities of the
+    drift: that within each, and that between them.
+    """
+    means, squares, count = [], [], len(candidates)
+    # Factors with a log-normal distribution, in an order unrelated to that of the alternatives:
+    # each is followed by the one half the range off.
+    order = np.arange(count).reshape(2, -1).T.ravel()
+    factors = np.exp(_drift_deviation(fit) * norm.ppf((order + 0.5) / count))
+    for labels, factor in zip(candidates, factors, strict=True):
+        other = fit.with_phases(labels)._replace(intensities=_with_drift(fit, factor))
+        states = smoothed_states(other, steps_of(other), rough=False)
+        means.append(_coordinates(labels, states))
+        squares.append(states.covariance[:, PLACE, PLACE])
+    mean = np.mean(means, axis=0)
+    away = np.stack(means) - mean
+    covariance = fit.states.covariance.copy()
+    between = np.einsum("kni,knj->nij", away, away) / count
+    covariance[:, PLACE, PLACE] = np.mean(squares, axis=0) + between
+    return fit._replace(linear=linearised(mean), states=fit.states._replace(covariance=covariance))
+
+
+def _with_drift(fit: Fit, factor: float) -> Float[np.ndarray, "intensities"]:
+    """Intensities with that of the drift times a factor."""
+    return np.append(fit.intensities[:-1], factor * fit.intensities[-1])
+
+
+def _drift_deviation(fit: Fit) -> float:
+    """Standard deviation of the logarithm of the drift's intensity, by the curvature of the
+    likelihood.
+    """
+    steps = merged(steps_of(fit), group_starts([fit.labels], together=together_for(fit.labels)))
+    less, more = (
+        kalman.smoothed(steps, _with_drift(fit, np.exp(half)), kalman.at_rest(fit.zero)).score[
+            :, -1
+        ]
+        for half in (-0.5, 0.5)
+    )
+    # At least that of an e-fold: the likelihood tells nothing of a drift that is not there.
+    return float(1 / np.sqrt(max(less.sum() - more.sum(), 1.0)))

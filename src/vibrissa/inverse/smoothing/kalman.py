@@ -10,17 +10,18 @@ process) and d by white noise:
     x' = v,    v' = √q ẇ,    d' = √q_d ẇ.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jaxtyping import Float, Int
 
-from vibrissa.inverse.smoothing.loops import filled, scanned
 from vibrissa.inverse.smoothing.manifold import AT_REST, COORDINATES
 from vibrissa.numerics.compiled import compiled
+from vibrissa.numerics.lanes import lanes
 
 WRENCH = 6
 ROWS = WRENCH + 2
@@ -41,11 +42,17 @@ length and the tilt, and of the drift in standard deviations of a sample."""
 _SOFT = 1e-9
 """Variance of k² above which it is a soft constraint: far above that of one that holds exactly,
 1e-12, far below any of friction or of a setup's tolerances."""
-_AT_ONCE = 8
-"""Series whose likelihoods one call computes."""
+_BUCKET = 512
+"""Rows are filled up to multiples of it: a recording has some, and each length is compiled anew."""
 
+Tree = TypeVar("Tree")
+Intensities = Float[Any, "intensities"]
+Vector = Float[Array, "state"]
 State = Float[Array, "state *k"]
 Square = Float[Array, "state state"]
+Seen = tuple[Array, ...]
+"""What the observations of a sample did, one a row: innovation (observed, *k), its variance
+(observed), infinite where nothing was observed, and gain (observed, state)."""
 
 
 class Gaussian(NamedTuple):
@@ -55,8 +62,10 @@ class Gaussian(NamedTuple):
     covariance: Float[Any, "*n state state"]
 
 
-class Entry(NamedTuple):
-    """How the state enters a sample, before it moves."""
+class Step(NamedTuple):
+    """How the state enters a sample and comes to it, and what the sample shows; of a series, one
+    row a sample.
+    """
 
     keep: Float[Any, "*n state"]
     """1 for entries that go on, 0 for entries that begin anew."""
@@ -67,12 +76,6 @@ class Entry(NamedTuple):
     active: Float[Any, "*n coordinates"]
     """Share of the time since the sample before in which each coordinate moves; 0 for known ones.
     """
-
-
-class Step(NamedTuple):
-    """How the state comes to a sample, and what the sample shows; of a series, one row a sample."""
-
-    entry: Entry
     duration: Float[Any, "*n"]
     """Since the sample before [s]."""
     pace: Float[Any, "*n"]
@@ -83,15 +86,6 @@ class Step(NamedTuple):
     """Their derivatives by the coordinates; the wrench shows the drift, too."""
     variance: Float[Any, "*n observed"]
     """Of the observations; infinite where there is none."""
-
-
-class Seen(NamedTuple):
-    """What one sample's observations did, one after the other."""
-
-    innovation: Float[Array, "observed *k"]
-    spread: Float[Array, "observed"]
-    """Variance of the innovation; infinite where nothing was observed."""
-    gain: Float[Array, "observed state"]
 
 
 class States(NamedTuple):
@@ -111,20 +105,13 @@ class States(NamedTuple):
     intensities, half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992)."""
     log_likelihood: Float[Any, "n *k"]
     """Of each sample, given those before."""
-    expected: Float[Any, "n state *k"]
-    """Means given the samples before alone."""
-    uncertainty: Float[Any, "n state state"]
-    """Their covariances."""
+    expected_zero: Gaussian
+    """Drift of the sensor's zero given the samples before alone."""
 
     @property
     def zero(self) -> Gaussian:
         """Drift of the sensor's zero given all samples."""
         return Gaussian(self.mean[:, DRIFT], self.covariance[:, DRIFT, DRIFT])
-
-    @property
-    def expected_zero(self) -> Gaussian:
-        """Drift given the samples before."""
-        return Gaussian(self.expected[:, DRIFT], self.uncertainty[:, DRIFT, DRIFT])
 
 
 def at_rest(zero: Gaussian) -> Gaussian:
@@ -134,46 +121,44 @@ def at_rest(zero: Gaussian) -> Gaussian:
     return Gaussian(np.concatenate([AT_REST, np.zeros(COORDINATES), zero.mean]), covariance)
 
 
-def entered(mean: State, covariance: Square, entry: Entry) -> tuple[State, Square]:
+def entered(
+    mean: State, covariance: Square, keep: Vector, begin: Vector, spread: Vector
+) -> tuple[State, Square]:
     """State as it enters a sample."""
-    keep = jnp.asarray(entry.keep)
-    return (
-        (keep * mean.T + entry.begin).T,
-        keep[:, None] * covariance * keep + jnp.diag(entry.spread),
-    )
+    return (keep * mean.T + begin).T, keep[:, None] * covariance * keep + jnp.diag(spread)
 
 
 def predicted(
-    mean: State, covariance: Square, step: Step, intensities: Float[Array, "intensities"]
+    mean: State, covariance: Square, step: Step, intensities: Intensities
 ) -> tuple[State, Square]:
     """State before the sample is seen, from that which entered it."""
     spread = moved(step, moved(step, covariance).T)
     return moved(step, mean), spread + _process_noise(step, intensities)
 
 
-def moved(step: Step, rows: Float[Array, "state *k"]) -> Float[Array, "state *k"]:
+def moved(step: Step, rows: State) -> State:
     """From the sample before to this one: x + v dt, for each column."""
-    return rows.at[PLACE].add((step.entry.active * step.duration * rows[RATE].T).T)
+    return rows.at[PLACE].add((step.active * step.duration * rows[RATE].T).T)
 
 
-def moved_back(step: Step, rows: Float[Array, "state *k"]) -> Float[Array, "state *k"]:
+def _moved_back(step: Step, rows: State) -> State:
     """The transpose of entering and moving."""
-    rows = rows.at[RATE].add((step.entry.active * step.duration * rows[PLACE].T).T)
-    return (step.entry.keep * rows.T).T
+    rows = rows.at[RATE].add((step.active * step.duration * rows[PLACE].T).T)
+    return (step.keep * rows.T).T
 
 
 def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square, Seen]:
-    """State after the sample is seen."""
+    """State after the sample is seen, and what its observations did, one after the other."""
     told = []
     for z, target, variance in zip(_design(step), step.target, step.variance, strict=True):
         seen, direction = jnp.isfinite(variance), covariance @ z
         spread = z @ direction + jnp.where(seen, variance, 1.0)
         innovation = jnp.where(seen, target - z @ mean, 0.0)
         gain = jnp.where(seen, direction / spread, 0.0)
-        mean = mean + _outer(gain, innovation)
+        mean = mean + jnp.tensordot(gain, innovation, 0)
         covariance = covariance - jnp.outer(gain, direction)
-        told.append(Seen(innovation, jnp.where(seen, spread, jnp.inf), gain))
-    return mean, (covariance + covariance.T) / 2, jax.tree.map(lambda *rows: jnp.stack(rows), *told)
+        told.append((innovation, jnp.where(seen, spread, jnp.inf), gain))
+    return mean, (covariance + covariance.T) / 2, tuple(map(jnp.stack, zip(*told, strict=True)))
 
 
 def _design(step: Step) -> Float[Array, "observed state"]:
@@ -181,41 +166,68 @@ def _design(step: Step) -> Float[Array, "observed state"]:
     return jnp.concatenate([step.slope, jnp.zeros((ROWS, COORDINATES)), drift], axis=1)
 
 
-def _outer(one: Float[Array, "state"], other: Float[Array, "*k"]) -> Float[Array, "state *k"]:
-    return jnp.tensordot(one, other, 0)
-
-
 def log_likelihood(step: Step, seen: Seen) -> Float[Array, "*k"]:
     """Of a sample, given those before. A soft constraint is no datum: it weighs the states, and one
     that does not restrict them costs nothing.
     """
     soft = jnp.asarray(step.variance) > jnp.full(ROWS, jnp.inf).at[-1].set(_SOFT)
-    return _log_density(
-        seen, jnp.where(soft, seen.spread / step.variance, 2 * jnp.pi * seen.spread)
-    )
+    return _log_density(seen, jnp.where(soft, seen[1] / step.variance, 2 * jnp.pi * seen[1]))
 
 
 def _log_density(seen: Seen, size: Float[Array, "observed"]) -> Float[Array, "*k"]:
-    there = jnp.isfinite(seen.spread)
-    size, spread = (jnp.where(there, part, 1.0) for part in (size, seen.spread))
-    return -0.5 * jnp.sum(jnp.log(size) + seen.innovation.T**2 / spread, axis=-1)
+    innovation, spread, _ = seen
+    size, spread = (jnp.where(jnp.isfinite(spread), part, 1.0) for part in (size, spread))
+    return -0.5 * jnp.sum(jnp.log(size) + innovation.T**2 / spread, axis=-1)
+
+
+def filled(rows: Tree, size: int = _BUCKET) -> Tree:
+    """With rows of zeros, which loops leave out, up to a multiple of a size."""
+    missing = -len(jax.tree.leaves(rows)[0]) % size
+    return jax.tree.map(
+        lambda part: np.concatenate([part, np.zeros((missing, *part.shape[1:]))]), rows
+    )
+
+
+def scanned(
+    one: Callable[..., Any], carry: Any, rows: Any, count: Any, *, back: bool = False
+) -> Any:
+    """`lax.scan` over the first `count` rows, from the last to the first if `back`: compiled for
+    any number of rows up to those that there are.
+    """
+
+    def row(index: Any) -> Any:
+        return jax.tree.map(
+            lambda part: lax.dynamic_index_in_dim(part, index, keepdims=False), rows
+        )
+
+    def step(number: Array, state: Any) -> Any:
+        index = count - 1 - number if back else number
+        after, told = one(state[0], row(index))
+        return after, jax.tree.map(
+            lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, index, 0),
+            state[1],
+            told,
+        )
+
+    length = len(jax.tree.leaves(rows)[0])
+    told = jax.tree.map(
+        lambda part: jnp.zeros((length, *part.shape), part.dtype),
+        jax.eval_shape(one, carry, row(0))[1],
+    )
+    return lax.fori_loop(0, count, step, (carry, told))
 
 
 @compiled
 def _smoothed(
-    steps: Step, count: Int[Any, ""], intensities: Float[Any, "intensities"], start: Gaussian
+    steps: Step, count: Int[Any, ""], intensities: Intensities, start: Gaussian
 ) -> States:
-    def forward(
-        carry: tuple[State, Square], step: Step
-    ) -> tuple[tuple[State, Square], tuple[Gaussian, Seen, Array]]:
-        before = Gaussian(*predicted(*entered(*carry, step.entry), step, intensities))
+    def forward(carry: Gaussian, step: Step) -> tuple[Gaussian, Any]:
+        before = predicted(*entered(*carry, *step[:3]), step, intensities)
         mean, covariance, seen = updated(*before, step)
-        return (mean, covariance), (before, seen, log_likelihood(step, seen))
+        return Gaussian(mean, covariance), (*before, seen, log_likelihood(step, seen))
 
-    def backward(
-        carry: tuple[State, Square], row: tuple[Step, tuple[Gaussian, Seen, Array]]
-    ) -> tuple[tuple[State, Square], States]:
-        step, ((mean, covariance), seen, likelihood) = row
+    def backward(carry: tuple[State, Square], row: Any) -> tuple[tuple[State, Square], States]:
+        step, (mean, covariance, seen, likelihood) = row
         pull, information = _pulled(*carry, step, seen)
         spread = covariance - covariance @ information @ covariance
         pulls = pull.reshape(SIZE, -1)
@@ -228,23 +240,22 @@ def _smoothed(
             information,
             intensities * slope(intensities),
             likelihood,
-            mean,
-            covariance,
+            Gaussian(mean[DRIFT], covariance[DRIFT, DRIFT]),
         )
-        return (moved_back(step, pull), moved_back(step, moved_back(step, information).T)), told
+        return (_moved_back(step, pull), _moved_back(step, _moved_back(step, information).T)), told
 
-    _, there = scanned(forward, tuple(start), steps, count)
+    there = scanned(forward, start, steps, count)[1]
     nothing = jnp.zeros_like(start.mean), jnp.zeros((SIZE, SIZE))
-    return scanned(backward, nothing, (steps, there), count, back=True)[1]
+    states: States = scanned(backward, nothing, (steps, there), count, back=True)[1]
+    return states
 
 
 def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[State, Square]:
     """What a sample and those after it say against the prediction of it."""
-    design = _design(step)
-    for j in reversed(range(ROWS)):
-        z, gain, spread = design[j], seen.gain[j], seen.spread[j]
+    each = (part[::-1] for part in (_design(step), *seen))
+    for z, innovation, spread, gain in zip(*each, strict=True):
         along = information @ gain
-        r = r + _outer(z, seen.innovation[j] / spread - gain @ r)
+        r = r + jnp.tensordot(z, innovation / spread - gain @ r, 0)
         information = (
             information
             - jnp.outer(z, along)
@@ -254,7 +265,7 @@ def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[Stat
     return r, information
 
 
-def smoothed(steps: Step, intensities: Float[np.ndarray, "intensities"], start: Gaussian) -> States:
+def smoothed(steps: Step, intensities: Intensities, start: Gaussian) -> States:
     """States at the samples of a series, given all of them."""
     count = len(steps.duration)
     states = _smoothed(filled(steps), np.asarray(count), intensities, start)
@@ -262,7 +273,7 @@ def smoothed(steps: Step, intensities: Float[np.ndarray, "intensities"], start: 
 
 
 def log_likelihoods(
-    series: list[Step], intensities: Float[np.ndarray, "intensities"], start: Gaussian
+    series: list[Step], intensities: Intensities, start: Gaussian
 ) -> Float[np.ndarray, "series"]:
     """Logarithms of the marginal likelihoods of several time series of one length: of the wrenches,
     given the constraints.
@@ -270,54 +281,39 @@ def log_likelihoods(
     Other labels have other constraints, whose densities are no evidence: of k² = ½ each further
     sample would add its own, and tangential phases would come out too long.
     """
-    count, wanted = np.asarray(len(series[0].duration)), len(series)
-    series = [filled(steps) for steps in series]
-    series += series[-1:] * (-wanted % _AT_ONCE)
-    values = [
-        _log_likelihoods(
-            jax.tree.map(lambda *parts: np.stack(parts), *series[first : first + _AT_ONCE]),
-            count,
-            intensities,
-            start,
-        )
-        for first in range(0, len(series), _AT_ONCE)
-    ]
-    return np.concatenate(values)[:wanted]
+    rows = jax.tree.map(lambda *parts: np.stack(parts), *map(filled, series))
+    count = np.asarray(len(series[0].duration))
+    return np.asarray(_log_likelihoods((count, intensities, start), rows))
 
 
-@compiled
+@lanes(width=8, blocks=1)
 def _log_likelihoods(
-    series: Step, count: Int[Any, ""], intensities: Float[Any, "intensities"], start: Gaussian
-) -> Float[Array, "series"]:
-    def joint(steps: Step) -> Float[Array, ""]:
-        def one(
-            carry: tuple[State, Square, Array], step: Step
-        ) -> tuple[tuple[State, Square, Array], None]:
-            mean, covariance, total = carry
-            before = predicted(*entered(mean, covariance, step.entry), step, intensities)
-            mean, covariance, seen = updated(*before, step)
-            # s₁ and k² lie between 0 and 1: however vague, their densities are not below 1.
-            size = (2 * jnp.pi * seen.spread).at[WRENCH:].min(1.0)
-            return (mean, covariance, total + _log_density(seen, size)), None
+    shared: tuple[Int[Any, ""], Float[Any, "intensities"], Gaussian], steps: Step
+) -> Float[Array, ""]:
+    count, intensities, start = shared
 
-        return scanned(one, (*start, jnp.zeros(())), steps, count)[0][2]
+    def one(carry: tuple[State, Square, Array], step: Step) -> tuple[Any, None]:
+        mean, covariance, total = carry
+        before = predicted(*entered(mean, covariance, *step[:3]), step, intensities)
+        mean, covariance, seen = updated(*before, step)
+        # s₁ and k² lie between 0 and 1: however vague, their densities are not below 1.
+        size = (2 * jnp.pi * seen[1]).at[WRENCH:].min(1.0)
+        return (mean, covariance, total + _log_density(seen, size)), None
 
-    def given_constraints(steps: Step) -> Float[Array, ""]:
-        unseen = steps.variance.at[:, :WRENCH].set(jnp.inf)
-        both = jnp.stack([steps.variance, unseen])
-        wrenches, constraints = jax.vmap(lambda variance: joint(steps._replace(variance=variance)))(
-            both
-        )
-        return wrenches - constraints
+    def joint(variance: Float[Array, "n observed"]) -> Float[Array, ""]:
+        rows = steps._replace(variance=variance)
+        return scanned(one, (*start, jnp.zeros(())), rows, count)[0][2]
 
-    return jax.vmap(given_constraints)(series)
+    unseen = steps.variance.at[:, :WRENCH].set(jnp.inf)
+    wrenches, constraints = jax.vmap(joint)(jnp.stack([steps.variance, unseen]))
+    return wrenches - constraints
 
 
-def _process_noise(step: Step, intensities: Float[Array, "intensities"]) -> Square:
+def _process_noise(step: Step, intensities: Intensities) -> Square:
     """Covariance that motion and drift add; linear in the intensities."""
     moment, axial, arc_length, tilt, drift = intensities
     loads = jnp.stack([moment, moment, axial]) * step.pace
-    q = step.entry.active * jnp.append(loads, jnp.stack([arc_length, tilt]))
+    q = step.active * jnp.append(loads, jnp.stack([arc_length, tilt]))
     dt = step.duration
     of_time = jnp.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     of_drift = jnp.eye(WRENCH) * drift * dt

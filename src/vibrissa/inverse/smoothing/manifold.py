@@ -20,7 +20,7 @@ square to t0. The fifth coordinate is that tilt ε:
 which keeps m0·F = 0, what any single contact obeys.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,7 @@ from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
 from vibrissa.numerics.lanes import lanes
 
 Scalar = Float[Array, ""]
+Tree = TypeVar("Tree")
 
 COORDINATES = 5
 """m_x, m_y, F_z, s₁, ε."""
@@ -75,26 +76,17 @@ class Linear(NamedTuple):
         """Whether there is a rod with these coordinates: a curvature without a zero (k² ≥ 1) has no
         contact.
         """
-        finite = [
-            np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in jax.tree.leaves(self)
-        ]
-        return np.all(finite, axis=0)
+        finite = jax.tree.map(lambda part: np.isfinite(part).reshape(len(part), -1).all(1), self)
+        return np.all(jax.tree.leaves(finite), axis=0)
 
 
 def linear_at(x: Float[Array, "coordinates"]) -> Linear:
     """The manifold about one sample's coordinates."""
-
-    def both(x: Array) -> tuple[Bent, Bent]:
-        value = bent(x)
-        return value, value
-
-    slope, value = jax.jacfwd(both, has_aux=True)(x)
+    slope, value = jax.jacfwd(lambda x: (bent(x),) * 2, has_aux=True)(x)
     return Linear(x, value, slope)
 
 
-@lanes()
-def _linear_rows(_: None, x: Float[Array, "coordinates"]) -> Linear:
-    return linear_at(x)
+_LINEAR = lanes()(lambda _, x: linear_at(x))
 
 
 def linearised(x: Float[np.ndarray, "n coordinates"]) -> Linear:
@@ -103,12 +95,14 @@ def linearised(x: Float[np.ndarray, "n coordinates"]) -> Linear:
     # Rods at rest are all alike: the first row is one.
     number = np.zeros(len(x), dtype=int)
     number[bent_rows] = 1 + np.arange(len(bent_rows))
-    found = _linear_rows(None, np.concatenate([[AT_REST], x[bent_rows]]))
+    found: Linear = _LINEAR(None, np.concatenate([[AT_REST], x[bent_rows]]))
     return jax.tree.map(lambda part: part[number], found)
 
 
-def chosen(rows: Bool[np.ndarray, "n"], first: Linear, second: Linear) -> Linear:
-    """The first model in these rows, the second in the others."""
+def chosen(rows: Bool[np.ndarray, "n"], first: Tree, second: Tree | float) -> Tree:
+    """The first tree of arrays in these rows; in the others the second, or a number."""
+    if isinstance(second, float):
+        second = jax.tree.map(lambda _: second, first)
     return jax.tree.map(
         lambda one, other: np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, other),
         first,
@@ -121,7 +115,7 @@ def bent(x: Float[Array, "coordinates"]) -> Bent:
     moment, axial, arc_length, tilt = x[:2], x[2], x[ARC_LENGTH], x[TILT]
     size = jnp.sqrt(jnp.sum(moment**2) + _LEAST_MOMENT**2)
     gamma = lateral_ratio(size, axial, arc_length)
-    rod, _ = _section(size, axial, gamma)
+    rod = _section(size, axial, gamma)
     along_moment = -tilt * axial * moment / size
     force = jnp.stack(
         [along_moment[0] - gamma * moment[1], along_moment[1] + gamma * moment[0], axial]
@@ -160,14 +154,13 @@ def lateral_ratio(moment: Scalar, axial: Scalar, arc_length: Scalar) -> Scalar:
 
 
 def _excess(gamma: Scalar, moment: Scalar, axial: Scalar, arc_length: Scalar) -> Scalar:
-    rod, _ = _section(moment, axial, gamma)
-    return 1 / rod.arc_length - 1 / arc_length
+    return 1 / _section(moment, axial, gamma).arc_length - 1 / arc_length
 
 
-def _section(moment: Scalar, axial: Scalar, gamma: Scalar) -> tuple[ContactOnRod, Scalar]:
+def _section(moment: Scalar, axial: Scalar, gamma: Scalar) -> ContactOnRod:
     lateral = gamma * moment
     f = jnp.sqrt(axial**2 + lateral**2)
     cosine, sine = axial / f, lateral / f
     # 1 − cos δ = 2 cos² a₀, without cancellation where the force points along the rod.
     toward = jnp.where(cosine > 0, sine**2 / (1 + jnp.abs(cosine)), 1 - cosine)
-    return contact_on_rod(BasePlane(sine / jnp.sqrt(2 * toward), moment / f), f), f
+    return contact_on_rod(BasePlane(sine / jnp.sqrt(2 * toward), moment / f), f)

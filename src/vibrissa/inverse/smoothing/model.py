@@ -1,16 +1,32 @@
-"""The model of a sweep, stated once for offline and live smoothing: how states enter a sample, what
-a contact shows, and which constraints hold.
+"""The model of a sweep: a recording as a time series of whitened wrenches in clamp axes, what
+happens at each sample, how states enter a sample, what a contact shows, and which constraints hold.
+Stated once for offline and live smoothing.
 """
 
 import math
+from collections.abc import Iterator
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from vibrissa.inverse.smoothing.kalman import ROWS, WRENCH, Entry, Step
+from vibrissa.contacts import ContactKind
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.shared import in_clamp_axes
+from vibrissa.inverse.smoothing import kalman
+from vibrissa.inverse.smoothing.kalman import (
+    DRIFT,
+    PLACE,
+    RATE,
+    ROWS,
+    SIZE,
+    WRENCH,
+    Gaussian,
+    States,
+    Step,
+)
 from vibrissa.inverse.smoothing.manifold import (
     ARC_LENGTH,
     AT_REST,
@@ -19,40 +35,189 @@ from vibrissa.inverse.smoothing.manifold import (
     TILT,
     Linear,
     chosen,
+    linearised,
 )
-from vibrissa.inverse.smoothing.series import (
-    FREE,
-    GO_ON,
-    JUMP,
-    KINK,
-    TANGENTIAL,
-    TIP,
-    Codes,
-    Fit,
-    Labels,
-    Rates,
-)
+from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
+Samples = Float[np.ndarray, "n"]
+Flags = Bool[np.ndarray, "n"]
+Codes = Int[np.ndarray, "n"]
+Rates = Float[np.ndarray, "coordinates"]
+Coordinates = Float[np.ndarray, "n coordinates"]
+
+FREE, TIP, TANGENTIAL = (int(kind) for kind in ContactKind)
+GO_ON, KINK, JUMP = 0, 1, 2
+"""How a sample continues the one before: evenly, with other rates, or not at all."""
+TARED = Gaussian(np.zeros(WRENCH), 0.02 * np.eye(WRENCH))
+"""The zero of a recording that begins at rest, in standard deviations of a sample: a tare over 50
+samples."""
 TILT_SPREAD = 3e-3
 """Standard deviation [rad] of the tilt where nothing else is known of it: a sixth of a degree, as
 rods are straight and clamps are true.
 """
 ARC_LENGTH_SPREAD = 0.3
-"""Standard deviation of s₁ where nothing is known of it: about that of a uniform one."""
+"""Standard deviation of an unknown s₁: about that of a uniform one."""
+TINY = 1e-300
+"""In place of a divisor of zero."""
+TOGETHER, _TOGETHER_FREE = 4, 32
+"""Samples of a group in contact, and without: a sensor logs some hundred a second, contacts move
+within tenths of one, and drifts within seconds."""
+_ROUGH_GROUPS, _GROUPS = 600, 2400
+"""Most groups of a contact: time grows no further."""
+_FAINT = 0.03
+"""Weight of the whitened wrench of a swinging rod: its inertia is a hundred times the noise."""
 _BEND = np.array([1 / 15, 1 / 15, 1 / 15, 1 / 6, 0])
-"""By how much the rates of loads and s₁ change at a change of phase, in rates of which nothing is
-known: thrice what a sphere makes of them.
+"""By how much the rates of loads and s₁ change at a change of phase, in standard deviations of
+unknown rates: three times what a sphere makes of them.
 """
 _PINNED, _EXACT = 1e-12, 1e-6
-"""Variance, and standard deviation, of what holds exactly: far below what noise tells, far above
-rounding."""
+"""Variance, and standard deviation, of what holds exactly: far below the noise, far above rounding.
+"""
 _FRICTION, _UNRELATED = 0.2, 4
 """Standard deviation of k² about ½ in tangential contact, that of a coefficient of friction of 0.4
-((sin atan μ)/2), and how often in a contact it is another one.
+((sin atan μ)/2), and how many independent values it takes in a contact.
 """
 _LOAD_SPREAD = 2.0
-"""Standard deviation of loads of which nothing is known: those of a strongly bent rod."""
+"""Standard deviation of unknown loads: those of a strongly bent rod."""
+
+
+class NoMotionError(ArithmeticError):
+    """No motion of a contact has finite likelihood: the samples are not those of a rod that slides
+    along an object.
+    """
+
+
+class Series(NamedTuple):
+    """One recording in clamp axes and model units."""
+
+    time: Samples
+    turn: Float[np.ndarray, "n 3 3"]
+    """From clamp to world axes."""
+    wrench: Float[np.ndarray, "n wrench"]
+    """(f0, m0); zero where the sample is bad."""
+    whitening: Float[np.ndarray, "n wrench wrench"]
+    """W with W Σ Wᵀ = 1."""
+    sound: Flags
+    ringing: Flags
+    """Where the rod swings freely."""
+
+    @property
+    def step(self) -> float:
+        """Usual time from one sample to the next, without stamps that repeat or nearly so."""
+        steps = np.diff(self.time)
+        apart = steps[steps > 0.01 * np.mean(steps)] if steps.size else steps
+        return float(np.median(apart)) if apart.size else 1.0
+
+    @property
+    def whitened(self) -> Float[np.ndarray, "n wrench"]:
+        """Wrench in standard deviations, independent of each other."""
+        return np.einsum("nij,nj->ni", self.whitening, self.wrench)
+
+
+def series_of(rod: Rod, reactions: Reactions, ringing: Flags) -> Series:
+    """Rows of one trail with known noise. Those at which the free rod swings show no load, and
+    little of the zero's drift.
+    """
+    units = np.repeat([rod.force_scale, rod.moment_scale], 3)
+    wrench, covariance = in_clamp_axes(reactions, units)
+    sound, count = np.isfinite(wrench).all(axis=1), len(wrench)
+    weight = np.where(ringing, _FAINT, 1.0)[:, None, None]
+    return Series(
+        np.arange(count, dtype=float) if reactions.time is None else reactions.time,
+        rotation_matrices(reactions.trail.orientation),
+        np.where((sound & ~ringing)[:, None], wrench, 0.0),
+        weight * np.linalg.inv(np.linalg.cholesky(np.asarray(covariance))),
+        sound,
+        ringing,
+    )
+
+
+class Labels(NamedTuple):
+    """What happens at each sample."""
+
+    phase: Codes
+    """Values of `ContactKind`."""
+    link: Codes
+    """GO_ON, KINK or JUMP."""
+    share: Samples
+    """Of the time since the sample before in which the contact moved; less than 1 where it began on
+    the way.
+    """
+    pace: Samples
+    """Factor of the intensities of moment and axial force."""
+
+    def copy(self) -> "Labels":
+        """Labels to write into."""
+        return Labels(*(part.copy() for part in self))
+
+    @property
+    def begins(self) -> Flags:
+        """Where the phase is another one than before, contact or not."""
+        return np.diff(self.phase, prepend=FREE) != 0
+
+    @property
+    def breaks(self) -> Codes:
+        """Samples at which something changes: phase, rates or place."""
+        return np.flatnonzero((self.link > GO_ON) | self.begins)
+
+    @property
+    def changes(self) -> list[int]:
+        """First samples of a new phase within contacts."""
+        before, phase = self.phase[:-1], self.phase[1:]
+        within: list[int] = (np.flatnonzero((phase != before) & (phase * before > 0)) + 1).tolist()
+        return within
+
+    @property
+    def contact(self) -> Codes:
+        """Number of the contact, or of the stretch without, that each sample belongs to."""
+        return np.cumsum(np.diff(self.phase != FREE, prepend=False))
+
+
+def runs_of(flags: Flags) -> Iterator[tuple[int, int]]:
+    """First and last index of each run of true flags."""
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
+    for first, stop in edges.reshape(-1, 2).tolist():
+        yield first, stop - 1
+
+
+class Fit(NamedTuple):
+    """A series with its labels, and what is known of its states."""
+
+    series: Series
+    labels: Labels
+    linear: Linear
+    at_tip: Linear
+    """About the same loads in tip contact."""
+    weight: Samples
+    """1, less for outliers."""
+    states: States
+    rates: Rates
+    """Standard deviations of unknown rates."""
+    intensities: Float[np.ndarray, "intensities"]
+    zero: Gaussian
+    """The sensor's zero where the series begins, in standard deviations of a sample."""
+    incidence_spread: float | None
+    """Standard deviation of k² about ½ in tangential contact; None where friction may make it
+    another one.
+    """
+
+    def rows(self, rows: slice) -> "Fit":
+        """Some of the samples."""
+        each: list[Any] = jax.tree.map(lambda part: part[rows], list(self)[:6])
+        return Fit(*(each + list(self)[6:]))
+
+    def about(self, linear: Linear) -> "Fit":
+        """About other coordinates."""
+        tip = linear.x.copy()
+        tip[:, ARC_LENGTH] = 1
+        return self._replace(linear=linear, at_tip=linearised(tip))
+
+    def with_phases(self, labels: Labels) -> "Fit":
+        """With other labels, each sample about coordinates of its phase."""
+        linear = chosen(labels.phase == TIP, self.at_tip, self.linear)
+        return self._replace(labels=labels, linear=linear)
 
 
 def incidence_spread_of(friction: float | None, errors: SetupErrors | None) -> float | None:
@@ -63,18 +228,17 @@ def incidence_spread_of(friction: float | None, errors: SetupErrors | None) -> f
     readings of another rod it is off by at most half of 2 δm + δf + δEI, relative, and of the
     clamp's turn [rad].
     """
-    if friction != 0:
-        return None
-    if errors is None:
-        return _EXACT
-    variance = dict(zip(PARAMETERS, np.diag(errors.covariance), strict=True))
-    gain_force, gain_torque, turn = (
-        max(value for name, value in variance.items() if name.startswith(group))
-        for group in ("gain_f", "gain_t", "clamp_orientation")
+    if friction != 0 or errors is None:
+        return None if friction != 0 else _EXACT
+    stiffness, force, torque, turn = (
+        max(
+            variance
+            for name, variance in zip(PARAMETERS, np.diag(errors.covariance), strict=True)
+            if name.startswith(group)
+        )
+        for group in ("bending_stiffness", "gain_f", "gain_t", "clamp_orientation")
     )
-    return max(
-        _EXACT, math.sqrt(variance["bending_stiffness"] + gain_force + 4 * gain_torque + turn) / 2
-    )
+    return max(_EXACT, math.sqrt(stiffness + force + 4 * torque + turn) / 2)
 
 
 def observed(linear: Linear, wrench: Any, whitening: Any, xp: ModuleType = np) -> tuple[Any, Any]:
@@ -85,89 +249,150 @@ def observed(linear: Linear, wrench: Any, whitening: Any, xp: ModuleType = np) -
     residual = (whitening @ (wrench - value.wrench)[..., None])[..., 0]
     short = 1 - linear.x[..., ARC_LENGTH, None]
     of_short = xp.zeros_like(slope.incidence) + np.eye(COORDINATES)[ARC_LENGTH]
+    rows = whitening @ slope.wrench, of_short[..., None, :], slope.incidence[..., None, :]
     return (
         xp.concatenate([residual, short, 0.5 - value.incidence[..., None]], axis=-1),
-        xp.concatenate(
-            [
-                whitening @ slope.wrench,
-                of_short[..., None, :],
-                slope.incidence[..., None, :],
-            ],
-            axis=-2,
-        ),
+        xp.concatenate(rows, axis=-2),
     )
 
 
 def entries(
     before: Codes,
     labels: Labels,
-    x: Float[np.ndarray, "n coordinates"],
+    x: Coordinates,
     rates: Rates,
     bend: Rates = _BEND,
     arc_length_variance: float = ARC_LENGTH_SPREAD**2,
-) -> Entry:
+) -> tuple[Any, Any, Any, Any]:
     """How states enter samples after those of phase `before`: at rest where there is no contact, at
-    the tip in tip contact, with new rates where a contact begins or breaks.
+    the tip in tip contact, with new rates where a contact begins or breaks. The first four fields
+    of `Step`.
     """
     phase, link, share, _ = labels
-    place, speed, spread = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
-    keep_place, keep_speed, faster = np.ones_like(x), np.ones_like(x), np.zeros_like(x)
-    free, tip = phase == FREE, phase == TIP
-    onset, anew = ~free & (before == FREE), ~free & (link == JUMP)
-    changed = ~free & ~onset & (phase != before) & (link == KINK)
-    new_rates = onset | (~free & (link > GO_ON) & ~changed)
-    keep_speed[new_rates], faster[new_rates] = 0, rates**2
-    faster[changed] = (bend * rates) ** 2
-    keep_place[anew], spread[anew, :LOADS] = 0, _LOAD_SPREAD**2
-    place[anew, :TILT] = x[anew, :TILT]
-    spread[onset | anew, TILT] = TILT_SPREAD**2
+    tip, touching = phase == TIP, phase != FREE
+    onset, anew = touching & (before == FREE), touching & (link == JUMP)
+    changed = touching & ~onset & (phase != before) & (link == KINK)
+    new_rates = onset | (touching & (link > GO_ON) & ~changed)
     # A contact that begins with the flank begins anywhere on the rod.
     flank = (onset | anew) & ~tip
-    keep_place[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, arc_length_variance
-    place[flank, ARC_LENGTH] = x[flank, ARC_LENGTH]
-    for part in (keep_place, keep_speed, spread, faster):
-        part[tip, ARC_LENGTH] = part[free] = 0
-    place[free], place[tip, ARC_LENGTH] = AT_REST, 1
-    drift = np.zeros((len(phase), WRENCH))
-    active = np.where(free, 0.0, share)[:, None] * np.ones(COORDINATES)
-    active[tip, ARC_LENGTH] = 0
-    return Entry(
-        np.hstack([keep_place, keep_speed, 1 + drift]),
-        np.hstack([place, speed, drift]),
-        np.hstack([spread, faster, drift]),
-        active,
-    )
+    keep, (begin, spread) = np.ones((len(x), SIZE)), np.zeros((2, len(x), SIZE))
+    keep[anew, PLACE], spread[anew, :LOADS] = 0, _LOAD_SPREAD**2
+    begin[anew, :TILT] = x[anew, :TILT]
+    spread[onset | anew, TILT] = TILT_SPREAD**2
+    keep[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, arc_length_variance
+    begin[flank, ARC_LENGTH] = x[flank, ARC_LENGTH]
+    keep[new_rates, RATE], spread[new_rates, RATE] = 0, rates**2
+    spread[changed, RATE] = (bend * rates) ** 2
+    begin[~touching, PLACE], begin[tip, ARC_LENGTH] = AT_REST, 1
+    known = ~touching[:, None] | tip[:, None] & (np.arange(COORDINATES) == ARC_LENGTH)
+    for part in (keep, spread):
+        part[:, : DRIFT.start][np.tile(known, 2)] = 0
+    return keep, begin, spread, np.where(known, 0.0, share[:, None])
 
 
 def steps_of(fit: Fit) -> Step:
     """The model linearised about the coordinates of a fit."""
     series, labels, x = fit.series, fit.labels, fit.linear.x
-    phase, count = labels.phase, len(labels.phase)
+    phase, contact, tangential = labels.phase, labels.contact, labels.phase == TANGENTIAL
     # Without contact, or without a rod of such coordinates, nothing depends on them.
     shows = series.sound & fit.linear.exists
-    nothing = jax.tree.map(lambda part: np.zeros_like(part[0]), fit.linear)
-    linear = chosen(shows & (phase != FREE), fit.linear, nothing)
+    linear = chosen(shows & (phase != FREE), fit.linear, 0.0)
     residual, slope = observed(linear, series.wrench, series.whitening)
-    variance = np.full((count, ROWS), np.inf)
+    variance = np.full((len(phase), ROWS), np.inf)
     variance[shows, :WRENCH] = 1 / fit.weight[shows, None]
     # Where tangential contact passes over into tip contact, the arc length is the rod's.
-    tangential = phase == TANGENTIAL
     arrives = tangential[:-1] & (phase[1:] == TIP) & (labels.link[1:] != JUMP)
     variance[:-1][arrives, WRENCH] = _PINNED
-    contact = labels.contact
     within = (
         _FRICTION**2 * np.bincount(contact, tangential)[contact] / _UNRELATED
         if fit.incidence_spread is None
-        else np.full(count, fit.incidence_spread**2)
+        else fit.incidence_spread**2
     )
-    square = tangential & shows
-    variance[square, WRENCH + 1] = within[square]
-    before = np.concatenate([[FREE], phase[:-1]])
+    variance[:, WRENCH + 1] = np.where(tangential & shows, within, np.inf)
     return Step(
-        entries(before, labels, x, fit.rates),
+        *entries(np.append(FREE, phase[:-1]), labels, x, fit.rates),
         np.diff(series.time, prepend=series.time[0]),
         labels.pace,
         residual + np.einsum("nij,nj->ni", slope, linear.x),
         slope,
         variance,
     )
+
+
+def together_for(labels: Labels, *, rough: bool = True) -> int:
+    """How many samples of a contact to take together: 4 where it is rough, else 1, and more in long
+    contacts, which have so many groups at most.
+    """
+    longest = int(np.bincount(np.cumsum(labels.phase == FREE), labels.phase != FREE).max(initial=0))
+    return max(TOGETHER, -(-longest // _ROUGH_GROUPS)) if rough else max(1, -(-longest // _GROUPS))
+
+
+def group_starts(
+    candidates: list[Labels], also: Codes | None = None, together: int = TOGETHER
+) -> Codes:
+    """First samples of groups of 4, or of 32 without contact; in none of the candidates something
+    changes within a group or where one begins, nor does the number `also`.
+    """
+    count = len(candidates[0].phase)
+    place, size = np.arange(count), np.full(count, _TOGETHER_FREE)
+    begins = np.diff(np.zeros(count) if also is None else also, prepend=-1, append=0) != 0
+    for labels in candidates:
+        changed = np.diff(labels.phase, prepend=labels.phase[0]) != 0
+        changes = np.flatnonzero(changed | (labels.link > GO_ON))
+        begins[np.concatenate([np.maximum(changes - 1, 0), changes, changes + 1])] = True
+        size[labels.phase != FREE] = together
+    begins = begins[:-1] | (np.diff(size, prepend=size[0]) != 0)
+    first = np.maximum.accumulate(np.where(begins, place, 0))
+    return np.flatnonzero((place - first) % size == 0)
+
+
+def merged(steps: Step, starts: Codes) -> Step:
+    """One step for each group of neighbouring samples, at their mean time: what they show, averaged
+    by its precision. They say as much of a motion that is slow against them, in fewer steps.
+    """
+    precision = 1 / steps.variance
+    total = np.add.reduceat(precision, starts)
+    sizes = np.diff(starts, append=len(precision))
+    weight = precision / np.repeat(np.maximum(total, TINY), sizes, axis=0)
+    target = weight.reshape(*weight.shape, *[1] * (steps.target.ndim - 2)) * steps.target
+    with np.errstate(divide="ignore"):
+        variance = 1 / total
+    first: Step = jax.tree.map(lambda part: part[starts], steps)
+    return first._replace(
+        duration=np.diff(_middle(steps, starts), prepend=0.0),
+        target=np.add.reduceat(target, starts),
+        slope=np.add.reduceat(weight[..., None] * steps.slope, starts),
+        variance=variance,
+    )
+
+
+def spread_out(states: States, steps: Step, starts: Codes) -> States:
+    """States of groups, for each of their samples: coordinates go on at their rates, all else is
+    the same.
+    """
+    time = np.cumsum(steps.duration)
+    number = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(time)))
+    parts = jax.tree.map(lambda part: part[number], states)
+    since = steps.active * (time - _middle(steps, starts)[number])[:, None]
+    parts.mean[:, PLACE] += (since.T * parts.mean[:, RATE].T).T
+    parts.log_likelihood[np.diff(number, prepend=-1) == 0] = 0
+    return parts
+
+
+def _middle(steps: Step, starts: Codes) -> Float[np.ndarray, "groups"]:
+    # Groups without observations have a middle, too.
+    share = 1 / steps.variance[:, 0] + 1e-12
+    sums = (np.add.reduceat(part, starts) for part in (share * np.cumsum(steps.duration), share))
+    return np.asarray(np.divide(*sums))
+
+
+def smoothed_states(fit: Fit, steps: Step, *, rough: bool = True) -> States:
+    """States at these steps, from a rod at rest on. Samples without contact are taken together, and
+    others too where it is rough.
+    """
+    starts = group_starts([fit.labels], together=together_for(fit.labels, rough=rough))
+    start = kalman.at_rest(fit.zero)
+    if steps.target.ndim > 2:  # several series that begin at zero
+        start = start._replace(mean=np.zeros((SIZE, steps.target.shape[2])))
+    states = kalman.smoothed(merged(steps, starts), fit.intensities, start)
+    return spread_out(states, steps, starts)

@@ -2,19 +2,29 @@
 likelihood then refines.
 """
 
-from collections.abc import Iterator
+from itertools import accumulate
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.ndimage import binary_closing, binary_opening, uniform_filter1d
 from scipy.stats import chi2
 
 from vibrissa.inverse.inverse import invert, single_contact
 from vibrissa.inverse.smoothing.kalman import WRENCH, Gaussian
-from vibrissa.inverse.smoothing.series import FREE, TANGENTIAL, TIP, Codes, Flags, Samples, Series
+from vibrissa.inverse.smoothing.model import (
+    FREE,
+    TANGENTIAL,
+    TINY,
+    TIP,
+    Codes,
+    Flags,
+    Samples,
+    Series,
+    runs_of,
+)
 from vibrissa.numerics.lanes import lanes
 
 _DETECTION_SAMPLES = 5
@@ -28,13 +38,11 @@ _CHANGE_COST = 6.0
 _FREEDOM_COST = 0.1
 _MOST_DEVIATION = 0.05
 """Rod lengths: of arc lengths that tell a phase."""
-_TINY = 1e-300
-"""In place of a divisor of zero."""
 
 
 def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     """Samples at which the rod is loaded: the mean of five whitened wrenches, less the drift of the
-    zero, is more than noise and the drift's own error explain.
+    zero, is more than noise and the drift's own error explain, and it does not swing freely.
 
     Without contact its square in the metric of that covariance follows chi-square with six degrees
     of freedom, and exceeds the limit with the probability `false_alarm`. Loads of fewer than eight
@@ -48,25 +56,17 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     covariance = np.eye(WRENCH) / seen[..., None] + zero.covariance
     distance = np.einsum("ni,ni->n", mean, np.linalg.solve(covariance, mean[..., None])[..., 0])
     loaded = (count > 0) & (distance > chi2.isf(false_alarm, WRENCH))
+    around = np.pad(loaded, 1)
     for first, last in runs_of(~series.sound):
-        # The mean of a sample next to the gap may hold some of it.
-        around = loaded[max(0, first - 1) : first].any() and loaded[last + 1 : last + 2].any()
-        loaded[first : last + 1] = around
+        loaded[first : last + 1] = around[first] & around[last + 2]
     size = _LONGEST_GAP + 1
     closed = binary_closing(np.pad(loaded, size, mode="edge"), np.ones(size))[size:-size]
-    return np.asarray(binary_opening(closed, np.ones(_LEAST_SAMPLES)))
+    return binary_opening(closed, np.ones(_LEAST_SAMPLES)) & ~series.ringing
 
 
 def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
     """Sums of `size` rows about each."""
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="constant") * size)
-
-
-def runs_of(flags: Flags) -> Iterator[tuple[int, int]]:
-    """First and last index of each run of true flags."""
-    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
-    for first, stop in zip(edges[::2], edges[1::2], strict=True):
-        yield int(first), int(stop) - 1
 
 
 @lanes()
@@ -94,6 +94,17 @@ def raw_arc_lengths(
     return np.where(tells, value, 1.0), np.where(tells, deviation, np.inf)
 
 
+def first_labels(series: Series, zero: Gaussian, false_alarm: float) -> tuple[Codes, Samples]:
+    """Phase and rough arc length (model units) of each sample, for what is known of the zero."""
+    phase, arc_length = np.full(len(series.time), FREE), np.ones(len(series.time))
+    value, deviation = raw_arc_lengths(series, zero.mean)
+    for first, last in runs_of(detected(series, zero, false_alarm)):
+        rows = slice(first, last + 1)
+        phase[rows], average = _phases_of(value[rows], deviation[rows])
+        arc_length[rows] = np.where(phase[rows] == TANGENTIAL, np.clip(average, 0.05, 1.0), 1.0)
+    return phase, arc_length
+
+
 def _phases_of(value: Samples, deviation: Samples) -> tuple[Codes, Samples]:
     """Most probable sequence of tip and tangential contact from the arc lengths of one contact, and
     the arc lengths averaged.
@@ -104,8 +115,20 @@ def _phases_of(value: Samples, deviation: Samples) -> tuple[Codes, Samples]:
     weight = 1 / deviation**2
     average = np.minimum(_running_line(value, weight), 1.0)
     cost = np.minimum(np.stack([value - 1, value - average]) ** 2 * weight / 2, _MOST_COST)
-    cost[1] += _FREEDOM_COST
-    return _cheapest(cost) + TIP, average
+    # Viterbi's path through two states needs no more than by how much the second one costs more so
+    # far, and never more than a change: where that is reached, the state there is known, and before
+    # it goes on to the next known one.
+    more = np.array(
+        list(
+            accumulate(
+                cost[1] + _FREEDOM_COST - cost[0],
+                lambda sum_, here: min(max(sum_, -_CHANGE_COST), _CHANGE_COST) + here,
+            )
+        )
+    )
+    known = np.flatnonzero(np.append(np.abs(more[:-1]) > _CHANGE_COST, True))
+    following = known[np.searchsorted(known, np.arange(len(value)))]
+    return np.where(more[following] < 0, TANGENTIAL, TIP), average
 
 
 def _running_line(value: Samples, weight: Samples) -> Samples:
@@ -115,34 +138,6 @@ def _running_line(value: Samples, weight: Samples) -> Samples:
     w, wx, wxx, wy, wxy = _running_sum(weight[:, None] * products, size).T
     determinant = w * wxx - wx**2
     # Where one sample alone weighs anything, any line fits.
-    sound = determinant > 1e-9 * np.maximum(w * wxx, _TINY)
+    sound = determinant > 1e-9 * np.maximum(w * wxx, TINY)
     slope = np.where(sound, (w * wxy - wx * wy) / np.where(sound, determinant, 1.0), 0.0)
-    return np.where(w > 0, (wy - slope * wx) / np.maximum(w, _TINY) + slope * place, 1.0)
-
-
-def _cheapest(cost: Float[np.ndarray, "2 k"]) -> Int[np.ndarray, "k"]:
-    """Viterbi's path through two states."""
-    count = cost.shape[1]
-    total, came = cost[:, 0].copy(), np.zeros((2, count), dtype=int)
-    for k in range(1, count):
-        change = total[::-1] + _CHANGE_COST
-        came[:, k] = np.where(change < total, [1, 0], [0, 1])
-        total = np.minimum(total, change) + cost[:, k]
-    path = np.empty(count, dtype=int)
-    path[-1] = int(np.argmin(total))
-    for k in range(count - 1, 0, -1):
-        path[k - 1] = came[path[k], k]
-    return path
-
-
-def first_labels(
-    series: Series, loaded: Flags, drift: Float[np.ndarray, "*n wrench"]
-) -> tuple[Codes, Samples]:
-    """Phase and rough arc length (model units) of each sample."""
-    phase, arc_length = np.full(len(loaded), FREE), np.ones(len(loaded))
-    value, deviation = raw_arc_lengths(series, drift)
-    for first, last in runs_of(loaded):
-        rows = slice(first, last + 1)
-        phase[rows], average = _phases_of(value[rows], deviation[rows])
-        arc_length[rows] = np.where(phase[rows] == TANGENTIAL, np.clip(average, 0.05, 1.0), 1.0)
-    return phase, arc_length
+    return np.where(w > 0, (wy - slope * wx) / np.maximum(w, TINY) + slope * place, 1.0)

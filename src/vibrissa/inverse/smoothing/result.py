@@ -1,9 +1,12 @@
-"""What smoothing says beside the contacts."""
+"""What smoothing says: beside the contacts of a sweep, and of each sample as it comes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.contacts import ContactKind, Contacts, Status
 
 
 @dataclass(frozen=True)
@@ -79,3 +82,70 @@ class Smoothing:
     def outlier(self) -> Bool[np.ndarray, "n"]:
         """(n,) samples that were given less weight."""
         return self.weight < 1
+
+
+@dataclass(frozen=True, eq=False)
+class LiveContact:
+    """Contacts of samples (…), each given the samples so far: of one, or of several in a row, which
+    can be indexed and run through. World axes, units of the rod.
+
+    Attributes
+    ----------
+    time
+        (…) [s].
+    kind
+        (…) values of `ContactKind`; NONE without contact.
+    point, force_direction
+        (…, 3) contact point and unit vector of the contact force on the rod; NaN without contact.
+    arc_length, modulus
+        (…) s₁ and k².
+    covariance, normal_covariance
+        (…, 3, 3): from sample to sample, and of what the whole sweep shares.
+    covariance_noise, normal_covariance_noise
+        (…, 3, 3): from sample to sample alone.
+    sensitivity
+        (…, 6, 15): as that of `Reconstruction`.
+    probability
+        (…) of contact, among the hypotheses.
+    status
+        (…) values of `Status`: BAD_DATA where the sample holds numbers that are not finite; the
+        contact is then that predicted from the samples before.
+    """
+
+    time: Float[np.ndarray, "*rows"] | float
+    kind: Int[np.ndarray, "*rows"] | ContactKind
+    point: Float[np.ndarray, "*rows 3"]
+    force_direction: Float[np.ndarray, "*rows 3"]
+    arc_length: Float[np.ndarray, "*rows"] | float
+    modulus: Float[np.ndarray, "*rows"] | float
+    covariance: Float[np.ndarray, "*rows 3 3"]
+    normal_covariance: Float[np.ndarray, "*rows 3 3"]
+    covariance_noise: Float[np.ndarray, "*rows 3 3"]
+    normal_covariance_noise: Float[np.ndarray, "*rows 3 3"]
+    sensitivity: Float[np.ndarray, "*rows 6 15"]
+    probability: Float[np.ndarray, "*rows"] | float
+    status: Int[np.ndarray, "*rows"] | Status
+
+    @property
+    def normal(self) -> Float[np.ndarray, "*rows 3"]:
+        """(…, 3) outward unit normal of the object as far as it is known: the force direction,
+        within atan μ of it where there is friction.
+        """
+        return self.force_direction
+
+    @property
+    def contacts(self) -> Contacts:
+        """The same as scans and reconstructions hand them out."""
+        shared = {field.name for field in fields(Contacts)} - {"sweep"}
+        return Contacts(**{name: getattr(self, name) for name in shared})
+
+    def __getitem__(self, rows: Any) -> "LiveContact":
+        """Return one sample's contact, or some."""
+        parts = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
+        if parts["kind"].ndim == 0:
+            parts |= {"kind": ContactKind(parts["kind"]), "status": Status(parts["status"])}
+        return LiveContact(**parts)
+
+    def __len__(self) -> int:
+        """How many samples there are."""
+        return len(self.point)

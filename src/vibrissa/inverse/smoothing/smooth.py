@@ -1,4 +1,8 @@
-"""Smoothing's entry point: contacts of a sweep in, the same contacts smoothed along it out."""
+"""Smoothing's entry point: contacts of a sweep in, the same contacts smoothed along it out.
+
+Long recordings are smoothed in segments, so that memory is bounded and time grows with the samples:
+cut at rest, or overlapping within a contact.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,35 +10,35 @@ from typing import Any
 
 import numpy as np
 
-from vibrissa.contacts import Status
+from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
 from vibrissa.inverse.checks.check import with_contradictions, with_delay
-from vibrissa.inverse.result import Reconstruction, trail_of
+from vibrissa.inverse.result import Reconstruction
+from vibrissa.inverse.shared import with_shared
 from vibrissa.inverse.smoothing.breaks import with_jumps, with_snaps
-from vibrissa.inverse.smoothing.changes import Places, with_phases
-from vibrissa.inverse.smoothing.estimate import contacts_of
+from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
+from vibrissa.inverse.smoothing.estimate import by_itself, contacts_of
 from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
-from vibrissa.inverse.smoothing.kalman import WRENCH, Gaussian
-from vibrissa.inverse.smoothing.manifold import COORDINATES
-from vibrissa.inverse.smoothing.model import incidence_spread_of
-from vibrissa.inverse.smoothing.phases import detected, runs_of
-from vibrissa.inverse.smoothing.result import Smoothing, Touch
-from vibrissa.inverse.smoothing.rivals import drawn
-from vibrissa.inverse.smoothing.segments import Piece, in_segments, rows_of
-from vibrissa.inverse.smoothing.series import (
+from vibrissa.inverse.smoothing.kalman import INTENSITIES, WRENCH, Gaussian
+from vibrissa.inverse.smoothing.model import (
     FREE,
     GO_ON,
     JUMP,
-    Fit,
+    TARED,
     Flags,
     NoMotionError,
+    incidence_spread_of,
+    runs_of,
     series_of,
 )
-from vibrissa.inverse.smoothing.touch import Onset, onset_at, onset_of, reversed_fit
-from vibrissa.inverse.smoothing.verdict import by_itself, judged
+from vibrissa.inverse.smoothing.result import Smoothing, Touch
 
 _ROUNDS = 4
 """Of looking for jumps: each finds all that are not close to others."""
+_LONGEST, _OVERLAP = 16384, 2048
+"""Samples: some hundred MB of states, and an overlap in whose middle a cut is not felt."""
+_REST = 128
+"""Samples without contact in the middle of which two segments may meet."""
 
 
 def smooth(
@@ -91,59 +95,101 @@ def smooth(
             "found.reactions.covariance = None: smoothing needs the noise of the wrench; "
             "give the sensor force_noise and torque_noise"
         )
-
-    def run(part: Reconstruction, zero: Gaussian, row: int) -> Piece:
-        try:
-            return _smoothed_segment(part, zero, row, false_alarm, model_error)
-        except (NoMotionError, np.linalg.LinAlgError):
-            return Piece(_by_samples(part, model_error), zero)
-
-    if found.kind.ndim == 1:
-        smoothed = with_delay(in_segments(found, run, progress))
-    else:
-        parts = [in_segments(trail_of(found, j), run, progress) for j in range(len(found.kind))]
-        stacked: dict[str, Any] = {
-            name: np.stack([getattr(part, name) for part in parts]) for name in rows_of(parts[0])
-        }
-        smoothing = tuple(part.smoothing[0] for part in parts if part.smoothing)
-        smoothed = replace(found, **stacked, smoothing=smoothing)
+    alone = found.kind.ndim == 1
+    each = [
+        _smoothed(trail, false_alarm, model_error, progress)
+        for trail in ([found] if alone else map(found.__getitem__, range(len(found.kind))))
+    ]
+    rows: dict[str, Any] = {name: np.stack([part[name] for part, _ in each]) for name in each[0][0]}
+    if alone:
+        rows = {name: value[0] for name, value in rows.items()}
+    smoothing: Any = tuple(told for _, told in each)
+    smoothed = with_shared(replace(found, **rows, smoothing=smoothing))
+    smoothed = with_delay(smoothed) if alone else smoothed
     # What the check of the setup says of these errors, beside what smoothing found.
     told, ours = with_contradictions(smoothed), smoothed.status == Status.SETUP_CONTRADICTED
     status = np.where(ours, Status.SETUP_CONTRADICTED, told.status).astype(np.int8)
     return replace(told, status=status)
 
 
-def _by_samples(found: Reconstruction, model_error: float) -> Reconstruction:
-    """Contacts of the samples by themselves, where smoothing finds no motion that explains them."""
-    count = len(found.kind)
-    none = Smoothing(
-        (),
-        np.zeros(COORDINATES),
-        np.zeros((count, WRENCH)),
-        np.ones(count),
-        np.full(count, np.nan),
+def _smoothed(
+    found: Reconstruction,
+    false_alarm: float,
+    model_error: float,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[dict[str, Any], Smoothing]:
+    """Contacts of one trail, segment by segment, and what is said beside them."""
+    segments, zero = _segments_of(found.kind == ContactKind.NONE), TARED
+    pieces, intensities, likelihood = [], [], 0.0
+    for segment, after in zip(segments, [*segments[1:], segments[-1][1:]], strict=True):
+        first, stop, kept, cut = segment
+        part, row = found[first:stop], min(after[0], stop - 1) - first
+        try:
+            piece, zero, intensity, told = _smoothed_segment(
+                part, zero, row, false_alarm, model_error
+            )
+        except (NoMotionError, np.linalg.LinAlgError):
+            count = stop - first
+            piece = by_itself(part) | {
+                "drift": np.zeros((count, WRENCH)),
+                "weight": np.ones(count),
+                "tilt": np.full(count, np.nan),
+                "labels": np.zeros((count, 2), dtype=int),
+                "marks": np.full((count, 7), np.nan),
+            }
+            intensity, told = np.zeros(INTENSITIES), -np.inf
+        if found.reactions.time is None:
+            piece["marks"][:, [0, 3]] += first
+        # Copied, so that the rows of the overlap are freed.
+        pieces.append(
+            {name: value[kept - first : cut - first].copy() for name, value in piece.items()}
+        )
+        intensities.append(intensity)
+        likelihood += told
+        if progress is not None and len(segments) > 1:
+            progress(cut, len(found.kind))
+    rows: dict[str, Any] = {
+        name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]
+    }
+    return rows, Smoothing(
+        _touches(rows.pop("labels"), rows.pop("marks")),
+        np.median(intensities, axis=0),
+        rows.pop("drift"),
+        rows.pop("weight"),
+        rows.pop("tilt"),
         model_error,
-        -np.inf,
+        likelihood,
     )
-    status = np.where(found.in_contact, by_itself(found), found.status).astype(np.int8)
-    return replace(found, status=status, smoothing=(none,))
+
+
+def _segments_of(resting: Flags) -> list[tuple[int, int, int, int]]:
+    """First row of each segment and that after its last; the same of the rows that are kept."""
+    count, low, kept, segments = len(resting), 0, 0, []
+    while count - low > _LONGEST:
+        high, middle = low + _LONGEST, low + _LONGEST // 2
+        stop, cut, following = high, high - _OVERLAP // 2, high - _OVERLAP
+        rests = [run for run in runs_of(resting[middle:high]) if run[1] - run[0] >= _REST]
+        if rests:
+            longest = max(rests, key=lambda run: (run[1] - run[0], run[0]))
+            stop = cut = following = middle + sum(longest) // 2
+        segments.append((low, stop, kept, cut))
+        low, kept = following, cut
+    return [*segments, (low, count, kept, count)]
 
 
 def _smoothed_segment(
     found: Reconstruction, zero: Gaussian, row: int, false_alarm: float, model_error: float
-) -> Piece:
+) -> tuple[dict[str, Any], Gaussian, np.ndarray, float]:
     """One series: phases guessed, motion fitted, jumps and phases found in it, starts and ends
-    placed, the rest judged.
+    placed, the rest judged. Also the zero at `row`, given the samples before, the intensities and
+    the log-likelihood.
     """
-    ringing = found.status == Status.RINGING
-    series = series_of(found.rod, found.reactions, ringing)
+    series = series_of(found.rod, found.reactions, found.status == Status.RINGING)
     series = series._replace(sound=series.sound & (found.status != Status.TOUCHES_TWICE))
-    guess = first_guess(series, detected(series, zero, false_alarm) & ~ringing, zero.mean)
     spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
-    fit = fitted(guess._replace(zero=zero, incidence_spread=spread), local=False)
+    fit = fitted(first_guess(series, zero, false_alarm, spread), local=False)
     # Once more, now that the drift of the zero is known.
-    drift = fit.states.zero
-    guess = first_guess(series, detected(series, drift, false_alarm) & ~ringing, drift.mean)
+    guess = first_guess(series, fit.states.zero, false_alarm, spread)
     fit = fit._replace(labels=guess.labels, linear=guess.linear)
     fit = fitted(fit._replace(labels=with_snaps(fit)))
     # What is tangential is no jump.
@@ -158,66 +204,40 @@ def _smoothed_segment(
         fit, jumped = fitted(fit._replace(labels=labels)), True
     if jumped:
         fit, places = with_phases(fit)
-    fit, touches = _bounded(fit, places, ringing)
+    # Time, deviation and limit of starts and of ends; deviations of changes of phase [s].
+    marks, after = np.full((len(series.time), 7), np.nan), len(series.time) - 1
+    marks[:, 6] = series.step
+    for change, place in places.items():
+        marks[change, 6] *= place.deviation
+    for first, last in runs_of(fit.labels.phase != FREE):
+        # The end is looked for after the beginning is placed, so that they cannot pass each other.
+        if first > 0:
+            fit, begin, told = with_onset(fit, first)
+            marks[begin, :3] = told
+        if last < after:
+            back, begin, told = with_onset(reversed_fit(fit), after - last)
+            fit = fit._replace(labels=reversed_fit(back).labels)
+            marks[after - begin, 3:6] = series.time[-1] - told[0], *told[1:]
     smoothest = fit = fitted(fit, most_steps=MOST_STEPS)
-    if touches:
+    if (fit.labels.phase != FREE).any():
         flank = as_flank(fit)
         fit = averaged(flank, drawn(flank, places))
-    smoothed = contacts_of(found, fit, judged(found, smoothest), touches, model_error)
-    following = smoothest.states.expected_zero
-    return Piece(smoothed, Gaussian(following.mean[row], following.covariance[row]))
+    rows = contacts_of(found, fit, smoothest, model_error)
+    rows |= {"labels": np.stack(fit.labels[:2], axis=1), "marks": marks}
+    zero = Gaussian(*(part[row] for part in smoothest.states.expected_zero))
+    return rows, zero, fit.intensities, float(np.sum(fit.states.log_likelihood))
 
 
-def _bounded(fit: Fit, places: dict[int, Places], ringing: Flags) -> tuple[Fit, tuple[Touch, ...]]:
-    """The fit with its contacts' beginnings and ends where they are most probable; the contacts."""
-    after, touches = len(ringing) - 1, []
-    for first, last in list(runs_of(fit.labels.phase != FREE)):
-        # The end is looked for after the beginning is placed, so that they cannot pass each other.
-        begins, start, ends, end = first, None, last, None
-        if first > 0:
-            start = onset_of(fit, first)
-            fit = fit._replace(labels=onset_at(fit.labels, first, start.place))
-            begins = int(np.floor(start.place)) + 1
-        if last < after:
-            back = reversed_fit(fit)
-            end = _before(onset_of(back, after - last), fit, last, ringing)
-            back = back._replace(labels=onset_at(back.labels, after - last, end.place))
-            fit = fit._replace(labels=reversed_fit(back).labels)
-            ends = after - 1 - int(np.floor(end.place))
-        touches.append(_touch(fit, places, (begins, start), (ends, end)))
-    return fit, tuple(touches)
-
-
-def _before(end: Onset, fit: Fit, last: int, ringing: Flags) -> Onset:
-    """An end, seen backwards, no later than the rod begins to swing."""
-    time, swinging = fit.series.time, last + 1 + np.flatnonzero(ringing[last + 1 :])
-    if not swinging.size or end.place >= len(time) - 0.5 - swinging[0]:
-        return end
-    middle = (time[swinging[0]] + time[swinging[0] - 1]) / 2
-    return end._replace(place=len(time) - 0.5 - float(swinging[0]), time=float(time[-1] - middle))
-
-
-def _touch(
-    fit: Fit,
-    places: dict[int, Places],
-    begin: tuple[int, Onset | None],
-    close: tuple[int, Onset | None],
-) -> Touch:
-    (first, start), (last, end), labels = begin, close, fit.labels
-    rows = np.arange(first + 1, last + 1)
-    changes = rows[labels.begins[rows]]
-    broken = rows[(labels.link[rows] == JUMP) | (labels.link[rows] > GO_ON) & ~labels.begins[rows]]
-    step = fit.series.step
-    return Touch(
-        first,
-        last,
-        start and start.time,
-        end and float(fit.series.time[-1]) - end.time,
-        start and start.deviation,
-        end and end.deviation,
-        start and start.limit,
-        end and end.limit,
-        tuple(map(int, changes)),
-        tuple(map(int, broken)),
-        tuple(step * (places[row].deviation if row in places else 1.0) for row in changes),
-    )
+def _touches(labels: np.ndarray, marks: np.ndarray) -> tuple[Touch, ...]:
+    phase, link = labels.T
+    begins = np.diff(phase, prepend=FREE) != 0
+    broken = (link == JUMP) | (link > GO_ON) & ~begins
+    touches = []
+    for first, last in runs_of(phase != FREE):
+        edges = np.stack([marks[first, :3], marks[last, 3:6]], axis=1).ravel().tolist()
+        inside = slice(first + 1, last + 1)
+        changes, jumps = (first + 1 + np.flatnonzero(part[inside]) for part in (begins, broken))
+        told = (tuple(part.tolist()) for part in (changes, jumps, marks[changes, 6]))
+        each: list[Any] = [None if np.isnan(edge) else edge for edge in edges]
+        touches.append(Touch(first, last, *(each + [*told])))
+    return tuple(touches)

@@ -1,6 +1,6 @@
 """Expected contact error of a sensor over a scene: forward, through the sensor, and back."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,8 +14,6 @@ from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
-from vibrissa.sensor.maps import to_reactions
-from vibrissa.sensor.model import filtered_readings
 from vibrissa.sensor.noise import quantisation_of_mean
 from vibrissa.sensor.sensor import carried
 from vibrissa.sensor.tare import no_tare, planned_tare
@@ -233,9 +231,8 @@ def _lane(
     and the stamps.
     """
     orientation = multiplied(reactions.trail.orientation, inverse(sensor.clamp_orientation))
-    axes = rotation_matrices(orientation)
     time = _stamps(reactions.trail, rate, rest, speed)
-    maps = to_reactions(sensor, axes)
+    maps = sensor.to_reactions(orientation)
     count = int(rest * rate)
     tare = no_tare(sensor, time)
     if count >= 2:
@@ -244,12 +241,14 @@ def _lane(
         ]
         tare = planned_tare(sensor, ends, (count,) * len(ends))
     # Pink noise knows the whole recording, the rest included.
-    covariance = carried(maps, tare.covariance(sensor, time, orientation, since=0.0))
+    coloured = tuple(sensor.noise.coloured(np.concatenate([[0.0], time])))
+    tare = replace(tare, coloured=coloured)
+    covariance = carried(maps, tare.covariance(sensor, time, orientation))
     timed = Reactions(
         reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time
     )
-    late = filtered_readings(sensor, timed, orientation)
-    shown = filtered_readings(sensor.updated(low_pass=None), timed, orientation)
+    late = sensor.filtered_readings(timed, orientation)
+    shown = sensor.updated(low_pass=None).filtered_readings(timed, orientation)
     limits = [
         np.full(3, np.inf) if part is None else np.asarray(part)
         for part in (sensor.force_range, sensor.torque_range)

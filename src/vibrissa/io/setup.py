@@ -28,7 +28,7 @@ from vibrissa.io.objects import ObjectTable
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.rod import Rod
 from vibrissa.sensor import LowPass, Mount, Sensor
-from vibrissa.sensor.mount import STANDARD_GRAVITY
+from vibrissa.sensor.figures import STANDARD_GRAVITY
 from vibrissa.sensor.presets import PRESETS, preset_figures
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances

@@ -10,10 +10,9 @@ from vibrissa.plot.contacts import contacts_figure
 from vibrissa.plot.coverage import coverage_figure
 from vibrissa.plot.design import expected_error_map
 from vibrissa.plot.events import reactions_along
-from vibrissa.plot.lines import elastic_lines
+from vibrissa.plot.lines import contact_sequences, elastic_lines
 from vibrissa.plot.reactions import reactions_over_plane
 from vibrissa.plot.recording import recording_figure
-from vibrissa.plot.sequences import contact_sequences
 from vibrissa.plot.style import journal, save, save_as
 
 __all__ = [

@@ -69,12 +69,9 @@ def own_rows(wrench: Wrenches) -> Rows:
 
 def smallest_steps(values: Wrenches) -> Wrench:
     """Smallest difference (6,) between readings of a channel; infinite where they are equal."""
-    smallest = np.full(values.shape[1], np.inf)
-    for channel, column in enumerate(values.T):
-        different = np.diff(np.unique(column[np.isfinite(column)]))
-        larger = different > _EQUAL * np.nanmax(np.abs(column), initial=0.0)
-        smallest[channel] = np.min(different[larger], initial=np.inf)
-    return smallest
+    largest = np.nanmax(np.abs(values), axis=0, initial=0.0)
+    steps = np.diff(np.sort(values, axis=0), axis=0)
+    return np.min(steps, axis=0, initial=np.inf, where=steps > _EQUAL * largest)
 
 
 def shown_steps(sensor: "Sensor", values: Wrenches) -> Wrench:

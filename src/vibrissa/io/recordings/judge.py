@@ -9,7 +9,7 @@ import numpy as np
 
 from vibrissa.io.errors import InputError
 from vibrissa.io.recordings.streams import Poses, Streams
-from vibrissa.sensor.faults import Fault, FaultKind
+from vibrissa.sensor.raw import Fault, FaultKind
 from vibrissa.sensor.stamps import stamp_faults
 from vibrissa.sensor.units import wrong_norms
 

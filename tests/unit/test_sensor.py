@@ -261,7 +261,7 @@ BAD = {
     ),
     "gain": (
         {"gain": (1, 1, 1, 1, 0, 1)},
-        "gain = (1, 1, 1, 1, 0, 1); allowed are six numbers greater than 0",
+        "gain = (1, 1, 1, 1, 0, 1); allowed are 6 finite numbers greater than 0",
     ),
     "gains": ({"gain": (1.0, 1.0)}, "gain has shape (2,); allowed is (…, 6)"),
     "turns": (

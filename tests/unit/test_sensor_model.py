@@ -387,7 +387,7 @@ BAD = {
     ),
     "range": (
         {"force_range": (1.0, 0.0, 1.0)},
-        "force_range = (1.0, 0.0, 1.0); allowed are three finite numbers greater than 0",
+        "force_range = (1.0, 0.0, 1.0); allowed are 3 finite numbers greater than 0",
     ),
     "drift": (
         {"torque_drift": (0.0, np.nan, 0.0)},

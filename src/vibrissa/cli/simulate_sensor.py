@@ -2,15 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from vibrissa.live.process import TARE_SECONDS
-    from vibrissa.live.simulator import Sent
 
 
 def simulate_sensor(
@@ -78,30 +72,33 @@ def simulate_sensor(
     import numpy as np  # noqa: PLC0415
 
     from vibrissa.cli.live_parts import interrupts, one_line, rdt_of  # noqa: PLC0415
-    from vibrissa.geometry.checks import positive  # noqa: PLC0415
+    from vibrissa.geometry.checks import finite_array, positive  # noqa: PLC0415
     from vibrissa.io.case import load_case  # noqa: PLC0415
     from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
     from vibrissa.live.address import host_and_port  # noqa: PLC0415
     from vibrissa.live.ports import listening  # noqa: PLC0415
+    from vibrissa.live.process import TARE_SECONDS  # noqa: PLC0415
     from vibrissa.live.scene import measured, swept  # noqa: PLC0415
     from vibrissa.live.simulator import Flaws, SensorSimulator  # noqa: PLC0415
 
     loaded, setting = load_case(case), load_setup(setup)
-    table = rdt_of(setting)
+    table, tared = rdt_of(setting), setting.sensor.tare_seconds
     every = table.rate if rate is None else rate
+    resting = (TARE_SECONDS if tared is None else tared) + 0.1
     try:
-        if duration is not None and not 0 < duration < float("inf"):
-            raise ValueError(f"duration = {duration}; allowed is a finite number greater than 0")
+        for name, value in (("rate", every), ("pose_rate", pose_rate), ("duration", duration)):
+            if value is not None:
+                positive(value, name)
         if not 0 <= port <= 65535:
             raise ValueError(f"port = {port}; allowed is a port from 1 to 65535, or 0 for any")
-        positive(every, "rate")
-        positive(pose_rate, "pose_rate")
+        try:
+            offsets = finite_array(tare.split(","), "tare", last=6)
+        except ValueError as failure:
+            text = f"tare = {tare!r}; allowed are six finite numbers fx,fy,fz,tx,ty,tz"
+            raise ValueError(text) from failure
         flaws = Flaws(drop, duplicate, reorder, malformed, error)
-        offsets, listener = _offsets(tare), None if pose is None else host_and_port(pose)
-        resting = (
-            TARE_SECONDS if setting.sensor.tare_seconds is None else setting.sensor.tare_seconds
-        ) + 0.1
+        listener = None if pose is None else host_and_port(pose)
         with one_line():
             listening(host, port).close()
         typer.echo("scanning", err=True)
@@ -130,42 +127,27 @@ def simulate_sensor(
             pose_rate=pose_rate,
             notice=lambda text: typer.echo(text, err=True),
         )
-    except InputError:
-        raise
     except ValueError as failure:
         raise InputError(str(failure)) from failure
     with interrupts() as stop, one_line():
         simulator.open()
         typer.echo(
-            f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts {scene.duration:g} s",
+            f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts "
+            f"{scene.duration:g} s",
             err=True,
         )
         try:
             sent = simulator.run(duration=duration, stop=stop)
         finally:
             simulator.close()
-    typer.echo(json.dumps(vars(sent), indent=1) if as_json else _text(sent), err=not as_json)
-
-
-def _offsets(text: str) -> "np.ndarray":
-    import numpy as np  # noqa: PLC0415
-
-    try:
-        offsets = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        offsets = np.empty(0)
-    if offsets.shape != (6,) or not np.all(np.isfinite(offsets)):
-        raise ValueError(f"tare = {text!r}; allowed are six finite numbers fx,fy,fz,tx,ty,tz")
-    return offsets
-
-
-def _text(sent: "Sent") -> str:
-    return (
-        f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} poses; {sent.malformed_requests} requests malformed; "
-        f"largest delay {sent.latest * 1e3:.2f} ms"
-        + (
-            f"; the stream was taken by another client {sent.takeovers} times"
-            if sent.takeovers
-            else ""
-        )
+    if as_json:
+        typer.echo(json.dumps(vars(sent), indent=1))
+        return
+    text = (
+        f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} "
+        f"poses; {sent.malformed_requests} requests malformed; largest delay "
+        f"{sent.latest * 1e3:.2f} ms"
     )
+    if sent.takeovers:
+        text += f"; the stream was taken by another client {sent.takeovers} times"
+    typer.echo(text, err=True)

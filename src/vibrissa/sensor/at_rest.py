@@ -107,12 +107,13 @@ def noise_unit_faults(sensor: Sensor, rest: Stretch) -> Iterator[Fault]:
     found = (rest.noise / np.sqrt(sensor.noise.variance)).reshape(2, 3)
     units = ((CHANNELS[:3], "mN", "kN"), (CHANNELS[3:], "N mm", "kN m"))
     for (channels, small, large), ratios in zip(units, found, strict=True):
-        factor = float(np.exp(np.mean(np.log(ratios)))) if np.all(ratios > 0) else 1.0
-        alike = np.all((ratios > factor / _ALIKE) & (ratios < _ALIKE * factor))
-        if alike and abs(abs(np.log10(factor)) - 3) < _NEARLY:
+        decades = np.log10(np.maximum(ratios, _TINY))
+        usual = decades.mean()
+        alike = np.all(np.abs(decades - usual) < np.log10(_ALIKE))
+        if alike and abs(abs(usual) - 3) < _NEARLY:
             text = (
-                f"{','.join(channels)} at rest are {factor:.3g} times as noisy as stated, so they "
-                f"are mis-scaled (in {small if factor > 1 else large}?); allowed are N and N m"
+                f"{','.join(channels)} at rest are {10**usual:.3g} times as noisy as stated, so "
+                f"they are mis-scaled (in {small if usual > 0 else large}?); allowed are N and N m"
             )
             count = len(rest.time)
             yield Fault.over(FaultKind.UNITS, channels, rest.interval, text, count, unusable=True)

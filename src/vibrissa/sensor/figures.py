@@ -2,6 +2,7 @@
 found.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,8 +134,6 @@ class Noise:
         """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the
         channels; those that the sensor has.
         """
-        if not len(time):
-            return []
         interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         return self.coloured_within(float(time[0]), float(time[-1] - time[0]), interval)
 
@@ -211,8 +210,7 @@ class Response:
         where that is not known.
         """
         ranges = _six(self.force_range or np.inf, self.torque_range or np.inf)
-        step = np.where(resolution > 0, resolution, 1.0)
-        return np.where(resolution > 0, np.floor(ranges / step + _ROUNDING) * step, ranges)
+        return on_steps(ranges, resolution, lambda steps: np.floor(steps + _ROUNDING))
 
 
 @dataclass(frozen=True)
@@ -319,6 +317,16 @@ class Mount:
         matrix[:, :3, 0], matrix[:, 3:, 0] = fall, -np.cross(point, fall)
         matrix[:, 3:, 1:] = -cross_matrices(fall)
         return matrix
+
+
+def on_steps(
+    values: Float[np.ndarray, "*n 6"],
+    steps: Wrench,
+    rounded: Callable[[np.ndarray], np.ndarray],
+) -> Float[np.ndarray, "*n 6"]:
+    """Values as whole numbers of steps; as they are where the steps are 0."""
+    size = np.where(steps > 0, steps, 1.0)
+    return np.where(steps > 0, rounded(values / size) * size, values)
 
 
 def _six(force: PerAxis | None, torque: PerAxis | None) -> Wrench:

@@ -79,11 +79,9 @@ class Pink:
         """Covariance of the means over two intervals, the same or disjoint."""
         early, late = sorted((first, second))
         x, y = (self.rates * (stop - start) for start, stop in (early, late))
-        if first == second:
-            # 2 (exp(−x) − 1 + x) / x², without its cancellation.
-            shares = hyp1f1(1, 3, -x)
-        else:
-            shares = np.exp(-self.rates * (late[0] - early[1])) * exprel(-x) * exprel(-y)
+        apart = np.exp(-self.rates * abs(late[0] - early[1])) * exprel(-x) * exprel(-y)
+        # Of an interval with itself: 2 (exp(−x) − 1 + x) / x², without its cancellation.
+        shares = hyp1f1(1, 3, -x) if first == second else apart
         return float(self.variance * np.sum(shares))
 
 

@@ -176,12 +176,10 @@ def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> Iterator[F
         # A given drift is off the readings already.
         drift = tare.drift - sensor.tare_policy.drift
         means = means - (raw.time[rows].mean(axis=1) - tare.epoch)[:, None] * drift
-        before = np.arange(1, count)[:, None]
-        usual = np.cumsum(means, axis=0)[:-1] / before
-        off = np.abs(means[1:] - usual) > tolerance * np.sqrt(1 + 1 / before)
-        if off.any():
-            channels = channel_names(off.any(axis=0))
-            stamps = raw.time[rows[1 + np.argmax(off.any(axis=1)) :].ravel()]
+        first = _stays(means, tolerance)
+        if first < count:
+            off = np.abs(means[first:] - means[:first].mean(axis=0)) > tolerance
+            channels, stamps = channel_names(off.any(axis=0)), raw.time[rows[first:].ravel()]
             text = (
                 f"the tare, {tare.found}, is not taken at rest: {', '.join(channels)} change from "
                 f"{stamps[0] - raw.time[0]:.3g} s on; a contact, or a drift"

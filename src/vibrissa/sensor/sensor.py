@@ -19,7 +19,7 @@ from vibrissa.geometry.rotation import (
     unit_quaternions,
 )
 from vibrissa.reactions import Reactions
-from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy, Vector
+from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy, Vector, on_steps
 from vibrissa.sensor.raw import Covariances, Quaternions, RawRecording, Wrench, Wrenches
 from vibrissa.sensor.rest import rest_for_tare
 from vibrissa.sensor.tare import Tare, fitted_tare
@@ -100,33 +100,31 @@ class Sensor:
         tare_policy: TarePolicy = TarePolicy(),  # noqa: B008
         **figures: Any,
     ) -> None:
-        checked: dict[str, Any] = {
+        for name, given, kind in (
+            ("wrench", wrench, WrenchSign),
+            ("wrench_frame", wrench_frame, WrenchFrame),
+        ):
+            if given not in get_args(kind):
+                raise ValueError(f"{name} = {given!r}; allowed are {' and '.join(get_args(kind))}")
+        turn = unit_quaternions(clamp_orientation, "clamp_orientation")
+        point = finite_array(wrench_point, "wrench_point", last=3, ndim=1)
+        fields = vars(self)
+        fields |= {
             "clamp_position": finite_array(clamp_position, "clamp_position", last=3, ndim=1),
-            "clamp_orientation": unit_quaternions(clamp_orientation, "clamp_orientation"),
+            "clamp_orientation": finite_array(turn, "clamp_orientation", ndim=1),
             "wrench": wrench,
             "wrench_frame": wrench_frame,
-            "wrench_point": tuple(
-                finite_array(wrench_point, "wrench_point", last=3, ndim=1).tolist()
-            ),
+            "wrench_point": tuple(point.tolist()),
             "mount": mount,
         }
-        for name, kind in (("wrench", WrenchSign), ("wrench_frame", WrenchFrame)):
-            if checked[name] not in get_args(kind):
-                allowed = " and ".join(get_args(kind))
-                raise ValueError(f"{name} = {checked[name]!r}; allowed are {allowed}")
-        shape = checked["clamp_orientation"].shape
-        if shape != (4,):
-            raise ValueError(f"clamp_orientation has shape {shape}; allowed is (4,)")
         for (name, kind), part in zip(_PARTS.items(), (noise, response, tare_policy), strict=True):
             own = {key: figures.pop(key) for key in kind.__dataclass_fields__ if key in figures}
-            checked[name] = replace(part, **own)
+            fields[name] = replace(part, **own)
         if figures:
             raise TypeError(
                 f"Sensor has no {', '.join(figures)}; allowed are its attributes and the fields of "
                 "Noise, Response and TarePolicy"
             )
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
         """A figure by its own name: `sensor.force_noise` is `sensor.noise.force_noise`."""
@@ -189,27 +187,20 @@ class Sensor:
         turn = both @ np.linalg.inv(self.response.matrix)
         if self.wrench_frame == "world":
             turn = turn @ np.swapaxes(both, 1, 2)
-        return self.sign * _lever(axes @ self.arm) @ turn
+        # (f, τ) about a point is (f, τ − arm × f) about the point farther by the arm.
+        turn[:, 3:] -= cross_matrices(axes @ self.arm) @ turn[:, :3]
+        return self.sign * turn
 
     def to_readings(self, orientation: Quaternions) -> Covariances:
-        """Matrices (n, 6, 6) from reactions to readings: the inverse of `to_reactions`, in closed
-        form.
-        """
-        axes = rotation_matrices(orientation)
-        at_sensor = np.swapaxes(np.kron(np.eye(2), axes), 1, 2) @ _lever(-axes @ self.arm)
-        return self.sign * self._shown(axes) @ at_sensor
+        """Matrices (n, 6, 6) from reactions to readings: the inverse of `to_reactions`."""
+        return np.linalg.inv(self.to_reactions(orientation))
 
     def weight_readings(self, orientation: Quaternions) -> Float[np.ndarray, "n 6 4"]:
         """Matrices that take `Mount.moments` to what the sensor shows of the mount's weight."""
         axes = rotation_matrices(orientation)
-        weight = (self.mount or Mount()).weight(axes, np.asarray(self.wrench_point))
-        # A wrench "on_sensor" is the load's, "on_rod" its reaction.
-        return -self.sign * self._shown(axes) @ weight
-
-    def _shown(self, axes: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "... 6 6"]:
-        """True wrench in sensor axes to readings, in the axes of the wrench."""
-        turned = self.wrench_frame == "world"
-        return np.kron(np.eye(2), axes) @ self.response.matrix if turned else self.response.matrix
+        weight = (self.mount or Mount()).weight(axes, self.clamp_position)
+        # As a contact would, the weight loads the sensor: reactions are what holds it.
+        return -self.to_readings(orientation) @ np.kron(np.eye(2), axes) @ weight
 
     def tare(self, raw: RawRecording) -> Tare:
         """What the sensor shows without contact: from rest that is given or found
@@ -341,16 +332,19 @@ class Sensor:
             raise ValueError(
                 f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …) with time"
             )
-        offsets = (("force_tare", force_tare), ("torque_tare", torque_tare))
-        tare = np.concatenate([finite_array(part, name, last=3, ndim=1) for name, part in offsets])
+        tare = np.concatenate(
+            [
+                finite_array(force_tare, "force_tare", last=3, ndim=1),
+                finite_array(torque_tare, "torque_tare", last=3, ndim=1),
+            ]
+        )
         pose = self.frame(reactions.trail)
-        orientation = pose.orientation
+        orientation, steps = pose.orientation, noise.resolution
         shown = self.filtered_readings(reactions, orientation)
         position = rng.normal(pose.position, noise.position_noise)
         read = shown + tare + (time - time[0])[:, None] * self.tare_policy.drift
         if noise.known:
-            for part in (slice(0, 3), slice(3, 6)):
-                read[:, part] += rng.normal(0.0, noise.white[part], (len(time), 3))
+            read += np.hstack(rng.normal(size=(2, len(time), 3))) * noise.white
         for process, scale in noise.coloured(time):
             read += scale * process.sampled(time, rng, 6)
         if noise.orientation_noise:
@@ -359,20 +353,10 @@ class Sensor:
             if self.wrench_frame == "world":
                 # World axes are those of the robot, which turns the wrench by the orientation that
                 # it logs.
-                turned = [turn.apply(part) for part in np.split(shown, 2, axis=1)]
-                read += np.concatenate(turned, axis=1) - shown
-        limits, step = self.response.limits(noise.resolution), noise.resolution
-        read = np.clip(read, -limits, limits)
-        rounded = np.round(read / np.where(step > 0, step, 1.0)) * step
-        read = np.where(step > 0, rounded, read)
+                read += np.hstack([turn.apply(part) for part in np.split(shown, 2, axis=1)]) - shown
+        limits = self.response.limits(steps)
+        read = on_steps(np.clip(read, -limits, limits), steps, np.round)
         return RawRecording(time, position, orientation, read[:, :3], read[:, 3:])
-
-
-def _lever(arm: Float[np.ndarray, "n 3"]) -> Covariances:
-    """(f, τ) about a point to (f, τ − arm × f), about the point farther by `arm`."""
-    matrices = np.tile(np.eye(6), (len(arm), 1, 1))
-    matrices[:, 3:, :3] = -cross_matrices(arm)
-    return matrices
 
 
 def carried(

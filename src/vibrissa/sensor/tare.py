@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 Gains = Float[np.ndarray, "k p 6"]
 
-# Columns of unit length: with more, solving keeps less than half of the digits.
-_LARGEST_CONDITION = 1e7
+# Of singular values of columns of unit length: with less, solving keeps less than half of the digits.
+_LEAST_RATIO = 1e-7
 # Standard deviations by which readings at rest may miss those of a weight.
 _SCATTER = 6.0
 # A robot that holds its pose does so within its repeatability, well below half a degree.
@@ -192,7 +192,7 @@ def fitted_tare(
     mount = sensor.mount
     if mount is not None and mount.estimated:
         misses = (means - designs @ solution) / np.sqrt(variance)
-        _check_rest(raw, groups, counts @ misses**2, misses, misses.size - len(solution))
+        _check_weight(raw, groups, misses, counts @ misses**2, len(solution))
         mass = float(solution[-4])
         if mass < 0:
             raise ValueError(
@@ -232,24 +232,22 @@ def _fitted_gains(
 ) -> Gains:
     """Weighted least squares: what takes the mean readings (k, 6) to the parameters (p,)."""
     root, parameters = np.sqrt(weights), designs.shape[2]
-    matrix = (root[..., None] * designs).reshape(root.size, parameters)
-    scale = np.linalg.norm(matrix, axis=0)
-    enough = len(matrix) >= parameters and np.all(scale > 0)
-    condition = np.linalg.cond(matrix / scale) if enough else np.inf
-    if condition > _LARGEST_CONDITION:
+    matrix = (root[..., None] * designs).reshape(-1, parameters)
+    scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    if np.linalg.matrix_rank(matrix / scale, rtol=_LEAST_RATIO) < parameters:
         raise ValueError(
-            f"{terms[-1]} = True: the {len(root)} rest intervals do not determine it (condition "
-            f"{condition:.3g}); allowed are rest intervals in at least three orientations whose "
-            "weights point in different directions, and at different times"
+            f"{terms[-1]} = True: the {len(root)} rest intervals do not determine it to half of "
+            "the digits; allowed are rest intervals in at least three orientations whose weights "
+            "point in different directions, and at different times"
         )
     inverse = np.linalg.pinv(matrix / scale) / scale[:, None] * root.ravel()
     return np.swapaxes(inverse.reshape(parameters, *root.shape), 0, 1)
 
 
-def _check_rest(
-    raw: RawRecording, groups: list[Rows], squares: Wrench, misses: Wrenches, freedom: int
+def _check_weight(
+    raw: RawRecording, groups: list[Rows], misses: Wrenches, squares: Wrench, parameters: int
 ) -> None:
-    """Refuse rest in which the sensor turns, and means (k, 6) that miss those of a weight by many
+    """Refuse rest in which the sensor turns, and means (n, 6) that miss those of a weight by many
     standard deviations.
     """
     for group in groups:
@@ -260,10 +258,10 @@ def _check_rest(
                 f"mount.estimated = True: the sensor turns by {turned:.3g}° within a rest "
                 f"interval; allowed is at most {_STILL}°"
             )
-    scatter = float(np.sqrt(np.mean(misses**2)))
     # Weights are not known to the last digit of a long mean: rounding and calibration errors of a
     # few parts in a thousand are let pass.
-    if scatter > 1 and np.sum(squares) > _SCATTER**2 * freedom > 0:
+    scatter = float(np.sqrt(np.mean(misses**2)))
+    if scatter > 1 and np.sum(squares) > _SCATTER**2 * (misses.size - parameters) > 0:
         raise ValueError(
             f"mount.estimated = True: readings at rest scatter by {scatter:.3g} standard "
             "deviations about those of a weight; allowed is noise: give rest_intervals that are "

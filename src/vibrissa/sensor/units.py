@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.constants import g, inch, kgf, lbf
 
 from vibrissa.geometry.rotation import rotation_vectors, third_axis
 from vibrissa.reactions import Reactions
@@ -166,15 +165,20 @@ def arm_and_force(reactions: Reactions, rod: Rod) -> tuple[float, float] | None:
     return float(np.median(moment / force)) / rod.length, float(np.median(force)) / rod.force_scale
 
 
-# Units that are taken for newtons and newton metres, and those that go together.
-_FACTORS = {
-    **{"": 1.0, "mN": 1e-3, "gf": 1e-3 * g, "kgf": kgf, "lbf": lbf, "kN": 1e3},
-    **{"N mm": 1e-3, "N cm": 1e-2, "kgf cm": 1e-2 * kgf, "lbf in": lbf * inch, "kN m": 1e3},
-}
+# Units that are taken for newtons and newton metres, alone and together.
 _WRENCHES = (
-    *(("mN", ""), ("", "N mm"), ("mN", "N mm"), ("", "N cm"), ("kgf", ""), ("gf", "")),
-    *(("lbf", ""), ("lbf", "lbf in"), ("kgf", "kgf cm"), ("kN", ""), ("", "kN m")),
-    ("kN", "kN m"),
+    "forces in mN",
+    "torques in N mm",
+    "forces in mN and torques in N mm",
+    "torques in N cm",
+    "forces in kgf",
+    "forces in gf",
+    "forces in lbf",
+    "forces in lbf and torques in lbf in",
+    "forces in kgf and torques in kgf cm",
+    "forces in kN",
+    "torques in kN m",
+    "forces in kN and torques in kN m",
 )
 # The mistake in words, and the factors of length and of bending stiffness that undo it.
 _RODS = (
@@ -188,18 +192,17 @@ _RODS = (
 
 def _other_units(given: Reading) -> Iterator[Reading]:
     """Each known mistake undone."""
+    from pint import get_application_registry  # noqa: PLC0415, as it takes long to load
+
     raw, sensor, rod = given.raw, given.sensor, given.rod
-    for units in _WRENCHES:
-        named = [
-            (f"{name} in {unit}", channels)
-            for name, unit, channels in zip(
-                ("forces", "torques"), units, (CHANNELS[:3], CHANNELS[3:]), strict=True
-            )
-            if unit
-        ]
-        words = " and ".join(name for name, _ in named)
-        channels = sum((channels for _, channels in named), ())
-        force, torque = (_FACTORS[unit] for unit in units)
+    unit = get_application_registry()
+    for words in _WRENCHES:
+        units = dict(part.split(" in ", 1) for part in words.split(" and "))
+        force, torque = (
+            unit.Quantity(1.0, units.get(kind, "")).to_base_units().magnitude
+            for kind in ("forces", "torques")
+        )
+        channels = CHANNELS[:3] * ("forces" in units) + CHANNELS[3:] * ("torques" in units)
         scaled = replace(raw, force=force * raw.force, torque=torque * raw.torque)
         yield given._replace(words=words, raw=scaled, channels=channels)
     swapped = replace(raw, force=raw.torque, torque=raw.force)

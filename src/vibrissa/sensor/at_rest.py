@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 from scipy.constants import kgf, lbf
+from scipy.signal import periodogram
 from scipy.stats import chi2
 
 from vibrissa.sensor.raw import (
@@ -81,9 +82,9 @@ class Stretch:
     @cached_property
     def about_lines(self) -> tuple[Wrench, Wrenches]:
         """Slopes (6,) of straight lines through the readings, and what is left (n, 6)."""
-        lines = np.stack([np.ones(len(self.time)), self.time - self.time.mean()], axis=1)
-        fitted = np.linalg.lstsq(lines, self.values, rcond=None)[0]
-        return fitted[1], self.values - lines @ fitted
+        elapsed = self.time - self.time.mean()
+        slopes, levels = np.polyfit(elapsed, self.values, 1)
+        return slopes, self.values - levels - elapsed[:, None] * slopes
 
     @cached_property
     def noise(self) -> Wrench:
@@ -182,18 +183,15 @@ def hum_faults(sensor: Sensor, rest: Stretch, rate: float) -> Iterator[Fault]:
     count = len(rest.time)
     if count < _FEWEST_FOR_LINES:
         return
-    left = rest.about_lines[1] * np.hanning(count)[:, None]
-    inner = slice(_FEWEST_CYCLES, -1)
-    frequency, power = (
-        np.fft.rfftfreq(count, 1 / rate)[inner],
-        np.abs(np.fft.rfft(left, axis=0)) ** 2,
+    frequency, power = periodogram(
+        rest.values, rate, "hann", detrend="linear", scaling="spectrum", axis=0
     )
+    inner = slice(_FEWEST_CYCLES, -1)
     # The median of the squares of two normal numbers is ln 2 of their mean.
     floor = ndimage.median_filter(power, (2 * _NEIGHBOURS + 1, 1), mode="mirror") / np.log(2)
     ratio = (power / np.maximum(floor, 1e-300))[inner]
-    # Hann's window: a line of amplitude a has the power (a n / 4)².
-    amplitude = 4 / count * np.sqrt(power[inner])
-    noise = np.sqrt(sensor.noise.variance) if sensor.noise.known else np.std(left, axis=0)
+    frequency, amplitude = frequency[inner], np.sqrt(2 * power[inner])
+    noise = np.sqrt(sensor.noise.variance) if sensor.noise.known else rest.noise
     folded = np.abs(_MAINS - rate * np.round(_MAINS / rate))
     for channel, at in enumerate(np.argmax(ratio, axis=0)):
         size, name = amplitude[at, channel], CHANNELS[channel]
@@ -223,9 +221,9 @@ def drift_of(
         return rate, noise * np.sqrt(1 / counts[0] + 1 / counts[1]) / span
     plain = sensor.without_estimates()
     tare = planned_tare(plain, (early.interval,), counts[:1])
-    there = tare.covariance(plain, raw.time, raw.orientation)
-    there = there if there.ndim == 2 else there[np.argmin(np.abs(raw.time - middle))]
-    variance = np.diagonal(there) - sensor.noise.variance * (1 - 1 / counts[1])
+    later = tare.covariance(plain, raw.time, raw.orientation).reshape(-1, 6, 6)
+    there = later[-1 if len(later) == 1 else np.argmin(np.abs(raw.time - middle))]
+    variance = np.diag(there) - sensor.noise.variance * (1 - 1 / counts[1])
     return rate, np.sqrt(variance) / span
 
 

@@ -1,6 +1,6 @@
 """All that can be told of a recording before anyone trusts it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,8 @@ from vibrissa.sensor.stamps import increasing_stamps, rounded_stamps, stamp_faul
 from vibrissa.sensor.tare import Tare, fitted_tare
 from vibrissa.sensor.units import mount_faults, pose_unit_faults, wrench_unit_faults
 
-# Of readings and poses in any unit; of stamps in nanoseconds since 1970.
-_LARGEST, _LATEST = 1e12, 1e20
+# Of numbers in any unit, stamps in nanoseconds since 1970 included.
+_LARGEST = 1e20
 # A median of 0.67 is noise alone, and known to a few hundredths from some hundred rows.
 _MISFIT, _LASTING_MISFIT = 1.0, 3.0
 # A second of a log at 250 Hz: shorter ones hold too little rest and motion to judge them by.
@@ -137,11 +137,7 @@ def inspect_raw(
     """
     # Infinite numbers, and those that loggers write in the place of missing ones, are no sensor's.
     given = RawRecording(
-        np.where(np.abs(raw.time) < _LATEST, raw.time, np.nan),
-        *(
-            np.where(np.abs(part) < _LARGEST, part, np.nan)
-            for part in (raw.position, raw.orientation, raw.force, raw.torque)
-        ),
+        *(np.where(np.abs(part) < _LARGEST, part, np.nan) for part in astuple(raw))
     )
     if not np.isfinite(given.time).any():
         raise ValueError(f"none of {len(raw.time)} rows has a stamp; allowed are stamps in seconds")
@@ -152,7 +148,7 @@ def inspect_raw(
     timed = replace(given, time=time)
     lost, bad = drop_outs(timed, ~np.isfinite(given.time))
     held, repeated = held_rows(sensor, timed, bad | moved[:, None])
-    bad |= repeated[:, None]
+    bad |= repeated
     stuck, standing = standing_channels(sensor, timed, bad)
     usable = ~((bad | standing).any(axis=1) | moved | poseless)
     cleaned = replace(timed, position=position, orientation=orientation)

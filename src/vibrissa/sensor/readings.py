@@ -120,14 +120,14 @@ def _noise_and_steps(sensor: Sensor, wrench: Wrenches) -> tuple[Wrench, Wrench]:
     return believed_noise(sensor, wrench), steps
 
 
-def held_rows(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[list[Fault], Rows]:
+def held_rows(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
     """Rows that repeat the reading above them in all channels more often than chance allows: a lost
     sample, and the last one held in its place.
 
     Where a third of all rows do so, the sensor is slower than the log; that is one finding, and no
     row is marked.
     """
-    wrench, held = np.where(bad, np.nan, raw.wrench), np.zeros(len(bad), dtype=bool)
+    wrench, held = np.where(bad, np.nan, raw.wrench), np.zeros_like(bad)
     same = repeating_rows(wrench)
     if not own_rows(wrench).all():
         count = np.count_nonzero(same)
@@ -142,7 +142,7 @@ def held_rows(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[list[Fault]
     for start, stop in runs(same):
         held[start:stop] = stop - start + 1 >= needed
     what = "repeat the reading above them in all channels"
-    return list(Fault.each(FaultKind.HELD, CHANNELS, held, raw.time, what)), held
+    return list(Fault.each(FaultKind.HELD, CHANNELS, held[:, 0], raw.time, what)), held
 
 
 def standing_channels(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:

@@ -262,9 +262,9 @@ def _work(reactions: Reactions, loaded: Rows) -> tuple[float, float]:
     Nothing is told of a recording that begins under load, or of whose load a part is missing.
     """
     wrench = np.hstack([reactions.force, reactions.moment])
-    known, rows = np.flatnonzero(np.isfinite(wrench[:, 0])), np.flatnonzero(loaded)
-    among = np.count_nonzero((known >= rows[0]) & (known <= rows[-1]))
-    if known[0] == rows[0] or rows[-1] + 1 - rows[0] - among > _LOST * len(rows):
+    finite, rows = np.isfinite(wrench).all(axis=1), np.flatnonzero(loaded)
+    known, within = np.flatnonzero(finite), finite[rows[0] : rows[-1] + 1]
+    if known[0] == rows[0] or np.count_nonzero(~within) > _LOST * len(rows):
         return 0.0, 0.0
     wrench, trail = wrench[known], reactions.trail
     turn = rotation_vectors(trail.orientation[known[:-1]], trail.orientation[known[1:]])

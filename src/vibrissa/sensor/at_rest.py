@@ -164,14 +164,12 @@ def noisier(sensor: Sensor, noise: Wrench, faults: list[Fault]) -> Sensor:
     """The sensor with the noise at rest of the channels that were found larger than stated; the
     rest of its figures stay.
     """
-    larger = [
-        fault.channels[0] for fault in faults if fault.kind is FaultKind.NOISE and not fault.quiet
-    ]
-    if not larger:
+    loud = [fault for fault in faults if fault.kind is FaultKind.NOISE and not fault.quiet]
+    if not loud:
         return sensor
-    stated = sensor.noise
-    found = np.sqrt(np.maximum(noise**2 - stated.resolution**2 / 12, stated.white**2))
-    figures = tuple(np.where(np.isin(CHANNELS, larger), found, stated.white).tolist())
+    white, larger = sensor.noise.white, np.isin(CHANNELS, [fault.channels[0] for fault in loud])
+    found = np.sqrt(np.maximum(noise**2 - sensor.noise.resolution**2 / 12, white**2))
+    figures = tuple(np.where(larger, found, white).tolist())
     return sensor.updated(force_noise=figures[:3], torque_noise=figures[3:])
 
 

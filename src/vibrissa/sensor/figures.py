@@ -2,7 +2,6 @@
 found.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from vibrissa.geometry.checks import finite_array, not_negative, positive
 from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.sensor.lowpass import LowPass
-from vibrissa.sensor.noise import Coloured, Pink, RandomWalk
+from vibrissa.sensor.noise import NO_STEP, Coloured, Pink, RandomWalk
 from vibrissa.sensor.raw import Interval, Times, Wrench
 
 Vector = tuple[float, float, float]
@@ -210,7 +209,8 @@ class Response:
         where that is not known.
         """
         ranges = _six(self.force_range or np.inf, self.torque_range or np.inf)
-        return on_steps(ranges, resolution, lambda steps: np.floor(steps + _ROUNDING))
+        steps = np.maximum(resolution, NO_STEP)
+        return np.floor(ranges / steps + _ROUNDING) * steps
 
 
 @dataclass(frozen=True)
@@ -317,16 +317,6 @@ class Mount:
         matrix[:, :3, 0], matrix[:, 3:, 0] = fall, -np.cross(point, fall)
         matrix[:, 3:, 1:] = -cross_matrices(fall)
         return matrix
-
-
-def on_steps(
-    values: Float[np.ndarray, "*n 6"],
-    steps: Wrench,
-    rounded: Callable[[np.ndarray], np.ndarray],
-) -> Float[np.ndarray, "*n 6"]:
-    """Values as whole numbers of steps; as they are where the steps are 0."""
-    size = np.where(steps > 0, steps, 1.0)
-    return np.where(steps > 0, rounded(values / size) * size, values)
 
 
 def _six(force: PerAxis | None, torque: PerAxis | None) -> Wrench:

@@ -18,6 +18,9 @@ from vibrissa.sensor.raw import Interval, Times, Wrench
 
 Samples = Float[np.ndarray, "n channels"]
 
+NO_STEP = 2.0**-200
+"""In the place of a step of 0: numbers keep all their digits."""
+
 # Processes a decade, h = ln(10)/3 apart: their sum ripples about 1/f by 2/cosh(π²/h), or 1e-5.
 _PER_DECADE = 3
 # The slowest corner lies this far below the inverse duration, so that the sum has no edge inside
@@ -136,7 +139,7 @@ def quantisation_of_mean(
     noise, step = np.asarray(noise, dtype=float), np.asarray(step, dtype=float)
     # What is left of Σ 6/(πj)² behind these is 0.3 %; without noise the whole error stays.
     orders = np.pi * np.arange(1, 200)
-    over = noise[..., None] / np.where(step > 0, step, 1.0)[..., None]
+    over = (noise / np.maximum(step, NO_STEP))[..., None]
     kept = np.sum(6 / orders**2 * np.exp(-((2 * orders * over) ** 2)), axis=-1)
     kept = np.where(noise > 0, kept, 1.0)
     return np.asarray(step**2 / 12 * (kept + (1 - kept) / count))

@@ -19,7 +19,8 @@ from vibrissa.geometry.rotation import (
     unit_quaternions,
 )
 from vibrissa.reactions import Reactions
-from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy, Vector, on_steps
+from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy, Vector
+from vibrissa.sensor.noise import NO_STEP
 from vibrissa.sensor.raw import Covariances, Quaternions, RawRecording, Wrench, Wrenches
 from vibrissa.sensor.rest import rest_for_tare
 from vibrissa.sensor.tare import Tare, fitted_tare
@@ -339,7 +340,7 @@ class Sensor:
             ]
         )
         pose = self.frame(reactions.trail)
-        orientation, steps = pose.orientation, noise.resolution
+        orientation = pose.orientation
         shown = self.filtered_readings(reactions, orientation)
         position = rng.normal(pose.position, noise.position_noise)
         read = shown + tare + (time - time[0])[:, None] * self.tare_policy.drift
@@ -354,8 +355,9 @@ class Sensor:
                 # World axes are those of the robot, which turns the wrench by the orientation that
                 # it logs.
                 read += np.hstack([turn.apply(part) for part in np.split(shown, 2, axis=1)]) - shown
-        limits = self.response.limits(steps)
-        read = on_steps(np.clip(read, -limits, limits), steps, np.round)
+        limits = self.response.limits(noise.resolution)
+        steps = np.maximum(noise.resolution, NO_STEP)
+        read = np.round(np.clip(read, -limits, limits) / steps) * steps
         return RawRecording(time, position, orientation, read[:, :3], read[:, 3:])
 
 
@@ -365,6 +367,6 @@ def carried(
     """Covariance of readings taken to that of reactions, one for all rows where they agree."""
     carried = maps @ covariance @ np.swapaxes(maps, 1, 2)
     carried = (carried + np.swapaxes(carried, 1, 2)) / 2
-    size = np.sqrt(np.einsum("nii->ni", np.abs(carried)))
-    same = np.all(np.abs(carried - carried[0]) <= _SAME * size[0][:, None] * size[0])
-    return np.asarray(carried[0] if same else carried)
+    size = np.sqrt(np.diag(carried[0]))
+    same = np.all(np.abs(carried - carried[0]) <= _SAME * np.outer(size, size))
+    return carried[0] if same else carried

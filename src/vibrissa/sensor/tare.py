@@ -156,8 +156,8 @@ def fitted_tare(
     Raises
     ------
     ValueError
-        If an interval holds fewer than two good samples, drift is to be estimated from fewer than
-        two intervals, or a mount from orientations that do not determine it or do not fit.
+        If an interval holds fewer than two good samples, or the intervals do not determine drift
+        or mount, or do not fit a mount.
     """
     if not intervals:
         return no_tare(sensor, raw.time)
@@ -170,11 +170,6 @@ def fitted_tare(
                 f"rest from {start - first:g} s to {stop - first:g} s holds {count} good samples; "
                 "allowed are at least 2"
             )
-    if policy.estimate_drift and len(intervals) < 2:
-        raise ValueError(
-            f"estimate_drift = True with {len(intervals)} rest interval; allowed are at least 2, "
-            "at the start and at the end"
-        )
     epoch, readings = float(raw.time[groups[0]].mean()), without_given(sensor, raw)
     rows = _design_rows(sensor, terms, raw.time - epoch, raw.orientation)
     means, designs = (
@@ -236,9 +231,10 @@ def _fitted_gains(
     scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
     if np.linalg.matrix_rank(matrix / scale, rtol=_LEAST_RATIO) < parameters:
         raise ValueError(
-            f"{terms[-1]} = True: the {len(root)} rest intervals do not determine it to half of "
-            "the digits; allowed are rest intervals in at least three orientations whose weights "
-            "point in different directions, and at different times"
+            f"{terms[-1]} = True with {len(root)} rest intervals, which do not determine it to "
+            "half of the digits; allowed are intervals at different times for a drift, and rest "
+            "intervals in at least three orientations whose weights point in different directions "
+            "for a mount"
         )
     inverse = np.linalg.pinv(matrix / scale) / scale[:, None] * root.ravel()
     return np.swapaxes(inverse.reshape(parameters, *root.shape), 0, 1)

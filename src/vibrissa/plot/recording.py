@@ -23,10 +23,10 @@ _FAULT_COLOURS = {
     FaultKind.BACKWARD: "#a00000",
     FaultKind.POSE_JUMP: "#00808a",
 }
-# Name, symbols, factor and unit of the readings, and of their noise.
+# Channels, name, symbols, factor and unit of the readings, factor and unit of their noise.
 _KINDS = (
-    ("force", ("f_x", "f_y", "f_z"), 1.0, "N", 1e3, r"mN/$\sqrt{\mathrm{Hz}}$"),
-    ("torque", (r"\tau_x", r"\tau_y", r"\tau_z"), 1e3, "N mm", 1e6, r"µN m/$\sqrt{\mathrm{Hz}}$"),
+    (slice(0, 3), "force", "f", 1.0, "N", 1e3, r"mN/$\sqrt{\mathrm{Hz}}$"),
+    (slice(3, 6), "torque", r"\tau", 1e3, "N mm", 1e6, r"µN m/$\sqrt{\mathrm{Hz}}$"),
 )
 _LONGEST_SEGMENT = 4096  # of a spectrum: resolves half a hertz at 2 kHz
 _FEWEST = 32  # samples of a segment: a density over a decade and more
@@ -37,6 +37,7 @@ _LEAST_SPAN = 10**0.5
 _FEW_DECADES = 1e3
 
 
+@plt.rc_context({"axes.prop_cycle": plt.cycler(color=_AXIS_COLOURS), "lines.linewidth": 0.8})
 def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     """Force and torque over time as logged, with tare intervals and faults shaded; the sensor's
     pose; and the noise's amplitude spectral density at rest.
@@ -55,19 +56,17 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     spectra = [figure.add_subplot(grid[3, column]) for column in (0, 1)]
     time = found.cleaned.time - found.cleaned.time[0]
     logged = np.where(np.abs(found.raw.wrench) < _LARGEST, found.raw.wrench, np.nan)
-    for axes, (name, symbols, factor, unit, *_), first in zip(
-        (force, torque), _KINDS, (0, 3), strict=True
-    ):
-        for channel, (symbol, colour) in enumerate(zip(symbols, _AXIS_COLOURS, strict=True), first):
-            faint, clear = logged[:, channel], found.cleaned.wrench[:, channel]
-            axes.plot(time, factor * faint, color=colour, linewidth=0.7, alpha=0.35)
-            axes.plot(time, factor * clear, color=colour, linewidth=0.7, label=f"${symbol}$")
+    for axes, spectrum, kind in zip((force, torque), spectra, _KINDS, strict=True):
+        channels, name, symbol, factor, unit, of_noise, density = kind
+        axes.plot(time, factor * logged[:, channels], alpha=0.35)
+        labels = [f"${symbol}_{axis}$" for axis in "xyz"]
+        axes.plot(time, factor * found.cleaned.wrench[:, channels], label=labels)
         axes.set_ylabel(f"{name} [{unit}]")
         axes.tick_params(labelbottom=False)
-        _shade(axes, found, CHANNELS[first : first + 3], 1.005)
+        _shade(axes, found, CHANNELS[channels])
+        _spectrum(spectrum, found, sensor, channels, of_noise)
+        spectrum.set(xlabel="frequency [Hz]", ylabel=f"{name} [{density}]")
     _pose(pose, found)
-    for axes, first in zip(spectra, (0, 3), strict=True):
-        _spectrum(axes, found, sensor, first)
     kinds = {fault.kind for fault in found.faults}
     handles = [
         Patch(color=colour, alpha=0.45, label=str(kind))
@@ -82,7 +81,7 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     return [force, torque, pose, *spectra]
 
 
-def _shade(axes: Axes, found: Inspection, names: tuple[str, ...], right: float) -> None:
+def _shade(axes: Axes, found: Inspection, names: tuple[str, ...], right: float = 1.005) -> None:
     """Tare and faults of these channels behind the lines, and the legend at this place."""
     first, last = found.cleaned.time[[0, -1]]
     spans = [
@@ -105,45 +104,43 @@ def _shade(axes: Axes, found: Inspection, names: tuple[str, ...], right: float) 
 def _pose(axes: Axes, found: Inspection) -> None:
     raw = found.cleaned
     time, moved = raw.time - raw.time[0], 1e3 * (raw.position - raw.position[0])
-    for axis, part, colour in zip("xyz", moved.T, _AXIS_COLOURS, strict=True):
-        axes.plot(time, part, color=colour, linewidth=0.8, label=f"${axis}$")
+    axes.plot(time, moved, label=[f"${axis}$" for axis in "xyz"])
     axes.set(ylabel="moved [mm]", xlabel="time since the first stamp [s]", xlim=time[[0, -1]])
     start = np.broadcast_to(raw.orientation[0], raw.orientation.shape)
     turned = np.degrees(np.linalg.norm(rotation_vectors(start, raw.orientation), axis=1))
     turns = turned.max() > 0.01
     if turns:
         twin = axes.twinx()
-        twin.plot(time, turned, color="0.35", linewidth=0.8, linestyle="--", label="turned")
+        twin.plot(time, turned, color="0.35", linestyle="--", label="turned")
         twin.set_ylabel("turned [°]")
     _shade(axes, found, ("position", "orientation", "time"), 1.075 if turns else 1.005)
 
 
-def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None:
+def _spectrum(
+    axes: Axes, found: Inspection, sensor: Sensor, channels: slice, factor: float
+) -> None:
     """Welch's estimate over the longest rest, against the density of the stated noise and rounding,
     with its pink part.
     """
-    name, *_, factor, unit = _KINDS[first // 3]
-    axes.set(xlabel="frequency [Hz]", ylabel=f"{name} [{unit}]", title="noise at rest")
+    axes.set_title("noise at rest")
     tared = found.tare.intervals if found.tare is not None else ()
     intervals = [found.cleaned.during(interval) for interval in tared or found.rest.intervals]
-    rows = max(intervals, key=np.count_nonzero, default=np.zeros(len(found.usable), dtype=bool))
-    wrench = found.cleaned.wrench[rows & found.usable, first : first + 3]
+    rows = max(intervals, key=np.count_nonzero, default=np.zeros_like(found.usable))
+    wrench = found.cleaned.wrench[rows & found.usable, channels]
     if len(wrench) < _FEWEST:
         axes.text(0.5, 0.5, "no rest", transform=axes.transAxes, ha="center", va="center")
         axes.set(xticks=[], yticks=[])
         return
     segment = min(_LONGEST_SEGMENT, max(_FEWEST, len(wrench) // 4))
-    frequency, density = welch(wrench.T, fs=found.rate, nperseg=segment, detrend="linear")
-    for part, colour in zip(factor * np.sqrt(density), _AXIS_COLOURS, strict=True):
-        axes.loglog(frequency[1:-1], part[1:-1], color=colour, linewidth=0.8)
+    frequency, density = welch(wrench, fs=found.rate, nperseg=segment, detrend="linear", axis=0)
+    axes.loglog(frequency[1:-1], factor * np.sqrt(density[1:-1]))
     if sensor.noise.known:
         white, own = (
-            part[first : first + 3] * 2 / found.rate
+            part[channels] * 2 / found.rate
             for part in (sensor.noise.variance, sensor.noise.white**2)
         )
         stated = factor * np.sqrt(white + own * sensor.noise_corner / frequency[1:, None])
-        for part in np.unique(stated, axis=1).T:
-            axes.loglog(frequency[1:], part, "k--", linewidth=0.9, label="stated")
+        axes.loglog(frequency[1:], np.unique(stated, axis=1), "k--", label="stated")
         axes.legend(handles=[axes.lines[-1]], loc="best")
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()

@@ -13,6 +13,7 @@ from scipy.constants import kgf, lbf
 from scipy.signal import periodogram
 from scipy.stats import chi2
 
+from vibrissa.sensor.figures import Noise
 from vibrissa.sensor.raw import (
     CHANNEL_UNITS,
     CHANNELS,
@@ -101,11 +102,11 @@ class Stretch:
         return scatter / np.linalg.norm(self.time - self.time.mean())
 
 
-def noise_unit_faults(sensor: Sensor, rest: Stretch) -> Iterator[Fault]:
+def noise_unit_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
     """Noise about a thousand times as large or small as stated on all three axes: other units."""
-    if not sensor.noise.known:
+    if not stated.known:
         return
-    found = (rest.noise / np.sqrt(sensor.noise.variance)).reshape(2, 3)
+    found = (rest.noise / np.sqrt(stated.variance)).reshape(2, 3)
     units = ((CHANNELS[:3], "mN", "kN"), (CHANNELS[3:], "N mm", "kN m"))
     for (channels, small, large), ratios in zip(units, found, strict=True):
         decades = np.log10(np.maximum(ratios, _TINY))
@@ -120,23 +121,23 @@ def noise_unit_faults(sensor: Sensor, rest: Stretch) -> Iterator[Fault]:
             yield Fault.over(FaultKind.UNITS, channels, rest.interval, text, count, unusable=True)
 
 
-def noise_faults(sensor: Sensor, rest: Stretch) -> Iterator[Fault]:
+def noise_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
     """By the χ² of the variance at rest, and by a quarter at least: stated figures are rounded.
 
     What rounding leaves of noise below half a step is not judged as too small. Pink noise and
     random walk are left out by taking successive differences.
     """
     count, noise = len(rest.time), rest.noise
-    if not sensor.noise.known or count < _FEWEST_FOR_NOISE:
+    if not stated.known or count < _FEWEST_FOR_NOISE:
         return
     freedom = count - 2.0
-    if sensor.noise.lasting:
+    if stated.lasting:
         # Differences of neighbours overlap: two thirds of them count.
         noise = np.sqrt(np.mean(np.diff(rest.values, axis=0) ** 2, axis=0) / 2)
         freedom = 2 * count / 3
-    stated, step = np.sqrt(sensor.noise.variance), sensor.noise.resolution
-    coarse = step > 2 * sensor.noise.white
-    ratio = noise / np.where(coarse, np.maximum(stated, step / 2), stated)
+    deviation, step = np.sqrt(stated.variance), stated.resolution
+    coarse = step > 2 * stated.white
+    ratio = noise / np.where(coarse, np.maximum(deviation, step / 2), deviation)
     square = freedom * ratio**2
     larger = (ratio > _NOISE_RATIO) & (square > chi2.isf(_FALSE_ALARM, freedom))
     smaller = ~coarse & (ratio < 1 / _NOISE_RATIO) & (square < chi2.ppf(_FALSE_ALARM, freedom))
@@ -144,13 +145,13 @@ def noise_faults(sensor: Sensor, rest: Stretch) -> Iterator[Fault]:
         name, unit = CHANNELS[channel], CHANNEL_UNITS[channel]
         text = (
             f"{name} at rest has a standard deviation of {noise[channel]:.3g} {unit}, "
-            f"{ratio[channel]:.3g} times the stated {stated[channel]:.3g} {unit}"
+            f"{ratio[channel]:.3g} times the stated {deviation[channel]:.3g} {unit}"
         )
         text += "; the error bars use it" if larger[channel] else ""
         quiet = not larger[channel]
         yield Fault.over(FaultKind.NOISE, (name,), rest.time, text, quiet=quiet)
     # Forces as much quieter, on all axes, as a unit is larger: a hint, as sensors may be quieter.
-    quieter = (noise / stated)[:3]
+    quieter = (noise / deviation)[:3]
     for unit, factor in (("kgf", kgf), ("lbf", lbf)):
         if np.all(np.abs(quieter * factor - 1) < _SAME_RATIO):
             text = (
@@ -173,7 +174,7 @@ def noisier(sensor: Sensor, noise: Wrench, faults: list[Fault]) -> Sensor:
     return sensor.updated(force_noise=figures[:3], torque_noise=figures[3:])
 
 
-def hum_faults(sensor: Sensor, rest: Stretch, rate: float) -> Iterator[Fault]:
+def hum_faults(stated: Noise, rest: Stretch, rate: float) -> Iterator[Fault]:
     """Lines of the spectrum at rest that stand out of their neighbourhood: by chance in one of a
     million recordings, and half as large as the noise at least. A multiple of the mains is named,
     also where it is folded back.
@@ -189,7 +190,7 @@ def hum_faults(sensor: Sensor, rest: Stretch, rate: float) -> Iterator[Fault]:
     floor = ndimage.median_filter(power, (2 * _NEIGHBOURS + 1, 1), mode="mirror") / np.log(2)
     ratio = (power / np.maximum(floor, 1e-300))[inner]
     frequency, amplitude = frequency[inner], np.sqrt(2 * power[inner])
-    noise = np.sqrt(sensor.noise.variance) if sensor.noise.known else rest.noise
+    noise = np.sqrt(stated.variance) if stated.known else rest.noise
     folded = np.abs(_MAINS - rate * np.round(_MAINS / rate))
     for channel, at in enumerate(np.argmax(ratio, axis=0)):
         size, name = amplitude[at, channel], CHANNELS[channel]
@@ -211,8 +212,8 @@ def drift_of(
     """Rate of the offset from one rest to another (6,) [N/s], [N m/s], a given drift taken off, and
     its standard deviation.
     """
-    middle, counts = float(late.time.mean()), (len(early.time), len(late.time))
-    span = middle - float(early.time.mean())
+    middle, counts = late.time.mean(), (len(early.time), len(late.time))
+    span = middle - early.time.mean()
     rate = (late.values.mean(axis=0) - early.values.mean(axis=0)) / span
     if not sensor.noise.known:
         noise = np.maximum(noise, _SINGLE * np.nanmax(np.abs(raw.wrench), axis=0)) + 1e-300
@@ -284,17 +285,17 @@ def _line(
     return fitted_tare(drifting, raw, (*tare.intervals, late.interval), found)
 
 
-def lone_drift_faults(sensor: Sensor, raw: RawRecording, rest: Stretch) -> Iterator[Fault]:
+def lone_drift_faults(stated: Noise, raw: RawRecording, rest: Stretch) -> Iterator[Fault]:
     """Channels that drift within the rest at the start, where there is none at the end to draw a
     line to.
     """
     count = len(rest.time)
-    if not sensor.noise.known or sensor.noise.lasting or count < _FEWEST_FOR_SLOPES:
+    if not stated.known or stated.lasting or count < _FEWEST_FOR_SLOPES:
         return
     slope, deviation = rest.about_lines[0], rest.slope_deviation
     over_all = np.abs(slope) * (raw.time[-1] - raw.time[0])
     clear = np.abs(slope) > _DRIFT_DEVIATIONS * deviation
-    for channel in np.flatnonzero(clear & (over_all > np.sqrt(sensor.noise.variance))):
+    for channel in np.flatnonzero(clear & (over_all > np.sqrt(stated.variance))):
         name = CHANNELS[channel]
         text = (
             f"the offset of {name} drifts by {slope[channel]:.3g} ± {deviation[channel]:.2g} "

@@ -191,7 +191,7 @@ class Response:
             matrix = finite_array(self.cross_talk, "cross_talk")
             if matrix.shape != (6, 6):
                 raise ValueError(f"cross_talk has shape {matrix.shape}; allowed is (6, 6)")
-            condition = float(np.linalg.cond(matrix))
+            condition = np.linalg.cond(matrix)
             if not condition < _LARGEST_CONDITION:
                 raise ValueError(
                     f"cross_talk has the condition {condition:.3g}; allowed is a matrix with an "

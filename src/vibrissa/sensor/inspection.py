@@ -147,7 +147,7 @@ def inspect_raw(
     position, orientation, poseless = filled_poses(given)
     timed = replace(given, time=time)
     lost, bad = drop_outs(timed, ~np.isfinite(given.time))
-    held, repeated = held_rows(sensor, timed, bad | moved[:, None])
+    held, repeated = held_rows(sensor.noise, timed, bad | moved[:, None])
     bad |= repeated
     stuck, standing = standing_channels(sensor, timed, bad)
     usable = ~((bad | standing).any(axis=1) | moved | poseless)
@@ -209,13 +209,16 @@ def _at_rest(raw: RawRecording, sensor: Sensor, usable: Rows) -> tuple[list[Faul
     noise, drift, deviation = np.full((3, 6), np.nan)
     if interval is not None:
         still = Stretch.of(sensor, raw, interval)
-        noise, mis_scaled = still.noise, list(noise_unit_faults(sensor, still))
+        noise, mis_scaled = still.noise, list(noise_unit_faults(sensor.noise, still))
         faults += restless + mis_scaled
         # Where a contact or a drift lies within the tare, its scatter is no noise.
         if not (mis_scaled or restless):
-            faults += [*noise_faults(sensor, still), *hum_faults(sensor, still, raw.rate)]
+            faults += [
+                *noise_faults(sensor.noise, still),
+                *hum_faults(sensor.noise, still, raw.rate),
+            ]
         if not (rest.ends or restless):
-            faults += lone_drift_faults(sensor, raw, still)
+            faults += lone_drift_faults(sensor.noise, raw, still)
         sensor = noisier(sensor, noise, faults)
     if tare is not None:
         tare = fitted_tare(sensor, raw, tare.intervals, tare.found)

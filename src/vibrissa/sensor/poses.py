@@ -121,7 +121,7 @@ def pose_noise_faults(
         return [], sensor
     faults, figures = [], {}
     for name, steps, length, unit in _steps(position[whole], orientation[whole], rod):
-        found, stated = pose_noise(steps), float(getattr(sensor, f"{name}_noise"))
+        found, stated = pose_noise(steps), getattr(sensor, f"{name}_noise")
         enough = _LEAST_NOISE * length + stated
         if found > _LARGER * stated and np.hypot(found, stated) > enough:
             text = (

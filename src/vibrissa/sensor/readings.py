@@ -16,6 +16,7 @@ from vibrissa.sensor.deviations import (
     repeating_rows,
     smallest_steps,
 )
+from vibrissa.sensor.figures import Noise
 from vibrissa.sensor.raw import (
     CHANNEL_UNITS,
     CHANNELS,
@@ -111,16 +112,16 @@ def _longest(
         return 1 + np.ceil(np.log(count / false_alarm) / np.abs(np.log(chance)))
 
 
-def _noise_and_steps(sensor: Sensor, wrench: Wrenches) -> tuple[Wrench, Wrench]:
+def _noise_and_steps(noise: Noise, wrench: Wrenches) -> tuple[Wrench, Wrench]:
     """White noise (6,), and the steps of the numbers (6,): as stated, or the smallest that they
     show, if that is larger.
     """
-    stated, shown = sensor.noise.resolution, smallest_steps(wrench)
+    stated, shown = noise.resolution, smallest_steps(wrench)
     steps = np.where(np.isfinite(shown), np.maximum(stated, shown), stated)
-    return believed_noise(sensor, wrench), steps
+    return believed_noise(noise, wrench), steps
 
 
-def held_rows(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
+def held_rows(noise: Noise, raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
     """Rows that repeat the reading above them in all channels more often than chance allows: a lost
     sample, and the last one held in its place.
 
@@ -137,7 +138,7 @@ def held_rows(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[list[Fault]
             f"{raw.rate:.4g}"
         )
         return [Fault.over(FaultKind.HELD, CHANNELS, raw.time, text, count)], held
-    chance = np.prod(_repeats(*_noise_and_steps(sensor, wrench)))
+    chance = np.prod(_repeats(*_noise_and_steps(noise, wrench)))
     needed = max(2, _longest(chance, len(wrench)))
     for start, stop in runs(same):
         held[start:stop] = stop - start + 1 >= needed
@@ -152,7 +153,7 @@ def standing_channels(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[lis
     With a known range, readings at it are saturated, however few.
     """
     wrench = np.where(bad, np.nan, raw.wrench)
-    deviations, steps = _noise_and_steps(sensor, wrench)
+    deviations, steps = _noise_and_steps(sensor.noise, wrench)
     needed = longest_repeat(deviations, steps, len(wrench))
     # In world axes no channel is one of the sensor's.
     limits = sensor.response.limits(sensor.noise.resolution)
@@ -208,7 +209,7 @@ def _flat_topped(values: Times, start: int, stop: int, deviation: float) -> bool
     if value not in (np.nanmax(values), np.nanmin(values)) or height < _FLAT_TOP * deviation:
         return False
     steps = np.abs(np.diff(values))
-    usual = _FLAT_TOP * max(deviation, float(np.nanmedian(steps)))
+    usual = _FLAT_TOP * max(deviation, np.nanmedian(steps))
     # Next to a row that is missing it is not known how the channel came or left.
     ends = np.concatenate([steps[max(0, start - 1) : start], steps[stop - 1 : stop]])
     return not np.any(ends > usual)

@@ -99,7 +99,7 @@ def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
         begin, end = first + (guard if first > 0 else 0), last - (guard if last < count else 0)
         if min(end - begin, last - first) >= _FEWEST_BLOCKS:
             stop = raw.time[rows[end - 1, -1]] + 0.5 / raw.rate
-            found[first, last] = float(raw.time[rows[begin, 0]]), float(stop)
+            found[first, last] = raw.time[rows[begin, 0]], stop
     return Rest(
         tuple(found.values()),
         next((interval for (first, _), interval in found.items() if first == 0), None),
@@ -211,14 +211,14 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     moved, most = (
         np.linalg.norm(part.reshape(2, 3), axis=1) for part in (levels[1] - levels[0], largest)
     )
-    step = float(np.max(moved / (most + 1e-300)))
+    step = np.max(moved / (most + 1e-300))
     if step < _ANOTHER_LEVEL:
         return rest.leading
     between = ~np.any([raw.during(interval) for interval in rest.intervals], axis=0)
     rows = between & np.isfinite(np.hstack([readings, raw.orientation])).all(axis=1)
     maps, deviation = (
         sensor.to_reactions(raw.orientation[rows]),
-        reading_deviation(sensor, readings[rows]),
+        reading_deviation(sensor.noise, readings[rows]),
     )
     covariance = (maps * deviation**2) @ np.swapaxes(maps, 1, 2)
     misfits = [
@@ -269,9 +269,9 @@ def _blocks(
     blocks = chosen[: len(chosen) // size * size].reshape(-1, size)
     variance = np.zeros(6)
     if len(blocks):
-        variance += reading_deviation(sensor, readings[usable]) ** 2 / size
-        variance += (shown_steps(sensor, readings[usable]) / 4) ** 2
-        start, length = float(raw.time[usable][0]), size / raw.rate
+        variance += reading_deviation(sensor.noise, readings[usable]) ** 2 / size
+        variance += (shown_steps(sensor.noise, readings[usable]) / 4) ** 2
+        start, length = raw.time[usable][0], size / raw.rate
         early = (start, start + length)
         # The offset wanders between the blocks of a stretch: ten blocks apart on average.
         late = (start + 10 * length, start + 11 * length)

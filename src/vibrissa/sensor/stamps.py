@@ -44,7 +44,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
             text = "no stamp is later than the one before; allowed are increasing stamps"
             yield backward(stamps, text, len(steps))
         return
-    usual = float(np.median(steps[steps > 0]))
+    usual = np.median(steps[steps > 0])
     late = np.append(False, stamps[1:] <= np.maximum.accumulate(stamps)[:-1])
     equal = late & np.isin(stamps, stamps[~late])
     yield from _gaps(np.unique(stamps), usual)
@@ -74,7 +74,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
 
 def _gaps(stamps: Times, usual: float) -> Iterator[Fault]:
     steps = np.diff(stamps)
-    jitter = float(np.median(np.abs(steps - np.median(steps)))) / MEDIAN_TO_DEVIATION
+    jitter = np.median(np.abs(steps - np.median(steps))) / MEDIAN_TO_DEVIATION
     long = np.flatnonzero(steps > max(_GAP * usual, usual + _DEVIATIONS * jitter))
     gap = partial(Fault.over, FaultKind.GAP, _TIME)
     if len(long) > max(_FEW, _MANY * len(steps)):

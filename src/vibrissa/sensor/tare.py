@@ -256,7 +256,7 @@ def _check_weight(
             )
     # Weights are not known to the last digit of a long mean: rounding and calibration errors of a
     # few parts in a thousand are let pass.
-    scatter = float(np.sqrt(np.mean(misses**2)))
+    scatter = np.sqrt(np.mean(misses**2))
     if scatter > 1 and np.sum(squares) > _SCATTER**2 * (misses.size - parameters) > 0:
         raise ValueError(
             f"mount.estimated = True: readings at rest scatter by {scatter:.3g} standard "

@@ -275,6 +275,6 @@ def _work(reactions: Reactions, loaded: Rows) -> tuple[float, float]:
         np.linalg.norm(part[either].reshape(-1, 2, 3), axis=2) for part in (wrench[1:], path)
     )
     work = np.cumsum(np.where(either, steps, 0.0))
-    lowest = float(work.min())
+    lowest = work.min()
     clear = -lowest > _NEGATIVE * np.abs(work).max()
     return lowest if clear else 0.0, float(np.sum(loads * ways))

@@ -59,7 +59,7 @@ def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> Iterator[Fault]:
 
 def _steps(
     position: Positions, orientation: Quaternions, rod: Rod
-) -> list[tuple[str, Positions, float, str]]:
+) -> list[tuple[str, Float[np.ndarray, "m 3"], float, str]]:
     """Name, steps from row to row, what their size is compared with, and unit."""
     turns = rotation_vectors(orientation[:-1], orientation[1:])
     moves = np.diff(position, axis=0)
@@ -85,7 +85,7 @@ def filled_poses(raw: RawRecording) -> tuple[Positions, Quaternions, Rows]:
     return raw.position[nearest], raw.orientation[nearest] / norm[nearest, None], ~known
 
 
-def pose_noise(steps: Positions) -> float:
+def pose_noise(steps: Float[np.ndarray, "m 3"]) -> float:
     """Standard deviation on each axis of poses about a smooth path, from their steps (m, 3): white
     noise, or that of numbers that come in steps.
 

@@ -3,6 +3,7 @@ limit.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -96,7 +97,8 @@ def longest_repeat(
     where the true value lies on a step; a run of r readings needs r − 1 such, and `count` places
     bound the chance by count p^(r−1).
     """
-    return np.maximum(_SHORTEST, _longest(_repeats(deviation, step), count, false_alarm))
+    longest = _longest(_repeats(deviation, step), count, false_alarm)
+    return np.asarray(np.maximum(_SHORTEST, longest))
 
 
 def _repeats(deviation: ArrayLike, step: ArrayLike) -> Float[np.ndarray, "*channels"]:
@@ -105,9 +107,7 @@ def _repeats(deviation: ArrayLike, step: ArrayLike) -> Float[np.ndarray, "*chann
     return np.where(known, erf(step / (np.sqrt(8) * np.where(known, deviation, 1.0))), 1.0)
 
 
-def _longest(
-    chance: ArrayLike, count: int, false_alarm: float = _FALSE_ALARM
-) -> Float[np.ndarray, "*channels"]:
+def _longest(chance: ArrayLike, count: int, false_alarm: float = _FALSE_ALARM) -> Any:
     with np.errstate(divide="ignore"):
         return 1 + np.ceil(np.log(count / false_alarm) / np.abs(np.log(chance)))
 

@@ -19,7 +19,6 @@ from vibrissa.sensor.raw import (
     FaultKind,
     Interval,
     RawRecording,
-    Times,
     Wrench,
     Wrenches,
     channel_names,
@@ -243,7 +242,7 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     )
 
 
-def contact_misfits(wrench: Wrenches, covariance: Covariances) -> Times:
+def contact_misfits(wrench: Wrenches, covariance: Covariances) -> Float[np.ndarray, "loaded"]:
     """Sizes of m0·f0 in its standard deviations, which is zero for a single contact (mechanics.md,
     "Statics alone"), in rows of more than ten deviations of the force; none of fewer than 20 rows.
     """

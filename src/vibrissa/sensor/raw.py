@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -155,13 +156,13 @@ class Fault:
         channels: tuple[str, ...],
         stamps: Times | Interval,
         text: str,
-        count: int | None = None,
+        count: int | np.integer[Any] | None = None,
         **flags: bool,
     ) -> "Fault":
         """A finding from the first to the last of these stamps (n,); it concerns n rows, unless
         `count` says otherwise. `flags` are `unusable` and `quiet`.
         """
-        rows = len(stamps) if count is None else count
+        rows = len(stamps) if count is None else int(count)
         return cls(kind, channels, float(stamps[0]), float(stamps[-1]), rows, text, **flags)
 
     @classmethod

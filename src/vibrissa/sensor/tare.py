@@ -241,7 +241,11 @@ def _fitted_gains(
 
 
 def _check_weight(
-    raw: RawRecording, groups: list[Rows], misses: Wrenches, squares: Wrench, parameters: int
+    raw: RawRecording,
+    groups: list[Rows],
+    misses: Float[np.ndarray, "k 6"],
+    squares: Wrench,
+    parameters: int,
 ) -> None:
     """Refuse rest in which the sensor turns, and means (n, 6) that miss those of a weight by many
     standard deviations.

@@ -14,56 +14,47 @@ def simulate_sensor(
     ],
     setup: Annotated[
         Path,
-        typer.Option(
-            "--setup", help="TOML file with [rod], [sensor] and [rdt].", show_default=False
-        ),
+        typer.Option(help="TOML file with [rod], [sensor] and [rdt].", show_default=False),
     ],
     rate: Annotated[
-        float | None, typer.Option("--rate", help="Records a second; default is the setup's.")
+        float | None, typer.Option(help="Records a second; default is the setup's.")
     ] = None,
-    host: Annotated[str, typer.Option("--host", help="Address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", help="Port to listen at.")] = 49152,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen at.")] = 49152,
     duration: Annotated[
         float | None,
-        typer.Option("--duration", help="Seconds after the first request at which to end."),
+        typer.Option(help="Seconds after the first request at which to end."),
     ] = None,
     rest: Annotated[
         float | None,
         typer.Option(
-            "--rest",
             help="Seconds at rest before the first trail; default is the tare's and 0.1 s.",
         ),
     ] = None,
-    sweep: Annotated[float, typer.Option("--sweep", help="Seconds for each trail.")] = 10.0,
-    pause: Annotated[float, typer.Option("--pause", help="Seconds between trails.")] = 0.5,
+    sweep: Annotated[float, typer.Option(help="Seconds for each trail.")] = 10.0,
+    pause: Annotated[float, typer.Option(help="Seconds between trails.")] = 0.5,
     repeat: Annotated[
         bool, typer.Option("--repeat", help="Play the case again and again.")
     ] = False,
     tare: Annotated[
-        str, typer.Option("--tare", help="Offsets of the sensor: fx,fy,fz,tx,ty,tz [N], [N m].")
+        str, typer.Option(help="Offsets of the sensor: fx,fy,fz,tx,ty,tz [N], [N m].")
     ] = "0,0,0,0,0,0",
     pose: Annotated[
-        str | None, typer.Option("--pose", help="udp://HOST:PORT to which poses are sent as JSON.")
+        str | None, typer.Option(help="udp://HOST:PORT to which poses are sent as JSON.")
     ] = None,
-    pose_rate: Annotated[float, typer.Option("--pose-rate", help="Poses a second.")] = 250.0,
-    buffer: Annotated[
-        int, typer.Option("--buffer", help="Records a datagram in buffered mode.")
-    ] = 20,
-    drop: Annotated[float, typer.Option("--drop", help="Share of datagrams that are lost.")] = 0.0,
-    duplicate: Annotated[
-        float, typer.Option("--duplicate", help="Share of datagrams that come twice.")
-    ] = 0.0,
+    pose_rate: Annotated[float, typer.Option(help="Poses a second.")] = 250.0,
+    buffer: Annotated[int, typer.Option(help="Records a datagram in buffered mode.")] = 20,
+    drop: Annotated[float, typer.Option(help="Share of datagrams that are lost.")] = 0.0,
+    duplicate: Annotated[float, typer.Option(help="Share of datagrams that come twice.")] = 0.0,
     reorder: Annotated[
-        float, typer.Option("--reorder", help="Share of datagrams that come after the next one.")
+        float, typer.Option(help="Share of datagrams that come after the next one.")
     ] = 0.0,
     malformed: Annotated[
         float,
-        typer.Option("--malformed", help="Share of datagrams that are followed by a broken one."),
+        typer.Option(help="Share of datagrams that are followed by a broken one."),
     ] = 0.0,
-    error: Annotated[
-        float, typer.Option("--error", help="Share of datagrams whose status says error.")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Of noise and flaws.")] = 0,
+    error: Annotated[float, typer.Option(help="Share of datagrams whose status says error.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of noise and flaws.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts

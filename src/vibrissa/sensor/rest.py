@@ -215,13 +215,13 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
         return rest.leading
     between = ~np.any([raw.during(interval) for interval in rest.intervals], axis=0)
     rows = between & np.isfinite(np.hstack([readings, raw.orientation])).all(axis=1)
-    maps, deviation = (
-        sensor.to_reactions(raw.orientation[rows]),
-        reading_deviation(sensor.noise, readings[rows]),
-    )
-    covariance = (maps * deviation**2) @ np.swapaxes(maps, 1, 2)
+    maps = sensor.to_reactions(raw.orientation[rows])
+    scaled = maps * reading_deviation(sensor.noise, readings[rows])
     misfits = [
-        contact_misfits(np.einsum("nij,nj->ni", maps, readings[rows] - level), covariance)
+        contact_misfits(
+            np.einsum("nij,nj->ni", maps, readings[rows] - level),
+            scaled @ np.swapaxes(scaled, 1, 2),
+        )
         for level in levels
     ]
     fewest = min(map(len, misfits))
@@ -229,9 +229,8 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     # Where the samples between do not tell the two apart, one that travels is free of contact.
     apart = _DEVIATIONS * _MEDIAN_ERROR / np.sqrt(max(fewest, 1)) * min(early, late)
     way = raw.position[raw.during(rest.leading)]
-    travelled = np.linalg.norm(way[-1] - way[0]) > _MOVED * np.linalg.norm(
-        np.ptp(raw.position, axis=0)
-    )
+    extent = np.linalg.norm(np.ptp(raw.position, axis=0))
+    travelled = np.linalg.norm(way[-1] - way[0]) > _MOVED * extent
     if early <= late if abs(early - late) > apart else travelled:
         return rest.leading
     raise ValueError(

@@ -9,7 +9,6 @@ from scipy.stats import chi2
 from vibrissa.contacts import Status
 from vibrissa.forward import Scan, scan
 from vibrissa.geometry.checks import not_negative, positive, whole_number
-from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -167,7 +166,7 @@ def expected_error(
         covariance=covariance,
         position_covariance=sensor.position_noise**2 / samples * np.eye(3),
         rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
-        rotation_center=_origin(sensor, swept.trail),
+        rotation_center=sensor.frame(swept.trail).position,
         setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
         time=np.stack([lane[3] for lane in lanes]).reshape(shape),
     )
@@ -230,7 +229,7 @@ def _lane(
     """Of one trail: the reactions' covariance, the reactions that come late, where the range ends,
     and the stamps.
     """
-    orientation = multiplied(reactions.trail.orientation, inverse(sensor.clamp_orientation))
+    orientation = sensor.frame(reactions.trail).orientation
     time = _stamps(reactions.trail, rate, rest, speed)
     maps = sensor.to_reactions(orientation)
     count = int(rest * rate)
@@ -271,12 +270,3 @@ def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Floa
         way = np.linalg.norm(np.diff(trail.position, axis=0), axis=1)
         steps = np.maximum(way / positive(speed, "speed"), steps)
     return rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
-
-
-def _origin(sensor: Sensor, trail: Trail) -> Float[np.ndarray, "*trail n 3"]:
-    """Of the sensor's frame (…, 3), about which errors of the robot's orientation turn."""
-    orientation = multiplied(trail.orientation, inverse(sensor.clamp_orientation))
-    return np.asarray(
-        trail.position
-        - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position)
-    )

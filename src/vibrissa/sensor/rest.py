@@ -149,12 +149,8 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
         leading, how = _checked_leading(sensor, raw, rest), "found automatically"
         if not sensor.estimates:
             return (leading,), how
-    trailing = rest.trailing
-    if (
-        trailing is None
-        or trailing == leading
-        or (seconds is not None and trailing[0] <= leading[1])
-    ):
+    trailing, late = rest.trailing, leading[0 if seconds is None else 1]
+    if trailing is None or trailing[0] <= late:
         raise ValueError(
             "estimate_drift = True: no rest is found at the end of the recording; allowed are "
             "rest_intervals that name one"

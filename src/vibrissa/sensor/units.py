@@ -89,20 +89,19 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
             f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
         )
         yield Fault.over(FaultKind.UNITS, ("position",), stamps, text, count, unusable=True)
-    known = np.isfinite(raw.orientation).all(axis=1) & np.isfinite(raw.time)
-    orientation = raw.orientation[known]
-    wrong = wrong_norms(orientation)
+    wrong = wrong_norms(raw.orientation) & np.isfinite(raw.time)
+    along_x = raw.orientation[:, 0]
     turned = partial(Fault.over, FaultKind.UNITS, ("orientation",))
     if wrong.any():
-        first = orientation[wrong][0]
+        first = raw.orientation[wrong][0]
         norm = np.linalg.norm(first)
         guess = ", as of angles in degrees" if norm > 2 else ""
         text = (
             f"qx,qy,qz,qw = {first.tolist()} has the norm {norm:.3g} ({wrong.sum()} such){guess}; "
             "allowed is 1"
         )
-        yield turned(raw.time[known][wrong], text, unusable=True)
-    elif len(orientation) and np.all(orientation[:, 0] == 1):
+        yield turned(raw.time[wrong], text, unusable=True)
+    elif np.all((along_x == 1) | np.isnan(along_x)):
         text = (
             "qx = 1 throughout: half a turn about x, or quaternions written w first; "
             "allowed are x, y, z, w"

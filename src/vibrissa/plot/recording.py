@@ -1,5 +1,6 @@
 """A recording with its tare, faults, noise and pose."""
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
@@ -37,7 +38,7 @@ _LEAST_SPAN = 10**0.5
 _FEW_DECADES = 1e3
 
 
-@plt.rc_context({"axes.prop_cycle": plt.cycler(color=_AXIS_COLOURS), "lines.linewidth": 0.8})
+@mpl.rc_context({"axes.prop_cycle": f"cycler(color={_AXIS_COLOURS})", "lines.linewidth": 0.8})
 def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     """Force and torque over time as logged, with tare intervals and faults shaded; the sensor's
     pose; and the noise's amplitude spectral density at rest.

@@ -59,7 +59,7 @@ class RawRecording:
         """Samples a second [Hz], by the median step of the time; NaN with fewer than two rows."""
         steps = np.diff(self.time)
         steps = steps[np.isfinite(steps) & (steps > 0)]
-        return 1 / max(np.median(steps), _LEAST_STEP) if len(steps) else np.nan
+        return float(1 / max(np.median(steps), _LEAST_STEP)) if len(steps) else np.nan
 
     @cached_property
     def whole(self) -> Rows:

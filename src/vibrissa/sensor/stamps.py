@@ -44,7 +44,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
             text = "no stamp is later than the one before; allowed are increasing stamps"
             yield backward(stamps, text, len(steps))
         return
-    usual = np.median(steps[steps > 0])
+    usual = float(np.median(steps[steps > 0]))
     late = np.append(False, stamps[1:] <= np.maximum.accumulate(stamps)[:-1])
     equal = late & np.isin(stamps, stamps[~late])
     yield from _gaps(np.unique(stamps), usual)

@@ -4,7 +4,6 @@ that all samples of a sweep share.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -31,28 +30,20 @@ the clamp in the sensor frame (the rod's unit), its axes (rotations about them [
 (relative), and by how much the poses come late [s]."""
 
 
-class _Limit(NamedTuple):
-    """Largest deviation and its unit, and how many numbers there may be beside one."""
-
-    most: float
-    unit: str = ""
-    numbers: int | None = None
-
-
-_LIMITS = {
-    "youngs_modulus": _Limit(1.0),
-    "radius": _Limit(0.5),
-    "length": _Limit(0.1, " m"),
-    "clamp_position": _Limit(0.1, " m", 3),
-    "clamp_orientation": _Limit(0.5, " rad", 3),
-    "gain": _Limit(0.5, "", 6),
-    "pose_delay": _Limit(1.0, " s"),
-    "object_scale": _Limit(0.5),
-    "object_position": _Limit(0.1, " m", 3),
+# Largest deviation, its unit, and the shape of those that may differ by axis or channel. Of what is
+# known so badly nothing can be said to first order: larger numbers are millimetres, degrees or
+# milliseconds.
+_LIMITS: dict[str, tuple[float, str, tuple[int, ...]]] = {
+    "youngs_modulus": (1.0, "", ()),
+    "radius": (0.5, "", ()),
+    "length": (0.1, " m", ()),
+    "clamp_position": (0.1, " m", (3,)),
+    "clamp_orientation": (0.5, " rad", (3,)),
+    "gain": (0.5, "", (6,)),
+    "pose_delay": (1.0, " s", ()),
+    "object_scale": (0.5, "", ()),
+    "object_position": (0.1, " m", (3,)),
 }
-"""Of what is known so badly nothing can be said to first order: larger numbers are millimetres,
-degrees or milliseconds.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +97,16 @@ class Tolerances:
         object_scale: float = 0.0,
         object_position: "ArrayLike" = 0.0,
     ) -> None:
-        given = locals()
-        for name, limit in _LIMITS.items():
-            object.__setattr__(self, name, _deviations(given[name], name, limit))
+        given, fields = locals(), vars(self)
+        for name, (most, unit, shape) in _LIMITS.items():
+            numbers = finite_array(given[name], name)
+            if numbers.shape not in ((), shape) or np.any((numbers < 0) | (numbers > most)):
+                many = f", or {shape[0]} of them" if shape else ""
+                raise ValueError(
+                    f"{name} = {numbers.tolist()}; allowed is a standard deviation from 0 to "
+                    f"{most:g}{unit}{many}"
+                )
+            fields[name] = np.broadcast_to(numbers, shape).copy() if shape else float(numbers)
 
     @property
     def covariance(self) -> Float[np.ndarray, "15 15"]:
@@ -146,59 +144,36 @@ class SetupErrors:
     in_world_axes: bool = False
 
     def __post_init__(self) -> None:
-        shape = (len(PARAMETERS),) * 2
-        array = finite_array(self.covariance, "covariance", ndim=2)
-        sound = array.shape == shape
-        if sound:
-            scale = np.sqrt(np.maximum(np.diag(array), 0.0))
-            scale[scale == 0] = 1.0
-            relative = array / np.outer(scale, scale)
-            least = np.linalg.eigvalsh(relative)[0]
-            sound = np.allclose(relative, relative.T) and least >= -_ROUNDING
-        if not sound:
+        size = len(PARAMETERS)
+        array = finite_array(self.covariance, "covariance", last=size, ndim=2)
+        # By the deviations; where these are 0, so is all that goes with them.
+        scale = np.sqrt(np.maximum(np.diag(array), 1e-300))
+        relative = array / np.outer(scale, scale)
+        if not np.allclose(relative, relative.T) or np.linalg.eigvalsh(relative)[0] < -_ROUNDING:
             raise ValueError(
                 f"covariance of shape {array.shape}; allowed is a symmetric positive semidefinite "
-                f"{shape}"
+                f"{(size, size)}"
             )
-        object.__setattr__(self, "covariance", array)
+        vars(self)["covariance"] = array
 
-    @cached_property
+    @property
     def factor(self) -> Float[np.ndarray, "15 p"]:
         """F with F Fᵀ = `covariance`: the columns of its Cholesky factor that are not zero."""
-        return _cholesky(self.covariance)[0]
+        return self._cholesky[0]
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the factor's columns: each is the error of this parameter, as far as those before do
         not tell it, with what of the later ones goes with it.
         """
-        return tuple(PARAMETERS[column] for column in _cholesky(self.covariance)[1])
+        return self._cholesky[1]
 
-
-def _deviations(
-    value: ArrayLike, name: str, limit: _Limit
-) -> "float | Float[np.ndarray, 'numbers']":
-    numbers = finite_array(value, name)
-    shapes = ((), (limit.numbers,))
-    if numbers.shape not in shapes or np.any(numbers < 0) or np.any(numbers > limit.most):
-        many = f", or {limit.numbers} of them" if limit.numbers else ""
-        raise ValueError(
-            f"{name} = {np.asarray(value).tolist()}; allowed is a standard deviation from 0 to "
-            f"{limit.most:g}{limit.unit}{many}"
-        )
-    return np.broadcast_to(numbers, limit.numbers).copy() if limit.numbers else float(numbers)
-
-
-def _cholesky(covariance: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k p"], list[int]]:
-    """Factor of a positive semidefinite matrix, without the columns that are zero, and the numbers
-    of the others.
-    """
-    left, columns, kept = covariance.copy(), [], []
-    for k, variance in enumerate(np.diag(covariance)):
-        if left[k, k] > _SMALLEST_PIVOT * variance:
-            column = left[:, k] / np.sqrt(left[k, k])
-            column[:k] = 0
-            left = left - np.outer(column, column)
-            columns.append(column)
-            kept.append(k)
-    return np.array(columns).reshape(-1, len(covariance)).T, kept
+    @cached_property
+    def _cholesky(self) -> tuple[Float[np.ndarray, "15 p"], tuple[str, ...]]:
+        left, columns = self.covariance.copy(), {}
+        for k, name in enumerate(PARAMETERS):
+            if left[k, k] > _SMALLEST_PIVOT * self.covariance[k, k]:
+                column = np.where(np.arange(len(left)) < k, 0, left[:, k]) / np.sqrt(left[k, k])
+                left -= np.outer(column, column)
+                columns[name] = column
+        return np.array([*columns.values()]).reshape(-1, len(left)).T, tuple(columns)

@@ -169,6 +169,16 @@ def test_tables_that_are_wrong(
     assert [word for word in [*words, "allowed"] if word not in err] == []
 
 
+def test_a_sensor_is_simulated_whose_setup_leaves_its_rest_to_be_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without `tare_seconds` all is read and checked as with it, up to what is wrong."""
+    setup = tmp_path / "setup.toml"
+    setup.write_text(SETUP.read_text(encoding="utf-8").replace("tare_seconds", "# tare_seconds"))
+    assert run(monkeypatch, "simulate-sensor", CASE, "--setup", setup, "--sweep", "0") == 2
+    assert "sweep = 0" in capsys.readouterr().err
+
+
 def test_work_that_fails_has_status_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -2,15 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from vibrissa.live.process import TARE_SECONDS
-    from vibrissa.live.simulator import Sent
 
 
 def simulate_sensor(
@@ -20,56 +14,47 @@ def simulate_sensor(
     ],
     setup: Annotated[
         Path,
-        typer.Option(
-            "--setup", help="TOML file with [rod], [sensor] and [rdt].", show_default=False
-        ),
+        typer.Option(help="TOML file with [rod], [sensor] and [rdt].", show_default=False),
     ],
     rate: Annotated[
-        float | None, typer.Option("--rate", help="Records a second; default is the setup's.")
+        float | None, typer.Option(help="Records a second; default is the setup's.")
     ] = None,
-    host: Annotated[str, typer.Option("--host", help="Address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", help="Port to listen at.")] = 49152,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen at.")] = 49152,
     duration: Annotated[
         float | None,
-        typer.Option("--duration", help="Seconds after the first request at which to end."),
+        typer.Option(help="Seconds after the first request at which to end."),
     ] = None,
     rest: Annotated[
         float | None,
         typer.Option(
-            "--rest",
             help="Seconds at rest before the first trail; default is the tare's and 0.1 s.",
         ),
     ] = None,
-    sweep: Annotated[float, typer.Option("--sweep", help="Seconds for each trail.")] = 10.0,
-    pause: Annotated[float, typer.Option("--pause", help="Seconds between trails.")] = 0.5,
+    sweep: Annotated[float, typer.Option(help="Seconds for each trail.")] = 10.0,
+    pause: Annotated[float, typer.Option(help="Seconds between trails.")] = 0.5,
     repeat: Annotated[
         bool, typer.Option("--repeat", help="Play the case again and again.")
     ] = False,
     tare: Annotated[
-        str, typer.Option("--tare", help="Offsets of the sensor: fx,fy,fz,tx,ty,tz [N], [N m].")
+        str, typer.Option(help="Offsets of the sensor: fx,fy,fz,tx,ty,tz [N], [N m].")
     ] = "0,0,0,0,0,0",
     pose: Annotated[
-        str | None, typer.Option("--pose", help="udp://HOST:PORT to which poses are sent as JSON.")
+        str | None, typer.Option(help="udp://HOST:PORT to which poses are sent as JSON.")
     ] = None,
-    pose_rate: Annotated[float, typer.Option("--pose-rate", help="Poses a second.")] = 250.0,
-    buffer: Annotated[
-        int, typer.Option("--buffer", help="Records a datagram in buffered mode.")
-    ] = 20,
-    drop: Annotated[float, typer.Option("--drop", help="Share of datagrams that are lost.")] = 0.0,
-    duplicate: Annotated[
-        float, typer.Option("--duplicate", help="Share of datagrams that come twice.")
-    ] = 0.0,
+    pose_rate: Annotated[float, typer.Option(help="Poses a second.")] = 250.0,
+    buffer: Annotated[int, typer.Option(help="Records a datagram in buffered mode.")] = 20,
+    drop: Annotated[float, typer.Option(help="Share of datagrams that are lost.")] = 0.0,
+    duplicate: Annotated[float, typer.Option(help="Share of datagrams that come twice.")] = 0.0,
     reorder: Annotated[
-        float, typer.Option("--reorder", help="Share of datagrams that come after the next one.")
+        float, typer.Option(help="Share of datagrams that come after the next one.")
     ] = 0.0,
     malformed: Annotated[
         float,
-        typer.Option("--malformed", help="Share of datagrams that are followed by a broken one."),
+        typer.Option(help="Share of datagrams that are followed by a broken one."),
     ] = 0.0,
-    error: Annotated[
-        float, typer.Option("--error", help="Share of datagrams whose status says error.")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Of noise and flaws.")] = 0,
+    error: Annotated[float, typer.Option(help="Share of datagrams whose status says error.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of noise and flaws.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts
@@ -78,29 +63,32 @@ def simulate_sensor(
     import numpy as np  # noqa: PLC0415
 
     from vibrissa.cli.live_parts import interrupts, one_line, rdt_of  # noqa: PLC0415
-    from vibrissa.geometry.checks import positive  # noqa: PLC0415
+    from vibrissa.geometry.checks import finite_array, positive  # noqa: PLC0415
     from vibrissa.io.case import load_case  # noqa: PLC0415
     from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
     from vibrissa.live.address import host_and_port, listening  # noqa: PLC0415
+    from vibrissa.live.process import TARE_SECONDS  # noqa: PLC0415
     from vibrissa.live.scene import measured, swept  # noqa: PLC0415
     from vibrissa.live.simulator import Flaws, SensorSimulator  # noqa: PLC0415
 
     loaded, setting = load_case(case), load_setup(setup)
-    table = rdt_of(setting)
+    table, tared = rdt_of(setting), setting.sensor.tare_seconds
     every = table.rate if rate is None else rate
+    resting = (TARE_SECONDS if tared is None else tared) + 0.1
     try:
-        if duration is not None and not 0 < duration < float("inf"):
-            raise ValueError(f"duration = {duration}; allowed is a finite number greater than 0")
+        for name, value in (("rate", every), ("pose_rate", pose_rate), ("duration", duration)):
+            if value is not None:
+                positive(value, name)
         if not 0 <= port <= 65535:
             raise ValueError(f"port = {port}; allowed is a port from 1 to 65535, or 0 for any")
-        positive(every, "rate")
-        positive(pose_rate, "pose_rate")
+        try:
+            offsets = finite_array(tare.split(","), "tare", last=6)
+        except ValueError as failure:
+            text = f"tare = {tare!r}; allowed are six finite numbers fx,fy,fz,tx,ty,tz"
+            raise ValueError(text) from failure
         flaws = Flaws(drop, duplicate, reorder, malformed, error)
-        offsets, listener = _offsets(tare), None if pose is None else host_and_port(pose)
-        resting = (
-            TARE_SECONDS if setting.sensor.tare_seconds is None else setting.sensor.tare_seconds
-        ) + 0.1
+        listener = None if pose is None else host_and_port(pose)
         with one_line():
             listening(host, port).close()
         typer.echo("scanning", err=True)
@@ -129,42 +117,27 @@ def simulate_sensor(
             pose_rate=pose_rate,
             notice=lambda text: typer.echo(text, err=True),
         )
-    except InputError:
-        raise
     except ValueError as failure:
         raise InputError(str(failure)) from failure
     with interrupts() as stop, one_line():
         simulator.open()
         typer.echo(
-            f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts {scene.duration:g} s",
+            f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts "
+            f"{scene.duration:g} s",
             err=True,
         )
         try:
             sent = simulator.run(duration=duration, stop=stop)
         finally:
             simulator.close()
-    typer.echo(json.dumps(vars(sent), indent=1) if as_json else _text(sent), err=not as_json)
-
-
-def _offsets(text: str) -> "np.ndarray":
-    import numpy as np  # noqa: PLC0415
-
-    try:
-        offsets = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        offsets = np.empty(0)
-    if offsets.shape != (6,) or not np.all(np.isfinite(offsets)):
-        raise ValueError(f"tare = {text!r}; allowed are six finite numbers fx,fy,fz,tx,ty,tz")
-    return offsets
-
-
-def _text(sent: "Sent") -> str:
-    return (
-        f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} poses; {sent.malformed_requests} requests malformed; "
-        f"largest delay {sent.latest * 1e3:.2f} ms"
-        + (
-            f"; the stream was taken by another client {sent.takeovers} times"
-            if sent.takeovers
-            else ""
-        )
+    if as_json:
+        typer.echo(json.dumps(vars(sent), indent=1))
+        return
+    text = (
+        f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} "
+        f"poses; {sent.malformed_requests} requests malformed; largest delay "
+        f"{sent.latest * 1e3:.2f} ms"
     )
+    if sent.takeovers:
+        text += f"; the stream was taken by another client {sent.takeovers} times"
+    typer.echo(text, err=True)

@@ -1,6 +1,6 @@
 """Expected contact error of a sensor over a scene: forward, through the sensor, and back."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,13 +9,10 @@ from scipy.stats import chi2
 from vibrissa.contacts import Status
 from vibrissa.forward import Scan, scan
 from vibrissa.geometry.checks import not_negative, positive, whole_number
-from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import Sensor
-from vibrissa.sensor.maps import to_reactions
-from vibrissa.sensor.model import filtered_readings
 from vibrissa.sensor.noise import quantisation_of_mean
 from vibrissa.sensor.sensor import carried
 from vibrissa.sensor.tare import no_tare, planned_tare
@@ -169,7 +166,7 @@ def expected_error(
         covariance=covariance,
         position_covariance=sensor.position_noise**2 / samples * np.eye(3),
         rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
-        rotation_center=_origin(sensor, swept.trail),
+        rotation_center=sensor.frame(swept.trail).position,
         setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
         time=np.stack([lane[3] for lane in lanes]).reshape(shape),
     )
@@ -232,10 +229,9 @@ def _lane(
     """Of one trail: the reactions' covariance, the reactions that come late, where the range ends,
     and the stamps.
     """
-    orientation = multiplied(reactions.trail.orientation, inverse(sensor.clamp_orientation))
-    axes = rotation_matrices(orientation)
+    orientation = sensor.frame(reactions.trail).orientation
     time = _stamps(reactions.trail, rate, rest, speed)
-    maps = to_reactions(sensor, axes)
+    maps = sensor.to_reactions(orientation)
     count = int(rest * rate)
     tare = no_tare(sensor, time)
     if count >= 2:
@@ -244,12 +240,14 @@ def _lane(
         ]
         tare = planned_tare(sensor, ends, (count,) * len(ends))
     # Pink noise knows the whole recording, the rest included.
-    covariance = carried(maps, tare.covariance(sensor, time, orientation, since=0.0))
+    coloured = tuple(sensor.noise.coloured(np.concatenate([[0.0], time])))
+    tare = replace(tare, coloured=coloured)
+    covariance = carried(maps, tare.covariance(sensor, time, orientation))
     timed = Reactions(
         reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time
     )
-    late = filtered_readings(sensor, timed, orientation)
-    shown = filtered_readings(sensor.updated(low_pass=None), timed, orientation)
+    late = sensor.filtered_readings(timed, orientation)
+    shown = sensor.updated(low_pass=None).filtered_readings(timed, orientation)
     limits = [
         np.full(3, np.inf) if part is None else np.asarray(part)
         for part in (sensor.force_range, sensor.torque_range)
@@ -272,12 +270,3 @@ def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Floa
         way = np.linalg.norm(np.diff(trail.position, axis=0), axis=1)
         steps = np.maximum(way / positive(speed, "speed"), steps)
     return rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
-
-
-def _origin(sensor: Sensor, trail: Trail) -> Float[np.ndarray, "*trail n 3"]:
-    """Of the sensor's frame (…, 3), about which errors of the robot's orientation turn."""
-    orientation = multiplied(trail.orientation, inverse(sensor.clamp_orientation))
-    return np.asarray(
-        trail.position
-        - np.einsum("...ij,j->...i", rotation_matrices(orientation), sensor.clamp_position)
-    )

@@ -1,9 +1,9 @@
 """A recording with its tare, faults, noise and pose."""
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Patch
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from scipy.signal import welch
@@ -24,16 +24,21 @@ _FAULT_COLOURS = {
     FaultKind.BACKWARD: "#a00000",
     FaultKind.POSE_JUMP: "#00808a",
 }
-_SYMBOLS = ("f_x", "f_y", "f_z", r"\tau_x", r"\tau_y", r"\tau_z")
-_LONGEST_SEGMENT = 4096
-_FEWEST = 32
-_LARGEST = 1e12
+# Channels, name, symbols, factor and unit of the readings, factor and unit of their noise.
+_KINDS = (
+    (slice(0, 3), "force", "f", 1.0, "N", 1e3, r"mN/$\sqrt{\mathrm{Hz}}$"),
+    (slice(3, 6), "torque", r"\tau", 1e3, "N mm", 1e6, r"µN m/$\sqrt{\mathrm{Hz}}$"),
+)
+_LONGEST_SEGMENT = 4096  # of a spectrum: resolves half a hertz at 2 kHz
+_FEWEST = 32  # samples of a segment: a density over a decade and more
+_LARGEST = 1e12  # beyond are marks of loggers for missing numbers
 # Half a decade to either side at least: noise that follows its density looks flat.
 _LEAST_SPAN = 10**0.5
 # Beyond so much between least and largest, decades alone are labelled.
 _FEW_DECADES = 1e3
 
 
+@mpl.rc_context({"axes.prop_cycle": f"cycler(color={_AXIS_COLOURS})", "lines.linewidth": 0.8})
 def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     """Force and torque over time as logged, with tare intervals and faults shaded; the sensor's
     pose; and the noise's amplitude spectral density at rest.
@@ -46,175 +51,104 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
         For the stated noise.
     """
     figure = plt.figure(figsize=(PAGE, 6.6), layout="constrained")
-    grid = GridSpec(4, 2, figure=figure, height_ratios=(1.25, 1.25, 1, 1.25))
+    grid = figure.add_gridspec(4, 2, height_ratios=(1.25, 1.25, 1, 1.25))
     force = figure.add_subplot(grid[0, :])
     torque, pose = (figure.add_subplot(grid[row, :], sharex=force) for row in (1, 2))
     spectra = [figure.add_subplot(grid[3, column]) for column in (0, 1)]
     time = found.cleaned.time - found.cleaned.time[0]
-    wrench, logged = (
-        found.cleaned.wrench,
-        np.where(np.abs(found.raw.wrench) < _LARGEST, found.raw.wrench, np.nan),
-    )
-    for axes, first, factor, label in (
-        (force, 0, 1.0, "force [N]"),
-        (torque, 3, 1e3, "torque [N mm]"),
-    ):
-        for channel in range(first, first + 3):
-            axes.plot(
-                time,
-                factor * logged[:, channel],
-                color=_AXIS_COLOURS[channel - first],
-                linewidth=0.7,
-                alpha=0.35,
-            )
-            axes.plot(
-                time,
-                factor * wrench[:, channel],
-                color=_AXIS_COLOURS[channel - first],
-                linewidth=0.7,
-                label=f"${_SYMBOLS[channel]}$",
-            )
-        axes.set_ylabel(label)
-        _shade(axes, found, set(CHANNELS[first : first + 3]))
-        axes.legend(
-            loc="upper left", bbox_to_anchor=(1.005, 1.0), handlelength=1.2, borderaxespad=0
-        )
+    logged = np.where(np.abs(found.raw.wrench) < _LARGEST, found.raw.wrench, np.nan)
+    for axes, spectrum, kind in zip((force, torque), spectra, _KINDS, strict=True):
+        channels, name, symbol, factor, unit, of_noise, density = kind
+        axes.plot(time, factor * logged[:, channels], alpha=0.35)
+        labels = [f"${symbol}_{axis}$" for axis in "xyz"]
+        axes.plot(time, factor * found.cleaned.wrench[:, channels], label=labels)
+        axes.set_ylabel(f"{name} [{unit}]")
         axes.tick_params(labelbottom=False)
+        _shade(axes, found, CHANNELS[channels])
+        _spectrum(spectrum, found, sensor, channels, of_noise)
+        spectrum.set(xlabel="frequency [Hz]", ylabel=f"{name} [{density}]")
     _pose(pose, found)
-    for axes, first in zip(spectra, (0, 3), strict=True):
-        _spectrum(axes, found, sensor, first)
-    handles = _legend(found)
+    kinds = {fault.kind for fault in found.faults}
+    handles = [
+        Patch(color=colour, alpha=0.45, label=str(kind))
+        for kind, colour in _FAULT_COLOURS.items()
+        if kind in kinds
+    ]
+    if found.tare is not None and found.tare.intervals:
+        handles.insert(0, Patch(color=_TARE_COLOUR, label="tare"))
     if handles:
-        figure.legend(
-            handles=handles,
-            loc="outside upper center",
-            ncols=min(6, len(handles)),
-            handlelength=1.2,
-        )
+        columns = min(6, len(handles))
+        figure.legend(handles=handles, loc="outside upper center", ncols=columns, handlelength=1.2)
     return [force, torque, pose, *spectra]
 
 
-def _shade(axes: Axes, found: Inspection, names: set[str]) -> None:
-    first = found.cleaned.time[0]
-    for start, stop in found.tare.intervals if found.tare is not None else ():
-        axes.axvspan(
-            start - first, stop - first, color=_TARE_COLOUR, alpha=0.6, linewidth=0, zorder=0
-        )
-    least = 0.002 * (found.cleaned.time[-1] - first)
+def _shade(axes: Axes, found: Inspection, names: tuple[str, ...], right: float = 1.005) -> None:
+    """Tare and faults of these channels behind the lines, and the legend at this place."""
+    first, last = found.cleaned.time[[0, -1]]
+    spans = [
+        (start, stop, {"color": _TARE_COLOUR, "alpha": 0.6, "zorder": 0.0})
+        for start, stop in (found.tare.intervals if found.tare is not None else ())
+    ]
     for fault in found.faults:
-        if fault.kind in _FAULT_COLOURS and names & set(fault.channels):
-            start, stop = sorted((fault.start - first, fault.stop - first))
-            middle, half = (start + stop) / 2, max(stop - start, least) / 2
+        if fault.kind in _FAULT_COLOURS and set(names) & set(fault.channels):
+            middle, wide = (fault.start + fault.stop) / 2, abs(fault.stop - fault.start)
+            half = max(wide / 2, 0.002 * (last - first))
             # What fills the figure must not hide it.
-            alpha = 0.45 if half < (found.cleaned.time[-1] - first) / 4 else 0.15
-            axes.axvspan(
-                middle - half,
-                middle + half,
-                color=_FAULT_COLOURS[fault.kind],
-                alpha=alpha,
-                linewidth=0,
-                zorder=0.5,
-            )
+            alpha = 0.45 if half < (last - first) / 4 else 0.15
+            style = {"color": _FAULT_COLOURS[fault.kind], "alpha": alpha, "zorder": 0.5}
+            spans.append((middle - half, middle + half, style))
+    for start, stop, style in spans:
+        axes.axvspan(start - first, stop - first, linewidth=0, **style)
+    axes.legend(loc="upper left", bbox_to_anchor=(right, 1.0), handlelength=1.2, borderaxespad=0)
 
 
 def _pose(axes: Axes, found: Inspection) -> None:
-    time, raw = found.cleaned.time - found.cleaned.time[0], found.cleaned
-    moved = 1e3 * (raw.position - raw.position[0])
-    for axis, colour in enumerate(_AXIS_COLOURS):
-        axes.plot(time, moved[:, axis], color=colour, linewidth=0.8, label=f"${'xyz'[axis]}$")
-    axes.set_ylabel("moved [mm]")
-    axes.set_xlabel("time since the first stamp [s]")
-    turned = np.degrees(
-        np.linalg.norm(
-            rotation_vectors(
-                np.broadcast_to(raw.orientation[0], raw.orientation.shape), raw.orientation
-            ),
-            axis=1,
-        )
-    )
-    if turned.max() > 0.01:
+    raw = found.cleaned
+    time, moved = raw.time - raw.time[0], 1e3 * (raw.position - raw.position[0])
+    axes.plot(time, moved, label=[f"${axis}$" for axis in "xyz"])
+    axes.set(ylabel="moved [mm]", xlabel="time since the first stamp [s]", xlim=time[[0, -1]])
+    start = np.broadcast_to(raw.orientation[0], raw.orientation.shape)
+    turned = np.degrees(np.linalg.norm(rotation_vectors(start, raw.orientation), axis=1))
+    turns = turned.max() > 0.01
+    if turns:
         twin = axes.twinx()
-        twin.plot(time, turned, color="0.35", linewidth=0.8, linestyle="--", label="turned")
+        twin.plot(time, turned, color="0.35", linestyle="--", label="turned")
         twin.set_ylabel("turned [°]")
-    _shade(axes, found, {"position", "orientation", "time"})
-    axes.legend(
-        loc="upper left",
-        bbox_to_anchor=(1.075 if turned.max() > 0.01 else 1.005, 1.0),
-        handlelength=1.2,
-        borderaxespad=0,
-    )
-    axes.set_xlim(time[0], time[-1])
+    _shade(axes, found, ("position", "orientation", "time"), 1.075 if turns else 1.005)
 
 
-def _spectrum(axes: Axes, found: Inspection, sensor: Sensor, first: int) -> None:
+def _spectrum(
+    axes: Axes, found: Inspection, sensor: Sensor, channels: slice, factor: float
+) -> None:
     """Welch's estimate over the longest rest, against the density of the stated noise and rounding,
     with its pink part.
     """
-    factor, unit = (
-        (1e3, r"mN/$\sqrt{\mathrm{Hz}}$") if first == 0 else (1e6, r"µN m/$\sqrt{\mathrm{Hz}}$")
-    )
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel(f"{'force' if first == 0 else 'torque'} [{unit}]")
     axes.set_title("noise at rest")
-    intervals = (
-        found.tare.intervals
-        if found.tare is not None and found.tare.intervals
-        else found.rest.intervals
-    )
-    chosen = max(intervals, key=lambda part: part[1] - part[0], default=None)
-    rows = np.zeros(len(found.usable), dtype=bool)
-    if chosen is not None:
-        rows = (found.cleaned.time >= chosen[0]) & (found.cleaned.time < chosen[1]) & found.usable
-    count = int(np.count_nonzero(rows))
-    if count < _FEWEST:
+    tared = found.tare.intervals if found.tare is not None else ()
+    intervals = [found.cleaned.during(interval) for interval in tared or found.rest.intervals]
+    rows = max(intervals, key=np.count_nonzero, default=np.zeros_like(found.usable))
+    wrench = found.cleaned.wrench[rows & found.usable, channels]
+    if len(wrench) < _FEWEST:
         axes.text(0.5, 0.5, "no rest", transform=axes.transAxes, ha="center", va="center")
         axes.set(xticks=[], yticks=[])
         return
-    segment = min(_LONGEST_SEGMENT, max(_FEWEST, count // 4))
-    for channel in range(first, first + 3):
-        frequency, density = welch(
-            found.cleaned.wrench[rows, channel], fs=found.rate, nperseg=segment, detrend="linear"
-        )
-        inner = slice(1, -1)
-        axes.loglog(
-            frequency[inner],
-            factor * np.sqrt(density[inner]),
-            color=_AXIS_COLOURS[channel - first],
-            linewidth=0.8,
-        )
-    if sensor.force_noise is not None:
+    segment = min(_LONGEST_SEGMENT, max(_FEWEST, len(wrench) // 4))
+    frequency, density = welch(wrench, fs=found.rate, nperseg=segment, detrend="linear", axis=0)
+    axes.loglog(frequency[1:-1], factor * np.sqrt(density[1:-1]))
+    if sensor.noise.known:
         white, own = (
-            np.asarray(part)[first : first + 3] * 2 / found.rate
-            for part in (sensor.reading_variance, sensor.noise.white**2)
+            part[channels] * 2 / found.rate
+            for part in (sensor.noise.variance, sensor.noise.white**2)
         )
-        stated = white + own * sensor.noise_corner / frequency[1:, None]
-        for axis_noise in np.unique(factor * np.sqrt(stated), axis=1).T:
-            axes.loglog(
-                frequency[1:],
-                axis_noise,
-                color="black",
-                linestyle="--",
-                linewidth=0.9,
-                label="stated",
-            )
+        stated = factor * np.sqrt(white + own * sensor.noise_corner / frequency[1:, None])
+        axes.loglog(frequency[1:], np.unique(stated, axis=1), "k--", label="stated")
         axes.legend(handles=[axes.lines[-1]], loc="best")
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()
-        axis.set_major_locator(
-            LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,), numticks=8)
-        )
+        labelled = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
+        axis.set_major_locator(LogLocator(subs=labelled, numticks=8))
         axis.set_major_formatter(FormatStrFormatter("%g"))
         axis.set_minor_formatter(NullFormatter())
     low, high = axes.get_ylim()
     middle = np.sqrt(low * high)
     axes.set_ylim(min(low, middle / _LEAST_SPAN), max(high, middle * _LEAST_SPAN))
-
-
-def _legend(found: Inspection) -> list[Patch]:
-    kinds = [kind for kind in _FAULT_COLOURS if any(fault.kind is kind for fault in found.faults)]
-    tare = (
-        [Patch(color=_TARE_COLOUR, label="tare")]
-        if found.tare is not None and found.tare.intervals
-        else []
-    )
-    return tare + [Patch(color=_FAULT_COLOURS[kind], alpha=0.45, label=str(kind)) for kind in kinds]

@@ -1,12 +1,10 @@
 """Between reactions and recordings: mount, tare, sign of the wrench, noise, faults."""
 
-from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.figures import Noise, Response, TarePolicy
+from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy
 from vibrissa.sensor.inspection import Inspection, inspect_raw
 from vibrissa.sensor.lowpass import LowPass
-from vibrissa.sensor.mount import Mount
 from vibrissa.sensor.presets import PRESETS, preset
-from vibrissa.sensor.raw import CHANNEL_UNITS, CHANNELS, RawRecording
+from vibrissa.sensor.raw import CHANNEL_UNITS, CHANNELS, Fault, FaultKind, RawRecording
 from vibrissa.sensor.rest import Rest
 from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.tare import Tare

@@ -1,15 +1,12 @@
 """What numbers show of their own noise, steps and repeats."""
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.sensor.figures import Noise
 from vibrissa.sensor.raw import Rows, Wrench, Wrenches, runs
-
-if TYPE_CHECKING:
-    from vibrissa.sensor.sensor import Sensor
 
 MEDIAN_TO_DEVIATION = 0.6745
 """Median size of normal numbers of unit variance."""
@@ -69,21 +66,18 @@ def own_rows(wrench: Wrenches) -> Rows:
 
 def smallest_steps(values: Wrenches) -> Wrench:
     """Smallest difference (6,) between readings of a channel; infinite where they are equal."""
-    smallest = np.full(values.shape[1], np.inf)
-    for channel, column in enumerate(values.T):
-        different = np.diff(np.unique(column[np.isfinite(column)]))
-        larger = different > _EQUAL * np.nanmax(np.abs(column), initial=0.0)
-        smallest[channel] = np.min(different[larger], initial=np.inf)
-    return smallest
+    largest = np.nanmax(np.abs(values), axis=0, initial=0.0)
+    steps = np.diff(np.sort(values, axis=0), axis=0)
+    return np.min(steps, axis=0, initial=np.inf, where=steps > _EQUAL * largest)
 
 
-def shown_steps(sensor: "Sensor", values: Wrenches) -> Wrench:
+def shown_steps(noise: Noise, values: Wrenches) -> Wrench:
     """Stated steps (6,) of the numbers; 0 where the numbers show finer ones."""
-    stated = sensor.noise.resolution
+    stated = noise.resolution
     return np.where(smallest_steps(values) < stated / 2, 0.0, stated)
 
 
-def reading_deviation(sensor: "Sensor", values: Wrenches) -> Wrench:
+def reading_deviation(noise: Noise, values: Wrenches) -> Wrench:
     """Standard deviation (6,) of a reading: as stated, or as second differences show where it is
     not, or where they show half as much again or a tenth.
     """
@@ -91,15 +85,15 @@ def reading_deviation(sensor: "Sensor", values: Wrenches) -> Wrench:
         return np.ones(6)
     own = own_noise(values)
     least = np.maximum(own, _DIGITS * np.ptp(values, axis=0)) + _TINY
-    if not sensor.noise.known:
+    if not noise.known:
         return least
-    stated = np.sqrt(sensor.noise.variance)
+    stated = np.sqrt(noise.variance)
     # Steps coarser than the noise hide it.
-    quieter = (least < _QUIETER * stated) & (shown_steps(sensor, values) < stated)
+    quieter = (least < _QUIETER * stated) & (shown_steps(noise, values) < stated)
     return np.where((own > _NOISIER * stated) | quieter, least, stated)
 
 
-def believed_noise(sensor: "Sensor", wrench: Wrenches) -> Wrench:
+def believed_noise(noise: Noise, wrench: Wrenches) -> Wrench:
     """White noise (6,) by second differences; of a channel that shows next to none, what the others
     of its kind show, or what is stated if they agree with it.
 
@@ -112,8 +106,8 @@ def believed_noise(sensor: "Sensor", wrench: Wrenches) -> Wrench:
     second, third = (np.median(np.abs(np.diff(good, n=n, axis=0)), axis=0) for n in (2, 3))
     own = np.where(third > second, own_noise(good), 0.0).reshape(2, 3)
     usual = np.median(own, axis=1, keepdims=True)
-    if sensor.noise.known:
-        stated = sensor.noise.white.reshape(2, 3)
+    if noise.known:
+        stated = noise.white.reshape(2, 3)
         agrees = np.median(own / stated, axis=1, keepdims=True) > _BELIEVED
         usual = np.where(agrees, stated, usual)
     return np.where(own < _STUCK_SHARE * usual, usual, own).ravel()

@@ -1,17 +1,23 @@
-"""Figures of a sensor: its noise, its response to a wrench, and how its zero is found."""
+"""Figures of a sensor: its noise, its response to a wrench, what hangs on it, and how its zero is
+found.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.geometry.checks import finite_array
+from vibrissa.geometry.checks import finite_array, not_negative, positive
+from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.sensor.lowpass import LowPass
-from vibrissa.sensor.noise import Coloured, Pink, RandomWalk
+from vibrissa.sensor.noise import NO_STEP, Coloured, Pink, RandomWalk
 from vibrissa.sensor.raw import Interval, Times, Wrench
 
 Vector = tuple[float, float, float]
 PerAxis = float | Vector
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+"""Standard acceleration of free fall [m/s²], world axes with z up (ISO 80000-3)."""
 
 # Solving with a matrix of this condition keeps half of the sixteen digits.
 _LARGEST_CONDITION = 1e8
@@ -90,7 +96,7 @@ class Noise:
         ValueError
             If it is not known.
         """
-        if self.force_noise is None or self.torque_noise is None:
+        if not self.known:
             raise ValueError(
                 "force_noise = None: the variance of a reading is not known; "
                 "allowed is a sensor with force_noise and torque_noise"
@@ -127,8 +133,6 @@ class Noise:
         """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the
         channels; those that the sensor has.
         """
-        if not len(time):
-            return []
         interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         return self.coloured_within(float(time[0]), float(time[-1] - time[0]), interval)
 
@@ -177,26 +181,23 @@ class Response:
     low_pass: LowPass | None = None
 
     def __post_init__(self) -> None:
-        for name, size, numbers in (
-            ("gain", 6, "six numbers"),
-            ("force_range", 3, "three finite numbers"),
-            ("torque_range", 3, "three finite numbers"),
-        ):
+        for name, size in (("gain", 6), ("force_range", 3), ("torque_range", 3)):
             value = getattr(self, name)
             if value is not None and np.any(finite_array(value, name, last=size, ndim=1) <= 0):
-                raise ValueError(f"{name} = {value!r}; allowed are {numbers} greater than 0")
-        if self.cross_talk is None:
-            return
-        matrix = finite_array(self.cross_talk, "cross_talk", last=6, ndim=2)
-        if matrix.shape != (6, 6):
-            raise ValueError(f"cross_talk has shape {matrix.shape}; allowed is (6, 6)")
-        condition = float(np.linalg.cond(matrix))
-        if not condition < _LARGEST_CONDITION:
-            raise ValueError(
-                f"cross_talk has the condition {condition:.3g}; allowed is a matrix with an "
-                f"inverse, of a condition below {_LARGEST_CONDITION:g}"
-            )
-        object.__setattr__(self, "cross_talk", matrix)
+                raise ValueError(
+                    f"{name} = {value!r}; allowed are {size} finite numbers greater than 0"
+                )
+        if self.cross_talk is not None:
+            matrix = finite_array(self.cross_talk, "cross_talk")
+            if matrix.shape != (6, 6):
+                raise ValueError(f"cross_talk has shape {matrix.shape}; allowed is (6, 6)")
+            condition = np.linalg.cond(matrix)
+            if not condition < _LARGEST_CONDITION:
+                raise ValueError(
+                    f"cross_talk has the condition {condition:.3g}; allowed is a matrix with an "
+                    f"inverse, of a condition below {_LARGEST_CONDITION:g}"
+                )
+            object.__setattr__(self, "cross_talk", matrix)
 
     @property
     def matrix(self) -> Float[np.ndarray, "6 6"]:
@@ -207,11 +208,9 @@ class Response:
         """Largest reading (6,) of each channel [N], [N m]: the last step within its range, infinite
         where that is not known.
         """
-        ranges = _six(
-            *(np.inf if part is None else part for part in (self.force_range, self.torque_range))
-        )
-        step = np.where(resolution > 0, resolution, 1.0)
-        return np.where(resolution > 0, np.floor(ranges / step + _ROUNDING) * step, ranges)
+        ranges = _six(self.force_range or np.inf, self.torque_range or np.inf)
+        steps = np.maximum(resolution, NO_STEP)
+        return np.floor(ranges / steps + _ROUNDING) * steps
 
 
 @dataclass(frozen=True)
@@ -246,12 +245,11 @@ class TarePolicy:
     torque_drift: Vector = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        _check_figure("tare_seconds", self.tare_seconds)
+        if self.tare_seconds is not None:
+            not_negative(self.tare_seconds, "tare_seconds")
         for name in ("force_drift", "torque_drift"):
             finite_array(getattr(self, name), name, last=3, ndim=1)
-        if not self.rest_intervals:
-            return
-        edges = finite_array(self.rest_intervals, "rest_intervals", last=2, ndim=2).ravel()
+        edges = finite_array(self.rest_intervals or (0, 1), "rest_intervals", last=2).ravel()
         if np.any(np.diff(edges, prepend=0.0) < 0) or np.any(edges[1::2] <= edges[::2]):
             raise ValueError(
                 f"rest_intervals = {self.rest_intervals}; allowed are pairs (start, stop) of at "
@@ -264,20 +262,73 @@ class TarePolicy:
         return _six(self.force_drift, self.torque_drift)
 
 
-def _six(force: PerAxis, torque: PerAxis) -> Wrench:
+@dataclass(frozen=True)
+class Mount:
+    """The parts that the sensor carries: clamp, adapter, rod.
+
+    Attributes
+    ----------
+    mass
+        [kg].
+    center
+        Centre of mass in the sensor frame (3,) [m].
+    gravity
+        Acceleration of free fall in world axes (3,) [m/s²].
+    estimated
+        Whether mass and centre are found from the recording's own rest intervals, in at least three
+        orientations, in place of those given.
+
+    Raises
+    ------
+    ValueError
+        If the mass is negative, or a figure is not finite.
+    """
+
+    mass: float = 0.0
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    estimated: bool = False
+
+    def __post_init__(self) -> None:
+        not_negative(self.mass, "mount.mass")
+        for name in ("center", "gravity"):
+            finite_array(getattr(self, name), f"mount.{name}", last=3, ndim=1)
+
+    @property
+    def moments(self) -> Float[np.ndarray, "4"]:
+        """Mass [kg] and first moment of mass [kg m], in which the weight is linear."""
+        return np.array([self.mass, *(self.mass * np.asarray(self.center))])
+
+    def weight(
+        self, axes: Float[np.ndarray, "n 3 3"], point: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "n 6 4"]:
+        """Matrices that take `moments` to the weight's force and torque on the sensor about
+        `point`, in sensor axes.
+
+        Parameters
+        ----------
+        axes
+            Rotations (n, 3, 3) from sensor to world axes.
+        point
+            In the sensor frame (3,) [m].
+        """
+        fall = np.asarray(self.gravity) @ axes
+        matrix = np.zeros((len(axes), 6, 4))
+        matrix[:, :3, 0], matrix[:, 3:, 0] = fall, -np.cross(point, fall)
+        matrix[:, 3:, 1:] = -cross_matrices(fall)
+        return matrix
+
+
+def _six(force: PerAxis | None, torque: PerAxis | None) -> Wrench:
     """Figures of the six channels, of one number for all axes or one for each."""
     return np.concatenate([np.broadcast_to(part, 3) for part in (force, torque)]).astype(float)
 
 
 def _check_figure(name: str, value: PerAxis | None) -> None:
     white, by_axis = name in {"force_noise", "torque_noise"}, name.startswith(("force", "torque"))
-    if value is None and (white or name == "tare_seconds"):
+    if white and value is None:
         return
-    numbers = np.asarray(value, dtype=float)
-    shaped = numbers.shape == () or (by_axis and numbers.shape == (3,))
-    if not (
-        shaped and np.isfinite(numbers).all() and np.all(numbers > 0 if white else numbers >= 0)
-    ):
-        least = "greater than 0, or none where the noise is not known" if white else "of at least 0"
-        each = ", or three of them" if by_axis else ""
-        raise ValueError(f"{name} = {value!r}; allowed is a finite number {least}{each}")
+    if np.shape(value) not in ((), (3,) if by_axis else ()):
+        raise ValueError(f"{name} = {value!r}; allowed is a number, or three, one for each axis")
+    for number in np.ravel(value).tolist():
+        (positive if white else not_negative)(number, name)

@@ -1,34 +1,35 @@
 """All that can be told of a recording before anyone trusts it."""
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import astuple, dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor.drift import drift_faults, drift_of, lone_drift_faults
-from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.mounting import mount_faults
+from vibrissa.sensor.at_rest import (
+    Stretch,
+    drift_faults,
+    drift_of,
+    hum_faults,
+    lone_drift_faults,
+    noise_faults,
+    noise_unit_faults,
+    noisier,
+)
 from vibrissa.sensor.poses import filled_poses, pose_jumps, pose_noise_faults
-from vibrissa.sensor.quiet import Stretch, hum_faults, noise_faults, noise_unit_faults, noisier
-from vibrissa.sensor.raw import CHANNELS, RawRecording, Rows, Wrench
+from vibrissa.sensor.raw import CHANNELS, Fault, FaultKind, RawRecording, Rows, Times, Wrench
 from vibrissa.sensor.readings import drop_outs, held_rows, standing_channels
 from vibrissa.sensor.rest import Rest, contact_misfits, find_rest, restless_tare
+from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.stamps import increasing_stamps, rounded_stamps, stamp_faults
 from vibrissa.sensor.tare import Tare, fitted_tare
-from vibrissa.sensor.units import pose_unit_faults, wrench_unit_faults
+from vibrissa.sensor.units import mount_faults, pose_unit_faults, wrench_unit_faults
 
-if TYPE_CHECKING:
-    from vibrissa.sensor.sensor import Sensor
-
-# Of readings and poses in any unit; of stamps in nanoseconds since 1970.
-_LARGEST, _LATEST = 1e12, 1e20
+# Of numbers in any unit, stamps in nanoseconds since 1970 included.
+_LARGEST = 1e20
 # A median of 0.67 is noise alone, and known to a few hundredths from some hundred rows.
 _MISFIT, _LASTING_MISFIT = 1.0, 3.0
-# Standard deviations from which on a force is a load, and the fewest of them for a median.
-_LOADED, _FEWEST_LOADED = 10.0, 20
 # A second of a log at 250 Hz: shorter ones hold too little rest and motion to judge them by.
 _SNIPPET = 250
 # Their rows are marked, or lose nothing: what becomes of them is in the rows' statuses.
@@ -82,7 +83,7 @@ class Inspection:
     drift: Wrench
     drift_deviation: Wrench
     single_contact_misfit: float
-    sensor: "Sensor"
+    sensor: Sensor
     notes: tuple[str, ...] = ()
 
     @property
@@ -100,20 +101,20 @@ class Inspection:
         """
         if len(self.usable) < _SNIPPET:
             return ()
-        lines = (
-            fault.text
+        lines = {
+            fault.text: None
             for fault in self.faults
             if not (fault.unusable or fault.quiet or fault.kind in _NO_WARNING)
-        )
-        return tuple(dict.fromkeys(lines))
+        }
+        return tuple(lines)
 
 
 def inspect_raw(
     raw: RawRecording,
-    sensor: "Sensor",
+    sensor: Sensor,
     rod: Rod,
     *,
-    poses: tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 7"]] | None = None,
+    poses: tuple[Times, Float[np.ndarray, "n 7"]] | None = None,
 ) -> Inspection:
     """Look for faults in a recording, and say what its rest tells of the sensor.
 
@@ -134,36 +135,42 @@ def inspect_raw(
     ValueError
         If no row has a stamp, or none a pose.
     """
-    given = _bounded(raw)
+    # Infinite numbers, and those that loggers write in the place of missing ones, are no sensor's.
+    given = RawRecording(
+        *(np.where(np.abs(part) < _LARGEST, part, np.nan) for part in astuple(raw))
+    )
     if not np.isfinite(given.time).any():
         raise ValueError(f"none of {len(raw.time)} rows has a stamp; allowed are stamps in seconds")
     rounded = rounded_stamps(given)
-    faults = stamp_faults(given.time, rounded=rounded) + pose_unit_faults(given, rod)
+    faults = [*stamp_faults(given.time, rounded=rounded), *pose_unit_faults(given, rod)]
     time, moved = increasing_stamps(given.time, rounded=rounded)
     position, orientation, poseless = filled_poses(given)
     timed = replace(given, time=time)
     lost, bad = drop_outs(timed, ~np.isfinite(given.time))
-    held, repeated = held_rows(sensor, timed, bad | moved[:, None])
-    bad |= repeated[:, None]
+    held, repeated = held_rows(sensor.noise, timed, bad | moved[:, None])
+    bad |= repeated
     stuck, standing = standing_channels(sensor, timed, bad)
     usable = ~((bad | standing).any(axis=1) | moved | poseless)
     cleaned = replace(timed, position=position, orientation=orientation)
     cleaned = cleaned.with_wrench(np.where(usable[:, None], given.wrench, np.nan))
-    faults += lost + held + stuck + pose_jumps(cleaned, rod, poseless)
+    faults += [*lost, *held, *stuck, *pose_jumps(cleaned, rod, poseless)]
     if not usable.any():
         text = f"none of {len(usable)} rows is usable; allowed is at least one"
         faults.append(Fault.over(FaultKind.DROP_OUT, CHANNELS, time, text, unusable=True))
-    stamps, logged = poses or (time, np.concatenate([given.position, given.orientation], axis=1))
+    stamps, logged = poses or (time, np.hstack([given.position, given.orientation]))
     scattered, sensor = pose_noise_faults(sensor, rod, stamps, logged[:, :3], logged[:, 3:])
-    faults += scattered
     told, rested = _at_rest(cleaned, sensor, usable)
-    faults += told
-    misfit = float("nan")
-    if rested.tare is not None and not any(fault.unusable for fault in faults):
-        reactions = rested.sensor.reactions(cleaned, rested.tare)
-        mistaken = wrench_unit_faults(cleaned, reactions, rod, sensor, rested.tare)
+    faults += [*scattered, *told]
+    tare, misfit = rested["tare"], float("nan")
+    if tare is not None and not any(fault.unusable for fault in faults):
+        reactions = rested["sensor"].reactions(cleaned, tare)
+        mistaken = list(wrench_unit_faults(cleaned, reactions, rod, sensor, tare))
         faults += mistaken or mount_faults(reactions, rod)
-        misfit = _misfit(reactions)
+        if reactions.covariance is not None:
+            wrench = np.hstack([reactions.force, reactions.moment])
+            covariance = np.broadcast_to(reactions.covariance, (len(wrench), 6, 6))
+            misfits = contact_misfits(wrench, covariance)
+            misfit = float(np.median(misfits)) if len(misfits) else misfit
         # Errors that last, of pink noise and random walk, do not average out.
         if misfit > (_LASTING_MISFIT if sensor.noise.lasting else _MISFIT):
             text = (
@@ -179,23 +186,14 @@ def inspect_raw(
         usable=usable,
         rate=cleaned.rate,
         single_contact_misfit=misfit,
-        **rested._asdict(),
+        **rested,
     )
 
 
-class _Rested(NamedTuple):
-    """Fields of `Inspection` that follow from rest."""
-
-    rest: Rest
-    tare: Tare | None
-    noise: Wrench
-    drift: Wrench
-    drift_deviation: Wrench
-    sensor: "Sensor"
-
-
-def _at_rest(raw: RawRecording, sensor: "Sensor", usable: Rows) -> tuple[list[Fault], _Rested]:
-    """What rest tells: the tare, noise and drift, and the sensor with the noise that is found."""
+def _at_rest(raw: RawRecording, sensor: Sensor, usable: Rows) -> tuple[list[Fault], dict[str, Any]]:
+    """What rest tells: the fields of `Inspection` for rest, tare, noise and drift, and the sensor
+    with the noise that is found.
+    """
     faults: list[Fault] = []
     rest, tare, policy = find_rest(sensor, raw), None, sensor.tare_policy
     if usable.any():
@@ -206,20 +204,23 @@ def _at_rest(raw: RawRecording, sensor: "Sensor", usable: Rows) -> tuple[list[Fa
             faults.append(Fault.over(FaultKind.REST, CHANNELS, raw.time, text, unusable=True))
     restless: list[Fault] = []
     if tare is not None and (policy.tare_seconds is not None or policy.rest_intervals):
-        restless = restless_tare(sensor, raw, tare)
+        restless += restless_tare(sensor, raw, tare)
     interval = tare.intervals[0] if tare is not None and tare.intervals else rest.leading
     noise, drift, deviation = np.full((3, 6), np.nan)
     if interval is not None:
         still = Stretch.of(sensor, raw, interval)
-        noise, mis_scaled = still.noise, noise_unit_faults(sensor, still)
+        noise, mis_scaled = still.noise, list(noise_unit_faults(sensor.noise, still))
         faults += restless + mis_scaled
         # Where a contact or a drift lies within the tare, its scatter is no noise.
         if not (mis_scaled or restless):
-            faults += noise_faults(sensor, still) + hum_faults(sensor, still, raw.rate)
+            faults += [
+                *noise_faults(sensor.noise, still),
+                *hum_faults(sensor.noise, still, raw.rate),
+            ]
         if not (rest.ends or restless):
-            faults += lone_drift_faults(sensor, raw, still)
+            faults += lone_drift_faults(sensor.noise, raw, still)
         sensor = noisier(sensor, noise, faults)
-    if tare is not None and tare.intervals:
+    if tare is not None:
         tare = fitted_tare(sensor, raw, tare.intervals, tare.found)
     if rest.ends is not None:
         early, late = (Stretch.of(sensor, raw, end) for end in rest.ends)
@@ -228,28 +229,11 @@ def _at_rest(raw: RawRecording, sensor: "Sensor", usable: Rows) -> tuple[list[Fa
         faults += drifting
         if line is not None:
             sensor, tare = sensor.updated(estimate_drift=True), line
-    return faults, _Rested(rest, tare, noise, drift, deviation, sensor)
-
-
-def _bounded(raw: RawRecording) -> RawRecording:
-    """The recording with NaN for infinite numbers, and for those that loggers write in the place of
-    missing ones, which are no sensor's.
-    """
-    parts = (raw.position, raw.orientation, raw.force, raw.torque)
-    bounded = (np.where(np.abs(part) < _LARGEST, part, np.nan) for part in parts)
-    return RawRecording(np.where(np.abs(raw.time) < _LATEST, raw.time, np.nan), *bounded)
-
-
-def _misfit(reactions: Reactions) -> float:
-    """Median of |m0·f0| in its standard deviations over rows of more than ten of them; NaN with
-    fewer than 20, or where the noise is not known.
-    """
-    if reactions.covariance is None:
-        return float("nan")
-    covariance = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))
-    deviation = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
-    loaded = np.linalg.norm(reactions.force, axis=1) > _LOADED * deviation
-    if np.count_nonzero(loaded) < _FEWEST_LOADED:
-        return float("nan")
-    wrench = np.concatenate([reactions.force, reactions.moment], axis=1)
-    return float(np.median(contact_misfits(wrench[loaded], covariance[loaded])))
+    return faults, {
+        "rest": rest,
+        "tare": tare,
+        "noise": noise,
+        "drift": drift,
+        "drift_deviation": deviation,
+        "sensor": sensor,
+    }

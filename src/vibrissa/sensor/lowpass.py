@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import expm
 
 from vibrissa.geometry.checks import not_negative, positive
 
@@ -48,7 +49,7 @@ class LowPass:
         """Time [s] by which a slow signal comes late: the delay, and the filter's group delay at
         zero frequency.
         """
-        return self.delay + (1 if self.order == 1 else math.sqrt(2)) / (2 * math.pi * self.cutoff)
+        return self.delay + math.sqrt(self.order) / (2 * math.pi * self.cutoff)
 
     def applied(
         self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]
@@ -63,20 +64,14 @@ class LowPass:
         if self.delay:
             delayed = [np.interp(time - self.delay, time, column) for column in signal.T]
             signal = np.stack(delayed, axis=1)
-        return signal if self.cutoff == math.inf else self._filtered(time, signal)
-
-    def _filtered(
-        self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]
-    ) -> Float[np.ndarray, "n k"]:
-        from scipy.linalg import expm  # noqa: PLC0415
-        from scipy.signal import butter  # noqa: PLC0415
-
-        order = self.order
-        top, bottom = butter(order, 2 * math.pi * self.cutoff, analog=True)
+        if self.cutoff == math.inf:
+            return signal
+        rate, order = 2 * math.pi * self.cutoff, self.order
         # Output and its derivatives, the signal, and the signal's slope: their joint propagator
         # over a step.
         system = np.eye(order + 2, k=1)
-        system[order - 1] = [*-bottom[:0:-1], top[-1], 0.0]
+        damping = [-math.sqrt(2) * rate] * (order - 1)
+        system[order - 1] = [-(rate**order), *damping, rate**order, 0.0]
         steps, which = np.unique(np.round(np.diff(time), _STAMP_DECIMALS), return_inverse=True)
         propagators = expm(steps[:, None, None] * system)
         slopes = np.diff(signal, axis=0) / np.diff(time)[:, None]

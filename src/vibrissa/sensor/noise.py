@@ -12,18 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.special import exprel, hyp1f1
 
 from vibrissa.sensor.raw import Interval, Times, Wrench
+
+Samples = Float[np.ndarray, "n channels"]
+
+NO_STEP = 2.0**-200
+"""In the place of a step of 0: numbers keep all their digits."""
 
 # Processes a decade, h = ln(10)/3 apart: their sum ripples about 1/f by 2/cosh(π²/h), or 1e-5.
 _PER_DECADE = 3
 # The slowest corner lies this far below the inverse duration, so that the sum has no edge inside
 # the band; the fastest at half the sampling rate, as what lies above would fold back.
 _MARGIN = 10.0
-# Below this share of a time constant the mean's closed form cancels; its series errs by x²/12.
-_SHORT = 1e-4
-# No interval is shorter than a picosecond: a mean over a point is the point's.
-_LEAST = 1e-12
 
 
 @dataclass(frozen=True)
@@ -53,16 +55,15 @@ class Pink:
         # corners spaced by h in ln c add up to (v/h)/f.
         return cls(2 * np.pi * corners, float(np.log(corners[1] / corners[0])))
 
-    def sampled(
-        self, time: Times, rng: np.random.Generator, channels: int
-    ) -> Float[np.ndarray, "n channels"]:
+    def sampled(self, time: Times, rng: np.random.Generator, channels: int) -> Samples:
         """Stationary noise on the stamps, independent in each channel."""
-        state = math.sqrt(self.variance) * rng.normal(size=(len(self.rates), channels))
+        shape = len(self.rates), channels
+        state = math.sqrt(self.variance) * rng.normal(size=shape)
         samples = [state.sum(axis=0)]
         for step in np.diff(time):
             fresh = np.sqrt(-np.expm1(-2 * self.rates * step) * self.variance)
-            draw = rng.normal(size=(len(self.rates), channels))
-            state = np.exp(-self.rates * step)[:, None] * state + fresh[:, None] * draw
+            decay = np.exp(-self.rates * step)
+            state = decay[:, None] * state + fresh[:, None] * rng.normal(size=shape)
             samples.append(state.sum(axis=0))
         return np.array(samples)
 
@@ -72,23 +73,18 @@ class Pink:
 
     def with_mean(self, time: Times, start: float, stop: float) -> Times:
         """Covariance of a sample at each time with the mean from `start` to `stop`."""
-        sides = np.abs(np.stack([time - start, time - stop]))[..., None]
-        inside = (time > start) & (time < stop)
-        # Of each side ∫ exp(−r u) du up to the edge: both parts inside, their difference outside.
-        parts = -np.expm1(-self.rates * sides) / self.rates
-        sums = self.variance * parts.sum(axis=-1) / max(stop - start, _LEAST)
-        return np.where(inside, sums.sum(axis=0), np.abs(sums[0] - sums[1]))
+        # ∫ exp(−r |u|) du from 0 to both ends.
+        low, high = time[:, None] - start, time[:, None] - stop
+        part = low * exprel(-self.rates * abs(low)) - high * exprel(-self.rates * abs(high))
+        return self.variance * part.sum(axis=1) / (stop - start)
 
     def between_means(self, first: Interval, second: Interval) -> float:
         """Covariance of the means over two intervals, the same or disjoint."""
         early, late = sorted((first, second))
-        x, y = (self.rates * max(stop - start, _LEAST) for start, stop in (early, late))
-        if first == second:
-            exact = 2 * (x + np.expm1(-x)) / np.maximum(x, _SHORT) ** 2
-            shares = np.where(x < _SHORT, 1 - x / 3, exact)
-        else:
-            apart = np.exp(-self.rates * (late[0] - early[1]))
-            shares = apart * (np.expm1(-x) / x) * (np.expm1(-y) / y)
+        x, y = (self.rates * (stop - start) for start, stop in (early, late))
+        apart = np.exp(-self.rates * abs(late[0] - early[1])) * exprel(-x) * exprel(-y)
+        # Of an interval with itself: 2 (exp(−x) − 1 + x) / x², without its cancellation.
+        shares = hyp1f1(1, 3, -x) if first == second else apart
         return float(self.variance * np.sum(shares))
 
 
@@ -104,14 +100,10 @@ class RandomWalk:
 
     origin: float
 
-    def sampled(
-        self, time: Times, rng: np.random.Generator, channels: int
-    ) -> Float[np.ndarray, "n channels"]:
+    def sampled(self, time: Times, rng: np.random.Generator, channels: int) -> Samples:
         """Noise on the stamps, independent in each channel."""
         steps = np.sqrt(np.diff(time, prepend=self.origin))
-        return np.asarray(
-            np.cumsum(steps[:, None] * rng.normal(size=(len(time), channels)), axis=0)
-        )
+        return np.cumsum(steps[:, None] * rng.normal(size=(len(time), channels)), axis=0)
 
     def variance_at(self, time: Times) -> Times:
         """Of a sample at each time."""
@@ -119,16 +111,15 @@ class RandomWalk:
 
     def with_mean(self, time: Times, start: float, stop: float) -> Times:
         """Covariance of a sample at each time with the mean from `start` to `stop`."""
-        within = np.clip(time, start, stop)
-        length = max(stop - start, _LEAST)
-        mean_of_lesser = ((within**2 - start**2) / 2 + within * (stop - within)) / length
-        return np.where(time <= start, time, mean_of_lesser) - self.origin
+        # The mean of the lesser of two times, as the covariance of a walk is its lesser time.
+        inside = np.clip(time, start, stop)
+        mean = inside - (inside - start) ** 2 / (2 * (stop - start))
+        return np.minimum(time, mean) - self.origin
 
     def between_means(self, first: Interval, second: Interval) -> float:
         """Covariance of the means over two intervals, the same or disjoint."""
-        early = min(first, second)
-        share = 1 / 3 if first == second else 1 / 2
-        return early[0] + share * (early[1] - early[0]) - self.origin
+        start, stop = min(first, second)
+        return start + (stop - start) / (3 if first == second else 2) - self.origin
 
 
 Coloured = tuple[Pink | RandomWalk, Wrench]
@@ -148,7 +139,7 @@ def quantisation_of_mean(
     noise, step = np.asarray(noise, dtype=float), np.asarray(step, dtype=float)
     # What is left of Σ 6/(πj)² behind these is 0.3 %; without noise the whole error stays.
     orders = np.pi * np.arange(1, 200)
-    over = noise[..., None] / np.where(step > 0, step, 1.0)[..., None]
+    over = (noise / np.maximum(step, NO_STEP))[..., None]
     kept = np.sum(6 / orders**2 * np.exp(-((2 * orders * over) ** 2)), axis=-1)
     kept = np.where(noise > 0, kept, 1.0)
     return np.asarray(step**2 / 12 * (kept + (1 - kept) / count))

@@ -1,6 +1,6 @@
 """Faults of the robot's poses: jumps, and noise larger than stated; and missing poses, filled."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -9,11 +9,8 @@ from scipy import ndimage
 from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.rod import Rod
 from vibrissa.sensor.deviations import MEDIAN_TO_DEVIATION, deviation_by_differences
-from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.raw import Quaternions, RawRecording, Rows, Times
-
-if TYPE_CHECKING:
-    from vibrissa.sensor.sensor import Sensor
+from vibrissa.sensor.raw import Fault, FaultKind, Quaternions, RawRecording, Rows, Times
+from vibrissa.sensor.sensor import Sensor
 
 Positions = Float[np.ndarray, "n 3"]
 
@@ -32,7 +29,7 @@ _LEAST_NOISE = 1e-4
 _STANDING, _EVEN = 0.5, 1.05
 
 
-def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> list[Fault]:
+def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> Iterator[Fault]:
     """Steps of the pose that stand out from those around them, one finding for all of the position
     and one for all of the orientation.
 
@@ -41,27 +38,23 @@ def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> list[Fault]:
     in nothing is judged.
     """
     if len(raw.time) < 2 * _NEIGHBOURS:
-        return []
+        return
     usual = 1 / raw.rate
     share = (usual / np.maximum(np.diff(raw.time), usual))[:, None]
-    found = []
     for name, steps, length, unit in _steps(raw.position, raw.orientation, rod):
         even = share * steps
         around = ndimage.median_filter(even, (2 * _NEIGHBOURS + 1, 1), mode="mirror")
         off = np.linalg.norm(even - around, axis=1)
-        deviation = float(np.median(off)) / MEDIAN_TO_DEVIATION
-        fastest = float(np.quantile(np.linalg.norm(even, axis=1), 0.95))
+        deviation = np.median(off) / MEDIAN_TO_DEVIATION
+        fastest = np.quantile(np.linalg.norm(even, axis=1), 0.95)
         out = off > max(_DEVIATIONS * deviation, _FASTER * fastest, _LEAST_JUMP * length)
         rows = np.flatnonzero(out & ~filled[1:] & ~filled[:-1])
         if len(rows):
-            sizes = np.linalg.norm(steps[rows], axis=1)
-            within = raw.time[rows[0] + 1] - raw.time[rows[0]]
-            text = f"the {name} jumps by {sizes[0]:.3g} {unit} within {within:.3g} s"
+            sizes, span = np.linalg.norm(steps[rows], axis=1), raw.time[rows[0] : rows[-1] + 2]
+            text = f"the {name} jumps by {sizes[0]:.3g} {unit} within {span[1] - span[0]:.3g} s"
             if len(rows) > 1:
                 text += f", and {len(rows) - 1} more times, by up to {sizes.max():.3g} {unit}"
-            span = raw.time[rows[0] : rows[-1] + 2]
-            found.append(Fault.over(FaultKind.POSE_JUMP, (name,), span, text, len(rows)))
-    return found
+            yield Fault.over(FaultKind.POSE_JUMP, (name,), span, text, len(rows))
 
 
 def _steps(
@@ -83,13 +76,13 @@ def filled_poses(raw: RawRecording) -> tuple[Positions, Quaternions, Rows]:
         If no row has a pose.
     """
     norm = np.linalg.norm(raw.orientation, axis=1)
-    missing = ~(np.isfinite(raw.position).all(axis=1) & np.isfinite(norm) & (norm > 0))
-    if missing.all():
+    known = np.isfinite(raw.position).all(axis=1) & (norm > 0)
+    if not known.any():
         raise ValueError("no row has a pose; allowed are finite positions and unit quaternions")
-    good = np.flatnonzero(~missing)
+    good = np.flatnonzero(known)
     halfway = (good[1:] + good[:-1]) / 2
     nearest = good[np.searchsorted(halfway, np.arange(len(norm)), side="right")]
-    return raw.position[nearest], raw.orientation[nearest] / norm[nearest, None], missing
+    return raw.position[nearest], raw.orientation[nearest] / norm[nearest, None], ~known
 
 
 def pose_noise(steps: Float[np.ndarray, "m 3"]) -> float:
@@ -100,39 +93,35 @@ def pose_noise(steps: Float[np.ndarray, "m 3"]) -> float:
     of constant acceleration. Poses that stay, then go on by always the same step, are rounded or
     held: evenly spread over the step.
     """
-    if len(steps) < _FEWEST:
-        return 0.0
     white = deviation_by_differences(np.diff(steps, n=2, axis=0), 3)
     rounded = [_rounding_step(axis) / np.sqrt(12) for axis in steps.T]
     return float(max(*white, *rounded))
 
 
-def _rounding_step(steps: Float[np.ndarray, "m"]) -> float:
+def _rounding_step(steps: Times) -> float:
     """Size of the steps in which a number goes on; 0 where it moves evenly, stands, or is noisy."""
-    gone = np.flatnonzero(np.abs(steps) > 1e-3 * np.abs(steps).max(initial=0.0))
+    sizes = np.abs(steps)
+    gone = np.flatnonzero(sizes > 1e-3 * sizes.max())
     if len(gone) < _FEWEST // 3:
         return 0.0
-    low, middle, high = np.quantile(np.abs(steps[gone]), [0.1, 0.5, 0.9])
+    low, middle, high = np.quantile(sizes[gone], [0.1, 0.5, 0.9])
     stays = np.mean(np.diff(gone) > 1) > _STANDING
     return float(middle) if stays and high < _EVEN * low else 0.0
 
 
 def pose_noise_faults(
-    sensor: "Sensor", rod: Rod, time: Times, position: Positions, orientation: Quaternions
-) -> tuple[list[Fault], "Sensor"]:
+    sensor: Sensor, rod: Rod, time: Times, position: Positions, orientation: Quaternions
+) -> tuple[list[Fault], Sensor]:
     """Findings on noise of the poses (n, …) that is larger than stated, and the sensor with that
     noise.
     """
-    norm = np.linalg.norm(np.nan_to_num(orientation), axis=1)
+    norm = np.linalg.norm(orientation, axis=1)
     whole = np.isfinite(time) & np.isfinite(position).all(axis=1) & (norm > 0)
-    time, position, orientation = time[whole], position[whole], orientation[whole]
-    if len(time) < _FEWEST:
+    if np.count_nonzero(whole) <= _FEWEST:
         return [], sensor
-    faults: list[Fault] = []
-    figures = {}
-    for name, steps, length, unit in _steps(position, orientation, rod):
-        found = pose_noise(steps)
-        stated = float(getattr(sensor.noise, f"{name}_noise"))
+    faults, figures = [], {}
+    for name, steps, length, unit in _steps(position[whole], orientation[whole], rod):
+        found, stated = pose_noise(steps), getattr(sensor, f"{name}_noise")
         enough = _LEAST_NOISE * length + stated
         if found > _LARGER * stated and np.hypot(found, stated) > enough:
             text = (
@@ -140,6 +129,6 @@ def pose_noise_faults(
                 f"{name}_noise = {stated:.3g} {unit} is stated"
             )
             text += "; the error bars use it" if sensor.noise.known else ""
-            faults.append(Fault.over(FaultKind.POSE_NOISE, (name,), time, text))
+            faults.append(Fault.over(FaultKind.POSE_NOISE, (name,), time[whole], text))
             figures[f"{name}_noise"] = found
     return faults, sensor.updated(**figures) if figures else sensor

@@ -23,53 +23,37 @@ Robotiq FT 300-S
     figure of tx and ty is taken for tz too.
 """
 
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from vibrissa.sensor.sensor import Sensor, WrenchSign
+from vibrissa.sensor.sensor import Sensor, WrenchSign
 
-_Axes = tuple[float, float, float]
-_Figures = dict[str, float | _Axes]
-
-
-def _figures(
-    force_range: _Axes,
-    torque_range: _Axes,
-    steps: tuple[float | _Axes, ...] = (),
-    noise: tuple[float | _Axes, ...] = (),
-) -> _Figures:
-    """Steps and noise of force and torque; where no noise is stated it is one step."""
-    names = ("range", "resolution", "noise")
-    values = ((force_range, torque_range), steps, noise or steps)
-    return {
-        f"{part}_{name}": value
-        for name, pair in zip(names, values, strict=True)
-        for part, value in zip(("force", "torque"), pair, strict=False)
-    }
-
-
-PRESETS: MappingProxyType[str, _Figures] = MappingProxyType(
-    {
-        "ati_nano17_si_12_0_12": _figures((12.0, 12.0, 17.0), (0.12,) * 3, (1 / 320, 1e-3 / 64)),
-        "ati_nano17_si_25_0_25": _figures((25.0, 25.0, 35.0), (0.25,) * 3, (1 / 160, 1e-3 / 32)),
-        "ati_nano17_si_50_0_5": _figures((50.0, 50.0, 70.0), (0.5,) * 3, (1 / 80, 1e-3 / 16)),
-        "ati_mini40_si_40_2": _figures(
-            (40.0, 40.0, 120.0), (2.0,) * 3, ((1 / 100, 1 / 100, 1 / 50), 1 / 4000)
-        ),
-        "ati_mini45_si_145_5": _figures(
-            (145.0, 145.0, 290.0), (5.0,) * 3, (1 / 16, (1 / 752, 1 / 752, 1 / 1504))
-        ),
-        "ati_axia80_m20_si_500_20": _figures((500.0, 500.0, 900.0), (20.0,) * 3),
-        "robotiq_ft_300_s": _figures((300.0,) * 3, (30.0,) * 3, (0.01, 0.001), (0.1, 0.005)),
-    }
+_FIGURES = (
+    *("force_range", "torque_range", "force_resolution", "torque_resolution"),
+    *("force_noise", "torque_noise"),
 )
+_SHEETS: dict[str, tuple[Any, ...]] = {
+    "ati_nano17_si_12_0_12": ((12.0, 12.0, 17.0), (0.12,) * 3, 1 / 320, 1e-3 / 64),
+    "ati_nano17_si_25_0_25": ((25.0, 25.0, 35.0), (0.25,) * 3, 1 / 160, 1e-3 / 32),
+    "ati_nano17_si_50_0_5": ((50.0, 50.0, 70.0), (0.5,) * 3, 1 / 80, 1e-3 / 16),
+    "ati_mini40_si_40_2": ((40.0, 40.0, 120.0), (2.0,) * 3, (0.01, 0.01, 0.02), 1 / 4000),
+    "ati_mini45_si_145_5": (
+        *((145.0, 145.0, 290.0), (5.0,) * 3),
+        *(1 / 16, (1 / 752, 1 / 752, 1 / 1504)),
+    ),
+    "ati_axia80_m20_si_500_20": ((500.0, 500.0, 900.0), (20.0,) * 3),
+    "robotiq_ft_300_s": ((300.0,) * 3, (30.0,) * 3, 0.01, 0.001, 0.1, 0.005),
+}
+
+# Where a sheet states no noise it is one step.
+PRESETS: dict[str, dict[str, Any]] = {
+    name: dict(zip(_FIGURES, (*sheet, *sheet[2:]), strict=False)) for name, sheet in _SHEETS.items()
+}
 """Figures by the name of the sensor and its calibration: fields of `Sensor`, SI units."""
 
 
-def preset_figures(name: str) -> _Figures:
+def preset_figures(name: str) -> dict[str, Any]:
     """Fields of `Sensor` that a preset gives; none for the empty name.
 
     Raises
@@ -87,8 +71,8 @@ def preset(
     *,
     clamp_position: ArrayLike = (0.0, 0.0, 0.0),
     clamp_orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-    wrench: "WrenchSign" = "on_sensor",
-) -> "Sensor":
+    wrench: WrenchSign = "on_sensor",
+) -> Sensor:
     """A sensor with the figures of a preset; `dataclasses.replace` changes them.
 
     Parameters
@@ -103,7 +87,4 @@ def preset(
     ValueError
         If there is no such preset, or as for `Sensor`.
     """
-    from vibrissa.sensor.sensor import Sensor  # noqa: PLC0415
-
-    known: dict[str, Any] = {**preset_figures(name)}
-    return Sensor(clamp_position, clamp_orientation, wrench, **known)
+    return Sensor(clamp_position, clamp_orientation, wrench, **preset_figures(name))

@@ -1,8 +1,10 @@
-"""What a sensor and a robot log, before anything is made of it."""
+"""What a sensor and a robot log, before anything is made of it, and what may be wrong with it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -57,7 +59,7 @@ class RawRecording:
         """Samples a second [Hz], by the median step of the time; NaN with fewer than two rows."""
         steps = np.diff(self.time)
         steps = steps[np.isfinite(steps) & (steps > 0)]
-        return float(1 / max(float(np.median(steps)), _LEAST_STEP)) if len(steps) else float("nan")
+        return float(1 / max(np.median(steps), _LEAST_STEP)) if len(steps) else np.nan
 
     @cached_property
     def whole(self) -> Rows:
@@ -73,12 +75,100 @@ class RawRecording:
         return replace(self, force=wrench[:, :3], torque=wrench[:, 3:])
 
 
-def runs(mask: Rows) -> list[tuple[int, int]]:
+def runs(mask: Rows) -> list[list[int]]:
     """Stretches [start, stop) in which a mask holds."""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
-    return [(start, stop) for start, stop in edges.tolist()]
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
 
 
-def channel_names(mask: Iterable[object]) -> tuple[str, ...]:
+def channel_names(mask: Bool[np.ndarray, "6"]) -> tuple[str, ...]:
     """Names of the channels that a mask (6,) picks."""
-    return tuple(name for name, picked in zip(CHANNELS, mask, strict=True) if picked)
+    return tuple(np.array(CHANNELS)[mask].tolist())
+
+
+class FaultKind(StrEnum):
+    """What can be wrong with a recording.
+
+    `SATURATION`: readings at the range, or flat-topped. `DROP_OUT`: rows without numbers, or of
+    zeros between other readings. `STUCK`: a channel that repeats its value longer than noise and
+    resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp
+    equal to one before, or earlier. `UNITS`: numbers that cannot be in metres, newtons, newton
+    metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated.
+    `DRIFT`: the offset moves by more than stated. `POSE_JUMP`: the robot's pose jumps. `REST`: no
+    rest for the tare. `TARE`: forces and moments that belong to no single contact. `HELD`: rows
+    that repeat the reading above them in all channels. `MOUNT`: a sign, clamp or reference point of
+    the setup that the readings contradict. `HUM`: a line in the spectrum at rest. `POSE_NOISE`:
+    poses scatter by more than stated.
+    """
+
+    SATURATION = "saturation"
+    DROP_OUT = "drop-out"
+    STUCK = "stuck channel"
+    GAP = "gap"
+    DUPLICATE = "duplicate stamp"
+    BACKWARD = "backward stamp"
+    UNITS = "units"
+    NOISE = "noise"
+    DRIFT = "drift"
+    POSE_JUMP = "pose jump"
+    REST = "no rest"
+    TARE = "no single contact"
+    HELD = "held readings"
+    MOUNT = "mount"
+    HUM = "hum"
+    POSE_NOISE = "pose noise"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One finding over one interval.
+
+    Attributes
+    ----------
+    kind
+        What it is.
+    channels
+        Names of `vibrissa.sensor.CHANNELS`, or of the pose ("position", "orientation", "time").
+    start, stop
+        First and last stamp concerned [s], on the recording's clock.
+    count
+        Rows concerned; of a gap, samples missing.
+    text
+        One sentence with the figures.
+    unusable
+        Whether the recording cannot be used at all.
+    quiet
+        Whether an inspection lists it without a warning.
+    """
+
+    kind: FaultKind
+    channels: tuple[str, ...]
+    start: float
+    stop: float
+    count: int
+    text: str
+    unusable: bool = False
+    quiet: bool = False
+
+    @classmethod
+    def over(
+        cls,
+        kind: FaultKind,
+        channels: tuple[str, ...],
+        stamps: Times | Interval,
+        text: str,
+        count: int | np.integer[Any] | None = None,
+        **flags: bool,
+    ) -> "Fault":
+        """A finding from the first to the last of these stamps (n,); it concerns n rows, unless
+        `count` says otherwise. `flags` are `unusable` and `quiet`.
+        """
+        rows = len(stamps) if count is None else int(count)
+        return cls(kind, channels, float(stamps[0]), float(stamps[-1]), rows, text, **flags)
+
+    @classmethod
+    def each(
+        cls, kind: FaultKind, channels: tuple[str, ...], rows: Rows, time: Times, what: str
+    ) -> "Iterator[Fault]":
+        """A finding for each run of rows at their stamps (n,)."""
+        for start, stop in runs(rows):
+            yield cls.over(kind, channels, time[start:stop], f"{stop - start} rows {what}")

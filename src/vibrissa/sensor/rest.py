@@ -1,26 +1,24 @@
 """Where a recording is at rest: stretches in which the wrench does not change beyond its noise."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.sensor.deviations import (
     MEDIAN_TO_DEVIATION,
     own_rows,
     reading_deviation,
     shown_steps,
 )
-from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.maps import to_reactions
 from vibrissa.sensor.raw import (
     Covariances,
+    Fault,
+    FaultKind,
     Interval,
     RawRecording,
-    Rows,
-    Times,
     Wrench,
     Wrenches,
     channel_names,
@@ -63,9 +61,9 @@ class Rest:
         The one at the start of the recording and the one at its end, or None.
     """
 
-    intervals: tuple[Interval, ...]
-    leading: Interval | None
-    trailing: Interval | None
+    intervals: tuple[Interval, ...] = ()
+    leading: Interval | None = None
+    trailing: Interval | None = None
 
     @property
     def ends(self) -> tuple[Interval, Interval] | None:
@@ -75,15 +73,6 @@ class Rest:
         return self.leading, self.trailing
 
 
-class _Blocks(NamedTuple):
-    """Consecutive samples, their rows, and the means of their readings."""
-
-    rows: Int[np.ndarray, "blocks size"]
-    means: Float[np.ndarray, "blocks 6"]
-    tolerance: Wrench
-    """Six standard errors (6,) of a block's mean."""
-
-
 def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
     """Quiet stretches of a recording: block means that stay, in all channels, within six standard
     errors of the mean of the stretch so far.
@@ -91,24 +80,30 @@ def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
     A stretch has at least four blocks, each of 0.04 s or five samples, whichever is longer. A
     weight of the mount and a drift that are given are taken off before.
     """
-    blocks = _blocks(sensor, raw, np.ones(len(raw.time), dtype=bool))
-    count = len(blocks.rows)
+    rows, means, tolerance = _blocks(sensor, raw)
+    count = len(rows)
     if count < _FEWEST_BLOCKS:
-        return Rest((), None, None)
+        return Rest()
     # The last stretch is followed from the end, so that it reaches it also where the offset drifts.
-    ending = count - _stays(blocks.means[::-1], blocks.tolerance, 0)
-    ending = ending if count - ending >= _FEWEST_BLOCKS else count
+    ending = count - _stays(means[::-1], tolerance)
+    stretches, first = [], 0
+    while first < count:
+        last = first + _stays(means[first:], tolerance)
+        if first == 0 or last <= ending:
+            stretches.append((first, last))
+        first = last
     found: dict[tuple[int, int], Interval] = {}
-    for first, last in [*_stretches(blocks), (ending, count)]:
+    for first, last in [*stretches, (ending, count)]:
         guard = max(1, round(_GUARD * (last - first)))
         begin, end = first + (guard if first > 0 else 0), last - (guard if last < count else 0)
-        own = first == 0 or last <= ending or (first, last) == (ending, count)
-        if own and end - begin >= _FEWEST_BLOCKS:
-            stop = raw.time[blocks.rows[end - 1, -1]] + 0.5 / raw.rate
-            found[first, last] = (float(raw.time[blocks.rows[begin, 0]]), float(stop))
-    leading = next((interval for (first, _), interval in found.items() if first == 0), None)
-    trailing = next((interval for (_, last), interval in found.items() if last == count), None)
-    return Rest(tuple(found.values()), leading, trailing)
+        if min(end - begin, last - first) >= _FEWEST_BLOCKS:
+            stop = raw.time[rows[end - 1, -1]] + 0.5 / raw.rate
+            found[first, last] = raw.time[rows[begin, 0]], stop
+    return Rest(
+        tuple(found.values()),
+        next((interval for (first, _), interval in found.items() if first == 0), None),
+        next((interval for (_, last), interval in found.items() if last == count), None),
+    )
 
 
 def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, ...], str]:
@@ -117,62 +112,74 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
     Raises
     ------
     ValueError
-        If none is given and none can be found, because the recording starts in contact or under a
-        changing load.
+        If rest that is given does not fit the recording, or none is given and none can be found,
+        because the recording starts in contact or under a changing load.
     """
     policy, first = sensor.tare_policy, float(raw.time[0])
+    seconds, weighs = policy.tare_seconds, "mount.estimated" in sensor.estimates
     if policy.rest_intervals:
         given = ((first + start, first + stop) for start, stop in policy.rest_intervals)
         return tuple(given), "given as rest_intervals"
-    stated = policy.tare_seconds is not None and not sensor.estimates_mount
-    leading = (first, first + (policy.tare_seconds or 0.0))
-    if stated and not policy.estimate_drift:
-        return (leading,), "given as tare_seconds"
+    if seconds == 0:
+        if sensor.estimates:
+            raise ValueError(
+                f"{sensor.estimates[0]} = True with tare_seconds = 0; allowed are rest_intervals, "
+                "a tare_seconds greater than 0, or none to find the rest"
+            )
+        return (), ""
+    if seconds is not None:
+        count = np.count_nonzero(raw.time - first < seconds)
+        if count < 2 or count >= len(raw.time):
+            raise ValueError(
+                f"tare_seconds = {seconds}: {count} of {len(raw.time)} samples lie within it; "
+                "allowed are at least 2, and fewer than all"
+            )
+        leading, how = (first, first + seconds), "given as tare_seconds"
+        if not sensor.estimates:
+            return (leading,), how
     rest = find_rest(sensor, raw)
-    if sensor.estimates_mount:
+    if weighs:
+        if not rest.intervals:
+            raise ValueError(
+                "no rest is found in the recording; allowed are rest_intervals that are free of "
+                "contact"
+            )
         return rest.intervals, "found automatically, in all orientations"
-    if not stated:
-        leading = _checked_leading(sensor, raw, rest)
-    if not policy.estimate_drift:
-        return (leading,), "found automatically"
-    trailing, late = rest.trailing, leading[1] if stated else -np.inf
-    if trailing is None or trailing == leading or trailing[0] <= late:
+    if seconds is None:
+        leading, how = _checked_leading(sensor, raw, rest), "found automatically"
+        if not sensor.estimates:
+            return (leading,), how
+    trailing, late = rest.trailing, leading[0 if seconds is None else 1]
+    if trailing is None or trailing[0] <= late:
         raise ValueError(
             "estimate_drift = True: no rest is found at the end of the recording; allowed are "
             "rest_intervals that name one"
         )
-    if stated:
-        return (leading, trailing), "given as tare_seconds, and found at the end"
-    return (leading, trailing), "found automatically, at the start and at the end"
+    where = "at the start and at the end" if seconds is None else "and found at the end"
+    return (leading, trailing), f"{how}, {where}"
 
 
-def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> list[Fault]:
+def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> Iterator[Fault]:
     """Given tare intervals in which the readings change by more than their noise, from the first
     block of samples that does: a contact, or a drift.
     """
-    faults = []
     for interval in tare.intervals:
-        blocks = _blocks(sensor, raw, raw.during(interval))
-        count = len(blocks.rows)
+        rows, means, tolerance = _blocks(sensor, raw, interval)
+        count = len(rows)
         if count < _FEWEST_BLOCKS:
             continue
         # A given drift is off the readings already.
         drift = tare.drift - sensor.tare_policy.drift
-        elapsed = raw.time[blocks.rows].mean(axis=1) - tare.epoch
-        means = blocks.means - elapsed[:, None] * drift
-        before = np.arange(1, count)[:, None]
-        usual = np.cumsum(means, axis=0)[:-1] / before
-        off = np.abs(means[1:] - usual) > blocks.tolerance * np.sqrt(1 + 1 / before)
-        if not off.any():
-            continue
-        channels = channel_names(off.any(axis=0))
-        rows = blocks.rows[1 + int(np.argmax(off.any(axis=1))) :].ravel()
-        text = (
-            f"the tare, {tare.found}, is not taken at rest: {', '.join(channels)} change from "
-            f"{raw.time[rows[0]] - raw.time[0]:.3g} s on; a contact, or a drift"
-        )
-        faults.append(Fault.over(FaultKind.REST, channels, raw.time[rows], text))
-    return faults
+        means = means - (raw.time[rows].mean(axis=1) - tare.epoch)[:, None] * drift
+        first = _stays(means, tolerance)
+        if first < count:
+            off = np.abs(means[first:] - means[:first].mean(axis=0)) > tolerance
+            channels, stamps = channel_names(off.any(axis=0)), raw.time[rows[first:].ravel()]
+            text = (
+                f"the tare, {tare.found}, is not taken at rest: {', '.join(channels)} change from "
+                f"{stamps[0] - raw.time[0]:.3g} s on; a contact, or a drift"
+            )
+            yield Fault.over(FaultKind.REST, channels, stamps, text)
 
 
 def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interval:
@@ -199,14 +206,28 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     moved, most = (
         np.linalg.norm(part.reshape(2, 3), axis=1) for part in (levels[1] - levels[0], largest)
     )
-    step = float(np.max(moved / (most + 1e-300)))
+    step = np.max(moved / (most + 1e-300))
     if step < _ANOTHER_LEVEL:
         return rest.leading
     between = ~np.any([raw.during(interval) for interval in rest.intervals], axis=0)
-    early, late = (_contact_misfits(sensor, raw, readings - level, between) for level in levels)
+    rows = between & np.isfinite(np.hstack([readings, raw.orientation])).all(axis=1)
+    maps = sensor.to_reactions(raw.orientation[rows])
+    scaled = maps * reading_deviation(sensor.noise, readings[rows])
+    misfits = [
+        contact_misfits(
+            np.einsum("nij,nj->ni", maps, readings[rows] - level),
+            scaled @ np.swapaxes(scaled, 1, 2),
+        )
+        for level in levels
+    ]
+    fewest = min(map(len, misfits))
+    early, late = map(np.median, misfits) if fewest else (0.0, 0.0)
     # Where the samples between do not tell the two apart, one that travels is free of contact.
-    better = _clearly_less(late, early)
-    if better is False or (better is None and _travelled(raw, rest.leading) > _MOVED):
+    apart = _DEVIATIONS * _MEDIAN_ERROR / np.sqrt(max(fewest, 1)) * min(early, late)
+    way = raw.position[raw.during(rest.leading)]
+    extent = np.linalg.norm(np.ptp(raw.position, axis=0))
+    travelled = np.linalg.norm(way[-1] - way[0]) > _MOVED * extent
+    if early <= late if abs(early - late) > apart else travelled:
         return rest.leading
     raise ValueError(
         "tare_seconds is not given, and the rest at the start, to "
@@ -216,54 +237,35 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     )
 
 
-def _clearly_less(first: Float[np.ndarray, "k"], second: Float[np.ndarray, "m"]) -> bool | None:
-    """Whether the first median is below the second; None where they do not differ by six standard
-    errors, or too few numbers are there.
+def contact_misfits(wrench: Wrenches, covariance: Covariances) -> Float[np.ndarray, "loaded"]:
+    """Sizes of m0·f0 in its standard deviations, which is zero for a single contact (mechanics.md,
+    "Statics alone"), in rows of more than ten deviations of the force; none of fewer than 20 rows.
     """
-    fewest = min(len(first), len(second))
-    if fewest < _FEWEST_LOADED:
-        return None
-    medians = float(np.median(first)), float(np.median(second))
-    apart = _DEVIATIONS * _MEDIAN_ERROR / np.sqrt(fewest) * min(medians)
-    return None if abs(medians[0] - medians[1]) <= apart else medians[0] < medians[1]
-
-
-def _contact_misfits(
-    sensor: "Sensor", raw: RawRecording, loads: Wrenches, rows: Rows
-) -> Float[np.ndarray, "m"]:
-    """Sizes of m0·f0 in its standard deviations (m,) on the loaded ones of some rows."""
-    rows = rows & np.isfinite(loads).all(axis=1)
-    deviation = reading_deviation(sensor, loads[rows])
-    rows = rows & np.isfinite(raw.orientation).all(axis=1)
-    rows[rows] = np.linalg.norm(loads[rows, :3], axis=1) > _LOADED * deviation[0]
-    if np.count_nonzero(rows) < _FEWEST_LOADED:
+    deviation = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
+    loaded = np.linalg.norm(wrench[:, :3], axis=1) > _LOADED * deviation
+    if np.count_nonzero(loaded) < _FEWEST_LOADED:
         return np.zeros(0)
-    maps = to_reactions(sensor, rotation_matrices(raw.orientation[rows]))
-    at_clamp = np.einsum("nij,nj->ni", maps, loads[rows])
-    return contact_misfits(at_clamp, (maps * deviation**2) @ np.swapaxes(maps, 1, 2))
-
-
-def contact_misfits(wrench: Wrenches, covariance: Covariances) -> Times:
-    """Sizes (n,) of m0·f0 in its standard deviations, which is zero for a single contact
-    (mechanics.md, "Statics alone").
-    """
+    wrench, covariance = wrench[loaded], covariance[loaded]
     gradient = np.roll(wrench, 3, axis=1)
     spread = np.sqrt(np.einsum("ni,nij,nj->n", gradient, covariance, gradient))
     return np.abs(np.sum(wrench[:, :3] * wrench[:, 3:], axis=1)) / np.maximum(spread, 1e-300)
 
 
-def _blocks(sensor: "Sensor", raw: RawRecording, rows: Rows) -> _Blocks:
-    """Blocks of the usable ones of some rows, a given drift and weight taken off."""
+def _blocks(
+    sensor: "Sensor", raw: RawRecording, interval: Interval = (-np.inf, np.inf)
+) -> tuple[Int[np.ndarray, "blocks size"], Float[np.ndarray, "blocks 6"], Wrench]:
+    """Blocks of consecutive usable samples of an interval, a given drift and weight taken off:
+    their rows, the means of their readings, and six standard errors (6,) of a mean.
+    """
     usable, readings = raw.whole & own_rows(raw.wrench), without_given(sensor, raw)
-    wanted = _BLOCK_SECONDS * raw.rate if np.isfinite(raw.rate) else 0.0
-    size = max(_BLOCK_SAMPLES, round(wanted))
-    chosen = np.flatnonzero(usable & rows)
+    size = max(_BLOCK_SAMPLES, round(_BLOCK_SECONDS * np.nan_to_num(raw.rate)))
+    chosen = np.flatnonzero(usable & raw.during(interval))
     blocks = chosen[: len(chosen) // size * size].reshape(-1, size)
     variance = np.zeros(6)
     if len(blocks):
-        variance += reading_deviation(sensor, readings[usable]) ** 2 / size
-        variance += (shown_steps(sensor, readings[usable]) / 4) ** 2
-        start, length = float(raw.time[usable][0]), size / raw.rate
+        variance += reading_deviation(sensor.noise, readings[usable]) ** 2 / size
+        variance += (shown_steps(sensor.noise, readings[usable]) / 4) ** 2
+        start, length = raw.time[usable][0], size / raw.rate
         early = (start, start + length)
         # The offset wanders between the blocks of a stretch: ten blocks apart on average.
         late = (start + 10 * length, start + 11 * length)
@@ -271,32 +273,14 @@ def _blocks(sensor: "Sensor", raw: RawRecording, rows: Rows) -> _Blocks:
             apart = process.between_means(early, early) + process.between_means(late, late)
             apart -= 2 * process.between_means(early, late)
             variance += scale**2 * max(apart, 0.0)
-    return _Blocks(blocks, readings[blocks].mean(axis=1), _DEVIATIONS * np.sqrt(variance))
+    return blocks, readings[blocks].mean(axis=1), _DEVIATIONS * np.sqrt(variance)
 
 
-def _stretches(blocks: _Blocks) -> list[tuple[int, int]]:
-    """Stretches [first, last) of four blocks and more that stay near their mean so far."""
-    found, first = [], 0
-    while first < len(blocks.means):
-        last = _stays(blocks.means, blocks.tolerance, first)
-        if last - first >= _FEWEST_BLOCKS:
-            found.append((first, last))
-        first = last
-    return found
-
-
-def _stays(means: Float[np.ndarray, "blocks 6"], tolerance: Wrench, first: int) -> int:
-    """First block that is off the mean of those since `first`."""
-    total = means[first].copy()
-    for count, mean in enumerate(means[first + 1 :], start=1):
+def _stays(means: Float[np.ndarray, "blocks 6"], tolerance: Wrench) -> int:
+    """How many of the first blocks stay near the mean of those before."""
+    total = means[0].copy()
+    for count, mean in enumerate(means[1:], start=1):
         if np.any(np.abs(mean - total / count) > tolerance * np.sqrt(1 + 1 / count)):
-            return first + count
+            return count
         total += mean
     return len(means)
-
-
-def _travelled(raw: RawRecording, interval: Interval) -> float:
-    """Share of the whole way of the sensor that lies within an interval."""
-    inside = raw.position[raw.during(interval)]
-    whole = float(np.linalg.norm(np.ptp(raw.position, axis=0)))
-    return float(np.linalg.norm(inside[-1] - inside[0])) / whole if whole > 0 else 0.0

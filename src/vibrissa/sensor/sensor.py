@@ -1,29 +1,36 @@
-"""A six-axis force/torque sensor that carries the rod's clamp."""
+"""A six-axis force/torque sensor that carries the rod's clamp: from what it reads to the reactions
+at the clamp, and back.
+"""
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices, unit_quaternions
+from vibrissa.geometry.rotation import (
+    cross_matrices,
+    inverse,
+    multiplied,
+    rotation_matrices,
+    unit_quaternions,
+)
 from vibrissa.reactions import Reactions
-from vibrissa.sensor.figures import Noise, Response, TarePolicy, Vector
-from vibrissa.sensor.maps import to_reactions
-from vibrissa.sensor.model import logged
-from vibrissa.sensor.mount import Mount
-from vibrissa.sensor.noise import Coloured
-from vibrissa.sensor.raw import Covariances, RawRecording, Times, Wrench
+from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy, Vector
+from vibrissa.sensor.noise import NO_STEP
+from vibrissa.sensor.raw import Covariances, Quaternions, RawRecording, Wrench, Wrenches
 from vibrissa.sensor.rest import rest_for_tare
-from vibrissa.sensor.tare import Tare, fitted_tare, no_tare
+from vibrissa.sensor.tare import Tare, fitted_tare
 from vibrissa.tolerances import SetupErrors, Tolerances
 from vibrissa.trail import Trail
 
 WrenchSign = Literal["on_sensor", "on_rod"]
 WrenchFrame = Literal["sensor", "world"]
 
+_PARTS: dict[str, Any] = {"noise": Noise, "response": Response, "tare_policy": TarePolicy}
 # Covariances of rows that differ by less than rounding are one covariance.
 _SAME = 1e-9
 
@@ -89,44 +96,36 @@ class Sensor:
         wrench_point: "ArrayLike" = (0.0, 0.0, 0.0),
         *,
         mount: Mount | None = None,
-        noise: Noise | None = None,
-        response: Response | None = None,
-        tare_policy: TarePolicy | None = None,
+        noise: Noise = Noise(),  # noqa: B008, as it cannot be changed
+        response: Response = Response(),  # noqa: B008
+        tare_policy: TarePolicy = TarePolicy(),  # noqa: B008
         **figures: Any,
     ) -> None:
-        for name, given, allowed in (
-            ("wrench", wrench, ("on_sensor", "on_rod")),
-            ("wrench_frame", wrench_frame, ("sensor", "world")),
+        for name, given, kind in (
+            ("wrench", wrench, WrenchSign),
+            ("wrench_frame", wrench_frame, WrenchFrame),
         ):
-            if given not in allowed:
-                raise ValueError(f"{name} = {given!r}; allowed are {' and '.join(allowed)}")
-        orientation = unit_quaternions(clamp_orientation, "clamp_orientation")
-        if orientation.shape != (4,):
-            raise ValueError(f"clamp_orientation has shape {orientation.shape}; allowed is (4,)")
+            if given not in get_args(kind):
+                raise ValueError(f"{name} = {given!r}; allowed are {' and '.join(get_args(kind))}")
+        turn = unit_quaternions(clamp_orientation, "clamp_orientation")
         point = finite_array(wrench_point, "wrench_point", last=3, ndim=1)
-        checked: dict[str, Any] = {
+        fields = vars(self)
+        fields |= {
             "clamp_position": finite_array(clamp_position, "clamp_position", last=3, ndim=1),
-            "clamp_orientation": orientation,
+            "clamp_orientation": finite_array(turn, "clamp_orientation", ndim=1),
             "wrench": wrench,
             "wrench_frame": wrench_frame,
             "wrench_point": tuple(point.tolist()),
             "mount": mount,
         }
-        parts: tuple[Any, ...] = (
-            noise or Noise(),
-            response or Response(),
-            tare_policy or TarePolicy(),
-        )
-        for (name, kind), part in zip(_PARTS.items(), parts, strict=True):
+        for (name, kind), part in zip(_PARTS.items(), (noise, response, tare_policy), strict=True):
             own = {key: figures.pop(key) for key in kind.__dataclass_fields__ if key in figures}
-            checked[name] = replace(part, **own)
+            fields[name] = replace(part, **own)
         if figures:
             raise TypeError(
                 f"Sensor has no {', '.join(figures)}; allowed are its attributes and the fields of "
                 "Noise, Response and TarePolicy"
             )
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
         """A figure by its own name: `sensor.force_noise` is `sensor.noise.force_noise`."""
@@ -158,16 +157,14 @@ class Sensor:
         """
         return self.noise.variance
 
-    def coloured(self, time: Times) -> list[Coloured]:
-        """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the
-        channels; those that the sensor has.
-        """
-        return self.noise.coloured(time)
-
     @property
-    def estimates_mount(self) -> bool:
-        """Whether mass and centre of the mount are to be found from rest."""
-        return self.mount is not None and self.mount.estimated
+    def estimates(self) -> tuple[str, ...]:
+        """What is to be found from rest besides an offset, by its keys in the setup."""
+        wanted = {
+            "estimate_drift": self.tare_policy.estimate_drift,
+            "mount.estimated": self.mount is not None and self.mount.estimated,
+        }
+        return tuple(key for key, value in wanted.items() if value)
 
     def updated(self, **changes: Any) -> "Sensor":
         """Return the sensor with other attributes or figures, by their own names."""
@@ -176,6 +173,35 @@ class Sensor:
     def without_estimates(self) -> "Sensor":
         """Return the same sensor with an offset alone to be found from rest."""
         return self.updated(estimate_drift=False, mount=None)
+
+    def frame(self, clamp: Trail) -> Trail:
+        """Poses of the sensor frame (…, n) that go with these of the clamp."""
+        turn = multiplied(clamp.orientation, inverse(self.clamp_orientation))
+        return Trail(clamp.position - rotation_matrices(turn) @ self.clamp_position, turn)
+
+    def to_reactions(self, orientation: Quaternions) -> Covariances:
+        """Matrices (n, 6, 6) from readings to reactions: gain and cross-talk undone, turned to
+        world axes, carried to the clamp, with the support reaction's sign.
+        """
+        axes = rotation_matrices(orientation)
+        both = np.kron(np.eye(2), axes)
+        turn = both @ np.linalg.inv(self.response.matrix)
+        if self.wrench_frame == "world":
+            turn = turn @ np.swapaxes(both, 1, 2)
+        # (f, τ) about a point is (f, τ − arm × f) about the point farther by the arm.
+        turn[:, 3:] -= cross_matrices(axes @ self.arm) @ turn[:, :3]
+        return self.sign * turn
+
+    def to_readings(self, orientation: Quaternions) -> Covariances:
+        """Matrices (n, 6, 6) from reactions to readings: the inverse of `to_reactions`."""
+        return np.linalg.inv(self.to_reactions(orientation))
+
+    def weight_readings(self, orientation: Quaternions) -> Float[np.ndarray, "n 6 4"]:
+        """Matrices that take `Mount.moments` to what the sensor shows of the mount's weight."""
+        axes = rotation_matrices(orientation)
+        weight = (self.mount or Mount()).weight(axes, self.clamp_position)
+        # As a contact would, the weight loads the sensor: reactions are what holds it.
+        return -self.to_readings(orientation) @ np.kron(np.eye(2), axes) @ weight
 
     def tare(self, raw: RawRecording) -> Tare:
         """What the sensor shows without contact: from rest that is given or found
@@ -186,22 +212,6 @@ class Sensor:
         ValueError
             If rest that is given does not fit the recording, or none can be found.
         """
-        policy = self.tare_policy
-        if not policy.rest_intervals and policy.tare_seconds is not None:
-            count = int(np.count_nonzero(raw.time - raw.time[0] < policy.tare_seconds))
-            if policy.tare_seconds == 0:
-                if policy.estimate_drift or self.estimates_mount:
-                    what = "estimate_drift" if policy.estimate_drift else "mount.estimated"
-                    raise ValueError(
-                        f"{what} = True with tare_seconds = 0; allowed are rest_intervals, a "
-                        "tare_seconds greater than 0, or none to find the rest"
-                    )
-                return no_tare(self, raw.time)
-            if count < 2 or count >= len(raw.time):
-                raise ValueError(
-                    f"tare_seconds = {policy.tare_seconds}: {count} of {len(raw.time)} samples lie "
-                    "within it; allowed are at least 2, and fewer than all"
-                )
         return fitted_tare(self, raw, *rest_for_tare(self, raw))
 
     def reactions(
@@ -240,26 +250,26 @@ class Sensor:
             be found where none is given.
         """
         tare = self.tare(raw) if tare is None else tare
-        axes = rotation_matrices(raw.orientation)
-        maps = to_reactions(self, axes)
+        maps, noise = self.to_reactions(raw.orientation), self.noise
         load = raw.wrench - tare.readings(self, raw.time, raw.orientation)
         load = np.where(np.isnan(load).any(axis=1, keepdims=True), np.nan, load)
         wrench = np.einsum("nij,nj->ni", maps, load)
         if not (tolerances is None or isinstance(tolerances, SetupErrors)):
             tolerances = self.setup_errors(tolerances)
         errors: dict[str, Any] = {}
-        if self.noise.known:
+        if noise.known:
             readings = tare.covariance(self, raw.time, raw.orientation)
             errors["covariance"] = carried(maps, readings)
-            errors["position_covariance"] = np.eye(3) * self.noise.position_noise**2
-            if self.noise.orientation_noise:
-                errors["rotation_covariance"] = np.eye(3) * self.noise.orientation_noise**2
+            errors["position_covariance"] = np.eye(3) * noise.position_noise**2
+            if noise.orientation_noise:
+                errors["rotation_covariance"] = np.eye(3) * noise.orientation_noise**2
                 errors["rotation_center"] = raw.position
+        clamp = Trail(
+            raw.position + rotation_matrices(raw.orientation) @ self.clamp_position,
+            multiplied(raw.orientation, self.clamp_orientation),
+        )
         return Reactions(
-            Trail(
-                raw.position + axes @ self.clamp_position,
-                multiplied(raw.orientation, self.clamp_orientation),
-            ),
+            clamp,
             wrench[:, :3],
             wrench[:, 3:],
             time=raw.time,
@@ -275,6 +285,18 @@ class Sensor:
         return SetupErrors(
             covariance, self.clamp_orientation, self.arm, self.wrench_frame == "world"
         )
+
+    def filtered_readings(self, reactions: Reactions, orientation: Quaternions) -> Wrenches:
+        """Readings (n, 6) of reactions and of the mount's weight at these orientations of the
+        sensor, with cross-talk, behind the low-pass filter, without noise.
+        """
+        wrench = np.concatenate([reactions.force, reactions.moment], axis=1)
+        shown = np.einsum("nij,nj->ni", self.to_readings(orientation), wrench)
+        if self.mount is not None:
+            shown = shown + self.weight_readings(orientation) @ self.mount.moments
+        if self.response.low_pass is not None and reactions.time is not None:
+            shown = self.response.low_pass.applied(reactions.time, shown)
+        return shown
 
     def measure(
         self,
@@ -306,18 +328,37 @@ class Sensor:
         ValueError
             If the reactions are of several trails, or have no time.
         """
-        if reactions.time is None or reactions.force.ndim != 2:
+        time, noise = reactions.time, self.noise
+        if time is None or reactions.force.ndim != 2:
             raise ValueError(
                 f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …) with time"
             )
-        orientation = multiplied(reactions.trail.orientation, inverse(self.clamp_orientation))
-        position = reactions.trail.position - rotation_matrices(orientation) @ self.clamp_position
-        offsets = (("force_tare", force_tare), ("torque_tare", torque_tare))
-        tare = np.concatenate([finite_array(part, name, last=3, ndim=1) for name, part in offsets])
-        return logged(self, reactions, position, orientation, tare, rng)
-
-
-_PARTS: dict[str, Any] = {"noise": Noise, "response": Response, "tare_policy": TarePolicy}
+        tare = np.concatenate(
+            [
+                finite_array(force_tare, "force_tare", last=3, ndim=1),
+                finite_array(torque_tare, "torque_tare", last=3, ndim=1),
+            ]
+        )
+        pose = self.frame(reactions.trail)
+        orientation = pose.orientation
+        shown = self.filtered_readings(reactions, orientation)
+        position = rng.normal(pose.position, noise.position_noise)
+        read = shown + tare + (time - time[0])[:, None] * self.tare_policy.drift
+        if noise.known:
+            read += np.hstack(rng.normal(size=(2, len(time), 3))) * noise.white
+        for process, scale in noise.coloured(time):
+            read += scale * process.sampled(time, rng, 6)
+        if noise.orientation_noise:
+            turn = Rotation.from_rotvec(rng.normal(0.0, noise.orientation_noise, (len(time), 3)))
+            orientation = (turn * Rotation.from_quat(orientation)).as_quat()
+            if self.wrench_frame == "world":
+                # World axes are those of the robot, which turns the wrench by the orientation that
+                # it logs.
+                read += np.hstack([turn.apply(part) for part in np.split(shown, 2, axis=1)]) - shown
+        limits = self.response.limits(noise.resolution)
+        steps = np.maximum(noise.resolution, NO_STEP)
+        read = np.round(np.clip(read, -limits, limits) / steps) * steps
+        return RawRecording(time, position, orientation, read[:, :3], read[:, 3:])
 
 
 def carried(
@@ -326,6 +367,6 @@ def carried(
     """Covariance of readings taken to that of reactions, one for all rows where they agree."""
     carried = maps @ covariance @ np.swapaxes(maps, 1, 2)
     carried = (carried + np.swapaxes(carried, 1, 2)) / 2
-    size = np.sqrt(np.einsum("nii->ni", np.abs(carried)))
-    same = np.all(np.abs(carried - carried[0]) <= _SAME * size[0][:, None] * size[0])
-    return np.asarray(carried[0] if same else carried)
+    size = np.sqrt(np.diag(carried[0]))
+    same = np.all(np.abs(carried - carried[0]) <= _SAME * np.outer(size, size))
+    return carried[0] if same else carried

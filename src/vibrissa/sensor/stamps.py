@@ -1,10 +1,12 @@
 """Faults of the clock: gaps, duplicates, stamps that run backwards, other units than seconds."""
 
+from collections.abc import Iterator
+from functools import partial
+
 import numpy as np
 
 from vibrissa.sensor.deviations import MEDIAN_TO_DEVIATION
-from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.raw import RawRecording, Rows, Times, runs
+from vibrissa.sensor.raw import Fault, FaultKind, RawRecording, Rows, Times
 
 # Of the median step: half a sample more than usual is a lost one.
 _GAP = 1.5
@@ -27,7 +29,7 @@ def rounded_stamps(raw: RawRecording) -> bool:
     return bool(going > max(_MANY * len(raw.time), 2.0 * standing))
 
 
-def stamp_faults(time: Times, *, rounded: bool = False) -> list[Fault]:
+def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
     """Gaps, duplicate stamps, backward ones, and rates that no sensor has.
 
     A gap is a step of more than 1.5 median ones, and of more than six deviations of the steps above
@@ -35,54 +37,53 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> list[Fault]:
     come in bursts, and that is one finding; so are stamps that are rounded.
     """
     stamps = time[np.isfinite(time)]
-    if len(stamps) < 2:
-        return []
     steps = np.diff(stamps)
+    backward = partial(Fault.over, FaultKind.BACKWARD, _TIME, unusable=True)
     if not np.any(steps > 0):
-        text = "no stamp is later than the one before; allowed are increasing stamps"
-        kind = FaultKind.BACKWARD
-        return [Fault.over(kind, _TIME, stamps, text, len(steps), unusable=True)]
+        if len(steps):
+            text = "no stamp is later than the one before; allowed are increasing stamps"
+            yield backward(stamps, text, len(steps))
+        return
     usual = float(np.median(steps[steps > 0]))
-    late = np.concatenate([[False], stamps[1:] <= np.maximum.accumulate(stamps)[:-1]])
+    late = np.append(False, stamps[1:] <= np.maximum.accumulate(stamps)[:-1])
     equal = late & np.isin(stamps, stamps[~late])
-    faults = _gaps(np.unique(stamps), usual)
+    yield from _gaps(np.unique(stamps), usual)
     if rounded:
-        count = int(np.count_nonzero(equal))
+        count = np.count_nonzero(equal)
         text = (
             f"{count} of {len(stamps)} rows repeat an earlier stamp while the readings change: the "
             f"stamps are rounded to {usual:.4g} s; they are spread evenly"
         )
-        faults.append(Fault.over(FaultKind.DUPLICATE, _TIME, stamps, text, count))
-    for start, stop in runs(equal & (not rounded)):
-        text = f"{stop - start} rows repeat an earlier stamp"
-        faults.append(Fault.over(FaultKind.DUPLICATE, _TIME, stamps[start:stop], text))
+        yield Fault.over(FaultKind.DUPLICATE, _TIME, stamps, text, count)
+    else:
+        what = "repeat an earlier stamp"
+        yield from Fault.each(FaultKind.DUPLICATE, _TIME, equal, stamps, what)
     falling = np.flatnonzero(steps < 0)
     if falling.size:
         before, after = stamps[falling[0]], stamps[falling[0] + 1]
-        count = int(np.count_nonzero(late & ~equal)) or len(falling)
+        count = np.count_nonzero(late & ~equal) or len(falling)
         text = f"time = {after} after {before} ({len(falling)} such); allowed are increasing times"
-        pair = (after, before)
-        faults.append(Fault.over(FaultKind.BACKWARD, _TIME, pair, text, count, unusable=True))
+        yield backward((after, before), text, count)
     if not _SLOWEST <= 1 / usual <= _FASTEST:
         guess = " (milliseconds, microseconds or nanoseconds?)" if usual > 1 else ""
         text = (
             f"{1 / usual:.3g} samples a second, which no sensor sends{guess}; allowed are seconds"
         )
-        faults.append(Fault.over(FaultKind.UNITS, _TIME, stamps, text, len(time)))
-    return faults
+        yield Fault.over(FaultKind.UNITS, _TIME, stamps, text, len(time))
 
 
-def _gaps(stamps: Times, usual: float) -> list[Fault]:
+def _gaps(stamps: Times, usual: float) -> Iterator[Fault]:
     steps = np.diff(stamps)
-    jitter = float(np.median(np.abs(steps - np.median(steps)))) / MEDIAN_TO_DEVIATION
+    jitter = np.median(np.abs(steps - np.median(steps))) / MEDIAN_TO_DEVIATION
     long = np.flatnonzero(steps > max(_GAP * usual, usual + _DEVIATIONS * jitter))
+    gap = partial(Fault.over, FaultKind.GAP, _TIME)
     if len(long) > max(_FEW, _MANY * len(steps)):
         text = (
             f"{len(long)} of {len(steps)} steps are longer than {_GAP} times the median step of "
             f"{usual:.4g} s: the stamps come in bursts, as when samples are stamped on arrival"
         )
-        return [Fault.over(FaultKind.GAP, _TIME, stamps, text, len(long))]
-    faults = []
+        yield gap(stamps, text, len(long))
+        return
     for row in long:
         relative = steps[row] / usual
         missing = max(1, round(relative) - 1)
@@ -90,8 +91,7 @@ def _gaps(stamps: Times, usual: float) -> list[Fault]:
             f"{missing} samples missing: a step of {steps[row]:.4g} s, {relative:.3g} times the "
             "usual"
         )
-        faults.append(Fault.over(FaultKind.GAP, _TIME, stamps[row : row + 2], text, missing))
-    return faults
+        yield gap(stamps[row : row + 2], text, missing)
 
 
 def increasing_stamps(time: Times, *, rounded: bool = False) -> tuple[Times, Rows]:
@@ -103,19 +103,14 @@ def increasing_stamps(time: Times, *, rounded: bool = False) -> tuple[Times, Row
     rows, moved = np.arange(len(time)), ~np.isfinite(time)
     fixed = np.interp(rows, rows[~moved], time[~moved])
     if rounded and np.all(np.diff(fixed) >= 0):
-        fixed = _spread(fixed)
+        values, first, count = np.unique(fixed, return_index=True, return_counts=True)
+        steps = np.diff(values)
+        usual = np.median(steps) if len(steps) else 1.0
+        # A stamp is not spread over a gap behind it.
+        steps = np.minimum(np.append(steps, usual), usual)
+        fixed += np.repeat(steps / count, count) * (rows - np.repeat(first, count))
     if np.any(np.diff(fixed) <= 0):
         for row in rows[1:]:
             if fixed[row] <= fixed[row - 1]:
                 fixed[row], moved[row] = np.nextafter(fixed[row - 1], np.inf), True
     return fixed, moved
-
-
-def _spread(stamps: Times) -> Times:
-    values, first, count = np.unique(stamps, return_index=True, return_counts=True)
-    steps = np.diff(values)
-    usual = np.median(steps) if len(steps) else 1.0
-    # A stamp is not spread over a gap behind it.
-    steps = np.minimum(np.append(steps, usual), usual)
-    within = np.arange(len(stamps)) - np.repeat(first, count)
-    return stamps + np.repeat(steps / count, count) * within

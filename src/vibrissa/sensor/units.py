@@ -1,40 +1,42 @@
-"""Unit mistakes: numbers that cannot be in metres, newtons and newton metres, or poses that cannot
-be unit quaternions x, y, z, w.
+"""What the readings contradict of a setup: units, sign of the wrench, clamp and reference point;
+and poses that cannot be in metres and unit quaternions x, y, z, w.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.constants import g, inch, kgf, lbf
 
+from vibrissa.geometry.rotation import rotation_vectors, third_axis
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor.faults import Fault, FaultKind
-from vibrissa.sensor.mounting import loaded_rows
-from vibrissa.sensor.raw import CHANNELS, RawRecording
+from vibrissa.sensor.raw import CHANNELS, Fault, FaultKind, RawRecording, Rows
+from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.tare import Tare, fitted_tare
-
-if TYPE_CHECKING:
-    from vibrissa.sensor.sensor import Sensor
 
 # Logs of nine decimals keep a norm to 1e-8, those of four to 1e-4.
 _QUATERNION_TOLERANCE = 1e-3
 # In rod lengths: 10 m of a wire of 50 mm. In millimetres a sweep of a fifth of a length is as much.
 _LONGEST_SWEEP = 200.0
-# Samples: a shorter touch says too little of units.
+# Forces of so many times the one at the start, at rest, are loads; a median needs some of them.
+_LOADED, _LEAST_LOAD = 20.0, 1e-12
 _FEWEST_LOADED = 10
 # Lever arms in rod lengths and forces in EI/L²: a contact lies within one length of the clamp, and
 # forces of the order of EI/L² bend a rod visibly. Units are mistaken by factors of ten and more, so
 # that the first bounds, which refuse, leave two decades, and the second, which guess, one.
-_POSSIBLE_ARM, _POSSIBLE_FORCE = (1e-2, 5.0), (2e-3, 500.0)
-_LIKELY_ARM, _LIKELY_FORCE = (0.1, 1.15), (5e-3, 100.0)
+_POSSIBLE = (1e-2, 5.0), (2e-3, 500.0)
+_LIKELY = (0.1, 1.15), (5e-3, 100.0)
 # Noise at rest may be stated wrongly by this factor.
 _LIKELY_NOISE = 5.0
-_FORCES, _TORQUES = CHANNELS[:3], CHANNELS[3:]
+# Of the largest work, and of what the forces could do at most: less may be friction or noise. Of
+# the loaded rows: with more of them lost, so is a part of the work.
+_NEGATIVE, _NOTICEABLE, _LOST = 0.5, 0.02, 0.02
+# Rod lengths from the clamp, at all and along its axis: a contact lies nearer.
+_FURTHEST = 1.1
+_BEHIND, _FAR = -0.1, 0.3
 
 
 class Reading(NamedTuple):
@@ -42,79 +44,69 @@ class Reading(NamedTuple):
 
     words: str
     raw: RawRecording
-    sensor: Any
-    """The `Sensor`."""
+    sensor: Sensor
     rod: Rod
     channels: tuple[str, ...] = CHANNELS
 
     def reactions(self, tare: Tare) -> Reactions | None:
         """Reactions, its tare taken in the same intervals; None where these hold no tare."""
         try:
-            again = (
-                fitted_tare(self.sensor, self.raw, tare.intervals, tare.found)
-                if tare.intervals
-                else tare
-            )
+            again = fitted_tare(self.sensor, self.raw, tare.intervals, tare.found)
         except ValueError:
             return None
         return self.sensor.reactions(self.raw, again)
 
-    def is_plausible(self, tare: Tare, stated: "Sensor", noise: float) -> bool:
+    def is_plausible(self, tare: Tare, stated: Sensor, noise: float) -> bool:
         """Whether a contact on the rod explains the loads, and the stated noise the readings at
         rest, to a factor of `noise`: lever arm and force are of the rod's length and stiffness.
         """
         reactions = self.reactions(tare)
         load = None if reactions is None else arm_and_force(reactions, self.rod)
-        if load is None or not (_inside(load[0], _LIKELY_ARM) and _inside(load[1], _LIKELY_FORCE)):
+        if load is None or not _within(load, _LIKELY):
             return False
-        if stated.force_noise is None or not tare.intervals:
+        if not (stated.noise.known and tare.intervals):
             return True
-        start, stop = tare.intervals[0]
-        wrench = self.raw.wrench[(self.raw.time >= start) & (self.raw.time < stop)]
+        wrench = self.raw.wrench[self.raw.during(tare.intervals[0])]
         wrench = wrench[np.isfinite(wrench).all(axis=1)]
-        ratio = np.std(wrench, axis=0) / np.sqrt(stated.reading_variance)
+        ratio = np.std(wrench, axis=0) / np.sqrt(stated.noise.variance)
         # A channel without any noise is of a simulation, in any unit.
         return bool(np.all((ratio == 0) | (ratio > 1 / noise) & (ratio < noise)))
 
 
-def _inside(value: float, limits: tuple[float, float]) -> bool:
-    return limits[0] < value < limits[1]
+def _within(values: tuple[float, ...], limits: tuple[tuple[float, float], ...]) -> bool:
+    return all(low < value < high for value, (low, high) in zip(values, limits, strict=False))
 
 
-def pose_unit_faults(raw: RawRecording, rod: Rod) -> list[Fault]:
+def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
     """Positions in millimetres, orientations that are no unit quaternions, and quaternions that may
     have been written w first.
     """
-    faults = []
-    stamps = raw.time[np.isfinite(raw.time)]
-    span = (float(stamps[0]), float(stamps[-1]), len(raw.time))
+    stamps, count = raw.time[np.isfinite(raw.time)], len(raw.time)
     position = raw.position[np.isfinite(raw.position).all(axis=1)]
-    extent = float(np.ptp(position, axis=0).max(initial=0.0)) if len(position) else 0.0
+    extent = np.ptp(position, axis=0).max() if len(position) else 0.0
     if extent > _LONGEST_SWEEP * rod.length:
         text = (
             f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
         )
-        faults.append(Fault(FaultKind.UNITS, ("position",), *span, text, unusable=True))
-    known = np.isfinite(raw.orientation).all(axis=1) & np.isfinite(raw.time)
-    orientation = raw.orientation[known]
-    wrong = wrong_norms(orientation)
-    turned = partial(Fault, FaultKind.UNITS, ("orientation",))
+        yield Fault.over(FaultKind.UNITS, ("position",), stamps, text, count, unusable=True)
+    wrong = wrong_norms(raw.orientation) & np.isfinite(raw.time)
+    along_x = raw.orientation[:, 0]
+    turned = partial(Fault.over, FaultKind.UNITS, ("orientation",))
     if wrong.any():
-        first, count, time = orientation[wrong][0], int(wrong.sum()), raw.time[known][wrong]
+        first = raw.orientation[wrong][0]
         norm = np.linalg.norm(first)
         guess = ", as of angles in degrees" if norm > 2 else ""
         text = (
-            f"qx,qy,qz,qw = {first.tolist()} has the norm {norm:.3g} ({count} such){guess}; "
+            f"qx,qy,qz,qw = {first.tolist()} has the norm {norm:.3g} ({wrong.sum()} such){guess}; "
             "allowed is 1"
         )
-        faults.append(turned(float(time[0]), float(time[-1]), count, text, unusable=True))
-    elif len(orientation) and np.all(orientation[:, 0] == 1):
+        yield turned(raw.time[wrong], text, unusable=True)
+    elif np.all((along_x == 1) | np.isnan(along_x)):
         text = (
             "qx = 1 throughout: half a turn about x, or quaternions written w first; "
             "allowed are x, y, z, w"
         )
-        faults.append(turned(*span, text, quiet=True))
-    return faults
+        yield turned(stamps, text, count, quiet=True)
 
 
 def wrong_norms(orientation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n"]:
@@ -124,14 +116,14 @@ def wrong_norms(orientation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n"]:
 
 
 def wrench_unit_faults(
-    raw: RawRecording, reactions: Reactions, rod: Rod, sensor: "Sensor", tare: Tare
-) -> list[Fault]:
+    raw: RawRecording, reactions: Reactions, rod: Rod, sensor: Sensor, tare: Tare
+) -> Iterator[Fault]:
     """Tell millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever
     arm is of its length, and the force of its stiffness.
     """
     load = arm_and_force(reactions, rod)
-    if load is None or (_inside(load[0], _POSSIBLE_ARM) and _inside(load[1], _POSSIBLE_FORCE)):
-        return []
+    if load is None or _within(load, _POSSIBLE):
+        return
     given = Reading("", raw, sensor, rod)
     likely = [
         reading
@@ -143,26 +135,28 @@ def wrench_unit_faults(
     what = "wrench, clamp_position or rod" if channels == CHANNELS else ",".join(channels)
     text = (
         f"force is {load[1]:.3g} EI/L² in the median of the loaded samples"
-        if _inside(load[0], _POSSIBLE_ARM)
+        if _within(load[:1], _POSSIBLE)
         else f"torque over force is {load[0]:.3g} rod lengths in the median"
     )
-    return [
-        Fault(
-            FaultKind.UNITS,
-            channels,
-            float(raw.time[0]),
-            float(raw.time[-1]),
-            int(np.count_nonzero(loaded_rows(reactions))),
-            f"{text}, so {what} are mis-scaled{guess}; allowed are N, N m, m and Pa",
-            unusable=True,
-        )
-    ]
+    text += f", so {what} are mis-scaled{guess}; allowed are N, N m, m and Pa"
+    count = np.count_nonzero(loaded_rows(reactions))
+    yield Fault.over(FaultKind.UNITS, channels, raw.time, text, count, unusable=True)
+
+
+def loaded_rows(reactions: Reactions) -> Rows:
+    """Rows of more than twenty times the force at the start; none with fewer than ten of them."""
+    force = np.linalg.norm(reactions.force, axis=-1)
+    start = force[np.isfinite(force)]
+    start = start[: max(2, len(start) // 50)]
+    rest = np.median(start) if len(start) else np.inf
+    loaded = force > max(_LOADED * rest, _LEAST_LOAD)
+    return loaded & (np.count_nonzero(loaded) >= _FEWEST_LOADED)
 
 
 def arm_and_force(reactions: Reactions, rod: Rod) -> tuple[float, float] | None:
     """Medians over the loaded samples, in rod lengths and in EI/L²; None with too few of them."""
     loaded = loaded_rows(reactions)
-    if np.count_nonzero(loaded) < _FEWEST_LOADED:
+    if not loaded.any():
         return None
     force, moment = (
         np.linalg.norm(part[loaded], axis=1) for part in (reactions.force, reactions.moment)
@@ -170,20 +164,20 @@ def arm_and_force(reactions: Reactions, rod: Rod) -> tuple[float, float] | None:
     return float(np.median(moment / force)) / rod.length, float(np.median(force)) / rod.force_scale
 
 
-# Channels, the mistake in words, and the factors of forces and of torques that undo it.
+# Units that are taken for newtons and newton metres, alone and together.
 _WRENCHES = (
-    (_FORCES, "forces in mN", 1e-3, 1.0),
-    (_TORQUES, "torques in N mm", 1.0, 1e-3),
-    (CHANNELS, "forces in mN and torques in N mm", 1e-3, 1e-3),
-    (_TORQUES, "torques in N cm", 1.0, 1e-2),
-    (_FORCES, "forces in kgf", kgf, 1.0),
-    (_FORCES, "forces in gf", 1e-3 * g, 1.0),
-    (_FORCES, "forces in lbf", lbf, 1.0),
-    (CHANNELS, "forces in lbf and torques in lbf in", lbf, lbf * inch),
-    (CHANNELS, "forces in kgf and torques in kgf cm", kgf, 1e-2 * kgf),
-    (_FORCES, "forces in kN", 1e3, 1.0),
-    (_TORQUES, "torques in kN m", 1.0, 1e3),
-    (CHANNELS, "forces in kN and torques in kN m", 1e3, 1e3),
+    "forces in mN",
+    "torques in N mm",
+    "forces in mN and torques in N mm",
+    "torques in N cm",
+    "forces in kgf",
+    "forces in gf",
+    "forces in lbf",
+    "forces in lbf and torques in lbf in",
+    "forces in kgf and torques in kgf cm",
+    "forces in kN",
+    "torques in kN m",
+    "forces in kN and torques in kN m",
 )
 # The mistake in words, and the factors of length and of bending stiffness that undo it.
 _RODS = (
@@ -197,18 +191,89 @@ _RODS = (
 
 def _other_units(given: Reading) -> Iterator[Reading]:
     """Each known mistake undone."""
+    from pint import get_application_registry  # noqa: PLC0415, as it takes long to load
+
     raw, sensor, rod = given.raw, given.sensor, given.rod
-    for channels, words, force, torque in _WRENCHES:
+    unit = get_application_registry()
+    for words in _WRENCHES:
+        units = dict(part.split(" in ", 1) for part in words.split(" and "))
+        force, torque = (
+            unit.Quantity(1.0, units.get(kind, "")).to_base_units().magnitude
+            for kind in ("forces", "torques")
+        )
+        channels = CHANNELS[:3] * ("forces" in units) + CHANNELS[3:] * ("torques" in units)
         scaled = replace(raw, force=force * raw.force, torque=torque * raw.torque)
         yield given._replace(words=words, raw=scaled, channels=channels)
     swapped = replace(raw, force=raw.torque, torque=raw.force)
     yield given._replace(words="forces and torques swapped", raw=swapped)
-    clamp, point = 1e-3 * sensor.clamp_position, tuple(1e-3 * x for x in sensor.wrench_point)
-    nearer = replace(sensor, clamp_position=clamp)
-    yield given._replace(words="clamp_position in mm", sensor=nearer)
-    yield given._replace(words="wrench_point in mm", sensor=replace(sensor, wrench_point=point))
+    for name in ("clamp_position", "wrench_point"):
+        nearer = sensor.updated(**{name: 1e-3 * np.asarray(getattr(sensor, name))})
+        yield given._replace(words=f"{name} in mm", sensor=nearer)
     for words, length, stiffness in _RODS:
         other = replace(
             rod, length=length * rod.length, bending_stiffness=stiffness * rod.bending_stiffness
         )
         yield given._replace(words=words, rod=other)
+
+
+def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
+    """What only a wrong sign, clamp or reference point explains.
+
+    The clamp's work on a rod that is free at first is its bending energy and what friction took,
+    never negative, and contacts push the rod into its clamp: both are the other way round where the
+    wrench has the other sign. The line of the contact force passes the clamp within the rod's
+    length, on the side to which the rod leaves.
+    """
+    loaded = loaded_rows(reactions)
+    if not loaded.any() or reactions.time is None:
+        return
+    force, moment = reactions.force[loaded], reactions.moment[loaded]
+    axis = third_axis(reactions.trail.orientation[loaded])
+    # Points on the lines of the contact forces that are next to the clamp, seen from it.
+    points = np.cross(force, moment) / np.sum(force**2, axis=1, keepdims=True)
+    push = np.median(np.sum(force * axis, axis=1))
+    away = np.median(np.linalg.norm(points, axis=1)) / rod.length
+    ahead = np.median(np.sum(points * axis, axis=1)) / rod.length
+    work, most = _work(reactions, loaded)
+    found = partial(Fault.over, FaultKind.MOUNT, CHANNELS, reactions.time[loaded])
+    if push < 0 and -work > _NOTICEABLE * most:
+        yield found(
+            f"the rod is pulled from its clamp and does work on it, {1e3 * work:.3g} mJ, where one "
+            "that is pushed takes up work: this fits a wrench of the other sign; check wrench in "
+            "[sensor]"
+        )
+    if away > _FURTHEST:
+        yield found(
+            f"the contact forces act along lines {away:.3g} rod lengths from the clamp in the "
+            "median, where no rod is: check clamp_position, wrench_point and length"
+        )
+    elif ahead < _BEHIND and away > _FAR:
+        yield found(
+            f"the contact forces act {-ahead:.3g} rod lengths behind the clamp in the median, "
+            "but the rod leaves to the other side: check clamp_orientation, whose +z it follows"
+        )
+
+
+def _work(reactions: Reactions, loaded: Rows) -> tuple[float, float]:
+    """Lowest of the clamp's work since the first load [J], 0 unless it is most of all that comes
+    up, and the work that the forces could do along the whole way.
+
+    Nothing is told of a recording that begins under load, or of whose load a part is missing.
+    """
+    wrench = np.hstack([reactions.force, reactions.moment])
+    finite, rows = np.isfinite(wrench).all(axis=1), np.flatnonzero(loaded)
+    known, within = np.flatnonzero(finite), finite[rows[0] : rows[-1] + 1]
+    if known[0] == rows[0] or np.count_nonzero(~within) > _LOST * len(rows):
+        return 0.0, 0.0
+    wrench, trail = wrench[known], reactions.trail
+    turn = rotation_vectors(trail.orientation[known[:-1]], trail.orientation[known[1:]])
+    path = np.hstack([np.diff(trail.position[known], axis=0), turn])
+    either = loaded[known][1:] | loaded[known][:-1]
+    steps = np.sum((wrench[1:] + wrench[:-1]) / 2 * path, axis=1)
+    loads, ways = (
+        np.linalg.norm(part[either].reshape(-1, 2, 3), axis=2) for part in (wrench[1:], path)
+    )
+    work = np.cumsum(np.where(either, steps, 0.0))
+    lowest = work.min()
+    clear = -lowest > _NEGATIVE * np.abs(work).max()
+    return lowest if clear else 0.0, float(np.sum(loads * ways))

@@ -109,7 +109,8 @@ class CausalSmoother:
     intensities
         (5,) as `Smoothing.intensities`, in place of those that follow from the speed.
     friction
-        0 where there is known to be none: k² = ½ is then used in tangential contact.
+        Coulomb's coefficient between rod and object: 0 for none, None where it is not known.
+        Where it is 0, tangential contacts are square to their force.
     false_alarm
         Share of samples without contact that may be taken for contact: the mean of five samples has
         to pass the chi-square test at that level, the drift of the zero and its error taken into

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.inverse.parameters import changes_of_rows, rig_of, velocities_of
+from vibrissa.inverse.parameters import changes_of_rows, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import sensitivities, with_shared
 from vibrissa.inverse.smoothing.fit import TARED
@@ -110,8 +110,9 @@ def _sensitivity(found: Reconstruction, fit: Fit) -> Float[np.ndarray, "n 6 para
     readings, lengths in units of the rod's.
     """
     series, value, slope = fit.series, fit.linear.value, fit.linear.slope
-    rig, velocity = rig_of(found.rod, found.reactions), velocities_of(found.rod, found.reactions)
-    seen = changes_of_rows(value.wrench, value.reach, value.direction, velocity, rig)
+    rig = prepared(found.rod, found.reactions.setup_errors).rig
+    velocity = velocities_of(found.rod, found.reactions)
+    seen = changes_of_rows(rig, value.wrench, value.reach, value.direction, velocity)
     touching = (fit.labels.phase != FREE)[:, None, None]
     # A larger wrench for the same contact makes of the same readings a smaller one; samples of
     # which there is no rod are not seen.

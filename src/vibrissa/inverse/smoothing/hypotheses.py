@@ -206,7 +206,7 @@ def _mixture(
 
 def _changes(linear: Linear, velocity: Array, settings: Settings) -> Changes:
     value = linear.value
-    return changes(value.wrench, value.reach, value.direction, velocity, settings.rig)
+    return changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
 
 
 def _located(

@@ -50,7 +50,9 @@ def live(
     ] = 5.0,
     friction: Annotated[
         float | None,
-        typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals."),
+        typer.Option(
+            "--friction", help="Coulomb's coefficient: 0 for none; left out where it is not known."
+        ),
     ] = None,
     smooth: Annotated[
         bool,

@@ -37,7 +37,9 @@ def reconstruct(
     ] = None,
     friction: Annotated[
         float | None,
-        typer.Option("--friction", help="Coulomb's coefficient, if known: bounds the normals."),
+        typer.Option(
+            "--friction", help="Coulomb's coefficient: 0 for none; left out where it is not known."
+        ),
     ] = None,
     smooth: Annotated[
         bool,

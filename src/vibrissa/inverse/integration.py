@@ -69,11 +69,15 @@ def _integrated(
         return float(y[6:] @ bend)
 
     straightens.terminal, straightens.direction = True, -1  # type: ignore[attr-defined]
-    start, accuracy = (
+    path = solve_ivp(
+        rod,
+        (0, _LONGEST),
         np.concatenate([np.zeros(3), t0, bend]),
-        {"rtol": tolerance, "atol": tolerance},
+        method="DOP853",
+        events=straightens,
+        rtol=tolerance,
+        atol=tolerance,
     )
-    path = solve_ivp(rod, (0, _LONGEST), start, method="DOP853", events=straightens, **accuracy)
     if not path.t_events[0].size:
         return np.full(3, np.nan), np.nan
     return path.y_events[0][0][:3], float(path.t_events[0][0])

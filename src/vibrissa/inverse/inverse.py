@@ -30,8 +30,8 @@ def towards(
     """
     spread = covariance @ slope
     variance = slope @ spread
-    multiplier = (value + slope @ (start - at)) / variance
-    return start - spread * multiplier, multiplier * jnp.sqrt(variance)
+    missing = value + slope @ (start - at)
+    return start - spread * missing / variance, missing / jnp.sqrt(variance)
 
 
 def single_contact(

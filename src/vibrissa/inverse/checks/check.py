@@ -60,10 +60,11 @@ def checked(found: Reconstruction) -> Reconstruction:
     """The same contacts with what they say against the setup: `setup_check`, `warnings` (each also
     a `RecordingWarning`), and statuses as by `with_contradictions`.
     """
-    said, by_work, still, moves = check_setup(found), [], [], False
+    said, moves, by_work = check_setup(found), False, dict[str, None]()
+    still: list[str] = []
     if found.reactions.time is not None:
         trails = [found] if found.kind.ndim == 1 else [found[j] for j in range(len(found.kind))]
-        by_work = list(dict.fromkeys(line for trail in trails for line in work_warnings(trail)))
+        by_work = dict.fromkeys(line for trail in trails for line in work_warnings(trail))
         if len(trails) == 1:
             still, moves = still_warnings(trails[0])
     lines = [*said.warnings, *by_work, *still]

@@ -47,9 +47,9 @@ def unit_of(rod: Rod, name: str) -> tuple[str, float]:
     """Unit of a cause's numbers, and what takes them there from model units."""
     kind, _, channel = name.partition("_")
     if kind in ("drift", "zero"):
-        quantity = "force" if channel.startswith("f") else "moment"
-        scale = rod.force_scale if quantity == "force" else rod.moment_scale
-        return rod.unit_of(quantity) + "/s" * (kind == "drift"), scale
+        force = channel.startswith("f")
+        unit = rod.unit_of("force" if force else "moment") + "/s" * (kind == "drift")
+        return unit, rod.force_scale if force else rod.moment_scale
     length = rod.unit_of("length"), rod.length
     return {
         "length": length,

@@ -154,7 +154,7 @@ class Reconstruction:
     def __repr__(self) -> str:
         """Return a few lines: rows, contacts, statuses, noise and warnings."""
 
-        def counted(codes: Codes, of: type[ContactKind | Status]) -> str:
+        def counted(codes: Codes, of: Any) -> str:
             pairs = zip(*np.unique(codes, return_counts=True), strict=True)
             return ", ".join(f"{count} {of(code).name}" for code, count in pairs)
 

@@ -289,3 +289,32 @@ def test_elastic_line_without_contact_is_straight_and_its_arguments_are_checked(
         found.elastic_line((0, 0), 1)
     with pytest.raises(ValueError, match=r"index = 0; allowed is \(trail, i\)"):
         found.elastic_line(0)
+
+
+def test_contacts_are_the_rows_of_the_reconstruction() -> None:
+    reactions = reactions_of(RODS, UNIT)
+    noisy = vb.Reactions(
+        reactions.trail, reactions.force, reactions.moment, np.arange(4.0), 1e-8 * np.eye(6)
+    )
+    found = vb.reconstruct(UNIT, noisy, check=False)
+    for name in ("point", "normal", "covariance", "force_direction", "arc_length", "status"):
+        np.testing.assert_array_equal(getattr(found.contacts, name), getattr(found, name))
+    np.testing.assert_array_equal(found.contacts.time, noisy.time)
+    assert found.contacts.sweep is None
+    np.testing.assert_array_equal(found[1:].contacts.point, found.contacts[1:].point)
+    pair = vb.Reactions(
+        vb.Trail(np.zeros((2, 2, 3))),
+        noisy.force.reshape(2, 2, 3),
+        noisy.moment.reshape(2, 2, 3),
+    )
+    contacts = vb.reconstruct(UNIT, pair).contacts
+    np.testing.assert_array_equal(contacts.sweep, [[0, 0], [1, 1]])
+
+
+@pytest.mark.parametrize("friction", [None, 0.0, 0.25])
+def test_friction_is_remembered_and_does_not_move_contacts(friction: float | None) -> None:
+    reactions = reactions_of(RODS, UNIT)
+    found = vb.reconstruct(UNIT, reactions, friction=friction)
+    assert found.friction == found[:2].friction == friction
+    assert found.to_dataset().attrs.get("friction") == friction
+    np.testing.assert_array_equal(found.point, vb.reconstruct(UNIT, reactions).point)

@@ -106,7 +106,7 @@ def calibrate(
         Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as
         known before.
     friction
-        Coulomb's coefficient between rod and object; 0 for none. With friction each sample's
+        Coulomb's coefficient between rod and object: 0 for none. With friction each sample's
         tangential force is unknown, and only points and rod tell.
     tolerances
         Standard deviations of what the setup and the object state; by default those of the setup.

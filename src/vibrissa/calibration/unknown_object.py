@@ -21,8 +21,7 @@ from vibrissa.calibration.unknown_object_fit import Fit, directions_of, factor_o
 from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import reconstruct
-from vibrissa.inverse.checks.case import Case, Solution, case_of
-from vibrissa.inverse.checks.regression import Misfit
+from vibrissa.inverse.checks.case import Case, Misfit, Solution, case_of
 from vibrissa.inverse.checks.rig import GAIN, LENGTH, POSITION, ROTATION, STIFFNESS, Frame
 from vibrissa.inverse.checks.stretches import stretches_of
 from vibrissa.reactions import Reactions

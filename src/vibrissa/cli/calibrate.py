@@ -45,7 +45,7 @@ def calibrate(
         ),
     ] = None,
     friction: Annotated[
-        float, typer.Option("--friction", help="Coulomb's coefficient between rod and object.")
+        float, typer.Option("--friction", help="Coulomb's coefficient: 0 for none.")
     ] = 0.0,
     report: Annotated[
         Path | None,

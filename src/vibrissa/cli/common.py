@@ -45,7 +45,8 @@ def not_negative(param: TyperOption, value: float | None) -> float | None:
 Friction = Annotated[
     float | None,
     typer.Option(
-        help="Coulomb's coefficient, if known: bounds the normals.", callback=not_negative
+        help="Coulomb's coefficient: 0 for none; left out where it is not known.",
+        callback=not_negative,
     ),
 ]
 

@@ -170,16 +170,14 @@ def expected_error(
         setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
         time=np.stack([lane[3] for lane in lanes]).reshape(shape),
     )
-    found = reconstruct(rod, told, friction=friction or None, false_alarm=false_alarm, check=False)
+    found = reconstruct(rod, told, friction=friction, false_alarm=false_alarm, check=False)
     assert found.covariance is not None
     lag = np.zeros((*shape, 3))
     if sensor.low_pass is not None and speed is not None:
         late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
         shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
         lag = np.nan_to_num(
-            reconstruct(
-                rod, shifted, friction=friction or None, false_alarm=false_alarm, check=False
-            ).point
+            reconstruct(rod, shifted, friction=friction, false_alarm=false_alarm, check=False).point
             - found.point
         )
     saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)

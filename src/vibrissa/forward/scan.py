@@ -46,7 +46,7 @@ def scan(
         Clamp poses (n, …), or several trails (m, n, …), in units of the rod. The sweep runs in
         their order.
     friction
-        Coulomb's coefficient for the rod on the object. The default is the paper's, 0.
+        Coulomb's coefficient between rod and object: 0 for none, as in the paper.
     finite_radius
         Whether the rod's skin touches, at its radius from the centre line, which rounds edges and
         corners. The default is the paper's: the centre line touches, and the object must be smooth.

@@ -9,12 +9,10 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array, not_negative
-from vibrissa.inverse.parameters import rig_of
-from vibrissa.inverse.result import Reconstruction
+from vibrissa.inverse.parameters import prepared
+from vibrissa.inverse.result import Covariances, Reconstruction
 from vibrissa.inverse.shared import sensitivities
-
-_STIFFNESS, _LENGTH, _POSITION, _ROTATION = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 8)
-"""Of `vibrissa.tolerances.PARAMETERS`."""
+from vibrissa.reactions import turned_covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +33,12 @@ class ContactErrors:
         They carry errors from one contact to another.
     """
 
-    by_cause: dict[str, Float[np.ndarray, "*trail n 3 3"]]
+    by_cause: dict[str, Covariances]
     shared: tuple[str, ...]
     sensitivity: dict[str, Float[np.ndarray, "*trail n 3 k"]]
 
     @property
-    def total(self) -> Float[np.ndarray, "*trail n 3 3"]:
+    def total(self) -> Covariances:
         """(…, 3, 3), all causes together."""
         return np.asarray(sum(self.by_cause.values()))
 
@@ -100,47 +98,40 @@ def contact_errors(
             "found.covariance = None: errors by cause need the noise of the wrench; give the "
             "sensor force_noise and torque_noise"
         )
-    rod = found.rod
+    rod, reactions = found.rod, found.reactions
     stiffness = np.hypot(
         not_negative(youngs_modulus, "youngs_modulus"),
         not_negative(bending_stiffness, "bending_stiffness") / rod.bending_stiffness,
     )
-    own = found.reactions.pose_covariance(found.point)
-    floor = np.zeros((3, 3)) if own is None else own
-    robot = floor if pose is None else _covariance(pose, "pose")
-    slopes = sensitivities(found)[..., :3, :]
-    model = (
-        np.zeros((3, 3))
-        if found.smoothing is None
-        else np.eye(3) * (found.smoothing[0].model_error * rod.length) ** 2
+    by_stiffness, by_length, by_position, by_turn = np.split(
+        sensitivities(found)[..., :3, :8], [1, 2, 5], axis=-1
     )
-    reach = found.point - found.reactions.trail.position
-    arm = np.swapaxes(np.cross(np.eye(3), reach[..., None, :]), -1, -2)
+    turn = prepared(rod, reactions.setup_errors).rig.turn
     sensitivity = {
-        "bending_stiffness": slopes[..., _STIFFNESS] * rod.length,
-        "length": slopes[..., _LENGTH],
-        "clamp_position": slopes[..., _POSITION] @ rig_of(rod, found.reactions).turn.T,
-        "clamp_rotation": slopes[..., _ROTATION] * rod.length,
+        "bending_stiffness": by_stiffness * rod.length,
+        "length": by_length,
+        "clamp_position": by_position @ turn.T,
+        "clamp_rotation": by_turn * rod.length,
     }
-    spreads = {
-        "bending_stiffness": np.eye(1) * stiffness**2,
-        "length": np.eye(1) * not_negative(length, "length") ** 2,
-        "clamp_position": _covariance(clamp_position, "clamp_position"),
-        "clamp_rotation": _covariance(clamp_rotation, "clamp_rotation"),
-    }
-    nothing = np.where(found.in_contact[..., None, None], 0.0, np.nan)
-    by_cause = {
-        "wrench": found.covariance_noise - floor - model,
-        "pose": nothing
-        + robot
-        + not_negative(pose_rotation, "pose_rotation") ** 2 * arm @ np.swapaxes(arm, -1, -2),
-        **{
-            name: nothing + part @ spreads[name] @ np.swapaxes(part, -1, -2)
-            for name, part in sensitivity.items()
-        },
-    }
+    spreads = (
+        np.eye(1) * stiffness**2,
+        np.eye(1) * not_negative(length, "length") ** 2,
+        _covariance(clamp_position, "clamp_position"),
+        _covariance(clamp_rotation, "clamp_rotation"),
+    )
+    own, none = reactions.pose_covariance(found.point), np.zeros((3, 3))
+    floor = none if own is None else own
+    robot = floor if pose is None else _covariance(pose, "pose")
+    turning = np.eye(3) * not_negative(pose_rotation, "pose_rotation") ** 2
+    turned = turned_covariance(turning, found.point - reactions.trail.position)
+    model, nothing = none, np.where(found.in_contact[..., None, None], 0.0, np.nan)
+    by_cause = {"pose": nothing + robot + turned}
     if found.smoothing is not None:
+        model = np.eye(3) * (found.smoothing[0].model_error * rod.length) ** 2
         by_cause["model"] = nothing + model
+    by_cause["wrench"] = found.covariance_noise - floor - model
+    for (name, part), spread in zip(sensitivity.items(), spreads, strict=True):
+        by_cause[name] = nothing + part @ spread @ np.swapaxes(part, -1, -2)
     return ContactErrors(by_cause, tuple(sensitivity), sensitivity)
 
 

@@ -63,15 +63,10 @@ class Branch(NamedTuple):
     """Least singular value of the equations' derivative over the largest: 0 where the channels
     leave a direction open.
     """
-    incidence: Float[Array, ""]
-    energy: Float[Array, ""]
-    point: Float[Array, "3"]
-    """From the clamp, world axes, units of the rod."""
-    direction: Float[Array, "3"]
-    errors: Errors
-    deviation: Float[Array, ""]
-    chi_square: Float[Array, ""]
     bad: Bool[Array, ""]
+    found: Found
+    """As if unique and in contact; without χ² of the loads and errors where the noise is not known.
+    """
 
 
 def checked_channels(channels: Sequence[str]) -> tuple[str, ...]:
@@ -112,7 +107,7 @@ def found_by_channels(
         _solved(Problem(setting, selected, law), samples)
         for law in (_TIP_LAW, _NO_LAW if rough else _TANGENTIAL_LAW)
     )
-    tip_fits = (tip.residual < tolerance) & (rough | (tip.incidence < _SQUARE + slack))
+    tip_fits = (tip.residual < tolerance) & (rough | (tip.found.modulus < _SQUARE + slack))
     other_fits = (other.residual < tolerance) & (other.x[:, ARC_LENGTH] < 1 + slack)
     tip_unique = tip_fits & (tip.independence > _SINGULAR)
     other_unique = other_fits & (other.independence > _SINGULAR)
@@ -122,40 +117,29 @@ def found_by_channels(
     use_tip = tip_unique & ~use_other & (~other_fits | both)
     open_ended = rough & (other.independence <= _SINGULAR)
 
-    touching = tip.chi_square > (chdtri(selected.sum(), false_alarm) if known else _LEAST_LOAD**2)
-    status = np.select(
-        [
-            tip.bad,
-            ~touching | ((use_tip | use_other) & ~open_ended),
-            tip_fits | other_fits | open_ended,
-        ],
-        [Status.BAD_DATA, Status.OK, Status.NOT_UNIQUE],
-        Status.NO_CURVATURE_ZERO,
-    ).astype(np.int8)
+    load = tip.found.chi_square
+    touching = load > (chdtri(selected.sum(), false_alarm) if known else _LEAST_LOAD**2)
+    findings = {
+        Status.BAD_DATA: tip.bad,
+        Status.OK: ~touching | ((use_tip | use_other) & ~open_ended),
+        Status.NOT_UNIQUE: tip_fits | other_fits | open_ended,
+    }
+    status = np.select([*findings.values()], [*findings], Status.NO_CURVATURE_ZERO)
     good = touching & (status == Status.OK)
-    chosen = jax.tree.map(lambda a, b: np.where(_beside(use_other, a), b, a), tip, other)
-    seen = jax.tree.map(lambda part: np.where(_beside(good, part), part, np.nan), chosen)
-    at_tip = use_tip | (chosen.x[:, ARC_LENGTH] > 1 - slack)
+
+    def kept(first: Shaped[np.ndarray, "n *k"], second: Shaped[np.ndarray, "n *k"]) -> np.ndarray:
+        own, contact = (rows.reshape(-1, *[1] * (first.ndim - 1)) for rows in (use_other, good))
+        return np.where(contact, np.where(own, second, first), np.nan)
+
+    found: Found = jax.tree.map(kept, tip.found, other.found)
+    at_tip = use_tip | (np.where(use_other[:, None], other.x, tip.x)[:, ARC_LENGTH] > 1 - slack)
     kind = np.where(at_tip, ContactKind.TIP, ContactKind.TANGENTIAL)
-    return Found(
+    return found._replace(
         kind=np.where(good, kind, ContactKind.NONE).astype(np.int8),
-        status=status,
-        point=samples.position + seen.point,
-        direction=seen.direction,
-        arc_length=rod.length * seen.x[:, ARC_LENGTH],
-        energy=np.where(status == Status.OK, np.where(good, seen.energy, 0.0), np.nan),
-        incidence=seen.incidence,
-        single=np.full(len(good), np.nan),
-        noise=seen.errors if known else None,
-        deviation=seen.deviation if known else None,
-        chi_square=tip.chi_square if known else None,
+        status=status.astype(np.int8),
+        energy=np.where(~touching & (status == Status.OK), 0.0, found.energy),
+        chi_square=load if known else None,
     )
-
-
-def _beside(
-    rows: Bool[np.ndarray, "n"], part: Shaped[np.ndarray, "n *k"]
-) -> Bool[np.ndarray, "n *ones"]:
-    return rows.reshape(-1, *[1] * (part.ndim - 1))
 
 
 @lanes()
@@ -210,24 +194,28 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     size = jnp.where(jnp.arange(len(x)) < ARC_LENGTH, load, 1.0)
     values = jnp.linalg.svd((jacobian / scale * size).at[:6].divide(load), compute_uv=False)
     errors = jnp.linalg.pinv(jacobian.T @ jacobian)
-    value, slope = bent(x), jax.jacfwd(bent)(x)
-    force = value.wrench[:3]
+    value, slope, length = bent(x), jax.jacfwd(bent)(x), setting.length
     across = jnp.eye(3) - jnp.outer(value.direction, value.direction)
-    of_point = setting.length * turn @ slope.reach
-    of_direction = -turn @ across @ slope.wrench[:3] / jnp.sqrt(jnp.sum(force**2))
-    return Branch(
-        x,
-        jnp.sqrt(jnp.sum(left**2)),
-        values[-1] / values[0],
-        value.incidence,
-        setting.moment * value.energy,
-        setting.length * turn @ value.reach,
+    of_direction = across @ slope.wrench[:3] / jnp.sqrt(jnp.sum(value.wrench[:3] ** 2))
+    of_errors = (turn @ part for part in (length * slope.reach, -of_direction))
+    found = Found(
+        jnp.zeros(()),
+        jnp.zeros(()),
+        sample.position + length * turn @ value.reach,
         turn @ value.direction,
-        Errors(*(part @ errors @ part.T for part in (of_point, of_direction))),
-        setting.length * jnp.sqrt(jnp.maximum(errors[ARC_LENGTH, ARC_LENGTH], 0.0)),
-        jnp.sum((root @ measured) ** 2),
-        jnp.any(selected & ~jnp.isfinite(wrench)),
+        length * x[ARC_LENGTH],
+        setting.moment * value.energy,
+        value.incidence,
+        jnp.asarray(jnp.nan),
+        chi_square=jnp.sum((root @ measured) ** 2),
     )
+    if sample.covariance is not None:
+        found = found._replace(
+            noise=Errors(*(part @ errors @ part.T for part in of_errors)),
+            arc_length_deviation=length * jnp.sqrt(jnp.maximum(errors[ARC_LENGTH, ARC_LENGTH], 0)),
+        )
+    bad = jnp.any(selected & ~jnp.isfinite(wrench))
+    return Branch(x, jnp.sqrt(jnp.sum(left**2)), values[-1] / values[0], bad, found)
 
 
 def _start(measured: Float[Array, "6"], selected: Bool[Array, "6"]) -> Float[Array, "5"]:

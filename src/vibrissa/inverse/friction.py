@@ -9,13 +9,14 @@ rod's material point moves over the object, along the unit vector ŵ of dP₁ �
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import median_abs_deviation
 
-from vibrissa.contacts import ContactKind, Status
-from vibrissa.inverse.result import Reconstruction
+from vibrissa.contacts import Status
+from vibrissa.inverse.result import Reconstruction, Vectors
+from vibrissa.mechanics.elastica import contact_tangent
 
 _LEAST_WINDOW = 5
 _LARGEST_WINDOW = 401
@@ -49,8 +50,8 @@ class FrictionEstimate:
 
     friction: float
     standard_error: float
-    normal: Float[np.ndarray, "*trail n 3"]
-    sliding: Float[np.ndarray, "*trail n 3"]
+    normal: Vectors
+    sliding: Vectors
     window: int
 
 
@@ -77,99 +78,80 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     part. Without a second look (another direction of sweeping) nothing more than the cone around
     the force is known of the normal there.
     """
-    from scipy.signal import savgol_coeffs  # noqa: PLC0415
-
     if window is None:
         window = _window(found)
     if window < _LEAST_WINDOW or window % 2 == 0:
         raise ValueError(
             f"window = {window!r}; allowed is an odd number of at least {_LEAST_WINDOW}"
         )
-    n = found.kind.shape[-1]
-    usable = (found.in_contact & (found.status == Status.OK)).reshape(-1, n)
-    tangent = contact_tangents(found).reshape(-1, n, 3)
-    point, direction = (part.reshape(-1, n, 3) for part in (found.point, found.force_direction))
-    arc_length = found.arc_length.reshape(-1, n)
+    usable = np.atleast_2d(found.in_contact & (found.status == Status.OK))
+    several = (len(usable), usable.shape[1], -1)
+    tangent, point, direction = (
+        part.reshape(several)
+        for part in (contact_tangents(found), found.point, found.force_direction)
+    )
     # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
     # it.
-    whole = _full_windows(usable, found.kind.reshape(-1, n), window)
+    kind, half = np.where(usable, found.kind, 0), window // 2
+    whole = np.zeros_like(usable)
+    if usable.shape[1] >= window:
+        seen = sliding_window_view(kind, window, axis=1)
+        whole[:, half : usable.shape[1] - half] = (seen[..., 0] > 0) & (np.ptp(seen, axis=2) == 0)
     if not whole.any():
         raise ValueError(
             f"window = {window}: no contact lasts that many samples; allowed is a smaller window "
             "or a denser recording"
         )
-    slope = savgol_coeffs(window, 2, deriv=1, use="dot")
-
-    def rate(values: Float[np.ndarray, "m n *k"]) -> Float[np.ndarray, "m n *k"]:
-        rates, half = np.full(values.shape, np.nan), window // 2
-        rates[:, half : n - half] = sliding_window_view(values, window, axis=1) @ slope
-        return rates
-
-    motion = rate(point) - tangent * rate(arc_length)[..., None]
-    motion[~whole] = np.nan
+    way = np.concatenate([point, found.arc_length.reshape(several)], axis=2)
+    rates = np.full_like(way, np.nan)
+    # Of a parabola by least squares, at the middle.
+    steps = np.arange(-half, half + 1.0)
+    slopes = sliding_window_view(way, window, axis=1) @ (steps / (steps @ steps))
+    rates[:, half : way.shape[1] - half] = slopes
+    motion = np.where(whole[..., None], rates[..., :3] - tangent * rates[..., 3:], np.nan)
     speed = np.linalg.norm(motion, axis=-1)
     slides = whole & (speed > _AT_REST * np.median(speed[whole]))
-    sliding = np.where(slides[..., None], motion / np.where(slides, speed, 1.0)[..., None], np.nan)
-    lean = np.einsum("...i,...i->...", direction, sliding)
+    sliding = motion / np.where(slides, speed, np.nan)[..., None]
+    lean = np.sum(direction * sliding, axis=-1)
     cosine = np.sqrt(1 - lean**2)
-    values = (-lean / cosine)[slides]
-    friction = float(np.median(values))
-    spread = float(median_abs_deviation(values, scale="normal"))
+    coefficients = -lean / cosine
+    friction = float(np.median(coefficients[slides]))
+    spread = float(median_abs_deviation(coefficients[slides], scale="normal"))
     # Where the contact has just jumped, or turns within the window, the lean is another.
-    fits = (
-        np.abs(np.where(slides, -lean / cosine, np.inf) - friction)
-        <= _MOST_DEVIATIONS * spread + _ROUNDING
-    )
+    fits = np.abs(coefficients - friction) <= _MOST_DEVIATIONS * spread + _ROUNDING
     sliding = np.where(fits[..., None], sliding, np.nan)
     normal = (direction - lean[..., None] * sliding) / cosine[..., None]
-    shape = found.point.shape
     independent = max(1.0, slides.sum() / window)
     return FrictionEstimate(
         friction,
         float(np.sqrt(np.pi / 2) * spread / np.sqrt(independent)),
-        normal.reshape(shape),
-        sliding.reshape(shape),
+        normal.reshape(found.point.shape),
+        sliding.reshape(found.point.shape),
         window,
     )
 
 
-def contact_tangents(found: Reconstruction) -> Float[np.ndarray, "*trail n 3"]:
-    """Unit tangents of the rod at the contact: they make 2α with −d, sin² α = k², away from the
-    clamp's side of the force.
-    """
-    reach = found.point - found.reactions.trail.position
-    direction = found.force_direction
-    side = reach - np.einsum("...i,...i->...", reach, direction)[..., None] * direction
+def contact_tangents(found: Reconstruction) -> Vectors:
+    """Unit tangents of the rod at the contact, away from the clamp's side of the force."""
+    reach, direction = found.point - found.reactions.trail.position, found.force_direction
+    side = reach - np.sum(reach * direction, axis=-1, keepdims=True) * direction
     with np.errstate(invalid="ignore", divide="ignore"):
         side = side / np.linalg.norm(side, axis=-1, keepdims=True)
-    k2 = found.modulus[..., None]
-    return np.asarray(-(1 - 2 * k2) * direction + 2 * np.sqrt(np.maximum(k2 * (1 - k2), 0)) * side)
+    rows = direction.reshape(-1, 3), side.reshape(-1, 3), found.modulus.ravel()
+    return np.asarray(jax.vmap(contact_tangent)(*rows)).reshape(direction.shape)
 
 
 def _window(found: Reconstruction) -> int:
-    if found.covariance is None:
-        return _LEAST_WINDOW
     contact = found.in_contact & (found.status == Status.OK)
-    moved = np.linalg.norm(np.diff(found.point, axis=-2), axis=-1)
-    if contact.sum() < _LEAST_WINDOW:
+    if found.covariance is None or contact.sum() < _LEAST_WINDOW:
         return _LEAST_WINDOW
     noise = float(np.median(np.sqrt(np.trace(found.covariance[contact], axis1=-2, axis2=-1))))
     # Per sample the contact moves about as the clamp does; its own steps are mostly noise.
-    clamp = np.linalg.norm(np.diff(found.reactions.trail.position, axis=-2), axis=-1)
+    moved, clamp = (
+        np.linalg.norm(np.diff(points, axis=-2), axis=-1)
+        for points in (found.point, found.reactions.trail.position)
+    )
     step = float(np.median(np.minimum(moved, clamp)[contact[..., 1:] & np.isfinite(moved)]))
     # The slope of a straight line through n equally noisy samples: σ √(12/n³) a sample.
     count = (12 * (_MOTION_TO_NOISE * noise / max(step, 1e-300)) ** 2) ** (1 / 3)
     return int(min(_LARGEST_WINDOW, max(_LEAST_WINDOW, 2 * (int(count) // 2) + 1)))
-
-
-def _full_windows(
-    usable: Bool[np.ndarray, "m n"], kind: np.ndarray, window: int
-) -> Bool[np.ndarray, "m n"]:
-    whole = np.zeros_like(usable)
-    for contact in (ContactKind.TIP, ContactKind.TANGENTIAL):
-        counts = np.cumsum(np.pad(usable & (kind == contact), ((0, 0), (1, 0))), axis=1)
-        if usable.shape[1] >= window:
-            whole[:, window // 2 : usable.shape[1] - window // 2] |= (
-                counts[:, window:] - counts[:, :-window] == window
-            )
-    return whole

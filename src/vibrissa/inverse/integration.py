@@ -1,5 +1,5 @@
-"""The paper's own route: integrate its initial value problem from the clamp, and stop at the first
-zero of the curvature.
+"""The paper's own route: integrate its initial value problem from the clamp, here in vectors, and stop
+at the first zero of the curvature.
 
 Slow, and independent of the closed form in `mechanics`: it exists so that tests can hold the two
 against each other.
@@ -40,25 +40,16 @@ def reconstruct_by_integration(
     -----
     Eq. (16) is taken with κ(0) = +m0·eψ, as eqs. (7) and (14) imply (mechanics.md, "Signs").
     """
-    shape = reactions.trail.shape
-    point, direction, arc_length = (
-        np.full((*shape, 3), np.nan),
-        np.full((*shape, 3), np.nan),
-        np.full(shape, np.nan),
-    )
-    axes = reactions.trail.axis
-    for index in np.ndindex(*shape):
-        f0, m0 = (
-            reactions.force[index] / rod.force_scale,
-            reactions.moment[index] / rod.moment_scale,
-        )
-        if not np.all(np.isfinite([f0, m0])) or not np.any(f0):
-            continue
-        reach, s1 = _integrated(f0, m0, axes[index], tolerance)
-        point[index] = reactions.trail.position[index] + rod.length * reach
-        direction[index] = -f0 / np.linalg.norm(f0)
-        arc_length[index] = rod.length * s1
-    return point, direction, arc_length
+    trail = reactions.trail
+    force, moment = reactions.force / rod.force_scale, reactions.moment / rod.moment_scale
+    found = np.full((*trail.shape, 7), np.nan)
+    for index in np.ndindex(*trail.shape):
+        f0, m0 = force[index], moment[index]
+        if np.all(np.isfinite([f0, m0])) and np.any(f0):
+            reach, s1 = _integrated(f0, m0, trail.axis[index], tolerance)
+            point = trail.position[index] + rod.length * reach
+            found[index] = *point, *(-f0 / np.linalg.norm(f0)), rod.length * s1
+    return found[..., :3], found[..., 3:6], found[..., 6]
 
 
 def _integrated(
@@ -67,27 +58,21 @@ def _integrated(
     t0: Float[np.ndarray, "3"],
     tolerance: float,
 ) -> tuple[Float[np.ndarray, "3"], float]:
-    """Reach r [L] and s₁ [L] in the plane of t0 and b = t0 × m0/‖m0‖, the side to which the rod
-    bends.
-    """
-    curvature = float(np.linalg.norm(np.cross(t0, m0)))
-    b = np.cross(t0, m0) / curvature
-    along, across = -f0 @ t0, -f0 @ b
+    """Reach r [L] and s₁ [L], by r' = t, t' = m × t, m' = t × f0 with m = −m0 at the clamp."""
+    bend = (m0 @ t0) * t0 - m0
 
-    def rod(_: float, y: Float[np.ndarray, "4"]) -> list[float]:
-        angle, bend = y[2], y[3]
-        # κ' = −F × t: the shear that the force leaves in the section.
-        return [np.cos(angle), np.sin(angle), bend, along * np.sin(angle) - across * np.cos(angle)]
+    def rod(_: float, y: Float[np.ndarray, "9"]) -> Float[np.ndarray, "9"]:
+        tangent, moment = y[3:6], y[6:]
+        return np.concatenate([tangent, np.cross(moment, tangent), np.cross(tangent, f0)])
 
-    def straightens(_: float, y: Float[np.ndarray, "4"]) -> float:
-        return float(y[3])
+    def straightens(_: float, y: Float[np.ndarray, "9"]) -> float:
+        return float(y[6:] @ bend)
 
-    straightens.terminal = True  # type: ignore[attr-defined]
-    straightens.direction = -1  # type: ignore[attr-defined]
+    straightens.terminal, straightens.direction = True, -1  # type: ignore[attr-defined]
     path = solve_ivp(
         rod,
         (0, _LONGEST),
-        np.array([0.0, 0.0, 0.0, curvature]),
+        np.concatenate([np.zeros(3), t0, bend]),
         method="DOP853",
         events=straightens,
         rtol=tolerance,
@@ -95,5 +80,4 @@ def _integrated(
     )
     if not path.t_events[0].size:
         return np.full(3, np.nan), np.nan
-    u, v = path.y_events[0][0][:2]
-    return u * t0 + v * b, float(path.t_events[0][0])
+    return path.y_events[0][0][:3], float(path.t_events[0][0])

@@ -17,24 +17,32 @@ invert = Elastica().contact
 """The contact that explains support reactions, by the rod's model."""
 
 
+def towards(
+    start: Float[Array, "6"],
+    at: Float[Array, "6"],
+    value: Scalar,
+    slope: Float[Array, "6"],
+    covariance: Float[Array, "6 6"],
+) -> tuple[Float[Array, "6"], Scalar]:
+    """A Gauss–Newton step to the most probable wrench that fulfils a condition: the least change of
+    the measured one, `start`, in the metric of its covariance, with the condition's value and slope
+    at a wrench; and the size of the change in standard deviations.
+    """
+    spread = covariance @ slope
+    variance = slope @ spread
+    missing = value + slope @ (start - at)
+    return start - spread * missing / variance, missing / jnp.sqrt(variance)
+
+
 def single_contact(
     wrench: Float[Array, "6"], covariance: Float[Array, "6 6"]
 ) -> tuple[Float[Array, "6"], Scalar]:
     """Most probable wrench of a single contact, and by how many standard deviations the measured
-    one violates its condition.
-
-    One contact force makes m0·f0 = 0 (mechanics.md, "Statics alone"). The measured (f0, m0) is
-    moved there by the least change in the metric of its covariance: two Gauss–Newton steps.
+    one violates its condition m0·f0 = 0 (mechanics.md, "Statics alone"); two steps.
     """
-    start = wrench
-    deviation = jnp.zeros(())
-    for iteration in range(2):
-        force, moment = wrench[:3], wrench[3:]
-        condition = jnp.dot(force, moment)
-        gradient = jnp.concatenate([moment, force])
-        spread = covariance @ gradient
-        variance = gradient @ spread
-        if iteration == 0:
-            deviation = condition / jnp.sqrt(variance)
-        wrench = start - spread * (condition + gradient @ (start - wrench)) / variance
-    return wrench, deviation
+
+    def step(at: Float[Array, "6"]) -> tuple[Float[Array, "6"], Scalar]:
+        return towards(wrench, at, jnp.dot(at[:3], at[3:]), jnp.roll(at, 3), covariance)
+
+    once, deviation = step(wrench)
+    return step(once)[0], deviation

@@ -5,6 +5,7 @@ All is in model units but what `Setting` and `Found` say; vectors are in world a
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.inverse.inverse import invert, single_contact
+from vibrissa.inverse.inverse import invert, single_contact, towards
 from vibrissa.inverse.parameters import Rig, changes
 from vibrissa.mechanics.model import Contact, Scalar, Vector
 from vibrissa.numerics.lanes import AnyArray, lanes
@@ -73,41 +74,50 @@ class Sample(NamedTuple):
     """Of the clamp, clamp axes, rod lengths and radians a second."""
 
 
+Row = Float[AnyArray, "*n"]
+Points = Float[AnyArray, "*n 3"]
+Matrices = Float[AnyArray, "*n 3 3"]
+
+
 class Errors(NamedTuple):
     """Covariances of point and force direction."""
 
-    point: Float[AnyArray, "3 3"]
-    direction: Float[AnyArray, "3 3"]
+    point: Matrices
+    direction: Matrices
 
 
 class Found(NamedTuple):
-    """Contact of one row, in units of the rod; NaN without contact."""
+    """Contact of one row, in units of the rod; NaN without contact. Fields are those of
+    `Reconstruction` but for the last three.
+    """
 
     kind: Int[AnyArray, "*n"]
     status: Int[AnyArray, "*n"]
-    point: Float[AnyArray, "*n 3"]
-    direction: Float[AnyArray, "*n 3"]
-    arc_length: Float[AnyArray, "*n"]
-    energy: Float[AnyArray, "*n"]
-    incidence: Float[AnyArray, "*n"]
-    single: Float[AnyArray, "*n"]
-    """Violation of m0·f0 = 0: relative to ‖m0‖ ‖f0‖, or in standard deviations."""
+    point: Points
+    force_direction: Points
+    arc_length: Row
+    energy: Row
+    modulus: Row
+    single_contact_residual: Row
+    arc_length_deviation: Row | None = None
+    chi_square: Row | None = None
     noise: Errors | None = None
+    """By what varies from sample to sample."""
     setup: Errors | None = None
-    deviation: Float[AnyArray, "*n"] | None = None
-    """Of s₁."""
-    chi_square: Float[AnyArray, "*n"] | None = None
+    """By what all samples share."""
     weak: Bool[AnyArray, "*n"] | None = None
     """Whether the errors need second moments."""
 
 
 class Observed(NamedTuple):
-    """What errors are carried to, or its derivatives."""
+    """What errors are carried to; or its derivatives, or variances."""
 
     reach: Float[AnyArray, "3 *p"]
     direction: Float[AnyArray, "3 *p"]
     arc_length: Float[AnyArray, "*p"]
     incidence: Float[AnyArray, "*p"]
+    single: Float[AnyArray, "*p"]
+    """m0·f0, in standard deviations."""
 
 
 class _Probable(NamedTuple):
@@ -115,11 +125,9 @@ class _Probable(NamedTuple):
 
     wrench: Wrench
     contact: Contact
+    single: Scalar
     slopes: Observed
     """By the measured wrench; those of s₁ and incidence as if the tip were not imposed."""
-    single: Scalar
-    couple: Wrench
-    """Derivative of `single`."""
     pinned: Flag
     """Whether the wrench was moved to the tip."""
     off_straight: Scalar
@@ -132,11 +140,9 @@ def _exact(setting: Setting, sample: Sample) -> Found:
     force, moment = wrench[:3], wrench[3:]
     contact = invert(force, moment, third_axis(sample.orientation))
     f, m = jnp.sqrt(jnp.sum(force * force)), jnp.sqrt(jnp.sum(moment * moment))
-    single = jnp.dot(force, moment) / (f * m)
-    none, couple = jnp.zeros(()), (f == 0) & (m > 0)
-    return _judged(
-        setting, sample, contact, f > LEAST_FORCE, couple, single, SINGLE_CONTACT, none, none
-    )
+    touching = jnp.where(f > 0, f > LEAST_FORCE, m > 0)
+    single, none = jnp.dot(force, moment) / (f * m), jnp.zeros(())
+    return _judged(setting, sample, contact, touching, single, SINGLE_CONTACT, none, none)
 
 
 exact_contacts = lanes(alone=True)(_exact)
@@ -149,77 +155,58 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
     """Contact of the most probable wrench of a single contact on this rod, its errors to first
     order.
     """
-    return _noisy(setting, sample)[0]
+    return _noisy(setting, sample, _probable(setting, sample))
 
 
 @lanes(alone=True)
-def weak_contacts(setting: Setting, sample: Sample) -> Found:
-    """The same with second moments of the noise."""
-    found, probable = _noisy(setting, sample)
-    return found._replace(noise=_second_moments(setting, sample, probable))
+def weak_contacts(setting: Setting, sample: Sample) -> Errors:
+    """Errors of the same contact, by second moments of the noise."""
+    return _second_moments(setting, sample, _probable(setting, sample))
 
 
 @lanes()
 def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
     """Derivatives of a contact by `vibrissa.tolerances.PARAMETERS` for given readings."""
-    return _by_setup(_probable(setting, sample), sample, setting.rig)[0]
+    return _by_setup(_probable(setting, sample), sample, setting.rig)
 
 
 def _wrench(setting: Setting, sample: Sample) -> Wrench:
     return jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
 
 
-def _noisy(setting: Setting, sample: Sample) -> tuple[Found, _Probable]:
+def _noisy(setting: Setting, sample: Sample, probable: _Probable) -> Found:
     covariance = jnp.asarray(sample.covariance)
-    measured = _wrench(setting, sample)
-    chi_square = jnp.sum(solve_lower(cholesky(covariance), measured) ** 2)
-    probable = _probable(setting, sample)
-    slopes, single = probable.slopes, probable.single
-    noise = _errors(slopes, covariance)
-    deviation, steepness = (
-        jnp.sqrt(slope @ covariance @ slope) for slope in (slopes.arc_length, slopes.incidence)
-    )
+    whitened = solve_lower(cholesky(covariance), _wrench(setting, sample))
+    chi_square = jnp.sum(whitened**2)
+    noise = whole = _carried(probable.slopes, covariance)
     setup = None
     if setting.errors is not None:
-        by_setup, of_single = _by_setup(probable, sample, setting.rig)
-        setup = _errors(by_setup, setting.errors)
-        more = [
-            jnp.sum(_product(slope[None], setting.errors)[0] * slope)
-            for slope in (by_setup.arc_length, by_setup.incidence, of_single)
-        ]
-        deviation, steepness = (
-            jnp.sqrt(deviation**2 + more[0]),
-            jnp.sqrt(steepness**2 + more[1]),
-        )
-        single = single / jnp.sqrt(1 + more[2])
-    touching = chi_square > setting.threshold
-    couple = touching & jnp.all(sample.force == 0) & jnp.any(sample.moment != 0)
+        setup = _carried(_by_setup(probable, sample, setting.rig), setting.errors)
+        whole = jax.tree.map(jnp.add, noise, setup)
+    deviation = jnp.sqrt(whole.arc_length)
     found = _judged(
         setting,
         sample,
         probable.contact,
-        touching,
-        couple,
-        single,
+        chi_square > setting.threshold,
+        probable.single / jnp.sqrt(whole.single),
         _SINGLE_DEVIATIONS,
         deviation,
-        steepness,
-    )
-    weak = jnp.sum(probable.wrench[:3] ** 2) <= (
-        _FIRST_ORDER**2 * (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
+        jnp.sqrt(whole.incidence),
     )
     scale = jnp.where(found.kind == ContactKind.NONE, jnp.nan, setting.length)
     of_noise, of_setup = (
-        None if part is None else Errors(part.point * scale**2, part.direction + 0 * scale)
+        None if part is None else Errors(part.reach * scale**2, part.direction + 0 * scale)
         for part in (noise, setup)
     )
+    variance = (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
     return found._replace(
         noise=of_noise,
         setup=of_setup,
-        deviation=deviation * scale,
+        arc_length_deviation=deviation * scale,
         chi_square=chi_square,
-        weak=weak,
-    ), probable
+        weak=jnp.sum(probable.wrench[:3] ** 2) <= _FIRST_ORDER**2 * variance,
+    )
 
 
 def _judged(
@@ -227,7 +214,6 @@ def _judged(
     sample: Sample,
     contact: Contact,
     touching: Flag,
-    couple: Flag,
     single: Scalar,
     most: float,
     deviation: Scalar,
@@ -236,6 +222,7 @@ def _judged(
     """Kind, status and units; `deviation` and `steepness` are those of s₁ and incidence."""
     s1, incidence = contact.arc_length, contact.incidence
     bad = ~jnp.all(jnp.isfinite(jnp.concatenate([sample.force, sample.moment])))
+    couple = touching & jnp.all(sample.force == 0) & jnp.any(sample.moment != 0)
     unsolved = touching & ~jnp.isfinite(s1)
     unknown = bad | couple | unsolved
     none = unknown | ~touching
@@ -249,23 +236,27 @@ def _judged(
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
         (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
+        (True, Status.OK),
     )
-    status = jnp.int8(Status.OK)
-    for finding, name in reversed(findings):
-        status = jnp.where(finding, jnp.int8(name), status)
     tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation
-    touch = jnp.where(tip, jnp.int8(ContactKind.TIP), jnp.int8(ContactKind.TANGENTIAL))
+    kinds = ((none, ContactKind.NONE), (tip, ContactKind.TIP), (True, ContactKind.TANGENTIAL))
     unit = jnp.where(none, jnp.nan, 1.0)
     return Found(
-        kind=jnp.where(none, jnp.int8(ContactKind.NONE), touch),
-        status=status,
+        kind=_first(kinds),
+        status=_first(findings),
         point=sample.position + contact.reach * (unit * setting.length),
-        direction=contact.direction * unit,
+        force_direction=contact.direction * unit,
         arc_length=s1 * (unit * setting.length),
         energy=jnp.where(unknown, jnp.nan, jnp.where(none, 0.0, contact.energy * setting.moment)),
-        incidence=incidence * unit,
-        single=single,
+        modulus=incidence * unit,
+        single_contact_residual=single,
     )
+
+
+def _first(cases: Sequence[tuple[Flag | bool, int]]) -> Int[Array, ""]:
+    """Of codes, each with its condition, the first that holds."""
+    conditions, codes = zip(*cases, strict=True)
+    return jnp.select([jnp.asarray(one) for one in conditions], [jnp.int8(one) for one in codes])
 
 
 def _probable(setting: Setting, sample: Sample) -> _Probable:
@@ -274,15 +265,14 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
     single, deviation = single_contact(measured, covariance)
     straight, off_straight = _straight_tip(single, tangent, covariance)
     wrench = _within_the_rod(single, straight, off_straight, tangent, covariance)
-    slopes = jax.jacfwd(_observed)(wrench, tangent, covariance)
     contact = invert(wrench[:3], wrench[3:], tangent)
-    couple = jnp.concatenate([measured[3:], measured[:3]])
+    couple = jnp.roll(measured, 3)
+    slopes = jax.jacfwd(_observed)(wrench, tangent, covariance)
     return _Probable(
         wrench,
         contact._replace(reach=_within_reach(contact.reach)),
-        slopes,
         deviation,
-        couple / jnp.sqrt(couple @ covariance @ couple),
+        slopes._replace(single=couple / jnp.sqrt(couple @ covariance @ couple)),
         jnp.any(wrench != single),
         off_straight,
     )
@@ -292,18 +282,19 @@ def _observed(measured: Wrench, tangent: Vector, covariance: Spread) -> Observed
     """Errors pass through the projection on a single contact, but not through the limit at the tip,
     where they would be cut.
     """
-    wrench, _ = single_contact(measured, covariance)
+    wrench, deviation = single_contact(measured, covariance)
     contact = invert(wrench[:3], wrench[3:], tangent)
-    return Observed(contact.reach, contact.direction, contact.arc_length, contact.incidence)
+    return Observed(*contact[:4], deviation)
 
 
-def _errors(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Errors:
-    return Errors(
-        *(
-            _product(_product(slope, covariance), slope.T)
-            for slope in (slopes.reach, slopes.direction)
-        )
-    )
+def _carried(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Observed:
+    """Covariances of what is observed."""
+
+    def of(slope: Float[Array, "*k p"]) -> Float[Array, "..."]:
+        half = _product(slope, covariance)
+        return jnp.sum(half * slope) if slope.ndim == 1 else _product(half, slope.T)
+
+    return jax.tree.map(of, slopes)
 
 
 def _second_moments(setting: Setting, sample: Sample, probable: _Probable) -> Errors:
@@ -315,9 +306,8 @@ def _second_moments(setting: Setting, sample: Sample, probable: _Probable) -> Er
     is far from linear in them.
     """
     tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
-    turn, contact = rotation_matrix(sample.orientation), probable.contact
     # In the clamp's axes, so that the points turn with it.
-    both = jnp.kron(jnp.eye(2), turn)
+    both, contact = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation)), probable.contact
     root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
     steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
     found = jax.vmap(_observed, in_axes=(0, None, None))(
@@ -342,48 +332,32 @@ def _within_reach(reach: Vector) -> Vector:
     return reach / jnp.maximum(jnp.sqrt(jnp.sum(reach * reach)), 1.0)
 
 
-def _by_setup(
-    probable: _Probable, sample: Sample, rig: Rig | None
-) -> tuple[Observed, Float[Array, "setup"]]:
+def _by_setup(probable: _Probable, sample: Sample, rig: Rig | None) -> Observed:
     """With other numbers of the setup the same readings are another wrench on another rod, seen
-    from another place: derivatives of the contact, and of the violation of m0·f0 = 0.
+    from another place: derivatives by these numbers.
     """
-    assert rig is not None
-    assert sample.velocity is not None
-    slopes, covariance = probable.slopes, jnp.asarray(sample.covariance)
-    # A wrench that was moved to the tip stays there, however the setup's numbers change it.
-    longer = slopes.arc_length
-    along = covariance @ longer / jnp.maximum(longer @ covariance @ longer, _TINY) * probable.pinned
-    turn = rotation_matrix(sample.orientation)
+    slopes, contact, turn = probable.slopes, probable.contact, rotation_matrix(sample.orientation)
     force, moment, reach, direction = (
         part @ turn
-        for part in (
-            probable.wrench[:3],
-            probable.wrench[3:],
-            probable.contact.reach,
-            probable.contact.direction,
-        )
+        for part in (probable.wrench[:3], probable.wrench[3:], contact.reach, contact.direction)
     )
-    by = changes(jnp.concatenate([force, moment]), reach, direction, sample.velocity, rig)
-    on_wrench = jnp.concatenate([_product(turn, by.wrench[:3]), _product(turn, by.wrench[3:])])
-
-    def moved(slope: Float[Array, "k 6"]) -> Float[Array, "k setup"]:
-        return -_product(slope, on_wrench)
-
-    def pinned(slope: Float[Array, "3 6"]) -> Float[Array, "3 setup"]:
-        return moved(slope - jnp.outer(slope @ along, longer))
-
-    return Observed(
-        _product(turn, by.reach) + pinned(slopes.reach),
-        _product(turn, by.direction) + pinned(slopes.direction),
-        moved(longer[None])[0],
-        moved(slopes.incidence[None])[0],
-    ), moved(probable.couple[None])[0]
+    wrench = jnp.concatenate([force, moment])
+    by = changes(rig, wrench, reach, direction, jnp.asarray(sample.velocity))
+    seen = jnp.concatenate([_product(turn, by.wrench[:3]), _product(turn, by.wrench[3:])])
+    # A wrench that was moved to the tip stays there, however the setup's numbers change it.
+    longer, spread = slopes.arc_length, jnp.asarray(sample.covariance) @ slopes.arc_length
+    along = spread / jnp.maximum(longer @ spread, _TINY) * probable.pinned
+    held = seen - jnp.outer(along, _product(longer, seen))
+    moved = jax.tree.map(lambda slope: -_product(slope, seen), slopes)
+    return moved._replace(
+        reach=_product(turn, by.reach) - _product(slopes.reach, held),
+        direction=_product(turn, by.direction) - _product(slopes.direction, held),
+    )
 
 
-def _product(first: Float[AnyArray, "k l"], second: Float[AnyArray, "l m"]) -> Float[Array, "k m"]:
+def _product(first: Float[AnyArray, "*k l"], second: Float[AnyArray, "l m"]) -> Float[Array, "..."]:
     """Matrix product as plain arithmetic, which keeps the lanes together."""
-    return jnp.sum(jnp.asarray(first)[:, :, None] * jnp.asarray(second)[None], axis=1)
+    return jnp.sum(jnp.asarray(first)[..., None] * second, axis=-2)
 
 
 def _within_the_rod(
@@ -401,32 +375,19 @@ def _within_the_rod(
         value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
         return value, value
 
-    class Step(NamedTuple):
-        done: Array
-        wrench: Wrench
-        deviations: Scalar
-        """Change of the wrench, Σ · slope · multiplier, in standard deviations."""
-        value: Scalar
-        goes_on: Flag
-
-    def step(last: Step) -> Step:
-        slope, value = jax.jacfwd(log_arc_length, has_aux=True)(last.wrench)
-        spread = covariance @ slope
-        multiplier = (value + slope @ (wrench - last.wrench)) / (slope @ spread)
-        moved = wrench - spread * multiplier
-        change = jnp.max(jnp.abs(moved - last.wrench)) > _SETTLED * jnp.max(jnp.abs(wrench))
-        goes_on = change & (last.done + 1 < _TIP_STEPS)
-        return Step(last.done + 1, moved, multiplier * jnp.sqrt(slope @ spread), value, goes_on)
+    def step(last: tuple[Array, ...]) -> tuple[Array, ...]:
+        done, at = last[0] + 1, last[1]
+        slope, value = jax.jacfwd(log_arc_length, has_aux=True)(at)
+        moved, deviations = towards(wrench, at, value, slope, covariance)
+        change = jnp.max(jnp.abs(moved - at)) > _SETTLED * jnp.max(jnp.abs(wrench))
+        return done, moved, deviations, value, change & (done < _TIP_STEPS)
 
     beyond = log_arc_length(wrench)[0] > 0
     none = jnp.zeros(())
-    limited = lax.while_loop(
-        lambda last: last.goes_on, step, Step(jnp.zeros((), int), wrench, none, none, beyond)
-    )
-    near = (jnp.abs(limited.value) < TIP) & (jnp.abs(limited.deviations) < _TIP_DEVIATIONS)
-    chosen = jnp.where(
-        near, limited.wrench, jnp.where(off_straight < _TIP_DEVIATIONS, straight, wrench)
-    )
+    start = jnp.zeros((), int), wrench, none, none, beyond
+    _, limited, deviations, value, _ = lax.while_loop(lambda last: last[-1], step, start)
+    near = (jnp.abs(value) < TIP) & (jnp.abs(deviations) < _TIP_DEVIATIONS)
+    chosen = jnp.where(near, limited, jnp.where(off_straight < _TIP_DEVIATIONS, straight, wrench))
     return jnp.where(beyond, chosen, wrench)
 
 
@@ -439,7 +400,7 @@ def _straight_tip(wrench: Wrench, tangent: Vector, covariance: Spread) -> tuple[
     # f0 = −F and m0 = −t0 × F, so m0 = t0 × f0.
     design = jnp.concatenate([jnp.eye(3), cross_matrix(tangent)])
     root = cholesky(covariance)
-    weighted = jnp.stack([solve_lower(root, column) for column in design.T], axis=1)
+    weighted = jax.vmap(solve_lower, (None, 1), 1)(root, design)
     seen = solve_lower(root, wrench)
     best = solve_3x3(_product(weighted.T, weighted), weighted.T @ seen)
     off = seen - weighted @ best

@@ -55,15 +55,16 @@ class Changes(NamedTuple):
 
 
 def changes(
+    rig: Rig | None,
     wrench: Float[Array, "6"],
     reach: Float[Array, "3"],
     direction: Float[Array, "3"],
     velocity: Float[Array, "6"],
-    rig: Rig,
 ) -> Changes:
     """Of one sample, clamp axes and model units; `velocity` of the clamp point and of its rotation,
     a second.
     """
+    assert rig is not None
     force, moment = wrench[:3], wrench[3:]
     zero, turn, arm = jnp.zeros((3, 3)), jnp.asarray(rig.turn), cross_matrix(jnp.asarray(rig.arm))
     f, m, r, n = (-cross_matrix(vector) for vector in (force, moment, reach, direction))
@@ -86,65 +87,34 @@ def changes(
     return Changes(jnp.concatenate([by_force, by_moment]), by_reach, by_direction)
 
 
-@lanes()
-def _changes(
-    rig: Rig,
-    wrench: Float[Array, "6"],
-    reach: Float[Array, "3"],
-    direction: Float[Array, "3"],
-    velocity: Float[Array, "6"],
-) -> Changes:
-    return changes(wrench, reach, direction, velocity, rig)
+changes_of_rows = lanes()(changes)
+"""`changes`, one row a sample."""
 
 
-def changes_of_rows(
-    wrench: Float[np.ndarray, "n 6"],
-    reach: Float[np.ndarray, "n 3"],
-    direction: Float[np.ndarray, "n 3"],
-    velocity: Float[np.ndarray, "n 6"],
-    rig: Rig,
-) -> Changes:
-    """`changes`, one row a sample."""
-    return _changes(rig, wrench, reach, direction, velocity)
+class Known(NamedTuple):
+    """What a setup states of its errors, for one rod: lengths in units of the rod's."""
 
-
-def rig_of(rod: Rod, reactions: Reactions) -> Rig:
-    """Of the reactions' sensor; without errors of a setup its axes are those of the clamp."""
-    return prepared(rod, reactions.setup_errors)[0]
-
-
-def factor_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "setup p"]:
-    """Factor of the covariance of the setup's errors, lengths in units of the rod's; (15, 0) where
-    the setup states none.
-    """
-    return prepared(rod, reactions.setup_errors)[1]
+    rig: Rig
+    factor: Float[np.ndarray, "setup p"]
+    """Of the covariance; (15, 0) where the setup states none."""
+    covariance: Float[np.ndarray, "setup setup"]
 
 
 @lru_cache(maxsize=64)
-def prepared(
-    rod: Rod, errors: SetupErrors | None
-) -> tuple[Rig, Float[np.ndarray, "setup p"], Float[np.ndarray, "setup setup"]]:
-    """Rig, factor and covariance of errors of a setup, for this rod."""
+def prepared(rod: Rod, errors: SetupErrors | None) -> Known:
+    """Errors of a setup, for this rod; without any the sensor's axes are those of the clamp."""
     if errors is None:
-        return (
-            Rig(np.eye(3), np.zeros(3), np.zeros(())),
-            np.zeros((COUNT, 0)),
-            np.zeros((COUNT, COUNT)),
-        )
+        rig = Rig(np.eye(3), np.zeros(3), np.zeros(()))
+        return Known(rig, np.zeros((COUNT, 0)), np.zeros((COUNT, COUNT)))
     turn = rotation_matrices(errors.clamp_orientation).T
     rig = Rig(turn, turn @ errors.arm / rod.length, np.array(float(errors.in_world_axes)))
-    lengths = np.array(
-        [name == "length" or name.startswith("clamp_position") for name in PARAMETERS]
-    )
+    lengths = [name.startswith(("length", "clamp_position")) for name in PARAMETERS]
     factor = errors.factor / np.where(lengths, rod.length, 1.0)[:, None]
-    return rig, factor, factor @ factor.T
+    return Known(rig, factor, factor @ factor.T)
 
 
 def velocities_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "*trail n 6"]:
     """Of the clamp, clamp axes, rod lengths and radians a second."""
+    parts = reactions.clamp_velocity().reshape(*reactions.trail.shape, 2, 3)
     turn = rotation_matrices(reactions.trail.orientation)
-    parts = np.split(reactions.clamp_velocity(), 2, axis=-1)
-    return np.concatenate(
-        [np.einsum("...ji,...j->...i", turn, part) for part in (parts[0] / rod.length, parts[1])],
-        axis=-1,
-    )
+    return (parts / [[rod.length], [1.0]] @ turn).reshape(*reactions.trail.shape, 6)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -14,6 +13,7 @@ from vibrissa.geometry.checks import not_negative
 from vibrissa.inverse.channels import found_by_channels
 from vibrissa.inverse.checks.check import checked
 from vibrissa.inverse.kernels import (
+    Errors,
     Found,
     exact_contacts,
     many_exact_contacts,
@@ -22,13 +22,13 @@ from vibrissa.inverse.kernels import (
 )
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.ringing import without_ringing
-from vibrissa.inverse.shared import samples_of, setting_of
-from vibrissa.reactions import Reactions, turned_covariance
+from vibrissa.inverse.shared import samples_of, setting_of, with_pose_errors
+from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
 _STEEPEST = 0.8
-"""Incidence up to which a tangent is not too steep where friction is not known: with it k² ≤ (1 +
-sin atan μ)/2, and this is μ = 0.75.
+"""Incidence up to which a tangent is not too steep where friction is not known: with it the incidence
+is at most (1 + sin atan μ)/2, and this is μ = 0.75.
 """
 _MANY = 50_000
 """Numbers from which the large calls pay (measured)."""
@@ -57,17 +57,19 @@ def reconstruct(
         wrench of a single contact within the rod's length is taken for each sample, and its errors
         are carried to point and normal.
     friction
-        Coulomb's coefficient: 0 for a frictionless contact, None where it is not known. It bounds
-        the object's normal by a cone around the force (`Reconstruction.normal_half_angle`). Whether
-        a rod meets the object too steeply is judged for a coefficient of 0.75, or for this one
-        where it is larger. `estimate_friction` finds it from the contacts of a sweep.
+        Coulomb's coefficient between rod and object: 0 for none, None where it is not known. Points
+        do not depend on it. It bounds the object's normal by a cone around the force
+        (`Reconstruction.normal_half_angle`), and `smooth` and `check_setup` go by it: where there
+        is none, a tangential contact is square to its force. Whether a rod meets the object too
+        steeply is judged for a coefficient of 0.75, or for this one where it is larger.
+        `estimate_friction` finds it from the contacts of a sweep.
     false_alarm
         Share of samples without contact that may be taken for one; used where the noise is known.
     channels
         Names of the reactions to use, at least three of `fx`, `fy`, `fz`, `mx`, `my`, `mz` in
-        **clamp** axes; default: all six. The rod is then taken as ideal, and without `friction`
-        greater than 0 the contact as frictionless. Rows that the channels leave open are
-        `NOT_UNIQUE` (mechanics.md, "Fewer channels").
+        **clamp** axes; default: all six. The rod is then taken as ideal. Three channels need the
+        law of contact, so a `friction` that is not known is taken for none. Rows that the channels
+        leave open are `NOT_UNIQUE` (mechanics.md, "Fewer channels").
     check
         Whether to judge rod, clamp and sensor by what over-determines the contacts of a recording
         with known noise and time (`check_setup`): what contradicts them is in
@@ -102,7 +104,7 @@ def reconstruct(
         )
         return _reconstruction(rod, reactions, friction, some)
     setting = setting_of(rod, reactions)._replace(
-        steepest=_steepest(friction), threshold=_threshold(false_alarm)
+        steepest=_steepest(friction), threshold=float(chdtri(6, false_alarm))
     )
     samples = samples_of(rod, reactions)
     found: Any
@@ -113,8 +115,7 @@ def reconstruct(
         found = noisy_contacts(setting, samples)
         weak = np.flatnonzero(found.weak & (found.kind != ContactKind.NONE))
         if weak.size:
-            picked = jax.tree.map(lambda part: part[weak], samples)
-            moments: Any = weak_contacts(setting, picked).noise
+            moments: Any = weak_contacts(setting, jax.tree.map(lambda part: part[weak], samples))
             for whole, part in zip(found.noise, moments, strict=True):
                 whole[weak] = part
     result = _reconstruction(rod, reactions, friction, found)
@@ -126,11 +127,6 @@ def reconstruct(
     return result if reactions.covariance is None else checked(result)
 
 
-@lru_cache(maxsize=32)
-def _threshold(false_alarm: float) -> float:
-    return float(chdtri(6, false_alarm))
-
-
 def _steepest(friction: float | None) -> float:
     """Largest incidence that friction explains: the rod's tangent makes at most 90° with −n, the
     normal's, which leans by atan μ from the force.
@@ -138,45 +134,32 @@ def _steepest(friction: float | None) -> float:
     For small μ no less than without it: tangential contacts lie on the limit, and their noise on
     both sides of it.
     """
-    mu = friction or 0.0
-    return max(_STEEPEST, (1 + mu / math.hypot(1, mu)) / 2 + _MARGIN)
+    return max(_STEEPEST, (1 + math.sin(math.atan(friction or 0.0))) / 2 + _MARGIN)
 
 
 def _reconstruction(
     rod: Rod, reactions: Reactions, friction: float | None, found: Found
 ) -> Reconstruction:
-    rows: Any = jax.tree.map(
-        lambda part: part.reshape(*reactions.trail.shape, *part.shape[1:]), found
-    )
-    point, direction = rows.point, rows.direction
-    noise = whole = None, None
-    if rows.noise is not None:
-        by_pose = reactions.pose_covariance(point)
-        turned = reactions.rotation_covariance
-        noise = whole = (
-            rows.noise.point if by_pose is None else rows.noise.point + by_pose,
-            rows.noise.direction
-            if turned is None
-            else rows.noise.direction + turned_covariance(turned, direction),
-        )
-        if rows.setup is not None:
-            whole = noise[0] + rows.setup.point, noise[1] + rows.setup.direction
+    shape = reactions.trail.shape
+    rows: Any = jax.tree.map(lambda part: part.reshape(*shape, *part.shape[1:]), found)
+    noise, setup = rows.noise, rows.setup
+    whole: Any
+    given = rows._asdict()
+    for name in ("noise", "setup", "weak"):
+        del given[name]
+    if noise is None:
+        whole = noise = Errors(None, None)
+    else:
+        whole = noise = with_pose_errors(noise, reactions, rows.point, rows.force_direction)
+        if setup is not None:
+            whole = jax.tree.map(np.add, noise, setup)
     return Reconstruction(
         rod,
         reactions,
-        kind=rows.kind,
-        point=point,
-        force_direction=direction,
-        arc_length=rows.arc_length,
-        energy=rows.energy,
-        modulus=rows.incidence,
-        covariance=whole[0],
-        normal_covariance=whole[1],
-        covariance_noise=noise[0],
-        normal_covariance_noise=noise[1],
-        arc_length_deviation=rows.deviation,
-        chi_square=rows.chi_square,
-        single_contact_residual=rows.single,
+        **given,
+        covariance=whole.point,
+        normal_covariance=whole.direction,
+        covariance_noise=noise.point,
+        normal_covariance_noise=noise.direction,
         friction=friction,
-        status=rows.status,
     )

@@ -8,18 +8,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.contacts import ContactKind, Status
-from vibrissa.mechanics.elastic_line import sampled_line
+from vibrissa.contacts import ContactKind, Contacts, Status
+from vibrissa.inverse.checks.findings import SetupCheck
+from vibrissa.mechanics.elastic_line import force_of, sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.trail import Trail
 
 if TYPE_CHECKING:
     import xarray
 
-    from vibrissa.inverse.checks.findings import SetupCheck
     from vibrissa.inverse.friction import FrictionEstimate
     from vibrissa.inverse.smoothing.result import Smoothing
+
+
+Codes = Int[np.ndarray, "*trail n"]
+Scalars = Float[np.ndarray, "*trail n"]
+Vectors = Float[np.ndarray, "*trail n 3"]
+Covariances = Float[np.ndarray, "*trail n 3 3"]
+Flags = Bool[np.ndarray, "*trail n"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,7 +68,8 @@ class Reconstruction:
     status
         (…) values of `Status`.
     friction
-        Coulomb's coefficient that was given, 0 for none; None where it is not known.
+        Coulomb's coefficient as given, or estimated: 0 for none, None where it is not known. What
+        is done with the contacts, such as `smooth`, goes by it.
     smoothing
         What `smooth` says beside the contacts, one entry a trail; None for samples taken one by
         one.
@@ -80,37 +87,51 @@ class Reconstruction:
 
     rod: Rod
     reactions: Reactions
-    kind: Int[np.ndarray, "*trail n"]
-    point: Float[np.ndarray, "*trail n 3"]
-    force_direction: Float[np.ndarray, "*trail n 3"]
-    arc_length: Float[np.ndarray, "*trail n"]
-    energy: Float[np.ndarray, "*trail n"]
-    modulus: Float[np.ndarray, "*trail n"]
-    covariance: Float[np.ndarray, "*trail n 3 3"] | None
-    normal_covariance: Float[np.ndarray, "*trail n 3 3"] | None
-    arc_length_deviation: Float[np.ndarray, "*trail n"] | None
-    chi_square: Float[np.ndarray, "*trail n"] | None
-    single_contact_residual: Float[np.ndarray, "*trail n"]
-    status: Int[np.ndarray, "*trail n"]
+    kind: Codes
+    point: Vectors
+    force_direction: Vectors
+    arc_length: Scalars
+    energy: Scalars
+    modulus: Scalars
+    covariance: Covariances | None
+    normal_covariance: Covariances | None
+    arc_length_deviation: Scalars | None
+    chi_square: Scalars | None
+    single_contact_residual: Scalars
+    status: Codes
     friction: float | None = None
     smoothing: "tuple[Smoothing, ...] | None" = None
-    covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
-    normal_covariance_noise: Float[np.ndarray, "*trail n 3 3"] | None = None
+    covariance_noise: Covariances | None = None
+    normal_covariance_noise: Covariances | None = None
     sensitivity: Float[np.ndarray, "*trail n 6 setup"] | None = None
     warnings: list[str] = field(default_factory=list)
-    setup_check: "SetupCheck | None" = None
-    estimated_normal: Float[np.ndarray, "*trail n 3"] | None = None
+    setup_check: SetupCheck | None = None
+    estimated_normal: Vectors | None = None
 
     def __post_init__(self) -> None:
-        for whole, noise in (
-            ("covariance", "covariance_noise"),
-            ("normal_covariance", "normal_covariance_noise"),
-        ):
-            if getattr(self, noise) is None:
-                object.__setattr__(self, noise, getattr(self, whole))
+        for name in ("covariance", "normal_covariance"):
+            if getattr(self, f"{name}_noise") is None:
+                object.__setattr__(self, f"{name}_noise", getattr(self, name))
 
     @property
-    def normal(self) -> Float[np.ndarray, "*trail n 3"]:
+    def contacts(self) -> Contacts:
+        """Where the rod touches, one row a sample (…)."""
+        several = self.kind.ndim > 1
+        return Contacts(
+            self.point,
+            self.normal,
+            self.covariance,
+            self.normal_covariance,
+            sweep=np.indices(self.kind.shape)[0] if several else None,
+            time=self.reactions.time,
+            kind=self.kind,
+            force_direction=self.force_direction,
+            arc_length=self.arc_length,
+            status=self.status,
+        )
+
+    @property
+    def normal(self) -> Vectors:
         """(…, 3) outward unit normal of the object as far as it is known.
 
         The force direction, which is the normal without friction and else within atan μ of it, or
@@ -127,24 +148,22 @@ class Reconstruction:
 
     def __getitem__(self, rows: "int | slice | Bool[np.ndarray, 'n']") -> "Reconstruction":
         """Return one trail of several, or some rows of one trail: all fields together."""
-        taken = rows_of(self, self.kind.shape, rows)
-        given = rows_of(self.reactions, self.kind.shape, rows)
-        trail = self.reactions.trail
-        moved = Trail(trail.position[rows], trail.orientation[rows])
-        return replace(self, reactions=replace(self.reactions, trail=moved, **given), **taken)
+        taken = {name: value[rows] for name, value in rows_of(self).items()}
+        return replace(self, reactions=self.reactions[rows], **taken)
 
     def __repr__(self) -> str:
         """Return a few lines: rows, contacts, statuses, noise and warnings."""
-        kinds = {kind.name: np.count_nonzero(self.kind == kind) for kind in ContactKind}
-        codes, counts = np.unique(self.status, return_counts=True)
-        statuses = {Status(code).name: int(n) for code, n in zip(codes, counts, strict=True)}
-        how = "sample by sample" if self.smoothing is None else "smoothed"
-        noise = "unknown" if self.covariance is None else "known"
+
+        def counted(codes: Codes, of: Any) -> str:
+            pairs = zip(*np.unique(codes, return_counts=True), strict=True)
+            return ", ".join(f"{count} {of(code).name}" for code, count in pairs)
+
         return (
-            f"Reconstruction of {self.kind.size} samples {self.kind.shape}, {how}\n"
-            f"  kind: {', '.join(f'{n} {name}' for name, n in kinds.items())}\n"
-            f"  status: {', '.join(f'{n} {name}' for name, n in statuses.items())}\n"
-            f"  friction: {self.friction}, noise: {noise}\n"
+            f"Reconstruction of {self.kind.size} samples {self.kind.shape}, "
+            f"{'sample by sample' if self.smoothing is None else 'smoothed'}\n"
+            f"  kind: {counted(self.kind, ContactKind)}\n"
+            f"  status: {counted(self.status, Status)}\n"
+            f"  friction: {self.friction}, noise: {'un' * (self.covariance is None)}known\n"
             f"  warnings: {len(self.warnings)}"
         )
 
@@ -197,7 +216,7 @@ class Reconstruction:
         return shared_of(self)
 
     @property
-    def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
+    def in_contact(self) -> Flags:
         """Whether a contact was found (…)."""
         return self.kind != ContactKind.NONE
 
@@ -224,19 +243,10 @@ class Reconstruction:
             return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         # The force that goes with the point and the arc length, which noise and the limit at the
         # tip may have moved from the measured one.
-        reach, n = (self.point[index] - clamp) / length, self.force_direction[index]
-        lever_arm = np.linalg.norm(reach - (reach @ n) * n)
-        force = 4 * (self.modulus[index] - (1 + n @ axis) / 2) / lever_arm**2
-        return sampled_line(
-            clamp,
-            axis,
-            length,
-            reach,
-            n,
-            float(force),
-            float(self.arc_length[index]) / length,
-            count,
-        )
+        reach, direction = (self.point[index] - clamp) / length, self.force_direction[index]
+        force = force_of(float(self.modulus[index]), reach, direction, axis)
+        s1 = float(self.arc_length[index]) / length
+        return sampled_line(clamp, axis, length, reach, direction, force, s1, count)
 
     def to_dataset(self) -> "xarray.Dataset":
         """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""
@@ -245,21 +255,10 @@ class Reconstruction:
         return reconstruction_dataset(self)
 
 
-def rows_of(given: object, shape: tuple[int, ...], rows: Any) -> dict[str, Any]:
-    """Of the fields that hold one entry a sample."""
-    whole = {"position_covariance", "rotation_covariance"}
-    values = {
-        field.name: getattr(given, field.name)
-        for field in fields(given)  # type: ignore[arg-type]
-        if field.name not in whole
-    }
-    return {
-        name: value[rows]
-        for name, value in values.items()
-        if isinstance(value, np.ndarray)
-        and value.shape[: len(shape)] == shape
-        and not (name == "covariance" and value.shape == (6, 6))
-    }
+def rows_of(found: Reconstruction) -> dict[str, Any]:
+    """Fields of a reconstruction that hold one entry a sample."""
+    given = {each.name: getattr(found, each.name) for each in fields(found)}
+    return {name: value for name, value in given.items() if isinstance(value, np.ndarray)}
 
 
 def trail_of(found: Reconstruction, j: int) -> Reconstruction:

@@ -14,11 +14,11 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse.result import Reconstruction, rows_of
 from vibrissa.inverse.shared import in_clamp_axes
 from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
 
 # Two periods and more of first bending frequencies from 20 to 200 Hz: those of wires and whiskers
 # of 30 to 100 mm.
 _WINDOWS = (0.02, 0.06, 0.15)
-_WITHOUT_TIME = (8, 24)
 _FEWEST = 6
 # One and a half periods: a load that passes through zero once, as under the top of an object, is a
 # contact.
@@ -31,6 +31,7 @@ _FALSE_ALARM = 1e-6
 _NOISELESS = 1e-3
 _LATERAL = [0, 1, 3, 4]
 """fx, fy, mx, my."""
+_UNIT = Rod.unit()
 # Standard deviations: noise alone is beyond them in one of 400 samples.
 _CLEAR = 3.0
 # What the wrench says without a contact, too.
@@ -48,14 +49,17 @@ def ringing(reactions: Reactions) -> Bool[np.ndarray, "n"]:
     Raises
     ------
     ValueError
-        If the reactions are of several trails.
+        If the reactions are of several trails, or have no time.
     """
-    if reactions.force.ndim != 2:
-        raise ValueError(f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …)")
+    shape, time = reactions.force.shape, reactions.time
+    if len(shape) != 2 or time is None:
+        raise ValueError(f"reactions of shape {shape}: allowed is one trail (n, …), with stamps")
     loads = _whitened(reactions)
     found = np.zeros(len(loads), dtype=bool)
-    for size in _sizes(reactions, len(loads)):
-        found |= _oscillating(loads, size)
+    step = float(np.median(np.diff(time))) if len(time) > 1 else math.inf
+    for size in {max(_FEWEST, round(seconds / step)) for seconds in _WINDOWS}:
+        if size <= len(loads):
+            found |= _oscillating(loads, size)
     return found
 
 
@@ -68,36 +72,24 @@ def without_ringing(found: Reconstruction) -> Reconstruction:
         return found
     changed: dict[str, Any] = {
         name: np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), np.nan, value)
-        for name, value in rows_of(found, rows.shape, slice(None)).items()
+        for name, value in rows_of(found).items()
         if value.dtype.kind == "f" and name not in _KEPT
     }
-    kind, status = (
-        np.where(rows, int(code), part).astype(part.dtype)
-        for part, code in ((found.kind, ContactKind.NONE), (found.status, Status.RINGING))
-    )
-    return replace(found, **changed, kind=kind, status=status)
-
-
-def _sizes(reactions: Reactions, count: int) -> list[int]:
-    if reactions.time is None:
-        sizes = set(_WITHOUT_TIME)
-    else:
-        step = float(np.median(np.diff(reactions.time))) if count > 1 else math.inf
-        sizes = {max(_FEWEST, round(seconds / step)) for seconds in _WINDOWS}
-    return sorted(size for size in sizes if size <= count)
+    for name, code in (("kind", ContactKind.NONE), ("status", Status.RINGING)):
+        changed[name] = np.where(rows, np.int8(code), getattr(found, name))
+    return replace(found, **changed)
 
 
 def _whitened(reactions: Reactions) -> Float[np.ndarray, "n 4"]:
     """Lateral force and moment in clamp axes, in their standard deviations; 0 in rows without
     numbers.
     """
-    wrench, covariance = in_clamp_axes(reactions)
+    wrench, covariance = in_clamp_axes(reactions, _UNIT)
     loads = np.nan_to_num(wrench[:, _LATERAL])
     if covariance is not None:
         return loads / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, _LATERAL])
-    force, moment = (np.abs(part).max(initial=0.0) for part in (loads[:, :2], loads[:, 2:]))
-    scales = np.repeat([force, moment], 2)
-    return loads / np.where(scales > 0, _NOISELESS * scales, 1.0)
+    scales = _NOISELESS * np.abs(loads).reshape(-1, 2, 2).max(axis=(0, 2), initial=0.0)
+    return loads / np.repeat(np.where(scales > 0, scales, 1.0), 2)
 
 
 def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Bool[np.ndarray, "n"]:
@@ -123,18 +115,20 @@ def _first_swing(changes: Bool[np.ndarray, "size"], crossings: int) -> int:
     """A quarter of a period before the first change of sign in a window: what lies before may still
     be the contact.
     """
-    places = np.flatnonzero(changes)
-    quarter = math.ceil((places[-1] - places[0]) / (crossings - 1) / 2) if crossings > 1 else 0
-    return max(0, int(places[0]) - quarter)
+    first, *_, last = np.flatnonzero(changes)
+    return max(0, int(first) - math.ceil((last - first) / (crossings - 1) / 2))
 
 
 def _sign_changes(loads: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n 4"]:
     """Samples beyond their noise whose sign is another than that of the last such sample."""
     clear = np.abs(loads) > _CLEAR
-    last = np.maximum.accumulate(np.where(clear, np.arange(len(loads))[:, None], -1), axis=0)
-    before = np.concatenate([np.full((1, loads.shape[1]), -1), last[:-1]])
-    other = np.take_along_axis(loads, np.maximum(before, 0), axis=0) * loads < 0
-    return np.asarray(clear & (before >= 0) & other)
+    rows = np.where(clear, np.arange(len(loads))[:, None], 0)
+    before = np.maximum.accumulate(rows, axis=0)[:-1]
+    changes = np.zeros_like(clear)
+    # Without an earlier one, the first row stands in: it is not beyond its noise, or the last.
+    earlier = np.take_along_axis(np.where(clear, loads, 0.0), before, axis=0)
+    changes[1:] = clear[1:] & (earlier * loads[1:] < 0)
+    return changes
 
 
 def _window_means(values: Float[np.ndarray, "n k"], size: int) -> Float[np.ndarray, "windows k"]:

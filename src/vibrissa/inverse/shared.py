@@ -1,4 +1,6 @@
-"""Errors of a setup in contacts: derivatives by its numbers, and covariances that hold them."""
+"""What reactions say row by row in units of a rod, and errors of a setup in contacts: derivatives by
+its numbers, and covariances that hold them.
+"""
 
 from dataclasses import replace
 
@@ -6,55 +8,71 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.kernels import Sample, Setting, sensitivities_of
-from vibrissa.inverse.parameters import factor_of, prepared, velocities_of
-from vibrissa.inverse.result import Reconstruction
-from vibrissa.reactions import Reactions
+from vibrissa.inverse.kernels import Errors, Sample, Setting, sensitivities_of
+from vibrissa.inverse.parameters import prepared, velocities_of
+from vibrissa.inverse.result import Reconstruction, Vectors
+from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.rod import Rod
 
 
 def setting_of(rod: Rod, reactions: Reactions) -> Setting:
     """What all samples share; nothing is too steep, and all are in contact."""
-    rig, _, errors = prepared(rod, reactions.setup_errors)
-    known = reactions.covariance is not None and reactions.setup_errors is not None
-    scales = rod.length, rod.force_scale, rod.moment_scale
-    return Setting(*scales, np.inf, 0.0, *((rig, errors) if known else ()))
+    setting = Setting(rod.length, rod.force_scale, rod.moment_scale, np.inf, 0.0)
+    if reactions.covariance is None or reactions.setup_errors is None:
+        return setting
+    known = prepared(rod, reactions.setup_errors)
+    return setting._replace(rig=known.rig, errors=known.covariance)
 
 
 def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sample:
     """Rows (k, …) of reactions; with the clamp's velocity if errors of a setup are stated, or if
     `moving`.
     """
-    trail, shape = reactions.trail, reactions.trail.shape
-    covariance = velocity = None
-    if reactions.covariance is not None:
-        units = np.repeat([rod.force_scale, rod.moment_scale], 3)
-        relative = reactions.covariance / np.outer(units, units)
-        covariance = np.broadcast_to(relative, (*shape, 6, 6)).reshape(-1, 6, 6)
-        if moving or reactions.setup_errors is not None:
-            velocity = velocities_of(rod, reactions).reshape(-1, 6)
-    force, moment, position, orientation = (
-        part.reshape(-1, part.shape[-1])
-        for part in (reactions.force, reactions.moment, trail.position, trail.orientation)
-    )
-    return Sample(force, moment, position, orientation, covariance, velocity)
+    trail = reactions.trail
+    parts = (reactions.force, reactions.moment, trail.position, trail.orientation)
+    rows = Sample(*(part.reshape(-1, part.shape[-1]) for part in parts))
+    if reactions.covariance is None:
+        return rows
+    covariance = np.broadcast_to(reactions.covariance / _squares(rod), (*trail.shape, 6, 6))
+    rows = rows._replace(covariance=covariance.reshape(-1, 6, 6))
+    if moving or reactions.setup_errors is not None:
+        rows = rows._replace(velocity=velocities_of(rod, reactions).reshape(-1, 6))
+    return rows
 
 
 def in_clamp_axes(
-    reactions: Reactions, units: Float[np.ndarray, "6"] | float = 1.0
+    reactions: Reactions, rod: Rod
 ) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "n 6 6"] | None]:
-    """Wrenches of one trail in clamp axes and these units, and their covariances if known."""
+    """Wrenches of one trail in clamp axes and model units, and their covariances if known."""
     turn = rotation_matrices(reactions.trail.orientation)
-    parts = (reactions.force, reactions.moment)
-    turned = [np.einsum("nji,nj->ni", turn, part) for part in parts]
-    wrench = np.concatenate(turned, axis=1) / units
+    wrench = np.stack([reactions.force, reactions.moment], axis=1) @ turn
+    scaled = wrench.reshape(-1, 6) / np.sqrt(np.diag(_squares(rod)))
     if reactions.covariance is None:
-        return wrench, None
-    both = np.zeros((len(turn), 6, 6))
-    both[:, :3, :3] = both[:, 3:, 3:] = turn
-    scales = units * np.ones(6)
-    relative = reactions.covariance / np.outer(scales, scales)
-    return wrench, np.swapaxes(both, 1, 2) @ relative @ both
+        return scaled, None
+    both = np.kron(np.eye(2), turn)
+    return scaled, np.swapaxes(both, 1, 2) @ (reactions.covariance / _squares(rod)) @ both
+
+
+def _squares(rod: Rod) -> Float[np.ndarray, "6 6"]:
+    """Units of a wrench's covariance."""
+    units = np.repeat([rod.force_scale, rod.moment_scale], 3)
+    return np.outer(units, units)
+
+
+def with_pose_errors(
+    errors: Errors,
+    reactions: Reactions,
+    point: Vectors,
+    direction: Vectors,
+) -> Errors:
+    """Covariances of points and directions seen from the clamp, with those of the robot's pose."""
+    by_pose, turned = reactions.pose_covariance(point), reactions.rotation_covariance
+    return Errors(
+        errors.point if by_pose is None else errors.point + by_pose,
+        errors.direction
+        if turned is None
+        else errors.direction + turned_covariance(turned, direction),
+    )
 
 
 def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"]:
@@ -64,7 +82,7 @@ def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"
     if found.sensitivity is not None:
         return found.sensitivity
     rod, reactions = found.rod, found.reactions
-    setting = setting_of(rod, reactions)._replace(rig=prepared(rod, reactions.setup_errors)[0])
+    setting = setting_of(rod, reactions)._replace(rig=prepared(rod, reactions.setup_errors).rig)
     slopes = sensitivities_of(setting, samples_of(rod, reactions, moving=True))
     rows = np.concatenate([slopes.reach, slopes.direction], axis=1)
     return np.where(
@@ -76,7 +94,7 @@ def shared_of(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 p"]:
     """What the sweep shares, points in units of the rod's length; without columns where no
     tolerances are stated, or no noise.
     """
-    factor = factor_of(found.rod, found.reactions)
+    factor = prepared(found.rod, found.reactions.setup_errors).factor
     if found.covariance is None or not factor.shape[1]:
         return np.zeros((*found.kind.shape, 6, 0))
     return sensitivities(found) @ factor

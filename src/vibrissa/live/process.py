@@ -80,7 +80,7 @@ class Processor:
     stage
         Between the inverse and the sinks, or None.
     friction
-        As for `vibrissa.reconstruct`.
+        Coulomb's coefficient between rod and object: 0 for none, None where it is not known.
     tolerances
         As for `vibrissa.Sensor.reactions`.
 

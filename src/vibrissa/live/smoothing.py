@@ -35,7 +35,7 @@ class SmoothingStage:
     rod
         As of the contacts.
     friction
-        0 if there is known to be none.
+        Coulomb's coefficient between rod and object: 0 for none, None where it is not known.
     """
 
     def __init__(self, rod: Rod, *, friction: float | None = None) -> None:

@@ -83,6 +83,17 @@ def sampled_line(
     return np.asarray(clamp + length * line)
 
 
+def force_of(
+    incidence: float,
+    reach: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+) -> float:
+    """Magnitude [EI/L²] of the contact force that goes with an incidence; else as `sampled_line`."""
+    lever_arm = np.linalg.norm(reach - (reach @ direction) * direction)
+    return float(4 * (incidence - (1 + direction @ axis) / 2) / lever_arm**2)
+
+
 def directors(
     direction: Float[np.ndarray, "3"],
     side: Float[np.ndarray, "3"],

@@ -7,16 +7,15 @@ import numpy as np
 from scipy.special import chdtri
 
 from vibrissa.contacts import RecordingWarning, Status
-from vibrissa.inverse.checks.findings import Cause, SetupCheck
+from vibrissa.inverse.checks.findings import SetupCheck
 from vibrissa.inverse.checks.judgement import judged
-from vibrissa.inverse.checks.passes import contradicts, delay_of, shift_by
+from vibrissa.inverse.checks.passes import carried, contradicts, delay_of
 from vibrissa.inverse.checks.wording import delay_told
-from vibrissa.inverse.result import Reconstruction, trail_of
+from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.work import still_warnings, work_warnings
 
 _OUTSIDE = 0.05
 """Probability outside of the ellipsoids."""
-_DELAY = "pose_delay"
 
 
 def check_setup(found: Reconstruction) -> SetupCheck:
@@ -40,23 +39,20 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     noise, the error of the zero, a model error of 2e-4 L and errors that the setup tolerates
     (mechanics.md, "What the data say of the setup").
     """
-    shift = np.zeros_like(found.point)
     if found.reactions.covariance is None or found.reactions.time is None:
-        return SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
+        return SetupCheck(friction=found.friction or 0.0, shift=np.zeros_like(found.point))
     if found.kind.ndim == 1:
-        return judged(found, shift)
-    parts = [judged(trail_of(found, j), shift[j]) for j in range(len(found.kind))]
+        return judged(found)
+    parts = [judged(found[j]) for j in range(len(found.kind))]
     worst = max(parts, key=lambda part: part.causes[0].significance if part.causes else 0.0)
     lines = [f"trail {j}: {line}" for j, part in enumerate(parts) for line in part.warnings]
-    apart = [
-        np.zeros(found.kind.shape[1], dtype=bool) if part.apart is None else part.apart
-        for part in parts
-    ]
+    none = np.zeros(found.kind.shape[1], dtype=bool)
+    apart = np.stack([none if part.apart is None else part.apart for part in parts])
     return replace(
         worst,
         warnings=tuple(lines),
         shift=np.stack([part.shift for part in parts]),
-        apart=np.stack(apart) if np.any(apart) else None,
+        apart=apart if apart.any() else None,
     )
 
 
@@ -64,20 +60,13 @@ def checked(found: Reconstruction) -> Reconstruction:
     """The same contacts with what they say against the setup: `setup_check`, `warnings` (each also
     a `RecordingWarning`), and statuses as by `with_contradictions`.
     """
-    said = check_setup(found)
-    trails = (
-        [found] if found.kind.ndim == 1 else [trail_of(found, j) for j in range(len(found.kind))]
-    )
-    by_work = (
-        list(dict.fromkeys(line for trail in trails for line in work_warnings(trail)))
-        if found.reactions.time is not None
-        else []
-    )
-    still, moves = (
-        still_warnings(trails[0])
-        if len(trails) == 1 and found.reactions.time is not None
-        else ([], False)
-    )
+    said, moves, by_work = check_setup(found), False, dict[str, None]()
+    still: list[str] = []
+    if found.reactions.time is not None:
+        trails = [found] if found.kind.ndim == 1 else [found[j] for j in range(len(found.kind))]
+        by_work = dict.fromkeys(line for trail in trails for line in work_warnings(trail))
+        if len(trails) == 1:
+            still, moves = still_warnings(trails[0])
     lines = [*said.warnings, *by_work, *still]
     for line in lines:
         warnings.warn(line, RecordingWarning, stacklevel=3)
@@ -92,32 +81,21 @@ def with_delay(found: Reconstruction) -> Reconstruction:
     and fro tell one that is not named yet.
     """
     said = found.setup_check
-    if said is None or said.misread or any(_DELAY in names for names in said.named):
+    if said is None or said.misread or any("pose_delay" in names for names in said.named):
         return found
     delay = delay_of(found)
     if delay is None or not contradicts(delay, found):
         return found
-    line = delay_told(found.rod, delay.seconds, delay.deviation, delay.shift)
+    line = delay_told(found.rod, delay)
     warnings.warn(line, RecordingWarning, stacklevel=4)
-    cause = Cause(
-        _DELAY,
-        "s",
-        (delay.seconds,),
-        (delay.deviation,),
-        abs(delay.seconds) / delay.deviation,
-        float("nan"),
-        delay.shift,
-    )
-    own = np.nan_to_num(shift_by(delay, found))
-    larger = np.linalg.norm(own, axis=1, keepdims=True) > np.linalg.norm(
-        said.shift, axis=1, keepdims=True
-    )
+    own = np.nan_to_num(delay.estimate[0] * carried(found))
+    sizes = (np.linalg.norm(shift, axis=1, keepdims=True) for shift in (own, said.shift))
     said = replace(
         said,
-        causes=(cause, *said.causes),
-        named=(*said.named, (_DELAY,)),
+        causes=(delay, *said.causes),
+        named=(*said.named, (delay.name,)),
         warnings=(*said.warnings, line),
-        shift=np.where(larger, own, said.shift),
+        shift=np.where(np.greater(*sizes), own, said.shift),
     )
     return replace(found, setup_check=said, warnings=[*found.warnings, line])
 
@@ -126,23 +104,18 @@ def with_contradictions(found: Reconstruction) -> Reconstruction:
     """`SETUP_CONTRADICTED` on rows that the likeliest causes of the check move out of their 95 %
     ellipsoid, where nothing else is found against them.
     """
-    said = found.setup_check
+    said, status = found.setup_check, found.status
     if said is None or not (said.warnings or said.misread) or found.covariance is None:
         return found
-    status = found.status
     if said.apart is not None:
-        status = np.where(
-            said.apart & found.in_contact & (status == Status.OK), Status.TOUCHES_TWICE, status
-        )
+        twice = said.apart & found.in_contact & (status == Status.OK)
+        status = np.where(twice, Status.TOUCHES_TWICE, status)
     open_to = np.isin(status, (Status.OK, Status.SETUP_CONTRADICTED))
     known = open_to & found.in_contact & np.isfinite(found.covariance).all(axis=(-1, -2))
     covariance = np.where(known[..., None, None], found.covariance, np.eye(3))
-    distance = np.einsum(
-        "...i,...i->...", said.shift, np.linalg.solve(covariance, said.shift[..., None])[..., 0]
+    distance = np.sum(
+        said.shift * np.linalg.solve(covariance, said.shift[..., None])[..., 0], axis=-1
     )
-    told = np.where(
-        known & (said.misread | (distance > chdtri(3, _OUTSIDE))),
-        Status.SETUP_CONTRADICTED,
-        Status.OK,
-    )
+    wrong = known & (said.misread | (distance > chdtri(3, _OUTSIDE)))
+    told = np.where(wrong, Status.SETUP_CONTRADICTED, Status.OK)
     return replace(found, status=np.where(open_to, told, status).astype(np.int8))

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -31,38 +30,29 @@ class Slopes(NamedTuple):
     constraints: Float[AnyArray, "*k 4 p"]
     point: Float[AnyArray, "*k 3 p"]
 
-    def __matmul__(self, step: Float[np.ndarray, "k p q"]) -> "Slopes":
-        return Slopes(self.constraints @ step, self.point @ step)
-
 
 class Constraints(NamedTuple):
-    """Values at the stretches in contact (k, …), and their derivatives.
-
-    Attributes
-    ----------
-    value
-        (k, 4) of m·n̂, m·t, g (1 − s₁) and t·n̂.
-    reach, tangent, force
-        (k, 3) of the contact, clamp axes; `force` on the rod.
-    arc_length
-        (k,).
-    steepness
-        (k,) g.
-    by_wrench, by_taper, by_curvature, by_load
-        Derivatives by base wrench (6), share of the radius lost at the tip (1), rest curvature (2),
-        load per length (3), clamp axes.
-    """
+    """Values at the stretches in contact (k, …), and their derivatives."""
 
     value: Float[AnyArray, "*k 4"]
+    """Of m·n̂, m·t, g (1 − s₁) and t·n̂."""
     reach: Float[AnyArray, "*k 3"]
+    """Of the contact, clamp axes."""
     tangent: Float[AnyArray, "*k 3"]
     force: Float[AnyArray, "*k 3"]
+    """On the rod."""
     arc_length: Float[AnyArray, "*k"]
     steepness: Float[AnyArray, "*k"]
-    by_wrench: Slopes
-    by_taper: Slopes
-    by_curvature: Slopes
-    by_load: Slopes
+    """g."""
+    by_rod: Slopes
+    """By the numbers of `Imperfect` in turn, clamp axes: base wrench (6), share of the radius lost at
+    the tip (1), rest curvature (2), load per length (3).
+    """
+
+    @property
+    def by_wrench(self) -> Slopes:
+        """By the base wrench alone."""
+        return Slopes(*(part[..., :6] for part in self.by_rod))
 
 
 @lanes(width=96, blocks=1)
@@ -82,15 +72,13 @@ def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
     direction, rate = here.force / f, -jnp.cross(t, here.force)
     g = jnp.sqrt(jnp.sum(rate**2))
     across = rate / g
-
-    def by(*parts: Float[Array, "3 *p"]) -> Slopes:
-        moment, force, tangent, reach = (part.reshape(3, -1) for part in parts)
-        beyond, turning = across @ moment, (force - jnp.outer(direction, direction @ force)) / f
-        # Where the constraints hold, the moment is zero: what turns its axes says nothing, and
-        # noise times it would look like a cause.
-        rows = [direction @ moment, t @ moment, beyond, direction @ tangent + t @ turning]
-        return Slopes(jnp.stack(rows), reach - jnp.outer(t, beyond / g))
-
+    moment, force, tangent, reach = (
+        jnp.concatenate([part.reshape(3, -1) for part in parts], axis=1) for parts in slopes
+    )
+    beyond, turning = across @ moment, (force - jnp.outer(direction, direction @ force)) / f
+    # Where the constraints hold, the moment is zero: what turns its axes says nothing, and noise
+    # times it would look like a cause.
+    rows = [direction @ moment, t @ moment, beyond, direction @ tangent + t @ turning]
     couple, torsion, off = (here.moment @ axis for axis in (direction, t, across))
     return Constraints(
         jnp.stack([couple, torsion, g * (length - arc_length) + off, t @ direction]),
@@ -99,5 +87,5 @@ def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
         here.force,
         arc_length - off / g,
         g,
-        *(by(*parts) for parts in zip(*slopes, strict=True)),
+        Slopes(jnp.stack(rows), reach - jnp.outer(t, beyond / g)),
     )

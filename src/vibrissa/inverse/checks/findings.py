@@ -61,11 +61,11 @@ class SetupCheck:
         the rod touches two places; None where there are none.
     """
 
-    causes: tuple[Cause, ...]
-    reduced_chi_square: float
-    friction: float
-    named: tuple[tuple[str, ...], ...]
-    warnings: tuple[str, ...]
     shift: Float[np.ndarray, "*trail n 3"]
+    friction: float
+    causes: tuple[Cause, ...] = ()
+    reduced_chi_square: float = 1.0
+    named: tuple[tuple[str, ...], ...] = ()
+    warnings: tuple[str, ...] = ()
     misread: bool = False
     apart: Bool[np.ndarray, "*trail n"] | None = None

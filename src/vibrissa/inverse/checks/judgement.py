@@ -2,9 +2,6 @@
 and what is concluded from them.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import label, uniform_filter1d
@@ -12,17 +9,18 @@ from scipy.ndimage import label, uniform_filter1d
 from vibrissa.inverse.checks.case import (
     GROSS,
     Case,
+    Misfit,
+    Numbers,
+    Phases,
     Solution,
+    Square,
+    Tried,
     case_of,
     solved,
-    tolerances_of,
-    weighed,
 )
 from vibrissa.inverse.checks.findings import Cause, SetupCheck
-from vibrissa.inverse.checks.regression import Misfit, Phases, fitted, shifts
-from vibrissa.inverse.checks.rig import frame_of
+from vibrissa.inverse.checks.rig import SUSPECTS, TELLING, frame_of
 from vibrissa.inverse.checks.stretches import stretches_of
-from vibrissa.inverse.checks.suspects import SUSPECTS, TELLING, Suspect, Tried
 from vibrissa.inverse.checks.wording import (
     MATTERS,
     apart_line,
@@ -72,20 +70,19 @@ which it then extends."""
 
 # Readings that no rod has make numbers without bound; what is not finite is left out.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def judged(found: Reconstruction, shift: Float[np.ndarray, "n 3"]) -> SetupCheck:
-    """Findings of one trail; `shift` is that of no cause."""
+def judged(found: Reconstruction) -> SetupCheck:
+    """Findings of one trail."""
     averaged = stretches_of(found)
     if averaged is not None:
-        frame = frame_of(found.reactions, found.rod.length)
-        case = case_of(averaged, frame, found.friction)
+        case = case_of(averaged, frame_of(found.reactions, found.rod.length), found.friction)
         if case is not None:
             return _of_case(found, case)
-    return SetupCheck((), 1.0, found.friction or 0.0, (), (), shift)
+    return SetupCheck(shift=np.zeros_like(found.point), friction=found.friction or 0.0)
 
 
 def _of_case(found: Reconstruction, case: Case) -> SetupCheck:
     tip = case.phases()
-    misfit, friction = weighed(case, tip, found.reactions, found.rod.length)
+    misfit, friction = case.weighed(tip, found.reactions, found.rod.length)
     first = _candidates(case, tip, misfit)
     contradicted = _matters(case, first) and not _tolerable(found, case)
     groups: list[list[Tried]] = []
@@ -96,20 +93,20 @@ def _of_case(found: Reconstruction, case: Case) -> SetupCheck:
     elif contradicted:
         first = _solved_if_gross(found, case, tip, misfit, first)
         groups, lines = _explained(found, case, tip, first)
-    excess = misfit.square - len(misfit.value)
-    concluded = SetupCheck(
-        tuple(_cause(found, one, max(excess, 1.0)) for one in first),
-        misfit.square / len(misfit.value),
-        friction,
-        tuple(tuple(one.suspect.name for one in group) for group in groups),
-        tuple(lines),
-        _shift_of_rows(found, case, groups),
+    misread = contradicted and not lines
+    if misread:
+        lines = [unexplained_line(found, case, tip, misfit)]
+    excess = max(misfit.square - len(misfit.value), 1.0)
+    return SetupCheck(
+        shift=_shift_of_rows(found, case, groups),
+        friction=friction,
+        causes=tuple(_cause(found, one, excess) for one in first),
+        reduced_chi_square=misfit.square / len(misfit.value),
+        named=tuple(tuple(one.name for one in group) for group in groups),
+        warnings=tuple(lines),
+        misread=misread,
         apart=rows,
     )
-    if lines or not contradicted:
-        return concluded
-    line = unexplained_line(found, case, tip, misfit)
-    return replace(concluded, warnings=(line,), misread=True)
 
 
 def _explained(
@@ -121,23 +118,24 @@ def _explained(
     groups: list[list[Tried]] = []
     lines: list[str] = []
     tried = first
-    while len(groups) < _MOST and matters(alike(tried), _FURTHER * first[0].score):
-        groups.append(alike(tried))
+    while len(groups) < _MOST and _enough(_alike(tried), _FURTHER * first[0].score):
+        groups.append(_alike(tried))
         lines.append(causes_line(found, case, tip, groups[-1]))
-        step, most = tried[0].suspect.directions @ tried[0].size, GROSS * case.spread
+        step, most = SUSPECTS[tried[0].name] @ tried[0].size, GROSS * case.spread
         case = case.about(case.errors + np.clip(step, -most, most), found.friction)
         tip = case.phases(started=False)
-        tried = _candidates(case, tip, weighed(case, tip, found.reactions, found.rod.length)[0])
+        misfit, _ = case.weighed(tip, found.reactions, found.rod.length)
+        tried = _candidates(case, tip, misfit)
     return groups, lines
 
 
-def alike(tried: list[Tried]) -> list[Tried]:
+def _alike(tried: list[Tried]) -> list[Tried]:
     """The best, and those that explain about as much."""
-    best = tried[0].score
-    return [one for one in tried if one.score >= best * (1 - _ALIKE) - _ALIKE_BY]
+    least = tried[0].score * (1 - _ALIKE) - _ALIKE_BY
+    return [one for one in tried if one.score >= least]
 
 
-def matters(together: list[Tried], least: float) -> bool:
+def _enough(together: list[Tried], least: float) -> bool:
     """Whether causes that explain about the same explain enough, and would move contacts by more
     than error bars hold.
     """
@@ -146,78 +144,68 @@ def matters(together: list[Tried], least: float) -> bool:
 
 
 def _matters(case: Case, tried: list[Tried]) -> bool:
-    return matters(alike(tried), _WITH_FRICTION if case.silent.any() else 0.0)
+    return _enough(_alike(tried), _WITH_FRICTION if case.silent.any() else 0.0)
 
 
 def _candidates(case: Case, tip: Phases, misfit: Misfit) -> list[Tried]:
     """All causes beside friction, the best first."""
-    rub = misfit.whitened(case.friction)
-    by_friction = fitted(misfit, rub, case.friction_spread).explained if rub.shape[1] else 0.0
-    moves = shifts(case.slopes, case.stretches.noise, case.here, tip)
-    found = []
-    for suspect in SUSPECTS:
-        count, cause = suspect.directions.shape[1], case.rubbing(case.along(suspect.directions))
-        both = fitted(misfit, misfit.whitened(cause.slope), cause.spread)
+    by_friction = misfit.fitted(case.rubbing(case.along(np.zeros((len(case.spread), 0))))).explained
+    moves, found = case.shifts(tip), []
+    for name, directions in SUSPECTS.items():
+        count = directions.shape[1]
+        both = misfit.fitted(case.rubbing(case.along(directions)))
         size, covariance = both.size[:count], both.covariance[:count, :count]
-        found.append(_tried(suspect, size, covariance, both.explained - by_friction, moves))
+        found.append(_tried(name, size, covariance, both.explained - by_friction, moves))
     return sorted(found, key=lambda one: -one.score)
 
 
 def _tried(
-    suspect: Suspect,
-    size: Float[np.ndarray, "p"],
-    covariance: Float[np.ndarray, "p p"],
+    name: str,
+    size: Numbers,
+    covariance: Square,
     explained: float,
     moves: Float[np.ndarray, "k 3 errors"],
 ) -> Tried:
-    score, deviation = explained - _PRICE * (len(size) - 1), np.sqrt(np.diag(covariance))
-    return Tried(score, suspect, size, deviation, explained, moves @ (suspect.directions @ size))
+    score, moved = explained - _PRICE * (len(size) - 1), moves @ (SUSPECTS[name] @ size)
+    return Tried(score, name, size, np.sqrt(np.diag(covariance)), explained, moved)
 
 
 def _solved_if_gross(
-    found: Reconstruction,
-    case: Case,
-    tip: Phases,
-    misfit: Misfit,
-    first: list[Tried],
+    found: Reconstruction, case: Case, tip: Phases, misfit: Misfit, first: list[Tried]
 ) -> list[Tried]:
     """Causes solved for where the best is gross, those that the linear fit finds hopeless left
     out.
     """
-
-    def left(solution: Solution) -> float:
-        return solution.misfits[0].square + float(np.sum((solution.size / spread) ** 2))
-
-    telling = [one for one in first if one.suspect in SUSPECTS[:TELLING]]
-    best = next((one for one in alike(first) if one.suspect in SUSPECTS[:TELLING]), None)
-    if best is None or not _gross(case, best):
+    best = next((one for one in _alike(first) if one.name in TELLING), None)
+    if best is None or not np.any(
+        np.abs(best.size) > _GROSS * case.along(SUSPECTS[best.name]).spread
+    ):
         return first
-    moves = shifts(case.slopes, case.stretches.noise, case.here, tip)
-    out = []
-    for one in telling:
-        if one.score <= _HOPELESS * first[0].score:
+    moves, out = case.shifts(tip), []
+    for one in first:
+        if one.name not in TELLING or one.score <= _HOPELESS * first[0].score:
             continue
-        directions = one.suspect.directions
+        directions = SUSPECTS[one.name]
         spread = case.along(directions).spread
+
+        def left(solution: Solution, spread: Numbers = spread) -> float:
+            return solution.misfits[0].square + float(np.sum((solution.size / spread) ** 2))
+
         start = np.clip(one.size, -spread, spread)
         solution = solved([case], directions, spread, found.friction, start)
         if len(spread) == 1 and left(solution) > _POOR * len(misfit.value):
             other = solved([case], directions, spread, found.friction, -start)
             solution = min(solution, other, key=left)
         explained = misfit.square - left(solution)
-        out.append(_tried(one.suspect, solution.size, solution.covariance, explained, moves))
+        out.append(_tried(one.name, solution.size, solution.covariance, explained, moves))
     return sorted(out, key=lambda one: -one.score) or first
-
-
-def _gross(case: Case, one: Tried) -> bool:
-    return bool(np.any(np.abs(one.size) > _GROSS * case.along(one.suspect.directions).spread))
 
 
 def _tolerable(found: Reconstruction, case: Case) -> bool:
     """Whether errors of the sizes that the setup states explain it after all: solved for, as they
     are not linear.
     """
-    stated = tolerances_of(case, found.reactions, found.rod.length)
+    stated = case.tolerances(found.reactions, found.rod.length)
     spread = np.linalg.norm(stated, axis=0)
     # A delay shows in no single contact.
     directions, spread = stated[:, spread > 0] / spread[spread > 0], spread[spread > 0]
@@ -228,7 +216,7 @@ def _tolerable(found: Reconstruction, case: Case) -> bool:
         return False
     about = case.about(directions @ size, found.friction)
     tip = about.phases([directions])
-    misfit, _ = weighed(about, tip, found.reactions, found.rod.length)
+    misfit, _ = about.weighed(tip, found.reactions, found.rod.length)
     return not _matters(case, _candidates(about, tip, misfit))
 
 
@@ -262,31 +250,24 @@ def _apart(
 
 
 def _cause(found: Reconstruction, one: Tried, total: float) -> Cause:
-    unit, factor = unit_of(found.rod, one.suspect.name)
-    return Cause(
-        one.suspect.name,
-        unit,
-        tuple(map(float, factor * one.size)),
-        tuple(map(float, factor * one.deviation)),
-        float(np.sqrt(max(one.explained, 0.0))),
-        float(np.clip(one.explained / total, 0.0, 1.0)),
-        one.shift * found.rod.length,
-    )
+    unit, factor = unit_of(found.rod, one.name)
+    estimate, deviation = (tuple((factor * part).tolist()) for part in (one.size, one.deviation))
+    significance = float(np.sqrt(max(one.explained, 0.0)))
+    explained = float(np.clip(one.explained / total, 0.0, 1.0))
+    shift = one.shift * found.rod.length
+    return Cause(one.name, unit, estimate, deviation, significance, explained, shift)
 
 
 def _shift_of_rows(
-    found: Reconstruction, case: Case, groups: Sequence[Sequence[Tried]]
+    found: Reconstruction, case: Case, groups: list[list[Tried]]
 ) -> Float[np.ndarray, "n 3"]:
     """World axes and units of the rod: of each group the largest, all together."""
-    stretches = case.bench.stretches
+    stretches, time = case.bench.stretches, found.reactions.time
+    assert time is not None
     total = np.zeros((len(stretches.time), 3))
     for group in groups:
         each = np.stack([one.moved for one in group])
         largest = np.argmax(np.linalg.norm(each, axis=2), axis=0)
         total += each[largest, np.arange(len(total))]
     world = np.einsum("kij,kj->ki", stretches.turn, total) * found.rod.length
-    assert found.reactions.time is not None
-    return np.stack(
-        [np.interp(found.reactions.time, stretches.time, world[:, axis]) for axis in range(3)],
-        axis=1,
-    )
+    return np.stack([np.interp(time, stretches.time, axis) for axis in world.T], axis=1)

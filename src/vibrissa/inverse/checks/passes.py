@@ -12,13 +12,12 @@ b enters in third order only; friction turns the forces of opposite passes by op
 the mean not at all.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from vibrissa.contacts import Status
+from vibrissa.inverse.checks.findings import Cause
 from vibrissa.inverse.result import Reconstruction
 
 _POINTS = 400
@@ -51,97 +50,74 @@ _TOLERATED = 3.0
 """Stated standard deviations up to which a delay is as stated."""
 
 
-@dataclass(frozen=True)
-class Delay:
-    """By how much poses come late, by the contacts of passes to and fro.
-
-    Attributes
-    ----------
-    seconds, deviation
-        [s]; positive where late.
-    shift
-        Median size of what it shifts contacts by, units of the rod.
-    """
-
-    seconds: float
-    deviation: float
-    shift: float
+Vectors = Float[np.ndarray, "n 3"]
 
 
-def delay_of(found: Reconstruction) -> Delay | None:
-    """Delay that the contacts of one trail (n, …) tell; None where there is no time, or no two
-    passes in opposite directions over the same places.
+def delay_of(found: Reconstruction) -> Cause | None:
+    """Delay [s] of the poses that the contacts of one trail (n, …) tell, positive where they come
+    late; None where there is no time, or no two passes in opposite directions over the same places.
     """
     if found.reactions.time is None or found.kind.ndim != 1:
         return None
-    rows = (
+    rows = np.flatnonzero(
         found.in_contact
         & np.isin(found.status, (Status.OK, Status.SETUP_CONTRADICTED))
         & np.isfinite(found.point + found.force_direction).all(axis=1)
     )
-    if np.count_nonzero(rows) < _FEWEST * _BLOCKS:
+    if len(rows) < _FEWEST * _BLOCKS:
         return None
-    place, normal, velocity = _means(found, np.flatnonzero(rows))
+    # Means over short stretches of contact, none of which holds a gap.
+    size = max(1, len(rows) // _POINTS)
+    starts = np.flatnonzero((np.diff(rows, prepend=-2) > 1) | (np.arange(len(rows)) % size == 0))
+    count = np.diff(starts, append=len(rows))[:, None]
+    place, normal, velocity = (
+        np.add.reduceat(part[rows], starts) / count
+        for part in (found.point, found.force_direction, carried(found))
+    )
+    normal = _unit(normal)
     first, second = _pairs(place, normal, velocity, found.rod.length)
     if len(first) < _FEWEST * _FEWEST:
         return None
-    across = normal[first] + normal[second]
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    across = _unit(normal[first] + normal[second])
     apart = np.sum(across * (place[first] - place[second]), axis=1)
     slope = -np.sum(across * (velocity[first] - velocity[second]), axis=1)
     fitted = _by_blocks(slope, apart)
     if fitted is None:
         return None
-    shift = abs(fitted[0]) * float(np.median(np.linalg.norm(velocity, axis=1)))
-    return Delay(*fitted, shift)
+    seconds, deviation = fitted
+    shift = abs(seconds) * float(np.median(np.linalg.norm(velocity, axis=1)))
+    significance = abs(seconds) / deviation
+    return Cause("pose_delay", "s", (seconds,), (deviation,), significance, np.nan, shift)
 
 
-def contradicts(delay: Delay | None, found: Reconstruction) -> bool:
+def contradicts(delay: Cause, found: Reconstruction) -> bool:
     """Whether a delay is certain, matters, and is more than the setup tolerates."""
-    if (
-        delay is None
-        or abs(delay.seconds) < _CERTAIN * delay.deviation
-        or delay.shift < _MATTERS * found.rod.length
-    ):
-        return False
     errors = found.reactions.setup_errors
-    return errors is None or abs(delay.seconds) > _TOLERATED * float(
-        np.sqrt(errors.covariance[-1, -1])
+    tolerated = 0.0 if errors is None else _TOLERATED * np.sqrt(errors.covariance[-1, -1])
+    return bool(
+        delay.significance >= _CERTAIN
+        and delay.shift >= _MATTERS * found.rod.length
+        and abs(delay.estimate[0]) > tolerated
     )
 
 
-def shift_by(delay: Delay, found: Reconstruction) -> Float[np.ndarray, "n 3"]:
-    """Of the contacts (n, 3), units of the rod."""
-    return np.asarray(delay.seconds * _carried(found))
-
-
-def _carried(found: Reconstruction) -> Float[np.ndarray, "n 3"]:
-    """Velocity of the clamp's frame at the contacts (n, 3)."""
+def carried(found: Reconstruction) -> Vectors:
+    """Velocity of the clamp's frame at the contacts (n, 3): what a delay of one second shifts them
+    by, units of the rod.
+    """
     velocity = found.reactions.clamp_velocity()
-    return np.asarray(
-        velocity[:, :3] + np.cross(velocity[:, 3:], found.point - found.reactions.trail.position)
-    )
+    arm = found.point - found.reactions.trail.position
+    return np.asarray(velocity[:, :3] + np.cross(velocity[:, 3:], arm))
 
 
-def _means(
-    found: Reconstruction, rows: Int[np.ndarray, "m"]
-) -> tuple[Float[np.ndarray, "k 3"], ...]:
-    """Place, normal and velocity over short stretches of contact, none of which holds a gap."""
-    size = max(1, len(rows) // _POINTS)
-    starts = np.flatnonzero((np.diff(rows, prepend=-2) > 1) | (np.arange(len(rows)) % size == 0))
-    count = np.diff(starts, append=len(rows))[:, None]
-    means = (
-        np.add.reduceat(part[rows], starts) / count
-        for part in (found.point, found.force_direction, _carried(found))
-    )
-    place, normal, velocity = means
-    return place, normal / np.linalg.norm(normal, axis=1, keepdims=True), velocity
+def _unit(vectors: Vectors) -> Vectors:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _pairs(
-    place: Float[np.ndarray, "k 3"],
-    normal: Float[np.ndarray, "k 3"],
-    velocity: Float[np.ndarray, "k 3"],
+    place: Vectors,
+    normal: Vectors,
+    velocity: Vectors,
     length: float,
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     """Each point with the nearest of an opposite pass; each pair once."""
@@ -163,16 +139,14 @@ def _by_blocks(
     the scatter between parts of the sweep.
     """
     design = np.column_stack([slope, np.ones(len(slope))])
-    blocks = np.arange(len(slope)) * _BLOCKS // len(slope)
-    normal = design.T @ design
-    if np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))) > 1e6:
+    normal, size = design.T @ design, np.linalg.norm(design, axis=0)
+    if np.linalg.cond(normal / np.outer(size, size)) > 1e6:
         return None
     inverse = np.linalg.inv(normal)
     solution = inverse @ design.T @ apart
-    left = apart - design @ solution
-    scores = np.stack(
-        [design[blocks == block].T @ left[blocks == block] for block in range(_BLOCKS)]
-    )
+    each = design * (apart - design @ solution)[:, None]
+    starts = -(-np.arange(_BLOCKS) * len(slope) // _BLOCKS)
+    scores = np.add.reduceat(each, starts)
     # Blocks scatter about a fit to themselves: two numbers of twelve are spent.
     covariance = inverse @ (scores.T @ scores) @ inverse * _BLOCKS / (_BLOCKS - 2)
     return float(solution[0]), float(np.sqrt(covariance[0, 0]))

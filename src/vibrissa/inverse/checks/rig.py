@@ -1,19 +1,18 @@
-"""What rod, clamp and sensor may be off by, as one vector: what the constraints say when that is
-taken off, and their derivatives by it.
+"""What rod, clamp and sensor may be off by, as one vector; causes of error as users know them; and
+what the constraints say when errors are taken off, with their derivatives.
 
 Errors are what is true less what is stated, in model units and clamp axes, but for gains, zeros and
 drifts, which are the sensor's: the share by which a channel reads too much, its reading at rest in
 model units, and the rate of that.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.geometry.rotation import cross_matrices, rotation_matrices
 from vibrissa.inverse.checks.constraints import TIP, Constraints, Slopes, constraints_of
 from vibrissa.inverse.checks.stretches import Stretches
 from vibrissa.mechanics.imperfect import Imperfect
@@ -32,7 +31,48 @@ BenchErrors = Float[np.ndarray, "errors"]
 Directions = Float[np.ndarray, "errors p"]
 """Errors for unit steps of some numbers."""
 _MOST_TAPER = 0.8
-_ZERO_STEPS = 3
+"""Of the radius: beyond it a rod is a needle."""
+
+_UNIT = np.eye(ERRORS)
+SUSPECTS: dict[str, Directions] = {
+    "bending_stiffness": _UNIT[:, [STIFFNESS]],
+    "length": _UNIT[:, [LENGTH]],
+    # Not about its own axis: the rod is round.
+    "clamp_orientation": _UNIT[:, ROTATION][:, :2],
+    "clamp_position": _UNIT[:, POSITION],
+    "gain": _UNIT[:, GAIN].sum(axis=1, keepdims=True),
+    "force_gain": _UNIT[:, GAIN][:, :3].sum(axis=1, keepdims=True),
+    "torque_gain": _UNIT[:, GAIN][:, 3:].sum(axis=1, keepdims=True),
+    "taper": _UNIT[:, [TAPER]],
+    "rest_curvature": _UNIT[:, CURVATURE],
+    "load": _UNIT[:, LOAD],
+} | {
+    f"{name}_{channel}": _UNIT[:, [where.start + index]]
+    for name, where in (("gain", GAIN), ("drift", DRIFT), ("zero", ZERO))
+    for index, channel in enumerate(("fx", "fy", "fz", "tx", "ty", "tz"))
+}
+"""Causes of error, and the errors for a unit of each of their numbers. In the order in which they
+are named where they explain as much: what is known least comes first.
+"""
+TELLING = list(SUSPECTS)[:10]
+"""Those that change all stretches alike: all but single channels. By these, phases are told."""
+_SPREADS = np.repeat([0.3, 0.05, 0.04, 0.1, 0.1, 0.3, 0.0], [1, 1, 3, 3, 6, 6, 12])
+"""Standard deviations before the data: gross mistakes are three of them. A stiffness by 30 %, a
+length by 5 %, a clamp by 0.04 L and 6°, a gain by 10 %, taper, curvature and load by 0.3.
+"""
+_DRIFT_SPREAD, _ZERO_SPREAD = 20.0, 10.0
+"""The same in standard deviations of a sample: of what a zero may drift over a contact, and be off
+by.
+"""
+
+
+def spreads_of(sample: Float[np.ndarray, "6"], duration: float) -> BenchErrors:
+    """Standard deviations before the data, for the noise of a sample (6), model units, and the
+    contact's duration.
+    """
+    spreads = _SPREADS.copy()
+    spreads[DRIFT], spreads[ZERO] = _DRIFT_SPREAD * sample / duration, _ZERO_SPREAD * sample
+    return spreads
 
 
 class Frame(NamedTuple):
@@ -46,130 +86,98 @@ class Frame(NamedTuple):
     @property
     def to_sensor(self) -> Float[np.ndarray, "6 6"]:
         """(f, m) about the clamp in its axes to readings: τ = m + arm × f."""
-        matrix = np.zeros((6, 6))
-        matrix[:3, :3] = matrix[3:, 3:] = self.turn
-        matrix[3:, :3] = np.cross(self.arm, self.turn, axisb=0).T
+        matrix = np.kron(np.eye(2), self.turn)
+        matrix[3:, :3] = cross_matrices(self.arm) @ self.turn
         return matrix
 
 
 def frame_of(reactions: Reactions, length: float) -> Frame:
     """As the reactions say; else that of a sensor at the clamp, in its axes."""
-    errors = getattr(reactions, "setup_errors", None)
+    errors = reactions.setup_errors
     if errors is None:
         return Frame(np.eye(3), np.zeros(3))
     return Frame(rotation_matrices(errors.clamp_orientation), np.asarray(errors.arm) / length)
 
 
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """Stretches in contact, and how they were measured.
-
-    Attributes
-    ----------
-    stretches
-        In contact, all of them.
-    frame
-        Of the sensor.
-    tared
-        Time to which the zero belongs.
-    rest
-        (3, 3) from clamp to world axes as the zero was taken.
-    """
+class Bench(NamedTuple):
+    """Stretches in contact, and how they were measured."""
 
     stretches: Stretches
+    """In contact, all of them."""
     frame: Frame
     tared: float
+    """Time to which the zero belongs."""
     rest: Float[np.ndarray, "3 3"]
+    """From clamp to world axes as the zero was taken."""
 
     def taken(self, errors: BenchErrors) -> Float[np.ndarray, "6 6"]:
         """What takes measured wrenches, and their noise, to those with the errors taken off, but
         for what is added to them.
         """
         there, back = self.frame.to_sensor, np.linalg.inv(self.frame.to_sensor)
-        turn = Rotation.from_rotvec(errors[ROTATION]).as_matrix().T
-        both, moved = np.zeros((6, 6)), np.eye(6)
-        both[:3, :3] = both[3:, 3:] = turn
-        moved[3:, :3] = -np.cross(errors[POSITION], np.eye(3), axisb=0).T
-        return np.asarray(
-            np.exp(-errors[STIFFNESS]) * both @ moved @ (back / (1 + errors[GAIN])) @ there
-        )
+        turned = np.kron(np.eye(2), Rotation.from_rotvec(errors[ROTATION]).as_matrix().T)
+        moved = np.eye(6)
+        moved[3:, :3] = -cross_matrices(errors[POSITION])
+        gained = (back / (1 + errors[GAIN])) @ there
+        return np.asarray(np.exp(-errors[STIFFNESS]) * turned @ moved @ gained)
 
     def wrench(self, errors: BenchErrors) -> Float[np.ndarray, "k 6"]:
         """Base wrenches in true clamp axes and in units of the true stiffness and the stated
         length.
         """
-        there, back = self.frame.to_sensor, np.linalg.inv(self.frame.to_sensor)
-        elapsed = (self.stretches.time - self.tared)[:, None]
-        reading = (self.stretches.wrench @ there.T - errors[ZERO] - elapsed * errors[DRIFT]) / (
-            1 + errors[GAIN]
-        )
-        own = reading @ back.T
-        force, moment = own[:, :3], own[:, 3:] - np.cross(errors[POSITION], own[:, :3])
-        turn = Rotation.from_rotvec(errors[ROTATION]).as_matrix()
-        return (
-            np.concatenate([force @ turn, moment @ turn], axis=1) * np.exp(-errors[STIFFNESS])
-            + self.reaction @ errors[LOAD]
-        )
+        back = np.linalg.inv(self.frame.to_sensor)
+        offset = errors[ZERO] + self._elapsed[:, None] * errors[DRIFT]
+        return (self.stretches.wrench - offset @ back.T) @ self.taken(
+            errors
+        ).T + self.reaction @ errors[LOAD]
+
+    @property
+    def _elapsed(self) -> Float[np.ndarray, "k"]:
+        """Since the zero was taken."""
+        return self.stretches.time - self.tared
+
+    @property
+    def _axes(self) -> Float[np.ndarray, "k 3 3"]:
+        """From world to clamp axes."""
+        return np.swapaxes(self.stretches.turn, 1, 2)
 
     @property
     def reaction(self) -> Float[np.ndarray, "6 3"]:
         """By load: what the straight rod's load made of the zero."""
         axes = self.rest.T
-        return np.concatenate([-axes, -0.5 * np.cross([0.0, 0.0, 1.0], axes, axisb=0).T])
+        return np.concatenate([-axes, -0.5 * cross_matrices(np.array([0.0, 0.0, 1.0])) @ axes])
 
     def constraints(self, errors: BenchErrors) -> Constraints:
         """Of the rod with these errors taken off; s₁ and lengths in the stated one's."""
-        axes = np.swapaxes(self.stretches.turn, 1, 2)
+        wrench = self.wrench(errors)
+        count = len(wrench)
+        taper, curvature = min(errors[TAPER], _MOST_TAPER), errors[CURVATURE]
         rods = Imperfect(
-            self.wrench(errors),
-            np.full(len(axes), min(errors[TAPER], _MOST_TAPER)),
-            np.tile(errors[CURVATURE], (len(axes), 1)),
-            axes @ errors[LOAD],
+            wrench, np.full(count, taper), np.tile(curvature, (count, 1)), self._axes @ errors[LOAD]
         )
         return constraints_of(np.exp(errors[LENGTH]), rods)
 
     def slopes(self, here: Constraints, errors: BenchErrors) -> Slopes:
         """Derivatives of constraints (k, 4, 32) and points (k, 3, 32) by the errors."""
-        wrench, base, count, eye = self.wrench(errors), here.by_wrench, len(here.value), np.eye(3)
-        f, m = wrench[:, :3], wrench[:, 3:]
-        there, back = self.frame.to_sensor, np.linalg.inv(self.frame.to_sensor)
-        step = np.zeros((count, 6, ERRORS))
-        # Couple and torsion are proportional to the wrench: their own noise must not look like a
-        # stiffness, or like the gain of a channel that should read nothing.
-        near = self._nearest(here, wrench)
-        step[:, :, STIFFNESS] = -near
-        step[:, 3:, POSITION] = _crossed(f)
-        step[:, :3, ROTATION], step[:, 3:, ROTATION] = _crossed(f), _crossed(m)
-        step[:, :, GAIN] = -back[None] * (near @ there.T)[:, None, :]
-        step[:, :, ZERO] = -back
-        step[:, :, DRIFT] = -back * (self.stretches.time - self.tared)[:, None, None]
-        step[:, :, LOAD] = self.reaction
-        found = base @ step
-        constraints, point = found.constraints, found.point
-        constraints[:, TIP, LENGTH] += here.steepness * np.exp(errors[LENGTH])
-        point[:, :, POSITION] += eye
-        point[:, :, ROTATION] -= _crossed(np.asarray(here.reach))
-        axes = np.swapaxes(self.stretches.turn, 1, 2)
-        for where, part in (
-            (slice(TAPER, TAPER + 1), here.by_taper),
-            (CURVATURE, here.by_curvature),
-            (LOAD, here.by_load @ axes),
-        ):
-            constraints[:, :, where] += part.constraints
-            point[:, :, where] += part.point
-        return Slopes(constraints, point)
-
-    def _nearest(
-        self, here: Constraints, wrench: Float[np.ndarray, "k 6"]
-    ) -> Float[np.ndarray, "k 6"]:
-        """By the least change of the wrench that leaves neither couple nor torsion."""
+        wrench, back = self.wrench(errors), np.linalg.inv(self.frame.to_sensor)
+        f, m = cross_matrices(wrench[:, :3]), cross_matrices(wrench[:, 3:])
+        # By the least change that leaves neither couple nor torsion. They are proportional to the
+        # wrench: their own noise must not look like a stiffness, or like the gain of a channel
+        # that should read nothing.
         slope = here.by_wrench.constraints[:, :2]
         spread = self.stretches.noise @ np.swapaxes(slope, 1, 2)
-        return np.asarray(
-            wrench - (spread @ np.linalg.solve(slope @ spread, here.value[:, :2, None]))[:, :, 0]
-        )
-
-
-def _crossed(vector: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3 3"]:
-    """Matrices that take e to −e × v."""
-    return -np.swapaxes(np.cross(np.eye(3)[None], vector[:, None, :]), 1, 2)
+        near = wrench - (spread @ np.linalg.solve(slope @ spread, here.value[:, :2, None]))[:, :, 0]
+        # By the numbers of the rod: wrench, taper, curvature, load.
+        step = np.zeros((len(wrench), 12, ERRORS))
+        step[:, :6, STIFFNESS] = -near
+        step[:, 3:6, POSITION] = step[:, :3, ROTATION] = f
+        step[:, 3:6, ROTATION] = m
+        step[:, :6, GAIN] = -back * (near @ self.frame.to_sensor.T)[:, None, :]
+        step[:, :6, ZERO], step[:, :6, DRIFT] = -back, -back * self._elapsed[:, None, None]
+        step[:, :6, LOAD], step[:, 9:, LOAD] = self.reaction, self._axes
+        step[:, 6, TAPER], step[:, 7:9, CURVATURE] = 1.0, np.eye(2)
+        constraints, point = (part @ step for part in here.by_rod)
+        constraints[:, TIP, LENGTH] += here.steepness * np.exp(errors[LENGTH])
+        point[:, :, POSITION] += np.eye(3)
+        point[:, :, ROTATION] -= cross_matrices(here.reach)
+        return Slopes(constraints, point)

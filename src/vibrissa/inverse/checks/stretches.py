@@ -5,8 +5,7 @@ straight line, and its mean that of the middle. The arc length, a ratio of momen
 but linear in a mean's noise where it is not in a sample's.
 """
 
-import itertools
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -52,117 +51,87 @@ chance and rounding.
 _LEAST_WHITE = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class Stretches:
-    """Means over short stretches of one trail, in clamp axes and model units.
-
-    Attributes
-    ----------
-    time
-        (k,) [s], or the number of the sample.
-    wrench
-        (k, 6) support reactions.
-    noise
-        (k, 6, 6) covariance of what is independent from stretch to stretch.
-    zero
-        (k, 6, 6) factor of what an error of the zero adds, one for all samples.
-    position
-        (k, 3) of the clamp, world axes, in rod lengths.
-    turn
-        (k, 3, 3) from clamp to world axes.
-    contact
-        (k,) whether the rod touches; else it is at rest.
-    first, last
-        (k,) samples, the last not included.
-    """
+class Stretches(NamedTuple):
+    """Means over short stretches of one trail, in clamp axes and model units."""
 
     time: Float[np.ndarray, "k"]
+    """[s], or the number of the sample."""
     wrench: Float[np.ndarray, "k 6"]
+    """Support reactions."""
     noise: Float[np.ndarray, "k 6 6"]
+    """Covariance of what is independent from stretch to stretch."""
     zero: Float[np.ndarray, "k 6 6"]
+    """Factor of what an error of the zero adds, one for all samples."""
     position: Float[np.ndarray, "k 3"]
+    """Of the clamp, world axes, in rod lengths."""
     turn: Float[np.ndarray, "k 3 3"]
+    """From clamp to world axes."""
     contact: Bool[np.ndarray, "k"]
+    """Whether the rod touches; else it is at rest."""
     first: Int[np.ndarray, "k"]
     last: Int[np.ndarray, "k"]
+    """Samples, the last not included."""
 
-    def chosen(self, rows: Bool[np.ndarray, "k"]) -> "Stretches":
+    def chosen(self, rows: Any) -> "Stretches":
         """Some of them."""
-        return Stretches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return Stretches(*(part[rows] for part in self))
 
 
 def stretches_of(found: Reconstruction) -> Stretches | None:
     """Averaged rows of one trail (n, …) with known noise, in contact and at rest; None with too few
     in contact.
     """
-    reactions, rod = found.reactions, found.rod
-    if np.count_nonzero(found.in_contact) < _FEWEST:
-        return None
-    turn = rotation_matrices(reactions.trail.orientation)
-    units = np.repeat([rod.force_scale, rod.moment_scale], 3)
-    wrench, covariance = in_clamp_axes(reactions, units)
+    reactions, trail = found.reactions, found.reactions.trail
+    wrench, covariance = in_clamp_axes(reactions, found.rod)
     assert covariance is not None
     sound = np.isfinite(wrench).all(axis=1) & (found.status != Status.BAD_DATA)
-    time = np.arange(len(turn), dtype=np.float64) if reactions.time is None else reactions.time
+    time = np.arange(float(len(wrench))) if reactions.time is None else reactions.time
     touching = (uniform_filter1d((found.in_contact & sound).astype(float), _WINDOW) > 0.5) & sound
-    if np.count_nonzero(touching) < _FEWEST:
+    if min(np.count_nonzero(found.in_contact), np.count_nonzero(touching)) < _FEWEST:
         return None
-    resting = sound & _away(touching, time)
-    spans = [(*span, True) for span in _spans(touching, _MOST)] + [
-        (*span, False) for span in _spans(resting, _MOST_AT_REST)
-    ]
+    # Before and after all contact, by a margin.
+    begin, end = time[touching][[0, -1]]
+    margin = _MARGIN * (end - begin)
+    resting = sound & ((time < begin - margin) | (time > end + margin))
+    cuts = _spans(touching, _MOST), _spans(resting, _MOST_AT_REST)
+    spans = np.concatenate(cuts)
     root = np.linalg.cholesky(covariance)
     white = _white(np.linalg.solve(root, wrench[..., None])[..., 0], touching | resting)
     before = np.count_nonzero(resting[: int(np.argmax(touching))])
     lasting = np.maximum(1 - white - _WHITE, 0) + (1 / before if before else _UNKNOWN_ZERO)
-    means = [_mean(wrench[first:last], time[first:last]) for first, last, _ in spans]
-    first, last, contact = (np.array(column) for column in zip(*spans, strict=True))
+    means, count, scatter = map(
+        np.array, zip(*(_mean(wrench[a:b], time[a:b]) for a, b in spans), strict=True)
+    )
+    first, last = spans.T
     middle = (first + last) // 2
-    count, scatter = (np.array([mean[place] for mean in means]) for place in (1, 2))
     noise = root[middle] * white @ np.swapaxes(root[middle], 1, 2)
     excess = np.max(scatter / np.einsum("kii->ki", noise), axis=1) - 1
-    steady = excess < _UNSTEADY * np.sqrt(2 / np.maximum(count - 2, 1))
-    found_all = Stretches(
-        time=np.array([time[start:stop].mean() for start, stop, _ in spans]),
-        wrench=np.array([mean[0] for mean in means]),
+    averaged = Stretches(
+        time=np.array([time[a:b].mean() for a, b in spans]),
+        wrench=means,
         noise=noise / count[:, None, None],
         zero=root[middle] * np.sqrt(lasting),
-        position=np.array(
-            [reactions.trail.position[start:stop].mean(axis=0) for start, stop, _ in spans]
-        )
-        / rod.length,
-        turn=turn[middle],
-        contact=contact,
+        position=np.array([trail.position[a:b].mean(axis=0) for a, b in spans]) / found.rod.length,
+        turn=rotation_matrices(trail.orientation[middle]),
+        contact=np.arange(len(spans)) < len(cuts[0]),
         first=first,
         last=last,
     )
-    return found_all.chosen(_steady(steady, contact))
+    # Without unsteady ones and their neighbours: a jump, or what is left of swinging.
+    steady = excess < _UNSTEADY * np.sqrt(2 / np.maximum(count - 2, 1))
+    bad = averaged.contact & ~steady
+    return averaged.chosen(~(bad | np.roll(bad, 1) | np.roll(bad, -1)) | ~averaged.contact)
 
 
-def _steady(steady: Bool[np.ndarray, "k"], contact: Bool[np.ndarray, "k"]) -> Bool[np.ndarray, "k"]:
-    """Without the neighbours of stretches in contact that are not: a jump, or what is left of
-    swinging.
-    """
-    bad = contact & ~steady
-    return ~(bad | np.roll(bad, 1) | np.roll(bad, -1)) | ~contact
-
-
-def _away(touching: Bool[np.ndarray, "n"], time: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Samples before and after all contact, by a margin."""
-    index = np.flatnonzero(touching)
-    margin = _MARGIN * (time[index[-1]] - time[index[0]])
-    return np.asarray((time < time[index[0]] - margin) | (time > time[index[-1]] + margin))
-
-
-def _spans(rows: Bool[np.ndarray, "n"], most: int) -> list[tuple[int, int]]:
-    """Runs of rows, cut into about equal parts, `most` in all."""
+def _spans(rows: Bool[np.ndarray, "n"], most: int) -> Int[np.ndarray, "k 2"]:
+    """Runs of rows [first, last), cut into about equal parts, `most` in all."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(int)))
     size = max(1, -(-int(np.count_nonzero(rows)) // most))
-    cuts = [
-        np.linspace(start, stop, max(1, round((stop - start) / size)) + 1).astype(int)
-        for start, stop in edges.reshape(-1, 2)
-    ]
-    return [(int(start), int(stop)) for cut in cuts for start, stop in itertools.pairwise(cut)]
+    parts = [np.zeros((0, 2), dtype=int)]
+    for start, stop in edges.reshape(-1, 2):
+        cut = np.linspace(start, stop, max(1, round((stop - start) / size)) + 1).astype(int)
+        parts.append(np.column_stack([cut[:-1], cut[1:]]))
+    return np.concatenate(parts)
 
 
 def _white(
@@ -172,7 +141,7 @@ def _white(
     1 where there are too few.
     """
     inner = rows[:-2] & rows[1:-1] & rows[2:]
-    second = (whitened[:-2] - 2 * whitened[1:-1] + whitened[2:])[inner] / np.sqrt(6)
+    second = np.diff(whitened, 2, axis=0)[inner] / np.sqrt(6)
     if len(second) < _FEWEST:
         return np.ones(6)
     return np.maximum(median_abs_deviation(second, axis=0, scale="normal") ** 2, _LEAST_WHITE)
@@ -184,20 +153,15 @@ def _mean(
     """Middle of a straight line through the rows, how many count, and their variance about it."""
     if len(values) < _LINE:
         return values.mean(axis=0), len(values), np.zeros(6)
-    elapsed = time - time.mean()
-    good = np.ones(len(values), dtype=bool)
+    elapsed, good = time - time.mean(), np.ones(len(values), dtype=bool)
     for last in (False, True):
         center, middle = values[good].mean(axis=0), elapsed[good].mean()
         own = elapsed[good] - middle
         slope = own @ (values[good] - center) / (own @ own)
         off = values - center - (elapsed - middle)[:, None] * slope
         if not last:
-            near = np.all(
-                np.abs(off)
-                <= _OUTLYING
-                * np.maximum(median_abs_deviation(off, axis=0, scale="normal"), 1e-300),
-                axis=1,
-            )
+            spread = median_abs_deviation(off, axis=0, scale="normal")
+            near = np.all(np.abs(off) <= _OUTLYING * np.maximum(spread, 1e-300), axis=1)
             good = near if np.count_nonzero(near) >= _LINE else good
     count = int(np.count_nonzero(good))
     return center - middle * slope, count, np.sum(off[good] ** 2, axis=0) / (count - 2)

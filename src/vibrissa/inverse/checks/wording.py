@@ -4,13 +4,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from scipy.ndimage import label
 
-from vibrissa.inverse.checks.case import Case
-from vibrissa.inverse.checks.constraints import TANGENT, TIP, Constraints
-from vibrissa.inverse.checks.regression import Misfit, Phases, picked
-from vibrissa.inverse.checks.suspects import SUSPECTS, Tried
+from vibrissa.inverse.checks.case import Case, Misfit, Numbers, Phases, Tried, picked
+from vibrissa.inverse.checks.constraints import TANGENT, TIP
+from vibrissa.inverse.checks.findings import Cause
+from vibrissa.inverse.checks.rig import SUSPECTS
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.rod import Rod
 
@@ -35,13 +35,21 @@ _SIGNED = {
     "zero_": ("the zero of {channel} is off by {way}{load}", "", "-"),
 }
 """Causes of one number: the clause, and `way` where it is positive and where it is negative."""
+_VECTORS = {
+    "clamp_position": ("clamp shifted by {} of its axes", " along "),
+    "clamp_orientation": ("clamp turned by {} of its axes", " about "),
+    "rest_curvature": ("a rod that is not straight, sagitta {} of the clamp's axes", " along "),
+}
+"""Causes of several: the clause, and what leads to the axis of each number."""
 
 
 def unit_of(rod: Rod, name: str) -> tuple[str, float]:
     """Unit of a cause's numbers, and what takes them there from model units."""
-    force = name[-2] == "f"
-    reading = rod.unit_of("force" if force else "moment")
-    scale = rod.force_scale if force else rod.moment_scale
+    kind, _, channel = name.partition("_")
+    if kind in ("drift", "zero"):
+        force = channel.startswith("f")
+        unit = rod.unit_of("force" if force else "moment") + "/s" * (kind == "drift")
+        return unit, rod.force_scale if force else rod.moment_scale
     length = rod.unit_of("length"), rod.length
     return {
         "length": length,
@@ -49,11 +57,7 @@ def unit_of(rod: Rod, name: str) -> tuple[str, float]:
         "clamp_orientation": ("rad", 1.0),
         "rest_curvature": (rod.unit_of("curvature"), 1 / rod.length),
         "load": ("N/m" if rod.units == "SI" else "1", rod.force_scale / rod.length),
-        "drift": (f"{reading}/s", scale),
-        "zero": (reading, scale),
-    }.get(
-        name if name[:5] not in ("drift", "zero_") else name.split("_", maxsplit=1)[0], ("1", 1.0)
-    )
+    }.get(name, ("1", 1.0))
 
 
 def apart_line(found: Reconstruction, misfit: Misfit, rows: Bool[np.ndarray, "n"]) -> str:
@@ -75,13 +79,11 @@ def causes_line(found: Reconstruction, case: Case, tip: Phases, together: Sequen
     move contacts.
     """
     best, rod = together[0], found.rod
-    signal = np.abs(case.along(best.suspect.directions).slope @ best.size) / case.deviations
+    signal = np.abs(case.along(SUSPECTS[best.name]).slope @ best.size) / case.deviations
     signal[~tip, TIP], signal[tip, TANGENT] = 0.0, 0.0
-    seen = _seen(rod, case.here, tip, int(np.argmax(np.sum(signal**2, axis=0))))
-    order = sorted(together, key=lambda one: SUSPECTS.index(one.suspect))[:_SHOWN]
-    causes = [
-        _named(rod, one.suspect.name, unit_of(rod, one.suspect.name)[1] * one.size) for one in order
-    ]
+    seen = _seen(rod, case, tip, int(np.argmax(np.sum(signal**2, axis=0))))
+    order = sorted(together, key=lambda one: list(SUSPECTS).index(one.name))[:_SHOWN]
+    causes = [_named(rod, one.name, unit_of(rod, one.name)[1] * one.size) for one in order]
     shift, place = max(one.shift for one in together), "in the median"
     if shift < MATTERS:
         shift, place = max(one.largest for one in together), "in a fifth of the sweep"
@@ -97,23 +99,25 @@ def unexplained_line(found: Reconstruction, case: Case, tip: Phases, misfit: Mis
     value = picked(np.abs(case.here.value) / case.deviations, misfit.pick) * misfit.told
     row = int(misfit.pick[np.unravel_index(np.argmax(value), value.shape)])
     return (
-        f"{_seen(found.rod, case.here, tip, row)}, {math.sqrt(misfit.square):.0f} standard "
+        f"{_seen(found.rod, case, tip, row)}, {math.sqrt(misfit.square):.0f} standard "
         "deviations: no single cause explains it; check the units, signs and axes of wrench and "
         "poses, the sensor's calibration, and the rod's length and stiffness"
     )
 
 
-def delay_told(rod: Rod, seconds: float, deviation: float, shift: float) -> str:
+def delay_told(rod: Rod, delay: Cause) -> str:
     """Of poses that come late, by passes to and fro that disagree by twice their shift."""
+    deviation = f"{delay.deviation[0] * 1e3:.1g} ms"
+    late = _named(rod, delay.name, np.array(delay.estimate)).replace(" ms", f" ± {deviation}")
     return (
-        f"passes to and fro over the same places are {_length(rod, 2 * shift)} apart, "
-        f"{abs(seconds) / deviation:.0f} standard deviations: likely poses "
-        f"{abs(seconds) * 1e3:.2g} ± {deviation * 1e3:.1g} ms {'late' if seconds > 0 else 'early'}"
-        f"; contacts are then off by {_length(rod, shift)} in the median"
+        f"passes to and fro over the same places are {_length(rod, 2 * delay.shift)} apart, "
+        f"{delay.significance:.0f} standard deviations: likely {late}; contacts are then off by "
+        f"{_length(rod, delay.shift)} in the median"
     )
 
 
-def _seen(rod: Rod, here: Constraints, tip: Phases, row: int) -> str:
+def _seen(rod: Rod, case: Case, tip: Phases, row: int) -> str:
+    here = case.here
     of_row = tip if row == TIP else ~tip if row == TANGENT else np.ones_like(tip)
     size = here.value[of_row, row] / (here.steepness[of_row] if row == TIP else 1.0)
     middle = float(np.median(size))
@@ -126,38 +130,39 @@ def _seen(rod: Rod, here: Constraints, tip: Phases, row: int) -> str:
     )[row]
 
 
-def _named(rod: Rod, name: str, estimate: Float[np.ndarray, "p"]) -> str:
+def _named(rod: Rod, name: str, estimate: Numbers) -> str:
     """A cause as a clause, with its size; lengths in the rod's unit."""
-    lengths = [_length(rod, value) for value in estimate]
-    if name == "clamp_position":
-        return f"clamp shifted by {_vector(estimate, lengths)} of its axes"
-    if name == "clamp_orientation":
-        angles = [f"{math.degrees(abs(value)):.2g}°" for value in estimate]
-        return f"clamp turned by {_vector(estimate, angles, ' about ')} of its axes"
-    if name == "rest_curvature":
-        sagitta = [_length(rod, value * rod.length**2 / 8) for value in estimate]
-        return (
-            f"a rod that is not straight, sagitta {_vector(estimate, sagitta)} of the clamp's axes"
-        )
+    first = float(estimate[0])
     if name == "load":
         size = float(np.linalg.norm(estimate))
         unit = "N/m" if rod.units == "SI" else "EI/L³"
-        towards = ", ".join(
-            f"{part + 0.0:.1f}" for part in np.round(estimate / max(size, 1e-300), 1)
-        )
+        parts = np.round(estimate / max(size, 1e-300), 1) + 0.0
         return (
-            f"a load along the rod such as its own weight, {size:.2g} {unit} towards ({towards}) "
-            "of the world"
+            f"a load along the rod such as its own weight, {size:.2g} {unit} towards "
+            f"({', '.join(f'{part:.1f}' for part in parts)}) of the world"
         )
+    if name in _VECTORS:
+        clause, along = _VECTORS[name]
+        texts = [
+            f"{math.degrees(abs(value)):.2g}°"
+            if name == "clamp_orientation"
+            else _length(rod, value * (rod.length**2 / 8 if name == "rest_curvature" else 1.0))
+            for value in estimate
+        ]
+        told = " and ".join(
+            f"{text}{along}{'-' if value < 0 else ''}{axis}"
+            for value, text, axis in zip(estimate, texts, "xyz", strict=False)
+            if abs(value) >= _CLOSE * np.abs(estimate).max()
+        )
+        return clause.format(told)
     kind, _, channel = name.partition("_")
     clause, more, less = _SIGNED[name if name in _SIGNED else f"{kind}_"]
-    first = float(estimate[0])
     thousandths = f"{abs(first) * 1e3:.2g}"
     unit = "mN" if channel.startswith("f") else "N mm"
     return clause.format(
         way=more if first > 0 else less,
         share=f"{100 * abs(first):.2g} %",
-        size=lengths[0],
+        size=_length(rod, first),
         milliseconds=f"{thousandths} ms",
         channel=channel,
         load=f"{thousandths} {unit}" if rod.units == "SI" else f"{abs(first):.2g}",
@@ -166,12 +171,3 @@ def _named(rod: Rod, name: str, estimate: Float[np.ndarray, "p"]) -> str:
 
 def _length(rod: Rod, value: float) -> str:
     return f"{abs(value) * 1e3:.2g} mm" if rod.units == "SI" else f"{abs(value):.2g} L"
-
-
-def _vector(values: Float[np.ndarray, "p"], texts: list[str], along: str = " along ") -> str:
-    largest = np.abs(values).max()
-    return " and ".join(
-        f"{text}{along}{'-' if value < 0 else ''}{axis}"
-        for value, text, axis in zip(values, texts, "xyz", strict=False)
-        if abs(value) >= _CLOSE * largest
-    )

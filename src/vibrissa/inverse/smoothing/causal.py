@@ -131,7 +131,8 @@ class CausalSmoother:
     intensities
         (5,) as `Smoothing.intensities`, in place of those that follow from the speed.
     friction
-        0 where there is known to be none: k² = ½ is then used in tangential contact.
+        Coulomb's coefficient between rod and object: 0 for none, None where it is not known.
+        Where it is 0, tangential contacts are square to their force.
     false_alarm
         Share of samples without contact that may be taken for contact: the mean of five samples has
         to pass the chi-square test at that level, the drift of the zero and its error taken into
@@ -357,7 +358,7 @@ def _one(
         away = residual[:WRENCH] - mean[DRIFT]
         distance = away @ jnp.linalg.solve(spread, away)
         value = linear.value
-        by_setup = changes(value.wrench, value.reach, value.direction, velocity, settings.rig)
+        by_setup = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
         seen = settings.whitening @ by_setup.wrench * (kind != FREE)
         variance = jnp.full(ROWS, jnp.inf).at[:WRENCH].set(jnp.maximum(1.0, distance / OUTLIER))
         variance = variance.at[-1].set(
@@ -387,7 +388,7 @@ def _one(
     linear = linear_at(mean[PLACE])
     slope = jnp.concatenate([linear.slope.reach, linear.slope.direction])
     value = linear.value
-    seen = changes(value.wrench, value.reach, value.direction, velocity, settings.rig)
+    seen = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
     moved = slope @ jnp.einsum("k,kij->ij", shares, columns[1:, PLACE])
     return after, {
         "reach": value.reach,

@@ -149,9 +149,9 @@ def _sensitivity(found: Reconstruction, fit: Fit) -> Float[np.ndarray, "n 6 para
     readings, lengths in units of the rod's.
     """
     series, value, slope = fit.series, fit.linear.value, fit.linear.slope
-    rig = prepared(found.rod, found.reactions.setup_errors)[0]
+    rig = prepared(found.rod, found.reactions.setup_errors).rig
     velocity = velocities_of(found.rod, found.reactions)
-    seen = changes_of_rows(value.wrench, value.reach, value.direction, velocity, rig)
+    seen = changes_of_rows(rig, value.wrench, value.reach, value.direction, velocity)
     touching = fit.labels.phase != FREE
     # A larger wrench for the same contact makes of the same readings a smaller one; samples for
     # which there is no rod are not seen.

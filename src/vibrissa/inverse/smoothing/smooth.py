@@ -55,7 +55,8 @@ def smooth(
     ----------
     found
         Contacts of one sweep (n, …) or of several (m, n, …), with the covariance of their
-        reactions. Where its `friction` is 0, k² = ½ is used in tangential contact.
+        reactions. Where its `friction` is 0, tangential contacts are square to their force; where
+        it is not known (None), or greater, their incidence is free.
     false_alarm
         Share of samples without contact that may be taken for contact.
     model_error

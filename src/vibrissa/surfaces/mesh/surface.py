@@ -71,6 +71,7 @@ class Mesh(ExactSurface):
     warns of it.
     """
 
+    much_code = True
     field: Field
     source: _Source = eqx.field(static=True)
 
@@ -149,11 +150,6 @@ class Mesh(ExactSurface):
     def repairs(self) -> Repairs:
         """What was mended."""
         return self.source.repairs
-
-    @property
-    def heavy(self) -> bool:
-        """Yes: a spline of 64 terms."""
-        return True
 
     def level(self, point: Point) -> Scalar:
         """Signed distance; away from the surface by more than `reach`, to about a grid cell's

@@ -34,6 +34,16 @@ from vibrissa.surfaces.base import (
 )
 
 
+def _exponents(value: ArrayLike, name: str) -> Float[np.ndarray, "2"]:
+    array = finite_array(value, name, last=2, ndim=1)
+    for index, entry in enumerate(array.tolist()):
+        if not 0 < entry <= 2:
+            raise ValueError(
+                f"{name}[{index}] = {entry!r}; allowed is a number greater than 0 and at most 2"
+            )
+    return array
+
+
 class _Primitive(Checked):
     may_crease = False
 
@@ -120,7 +130,7 @@ class Superquadric(_Centred):
     """
 
     semi_axes: Vector3 = sizes()
-    exponents: Vector2 = field(lambda value, name: _exponents(value, name))
+    exponents: Vector2 = field(_exponents)
 
     def level(self, point: Point) -> Scalar:
         """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the
@@ -256,13 +266,3 @@ def _scaled(offset: Float[Array, "n"], semi_axes: ArrayLike) -> Scalar:
 
 def _or_else(size: Scalar, other: Scalar | float) -> Scalar:
     return jnp.where(size > TINY, size, other)
-
-
-def _exponents(value: ArrayLike, name: str) -> Float[np.ndarray, "2"]:
-    array = finite_array(value, name, last=2, ndim=1)
-    for index, entry in enumerate(array.tolist()):
-        if not 0 < entry <= 2:
-            raise ValueError(
-                f"{name}[{index}] = {entry!r}; allowed is a number greater than 0 and at most 2"
-            )
-    return array

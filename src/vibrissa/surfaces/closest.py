@@ -6,7 +6,7 @@ second derivatives of the distance take no more than second derivatives of the l
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -34,6 +34,7 @@ _SETTLED, _SETTLED_SIZE = 1e-9, 1e-15
 _MISSED, _MISSED_SIZE = 1e-6, 1e-12
 
 
+@runtime_checkable
 class Solid(Protocol):
     """What has a level function."""
 

@@ -84,18 +84,17 @@ def build(sheet: Sheets, reach: float) -> Field:
     squared, triangle, _ = library("igl").point_mesh_squared_distance(
         middles, sheet.vertices, sheet.faces
     )
+    near = np.sqrt(squared) <= reach + np.sqrt(3) / 2 * grid.spacing
+    cells, middles, triangle = cells[near], middles[near], triangle[near]
     error = np.abs(_levels(plain, middles) - levels_by_triangles(sheet, middles, triangle))
     # A share of the largest chordal error about the triangle.
     at_fan = np.zeros(sheet.fans.max() + 1)
     np.maximum.at(at_fan, sheet.fans, sheet.sag()[:, None])
     allowed = _BLUR * at_fan[sheet.fans].max(axis=1) + _ROUNDING * grid.spacing
-    near = np.sqrt(squared) <= reach + np.sqrt(3) / 2 * grid.spacing
-    blurred = error[near] > allowed[triangle[near]]
+    blurred = error > allowed[triangle]
     if not blurred.any():
         return plain
-    return plain._replace(
-        triangles=_triangles(grid, sheet, cells[near], np.sqrt(squared[near]), blurred)
-    )
+    return plain._replace(triangles=_triangles(grid, sheet, cells, np.sqrt(squared[near]), blurred))
 
 
 def _grid(sheet: Sheets, reach: float) -> Grid:
@@ -173,7 +172,7 @@ def _walked(
     return lax.while_loop(
         lambda state: (state[0] >= 0) & (state[2] < _MOST_STEPS),
         step,
-        (triangle, jnp.zeros(()), jnp.zeros((), dtype=int)),
+        (triangle.astype(int), jnp.zeros(()), jnp.zeros((), dtype=int)),
     )[1]
 
 

@@ -19,7 +19,7 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from vibrissa.numerics.norms import norm
-from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_level
+from vibrissa.surfaces.mesh.patches import AnyArray, Patch, dot, nearest, surface_near
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
@@ -153,11 +153,10 @@ def _by_triangles(data: tuple[Triangles, Array], point: Vector, order: int) -> J
         _, point, _ = state
         none = jnp.asarray(jnp.inf), triangles.nearby[0]
         _, chosen = lax.fori_loop(first, stop, lambda i, found: closer(i, found, point), none)
-        # Barriers, lest XLA work out the whole again for each of its parts.
-        patch = _apart(jax.tree.map(lambda part: part[chosen], triangles.patches))
-        near = _apart(frozen(point, patch))
-        jet = _derivatives(lambda q: patch_level(q, patch, near), point, order)
-        return jnp.zeros((), bool), -point, _apart(jet)
+        patch = jax.tree.map(lambda part: part[chosen], triangles.patches)
+        level, weights, slopes, _ = surface_near(point, patch)
+        seen = lambda q: level(q, weights + dot(slopes, q - point))  # noqa: E731
+        return jnp.zeros((), bool), -point, _derivatives(seen, point, order)
 
     nothing = tuple(jnp.zeros((3,) * n) for n in range(order + 1))
     return lax.while_loop(lambda state: state[0], evaluate, (stop > first, point, nothing))[2]
@@ -172,8 +171,3 @@ def _derivatives(function: Callable[[Vector], Scalar], point: Vector, order: int
     # One direction after the other: a third of the code.
     slope = jax.grad(function)
     return *jet, lax.map(lambda along: jax.jvp(slope, (point,), (along,))[1], jnp.eye(3))
-
-
-def _apart(values: Any) -> Any:
-    """Keep XLA from evaluating the values again for each of their uses."""
-    return lax.optimization_barrier(values)  # type: ignore[no-untyped-call]

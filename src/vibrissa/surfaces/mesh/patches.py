@@ -11,6 +11,7 @@ surface. Where the nearest point lies on a crease, the planes of its two sides g
 from their corner.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -117,73 +118,58 @@ def _planar(vertices: Triangle, point: Vector) -> Vector:
     return dot(_slopes(vertices), point - vertices[0]) + jnp.array([1.0, 0.0, 0.0])
 
 
-class Frozen(NamedTuple):
-    """A point's nearest feature, held fast: what is left depends on the point smoothly."""
-
-    point: Vector
-    weights: Vector
-    """Barycentric coordinates of the nearest point."""
-    slopes: Triangle
-    """Their gradients, one a row."""
-    code: Scalar
-    """As in `Patch`."""
-    corner: Vector
-    """Where creases meet: the corner, with the sign of the level by its `pseudo` normal."""
-    sign: Scalar
-    sides: Float[Array, "2 3 3"]
-    """Corner normals on both sides of the crease."""
+Sight = Callable[[Vector, Vector], Scalar]
+"""Level of a point over the triangle, given its barycentric coordinates; smooth in both."""
 
 
-def frozen(point: Vector, patch: Patch) -> Frozen:
-    """Hold fast what is nearest to a point over the triangle."""
+def surface_near(point: Vector, patch: Patch) -> tuple[Sight, Vector, Triangle, Scalar]:
+    """What a point sees of the surface over the triangle, its nearest feature held fast: the level
+    about there, the barycentric coordinates of the nearest point, their gradients, one a row, and
+    the feature's code.
+    """
     _, weights, feature = nearest(point, patch.vertices)
     edge, corner = jnp.clip(feature - EDGE, 0, 2), jnp.clip(feature - CORNER, 0, 2)
     along = patch.vertices[(edge + 2) % 3] - patch.vertices[(edge + 1) % 3]
     on_edge = jnp.asarray(_STOP - _START)[edge][:, None] * (along / dot(along, along))
     at_vertex, inside = feature >= CORNER, feature < EDGE
+    slopes = jnp.where(at_vertex, 0.0, jnp.where(inside, _slopes(patch.vertices), on_edge))
     apex = patch.vertices[corner]
-    return Frozen(
-        point,
-        weights,
-        jnp.where(at_vertex, 0.0, jnp.where(inside, _slopes(patch.vertices), on_edge)),
-        patch.codes[feature],
-        apex,
-        jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0),
-        jnp.stack([patch.normals, patch.beyond[jnp.clip(feature - EDGE, 0, 3)]]),
+    sign = jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0)
+    sides = jnp.stack([patch.normals, patch.beyond[jnp.clip(feature - EDGE, 0, 3)]])
+    # A barrier, lest XLA work it out again for each of its uses.
+    held = lax.optimization_barrier(  # type: ignore[no-untyped-call]
+        (weights, slopes, patch.codes[feature], apex, sign, sides, patch.vertices)
     )
+    weights, slopes, code, apex, sign, sides, vertices = held
 
+    def level(point: Vector, weights: Vector) -> Scalar:
+        levels, normals = jax.vmap(_sheet, in_axes=(None, None, 0, None))(
+            point, vertices, sides, weights
+        )
+        ridge = code * _outside_both(code * levels, dot(normals[0], normals[1]))
+        # Kept from zero, so that the derivative of the length stays finite.
+        offset = point - apex
+        tip = sign * jnp.sqrt(jnp.maximum(dot(offset, offset), _TINY))
+        return jnp.where(code == 0, levels[0], jnp.where(code == 2, tip, ridge))
 
-def patch_level(point: Vector, patch: Patch, near: Frozen) -> Scalar:
-    """Signed distance from the surface over the triangle, given what is nearest to about this
-    point.
-    """
-    weights = near.weights + dot(near.slopes, point - near.point)
-    level, normal = jax.vmap(_sheet, in_axes=(None, None, 0, None))(
-        point, patch.vertices, near.sides, weights
-    )
-    ridge = near.code * _outside_both(near.code * level, dot(normal[0], normal[1]))
-    # Kept from zero, so that the derivative of the length stays finite.
-    offset = point - near.corner
-    tip = near.sign * jnp.sqrt(jnp.maximum(dot(offset, offset), _TINY))
-    return jnp.where(near.code == 0, level[0], jnp.where(near.code == 2, tip, ridge))
+    return level, weights, slopes, code
 
 
 def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
-    """The same seen along the interpolated normals, and the barycentric coordinates where the line
-    of sight meets the triangle's plane.
+    """Level seen along the interpolated normals, and the barycentric coordinates where the line of
+    sight meets the triangle's plane.
 
     They may lie outside the triangle: the neighbour there sees the point better.
     """
-    near = frozen(point, patch)
-    seen, trusted = _line_of_sight(point, patch, near.weights)
+    level, nearest_weights, _, code = surface_near(point, patch)
+    seen, trusted = _line_of_sight(point, patch, nearest_weights)
     # Far away, the direction over the triangle's plane is all that is asked for.
     seen = jnp.where(trusted, seen, _planar(patch.vertices, point))
     # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
     creases = patch.codes[EDGE:CORNER] != 0
-    stopped = (near.code != 0) | jnp.any(creases & (seen < 0))
-    weights = jnp.where(stopped, near.weights, seen)
-    here = jnp.where(trusted, weights, near.weights)
-    return patch_level(point, patch, near._replace(weights=here)), weights
+    stopped = (code != 0) | jnp.any(creases & (seen < 0))
+    weights = jnp.where(stopped, nearest_weights, seen)
+    return level(point, jnp.where(trusted, weights, nearest_weights)), weights
 
 
 def _sheet(

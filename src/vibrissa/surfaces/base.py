@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any, ClassVar, TypeAlias
 
@@ -175,12 +175,8 @@ sizes = partial(field, partial(_all_positive, count=3))
 two_sizes = partial(field, partial(_all_positive, count=2))
 
 
-class Placed(Surface):
-    """A surface turned by a rotation matrix, then moved by a translation."""
-
-    surface: Surface
-    rotation: Float[np.ndarray | Array, "3 3"]
-    translation: Float[np.ndarray | Array, "3"]
+class _OfOne(Surface):
+    surface: eqx.AbstractVar[Surface]
 
     @property
     def shapes(self) -> tuple[Surface, ...]:
@@ -189,10 +185,16 @@ class Placed(Surface):
 
     @property
     def solids(self) -> tuple[Surface, ...]:
-        """The surface's own, each placed."""
-        return tuple(
-            Placed(solid, self.rotation, self.translation) for solid in self.surface.solids
-        )
+        """The surface's own, each treated likewise."""
+        return tuple(replace(self, surface=solid) for solid in self.surface.solids)
+
+
+class Placed(_OfOne):
+    """A surface turned by a rotation matrix, then moved by a translation."""
+
+    surface: Surface
+    rotation: Float[np.ndarray | Array, "3 3"]
+    translation: Float[np.ndarray | Array, "3"]
 
     def level(self, point: Point) -> Scalar:
         """Level of the object at the point seen from the object's own axes."""
@@ -207,23 +209,13 @@ class Placed(Surface):
         return self.rotation[0] * x + self.rotation[1] * y + self.rotation[2] * z
 
 
-class Offset(Checked, ExactSurface):
+class Offset(_OfOne, Checked, ExactSurface):
     """A solid grown by `radius` on all sides: its surface is where the centre line of a rod of that
     radius runs when the rod touches. Convex edges become round.
     """
 
     surface: Surface = field(_surface)
     radius: float = size()
-
-    @property
-    def shapes(self) -> tuple[Surface, ...]:
-        """Of the object."""
-        return self.surface.shapes
-
-    @property
-    def solids(self) -> tuple[Surface, ...]:
-        """The object's own, each grown."""
-        return tuple(Offset(solid, self.radius) for solid in self.surface.solids)
 
     def level(self, point: Point) -> Scalar:
         """Signed distance from the object, less the radius."""

@@ -1,5 +1,7 @@
 """Paths of the clamp."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,7 +52,7 @@ class Trail:
     )
 
     def __init__(
-        self, position: ArrayLike, orientation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0)
+        self, position: ArrayLike, orientation: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0)
     ) -> None:
         points = finite_array(position, "position", last=3)
         if points.ndim not in (2, 3):
@@ -74,7 +76,7 @@ class Trail:
     @classmethod
     def line(
         cls, *, start: ArrayLike, stop: ArrayLike, count: int, axis: ArrayLike = (0.0, 0.0, 1.0)
-    ) -> "Trail":
+    ) -> Trail:
         """`count` equally spaced positions from `start` to `stop` (3,), the rod leaving along
         `axis` (3,).
 
@@ -99,7 +101,7 @@ class Trail:
         step: ArrayLike,
         trails: int,
         axis: ArrayLike = (0.0, 0.0, 1.0),
-    ) -> "Trail":
+    ) -> Trail:
         """Parallel lines: `trails` copies of the line from `start` to `stop`, each moved on by
         `step` (3,). Shape (trails, count, …).
 
@@ -121,10 +123,10 @@ class Trail:
         start: ArrayLike,
         angle: float,
         count: int,
-        orientation: "ArrayLike | Rotation | None" = None,
+        orientation: ArrayLike | Rotation | None = None,
         rod_axis: ArrayLike | None = None,
         turning: bool = False,
-    ) -> "Trail":
+    ) -> Trail:
         """`count` clamp points equally spaced on a circular arc.
 
         Parameters
@@ -176,9 +178,9 @@ class Trail:
         start_angle: float,
         stop_angle: float,
         count: int,
-        orientation: "ArrayLike | Rotation | None" = None,
+        orientation: ArrayLike | Rotation | None = None,
         rod_axis: ArrayLike | None = None,
-    ) -> "Trail":
+    ) -> Trail:
         """`count` poses of a clamp that turns as one body about a pivot axis, as a rat's whisker
         does, at equal steps of the angle.
 
@@ -217,9 +219,9 @@ class Trail:
         points: ArrayLike,
         count: int,
         *,
-        orientations: "ArrayLike | Rotation | None" = None,
+        orientations: ArrayLike | Rotation | None = None,
         rod_axis: ArrayLike | None = None,
-    ) -> "Trail":
+    ) -> Trail:
         """`count` poses on a smooth curve through way-points, equally spaced in arc length from the
         first to the last.
 
@@ -256,9 +258,7 @@ class Trail:
         return cls(*along_spline(through, each, whole_number(count, "count")))
 
     @classmethod
-    def from_poses(
-        cls, poses: "ArrayLike | Rotation", *, position: ArrayLike | None = None
-    ) -> "Trail":
+    def from_poses(cls, poses: ArrayLike | Rotation, *, position: ArrayLike | None = None) -> Trail:
         """Clamp poses as robots give them.
 
         Parameters
@@ -289,7 +289,7 @@ class Trail:
         return cls(*matrix_parts(poses, "poses"))
 
     @classmethod
-    def from_csv(cls, path: str | Path) -> "Trail":
+    def from_csv(cls, path: str | Path) -> Trail:
         """One trail from a CSV file with a header: the columns `x,y,z,qx,qy,qz,qw` in any order, in
         units of the rod.
 
@@ -316,7 +316,7 @@ class Trail:
         return cls(pose[:, :3], pose[:, 3:])
 
     @classmethod
-    def stack(cls, trails: "Sequence[Trail]") -> "Trail":
+    def stack(cls, trails: Sequence[Trail]) -> Trail:
         """Several trails of equal length as one, (m, n, …).
 
         Raises
@@ -335,7 +335,7 @@ class Trail:
             np.concatenate([trail.orientation.reshape(-1, count, 4) for trail in trails]),
         )
 
-    def __getitem__(self, index: Index) -> "Trail":
+    def __getitem__(self, index: Index) -> Trail:
         """Some positions of one trail, or some of several trails: a slice, a mask or an array of
         numbers keeps the first axis, a number gives a trail of one position, or one trail of
         several.
@@ -397,12 +397,12 @@ def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:
     return np.atleast_1d(rows) if len(shape) == 1 else rows
 
 
-def _point(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
+def _point(value: ArrayLike, name: str) -> Float[np.ndarray, 3]:
     return finite_array(value, name, last=3, ndim=1)
 
 
 def _one_of(
-    orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None, name: str
+    orientation: ArrayLike | Rotation | None, rod_axis: ArrayLike | None, name: str
 ) -> Float[np.ndarray, "*batch 4"]:
     if rod_axis is None:
         return unit_quaternions((0.0, 0.0, 0.0, 1.0) if orientation is None else orientation, name)
@@ -412,8 +412,8 @@ def _one_of(
 
 
 def _clamp_turn(
-    orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None
-) -> Float[np.ndarray, "4"]:
+    orientation: ArrayLike | Rotation | None, rod_axis: ArrayLike | None
+) -> Float[np.ndarray, 4]:
     turn = _one_of(orientation, rod_axis, "orientation")
     if turn.shape != (4,):
         raise ValueError(f"orientation has shape {turn.shape}; allowed is one quaternion (4,)")

@@ -5,6 +5,8 @@ filter as the fixed-interval smoother's way forward, and they mix by their proba
 (interacting multiple models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 
@@ -78,8 +80,8 @@ class LiveContact:
 
     time: float
     kind: ContactKind
-    point: Float[np.ndarray, "3"]
-    normal: Float[np.ndarray, "3"]
+    point: Float[np.ndarray, 3]
+    normal: Float[np.ndarray, 3]
     arc_length: float
     modulus: float
     covariance: Float[np.ndarray, "3 3"]
@@ -274,7 +276,7 @@ class CausalSmoother:
             found += self._taken(part, time[rows])
         return found
 
-    def _taken(self, samples: Sample, time: Float[np.ndarray, "n"]) -> list[LiveContact]:
+    def _taken(self, samples: Sample, time: Float[np.ndarray, n]) -> list[LiveContact]:
         """The first samples, one for each time."""
         self._state, report = advanced(self._state, self._settings, samples, np.asarray(len(time)))
         self._time = float(time[-1])
@@ -317,7 +319,7 @@ def _whitening(covariance: ArrayLike, units: np.ndarray) -> Float[np.ndarray, "6
     return np.linalg.inv(np.linalg.cholesky(square))
 
 
-def _intensities(given: ArrayLike | None, pace: float) -> Float[np.ndarray, "5"]:
+def _intensities(given: ArrayLike | None, pace: float) -> Float[np.ndarray, 5]:
     """Those of a sweep at a speed (rod lengths a second): accelerations are of the order of its
     square, and last for its inverse.
     """

@@ -1,5 +1,6 @@
 """Support reactions: the only thing that forward, sensor and inverse share."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -81,7 +82,7 @@ class Reactions:
                 "allowed are both or none"
             )
         shape = self.trail.shape
-        for name, kept in {
+        checks: dict[str, Callable[..., np.ndarray]] = {
             "force": partial(_rows, shape=(*shape, 3)),
             "moment": partial(_rows, shape=(*shape, 3)),
             "time": partial(_increasing, shape=shape),
@@ -90,10 +91,11 @@ class Reactions:
             "rotation_covariance": _covariance,
             "rotation_center": partial(_rows, shape=(*shape, 3)),
             "velocity": partial(_rows, shape=(*shape, _WRENCH)),
-        }.items():
+        }
+        for name, check in checks.items():
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, kept(value, name))
+                object.__setattr__(self, name, check(value, name))
 
     def __getitem__(self, index: Index) -> "Reactions":
         """Rows of one trail, or some of several trails, with all that belongs to them; what all

@@ -1,5 +1,7 @@
 """Paths of the clamp."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vibrissa.files import InputError, check_increasing, read_table
 from vibrissa.geometry.checks import finite, finite_array, unit_vector, whole_number
-from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts, turned_about, turns_about
+from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts
 from vibrissa.geometry.rotation import third_axis, turning_axis_to, unit_quaternions
 
 COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -50,7 +52,7 @@ class Trail:
     )
 
     def __init__(
-        self, position: ArrayLike, orientation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0)
+        self, position: ArrayLike, orientation: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0)
     ) -> None:
         points = finite_array(position, "position", last=3)
         if points.ndim not in (2, 3):
@@ -74,7 +76,7 @@ class Trail:
     @classmethod
     def line(
         cls, *, start: ArrayLike, stop: ArrayLike, count: int, axis: ArrayLike = (0.0, 0.0, 1.0)
-    ) -> "Trail":
+    ) -> Trail:
         """`count` equally spaced positions from `start` to `stop` (3,), the rod leaving along
         `axis` (3,).
 
@@ -83,10 +85,7 @@ class Trail:
         ValueError
             If an entry is not finite, `axis` is zero, or `count` is less than 1.
         """
-        first, last = (
-            finite_array(start, "start", last=3, ndim=1),
-            finite_array(stop, "stop", last=3, ndim=1),
-        )
+        first, last = _point(start, "start"), _point(stop, "stop")
         return cls(
             np.linspace(first, last, whole_number(count, "count")),
             turning_axis_to(unit_vector(axis, "axis")),
@@ -102,7 +101,7 @@ class Trail:
         step: ArrayLike,
         trails: int,
         axis: ArrayLike = (0.0, 0.0, 1.0),
-    ) -> "Trail":
+    ) -> Trail:
         """Parallel lines: `trails` copies of the line from `start` to `stop`, each moved on by
         `step` (3,). Shape (trails, count, …).
 
@@ -112,10 +111,8 @@ class Trail:
             As for `line`, and if `trails` is less than 1.
         """
         line = cls.line(start=start, stop=stop, count=count, axis=axis)
-        offset = np.arange(whole_number(trails, "trails"))[:, None, None] * finite_array(
-            step, "step", last=3, ndim=1
-        )
-        return cls(line.position + offset, line.orientation)
+        number = np.arange(whole_number(trails, "trails"))[:, None, None]
+        return cls(line.position + number * _point(step, "step"), line.orientation)
 
     @classmethod
     def arc(
@@ -126,10 +123,10 @@ class Trail:
         start: ArrayLike,
         angle: float,
         count: int,
-        orientation: "ArrayLike | Rotation | None" = None,
+        orientation: ArrayLike | Rotation | None = None,
         rod_axis: ArrayLike | None = None,
         turning: bool = False,
-    ) -> "Trail":
+    ) -> Trail:
         """`count` clamp points equally spaced on a circular arc.
 
         Parameters
@@ -153,21 +150,23 @@ class Trail:
             If an entry is not finite, an axis is zero, `start` lies on the line, both `orientation`
             and `rod_axis` are given, `count` is less than 1, or a step is half a turn or more.
         """
-        first, middle, about = (
-            _point(start, "start"),
-            _point(center, "center"),
-            unit_vector(axis, "axis"),
-        )
-        if not np.any(arm_of(first, middle, about)):
+        first, middle = _point(start, "start"), _point(center, "center")
+        if not np.any(arm_of(first, middle, unit_vector(axis, "axis"))):
             raise ValueError(
-                f"start = {first.tolist()} lies on the line through center along axis; allowed is a point off it"
+                f"start = {first.tolist()} lies on the line through center along axis; allowed is "
+                "a point off it"
             )
-        angles = equal_angles(0.0, finite(angle, "angle"), whole_number(count, "count"))
-        turn = _clamp_turn(orientation, rod_axis)
-        return cls(
-            turned_about(first, middle, about, angles),
-            turns_about(about, angles) * Rotation.from_quat(turn) if turning else turn,
+        turned = cls.whisk(
+            pivot=middle,
+            axis=axis,
+            position=first,
+            start_angle=0.0,
+            stop_angle=finite(angle, "angle"),
+            count=count,
+            orientation=orientation,
+            rod_axis=rod_axis,
         )
+        return turned if turning else cls(turned.position, _clamp_turn(orientation, rod_axis))
 
     @classmethod
     def whisk(
@@ -179,9 +178,9 @@ class Trail:
         start_angle: float,
         stop_angle: float,
         count: int,
-        orientation: "ArrayLike | Rotation | None" = None,
+        orientation: ArrayLike | Rotation | None = None,
         rod_axis: ArrayLike | None = None,
-    ) -> "Trail":
+    ) -> Trail:
         """`count` poses of a clamp that turns as one body about a pivot axis, as a rat's whisker
         does, at equal steps of the angle.
 
@@ -209,11 +208,10 @@ class Trail:
             finite(stop_angle, "stop_angle"),
             whole_number(count, "count"),
         )
-        points = turned_about(_point(position, "position"), _point(pivot, "pivot"), about, angles)
-        return cls(
-            points,
-            turns_about(about, angles) * Rotation.from_quat(_clamp_turn(orientation, rod_axis)),
-        )
+        point, turns = _point(position, "position"), Rotation.from_rotvec(angles[:, None] * about)
+        arm = arm_of(point, _point(pivot, "pivot"), about)
+        orientations = turns * Rotation.from_quat(_clamp_turn(orientation, rod_axis))
+        return cls(point - arm + turns.apply(arm), orientations)
 
     @classmethod
     def spline(
@@ -221,9 +219,9 @@ class Trail:
         points: ArrayLike,
         count: int,
         *,
-        orientations: "ArrayLike | Rotation | None" = None,
+        orientations: ArrayLike | Rotation | None = None,
         rod_axis: ArrayLike | None = None,
-    ) -> "Trail":
+    ) -> Trail:
         """`count` poses on a smooth curve through way-points, equally spaced in arc length from the
         first to the last.
 
@@ -256,18 +254,11 @@ class Trail:
             raise ValueError(
                 f"orientations has shape {turns.shape}; allowed is (4,) or {(len(through), 4)}, as points has"
             )
-        return cls(
-            *along_spline(
-                through,
-                np.array(np.broadcast_to(turns, (len(through), 4))),
-                whole_number(count, "count"),
-            )
-        )
+        each = np.broadcast_to(turns, (len(through), 4))
+        return cls(*along_spline(through, each, whole_number(count, "count")))
 
     @classmethod
-    def from_poses(
-        cls, poses: "ArrayLike | Rotation", *, position: ArrayLike | None = None
-    ) -> "Trail":
+    def from_poses(cls, poses: ArrayLike | Rotation, *, position: ArrayLike | None = None) -> Trail:
         """Clamp poses as robots give them.
 
         Parameters
@@ -298,7 +289,7 @@ class Trail:
         return cls(*matrix_parts(poses, "poses"))
 
     @classmethod
-    def from_csv(cls, path: str | Path) -> "Trail":
+    def from_csv(cls, path: str | Path) -> Trail:
         """One trail from a CSV file with a header: the columns `x,y,z,qx,qy,qz,qw` in any order, in
         units of the rod.
 
@@ -312,19 +303,20 @@ class Trail:
             number is not finite, time does not increase, or a quaternion has zero norm: one line
             that names file, line and column.
         """
-        file = Path(path)
-        table = read_table(file, COLUMNS, optional=("time",), any_order=True)
+        table = read_table(Path(path), COLUMNS, optional=("time",), any_order=True)
         if "time" in table:
-            check_increasing(file, table["time"])
-        quaternion = np.column_stack([table[name] for name in COLUMNS[3:]])
-        zero = np.flatnonzero(np.linalg.norm(quaternion, axis=1) < _NO_NORM)
+            check_increasing(Path(path), table["time"])
+        pose = np.column_stack([table[name] for name in COLUMNS])
+        zero = np.flatnonzero(np.linalg.norm(pose[:, 3:], axis=1) < _NO_NORM)
         if zero.size:
-            found = f"{file}, line {zero[0] + 2}: qx,qy,qz,qw = {quaternion[zero[0]].tolist()} has zero norm ({zero.size} such)"
-            raise InputError(f"{found}; allowed is any quaternion x, y, z, w of non-zero norm")
-        return cls(np.column_stack([table[name] for name in COLUMNS[:3]]), quaternion)
+            raise InputError(
+                f"{path}, line {zero[0] + 2}: qx,qy,qz,qw = {pose[zero[0], 3:].tolist()} has zero "
+                f"norm ({zero.size} such); allowed is any quaternion x, y, z, w of non-zero norm"
+            )
+        return cls(pose[:, :3], pose[:, 3:])
 
     @classmethod
-    def stack(cls, trails: "Sequence[Trail]") -> "Trail":
+    def stack(cls, trails: Sequence[Trail]) -> Trail:
         """Several trails of equal length as one, (m, n, …).
 
         Raises
@@ -337,13 +329,13 @@ class Trail:
         lengths = {trail.count for trail in trails}
         if len(lengths) > 1:
             raise ValueError(f"trails have {sorted(lengths)} positions; allowed are equal lengths")
-        position = np.concatenate([trail.position.reshape(-1, trail.count, 3) for trail in trails])
-        orientation = np.concatenate(
-            [trail.orientation.reshape(-1, trail.count, 4) for trail in trails]
+        count = lengths.pop()
+        return cls(
+            np.concatenate([trail.position.reshape(-1, count, 3) for trail in trails]),
+            np.concatenate([trail.orientation.reshape(-1, count, 4) for trail in trails]),
         )
-        return cls(position, orientation)
 
-    def __getitem__(self, index: Index) -> "Trail":
+    def __getitem__(self, index: Index) -> Trail:
         """Some positions of one trail, or some of several trails: a slice, a mask or an array of
         numbers keeps the first axis, a number gives a trail of one position, or one trail of
         several.
@@ -405,12 +397,12 @@ def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:
     return np.atleast_1d(rows) if len(shape) == 1 else rows
 
 
-def _point(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
+def _point(value: ArrayLike, name: str) -> Float[np.ndarray, 3]:
     return finite_array(value, name, last=3, ndim=1)
 
 
 def _one_of(
-    orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None, name: str
+    orientation: ArrayLike | Rotation | None, rod_axis: ArrayLike | None, name: str
 ) -> Float[np.ndarray, "*batch 4"]:
     if rod_axis is None:
         return unit_quaternions((0.0, 0.0, 0.0, 1.0) if orientation is None else orientation, name)
@@ -420,8 +412,8 @@ def _one_of(
 
 
 def _clamp_turn(
-    orientation: "ArrayLike | Rotation | None", rod_axis: ArrayLike | None
-) -> Float[np.ndarray, "4"]:
+    orientation: ArrayLike | Rotation | None, rod_axis: ArrayLike | None
+) -> Float[np.ndarray, 4]:
     turn = _one_of(orientation, rod_axis, "orientation")
     if turn.shape != (4,):
         raise ValueError(f"orientation has shape {turn.shape}; allowed is one quaternion (4,)")

@@ -1,5 +1,7 @@
 """All equilibria at one clamp pose."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import jax
@@ -61,8 +63,8 @@ class Equilibrium:
     """
 
     kind: ContactKind
-    point: Float[np.ndarray, "3"]
-    normal: Float[np.ndarray, "3"]
+    point: Float[np.ndarray, 3]
+    normal: Float[np.ndarray, 3]
     arc_length: float
     reactions: Reactions
     energy: float
@@ -77,7 +79,7 @@ def equilibria(
     surface: Surface,
     *,
     position: ArrayLike,
-    orientation: "ArrayLike | Rotation" = (0.0, 0.0, 0.0, 1.0),
+    orientation: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
     finite_radius: bool = False,
 ) -> list[Equilibrium]:
     """All admissible equilibria found at a clamp pose, lowest energy first: stable and unstable,

@@ -2,6 +2,8 @@
 allowed.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -9,26 +11,17 @@ from numpy.typing import ArrayLike
 
 def positive(value: float, name: str) -> float:
     """Return `value` as a float; raise ValueError unless it is finite and greater than zero."""
-    number = _number(value, name)
-    if not number > 0 or not np.isfinite(number):
-        raise ValueError(f"{name} = {value!r}; allowed is a finite number greater than 0")
-    return number
+    return _number(value, name, "a finite number greater than 0", lambda number: number > 0)
 
 
 def not_negative(value: float, name: str) -> float:
     """Return `value` as a float; raise ValueError unless it is finite and at least zero."""
-    number = _number(value, name)
-    if not number >= 0 or not np.isfinite(number):
-        raise ValueError(f"{name} = {value!r}; allowed is a finite number of at least 0")
-    return number
+    return _number(value, name, "a finite number of at least 0", lambda number: number >= 0)
 
 
 def finite(value: float, name: str) -> float:
     """Return `value` as a float; raise ValueError unless it is finite."""
-    number = _number(value, name)
-    if not np.isfinite(number):
-        raise ValueError(f"{name} = {value!r}; allowed is a finite number")
-    return number
+    return _number(value, name, "a finite number")
 
 
 def whole_number(value: int, name: str) -> int:
@@ -74,8 +67,13 @@ def unit_vector(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
     return vector / length
 
 
-def _number(value: float, name: str) -> float:
+def _number(
+    value: float, name: str, allowed: str, holds: Callable[[float], bool] = np.isfinite
+) -> float:
     try:
-        return float(value)
+        number = float(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} = {value!r}; allowed is a number") from error
+    if not (np.isfinite(number) and holds(number)):
+        raise ValueError(f"{name} = {value!r}; allowed is {allowed}")
+    return number

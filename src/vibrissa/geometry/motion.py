@@ -11,11 +11,6 @@ _MATRIX_TOLERANCE = 1e-3
 _ROUNDING = 1e-13
 
 
-def turns_about(axis: Float[np.ndarray, "3"], angles: Float[np.ndarray, "n"]) -> Rotation:
-    """Right-handed rotations about a unit vector by angles [rad]."""
-    return Rotation.from_rotvec(angles[:, None] * axis)
-
-
 def equal_angles(start: float, stop: float, count: int) -> Float[np.ndarray, "count"]:
     """Equally spaced angles [rad]; raise ValueError for steps of half a turn or more, as the way
     from one pose to the next is the shorter one.
@@ -40,22 +35,6 @@ def arm_of(
     return across if np.linalg.norm(across) > rounding else np.zeros(3)
 
 
-def turned_about(
-    point: Float[np.ndarray, "3"],
-    pivot: Float[np.ndarray, "3"],
-    axis: Float[np.ndarray, "3"],
-    angles: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n 3"]:
-    """A point turned about the line through `pivot` along the unit vector `axis`."""
-    across = arm_of(point, pivot, axis)
-    return (
-        point
-        - across
-        + np.cos(angles)[:, None] * across
-        + np.sin(angles)[:, None] * np.cross(axis, across)
-    )
-
-
 def matrix_parts(
     value: ArrayLike, name: str
 ) -> tuple[Float[np.ndarray, "*trail n 3"], Float[np.ndarray, "*trail n 4"]]:
@@ -73,43 +52,30 @@ def matrix_parts(
             f"{name} has shape {matrices.shape}; allowed is (n, 4, 4) for one trail or (m, n, 4, 4) for several"
         )
     turn, last_row = matrices[..., :3, :3], matrices[..., 3, :]
-    _refuse(
-        name,
-        np.abs(last_row - [0, 0, 0, 1]).max(axis=-1),
-        last_row,
-        "has the last row",
-        "[0, 0, 0, 1]",
-    )
     uneven = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(-1, -2))
-    _refuse(
-        name,
-        uneven,
-        uneven,
-        "has rotation columns that differ from unit vectors at right angles by",
-        f"at most {_MATRIX_TOLERANCE:g}",
-    )
     determinant = np.linalg.det(turn)
-    _refuse(
-        name,
-        1 - determinant,
-        determinant,
-        "has a rotation of the determinant",
-        "+1, a right-handed frame",
-    )
+    for excess, values, finding, allowed in (
+        (
+            np.abs(last_row - [0, 0, 0, 1]).max(axis=-1),
+            last_row,
+            "has the last row",
+            "[0, 0, 0, 1]",
+        ),
+        (
+            uneven,
+            uneven,
+            "has rotation columns that differ from unit vectors at right angles by",
+            f"at most {_MATRIX_TOLERANCE:g}",
+        ),
+        (
+            1 - determinant,
+            determinant,
+            "has a rotation of the determinant",
+            "+1, a right-handed frame",
+        ),
+    ):
+        for where in np.argwhere(excess > _MATRIX_TOLERANCE).tolist():
+            found = np.round(values[tuple(where)], 6).tolist()
+            raise ValueError(f"{name}{where} {finding} {found}; allowed is {allowed}")
     flat = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
     return matrices[..., :3, 3].copy(), flat.reshape(*turn.shape[:-2], 4)
-
-
-def _refuse(
-    name: str,
-    excess: Float[np.ndarray, "..."],
-    values: Float[np.ndarray, "..."],
-    finding: str,
-    allowed: str,
-) -> None:
-    bad = np.argwhere(excess > _MATRIX_TOLERANCE)
-    if bad.size:
-        where = bad[0].tolist()
-        raise ValueError(
-            f"{name}{where} {finding} {np.round(values[tuple(where)], 6).tolist()}; allowed is {allowed}"
-        )

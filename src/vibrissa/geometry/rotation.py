@@ -26,12 +26,10 @@ def unit_quaternions(value: "ArrayLike | Rotation", name: str) -> Quaternions:
         return np.asarray(value.as_quat(), dtype=np.float64)
     quaternion = finite_array(value, name, last=4)
     norm = np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    zero = np.argwhere(norm[..., 0] < _AXIS_TOLERANCE)
-    if zero.size or (quaternion.ndim == 1 and norm[0] < _AXIS_TOLERANCE):
-        where = zero[0].tolist() if quaternion.ndim > 1 else ""
-        value = quaternion[tuple(where)].tolist() if where else quaternion.tolist()
+    for where in np.argwhere(norm[..., 0] < _AXIS_TOLERANCE).tolist():
         raise ValueError(
-            f"{name}{where} = {value} has zero norm; allowed is any quaternion x, y, z, w of non-zero norm"
+            f"{name}{where or ''} = {quaternion[tuple(where)].tolist()} has zero norm; allowed is "
+            "any quaternion x, y, z, w of non-zero norm"
         )
     return quaternion / norm
 

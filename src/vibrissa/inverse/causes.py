@@ -2,6 +2,8 @@
 length, the mount of the clamp.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -46,11 +46,16 @@ def crossed(count: int = 301, reach: float = 1.5) -> Trail:
     return Trail.stack([trails(count, reach), perpendicular_trails(count, reach)])
 
 
-def lifted(trail: Trail, height: float) -> Trail:
-    """The same trails nearer to the object by `height`: the paper's distance h becomes 0.4 −
-    height.
+def further() -> dict[str, Trail]:
+    """What the paper suggests: sweeps perpendicular to the trails, and at other distances: h = 0.4
+    becomes 0.2 and 0.6.
     """
-    return Trail(trail.position + np.array([0.0, 0.0, height]), trail.orientation)
+    both = crossed()
+    return {
+        "perpendicular": perpendicular_trails(),
+        "nearer": Trail(both.position + [0, 0, 0.2], both.orientation),
+        "farther": Trail(both.position - [0, 0, 0.2], both.orientation),
+    }
 
 
 def height(

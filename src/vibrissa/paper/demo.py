@@ -1,12 +1,12 @@
 """Everything `vibrissa demo` computes and writes."""
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from vibrissa.forward import Scan, scan
 from vibrissa.inverse import Reconstruction, reconstruct
@@ -49,34 +49,25 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
     report("forward: the plane case y0 = 0")
     plane = scan(case.ROD, case.SURFACE, case.plane_trail())
     report("further sweeps: across the trails, and at other distances")
-    further = _further()
+    further = {name: scan(case.ROD, case.SURFACE, trail) for name, trail in case.further().items()}
     covered = _covered(found, further)
     checked = statements(paper, plane, found)
     report("datasets")
     files = [
-        write_dataset(folder / "paper_scan.nc", paper.to_dataset()),
-        write_dataset(folder / "paper_contacts.nc", found.to_dataset()),
-        write_dataset(folder / "plane_scan.nc", plane.to_dataset()),
-        *(
-            write_dataset(folder / f"{name}_scan.nc", part.to_dataset())
-            for name, part in further.items()
-        ),
-        _write_table(folder / "statements.csv", checked),
+        write_dataset(folder / f"{name}.nc", result.to_dataset())
+        for name, result in {
+            "paper_scan": paper,
+            "paper_contacts": found,
+            "plane_scan": plane,
+            **{f"{name}_scan": part for name, part in further.items()},
+        }.items()
     ]
+    table = pd.DataFrame(checked, columns=["statement", "measured", "holds"])
+    table["holds"] = table["holds"].map({True: "yes", False: "no"})
+    files.append(folder / "statements.csv")
+    table.to_csv(files[-1], index=False)
     files += _figures(folder, report, paper, found, plane, covered)
     return Demo(checked, {name: share for name, _, _, share in covered}, files)
-
-
-def _further() -> dict[str, Scan]:
-    """Carry out the paper's suggestion: sweeps perpendicular to the trails, and at other distances
-    h.
-    """
-    sweeps = {
-        "perpendicular": case.perpendicular_trails(),
-        "nearer": case.lifted(case.crossed(), 0.2),
-        "farther": case.lifted(case.crossed(), -0.2),
-    }
-    return {name: scan(case.ROD, case.SURFACE, trail) for name, trail in sweeps.items()}
 
 
 def _covered(
@@ -102,16 +93,6 @@ def _covered(
     return cases
 
 
-def _write_table(path: Path, checked: list[Statement]) -> Path:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["statement", "measured", "holds"])
-        writer.writerows(
-            [part.text, part.measured, "yes" if part.holds else "no"] for part in checked
-        )
-    return path
-
-
 def _figures(
     folder: Path,
     report: Callable[[str], None],
@@ -123,18 +104,16 @@ def _figures(
     from vibrissa import plot  # noqa: PLC0415
 
     shown = tuple(int(lane) for lane in np.flatnonzero(np.isin(np.abs(case.Y0), (0.2, 0.5))))
-    drawings: list[tuple[str, Callable[[], Axes | list[Axes]]]] = [
-        ("figure2_reactions", lambda: plot.reactions_over_plane(paper, skip=(case.PLANE,))),
-        ("figure3a_elastic_lines", lambda: plot.elastic_lines(paper, lanes=shown)),
-        (
-            "figure3b_contacts",
-            lambda: plot.contact_sequences(paper, found, case.patch(), skip=(case.PLANE,)),
-        ),
-        ("plane_case", lambda: plot.reactions_along(plane)),
-        ("coverage", lambda: plot.coverage_figure(case.region(), covered)),
-    ]
+    skip = (case.PLANE,)
+    drawings: dict[str, Callable[[], Axes | list[Axes]]] = {
+        "figure2_reactions": lambda: plot.reactions_over_plane(paper, skip=skip),
+        "figure3a_elastic_lines": lambda: plot.elastic_lines(paper, lanes=shown),
+        "figure3b_contacts": lambda: plot.contact_sequences(paper, found, case.patch(), skip=skip),
+        "plane_case": lambda: plot.reactions_along(plane),
+        "coverage": lambda: plot.coverage_figure(case.region(), covered),
+    }
     files = []
-    for name, draw in drawings:
+    for name, draw in drawings.items():
         report(f"figure: {name}")
         with plot.journal():
             files += plot.save(draw(), folder, name)

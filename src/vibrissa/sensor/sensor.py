@@ -2,6 +2,8 @@
 at the clamp, and back.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -77,8 +79,8 @@ class Sensor:
         If a keyword is neither a field nor a figure.
     """
 
-    clamp_position: Float[np.ndarray, "3"]
-    clamp_orientation: Float[np.ndarray, "4"]
+    clamp_position: Float[np.ndarray, 3]
+    clamp_orientation: Float[np.ndarray, 4]
     wrench: WrenchSign
     wrench_frame: WrenchFrame
     wrench_point: Vector
@@ -89,11 +91,11 @@ class Sensor:
 
     def __init__(
         self,
-        clamp_position: "ArrayLike",
-        clamp_orientation: "ArrayLike",
+        clamp_position: ArrayLike,
+        clamp_orientation: ArrayLike,
         wrench: WrenchSign,
         wrench_frame: WrenchFrame = "sensor",
-        wrench_point: "ArrayLike" = (0.0, 0.0, 0.0),
+        wrench_point: ArrayLike = (0.0, 0.0, 0.0),
         *,
         mount: Mount | None = None,
         noise: Noise = Noise(),  # noqa: B008, as it cannot be changed
@@ -142,7 +144,7 @@ class Sensor:
         return -1.0 if self.wrench == "on_sensor" else 1.0
 
     @property
-    def arm(self) -> Float[np.ndarray, "3"]:
+    def arm(self) -> Float[np.ndarray, 3]:
         """From the torque's reference point to the clamp, sensor axes (3,) [m]."""
         return self.clamp_position - np.asarray(self.wrench_point)
 
@@ -166,11 +168,11 @@ class Sensor:
         }
         return tuple(key for key, value in wanted.items() if value)
 
-    def updated(self, **changes: Any) -> "Sensor":
+    def updated(self, **changes: Any) -> Sensor:
         """Return the sensor with other attributes or figures, by their own names."""
         return replace(self, **changes)
 
-    def without_estimates(self) -> "Sensor":
+    def without_estimates(self) -> Sensor:
         """Return the same sensor with an offset alone to be found from rest."""
         return self.updated(estimate_drift=False, mount=None)
 

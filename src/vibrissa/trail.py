@@ -397,7 +397,7 @@ def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:
     return np.atleast_1d(rows) if len(shape) == 1 else rows
 
 
-def _point(value: ArrayLike, name: str) -> Float[np.ndarray, 3]:
+def _point(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
     return finite_array(value, name, last=3, ndim=1)
 
 
@@ -413,7 +413,7 @@ def _one_of(
 
 def _clamp_turn(
     orientation: ArrayLike | Rotation | None, rod_axis: ArrayLike | None
-) -> Float[np.ndarray, 4]:
+) -> Float[np.ndarray, "4"]:
     turn = _one_of(orientation, rod_axis, "orientation")
     if turn.shape != (4,):
         raise ValueError(f"orientation has shape {turn.shape}; allowed is one quaternion (4,)")

@@ -63,8 +63,8 @@ class Equilibrium:
     """
 
     kind: ContactKind
-    point: Float[np.ndarray, 3]
-    normal: Float[np.ndarray, 3]
+    point: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
     arc_length: float
     reactions: Reactions
     energy: float

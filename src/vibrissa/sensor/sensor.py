@@ -79,8 +79,8 @@ class Sensor:
         If a keyword is neither a field nor a figure.
     """
 
-    clamp_position: Float[np.ndarray, 3]
-    clamp_orientation: Float[np.ndarray, 4]
+    clamp_position: Float[np.ndarray, "3"]
+    clamp_orientation: Float[np.ndarray, "4"]
     wrench: WrenchSign
     wrench_frame: WrenchFrame
     wrench_point: Vector
@@ -144,7 +144,7 @@ class Sensor:
         return -1.0 if self.wrench == "on_sensor" else 1.0
 
     @property
-    def arm(self) -> Float[np.ndarray, 3]:
+    def arm(self) -> Float[np.ndarray, "3"]:
         """From the torque's reference point to the clamp, sensor axes (3,) [m]."""
         return self.clamp_position - np.asarray(self.wrench_point)
 

@@ -1,7 +1,9 @@
 """Expected contact error of a sensor over a scene: forward, through the sensor, and back."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
@@ -158,36 +160,39 @@ def expected_error(
     )
     swept = scan(rod, surface, trail, friction=friction, finite_radius=finite_radius)
     averaged, rate = _averaged(sensor, samples), rate / samples
-    lanes = [_lane(averaged, part, rate, rest, speed) for part in _lanes(swept)]
-    shape = swept.trail.shape
-    covariance = np.stack([lane[0] for lane in lanes]).reshape(*shape, 6, 6)
-    exact = swept.reactions
-    told = Reactions(
-        exact.trail,
-        exact.force,
-        exact.moment,
-        covariance=covariance,
-        position_covariance=sensor.position_noise**2 / samples * np.eye(3),
-        rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
-        rotation_center=_origin(sensor, swept.trail),
-        setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
-        time=np.stack([lane[3] for lane in lanes]).reshape(shape),
+    shape, exact = swept.trail.shape, swept.reactions
+    lanes = [_lane(averaged, part, rate, rest, speed) for part in _lanes(exact, shape[-1])]
+    seen: _Seen = jax.tree.map(
+        lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape[1:]), *lanes
     )
-    found = reconstruct(rod, told, friction=friction or None, false_alarm=false_alarm, check=False)
+
+    def inverted(reactions: Reactions) -> Reconstruction:
+        return reconstruct(
+            rod, reactions, friction=friction or None, false_alarm=false_alarm, check=False
+        )
+
+    found = inverted(
+        Reactions(
+            exact.trail,
+            exact.force,
+            exact.moment,
+            covariance=seen.covariance,
+            position_covariance=sensor.position_noise**2 / samples * np.eye(3),
+            rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
+            rotation_center=_origin(sensor, swept.trail),
+            setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
+            time=seen.time,
+        )
+    )
     assert found.covariance is not None
     lag = np.zeros((*shape, 3))
     if sensor.low_pass is not None and speed is not None:
-        late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
-        shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
-        lag = np.nan_to_num(
-            reconstruct(
-                rod, shifted, friction=friction or None, false_alarm=false_alarm, check=False
-            ).point
-            - found.point
-        )
-    saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
+        force, moment = np.split(seen.late, 2, axis=-1)
+        late = inverted(Reactions(exact.trail, force, moment, covariance=seen.covariance))
+        lag = np.nan_to_num(late.point - found.point)
     solved = (swept.status < Status.HEAD_ON)[..., None, None]
-    return ExpectedError(swept, found, np.where(solved, found.covariance, np.nan), lag, saturated)
+    covariance = np.where(solved, found.covariance, np.nan)
+    return ExpectedError(swept, found, covariance, lag, seen.saturated)
 
 
 def _averaged(sensor: Sensor, samples: int) -> Sensor:
@@ -205,63 +210,61 @@ def _averaged(sensor: Sensor, samples: int) -> Sensor:
     )
 
 
-def _lanes(swept: Scan) -> list[Reactions]:
+class _Seen(NamedTuple):
+    """What the sensor makes of the reactions (n rows)."""
+
+    covariance: Float[np.ndarray, "n 6 6"]
+    late: Float[np.ndarray, "n 6"]
+    """Reactions as the filter and the delay leave them."""
+    saturated: Bool[np.ndarray, "n"]
+    """Where the range ends."""
+    time: Float[np.ndarray, "n"]
+
+
+def _lanes(exact: Reactions, count: int) -> list[Reactions]:
     """The reactions of each trail."""
-    trail, count = swept.trail, swept.trail.count
-    parts = zip(
-        trail.position.reshape(-1, count, 3),
-        trail.orientation.reshape(-1, count, 4),
-        swept.reactions.force.reshape(-1, count, 3),
-        swept.reactions.moment.reshape(-1, count, 3),
-        strict=True,
-    )
+    trail = exact.trail
+    parts = (trail.position, trail.orientation, exact.force, exact.moment)
+    rows = (part.reshape(-1, count, part.shape[-1]) for part in parts)
     return [
         Reactions(Trail(position, orientation), force, moment)
-        for position, orientation, force, moment in parts
+        for position, orientation, force, moment in zip(*rows, strict=True)
     ]
 
 
 def _lane(
     sensor: Sensor, reactions: Reactions, rate: float, rest: float, speed: float | None
-) -> tuple[
-    Float[np.ndarray, "n 6 6"],
-    Float[np.ndarray, "n 6"],
-    Bool[np.ndarray, "n"],
-    Float[np.ndarray, "n"],
-]:
-    """Of one trail: the reactions' covariance, the reactions that come late, where the range ends,
-    and the stamps.
-    """
+) -> _Seen:
+    """Of one trail."""
     orientation = multiplied(reactions.trail.orientation, inverse(sensor.clamp_orientation))
-    axes = rotation_matrices(orientation)
     time = _stamps(reactions.trail, rate, rest, speed)
-    maps = to_reactions(sensor, axes)
+    maps = to_reactions(sensor, rotation_matrices(orientation))
     count = int(rest * rate)
     tare = no_tare(sensor, time)
     if count >= 2:
-        ends = ((0.0, rest), (float(time[-1]), float(time[-1]) + rest))[
-            : 2 if sensor.estimate_drift else 1
-        ]
+        end = float(time[-1])
+        ends = ((0.0, rest), (end, end + rest))[: 2 if sensor.estimate_drift else 1]
         tare = planned_tare(sensor, ends, (count,) * len(ends))
     # Pink noise knows the whole recording, the rest included.
     covariance = carried(maps, tare.covariance(sensor, time, orientation, since=0.0))
-    timed = Reactions(
-        reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time
-    )
-    late = filtered_readings(sensor, timed, orientation)
-    shown = filtered_readings(sensor.updated(low_pass=None), timed, orientation)
-    limits = [
-        np.full(3, np.inf) if part is None else np.asarray(part)
-        for part in (sensor.force_range, sensor.torque_range)
-    ]
-    saturated = np.any(np.abs(shown) > np.concatenate(limits), axis=1) & np.isfinite(
-        reactions.force
-    ).all(axis=1)
     exact = np.concatenate([reactions.force, reactions.moment], axis=1)
-    return (
+    force, moment = np.split(np.nan_to_num(exact), 2, axis=1)
+    timed = Reactions(reactions.trail, force, moment, time=time)
+    late, shown = (
+        filtered_readings(one, timed, orientation)
+        for one in (sensor, sensor.updated(low_pass=None))
+    )
+    limits = np.concatenate(
+        [
+            np.broadcast_to(np.inf if part is None else part, 3)
+            for part in (sensor.force_range, sensor.torque_range)
+        ]
+    )
+    beyond = np.any(np.abs(shown) > limits, axis=1)
+    return _Seen(
         np.broadcast_to(covariance, (len(time), 6, 6)),
         exact + np.einsum("nij,nj->ni", maps, late - shown),
-        saturated,
+        beyond & np.isfinite(exact).all(axis=1),
         time,
     )
 

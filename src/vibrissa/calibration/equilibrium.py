@@ -85,7 +85,9 @@ def _reading(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
         arm = pose.axes.T @ (point - pose.position) - bench.wrench_point
         wrench = bench.gain * jnp.concatenate([force, jnp.cross(arm, force)])
         astray = jnp.sum((point - start.point) ** 2) > (_ASTRAY * bench.length) ** 2
-        residual = jnp.where(astray, jnp.inf, jnp.max(jnp.abs(found.residual)))
+        # An object pushes: where it would have to pull, the rod does not touch.
+        wrong = astray | (magnitude <= 0)
+        residual = jnp.where(wrong, jnp.inf, jnp.max(jnp.abs(found.residual)))
         return wrench, (wrench, point, magnitude, residual)
 
     (by_step, by_leaning), (wrench, point, magnitude, residual) = jax.jacfwd(

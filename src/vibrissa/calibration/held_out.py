@@ -19,8 +19,6 @@ _NODES = 33
 """Of the rod: 1.5 mm apart on 50 mm, between which objects are nearly flat."""
 _TOLD = 1e-6
 """Share of a variance that a part of the data has to take away to have a say."""
-_LATE = 4
-"""Samples by which averaging finds a contact too early (`rows`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +151,7 @@ def first_contacts(
         begin = int(np.argmax(rows.contact[own]))
         if begin == 0:
             continue
-        pair = own[[begin - 1, min(begin + _LATE, len(own) - 1)]]
+        pair = own[[begin - 1, begin]]
         along = np.linspace(0.0, 1.0, _NODES)[1:, None] * bench.length * bench.axes[:, 2]
         turned = np.einsum("nij,mj->nmi", rows.pose.axes[pair], along + bench.clamp)
         points = rows.pose.position[pair, None] + turned

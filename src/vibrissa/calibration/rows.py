@@ -23,6 +23,9 @@ _WINDOW = 9
 rest |mean| is 0.58, and above 1.7 once in 10⁵."""
 _LOADED = 8.0
 """Deviations from which it is a contact: five times what rest shows, and 2 % of a usual force."""
+_OWN = 4.0
+"""Deviations of the sample's own force in contact: beside a jump only the average shows a load.
+Rest shows them once in a thousand samples, such a contact falls short of them in 10⁵."""
 _ALARM, _STIRRED = 1.7, 0.01
 """Deviations that rest does not show, and the share of a stretch's samples that may."""
 _MOST_LOADED = 0.25
@@ -193,7 +196,8 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
         f"the force changes within tare_seconds = {sensor.tare_seconds} by more than {_LOADED:g} "
         "times its noise; needed is a start free of contact",
     )
-    contact, rest = (part & finite for part in _stretches(seconds, strength, tare_seconds))
+    loaded = (strength > _LOADED) & (np.linalg.norm(force, axis=1) / deviation > _OWN)
+    contact, rest = (part & finite for part in _stretches(seconds, strength, loaded, tare_seconds))
     needs(
         np.count_nonzero(contact) >= _FEWEST,
         f"{np.count_nonzero(contact)} samples are in contact with more than {_LOADED:g} times the "
@@ -212,9 +216,10 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
     )
 
 
-def _stretches(seconds: Numbers, strength: Numbers, tare_seconds: float) -> tuple[Chosen, Chosen]:
+def _stretches(
+    seconds: Numbers, strength: Numbers, contact: Chosen, tare_seconds: float
+) -> tuple[Chosen, Chosen]:
     """Samples in contact, and samples at rest: the start free of contact, and the end if it is."""
-    contact = strength > _LOADED
     rest = seconds < tare_seconds
     margin = max(_MARGIN * seconds[-1], _WINDOW * float(np.median(np.diff(seconds))))
     if tare_seconds == 0:

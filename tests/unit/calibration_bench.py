@@ -5,6 +5,7 @@ askew.
 from dataclasses import replace
 from functools import cache
 
+import calibration_sweeps
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -42,7 +43,21 @@ def sensor(noise: float = 1.0, **options: object) -> vb.Sensor:
 @cache
 def swept(y: float, friction: float = 0.0) -> vb.Reactions:
     """Reactions of a sweep under the ball along x, at first at rest and free of contact."""
-    return swept_under(BALL, (0.04, y, 0.0), (-0.04, y, 0.0), friction)
+    if friction:
+        return swept_under(BALL, (0.04, y, 0.0), (-0.04, y, 0.0), friction)
+    return independent(f"ball {y:+.3f}")
+
+
+def independent(name: str) -> vb.Reactions:
+    """The same by shooting, without the package."""
+    resting = ((REST, 0), (0, 0))
+    position, force, moment = calibration_sweeps.loaded(name)
+    return vb.Reactions(
+        vb.Trail(np.pad(position, resting, mode="edge")),
+        np.pad(force, resting),
+        np.pad(moment, resting),
+        time=np.arange(REST + COUNT) / RATE,
+    )
 
 
 def swept_under(

@@ -3,10 +3,10 @@ calibration predicts on its own.
 """
 
 import re
+import warnings
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from calibration_bench import (
@@ -27,7 +27,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import vibrissa as vb
-from vibrissa.calibration.equilibrium import CORE, Bench, changed, readings
+from vibrissa.calibration.bench import NO_STEP, bench_of, moved
+from vibrissa.calibration.equilibrium import Pose, State, readings
 
 POSE = ("youngs_modulus", "length", "clamp_position", "clamp_orientation", "tare")
 
@@ -251,65 +252,74 @@ def test_what_is_not_free_is_as_given() -> None:
     assert low < WIRE.bending_stiffness < high
 
 
-@pytest.mark.parametrize("rubs", [False, True])
-def test_derivatives_are_those_of_the_readings(rubs: bool) -> None:  # noqa: FBT001
+@pytest.mark.parametrize("leaning", [0.0, 0.05])
+def test_derivatives_are_those_of_the_readings(leaning: float) -> None:
     """Of each parameter and of the tangential force, against central differences of solved
     equilibria.
     """
     reactions = swept(0.005)
-    rows = np.repeat(np.flatnonzero(np.linalg.norm(reactions.force, axis=1) > 0.03)[5:-5:20], 64)
-    trail = reactions.trail
+    rows = np.flatnonzero(np.linalg.norm(reactions.force, axis=1) > 0.03)[5:-5:20]
+    position = reactions.trail.position[rows]
     found = vb.reconstruct(
-        WIRE,
-        vb.Reactions(vb.Trail(trail.position[rows]), reactions.force[rows], reactions.moment[rows]),
+        WIRE, vb.Reactions(vb.Trail(position), reactions.force[rows], reactions.moment[rows])
     )
-    force = np.linalg.norm(reactions.force[rows], axis=1, keepdims=True)
-    states = np.hstack([found.point, force, np.full((len(rows), 3), 0.05 if rubs else 0.0)])
-    poses = np.hstack(
-        [
-            trail.position[rows] - CLAMP,
-            np.tile(np.eye(3).ravel(), (len(rows), 1)),
-            np.tile([0.001, 0.002, -0.001], (len(rows), 1)),
-        ]
+    force = np.linalg.norm(reactions.force[rows], axis=1)
+    states = State(found.point, force, np.full((len(rows), 3), leaning))
+    poses = Pose(position - CLAMP, np.tile(np.eye(3), (len(rows), 1, 1)))
+    bench = bench_of(WIRE, sensor())._replace(
+        axes=Rotation.from_rotvec([0.02, -0.01, 0.3]).as_matrix(),
+        gain=np.array([1.1, 0.9, 1, 1, 1.2, 1]),
+        shift=np.array([1e-4, 0, 0]),
+        pivot=np.array([0.01, 0.02, 0.03]),
+        standoff=np.asarray(2e-5),
     )
-    tilt = Rotation.from_rotvec([0.02, -0.01, 0.3]).as_matrix()
-    bench = Bench(
-        np.asarray(6.3e-4),
-        np.asarray(0.05),
-        CLAMP,
-        tilt,
-        np.array([1.1, 0.9, 1, 1, 1.2, 1]),
-        np.array([1e-4, 0, 0]),
-        np.eye(3),
-        np.array([0.01, 0.02, 0.03]),
-        np.asarray(2e-5),
-    )
-    at = readings(BALL, bench, states, poses, rubs=rubs)
+    at = readings(BALL, bench, states, poses)
     assert at.sound.all()
 
-    def slope(place: int, step: float) -> np.ndarray:
-        ends = []
-        for sign in (1, -1):
-            move = np.zeros(CORE + 3)
-            move[place] = sign * step
-            there = jax.tree.map(np.asarray, changed(bench, jnp.asarray(move[:CORE])))
-            ends.append(
-                readings(
-                    BALL,
-                    there,
-                    at.state + np.concatenate([np.zeros(4), move[CORE:]]),
-                    poses,
-                    rubs=rubs,
-                ).wrench
-            )
-        return (ends[0] - ends[1]) / (2 * step)
+    def checked(exact: np.ndarray, ends: list[np.ndarray], what: str) -> None:
+        size, step = np.abs(exact).max() + 1e-6, 1e-6
+        slope = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(exact / size, slope / size, atol=2e-6, err_msg=what)
 
-    for place in range(CORE + 3 * rubs):
-        exact = at.jacobian[..., place] if place < CORE else at.rubbing[..., place - CORE]
-        size = np.abs(exact).max() + 1e-6
-        np.testing.assert_allclose(
-            exact / size, slope(place, 1e-6) / size, atol=2e-6, err_msg=str(place)
-        )
+    for field, part in NO_STEP._asdict().items():
+        for entry in range(len(part)):
+            ends = []
+            for sign in (1e-6, -1e-6):
+                step = NO_STEP._replace(**{field: sign * np.eye(len(part))[entry]})
+                there = jax.tree.map(np.asarray, moved(bench, step))
+                ends.append(readings(BALL, there, at.state, poses).wrench)
+            checked(getattr(at.by_step, field)[..., entry], ends, f"{field} {entry}")
+    for axis in range(3):
+        ends = []
+        for sign in (1e-6, -1e-6):
+            there = at.state._replace(leaning=at.state.leaning + sign * np.eye(3)[axis])
+            ends.append(readings(BALL, bench, there, poses).wrench)
+        checked(at.by_leaning[..., axis], ends, f"leaning {axis}")
+
+
+def test_errors_of_the_robot_s_orientation_weigh_on_the_rows() -> None:
+    """A tenth of a degree a row, which turns sensor and rod as one body: with it stated, residuals
+    are noise and errors as large as stated; taken for exact, neither.
+    """
+    noisy = sensor(orientation_noise=1.5e-3)
+    start, blind = (wrong(setup(one)) for one in (noisy, replace(noisy, orientation_noise=0.0)))
+    truth, total, unstated = true_values(start), 0.0, []
+    for seed in range(4):
+        rows = recordings(noisy, seed)
+        found = vb.calibrate(rows, start)
+        assert found.fitness.reduced_chi_square == pytest.approx(1, abs=0.15)
+        error = np.array([found.estimates[name].value - truth[name] for name in NAMES])
+        total += float(error @ np.linalg.solve(found.covariance, error))
+        unstated.append(_told(rows, blind))
+    assert chi2.ppf(1e-3, 28) < total < chi2.isf(1e-3, 28)
+    assert min(unstated) > 1.3
+
+
+def _told(rows: list, start: vb.Setup) -> float:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", vb.RecordingWarning)
+        found = vb.calibrate(rows, start)
+    return found.fitness.reduced_chi_square
 
 
 def test_neighbours_are_averaged_in_long_recordings() -> None:

@@ -3,70 +3,73 @@
 import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
-from typing import Any, cast
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vibrissa.calibration.equilibrium import Bench
-from vibrissa.calibration.fit import (
-    WRENCH,
-    Linear,
-    Point,
-    Problem,
-    disturbed,
-    fitted,
-    spread,
-    unevenness,
-    weights,
-    with_unevenness,
-)
+from vibrissa.calibration.arrays import Numbers, Vectors
+from vibrissa.calibration.bench import Bench, SetupType, bench_of
+from vibrissa.calibration.equilibrium import State
+from vibrissa.calibration.fit import disturbed, fitted, unevenness
 from vibrissa.calibration.held_out import first_contacts, held_out
 from vibrissa.calibration.parameters import (
-    DEFAULT_FREE,
     STIFFNESS,
     Parameter,
     checked_prior,
+    default_names,
     parameters,
+    uncertain,
 )
-from vibrissa.calibration.result import Calibration, Estimate, Residuals, SetupLike, SetupType
+from vibrissa.calibration.problem import WRENCH, Linear, Point, Problem, spread, weights
+from vibrissa.calibration.result import Calibration, Residuals, estimates_of
 from vibrissa.calibration.rows import CalibrationError, gathered
 from vibrissa.calibration.score import scores
 from vibrissa.calibration.statistics import (
+    alone,
     considered,
     covariance,
     fitness,
     identifiability,
     undetermined,
+    without_held,
 )
 from vibrissa.calibration.suspects import held as unsure
-from vibrissa.calibration.suspects import object_size, uncertain
+from vibrissa.calibration.suspects import object_size
 from vibrissa.calibration.unknown_object import calibrated_without_object
 from vibrissa.calibration.verdict import warnings_of
 from vibrissa.contacts import RecordingWarning
 from vibrissa.geometry.checks import not_negative
-from vibrissa.geometry.rotation import rotation_matrices, turning_axis_to
 from vibrissa.inverse import reconstruct
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.sensor import RawRecording
 from vibrissa.surfaces import Mesh, Offset, Surface
 from vibrissa.surfaces.base import Placed
 from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
+"""Median residual, in that of noise, beyond which nothing that is fitted explains the data."""
 _LEAST_SHARE = 0.5
 _MOST_ROUNDS = 5
+"""Of leaving rows out and of the unevenness's size, which settle in two or three."""
 _ALIKE = 0.1
+"""Relative change of the unevenness that is not worth another fit: less than a grid's step."""
 _GOOD_SPREAD = 1.1
+"""Median residual, in that of noise, from which other starts are tried."""
 _OTHER_LENGTHS = (-0.06, 0.06)
+"""ln of the rod's length over the stated one: twice what it may be off by."""
 _ROLL = "clamp_orientation_z"
-_SPREADS = (1e-9, 1e9)
+_EXACT, _UNKNOWN = 1e-9, 1.0
+"""Bounds of the deviations before the data, in the parameters' scales: beyond them a parameter is
+held, or free, to all digits that its estimate has.
+"""
 _DRIFT = 1.0
 """Standard deviation of a free drift over a recording before the data, in those of one sample."""
+_STEEPEST = 0.3
+"""Share of a force along the normal below which its direction tells of no friction."""
 
 
 def calibrate(
@@ -138,7 +141,8 @@ def calibrate(
     Notes
     -----
     Residuals are readings less those of the contact equilibrium at each pose, weighted by the
-    covariance of wrench and pose. Their derivatives are exact (implicit function theorem).
+    covariance of wrench and pose, the noise of the robot's orientation included.
+    Their derivatives are exact (implicit function theorem).
     Parameters that the data leave open are held as given and named in `identifiability`. Where the
     residuals are more than noise, variances are taken larger (`fitness.inflation`): by their mean
     square, and where they are correlated in time by their long-run variance.
@@ -150,146 +154,75 @@ def calibrate(
     Biometrika 58 (1971) 545-554).
     """
     surface = setup.surface if surface is None else surface
-    names = tuple(free) if free is not None else _default(setup.rod)
+    names = default_names(setup.rod) if free is None else tuple(free)
     chosen = parameters(names, setup.rod)
     deviations = checked_prior(prior, names)
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     coefficient = not_negative(friction, "friction")
     if surface is None:
-        return _said(
-            calibrated_without_object(
-                listed, setup, names, chosen, deviations, coefficient, known or Tolerances()
-            )
+        result = calibrated_without_object(
+            listed, setup, names, chosen, deviations, coefficient, known or Tolerances()
         )
-    rows = gathered(listed, setup.sensor)
-    factors = _factors(chosen, setup.rod, setup.sensor)
-    spreads = (
-        np.array([deviations.get(parameter.group, math.inf) for parameter in chosen]) / factors
-    )
-    problem = Problem(
-        surface,
-        rows,
-        chosen,
-        spreads,
-        _DRIFT if "drift" in names else 0.0,
-        coefficient,
-        np.zeros(len(rows.time), dtype=bool),
-    )
-    try:
-        start = _start(problem, setup.rod, setup.sensor)
-        problem = _loosened(problem, start, setup.rod, known or Tolerances())
-        names = (
-            *names,
-            *dict.fromkeys(
-                parameter.group for parameter in problem.free if parameter.group not in names
-            ),
-        )
-        fitted, held, linear = _solved(problem, start, setup.rod)
-        result = _result(setup, names, problem.free, fitted, held, linear, known)
-    except np.linalg.LinAlgError as error:
-        raise CalibrationError(
-            f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} and the standard deviations of `prior` have to be of the size "
-            "that they can have"
-        ) from error
-    return _said(result)
-
-
-def _said(result: Calibration[SetupType]) -> Calibration[SetupType]:
+    else:
+        start = bench_of(setup.rod, setup.sensor)
+        given = start.numbers(setup.sensor)
+        rows = gathered(listed, setup.sensor)
+        priors = [deviations.get(one.group, math.inf) / one.slope(given) for one in chosen]
+        problem = Problem(
+            surface, rows, start, chosen, np.array(priors), _DRIFT if "drift" in names else 0.0,
+            coefficient, np.zeros(len(rows.time), dtype=bool),
+        )  # fmt: skip
+        try:
+            result = _calibrated(problem, setup, names, known)
+        except np.linalg.LinAlgError as error:
+            raise CalibrationError(
+                f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} "
+                "and the standard deviations of `prior` have to be of the size that they can have"
+            ) from error
     for line in result.warnings:
-        warnings.warn(line, RecordingWarning, stacklevel=3)
+        warnings.warn(line, RecordingWarning, stacklevel=2)
     return result
 
 
-def _loosened(problem: Problem, start: Point, rod: Rod, tolerances: Tolerances) -> Problem:
-    """With all that has a tolerance and is not free yet, which then bounds it; what has been free
-    is so without bounds.
-    """
-    groups = {parameter.group for parameter in problem.free}
-    taken = (
-        groups
-        | ({"gain"} if groups & {"force_gain", "torque_gain"} else set())
-        | (set(STIFFNESS) if groups & set(STIFFNESS) else set())
-    )
-    more = [pair for pair in uncertain(rod, tolerances) if pair[0].group not in taken]
-    if tolerances.object_scale > 0 and "standoff" not in groups:
-        more += [
-            (one, tolerances.object_scale * abs(object_size(problem.surface, start)))
-            for one in parameters(["standoff"], rod)
-        ]
-    free = [*problem.free, *(parameter for parameter, _ in more)]
-    scales = np.array([parameter.scale for parameter in free])
-    # Beyond these bounds a parameter is held, or free, to all digits.
-    spreads = np.clip(
-        np.append(problem.prior, [deviation for _, deviation in more]), *np.outer(_SPREADS, scales)
-    )
-    return replace(problem, free=free, prior=spreads)
-
-
-def _stated(
-    problem: Problem, point: Point, rod: Rod, sensor: Sensor, tolerances: Tolerances
-) -> dict[str, float]:
-    """Tolerances of estimates, by name and in their units."""
-    pairs = uncertain(rod, tolerances)
-    factors = _factors([parameter for parameter, _ in pairs], rod, sensor)
-    found = {
-        parameter.name: float(factor) * deviation
-        for (parameter, deviation), factor in zip(pairs, factors, strict=True)
-    }
-    if tolerances.object_scale > 0:
-        found["standoff"] = tolerances.object_scale * abs(object_size(problem.surface, point))
-    return found
-
-
-def _default(rod: Rod) -> tuple[str, ...]:
-    return DEFAULT_FREE if rod.radius is not None else (STIFFNESS[1], *DEFAULT_FREE[1:])
-
-
-def _factors(chosen: list[Parameter], rod: Rod, sensor: Sensor) -> Float[np.ndarray, "parameters"]:
-    """Change of each estimate for a unit step of its parameter."""
-    gain = np.asarray(sensor.gain)
-    ties = {"force_gain": 0, "torque_gain": 3}
-    factors = []
-    for parameter in chosen:
-        if parameter.group in STIFFNESS:
-            factors.append(_stiffness(parameter.group, rod.bending_stiffness, rod))
-        elif parameter.group == "length":
-            factors.append(rod.length)
-        elif parameter.group == "gain":
-            factors.append(float(gain[int(np.argmax(parameter.direction)) - 8]))
-        else:
-            factors.append(float(gain[ties[parameter.group]]) if parameter.group in ties else 1.0)
-    return np.array(factors)
-
-
-def _stiffness(name: str, stiffness: float, rod: Rod) -> float:
-    """EI, or of a round rod E = 4 EI / (π r⁴)."""
-    return (
-        stiffness
-        if name == STIFFNESS[1] or rod.radius is None
-        else stiffness / (math.pi / 4 * rod.radius**4)
-    )
-
-
-def _solved(
-    problem: Problem, start: Point, rod: Rod
-) -> tuple[Problem, dict[str, tuple[str, ...]], Linear]:
+def _calibrated(
+    problem: Problem, setup: SetupType, names: tuple[str, ...], known: Tolerances | None
+) -> Calibration[SetupType]:
     """Fit; hold what the solution shows to be open, and fit anew without it."""
-    held: dict[str, tuple[str, ...]] = {}
+    allowed, rod = known or Tolerances(), setup.rod
+    states = _states(problem, problem.start, np.zeros((problem.rows.recordings, 1, WRENCH)), rod)
+    pivot = _pivot(problem.surface, np.asarray(states.point))
+    problem = replace(problem, start=problem.start._replace(pivot=pivot))
+    size = abs(object_size(problem.surface, problem.start, states.point))
+    within = uncertain(rod, allowed)
+    if allowed.object_scale > 0:
+        within |= dict.fromkeys(parameters(["standoff"], rod), allowed.object_scale * size)
+    problem = _loosened(problem, within)
+    chosen, held = problem.free, dict[str, tuple[str, ...]]()
     while problem.free:
-        problem, linear = _refined(problem, _best(problem, start, rod))
-        fewer, more = undetermined(problem, linear)
+        problem, linear = _refined(problem, _best(problem, states, rod))
+        more = undetermined(problem, linear)
         if not more:
             _check_explained(problem, linear)
-            return problem, held, linear
-        problem = replace(fewer, unevenness=0.0)
-        held = {
-            name: tuple(other for other in others if other not in more)
-            for name, others in held.items()
-        } | more
+            groups = dict.fromkeys([*names, *(one.group for one in chosen)])
+            return _result(setup, tuple(groups), chosen, problem, held, linear, known, within)
+        problem, held = problem.without(more), without_held(held, more) | more
     raise CalibrationError(
         f"these recordings determine none of the free parameters: {', '.join(held)}"
     )
+
+
+def _loosened(problem: Problem, within: dict[Parameter, float]) -> Problem:
+    """With all that has a tolerance and is not free yet, which then bounds it; what has been free
+    is so without bounds.
+    """
+    groups = {one.group for one in problem.free}
+    same = [set(STIFFNESS), {"gain", "force_gain", "torque_gain"}]
+    taken = groups.union(*(one for one in same if one & groups))
+    more = {one: deviation for one, deviation in within.items() if one.group not in taken}
+    problem = replace(problem, free=[*problem.free, *more])
+    spreads, scales = np.append(problem.prior, list(more.values())), problem.scales
+    return replace(problem, prior=np.clip(spreads, _EXACT * scales, _UNKNOWN * scales))
 
 
 def _refined(problem: Problem, linear: Linear) -> tuple[Problem, Linear]:
@@ -303,29 +236,28 @@ def _refined(problem: Problem, linear: Linear) -> tuple[Problem, Linear]:
             size, problem.unevenness, rel_tol=_ALIKE
         ):
             break
-        problem, point = with_unevenness(replace(problem, disturbed=rows), linear.point, size)
-        linear = fitted(problem, point)
+        problem = replace(problem, disturbed=rows, unevenness=size)
+        linear = fitted(problem, linear.point)
     return problem, linear
 
 
-def _best(problem: Problem, start: Point, rod: Rod) -> Linear:
+def _best(problem: Problem, states: State, rod: Rod) -> Linear:
     """Fit from the start; where that leaves more than noise, also from a shorter and a longer rod:
     one in contact along its flank does not show its length.
     """
-    point = start._replace(step=np.zeros(len(problem.free)))
-    found = _seeded_anew(problem, fitted(problem, point), rod)
-    length = [index for index, parameter in enumerate(problem.free) if parameter.group == "length"]
-    if not length or spread(problem, found) < _GOOD_SPREAD:
+    values = np.zeros(len(problem.known))
+    found = _seeded_anew(problem, fitted(problem, Point(values, states)), rod)
+    length = np.array([one.group == "length" for one in problem.free])
+    if not length.any() or spread(problem, found) < _GOOD_SPREAD:
         return found
     for change in _OTHER_LENGTHS:
-        other = point._replace(
-            bench=start.bench._replace(length=start.bench.length * math.exp(change))
-        )
-        other.step[length[0]] = change
+        other = values.copy()
+        other[: len(length)][length] = change
         try:
-            found = _better(problem, found, _seeded_anew(problem, fitted(problem, other), rod))
+            again = _seeded_anew(problem, fitted(problem, Point(other, states)), rod)
         except CalibrationError:
             continue
+        found = _better(problem, found, again)
     return found
 
 
@@ -338,16 +270,14 @@ def _seeded_anew(problem: Problem, linear: Linear, rod: Rod) -> Linear:
     """Where rows do not fit, fit again from states that the found parameters give: rows may be
     caught on another equilibrium. Keep what fits more rows.
     """
-    if not np.any(_weights(problem, linear)[problem.rows.contact] < 1):
+    if np.all(_weights(problem, linear)[linear.contact] == 1):
         return linear
-    point = linear.point
-    again = fitted(
-        problem, point._replace(states=_states(problem, point.bench, point.offsets, rod))
-    )
-    return _better(problem, linear, again)
+    values = linear.point.values
+    states = _states(problem, linear.bench, problem.offsets(values), rod)
+    return _better(problem, linear, fitted(problem, Point(values, states)))
 
 
-def _weights(problem: Problem, linear: Linear) -> Float[np.ndarray, "n"]:
+def _weights(problem: Problem, linear: Linear) -> Numbers:
     return weights(problem, linear, spread(problem, linear))
 
 
@@ -355,79 +285,44 @@ def _check_explained(problem: Problem, linear: Linear) -> None:
     excess = spread(problem, linear)
     if excess > _WORST_SPREAD:
         raise CalibrationError(
-            f"rod and object as given do not explain the recordings: residuals are {excess:.0f} times the noise in the median, allowed are {_WORST_SPREAD:g}: "
-            "check the object's shape and pose, friction, the sign of the wrench, and what is free"
+            f"rod and object as given do not explain the recordings: residuals are {excess:.0f} "
+            f"times the noise in the median, allowed are {_WORST_SPREAD:g}: check the object's "
+            "shape and pose, friction, the sign of the wrench, and what is free"
         )
-    share = float(np.mean(linear.readings.sound))
+    share = float(np.mean(linear.reading.sound))
     if share < _LEAST_SHARE:
         raise CalibrationError(
-            f"for {share:.0%} of the samples in contact the rod has an equilibrium on the object; needed are at least {_LEAST_SHARE:.0%}: "
-            "check the object's shape and pose"
+            f"for {share:.0%} of the samples in contact the rod has an equilibrium on the object; "
+            f"needed are at least {_LEAST_SHARE:.0%}: check the object's shape and pose"
         )
-
-
-def _start(problem: Problem, rod: Rod, sensor: Sensor) -> Point:
-    bench = Bench(
-        np.asarray(rod.bending_stiffness),
-        np.asarray(rod.length),
-        sensor.clamp_position,
-        rotation_matrices(sensor.clamp_orientation),
-        np.ones(WRENCH),
-        np.zeros(3),
-        np.eye(3),
-        np.zeros(3),
-        np.asarray(0.0),
-    )
-    offsets = np.zeros((problem.rows.recordings, 2 * WRENCH))
-    states = _states(problem, bench, offsets, rod)
-    bench = bench._replace(pivot=_pivot(problem.surface, states[:, :3]))
-    return Point(
-        bench,
-        offsets,
-        states,
-        np.zeros(len(problem.free)),
-        np.zeros((problem.rows.recordings, problem.places)),
-    )
 
 
 def _states(
-    problem: Problem, bench: Bench, offsets: Float[np.ndarray, "recordings 12"], rod: Rod
-) -> Float[np.ndarray, "contacts 7"]:
+    problem: Problem, bench: Bench, offsets: Float[np.ndarray, "recordings trends 6"], rod: Rod
+) -> State:
     """From the reconstruction of each row, its point taken to the nearest of the object."""
-    rows = problem.rows
-    pose = rows.pose[rows.contact]
-    axes = pose[:, 3:12].reshape(-1, 3, 3)
-    own = offsets[rows.recording]
-    wrench = ((rows.wrench - own[:, :WRENCH] - rows.time[:, None] * own[:, WRENCH:]) / bench.gain)[
-        rows.contact
-    ]
-    force, torque = wrench[:, :3], wrench[:, 3:]
-    moment = torque - np.cross(bench.clamp - pose[:, 12:], force)
-    force, moment = (np.einsum("nij,nj->ni", axes, part) for part in (force, moment))
-    trail = Trail(pose[:, :3] + axes @ bench.clamp, Rotation.from_matrix(axes @ bench.axes))
-    found = reconstruct(_rod(rod, bench), Reactions(trail, force, moment), check=False)
-    tip = trail.position + float(bench.length) * trail.axis
-    points = np.where(np.isfinite(found.point).all(axis=1)[:, None], found.point, tip)
-    surface = _placed(problem.surface, bench)
-    points = surface.nearest(points)
-    magnitude = np.linalg.norm(force, axis=1, keepdims=True)
-    leaning = (
-        _leaning(-force / magnitude, surface.normal(points))
-        if problem.rubs
-        else np.zeros_like(points)
+    rows, contact = problem.rows, problem.rows.contact
+    axes = rows.pose.axes[contact]
+    trends = problem.trends[:, : offsets.shape[1]]
+    zero = np.einsum("nt,nti->ni", trends, offsets[rows.recording])
+    wrench = ((rows.wrench - zero) / bench.gain)[contact]
+    moment = wrench[:, 3:] - np.cross(bench.clamp - bench.wrench_point, wrench[:, :3])
+    force, moment = (np.einsum("nij,nj->ni", axes, part) for part in (wrench[:, :3], moment))
+    trail = Trail(
+        rows.pose.position[contact] + axes @ bench.clamp, Rotation.from_matrix(axes @ bench.axes)
     )
-    return np.concatenate([points, magnitude, leaning], axis=1)
-
-
-def _leaning(
-    direction: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Tangential force in units of the normal one, of forces of this direction."""
+    found = reconstruct(bench.rod(rod), Reactions(trail, force, moment), check=False).point
+    tip = trail.position + bench.length * trail.axis
+    surface = bench.placed(problem.surface)
+    points = surface.nearest(np.where(np.isfinite(found).all(axis=1)[:, None], found, tip))
+    magnitude = np.linalg.norm(force, axis=1)
+    normal, direction = surface.normal(points), -force / magnitude[:, None]
     along = np.sum(direction * normal, axis=1, keepdims=True)
-    return (direction - along * normal) / np.maximum(along, 0.3)
+    leaning = (direction - along * normal) / np.maximum(along, _STEEPEST)
+    return State(points, magnitude, leaning if problem.friction > 0 else 0 * leaning)
 
 
-def _pivot(surface: Surface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
+def _pivot(surface: Surface, points: Vectors) -> Float[np.ndarray, "3"]:
     """The object's centre where it has one; else the middle of where it was touched."""
     if isinstance(surface, Placed):
         turn, move = np.asarray(surface.rotation), np.asarray(surface.translation)
@@ -448,45 +343,39 @@ def _result(
     held: dict[str, tuple[str, ...]],
     linear: Linear,
     known: Tolerances | None,
+    within: dict[Parameter, float],
 ) -> Calibration[SetupType]:
+    rows, rod, allowed = problem.rows, setup.rod, known or Tolerances()
     weight = _weights(problem, linear)
     found = fitness(problem, linear, weight)
     errors = covariance(problem, linear, weight, found.inflation)
-    if known is not None:
-        errors = errors + considered(
-            problem, linear, weight, unsure(problem, linear, setup.rod, known)
-        )
-    count = len(problem.free)
+    errors = errors + considered(problem, linear, weight, unsure(problem, linear, rod, allowed))
+    count, excess = len(problem.free), float(found.inflation.max())
     own = np.ascontiguousarray(errors[:count, :count])
-    bench, rows = _unrolled(linear.point.bench, setup.sensor, held), problem.rows
-    factors = _factors(problem.free, _rod(setup.rod, bench), _sensor(setup.sensor, bench))
-    deviations = dict(
-        zip(
-            (parameter.name for parameter in problem.free),
-            factors * np.sqrt(np.diag(own)),
-            strict=True,
-        )
-    )
-    offsets = linear.point.offsets
-    offset_deviations = np.sqrt(np.diag(errors)[count : count + offsets.size]).reshape(
-        offsets.shape
-    )
-    posed = {"object_position", "object_orientation"} & set(names)
-    surface = _placed(problem.surface, bench) if posed else problem.surface
-    estimates = {
-        parameter.name: _estimate(parameter, setup, bench, deviations, held) for parameter in chosen
+    bench = linear.bench.unrolled(setup.sensor) if _ROLL in held else linear.bench
+    slopes = np.array([one.slope(bench.numbers(setup.sensor)) for one in problem.free])
+    deviations = {
+        one.name: float(deviation)
+        for one, deviation in zip(problem.free, slopes * np.sqrt(np.diag(own)), strict=True)
     }
-    excess = float(found.inflation.max())
-    parts, missed = (
-        held_out(problem, linear, weight, excess),
-        first_contacts(surface, problem, linear),
-    )
+    estimates = estimates_of(chosen, setup, problem.start, bench, deviations, held)
+    # A drift that was not free is zero, and known.
+    offsets, spreads = np.zeros((2, rows.recordings, 2, WRENCH))
+    trends = problem.trends.shape[1]
+    offsets[:, :trends] = problem.offsets(linear.point.values)
+    spreads[:, :trends] = problem.offsets(np.sqrt(np.diag(errors)))
+    posed = {"object_position", "object_orientation"} & set(names)
+    surface = bench.placed(problem.surface) if posed else problem.surface
+    parts = held_out(problem, linear, weight, excess)
+    missed = first_contacts(surface, problem, linear)
+    given = problem.start.numbers(setup.sensor)
+    stated = {one.name: one.slope(given) * deviation for one, deviation in within.items()}
     return Calibration(
-        setup=_setup(setup, bench, surface),
+        setup=bench.setup(setup, surface),
         surface=surface,
         estimates=estimates,
-        covariance=own * np.outer(factors, factors),
-        identifiability=identifiability(problem, own, linear, held),
+        covariance=own * np.outer(slopes, slopes),
+        identifiability=identifiability(problem.free, own, alone(problem, linear), held),
         residuals=Residuals(
             rows.recording,
             rows.seconds,
@@ -498,22 +387,22 @@ def _result(
             linear.chi_square,
         ),
         fitness=found,
-        tare=offsets[:, :WRENCH],
-        tare_deviation=offset_deviations[:, :WRENCH],
-        drift=offsets[:, WRENCH:],
-        drift_deviation=offset_deviations[:, WRENCH:],
+        tare=offsets[:, 0],
+        tare_deviation=spreads[:, 0],
+        drift=offsets[:, 1],
+        drift_deviation=spreads[:, 1],
         pivot=np.asarray(bench.pivot),
-        pose=(np.asarray(bench.turn), _move(bench)),
+        pose=(np.asarray(bench.turn), np.asarray(bench.move)),
         friction=problem.friction,
         unevenness=problem.unevenness,
         free=names,
         warnings=warnings_of(
+            chosen,
             estimates,
-            _stated(problem, linear.point, setup.rod, setup.sensor, known or Tolerances()),
-            setup.rod,
-            known or Tolerances(),
+            stated,
+            rod,
             found,
-            scores(problem, linear, setup.rod, excess),
+            scores(problem, linear, rod, allowed, excess),
             parts,
             missed,
             problem.friction,
@@ -522,98 +411,3 @@ def _result(
         first_contact=missed,
         tolerances=known,
     )
-
-
-def _unrolled(bench: Bench, sensor: Sensor, held: Mapping[str, object]) -> Bench:
-    """Where the roll about the rod's axis is open, the clamp's axes turned from the given ones
-    without roll, the shortest way.
-    """
-    if _ROLL not in held:
-        return bench
-    given = rotation_matrices(sensor.clamp_orientation)
-    return bench._replace(
-        axes=given @ rotation_matrices(turning_axis_to(given.T @ np.asarray(bench.axes)[:, 2]))
-    )
-
-
-def _rod(rod: Rod, bench: Bench) -> Rod:
-    return replace(rod, length=float(bench.length), bending_stiffness=float(bench.stiffness))
-
-
-def _sensor(sensor: Sensor, bench: Bench) -> Sensor:
-    turned = Rotation.from_matrix(np.asarray(bench.axes)).as_quat()
-    fx, fy, fz, tx, ty, tz = (
-        float(one * factor) for one, factor in zip(sensor.gain, bench.gain, strict=True)
-    )
-    return sensor.updated(
-        clamp_position=np.asarray(bench.clamp),
-        clamp_orientation=turned,
-        gain=(fx, fy, fz, tx, ty, tz),
-    )
-
-
-def _placed(surface: Surface, bench: Bench) -> Surface:
-    return Placed(surface, np.asarray(bench.turn), _move(bench))
-
-
-def _move(bench: Bench) -> Float[np.ndarray, "3"]:
-    return np.asarray(bench.pivot + bench.shift - bench.turn @ bench.pivot)
-
-
-def _setup(setup: SetupType, bench: Bench, surface: Surface) -> SetupType:
-    parts: dict[str, object] = {
-        "rod": _rod(setup.rod, bench),
-        "sensor": _sensor(setup.sensor, bench),
-        "surface": surface,
-    }
-    # What a file said of an earlier calibration no longer holds.
-    parts |= {field.name: None for field in fields(cast(Any, setup)) if field.name == "calibration"}
-    return cast(SetupType, replace(cast(Any, setup), **parts))
-
-
-def _estimate(
-    parameter: Parameter,
-    setup: SetupLike,
-    bench: Bench,
-    deviations: Mapping[str, float],
-    held: Mapping[str, tuple[str, ...]],
-) -> Estimate:
-    given, value = _values(parameter, setup, bench)
-    holds_for = tuple(name for name, others in held.items() if parameter.name in others)
-    deviation = float(deviations.get(parameter.name, math.nan))
-    return Estimate(
-        parameter.name,
-        parameter.unit,
-        given,
-        value,
-        deviation,
-        parameter.name in deviations,
-        holds_for,
-    )
-
-
-def _values(parameter: Parameter, setup: SetupLike, bench: Bench) -> tuple[float, float]:
-    """Given and calibrated."""
-    rod, sensor = setup.rod, setup.sensor
-    place = int(np.argmax(parameter.direction))
-    match parameter.group:
-        case "youngs_modulus" | "bending_stiffness":
-            return _stiffness(parameter.group, rod.bending_stiffness, rod), _stiffness(
-                parameter.group, float(bench.stiffness), rod
-            )
-        case "length":
-            return rod.length, float(bench.length)
-        case "clamp_position":
-            return float(sensor.clamp_position[place - 2]), float(bench.clamp[place - 2])
-        case "clamp_orientation":
-            turned = Rotation.from_quat(sensor.clamp_orientation).inv() * Rotation.from_matrix(
-                np.asarray(bench.axes)
-            )
-            return 0.0, float(turned.as_rotvec()[place - 5])
-        case "object_position":
-            return 0.0, float(bench.shift[place - 14])
-        case "object_orientation":
-            return 0.0, float(Rotation.from_matrix(np.asarray(bench.turn)).as_rotvec()[place - 17])
-        case "standoff":
-            return 0.0, float(bench.standoff)
-    return float(sensor.gain[place - 8]), float(sensor.gain[place - 8] * bench.gain[place - 8])

@@ -2,21 +2,23 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from vibrissa.calibration.fit import Linear, Problem, information
+from vibrissa.calibration.arrays import Chosen, Numbers
 from vibrissa.calibration.parameters import Parameter
+from vibrissa.calibration.problem import Linear, Problem, information
 from vibrissa.calibration.statistics import UNDETERMINED
 from vibrissa.surfaces import Surface
 
 _STRETCHES = 8
+"""Of a single recording: short enough that every other one sees the whole sweep."""
 _NODES = 33
+"""Of the rod: 1.5 mm apart on 50 mm, between which objects are nearly flat."""
 _TOLD = 1e-6
 """Share of a variance that a part of the data has to take away to have a say."""
-_LATE = 4
-"""Samples by which averaging finds a contact too early (`rows`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ class HeldOut:
 
 
 def held_out(
-    problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"], inflation: float
+    problem: Problem, linear: Linear, weight: Numbers, inflation: float
 ) -> tuple[HeldOut, ...]:
     """Leave each recording out, or of one recording alternate stretches, and predict it from the
     others, where these determine all that is free.
@@ -54,15 +56,17 @@ def held_out(
     Prediction is by a Gauss–Newton step from the solution, each row's contact following by its
     derivatives; tare and drift stay those of the rest rows.
     """
-    total = information(problem, linear, weight)
-    parts = [
-        _one(problem, linear, weight, total, inflation, name, out & (weight > 0))
-        for name, out in _parts(problem)
-    ]
-    return tuple(part for part in parts if part is not None)
+    total, root = information(problem, linear, weight), np.sqrt(weight)
+    parts = []
+    for name, own in _parts(problem):
+        out = own & (weight > 0)
+        design = (root[out, None, None] * linear.jacobian[out]).reshape(-1, len(total))
+        left = (root[out, None] * linear.residual[out]).ravel()
+        parts.append(Part(name, int(np.count_nonzero(out)), problem.freedom, design, left))
+    return predicted_by_others(parts, total, problem.free, inflation)
 
 
-def _parts(problem: Problem) -> list[tuple[str, Bool[np.ndarray, "n"]]]:
+def _parts(problem: Problem) -> list[tuple[str, Chosen]]:
     rows = problem.rows
     if rows.recordings > 1:
         return [
@@ -76,83 +80,61 @@ def _parts(problem: Problem) -> list[tuple[str, Bool[np.ndarray, "n"]]]:
     ]
 
 
-def _one(
-    problem: Problem,
-    linear: Linear,
-    weight: Float[np.ndarray, "n"],
-    total: Float[np.ndarray, "u u"],
-    inflation: float,
-    name: str,
-    out: Bool[np.ndarray, "n"],
-) -> HeldOut | None:
-    """None where the part is empty, or the rest alone does not determine all parameters."""
-    if not np.any(out):
-        return None
-    root = np.sqrt(weight[out])[:, None]
-    design, left = (
-        (root[:, :, None] * linear.jacobian[out]).reshape(-1, len(total)),
-        (root * linear.residual[out]).ravel(),
-    )
-    return predicted_by_others(
-        name,
-        int(np.count_nonzero(out)),
-        design,
-        left,
-        problem.freedom,
-        total,
-        problem.free,
-        inflation,
-    )
+class Part(NamedTuple):
+    """Whitened residuals at the solution of all data, k of them."""
+
+    name: str
+    rows: int
+    freedom: int
+    """Conditions that each row adds."""
+    design: Float[np.ndarray, "k u"]
+    """Derivatives, with the sign that unknowns larger by a step leave `left - design @ step`."""
+    left: Float[np.ndarray, "k"]
 
 
 def predicted_by_others(
-    name: str,
-    rows: int,
-    design: Float[np.ndarray, "k u"],
-    left: Float[np.ndarray, "k"],
-    freedom: int,
+    parts: list[Part],
     total: Float[np.ndarray, "u u"],
     free: Sequence[Parameter],
     inflation: float,
-) -> HeldOut | None:
-    """Predict one part of the whitened residuals by a Gauss-Newton step from the solution of all;
-    None where the others alone do not determine all parameters.
+) -> tuple[HeldOut, ...]:
+    """Each part predicted by a Gauss-Newton step from the solution of all, where the others
+    determine all parameters.
 
     Parameters
     ----------
-    name, rows, freedom
-        Of the part: what it is called, its rows, and how many conditions each adds.
-    design, left
-        Its residuals at the solution, and their derivatives, with the sign that unknowns larger by
-        a step leave `left - design @ step`.
+    parts
+        What is left out in turn.
     total
         Information of all parts and priors on the unknowns, of which `free` are the first.
-    inflation
-        Factor by which the variance of all residuals is larger than stated.
+    free, inflation
+        The parameters, and the factor by which the variance of all residuals is larger than stated.
     """
-    own, slope = design.T @ design, design.T @ left
-    count = len(free)
-    try:
-        others = np.linalg.inv(total - own)
-    except np.linalg.LinAlgError:
-        return None
-    variances = np.diag(others)[:count] / np.array([parameter.scale for parameter in free]) ** 2
-    if not np.all((variances > 0) & (variances < UNDETERMINED**2)):
-        return None
-    # At the solution the gradient of all is zero: that of the others is this part's, against it.
-    step = -others @ slope
-    predicted = left - design @ step
-    expected = rows * freedom + float(np.sum(own * others))
-    variance, whole = np.diag(others - np.linalg.inv(total))[:count], np.diag(others)[:count]
-    # What a prior holds does not move, and the difference of both variances is rounding.
-    told = variance > _TOLD * whole
-    moves = np.where(
-        told, np.abs(step[:count]) / np.sqrt(inflation * np.where(told, variance, 1.0)), 0.0
-    )
-    most = int(np.argmax(moves))
-    return HeldOut(
-        name, rows, float(predicted @ predicted) / expected, free[most].name, float(moves[most])
-    )
+    scales, count, found = np.array([one.scale for one in free]), len(free), []
+    whole = np.linalg.inv(total)
+    for part in parts:
+        own = part.design.T @ part.design
+        try:
+            others = np.linalg.inv(total - own)
+        except np.linalg.LinAlgError:
+            continue
+        own_variances = np.diag(others)[:count]
+        determined = (own_variances > 0) & (own_variances < (UNDETERMINED * scales) ** 2)
+        if not part.rows or not determined.all():
+            continue
+        # At the solution the gradient of all is zero: that of the others opposes this part's.
+        step = -others @ part.design.T @ part.left
+        predicted = part.left - part.design @ step
+        expected = part.rows * part.freedom + float(np.sum(own * others))
+        # What a prior holds does not move, and the difference of both variances is rounding.
+        variance = np.diag(others - whole)[:count]
+        told = variance > _TOLD * own_variances
+        deviations = np.sqrt(inflation * np.where(told, variance, np.inf))
+        moves = np.abs(step[:count]) / deviations
+        most = int(np.argmax(moves))
+        square = float(predicted @ predicted) / expected
+        found.append(HeldOut(part.name, part.rows, square, free[most].name, float(moves[most])))
+    return tuple(found)
 
 
 def first_contacts(
@@ -161,8 +143,7 @@ def first_contacts(
     """By how much the straight rod contradicts the loads: how far it stays off the object where
     they begin, or how deep it is inside just before.
     """
-    rows, bench = problem.rows, linear.point.bench
-    axes = rows.pose[:, 3:12].reshape(-1, 3, 3)
+    rows, bench = problem.rows, linear.bench
     missed = np.zeros(rows.recordings)
     for recording in range(rows.recordings):
         own = np.flatnonzero(rows.recording == recording)
@@ -170,11 +151,10 @@ def first_contacts(
         begin = int(np.argmax(rows.contact[own]))
         if begin == 0:
             continue
-        pair = own[[begin - 1, min(begin + _LATE, len(own) - 1)]]
-        along = np.linspace(0.0, 1.0, _NODES)[1:, None] * float(bench.length) * np.asarray(
-            bench.axes
-        )[:, 2] + np.asarray(bench.clamp)
-        points = rows.pose[pair, None, :3] + np.einsum("nij,mj->nmi", axes[pair], along)
-        before, after = np.min(surface.distances(points), axis=1) - float(bench.standoff)
+        pair = own[[begin - 1, begin]]
+        along = np.linspace(0.0, 1.0, _NODES)[1:, None] * bench.length * bench.axes[:, 2]
+        turned = np.einsum("nij,mj->nmi", rows.pose.axes[pair], along + bench.clamp)
+        points = rows.pose.position[pair, None] + turned
+        before, after = np.min(surface.distances(points), axis=1) - bench.standoff
         missed[recording] = max(0.0, after, -before)
     return missed

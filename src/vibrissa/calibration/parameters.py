@@ -1,21 +1,27 @@
-"""What can be calibrated: names, units, and how a step changes the bench."""
+"""What can be calibrated: names, units, and where it stands in the bench."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from vibrissa.calibration.equilibrium import CORE, Bench
+from vibrissa.calibration.bench import LOGARITHMIC, NO_STEP, Step
 from vibrissa.geometry.checks import positive
 from vibrissa.rod import Rod
+from vibrissa.tolerances import Tolerances
 
+STIFFNESS = ("youngs_modulus", "bending_stiffness")
+_OFFSETS = ("tare", "drift")
+_DEFAULT = ("length", "clamp_position", "clamp_orientation", *_OFFSETS)
 _AXES = ("x", "y", "z")
-_CHANNELS = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
+_CHANNELS = tuple(f"{kind}_{axis}" for kind in ("force", "torque") for axis in _AXES)
+_SAME = ((STIFFNESS[0], STIFFNESS[1:]), ("gain", ("force_gain", "torque_gain")))
+"""Groups that are the same parameters as others."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Parameter:
     """One number that can be free.
 
@@ -27,52 +33,87 @@ class Parameter:
         The name under which `free` and `prior` know it.
     unit
         Of its value and its standard deviation.
-    direction
-        (21,) what a unit step of it does to the bench (`equilibrium.changed`).
+    field, entries
+        The numbers of a `Step` that it changes together.
     scale
         A step that would be a gross change: by what parameters of different units are compared.
+    factor
+        Its value over the bench's number.
     """
 
     name: str
     group: str
     unit: str
-    direction: Float[np.ndarray, "21"]
+    field: str
+    entries: tuple[int, ...]
     scale: float
+    factor: float
+
+    def value(self, numbers: Step) -> float:
+        """Among the numbers of a bench."""
+        return self.factor * float(getattr(numbers, self.field)[self.entries[0]])
+
+    def slope(self, numbers: Step) -> float:
+        """Change of the value for a unit step."""
+        return self.value(numbers) if self.field in LOGARITHMIC else 1.0
+
+    def column(self, derivatives: Step) -> Float[np.ndarray, "n 6"]:
+        """Of derivatives by the numbers of a step (n, 6, entries)."""
+        return np.asarray(getattr(derivatives, self.field)[..., list(self.entries)].sum(axis=-1))
 
 
-STIFFNESS = ("youngs_modulus", "bending_stiffness")
-STANDOFF = "standoff"
-GROUPS = (
-    "length",
-    "clamp_position",
-    "clamp_orientation",
-    "object_position",
-    "object_orientation",
-    STANDOFF,
-    "gain",
-    "force_gain",
-    "torque_gain",
-    "tare",
-    "drift",
-)
-DEFAULT_FREE = (STIFFNESS[0], "length", "clamp_position", "clamp_orientation", "tare", "drift")
+def default_names(rod: Rod) -> tuple[str, ...]:
+    """What is free unless stated."""
+    return (STIFFNESS[rod.radius is None], *_DEFAULT)
 
 
-def allowed_names(rod: Rod) -> tuple[str, ...]:
-    """Names that `free` and `prior` may hold for a rod."""
-    return (*(STIFFNESS if rod.radius is not None else STIFFNESS[1:]), *GROUPS)
+def _all(rod: Rod) -> list[Parameter]:
+    """Every parameter of a bench with this rod, in a fixed order: rod, clamp, object, sensor."""
+    unit, each = rod.unit_of("length"), ((0,), (1,), (2,))
+    inertia = None if rod.radius is None else math.pi / 4 * rod.radius**4
+    table = (
+        *([(STIFFNESS[0], "stiffness", "Pa", 1.0, ((0,),))] if inertia else []),
+        (STIFFNESS[1], "stiffness", "N m2" if rod.units == "SI" else "1", 1.0, ((0,),)),
+        ("length", "length", unit, 1.0, ((0,),)),
+        ("clamp_position", "clamp", unit, rod.length, each),
+        ("clamp_orientation", "tilt", "rad", 1.0, each),
+        ("object_position", "shift", unit, rod.length, each),
+        ("object_orientation", "turn", "rad", 1.0, each),
+        ("standoff", "standoff", unit, rod.length, ((0,),)),
+        ("gain", "gain", "1", 1.0, tuple((channel,) for channel in range(6))),
+        ("force_gain", "gain", "1", 1.0, ((0, 1, 2),)),
+        ("torque_gain", "gain", "1", 1.0, ((3, 4, 5),)),
+    )
+    suffixes = {
+        1: ("",),
+        3: tuple(f"_{axis}" for axis in _AXES),
+        6: tuple(f"_{one}" for one in _CHANNELS),
+    }
+    return [
+        Parameter(
+            group + suffix,
+            group,
+            unit_of,
+            field,
+            entries,
+            scale,
+            1 / inertia if inertia and group == STIFFNESS[0] else 1.0,
+        )
+        for group, field, unit_of, scale, rows in table
+        for suffix, entries in zip(suffixes[len(rows)], rows, strict=True)
+    ]
 
 
 def parameters(names: Iterable[str], rod: Rod) -> list[Parameter]:
-    """Free parameters of the bench, in a fixed order: rod, clamp, object, sensor.
+    """Free parameters of the bench, in a fixed order.
 
     Raises
     ------
     ValueError
         If a name is unknown, twice, or contradicts another.
     """
-    wanted = list(names)
-    allowed = allowed_names(rod)
+    wanted, known = list(names), _all(rod)
+    allowed = (*dict.fromkeys(one.group for one in known), *_OFFSETS)
     for name in wanted:
         if name not in allowed:
             needs = " (youngs_modulus needs the rod's radius)" if name == STIFFNESS[0] else ""
@@ -81,68 +122,19 @@ def parameters(names: Iterable[str], rod: Rod) -> list[Parameter]:
             )
         if wanted.count(name) > 1:
             raise ValueError(f"free: {name!r} is given twice; allowed is each once")
-    for first, others in ((STIFFNESS[0], STIFFNESS[1:]), ("gain", ("force_gain", "torque_gain"))):
+    for first, others in _SAME:
         clash = [name for name in others if name in wanted]
         if first in wanted and clash:
             raise ValueError(
                 f"free: {first!r} and {clash[0]!r} are the same parameters; allowed is one of them"
             )
-    found = [
-        parameter
-        for name in (*STIFFNESS, *GROUPS)
-        if name in wanted
-        for parameter in _of(name, rod)
-    ]
+    found = [one for one in known if one.group in wanted]
     if not found:
         raise ValueError(
-            f"free = {wanted}: no parameter of rod, clamp, sensor or object; allowed are {', '.join(allowed)}"
+            f"free = {wanted}: no parameter of rod, clamp, sensor or object; "
+            f"allowed are {', '.join(allowed)}"
         )
     return found
-
-
-def _of(name: str, rod: Rod) -> list[Parameter]:
-    unit = rod.unit_of("length")
-    match name:
-        case "youngs_modulus":
-            return [_one(name, "Pa", [0], 1.0)]
-        case "bending_stiffness":
-            return [_one(name, "N m2" if rod.units == "SI" else "1", [0], 1.0)]
-        case "length":
-            return [_one(name, unit, [1], 1.0)]
-        case "clamp_position":
-            return [_axis(name, unit, 2, axis, rod.length) for axis in range(3)]
-        case "clamp_orientation":
-            return [_axis(name, "rad", 5, axis, 1.0) for axis in range(3)]
-        case "object_position":
-            return [_axis(name, unit, 14, axis, rod.length) for axis in range(3)]
-        case "object_orientation":
-            return [_axis(name, "rad", 17, axis, 1.0) for axis in range(3)]
-        case "standoff":
-            return [_one(name, unit, [20], rod.length)]
-        case "gain":
-            return [
-                Parameter(f"gain_{channel}", name, "1", _unit([8 + index]), 1.0)
-                for index, channel in enumerate(_CHANNELS)
-            ]
-        case "force_gain":
-            return [_one(name, "1", [8, 9, 10], 1.0)]
-        case "torque_gain":
-            return [_one(name, "1", [11, 12, 13], 1.0)]
-    return []
-
-
-def _one(name: str, unit: str, entries: list[int], scale: float) -> Parameter:
-    return Parameter(name, name, unit, _unit(entries), scale)
-
-
-def _axis(name: str, unit: str, first: int, axis: int, scale: float) -> Parameter:
-    return Parameter(f"{name}_{_AXES[axis]}", name, unit, _unit([first + axis]), scale)
-
-
-def _unit(entries: list[int]) -> Float[np.ndarray, "21"]:
-    direction = np.zeros(CORE)
-    direction[entries] = 1.0
-    return direction
 
 
 def checked_prior(prior: Mapping[str, float] | None, names: Iterable[str]) -> dict[str, float]:
@@ -153,29 +145,39 @@ def checked_prior(prior: Mapping[str, float] | None, names: Iterable[str]) -> di
     ValueError
         If a name is not free, or a deviation not positive.
     """
-    wanted = [name for name in names if name not in ("tare", "drift")]
+    wanted = [name for name in names if name not in _OFFSETS]
     for name, deviation in (prior or {}).items():
         if name not in wanted:
             raise ValueError(
-                f"prior: {name!r} is not a free parameter of the bench; allowed are {', '.join(wanted)}"
+                f"prior: {name!r} is not a free parameter of the bench; "
+                f"allowed are {', '.join(wanted)}"
             )
         positive(deviation, f"prior[{name!r}]")
     return dict(prior or {})
 
 
-def moved(bench: Bench, step: Float[np.ndarray, "21"]) -> Bench:
-    """Bench after a finite step; rotation vectors turn."""
-    clamp_turn, object_turn = (
-        Rotation.from_rotvec(part).as_matrix() for part in (step[5:8], step[17:20])
-    )
-    return Bench(
-        bench.stiffness * np.exp(step[0]),
-        bench.length * np.exp(step[1]),
-        bench.clamp + step[2:5],
-        bench.axes @ clamp_turn,
-        bench.gain * np.exp(step[8:14]),
-        bench.shift + step[14:17],
-        object_turn @ bench.turn,
-        bench.pivot,
-        bench.standoff + step[20],
-    )
+def uncertain(rod: Rod, tolerances: Tolerances) -> dict[Parameter, float]:
+    """Parameters with a tolerance, and this in their steps."""
+    deviations = {
+        STIFFNESS[rod.radius is None]: np.hypot(tolerances.youngs_modulus, 4 * tolerances.radius),
+        "length": tolerances.length / rod.length,
+        "clamp_position": tolerances.clamp_position,
+        "clamp_orientation": tolerances.clamp_orientation,
+        "gain": tolerances.gain,
+        "object_position": tolerances.object_position,
+    }
+    each = {
+        one: float(np.atleast_1d(deviations[one.group])[one.entries[0]])
+        for group in deviations
+        for one in _all(rod)
+        if one.group == group
+    }
+    return {one: deviation for one, deviation in each.items() if deviation > 0}
+
+
+def stepped(free: list[Parameter], values: Float[np.ndarray, "parameters"]) -> Step:
+    """Steps of parameters as one of the bench."""
+    step = Step(*(part.copy() for part in NO_STEP))
+    for one, value in zip(free, values, strict=True):
+        getattr(step, one.field)[list(one.entries)] += value
+    return step

@@ -1,38 +1,20 @@
 """What a calibration returns."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar, runtime_checkable
+from typing import Generic
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import norm
 
+from vibrissa.calibration.bench import Bench, SetupLike, SetupType
 from vibrissa.calibration.held_out import HeldOut
+from vibrissa.calibration.parameters import Parameter
 from vibrissa.calibration.statistics import Fitness, Identifiability
-from vibrissa.rod import Rod
-from vibrissa.sensor import Sensor
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
-
-
-@runtime_checkable
-class SetupLike(Protocol):
-    """A dataclass with rod, sensor and surface, as `vibrissa.Setup`."""
-
-    @property
-    def rod(self) -> Rod:
-        """The rod."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """The sensor with its mount."""
-
-    @property
-    def surface(self) -> Surface | None:
-        """The object."""
-
-
-SetupType = TypeVar("SetupType", bound=SetupLike)
 
 
 @dataclass(frozen=True)
@@ -77,6 +59,30 @@ class Estimate:
             raise ValueError(f"level = {level!r}; allowed is a number between 0 and 1")
         half = float(norm.isf((1 - level) / 2)) * self.deviation
         return self.value - half, self.value + half
+
+
+def estimates_of(
+    chosen: list[Parameter],
+    setup: SetupLike,
+    start: Bench,
+    bench: Bench,
+    deviations: Mapping[str, float],
+    held: Mapping[str, tuple[str, ...]],
+) -> dict[str, Estimate]:
+    """Of all that was to be free, by name; `deviations` are of what was determined."""
+    given, found = start.numbers(setup.sensor), bench.numbers(setup.sensor)
+    return {
+        one.name: Estimate(
+            one.name,
+            one.unit,
+            one.value(given),
+            one.value(found),
+            deviations.get(one.name, math.nan),
+            one.name in deviations,
+            tuple(name for name, others in held.items() if one.name in others),
+        )
+        for one in chosen
+    }
 
 
 @dataclass(frozen=True, eq=False)

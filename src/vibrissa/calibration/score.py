@@ -6,15 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2
 
-from vibrissa.calibration.fit import Linear, Problem, prior_system, thinned, whitened
+from vibrissa.calibration.arrays import Columns, Unknowns, Wrenches
+from vibrissa.calibration.problem import Linear, Problem, outlying
 from vibrissa.calibration.suspects import Suspect, suspects
 from vibrissa.rod import Rod
+from vibrissa.tolerances import Tolerances
 
 _ROWS = 1200
+"""Of which the tests are made: enough for causes that matter, few enough to be quick."""
 _ROUNDS = 8
-_OUTLYING = 1e-3
+"""Of reweighting, after which Huber's cost changes by less than a thousandth."""
+_LITTLE = 1e-12
+"""Information that stands for none, so that equations can be solved."""
 
 
 class Score(NamedTuple):
@@ -23,7 +27,6 @@ class Score(NamedTuple):
     suspect: Suspect
     value: Float[np.ndarray, "m"]
     """Its numbers, from stated to what the data want."""
-    deviation: Float[np.ndarray, "m"]
     significance: float
     """In standard deviations: √ of the cost that it takes off, where what is then left is taken as
     noise.
@@ -31,16 +34,20 @@ class Score(NamedTuple):
 
 
 class System(NamedTuple):
-    """The linearised problem on a share of the rows, for all unknowns and further columns."""
+    """The linearised problem on a share of the rows."""
 
-    residual: Float[np.ndarray, "n k"]
-    jacobian: Float[np.ndarray, "n k unknowns"]
-    prior: Float[np.ndarray, "unknowns"]
-    pull: Float[np.ndarray, "unknowns"]
+    residual: Wrenches
+    jacobian: Float[np.ndarray, "n 6 unknowns"]
+    prior: Unknowns
+    """Information."""
+    values: Unknowns
     limit: float
+    """Length of a residual beyond which Huber's cost grows linearly."""
 
 
-def scores(problem: Problem, linear: Linear, rod: Rod, inflation: float) -> list[Score]:
+def scores(
+    problem: Problem, linear: Linear, rod: Rod, tolerances: Tolerances, inflation: float
+) -> list[Score]:
     """Scores of all that is held and may be other than stated, most significant first.
 
     All rows count, those too that were left out as disturbed: leaving them out may be what hides
@@ -53,56 +60,44 @@ def scores(problem: Problem, linear: Linear, rod: Rod, inflation: float) -> list
         Factor by which the variance of the residuals is larger than stated.
     """
     every = max(1, len(linear.sound) // _ROWS)
-    problem, linear = thinned(problem, linear, every)
-    rows = linear.sound & ~problem.disturbed if problem.rubs else linear.sound
-    prior, pull = (part / every for part in prior_system(problem, linear.point))
-    limit = float(np.sqrt(chi2.isf(_OUTLYING, problem.freedom)))
-    system = System(linear.residual[rows], linear.jacobian[rows], prior, pull, limit)
-    base, _, _ = _settled(system, np.zeros((*system.residual.shape, 0)))
-    expected = float(np.count_nonzero(rows)) * problem.freedom
+    usable = linear.sound & ~problem.disturbed if problem.friction > 0 else linear.sound
+    rows = np.flatnonzero(usable[::every]) * every
+    system = System(
+        linear.residual[rows],
+        linear.jacobian[rows],
+        problem.known**2 / every,
+        linear.point.values,
+        outlying(problem),
+    )
+    base, _ = _settled(system, np.zeros((len(rows), 6, 0)))
+    expected = float(len(rows)) * problem.freedom
     found = []
-    for suspect in suspects(problem, linear, rod):
-        cost, value, information = _settled(
-            system, whitened(problem, linear, suspect.columns)[rows]
-        )
+    for suspect in suspects(problem, linear, rod, tolerances):
+        cost, value = _settled(system, linear.weighing[rows] @ suspect.columns[rows])
         # A cause is judged by what it leaves: of the inflation as large a share as of the cost.
         noise = max(1.0, inflation * cost / base if cost > expected else 1.0, cost / expected)
-        gained = max(0.0, base - cost)
-        deviation = np.sqrt(
-            np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0.0) * noise / every
-        )
-        found.append(Score(suspect, value, deviation, float(np.sqrt(gained * every / noise))))
+        significance = float(np.sqrt(max(0.0, base - cost) * every / noise))
+        found.append(Score(suspect, value, significance))
     return sorted(found, key=lambda score: -score.significance)
 
 
-def _settled(
-    system: System, columns: Float[np.ndarray, "n k m"]
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Huber's cost after the best steps, those of the further columns, and the information on them."""
-    size, more = system.jacobian.shape[2], columns.shape[2]
-    unit = np.maximum(np.sqrt(np.sum(columns**2, axis=(0, 1))), np.finfo(float).tiny)
-    design = np.concatenate([system.jacobian, columns / unit], axis=2)
-    prior = np.concatenate([system.prior, np.zeros(more)])
-    pull = np.concatenate([system.pull, np.zeros(more)])
-    step, left = np.zeros(size + more), system.residual
+def _settled(system: System, columns: Columns) -> tuple[float, np.ndarray]:
+    """Huber's cost after the best steps, and those of the further columns."""
+    more, limit = columns.shape[2], system.limit
+    design = np.concatenate([system.jacobian, columns], axis=2)
+    prior, values = (np.append(part, np.zeros(more)) for part in (system.prior, system.values))
+    left = system.residual
     for _ in range(_ROUNDS):
-        length = np.sqrt(np.sum(left**2, axis=1))
-        weight = np.minimum(1.0, system.limit / np.maximum(length, system.limit))
-        flat = (design * np.sqrt(weight)[:, None, None]).reshape(-1, size + more)
-        matrix = flat.T @ flat + np.diag(prior + 1e-12)
-        slope = flat.T @ (system.residual * np.sqrt(weight)[:, None]).ravel() - pull
-        root = 1 / np.sqrt(np.diag(matrix))
-        step = root * np.linalg.solve(
-            matrix * np.outer(root, root) + 1e-12 * np.eye(len(root)), root * slope
-        )
+        length = np.linalg.norm(left, axis=1)
+        root = np.sqrt(np.minimum(1.0, limit / np.maximum(length, limit)))[:, None]
+        flat = (design * root[..., None]).reshape(-1, len(prior))
+        matrix = flat.T @ flat + np.diag(prior)
+        unit = 1 / np.sqrt(np.diag(matrix) + _LITTLE)
+        slope = flat.T @ (system.residual * root).ravel() - prior * values
+        scaled = matrix * np.outer(unit, unit) + _LITTLE * np.eye(len(unit))
+        step = unit * np.linalg.solve(scaled, unit * slope)
         left = system.residual - design @ step
-    length = np.sqrt(np.sum(left**2, axis=1))
-    robust = np.where(length <= system.limit, length**2, system.limit * (2 * length - system.limit))
-    own = slice(size, size + more)
-    information = (
-        matrix[own, own]
-        - matrix[own, :size]
-        @ np.linalg.lstsq(matrix[:size, :size], matrix[:size, own], rcond=None)[0]
-    )
-    cost = float(np.sum(robust) + np.sum(prior * step**2) + 2 * pull @ step)
-    return cost, step[own] / unit, information * np.outer(unit, unit)
+    length = np.linalg.norm(left, axis=1)
+    robust = np.where(length <= limit, length**2, limit * (2 * length - limit))
+    cost = float(np.sum(robust) + np.sum(prior * step * (step + 2 * values)))
+    return cost, step[len(step) - more :]

@@ -1,24 +1,31 @@
 """What the data determine, how well, and whether the model explains them."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from vibrissa.calibration.fit import WRENCH, Linear, Problem, information, weights, whitened
+from vibrissa.calibration.arrays import Columns, Information, Numbers, Square
+from vibrissa.calibration.parameters import Parameter
+from vibrissa.calibration.problem import WRENCH, Linear, Problem, information, weights
 
 UNDETERMINED = 0.3
 """Standard deviation, in the parameters' scales, from which a direction counts as open: 30 % of a
 stiffness, 0.3 L, 0.3 rad.
 """
 _ROUNDING = 1e-12
+"""Information relative to all that rounding leaves of none."""
 _ALIKE = 0.05
+"""Difference of loadings, of at most 1, that does not tell parameters apart."""
 _LAGS = 20
+"""Of the autocorrelation, as Ljung and Box suggest for some hundred samples."""
 _BLOCKS = 12
+"""Of a recording, over which means are taken: longer than what is correlated, enough to average."""
 _SIGNIFICANT = 1e-3
+"""Probability below which residuals are taken for more than noise."""
 _CONFUSED = 0.9
-_SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +49,8 @@ class Identifiability:
     """
 
     names: tuple[str, ...]
-    correlation: Float[np.ndarray, "k k"]
-    directions: Float[np.ndarray, "k k"]
+    correlation: Square
+    directions: Square
     deviations: Float[np.ndarray, "k"]
     alone: Float[np.ndarray, "k"]
     held: dict[str, tuple[str, ...]]
@@ -68,7 +75,8 @@ class Identifiability:
         lines = [
             f"{name}: not determined, kept as given; "
             + (
-                f"it cannot be told apart from {', '.join(others)}, whose figures hold for this value"
+                f"it cannot be told apart from {', '.join(others)}, "
+                "whose figures hold for this value"
                 if others
                 else "the readings do not depend on it"
             )
@@ -109,73 +117,76 @@ class Fitness:
     disturbed: float
 
 
-def marginal(matrix: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "k k"]:
-    """Information on the first `count` unknowns when the others are unknown, too (Schur's
-    complement).
+def weakest(information: Square, limit: float) -> tuple[int, list[int]] | None:
+    """Of scaled information, the parameter to hold where a direction's standard deviation exceeds a
+    limit, and those it goes with; None where all are determined.
     """
-    own, mixed, others = matrix[:count, :count], matrix[:count, count:], matrix[count:, count:]
-    return np.asarray(own - mixed @ np.linalg.solve(others, mixed.T))
+    least = max(1 / limit**2, _ROUNDING * float(np.trace(information)))
+    values, vectors = np.linalg.eigh(information)
+    if values[0] > least:
+        return None
+    loading = np.abs(vectors[:, 0])
+    # Of several that weigh alike the last is held: what comes first is asked for first.
+    place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
+    return place, [int(one) for one in np.flatnonzero(loading > _ALIKE) if one != place]
 
 
-def undetermined(problem: Problem, linear: Linear) -> tuple[Problem, dict[str, tuple[str, ...]]]:
-    """Hold, one by one, the parameters of directions that are open; return what is left, and each
-    one held with those it goes with.
-    """
+def undetermined(problem: Problem, linear: Linear) -> dict[str, tuple[str, ...]]:
+    """Parameters of directions that are open, to be held one by one, with what each goes with."""
     held: dict[str, tuple[str, ...]] = {}
-    keep = list(range(len(problem.free)))
-    full = marginal(information(problem, linear, linear.sound.astype(float)), len(keep))
-    scales = np.array([parameter.scale for parameter in problem.free])
-    full = full * np.outer(scales, scales)
-    least = max(1 / UNDETERMINED**2, _ROUNDING * float(np.trace(full)))
-    while keep:
-        values, vectors = np.linalg.eigh(full[np.ix_(keep, keep)])
-        if values[0] > least:
-            break
-        loading = np.abs(vectors[:, 0])
-        # Of several that weigh alike the last is held: what comes first is asked for first.
-        place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
-        others = tuple(
-            problem.free[keep[index]].name
-            for index in np.flatnonzero(loading > _ALIKE)
-            if index != place
-        )
-        held[problem.free[keep[place]].name] = others
-        del keep[place]
-    names = [problem.free[index].name for index in keep]
-    held = {
-        name: tuple(other for other in others if other in names) for name, others in held.items()
+    free, count = list(problem.free), len(problem.free)
+    matrix = information(problem, linear, linear.sound.astype(float))
+    mixed = matrix[:count, count:]
+    # On the parameters when the other unknowns are unknown, too (Schur's complement).
+    left = matrix[:count, :count] - mixed @ np.linalg.solve(matrix[count:, count:], mixed.T)
+    left = left * np.outer(problem.scales, problem.scales)
+    while free and (open_one := weakest(left, UNDETERMINED)):
+        place, others = open_one
+        held[free[place].name] = tuple(free[other].name for other in others)
+        left = np.delete(np.delete(left, place, 0), place, 1)
+        del free[place]
+    return without_held(held, held)
+
+
+def without_held(
+    held: dict[str, tuple[str, ...]], names: Iterable[str]
+) -> dict[str, tuple[str, ...]]:
+    """What is held, going with parameters that are not."""
+    return {
+        one: tuple(other for other in others if other not in names) for one, others in held.items()
     }
-    for index in sorted(set(range(len(problem.free))) - set(keep), reverse=True):
-        problem = problem.without(index)
-    return problem, held
 
 
 def identifiability(
-    problem: Problem,
-    covariance: Float[np.ndarray, "k k"],
-    linear: Linear,
+    free: list[Parameter],
+    covariance: Square,
+    alone: Float[np.ndarray, "k"],
     held: dict[str, tuple[str, ...]],
 ) -> Identifiability:
-    """Of the parameters that were fitted, from the covariance of their steps."""
-    scales = np.array([parameter.scale for parameter in problem.free])
-    deviations = np.sqrt(np.diag(covariance))
+    """Of parameters that were fitted, from the covariance of their steps."""
+    scales, deviations = np.array([one.scale for one in free]), np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scales, scales))
-    matrix = information(problem, linear, weights(problem, linear, 1.0))
     return Identifiability(
-        names=tuple(parameter.name for parameter in problem.free),
+        names=tuple(one.name for one in free),
         correlation=covariance / np.outer(deviations, deviations),
         directions=vectors.T[::-1],
         deviations=np.sqrt(np.maximum(values[::-1], 0.0)),
-        alone=1 / np.sqrt(np.diag(matrix)[: len(problem.free)]),
+        alone=alone,
         held=held,
     )
 
 
-def fitness(problem: Problem, linear: Linear, weight: Float[np.ndarray, "n"]) -> Fitness:
+def alone(problem: Problem, linear: Linear) -> Float[np.ndarray, "k"]:
+    """Standard deviation of each parameter if all others were known."""
+    matrix = information(problem, linear, weights(problem, linear, 1.0))
+    return 1 / np.sqrt(np.diag(matrix)[: len(problem.free)])
+
+
+def fitness(problem: Problem, linear: Linear, weight: Numbers) -> Fitness:
     """Judge the residuals in contact, in time order within each recording."""
     rows = problem.rows
     chosen = rows.contact & (weight > 0)
-    left = np.sqrt(weight)[:, None] * linear.residual[:, :WRENCH]
+    left = np.sqrt(weight)[:, None] * linear.whitened
     series = [left[chosen & (rows.recording == recording)] for recording in range(rows.recordings)]
     series = [part for part in series if len(part) > 2 * _LAGS]
     used = linear.chi_square[chosen & (weight == 1.0)]
@@ -219,38 +230,35 @@ def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
 def covariance(
     problem: Problem,
     linear: Linear,
-    weight: Float[np.ndarray, "n"],
+    weight: Numbers,
     inflation: Float[np.ndarray, "6"],
-) -> Float[np.ndarray, "unknowns unknowns"]:
+) -> Information:
     """Of all unknowns: the inverse information, or where the residuals are more than noise that of
     estimates with their long-run variance (a sandwich).
     """
     inverse = np.linalg.inv(information(problem, linear, weight))
     if np.all(inflation == 1):
         return inverse
-    excess = (
-        np.sqrt(weight)[:, None, None]
-        * linear.jacobian[:, :WRENCH]
-        * np.sqrt(inflation - 1)[None, :, None]
-    )
-    excess = excess[problem.rows.contact].reshape(-1, linear.jacobian.shape[2])
+    size = np.sqrt(weight)[:, None, None] * np.sqrt(inflation - 1)[:, None]
+    excess = (size * (linear.channels @ linear.design))[linear.contact]
+    excess = excess.reshape(-1, len(inverse))
     return inverse + inverse @ (excess.T @ excess) @ inverse
 
 
 def considered(
     problem: Problem,
     linear: Linear,
-    weight: Float[np.ndarray, "n"],
-    columns: Float[np.ndarray, "contacts 6 m"],
-) -> Float[np.ndarray, "unknowns unknowns"]:
+    weight: Numbers,
+    columns: Columns,
+) -> Information:
     """Covariance of all unknowns from numbers that are held, whose standard deviations change the
     readings by `columns`.
 
     An error h of a held number moves the estimates by −(JᵀWJ)⁻¹ JᵀW ∂r/∂h ("consider parameters":
     S. F. Schmidt, Advances in Control Systems 3 (1966) 293-340).
     """
-    crossed = np.einsum(
-        "n,nku,nkm->um", weight, linear.jacobian, whitened(problem, linear, columns), optimize=True
+    crossed = np.tensordot(
+        weight[:, None, None] * linear.jacobian, linear.weighing @ columns, axes=((0, 1), (0, 1))
     )
     shift = np.linalg.solve(information(problem, linear, weight), crossed)
     return shift @ shift.T

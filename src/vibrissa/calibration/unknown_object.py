@@ -3,48 +3,62 @@ sensor (mechanics.md, "What the data say of the setup").
 """
 
 import math
-from dataclasses import replace
-from typing import Any, cast
+from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
-from scipy.spatial.transform import Rotation
 
-from vibrissa.calibration.held_out import HeldOut, predicted_by_others
-from vibrissa.calibration.parameters import Parameter
-from vibrissa.calibration.result import Calibration, Estimate, Residuals, SetupType
-from vibrissa.calibration.rows import CalibrationError
-from vibrissa.calibration.statistics import Fitness, Identifiability
-from vibrissa.calibration.suspects import uncertain
-from vibrissa.calibration.unknown_object_fit import Fit, directions_of, factor_of, fitted
+from vibrissa.calibration.bench import SetupType, Step, bench_of, moved_at_once
+from vibrissa.calibration.held_out import HeldOut, Part, predicted_by_others
+from vibrissa.calibration.parameters import Parameter, stepped, uncertain
+from vibrissa.calibration.result import Calibration, Residuals, estimates_of
+from vibrissa.calibration.rows import CalibrationError, reactions_of
+from vibrissa.calibration.statistics import Fitness, identifiability, weakest, without_held
 from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import reconstruct
-from vibrissa.inverse.checks.case import Case, Misfit, Solution, case_of
-from vibrissa.inverse.checks.rig import GAIN, LENGTH, POSITION, ROTATION, STIFFNESS, Frame
+from vibrissa.inverse.checks.case import Case, Solution, case_of, solved
+from vibrissa.inverse.checks.rig import ERRORS, GAIN, LENGTH, POSITION, ROTATION, STIFFNESS, Frame
 from vibrissa.inverse.checks.stretches import stretches_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.tolerances import Tolerances
 
-_GROUPS = (
-    "youngs_modulus",
-    "bending_stiffness",
-    "length",
-    "clamp_position",
-    "clamp_orientation",
-    "gain",
-    "force_gain",
-    "torque_gain",
-    "tare",
-    "drift",
-)
+_PLACES = {
+    "stiffness": slice(STIFFNESS, STIFFNESS + 1),
+    "length": slice(LENGTH, LENGTH + 1),
+    "clamp": POSITION,
+    "tilt": ROTATION,
+    "gain": GAIN,
+}
+"""Of a step's numbers among the errors of `inverse.checks`; what is not here is an object's."""
+_SPREAD = 0.5
+"""Standard deviation before the data where no prior is given, in the parameters' scales: nothing is
+known.
+"""
+_OPEN = 0.1
+"""Standard deviation, in the parameters' scales, from which a direction counts as open: a tenth of
+a stiffness or a rod length, 6°.
+"""
 _CONTRADICTED = 3.0
 """Mean square of the constraints in that of noise from which it is said: sound benches show 1.4 at
 most, EI and L that make up for friction that is not stated 2.9.
 """
+
+
+class Fit(NamedTuple):
+    """The parameters that are determined, and those that are held, each with what it goes with."""
+
+    free: list[Parameter]
+    held: dict[str, tuple[str, ...]]
+    solution: Solution
+    directions: Float[np.ndarray, "errors p"]
+    spread: Float[np.ndarray, "p"]
+    covariance: Float[np.ndarray, "p p"]
+    inflation: float
 
 
 def calibrated_without_object(
@@ -69,56 +83,39 @@ def calibrated_without_object(
     CalibrationError
         If the noise is not known, a recording has too little contact, or nothing is determined.
     """
-    wrong = [parameter.group for parameter in chosen if parameter.group not in _GROUPS]
-    if wrong:
-        raise ValueError(
-            f"free: {wrong[0]!r} needs the object, and surface = None; allowed are {', '.join(_GROUPS)}"
-        )
+    for one in chosen:
+        if one.field not in _PLACES:
+            raise ValueError(
+                f"free: {one.group!r} needs the object, and surface = None; allowed are parameters "
+                "of rod, clamp and sensor, tare and drift"
+            )
+    if not recordings:
+        raise ValueError("recordings = []; allowed is at least one recording")
     cases = [
-        _case(index, reactions, setup.rod, setup.sensor, friction)
-        for index, reactions in enumerate(_sweeps(recordings, setup.sensor))
+        _case(index, reactions_of(recording, setup.sensor), setup.rod, setup.sensor, friction)
+        for index, recording in enumerate(recordings)
     ]
-    stated = {
-        parameter.name: (parameter, deviation)
-        for parameter, deviation in uncertain(setup.rod, tolerances)
-        if parameter.group in _GROUPS
+    within = {
+        one: deviation
+        for one, deviation in uncertain(setup.rod, tolerances).items()
+        if one.field in _PLACES
     }
-    chosen = [
-        *chosen,
-        *(
-            parameter
-            for name, (parameter, _) in stated.items()
-            if name not in {one.name for one in chosen}
-        ),
-    ]
-    names = (
-        *names,
-        *dict.fromkeys(parameter.group for parameter in chosen if parameter.group not in names),
-    )
-    within = {name: deviation for name, (_, deviation) in stated.items()}
-    fit = fitted(cases, chosen, deviations, within, setup, friction)
+    chosen = list(dict.fromkeys([*chosen, *within]))
+    names = tuple(dict.fromkeys([*names, *(one.group for one in chosen)]))
+    fit = _fitted(cases, chosen, deviations, within, setup, friction)
     return _result(setup, names, chosen, fit, friction, tolerances if within else None, within)
 
 
-def _sweeps(recordings: list[Reactions | RawRecording], sensor: Sensor) -> list[Reactions]:
-    given = [
-        sensor.reactions(recording) if isinstance(recording, RawRecording) else recording
-        for recording in recordings
-    ]
-    if not given:
-        raise ValueError("recordings = []; allowed is at least one recording")
-    for one in given:
-        if not isinstance(one, Reactions) or one.force.ndim != 2:
-            raise ValueError(
-                "recordings: without an object allowed are single sweeps, as Reactions (`read_recording`) or RawRecording"
-            )
-    return given
-
-
 def _case(index: int, reactions: Reactions, rod: Rod, sensor: Sensor, friction: float) -> Case:
+    if reactions.force.ndim != 2:
+        raise ValueError(
+            "recordings: without an object allowed are single sweeps, as Reactions "
+            "(`read_recording`) or RawRecording"
+        )
     if reactions.covariance is None:
         raise CalibrationError(
-            f"recordings[{index}]: the sensor's noise is not known; give force_noise and torque_noise"
+            f"recordings[{index}]: the sensor's noise is not known; give force_noise and "
+            "torque_noise"
         )
     averaged = stretches_of(reconstruct(rod, reactions, friction=friction, check=False))
     frame = Frame(
@@ -128,9 +125,64 @@ def _case(index: int, reactions: Reactions, rod: Rod, sensor: Sensor, friction: 
     case = None if averaged is None else case_of(averaged, frame, friction)
     if case is None:
         raise CalibrationError(
-            f"recordings[{index}]: too little of it is in contact, or its signal too weak, to tell of the rod"
+            f"recordings[{index}]: too little of it is in contact, or its signal too weak, to tell "
+            "of the rod"
         )
     return case
+
+
+def _directions(free: list[Parameter], setup: SetupType) -> Float[np.ndarray, "errors p"]:
+    """Errors of the bench for unit steps of parameters."""
+    turn = rotation_matrices(setup.sensor.clamp_orientation)
+    out = np.zeros((ERRORS, len(free)))
+    for column, one in enumerate(free):
+        step = stepped([one], np.ones(1))._asdict()
+        step["clamp"] = turn.T @ step["clamp"] / setup.rod.length
+        for field, place in _PLACES.items():
+            out[place, column] = step[field]
+    return out
+
+
+def _fitted(
+    cases: list[Case],
+    chosen: list[Parameter],
+    deviations: dict[str, float],
+    within: dict[Parameter, float],
+    setup: SetupType,
+    friction: float,
+) -> Fit:
+    """Solve; hold what the solution leaves open, one by one, and solve anew without it."""
+    free, held = list(chosen), dict[str, tuple[str, ...]]()
+    given = bench_of(setup.rod, setup.sensor).numbers(setup.sensor)
+    while free:
+        scales = np.array([one.scale for one in free])
+        known = [
+            min(
+                # Gains are not divided by what they were given as: the sensor has been.
+                deviations.get(one.group, math.inf)
+                / (1.0 if one.field == "gain" else one.slope(given)),
+                within.get(one, math.inf),
+                _SPREAD * one.scale,
+            )
+            for one in free
+        ]
+        spread, directions = np.array(known), _directions(free, setup)
+        solution = solved(cases, directions, spread, friction, np.zeros(len(free)))
+        left = np.concatenate([misfit.value for misfit in solution.misfits])
+        inflation = max(1.0, float(left @ left) / max(len(left) - len(free), 1))
+        covariance = solution.covariance * inflation
+        open_one = weakest(np.linalg.inv(covariance) * np.outer(scales, scales), _OPEN)
+        if open_one is None:
+            names = {one.name for one in chosen} - {one.name for one in free}
+            return Fit(
+                free, without_held(held, names), solution, directions, spread, covariance, inflation
+            )
+        place, others = open_one
+        held[free[place].name] = tuple(free[other].name for other in others)
+        del free[place]
+    raise CalibrationError(
+        f"these recordings determine none of the free parameters: {', '.join(held)}"
+    )
 
 
 def _result(
@@ -140,207 +192,97 @@ def _result(
     fit: Fit,
     friction: float,
     tolerances: Tolerances | None,
-    within: dict[str, float],
+    within: dict[Parameter, float],
 ) -> Calibration[SetupType]:
-    names_left = {parameter.name for parameter in fit.free}
-    held = {
-        name: tuple(other for other in others if other in names_left)
-        for name, others in fit.held.items()
+    start = bench_of(setup.rod, setup.sensor)
+    step: Step = stepped(fit.free, fit.solution.size)
+    # Errors of gains are relative, steps logarithmic.
+    step = step._replace(gain=np.log1p(step.gain))
+    bench = jax.tree.map(np.asarray, moved_at_once(start, step))
+    given = start.numbers(setup.sensor)
+    slopes = np.array([one.slope(given) for one in fit.free])
+    covariance = fit.covariance * np.outer(slopes, slopes)
+    deviations = {
+        one.name: float(deviation)
+        for one, deviation in zip(fit.free, np.sqrt(np.diag(covariance)), strict=True)
     }
-    sizes = dict(zip((parameter.name for parameter in fit.free), fit.solution.size, strict=True))
-    factors = np.array([factor_of(parameter, setup) for parameter in fit.free])
-    covariance = fit.covariance * np.outer(factors, factors)
-    deviations = dict(
-        zip((parameter.name for parameter in fit.free), np.sqrt(np.diag(covariance)), strict=True)
-    )
-    estimates = {
-        parameter.name: _estimate(parameter, setup, sizes, deviations, held) for parameter in chosen
-    }
-    scales = np.array([parameter.scale for parameter in fit.free])
-    spread = np.sqrt(np.diag(fit.covariance))
-    values, vectors = np.linalg.eigh(fit.covariance / np.outer(scales, scales))
-    known = Identifiability(
-        names=tuple(parameter.name for parameter in fit.free),
-        correlation=fit.covariance / np.outer(spread, spread),
-        directions=vectors.T[::-1],
-        deviations=np.sqrt(np.maximum(values[::-1], 0.0)),
-        alone=1 / np.sqrt(np.diag(np.linalg.inv(fit.covariance))),
-        held=held,
-    )
-    stated = {
-        parameter.name: within[parameter.name] * factor_of(parameter, setup)
-        for parameter in chosen
-        if parameter.name in within
-    }
-    parts = _held_out(setup, fit)
-    nothing = np.zeros((len(fit.solution.cases), 6))
+    estimates = estimates_of(chosen, setup, start, bench, deviations, fit.held)
+    known = 1 / np.sqrt(np.diag(np.linalg.inv(fit.covariance)))
+    parts, count = _held_out(fit), len(fit.solution.cases)
+    nothing, unknown = np.zeros((count, 6)), np.full((count, 6), np.nan)
+    stated = {one.name: deviation * one.slope(given) for one, deviation in within.items()}
+    lines = moved(chosen, estimates, setup.rod, stated)
+    if fit.inflation >= _CONTRADICTED:
+        lines.append(
+            "the constraints contradict each other by up to "
+            f"{math.sqrt(fit.inflation):.2g} times what the noise explains, and what was freed "
+            "does not mend it: free more, or check the rod's straightness and taper, friction, and "
+            "the sensor"
+        )
     return Calibration(
-        setup=_changed(setup, fit),
+        setup=bench.setup(setup, setup.surface),
         surface=None,
         estimates=estimates,
         covariance=covariance,
-        identifiability=known,
-        residuals=_residuals(setup, fit.solution),
+        identifiability=identifiability(fit.free, fit.covariance, known, fit.held),
+        residuals=_residuals(setup.rod, fit.solution),
         fitness=Fitness(fit.inflation, 1.0, np.full(6, fit.inflation), 0.0, 0.0),
         tare=nothing,
-        tare_deviation=np.full_like(nothing, np.nan),
+        tare_deviation=unknown,
         drift=nothing,
-        drift_deviation=np.full_like(nothing, np.nan),
+        drift_deviation=unknown,
         pivot=np.zeros(3),
         pose=(np.eye(3), np.zeros(3)),
         friction=friction,
         unevenness=0.0,
         free=names,
-        warnings=[
-            *moved(estimates.values(), setup.rod, stated),
-            *_misfit(fit.inflation),
-            *unpredicted(parts, fit.inflation),
-        ],
+        warnings=[*lines, *unpredicted(parts, fit.inflation)],
         held_out=parts,
-        first_contact=np.full(len(fit.solution.cases), np.nan),
+        first_contact=np.full(count, np.nan),
         tolerances=tolerances,
     )
 
 
-def _held_out(setup: SetupType, fit: Fit) -> tuple[HeldOut, ...]:
+def _held_out(fit: Fit) -> tuple[HeldOut, ...]:
     """Each of several sweeps, predicted by the others; its own friction, where it is open, adds to
     its noise.
     """
-    directions, found = directions_of(fit.free, setup), []
-    for case, misfit in zip(fit.solution.cases, fit.solution.misfits, strict=True):
+    parts = []
+    for index, (case, misfit) in enumerate(
+        zip(fit.solution.cases, fit.solution.misfits, strict=True)
+    ):
         rubbing = misfit.whitened(case.friction) * case.friction_spread
         root = np.linalg.cholesky(np.eye(len(misfit.value)) + rubbing @ rubbing.T)
-        design = solve_triangular(
-            root, misfit.whitened(case.slopes.constraints @ directions), lower=True
-        )
-        found.append(
-            (
-                design,
-                solve_triangular(root, misfit.value, lower=True),
-                int(np.count_nonzero(misfit.told)),
+        design, left = (
+            solve_triangular(root, part, lower=True)
+            for part in (
+                misfit.whitened(case.slopes.constraints @ fit.directions),
+                misfit.value,
             )
         )
-    total = np.diag(fit.spread**-2.0) + sum(design.T @ design for design, _, _ in found)
-    parts = [
-        predicted_by_others(
-            f"recordings[{index}]", told, -design, left, 1, total, fit.free, fit.inflation
+        told = int(np.count_nonzero(misfit.told))
+        parts.append(Part(f"recordings[{index}]", told, 1, -design, left))
+    total = np.diag(fit.spread**-2.0) + sum(part.design.T @ part.design for part in parts)
+    return predicted_by_others(parts if len(parts) > 1 else [], total, fit.free, fit.inflation)
+
+
+def _residuals(rod: Rod, solution: Solution) -> Residuals:
+    """Stretches as rows; their three constraints are the first three columns of `whitened`."""
+    units, columns = np.repeat([rod.force_scale, rod.moment_scale], 3), []
+    for index, (case, misfit) in enumerate(zip(solution.cases, solution.misfits, strict=True)):
+        own, there = case.bench.stretches, case.bench.frame.to_sensor
+        slope = np.take_along_axis(case.here.by_wrench.constraints, misfit.pick[..., None], axis=1)
+        value = np.take_along_axis(case.here.value, misfit.pick, axis=1)
+        spread = own.noise @ np.swapaxes(slope, 1, 2)
+        # By the least change of the wrench that meets the constraints.
+        change = (spread @ np.linalg.solve(slope @ spread, value[..., None]))[..., 0]
+        whitened = np.pad(misfit.value.reshape(-1, 3), ((0, 0), (0, 3)))
+        reading, predicted = (
+            wrench @ there.T * units for wrench in (own.wrench, own.wrench - change)
         )
-        for index, (design, left, told) in enumerate(found)
-        if len(found) > 1
-    ]
-    return tuple(part for part in parts if part is not None)
-
-
-def _misfit(inflation: float) -> list[str]:
-    """A line where the constraints, as fitted, contradict each other."""
-    if inflation < _CONTRADICTED:
-        return []
-    return [
-        f"the constraints contradict each other by up to {math.sqrt(inflation):.2g} times what the noise explains, and what was freed does not mend it: "
-        "free more, or check the rod's straightness and taper, friction, and the sensor"
-    ]
-
-
-def _estimate(
-    parameter: Parameter,
-    setup: SetupType,
-    sizes: dict[str, float],
-    deviations: dict[str, float],
-    held: dict[str, tuple[str, ...]],
-) -> Estimate:
-    place = int(np.argmax(parameter.direction))
-    match parameter.group:
-        case "youngs_modulus" | "bending_stiffness" | "length":
-            given = factor_of(parameter, setup)
-        case "clamp_position":
-            given = float(setup.sensor.clamp_position[place - 2])
-        case "clamp_orientation":
-            given = 0.0
-        case _:
-            given = float(setup.sensor.gain[place - 8])
-    step = float(sizes.get(parameter.name, 0.0))
-    relative = parameter.group not in ("clamp_position", "clamp_orientation")
-    value = (
-        given * math.exp(step)
-        if relative and parameter.group[:4] != "gain"
-        else given * (1 + step)
-        if relative
-        else given + step
-    )
-    holds_for = tuple(name for name, others in held.items() if parameter.name in others)
-    deviation = float(deviations.get(parameter.name, math.nan))
-    return Estimate(
-        parameter.name,
-        parameter.unit,
-        given,
-        value,
-        deviation,
-        parameter.name in deviations,
-        holds_for,
-    )
-
-
-def _changed(setup: SetupType, fit: Fit) -> SetupType:
-    errors = directions_of(fit.free, setup) @ fit.solution.size
-    rod, sensor = setup.rod, setup.sensor
-    turn = Rotation.from_quat(sensor.clamp_orientation)
-    fx, fy, fz, tx, ty, tz = (
-        float(gain * (1 + error)) for gain, error in zip(sensor.gain, errors[GAIN], strict=True)
-    )
-    parts: dict[str, object] = {
-        "rod": replace(
-            rod,
-            bending_stiffness=rod.bending_stiffness * math.exp(errors[STIFFNESS]),
-            length=rod.length * math.exp(errors[LENGTH]),
-        ),
-        "sensor": sensor.updated(
-            clamp_position=sensor.clamp_position + turn.apply(errors[POSITION]) * rod.length,
-            clamp_orientation=(turn * Rotation.from_rotvec(errors[ROTATION])).as_quat(),
-            gain=(fx, fy, fz, tx, ty, tz),
-        ),
-    }
-    if hasattr(setup, "calibration"):
-        parts["calibration"] = None
-    return cast(SetupType, replace(cast(Any, setup), **parts))
-
-
-def _residuals(setup: SetupType, solution: Solution) -> Residuals:
-    """Stretches as rows; the three constraints of each are the first three columns of `whitened`."""
-    units = np.repeat([setup.rod.force_scale, setup.rod.moment_scale], 3)
-    parts = [
-        _rows(index, case, misfit, units)
-        for index, (case, misfit) in enumerate(zip(solution.cases, solution.misfits, strict=True))
-    ]
-    recording, time, reading, predicted, whitened = (
-        np.concatenate(column) for column in zip(*parts, strict=True)
-    )
-    count = len(time)
+        columns.append((np.full(len(own.time), index), own.time, reading, predicted, whitened))
+    recording, time, reading, predicted, whitened = map(np.concatenate, zip(*columns, strict=True))
+    ones = np.ones(len(time))
     return Residuals(
-        recording,
-        time,
-        np.ones(count, dtype=bool),
-        reading,
-        predicted,
-        whitened,
-        np.ones(count),
-        np.sum(whitened**2, axis=1),
-    )
-
-
-def _rows(
-    index: int, case: Case, misfit: Misfit, units: Float[np.ndarray, "6"]
-) -> tuple[np.ndarray, ...]:
-    there, wrench = case.bench.frame.to_sensor, case.bench.stretches.wrench
-    slope = np.take_along_axis(case.here.by_wrench.constraints, misfit.pick[:, :, None], axis=1)
-    value = np.take_along_axis(case.here.value, misfit.pick, axis=1)
-    spread = case.bench.stretches.noise @ np.swapaxes(slope, 1, 2)
-    nearest = wrench - (spread @ np.linalg.solve(slope @ spread, value[:, :, None]))[:, :, 0]
-    whitened = np.concatenate([misfit.value.reshape(-1, 3), np.zeros((len(wrench), 3))], axis=1)
-    time = case.bench.stretches.time
-    return (
-        np.full(len(time), index),
-        time,
-        wrench @ there.T * units,
-        nearest @ there.T * units,
-        whitened,
+        recording, time, ones > 0, reading, predicted, whitened, ones, np.sum(whitened**2, axis=1)
     )

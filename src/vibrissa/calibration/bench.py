@@ -1,0 +1,174 @@
+"""Everything a calibration may change, as one tree of numbers, and what it makes of a setup."""
+
+from dataclasses import fields, replace
+from typing import Any, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from vibrissa.geometry.rotation import rotation_matrices, turning_axis_to
+from vibrissa.numerics.compiled import compiled
+from vibrissa.numerics.rotation import rotation_matrix
+from vibrissa.rod import Rod
+from vibrissa.sensor import Sensor
+from vibrissa.surfaces import Surface
+from vibrissa.surfaces.base import Placed
+
+
+@runtime_checkable
+class SetupLike(Protocol):
+    """A dataclass with rod, sensor and surface, as `vibrissa.Setup`."""
+
+    @property
+    def rod(self) -> Rod:
+        """The rod."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor with its mount."""
+
+    @property
+    def surface(self) -> Surface | None:
+        """The object."""
+
+
+SetupType = TypeVar("SetupType", bound=SetupLike)
+
+
+class Step(NamedTuple):
+    """A small change of the bench; also its numbers, and derivatives by them (…, entries)."""
+
+    stiffness: Float[Any, "*rows 1"]
+    """ln EI."""
+    length: Float[Any, "*rows 1"]
+    """ln L."""
+    clamp: Float[Any, "*rows 3"]
+    """Of the clamp point, sensor axes."""
+    tilt: Float[Any, "*rows 3"]
+    """Rotation vector of the clamp, in its own axes."""
+    gain: Float[Any, "*rows 6"]
+    """ln of the gains."""
+    shift: Float[Any, "*rows 3"]
+    """Of the object, world axes."""
+    turn: Float[Any, "*rows 3"]
+    """Rotation vector of the object about `Bench.pivot`, world axes."""
+    standoff: Float[Any, "*rows 1"]
+
+
+LOGARITHMIC = ("stiffness", "length", "gain")
+NO_STEP = Step(*(np.zeros(size) for size in (1, 1, 3, 3, 6, 3, 3, 1)))
+
+
+class Bench(NamedTuple):
+    """Rod, mount, sensor and the object's place, in units of the rod."""
+
+    stiffness: Float[Any, ""]
+    length: Float[Any, ""]
+    clamp: Float[Any, "3"]
+    """Clamp point in the sensor frame."""
+    axes: Float[Any, "3 3"]
+    """Clamp axes as columns, in the sensor frame."""
+    wrench_point: Float[Any, "3"]
+    """About which torques are given, in the sensor frame."""
+    gain: Float[Any, "6"]
+    """Readings over those of the sensor as given."""
+    shift: Float[Any, "3"]
+    """By which the object is moved from where it is given, world axes."""
+    turn: Float[Any, "3 3"]
+    """By which it is turned about `pivot` before that."""
+    pivot: Float[Any, "3"]
+    standoff: Float[Any, ""]
+    """How far the centre line stays off the object as given, where it touches."""
+
+    @property
+    def center(self) -> Float[np.ndarray, "3"]:
+        """Where the pivot is now."""
+        return np.asarray(self.pivot + self.shift)
+
+    @property
+    def move(self) -> Float[Any, "3"]:
+        """By which the object is moved after it was turned about the origin."""
+        return self.pivot + self.shift - self.turn @ self.pivot
+
+    def placed(self, surface: Surface) -> Surface:
+        """The object where it is."""
+        return Placed(surface, self.turn, self.move)
+
+    def rod(self, given: Rod) -> Rod:
+        """The rod with these figures."""
+        return replace(given, length=float(self.length), bending_stiffness=float(self.stiffness))
+
+    def setup(self, given: SetupType, surface: Surface | None) -> SetupType:
+        """The setup with these figures; what a file said of an earlier calibration is dropped."""
+        fx, fy, fz, tx, ty, tz = np.asarray(given.sensor.gain * self.gain).tolist()
+        sensor = given.sensor.updated(
+            clamp_position=np.asarray(self.clamp),
+            clamp_orientation=Rotation.from_matrix(np.asarray(self.axes)).as_quat(),
+            gain=(fx, fy, fz, tx, ty, tz),
+        )
+        whole = cast(Any, given)
+        earlier = {one.name: None for one in fields(whole) if one.name == "calibration"}
+        parts = {"rod": self.rod(given.rod), "sensor": sensor, "surface": surface, **earlier}
+        return cast(SetupType, replace(whole, **parts))
+
+    def numbers(self, given: Sensor) -> Step:
+        """EI, L, clamp point, turn of the clamp from the given one, gains, shift and turn of the
+        object, standoff.
+        """
+        turned = rotation_matrices(given.clamp_orientation).T @ np.asarray(self.axes)
+        tilt, turn = (
+            Rotation.from_matrix(np.asarray(part)).as_rotvec() for part in (turned, self.turn)
+        )
+        one, gain = np.atleast_1d, np.asarray(given.gain * self.gain)
+        return Step(
+            one(self.stiffness), one(self.length), self.clamp, tilt, gain, self.shift, turn,
+            one(self.standoff),
+        )  # fmt: skip
+
+    def unrolled(self, given: Sensor) -> "Bench":
+        """With the clamp's axes turned from the given ones the shortest way, without roll."""
+        axes = rotation_matrices(given.clamp_orientation)
+        shortest = turning_axis_to(axes.T @ np.asarray(self.axes)[:, 2])
+        return self._replace(axes=axes @ rotation_matrices(shortest))
+
+
+def bench_of(rod: Rod, sensor: Sensor) -> Bench:
+    """As a setup states it."""
+    return Bench(
+        stiffness=np.asarray(rod.bending_stiffness),
+        length=np.asarray(rod.length),
+        clamp=sensor.clamp_position,
+        axes=rotation_matrices(sensor.clamp_orientation),
+        wrench_point=np.asarray(sensor.wrench_point, dtype=np.float64),
+        gain=np.ones(6),
+        shift=np.zeros(3),
+        turn=np.eye(3),
+        pivot=np.zeros(3),
+        standoff=np.asarray(0.0),
+    )
+
+
+def moved(bench: Bench, step: Step) -> Bench:
+    """The bench after a step, smooth in it."""
+    return bench._replace(
+        stiffness=bench.stiffness * jnp.exp(step.stiffness[0]),
+        length=bench.length * jnp.exp(step.length[0]),
+        clamp=bench.clamp + step.clamp,
+        axes=bench.axes @ _rotation(step.tilt),
+        gain=bench.gain * jnp.exp(step.gain),
+        shift=bench.shift + step.shift,
+        turn=_rotation(step.turn) @ bench.turn,
+        standoff=bench.standoff + step.standoff[0],
+    )
+
+
+moved_at_once = compiled(moved)
+"""The same outside compiled code."""
+
+
+def _rotation(vector: Float[Any, "3"]) -> Float[Array, "3 3"]:
+    """Matrix of a rotation vector, rational in it: of a calibration's few degrees right to 1e-4."""
+    return rotation_matrix(jnp.append(vector / 2, 1.0))

@@ -119,7 +119,7 @@ class Reactions:
         }
         # One row alone does not tell its velocity.
         rows["velocity"] = self.velocity if self.time is None else self.clamp_velocity()
-        if np.ndim(self.covariance) > 2:
+        if self.covariance is not None and self.covariance.ndim > 2:
             rows["covariance"] = self.covariance
         rows = {name: None if value is None else value[chosen] for name, value in rows.items()}
         return replace(self, trail=self.trail[index], **rows)

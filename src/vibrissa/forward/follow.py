@@ -9,10 +9,11 @@ from vibrissa.contact import Law, Reached, Scene
 from vibrissa.contacts import Status
 from vibrissa.forward.approach import CLEAR, HEAD_ON_COSINE, Meeting, clearances, meetings_on
 from vibrissa.forward.events import EventKind
+from vibrissa.forward.locate import Place
 from vibrissa.forward.march import Mode
 from vibrissa.forward.path import Stretch, chosen
 from vibrissa.forward.search import ENERGY_MARGIN, Settled, stable_equilibria
-from vibrissa.forward.ways import NO_FORCE, Branch, End, Happened, Place, Rubbing
+from vibrissa.forward.ways import NO_FORCE, Branch, End, Happened, Rubbing
 from vibrissa.mechanics.model import Clamp
 
 _AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)

@@ -50,7 +50,6 @@ def located(
     """Where indicators pass zero on stretches (k, …), between two places; with friction each a
     step from the first.
     """
-
     rows = np.arange(len(low.fraction))
 
     def indicated(places: Place, row: Int[np.ndarray, "j"]) -> Float[np.ndarray, "j"]:

@@ -165,8 +165,9 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
         whole[:, :n] = rows
         return whole
 
-    along = jax.tree.map(padded, (legs.clamp, legs.clear, legs.met, legs.meeting))
-    steps: Steps = _walk((scene, law, np.asarray(n)), Legs(*along, *legs[4:]))
+    clamp, clear, met, meeting = jax.tree.map(padded, legs[:4])
+    legs = legs._replace(clamp=clamp, clear=clear, met=met, meeting=meeting)
+    steps: Steps = _walk((scene, law, np.asarray(n)), legs)
     return chosen(steps, np.s_[:, :n])
 
 

@@ -118,7 +118,7 @@ def found_by_channels(
     open_ended = rough & (other.independence <= _SINGULAR)
 
     load = tip.found.chi_square
-    touching = load > (chdtri(selected.sum(), false_alarm) if known else _LEAST_LOAD**2)
+    touching = load > (chdtri(selected.sum(), false_alarm) if known else _LEAST_LOAD**2)  # type: ignore[operator]
     findings = {
         Status.BAD_DATA: tip.bad,
         Status.OK: ~touching | ((use_tip | use_other) & ~open_ended),

@@ -6,7 +6,7 @@ All is in model units but what `Setting` and `Found` say; vectors are in world a
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -375,7 +375,7 @@ def _within_the_rod(
         value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
         return value, value
 
-    def step(last: tuple[Array, ...]) -> tuple[Array, ...]:
+    def step(last: Any) -> Any:
         done, at = last[0] + 1, last[1]
         slope, value = jax.jacfwd(log_arc_length, has_aux=True)(at)
         moved, deviations = towards(wrench, at, value, slope, covariance)

@@ -112,7 +112,7 @@ def one_of(tables: Iterable[type[Table]]) -> Any:
 
 
 # A wire of circular section, a rod by its stiffness (SI), and the model's units, L = EI = 1.
-_RODS = {"cylinder": Rod.cylinder, "uniform": Rod, "unit": Rod.unit}
+_RODS: dict[str, Callable[..., Any]] = {"cylinder": Rod.cylinder, "uniform": Rod, "unit": Rod.unit}
 _ROD = dict.fromkeys(
     (
         "length",

@@ -1,5 +1,6 @@
 """Motions of the clamp as TOML tables [[trail]]: the arguments of a trail."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,7 +45,7 @@ _POSES = {
     "position": _several(Vector, 1, "a list of at least one position of three finite numbers"),
     "orientation": _TURNS,
 }
-_KINDS = {
+_KINDS: dict[str, Callable[..., Any]] = {
     "line": Trail.line,
     "raster": Trail.raster,
     "poses": Trail,

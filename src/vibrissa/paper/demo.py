@@ -55,7 +55,7 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
     report("datasets")
     files = [
         write_dataset(folder / f"{name}.nc", result.to_dataset())
-        for name, result in {
+        for name, result in {  # type: ignore[attr-defined]
             "paper_scan": paper,
             "paper_contacts": found,
             "plane_scan": plane,

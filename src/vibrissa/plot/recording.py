@@ -1,5 +1,8 @@
 """A recording with its tare, faults, noise and pose."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib import pyplot as plt
@@ -82,10 +85,10 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     return [force, torque, pose, *spectra]
 
 
-def _shade(axes: Axes, found: Inspection, names: tuple[str, ...], right: float = 1.005) -> None:
+def _shade(axes: Axes, found: Inspection, names: Sequence[str], right: float = 1.005) -> None:
     """Tare and faults of these channels behind the lines, and the legend at this place."""
     first, last = found.cleaned.time[[0, -1]]
-    spans = [
+    spans: list[tuple[float, float, dict[str, Any]]] = [
         (start, stop, {"color": _TARE_COLOUR, "alpha": 0.6, "zorder": 0.0})
         for start, stop in (found.tare.intervals if found.tare is not None else ())
     ]
@@ -95,7 +98,11 @@ def _shade(axes: Axes, found: Inspection, names: tuple[str, ...], right: float =
             half = max(wide / 2, 0.002 * (last - first))
             # What fills the figure must not hide it.
             alpha = 0.45 if half < (last - first) / 4 else 0.15
-            style = {"color": _FAULT_COLOURS[fault.kind], "alpha": alpha, "zorder": 0.5}
+            style: dict[str, Any] = {
+                "color": _FAULT_COLOURS[fault.kind],
+                "alpha": alpha,
+                "zorder": 0.5,
+            }
             spans.append((middle - half, middle + half, style))
     for start, stop, style in spans:
         axes.axvspan(start - first, stop - first, linewidth=0, **style)

@@ -3,6 +3,7 @@ found.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -319,12 +320,12 @@ class Mount:
         return matrix
 
 
-def _six(force: PerAxis | None, torque: PerAxis | None) -> Wrench:
+def _six(force: Any, torque: Any) -> Wrench:
     """Figures of the six channels, of one number for all axes or one for each."""
     return np.concatenate([np.broadcast_to(part, 3) for part in (force, torque)]).astype(float)
 
 
-def _check_figure(name: str, value: PerAxis | None) -> None:
+def _check_figure(name: str, value: Any) -> None:
     white, by_axis = name in {"force_noise", "torque_noise"}, name.startswith(("force", "torque"))
     if white and value is None:
         return

@@ -111,7 +111,7 @@ class Sensor:
                 raise ValueError(f"{name} = {given!r}; allowed are {' and '.join(get_args(kind))}")
         turn = unit_quaternions(clamp_orientation, "clamp_orientation")
         point = finite_array(wrench_point, "wrench_point", last=3, ndim=1)
-        fields = vars(self)
+        fields: dict[str, Any] = vars(self)
         fields |= {
             "clamp_position": finite_array(clamp_position, "clamp_position", last=3, ndim=1),
             "clamp_orientation": finite_array(turn, "clamp_orientation", ndim=1),
@@ -276,7 +276,7 @@ class Sensor:
             wrench[:, 3:],
             time=raw.time,
             setup_errors=tolerances,
-            velocity=velocity,
+            velocity=None if velocity is None else np.asarray(velocity),
             **errors,
         )
 
@@ -347,7 +347,7 @@ class Sensor:
         position = rng.normal(pose.position, noise.position_noise)
         read = shown + tare + (time - time[0])[:, None] * self.tare_policy.drift
         if noise.known:
-            read += np.hstack(rng.normal(size=(2, len(time), 3))) * noise.white
+            read += np.hstack([*rng.normal(size=(2, len(time), 3))]) * noise.white
         for process, scale in noise.coloured(time):
             read += scale * process.sampled(time, rng, 6)
         if noise.orientation_noise:

@@ -61,7 +61,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
     falling = np.flatnonzero(steps < 0)
     if falling.size:
         before, after = stamps[falling[0]], stamps[falling[0] + 1]
-        count = np.count_nonzero(late & ~equal) or len(falling)
+        count = int(np.count_nonzero(late & ~equal)) or len(falling)
         text = f"time = {after} after {before} ({len(falling)} such); allowed are increasing times"
         yield backward((after, before), text, count)
     if not _SLOWEST <= 1 / usual <= _FASTEST:

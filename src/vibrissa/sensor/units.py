@@ -194,7 +194,7 @@ def _other_units(given: Reading) -> Iterator[Reading]:
     from pint import get_application_registry  # noqa: PLC0415, as it takes long to load
 
     raw, sensor, rod = given.raw, given.sensor, given.rod
-    unit = get_application_registry()
+    unit = get_application_registry()  # type: ignore[no-untyped-call]
     for words in _WRENCHES:
         units = dict(part.split(" in ", 1) for part in words.split(" and "))
         force, torque = (

@@ -16,7 +16,7 @@ LevelFunction = Callable[[Point], Scalar]
 
 def _real_function(value: Any, name: str, *shapes: tuple[int, ...]) -> Any:
     """Return the function; raise ValueError unless JAX can trace it to one real number."""
-    arguments = (jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes)
+    arguments = (jnp.zeros(shape) for shape in shapes)
     try:
         result = jax.eval_shape(value, *arguments)
     except Exception as error:  # whatever the user's function raises

@@ -9,6 +9,8 @@ derivative is ever NaN.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -222,7 +224,7 @@ class Cone(_Axial):
         """Signed distance."""
         along, across = self._about(point)
         outwards = norm(*across) - self.radius
-        slant = norm(self.radius, self.height)
+        slant = jnp.hypot(self.radius, self.height)
         side = (self.height * outwards + self.radius * along) / slant
         # Along the side, from the rim (0) to the apex (slant).
         up = (self.height * along - self.radius * outwards) / slant
@@ -260,7 +262,7 @@ def _larger(first: Scalar, second: Scalar) -> Scalar:
     return jnp.where(first < second, second, first)
 
 
-def _scaled(offset: Float[Array, "n"], semi_axes: ArrayLike) -> Scalar:
+def _scaled(offset: Float[Array, "n"], semi_axes: Any) -> Scalar:
     return (jnp.sqrt(jnp.sum((offset / semi_axes) ** 2)) - 1) * jnp.min(semi_axes)
 
 

@@ -172,8 +172,12 @@ class CausalSmoother:
             Trail(still),
             still,
             still,
-            covariance=covariance,
-            position_covariance=position_covariance,
+            covariance=np.asarray(covariance, dtype=float),
+            position_covariance=(
+                None
+                if position_covariance is None
+                else np.asarray(position_covariance, dtype=float)
+            ),
             setup_errors=setup_errors,
         )
         self._rod, self._threshold = rod, float(chi2.isf(false_alarm, WRENCH))
@@ -270,7 +274,7 @@ class CausalSmoother:
                 f"time = {time[0]}; allowed are finite increasing times, after the sample before "
                 f"at {self._time}"
             )
-        wrench, _ = in_clamp_axes(reactions, np.repeat([rod.force_scale, rod.moment_scale], 3))
+        wrench, _ = in_clamp_axes(reactions, rod)
         since = np.diff(time, prepend=time[0] if self._time is None else self._time)
         samples, told = (wrench, since, velocities_of(rod, reactions)), []
         for first in range(0, len(time), _BATCH):

@@ -120,8 +120,7 @@ def series_of(rod: Rod, reactions: Reactions, ringing: Flags) -> Series:
     """Rows of one trail with known noise. Those at which the free rod swings show no load, and
     little of the zero's drift.
     """
-    units = np.repeat([rod.force_scale, rod.moment_scale], 3)
-    wrench, covariance = in_clamp_axes(reactions, units)
+    wrench, covariance = in_clamp_axes(reactions, rod)
     sound, count = np.isfinite(wrench).all(axis=1), len(wrench)
     weight = np.where(ringing, _FAINT, 1.0)[:, None, None]
     return Series(

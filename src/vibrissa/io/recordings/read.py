@@ -171,7 +171,7 @@ def pose_faults(pose: Poses) -> list[Fault]:
         (wrong, FaultKind.UNITS, channels[1:], norms),
         (~pose.finite, FaultKind.DROP_OUT, channels, "poses without a number, which are skipped"),
     ):
-        count = np.count_nonzero(rows)
+        count = int(np.count_nonzero(rows))
         if count:
             stamps = pose.time[rows & known] if np.any(rows & known) else pose.time[known]
             span = float(stamps.min()), float(stamps.max())

@@ -61,5 +61,5 @@ def mend(path: str | Path, target: str | Path) -> int:
                                 channel, one.log_time, one.data, one.publish_time, one.sequence
                             )
                             count += 1
-            writer.finish()
+            writer.finish()  # type: ignore[no-untyped-call]
     return count

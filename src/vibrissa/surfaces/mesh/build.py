@@ -153,7 +153,7 @@ def levels_by_triangles(
         lambda part: jnp.asarray(np.concatenate([part, np.repeat(part[:1], missing, axis=0)])),
         (sheet.patches, sheet.neighbours),
     )
-    return _walked(mesh, points, triangles)
+    return np.asarray(_walked(mesh, points, triangles))
 
 
 @lanes(blocks=256)

@@ -74,12 +74,12 @@ def _differentiable(jet: Callable[[Any, Vector, int], Jet]) -> Callable[[Any, Ve
         return jet(data, point, 1)
 
     @value.defjvp
-    def _(primals: Any, tangents: Any) -> tuple[Scalar, Scalar]:
+    def _of_value(primals: Any, tangents: Any) -> tuple[Scalar, Scalar]:
         level, gradient = slope(*primals)
         return level, jnp.sum(gradient * tangents[1])
 
     @slope.defjvp
-    def _(primals: Any, tangents: Any) -> tuple[Jet, Jet]:
+    def _of_slope(primals: Any, tangents: Any) -> tuple[Jet, Jet]:
         level, gradient, hessian = jet(*primals, 2)
         moved = tangents[1]
         return (level, gradient), (jnp.sum(gradient * moved), jnp.sum(hessian * moved, axis=1))

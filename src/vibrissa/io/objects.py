@@ -74,7 +74,7 @@ _TYPES = {
     **dict.fromkeys(("radius", "length", "height", "major_radius", "minor_radius"), Positive),
     **dict.fromkeys(("semi_axes", "half_extents"), Lengths),
     "exponents": tuple[Exponent, Exponent],
-    "parts": Annotated[list["ObjectTable"], Field(min_length=1, description=_PARTS)],
+    "parts": Annotated[list["ObjectTable"], Field(min_length=1, description=_PARTS)],  # type: ignore[valid-type]
     "surface": "ObjectTable",
 }
 _KINDS = {

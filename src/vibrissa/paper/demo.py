@@ -54,8 +54,8 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
     checked = statements(paper, plane, found)
     report("datasets")
     files = [
-        write_dataset(folder / f"{name}.nc", result.to_dataset())
-        for name, result in {  # type: ignore[attr-defined]
+        write_dataset(folder / f"{name}.nc", result.to_dataset())  # type: ignore[attr-defined]
+        for name, result in {
             "paper_scan": paper,
             "paper_contacts": found,
             "plane_scan": plane,

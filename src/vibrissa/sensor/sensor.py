@@ -122,7 +122,7 @@ class Sensor:
         }
         for (name, kind), part in zip(_PARTS.items(), (noise, response, tare_policy), strict=True):
             own = {key: figures.pop(key) for key in kind.__dataclass_fields__ if key in figures}
-            fields[name] = replace(part, **own)
+            fields[name] = replace(part, **own)  # type: ignore[type-var]
         if figures:
             raise TypeError(
                 f"Sensor has no {', '.join(figures)}; allowed are its attributes and the fields of "

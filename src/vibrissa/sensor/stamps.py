@@ -49,7 +49,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
     equal = late & np.isin(stamps, stamps[~late])
     yield from _gaps(np.unique(stamps), usual)
     if rounded:
-        count = np.count_nonzero(equal)
+        count = int(np.count_nonzero(equal))
         text = (
             f"{count} of {len(stamps)} rows repeat an earlier stamp while the readings change: the "
             f"stamps are rounded to {usual:.4g} s; they are spread evenly"

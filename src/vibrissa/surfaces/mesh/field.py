@@ -66,7 +66,7 @@ def _differentiable(jet: Callable[[Any, Vector, int], Jet]) -> Callable[[Any, Ve
     """A function of data and a point whose derivatives by the point `jet` gives, up to an order."""
 
     @jax.custom_jvp
-    def value(data: Any, point: Vector) -> Scalar:
+    def value(data: Any, point: Vector) -> Any:
         return jet(data, point, 0)[0]
 
     @jax.custom_jvp

@@ -16,7 +16,6 @@ from vibrissa.calibration.equilibrium import Pose
 from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices, unit_quaternions
 from vibrissa.reactions import Reactions
 from vibrissa.sensor import RawRecording, Sensor
-from vibrissa.sensor.maps import to_readings
 
 _WINDOW = 9
 """Samples over which the force is averaged before it is judged, in deviations of one sample: at
@@ -134,7 +133,7 @@ def _samples(recording: Reactions | RawRecording, sensor: Sensor) -> list[_Sampl
     plain = Sensor(
         sensor.clamp_position, sensor.clamp_orientation, "on_rod", wrench_point=sensor.wrench_point
     )
-    maps = to_readings(plain, axes.reshape(-1, 3, 3)).reshape(*shape, 6, 6)
+    maps = plain.to_readings(orientation.reshape(-1, 4)).reshape(*shape, 6, 6)
     wrench = np.concatenate([given.force, given.moment], axis=-1)
 
     def known(values: np.ndarray | None, default: np.ndarray, *own: int) -> np.ndarray:

@@ -80,7 +80,7 @@ def _differentiable(jet: Callable[[Any, Vector, int], Jet]) -> Callable[[Any, Ve
 
     @slope.defjvp
     def _of_slope(primals: Any, tangents: Any) -> tuple[Jet, Jet]:
-        level, gradient, hessian = jet(*primals, 2)
+        level, gradient, hessian = jet(*primals, 2)  # type: ignore[call-arg]
         moved = tangents[1]
         return (level, gradient), (jnp.sum(gradient * moved), jnp.sum(hessian * moved, axis=1))
 
@@ -101,7 +101,7 @@ def field_level(field: Field, point: Vector) -> Scalar:
     # The 4³ nodes about the cell, of which four lie side by side.
     rows = node - 1 + steps[:, None] * strides[0] + steps * strides[1]
     cut = jax.vmap(jax.vmap(lambda row: lax.dynamic_slice(field.coefficients, (row,), (4,))))
-    level = _spline(cut(rows), share)
+    level = _spline(cut(rows), share)  # type: ignore[no-untyped-call]
     if field.triangles is not None:
         row = field.triangles.rows[node]
         marks = (field.triangles.sharp[row] >> np.arange(8).reshape(2, 2, 2) & 1).astype(float)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_files import recording_table
+from command_line import vibrissa
 from test_recording_layout import TWO_FILES, load, text, two_files
 
 from vibrissa.io import InputError, inspect_recording, read_recording

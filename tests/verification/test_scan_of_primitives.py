@@ -6,11 +6,9 @@ Edges are grown by a radius, as a rod of that radius has it; a sharp edge has no
 
 from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
@@ -30,30 +28,13 @@ from vibrissa.surfaces import (
 COUNT = 121
 TURN, SHIFT = Rotation.from_rotvec([0.7, -1.1, 0.4]), np.array([0.4, -0.3, 0.8])
 NOT_TURNED = Rotation.identity()
-
-
-class Move(NamedTuple):
-    """Where the whole scene is."""
-
-    turn: Rotation = NOT_TURNED
-    shift: np.ndarray = np.zeros(3)
-
-    def __call__(
-        self, own: Surface, turn: Rotation = NOT_TURNED, place: ArrayLike = (0, 0, 0)
-    ) -> Surface:
-        """The object turned and placed in the scene, and moved with it."""
-        return own.placed(self.turn * turn, self.turn.apply(place) + self.shift)
-
-
 # Trails in x at these y, from 1.2 to the last x: ahead of a snap, or behind detachment.
-SCENES: dict[str, tuple[Callable[[float, Move], Surface], float, float]] = {
+SCENES: dict[str, tuple[Callable[[float], Surface], float, float]] = {
     # In all of them y is multiplied by ±1: the mirror in the plane y = 0.
     "box": (
-        lambda m, moved: Offset(
-            moved(
-                Box((0, 0, 0), (0.2, 0.6, 0.2)),
-                Rotation.from_rotvec([0.4 * m, 0.3, 0.2 * m]),
-                (0, 0, 0.95),
+        lambda m: Offset(
+            Box((0, 0, 0), (0.2, 0.6, 0.2)).placed(
+                Rotation.from_rotvec([0.4 * m, 0.3, 0.2 * m]), (0, 0, 0.95)
             ),
             0.03,
         ),
@@ -61,33 +42,17 @@ SCENES: dict[str, tuple[Callable[[float, Move], Surface], float, float]] = {
         0.0,
     ),
     "cylinder": (
-        lambda m, moved: Offset(moved(Cylinder((0, 0, 0.85), (0.1, 0.05 * m, 1), 0.25, 0.5)), 0.02),
+        lambda m: Offset(Cylinder((0, 0, 0.85), (0.1, 0.05 * m, 1), 0.25, 0.5), 0.02),
         0.13,
         -1.0,
     ),
-    "capsule": (
-        lambda m, moved: Offset(moved(Capsule((0, 0, 0.85), (0.3, m, 0.2), 0.18, 0.5)), 0.02),
-        0.3,
-        -1.0,
-    ),
-    "cone": (
-        lambda _, moved: Offset(moved(Cone((0, 0, 1.1), (0.1, 0, -1), 0.4, 0.5)), 0.02),
-        0.13,
-        -1.0,
-    ),
-    "torus": (
-        lambda m, moved: moved(Torus((0, 0, 0.8), (0.2, 0.1 * m, 1), 0.35, 0.1)),
-        -0.2,
-        -1.0,
-    ),
-    "superquadric": (
-        lambda _, moved: moved(Superquadric((0, 0, 0.85), (0.3, 0.4, 0.25), (0.5, 0.7))),
-        0.3,
-        -1.0,
-    ),
+    "capsule": (lambda m: Capsule((0, 0, 0.85), (0.3, m, 0.2), 0.2, 0.5), 0.3, -1.0),
+    "cone": (lambda m: Offset(Cone((0, 0, 1.1), (0.1, 0, -1), 0.4, 0.5), 0.02), 0.13, -1.0),
+    "torus": (lambda m: Torus((0, 0, 0.8), (0.2, 0.1 * m, 1), 0.35, 0.1), -0.2, -1.0),
+    "superquadric": (lambda m: Superquadric((0, 0, 0.85), (0.3, 0.4, 0.25), (0.5, 0.7)), 0.3, -1.0),
     "union": (
-        lambda m, moved: moved(
-            Union([Sphere((0.25, 0, 0.9), 0.25), Capsule((-0.2, 0, 0.95), (0.2, m, 0), 0.2, 0.3)])
+        lambda m: Union(
+            [Sphere((0.25, 0, 0.9), 0.25), Capsule((-0.2, 0, 0.95), (0.2, m, 0), 0.2, 0.3)]
         ),
         -0.2,
         -0.97,
@@ -97,12 +62,12 @@ ALL = pytest.mark.parametrize("name", SCENES)
 
 
 @cache
-def swept(name: str, mirror: float = 1.0, *, moved: bool = False) -> vb.Scan:
+def swept(name: str, mirror: float = 1.0, turn: Rotation = NOT_TURNED) -> vb.Scan:
     build, side, last = SCENES[name]
-    move = Move(TURN, SHIFT) if moved else Move()
+    shift = SHIFT if turn is TURN else np.zeros(3)
     position = np.linspace((1.2, mirror * side, 0), (last, mirror * side, 0), COUNT)
-    trail = vb.Trail(move.turn.apply(position) + move.shift, move.turn)
-    return vb.scan(vb.Rod.unit(), build(mirror, move), trail)
+    trail = vb.Trail(turn.apply(position) + shift, turn)
+    return vb.scan(vb.Rod.unit(), build(mirror).placed(turn, shift), trail)
 
 
 @ALL
@@ -146,7 +111,7 @@ def test_a_mirrored_sweep_is_the_mirror_image(name: str) -> None:
 
 @ALL
 def test_a_moved_sweep_is_moved(name: str) -> None:
-    scan, moved = swept(name), swept(name, moved=True)
+    scan, moved = swept(name), swept(name, turn=TURN)
     np.testing.assert_array_equal(scan.kind, moved.kind)
     np.testing.assert_allclose(moved.point, TURN.apply(scan.point) + SHIFT, rtol=0, atol=1e-10)
     np.testing.assert_allclose(
@@ -156,12 +121,10 @@ def test_a_moved_sweep_is_moved(name: str) -> None:
     assert [event.kind for event in moved.events] == [event.kind for event in scan.events]
 
 
-@pytest.mark.parametrize(
-    ("name", "radius"), [("box", 0.03), ("cylinder", 0.02), ("capsule", 0.02), ("cone", 0.02)]
-)
+@pytest.mark.parametrize(("name", "radius"), [("box", 0.03), ("cylinder", 0.02), ("cone", 0.02)])
 def test_the_rods_skin_touches_the_object_itself(name: str, radius: float) -> None:
     scan = swept(name)
-    grown = SCENES[name][0](1.0, Move())
+    grown = SCENES[name][0](1.0)
     assert isinstance(grown, Offset)
     point, normal = scan.point[scan.in_contact], scan.normal[scan.in_contact]
     foot = grown.foot(point)

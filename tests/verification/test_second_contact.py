@@ -240,8 +240,10 @@ def test_a_tip_that_is_caught_between_two_parts_is_pushed_by_both() -> None:
     integral of its own equations, with its end on both balls.
     """
     one, other = (np.array([-0.3, 0.0, 1.15]), 0.45), (np.array([0.35, 0.1, 1.1]), 0.35)
-    trail = vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41)
-    scan = vb.scan(vb.Rod.unit(), place(0.0, one, other).surface, trail)
+    surface = Union([Sphere(*one), Sphere(*other)])
+    scan = vb.scan(
+        vb.Rod.unit(), surface, vb.Trail.line(start=(1.2, 0.0, 0), stop=(-1.2, 0.0, 0), count=41)
+    )
     caught = np.flatnonzero(scan.status == vb.Status.PENETRATING)
     assert caught.size > 6
     for i in caught[::2]:

@@ -1,12 +1,13 @@
-"""For all tests: shape checks that take plain numbers, Hypothesis without a clock, kernels compiled
-once for all processes, and the data beside the checkout.
+"""For all tests: shape checks that take plain numbers, Hypothesis without a clock, and the data
+beside the checkout.
+
+Kernels are kept in the user's cache folder, as the package keeps them: the processes that share the
+tests compile each once, and the next run compiles what has changed.
 """
 
-import os
-import shutil
-import tempfile
+import re
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import beartype
 import jaxtyping
@@ -22,25 +23,34 @@ beartype.beartype = beartype.beartype(
     conf=beartype.BeartypeConf(is_pep484_tower=True, hint_overrides=beartype.FrozenDict(_SEQUENCES))
 )
 
+# Fresh examples in every run; one that fails is printed with what repeats it.
 settings.register_profile(
-    "vibrissa", deadline=None, derandomize=True, database=None, max_examples=25
+    "vibrissa", deadline=None, database=None, max_examples=25, print_blob=True
 )
 settings.load_profile("vibrissa")
 
-_COMPILED = "JAX_COMPILATION_CACHE_DIR"
-_HERE = "VIBRISSA_TESTS_COMPILED"
+_TOGETHER = (
+    r"calibrat|setup_check",
+    r"smooth|kalman|manifold",
+    r"oracle|equilibria|stability|second_variation|test_friction\.py|friction_and_back|surface_sensing",
+    r"test_noise\.py|channels|test_contact\.py|test_scene",
+    r"degenerate|convex_objects|scan_of_primitives",
+    r"turning|test_scan\.py|scan_properties|test_mesh\.py|reconstruct_properties",
+)
+"""Names of files whose tests need the same kernels: one process traces them once."""
 
-if _COMPILED not in os.environ:
-    # Of this run alone: the processes that share the tests, and those that tests start, compile
-    # each kernel once.
-    os.environ[_COMPILED] = os.environ[_HERE] = tempfile.mkdtemp(prefix="vibrissa-tests-")
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep the tests of a file, and of files that need the same kernels, in one process."""
+    from xdist.scheduler import LoadScopeScheduling
 
-def pytest_unconfigure() -> None:
-    """Leave nothing behind."""
-    if "PYTEST_XDIST_WORKER" not in os.environ and _HERE in os.environ:
-        shutil.rmtree(os.environ.pop(_HERE), ignore_errors=True)
+    class Together(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return next((names for names in _TOGETHER if re.search(names, file)), file)
+
+    return Together(config, log)
 
 
 _SHARED = Path(__file__).parents[1].parent / "shared"

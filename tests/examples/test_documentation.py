@@ -1,44 +1,146 @@
-"""The code on pages runs as it stands, from top to bottom, and prints what the page says. Those of
-the guide and of the sensor take minutes, and are not run here.
+"""Every code block of README and docs runs as it stands, from top to bottom of its page, and prints
+what the page says.
+
+Python is executed, commands are run in this process, TOML has to be a setup or a case. All of a
+page's blocks share one folder, in which the checkout's examples lie.
 """
 
 import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
 
 import pytest
+from command_line import status_of
+
+import vibrissa as vb
 
 ROOT = Path(__file__).parents[2]
-_BLOCK = re.compile(r"^```(python|text|toml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _FILE = re.compile(r"# (\w+\.toml)\n")
+_SETUP = """
+[rod]
+kind = "cylinder"
+length = 0.05
+radius = 0.25e-3
+youngs_modulus = 206e9
+[sensor]
+clamp_position = [0, 0, 0]
+clamp_orientation = [0, 0, 0, 1]
+wrench = "on_rod"
+"""
+"""What a table needs around it to be part of a setup."""
+_LONG = ("demo", "live", "simulate-sensor")
+"""Commands that take more than seconds; they need no block before them."""
+
+
+def _blocks(page: str) -> list[tuple[str, str]]:
+    return _BLOCK.findall((ROOT / page).read_text(encoding="utf-8"))
+
+
+PAGES = [
+    page
+    for page in [
+        "README.md",
+        *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))),
+    ]
+    if any(kind != "text" for kind, _ in _blocks(page))
+]
+
+
+def _commands(body: str) -> Iterator[list[str]]:
+    """The words of each `vibrissa …` of a shell block; what installs or tests is passed over."""
+    for line in body.replace("\\\n", "").splitlines():
+        for command in line.split("&&"):
+            words = shlex.split(command, comments=True)
+            if words[:2] == ["uv", "run"]:
+                words = words[2:]
+            if words[0] == "vibrissa":
+                yield [word for word in words[1:] if word != "&"]
+            else:
+                assert words[0] == "pytest" or "pip" in words, command
 
 
 def _differences(page: str) -> list[str]:
-    """Run the code of a page in the current folder, with the files that it shows, and compare its
-    output block by block.
-    """
+    """Run the blocks of a page in the current folder, and compare what they print."""
     names: dict[str, object] = {"__name__": page}
-    printed: str | None = None
-    wrong = []
-    for kind, body in _BLOCK.findall((ROOT / "docs" / page).read_text(encoding="utf-8")):
-        if kind == "toml" and (named := _FILE.match(body)):
-            Path(named[1]).write_text(body, encoding="utf-8")
+    before, printed, wrong = "", "", []
+    for kind, body in [*_blocks(page), ("end", "")]:
+        shown = body if kind == "text" else ""
+        if before == "python" and shown != printed:
+            wrong.append(f"the page says:\n{shown}it prints:\n{printed}")
+        before = kind
+        if kind == "toml":
+            named = _FILE.match(body)
+            file = Path(named[1] if named else "table.toml")
+            file.write_text(body if "[rod]" in body else _SETUP + body, encoding="utf-8")
+            (vb.load_case if "[[trail]]" in body else vb.load_setup)(file)
         elif kind == "python":
-            output = StringIO()
-            with redirect_stdout(output):
+            with redirect_stdout(StringIO()) as output:
                 exec(compile(body, page, "exec"), names)
             printed = output.getvalue()
-        elif kind == "text" and printed is not None:
-            if printed != body:
-                wrong.append(f"the page says:\n{body}it prints:\n{printed}")
-            printed = None
+        elif kind == "sh":
+            for words in _commands(body):
+                if words[0] not in _LONG:
+                    assert status_of(*words) == 0, words
+        else:
+            assert kind in ("text", "end"), f"{page}: a block of {kind} would not be run"
     return wrong
 
 
-@pytest.mark.parametrize("page", ["live.md"])
-def test_what_a_page_prints(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def beside_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in, but for what a page takes from a checkout."""
     monkeypatch.chdir(tmp_path)
-    # What a page takes from a checkout lies beside it.
     (tmp_path / "examples").symlink_to(ROOT / "examples")
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.usefixtures("beside_the_examples")
+def test_what_a_page_prints(page: str) -> None:
     assert _differences(page) == []
+
+
+def _long(*names: str) -> list[list[str]]:
+    return [
+        words
+        for page in PAGES
+        for kind, body in _blocks(page)
+        if kind == "sh"
+        for words in _commands(body)
+        if words[0] in names
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", _long("demo"), ids=" ".join)
+def test_the_demo(words: list[str], beside_the_examples: Path) -> None:
+    assert status_of(*words) == 0
+    assert (beside_the_examples / "demo/statements.csv").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("simulate", "live"),
+    list(zip(_long("simulate-sensor"), _long("live"), strict=True)),
+    ids=" ".join,
+)
+def test_a_sensor_simulated_in_one_terminal_is_heard_in_another(
+    simulate: list[str], live: list[str], beside_the_examples: Path
+) -> None:
+    """For as long as the page says, on the ports that it names."""
+    other = subprocess.Popen(
+        [sys.executable, "-c", "from vibrissa.cli import main; main()", *simulate]
+    )
+    try:
+        assert status_of(*live) == 0
+    finally:
+        other.terminate()
+        other.wait(60)
+    for sink in beside_the_examples.glob("contacts.*"):
+        assert sink.stat().st_size > 10_000

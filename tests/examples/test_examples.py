@@ -1,7 +1,6 @@
 """Every example runs, and its numbers are right."""
 
 import importlib.util
-import os
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -13,8 +12,6 @@ import vibrissa as vb
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SPHERE = np.array([0.0, 0.0, 0.0575])
-ALL = "VIBRISSA_ALL_TESTS" in os.environ
-"""Whether the mug is made and scanned, too, which takes more than two minutes."""
 
 
 def _load(name: str) -> ModuleType:
@@ -45,7 +42,7 @@ def test_own_surface() -> None:
     assert counts["blob"] > 300
 
 
-@pytest.mark.skipif(not ALL, reason="the mug takes two minutes: set VIBRISSA_ALL_TESTS")
+@pytest.mark.slow
 def test_mug_is_the_one_that_the_script_makes(tmp_path: Path) -> None:
     script = _load("make_mug")
     made = script.main(tmp_path / "mug.ply")
@@ -104,10 +101,13 @@ def swept(name: str) -> tuple[vb.Case, vb.Scan]:
     )
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in (EXAMPLES / "cases").glob("*.toml")))
+CASES = sorted(path.stem for path in (EXAMPLES / "cases").glob("*.toml"))
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "mug")) for name in CASES]
+)
 def test_cases(name: str) -> None:
-    if name == "mug" and not ALL:
-        pytest.skip("the mug takes two minutes: set VIBRISSA_ALL_TESTS")
     case, scan = swept(name)
     contact = scan.in_contact
     assert contact.any()
@@ -131,7 +131,7 @@ def test_the_case_with_friction_is_that_of_the_recording() -> None:
     )
 
 
-@pytest.mark.skipif(not ALL, reason="the mug takes two minutes: set VIBRISSA_ALL_TESTS")
+@pytest.mark.slow
 def test_the_case_of_the_mug_touches_where_it_is_hollow() -> None:
     """Wall, then the inside of the handle, which is a saddle, and the rim out of the cavity:
     against the solid that the mesh samples.

@@ -3,14 +3,13 @@ rightly, it is read without a word.
 """
 
 import json
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import vibrissa
 from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
@@ -154,27 +153,22 @@ def test_the_way_of_a_turning_sensor_tells_the_order(
 
 
 def test_commands_say_it_in_one_line_and_in_json(
-    tmp_path: Path, sphere_60mm: Path, table: np.ndarray
+    tmp_path: Path,
+    sphere_60mm: Path,
+    table: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     rows = table.copy()
     half_turned(rows)
     read(tmp_path, sphere_60mm / "setup.toml", rows)
-    command = [
-        sys.executable,
-        "-c",
-        "from vibrissa.cli import main; main()",
-        "reconstruct",
-        "a.csv",
-        "--setup",
-        "setup.toml",
-        "--json",
-    ]
-    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    monkeypatch.chdir(tmp_path)
+    run = vibrissa(capsys, "reconstruct", "a.csv", "--setup", "setup.toml", "--json")
+    assert run.status == 0, run.err
     lines = [
         line.removeprefix("warning: ")
-        for line in run.stderr.splitlines()
+        for line in run.err.splitlines()
         if line.startswith("warning: ")
     ]
-    assert json.loads(run.stdout)["warnings"] == lines
+    assert json.loads(run.out)["warnings"] == lines
     assert sum("turned by 180°" in line for line in lines) == 1

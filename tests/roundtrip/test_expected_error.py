@@ -61,6 +61,17 @@ def recorded(scene: vb.Scan, sensor: Sensor, rng: np.random.Generator) -> vb.Rea
     )
 
 
+def stacked(logs: list[vb.Reactions]) -> vb.Reactions:
+    """Recordings as the trails of one batch."""
+    return vb.Reactions(
+        vb.Trail.stack([log.trail for log in logs]),
+        np.stack([log.force for log in logs]),
+        np.stack([log.moment for log in logs]),
+        covariance=np.stack([np.broadcast_to(log.covariance, (LINE.count, 6, 6)) for log in logs]),
+        position_covariance=logs[0].position_covariance,
+    )
+
+
 SENSORS = {
     "white": SMALL,
     "coloured": replace(SMALL, noise_corner=3.0, force_random_walk=4e-4, torque_random_walk=8e-6),
@@ -79,12 +90,8 @@ def test_the_expected_covariance_is_that_of_many_recordings(scene: vb.Scan, kind
         (scene.kind == vb.ContactKind.TANGENTIAL) & (scene.arc_length < 0.97 * WIRE.length)
     )[::4]
     assert len(rows) >= 3
-    errors = np.array(
-        [
-            vb.reconstruct(WIRE, recorded(scene, sensor, rng)).point[rows] - scene.point[rows]
-            for _ in range(trials)
-        ]
-    )
+    found = vb.reconstruct(WIRE, stacked([recorded(scene, sensor, rng) for _ in range(trials)]))
+    errors = found.point[:, rows] - scene.point[rows]
     for index, row in enumerate(rows):
         root = np.linalg.inv(np.linalg.cholesky(expected.covariance[row]))
         seen = root @ (errors[:, index].T @ errors[:, index] / trials) @ root.T

@@ -46,7 +46,11 @@ OBJECTS = {
 }
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize(
+    # A mesh's kernels, of the sweep and of the fit, take minutes to compile.
+    "name",
+    ["plane", pytest.param("mesh", marks=pytest.mark.slow)],
+)
 def test_rod_and_clamp_are_found_on_it(name: str) -> None:
     """Errors from a start that is far off are those of the stated covariance."""
     make, sweeps = OBJECTS[name]

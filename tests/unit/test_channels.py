@@ -2,6 +2,8 @@
 be open where they are not.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,12 @@ import vibrissa as vb
 
 UNIT, SURFACE = vb.Rod.unit(), vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 TRAIL = vb.Trail.line(start=(1.2, 0.2, 0), stop=(-1.2, 0.2, 0), count=121)
-SCAN = vb.scan(UNIT, SURFACE, TRAIL)
-TIP, TANGENTIAL = (SCAN.kind == kind for kind in (vb.ContactKind.TIP, vb.ContactKind.TANGENTIAL))
 UNSEEN = 1e3
+
+
+@cache
+def scan() -> vb.Scan:
+    return vb.scan(UNIT, SURFACE, TRAIL)
 
 
 def seen_only(reactions: vb.Reactions, channels: tuple[str, ...]) -> vb.Reactions:
@@ -25,11 +30,11 @@ def seen_only(reactions: vb.Reactions, channels: tuple[str, ...]) -> vb.Reaction
 def test_contacts_are_unique_from_lateral_forces_and_moments_and_from_the_force(
     channels: tuple[str, ...],
 ) -> None:
-    found = vb.reconstruct(UNIT, seen_only(SCAN.reactions, channels), channels=channels)
-    np.testing.assert_array_equal(found.kind[SCAN.in_contact], SCAN.kind[SCAN.in_contact])
-    np.testing.assert_array_equal(found.status[SCAN.in_contact], vb.Status.OK)
+    found = vb.reconstruct(UNIT, seen_only(scan().reactions, channels), channels=channels)
+    np.testing.assert_array_equal(found.kind[scan().in_contact], scan().kind[scan().in_contact])
+    np.testing.assert_array_equal(found.status[scan().in_contact], vb.Status.OK)
     np.testing.assert_allclose(
-        found.point[SCAN.in_contact], SCAN.point[SCAN.in_contact], rtol=0, atol=1e-8
+        found.point[scan().in_contact], scan().point[scan().in_contact], rtol=0, atol=1e-8
     )
 
 
@@ -38,19 +43,22 @@ def test_bending_moments_and_axial_force_are_enough_in_tip_contact_only() -> Non
     the others (mechanics.md, "Fewer channels").
     """
     channels = ("mx", "my", "fz")
-    moment, force = SCAN.reactions.moment[TANGENTIAL], SCAN.reactions.force[TANGENTIAL]
+    tip, tangential = (
+        scan().kind == kind for kind in (vb.ContactKind.TIP, vb.ContactKind.TANGENTIAL)
+    )
+    moment, force = scan().reactions.moment[tangential], scan().reactions.force[tangential]
     np.testing.assert_allclose(force[:, 2], np.sum(moment[:, :2] ** 2, axis=1) / 2, rtol=1e-9)
-    found = vb.reconstruct(UNIT, seen_only(SCAN.reactions, channels), channels=channels)
-    np.testing.assert_allclose(found.point[TIP], SCAN.point[TIP], rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(found.status[TANGENTIAL], vb.Status.NOT_UNIQUE)
-    assert np.all(np.isnan(found.point[TANGENTIAL]))
+    found = vb.reconstruct(UNIT, seen_only(scan().reactions, channels), channels=channels)
+    np.testing.assert_allclose(found.point[tip], scan().point[tip], rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(found.status[tangential], vb.Status.NOT_UNIQUE)
+    assert np.all(np.isnan(found.point[tangential]))
 
 
 @pytest.mark.parametrize("friction", [None, 0.25])
 def test_the_moment_along_the_rod_says_nothing(friction: float | None) -> None:
-    found = vb.reconstruct(UNIT, SCAN.reactions, channels=("mx", "my", "mz"), friction=friction)
-    np.testing.assert_array_equal(found.status[SCAN.in_contact], vb.Status.NOT_UNIQUE)
-    np.testing.assert_array_equal(found.kind[~SCAN.in_contact], vb.ContactKind.NONE)
+    found = vb.reconstruct(UNIT, scan().reactions, channels=("mx", "my", "mz"), friction=friction)
+    np.testing.assert_array_equal(found.status[scan().in_contact], vb.Status.NOT_UNIQUE)
+    np.testing.assert_array_equal(found.kind[~scan().in_contact], vb.ContactKind.NONE)
 
 
 def test_with_friction_four_channels_are_needed() -> None:
@@ -68,13 +76,13 @@ def test_with_friction_four_channels_are_needed() -> None:
 )
 def test_channels_are_checked(channels: tuple[str, ...], no_shape_checks: None) -> None:
     with pytest.raises(ValueError, match=r"channels = .*allowed are at least 3"):
-        vb.reconstruct(UNIT, SCAN.reactions, channels=channels)
+        vb.reconstruct(UNIT, scan().reactions, channels=channels)
 
 
 def test_a_robots_orientation_adds_to_points_and_normals_what_it_turns() -> None:
     from vibrissa.reactions import turned_covariance
 
-    center, given = SCAN.trail.position - [0.1, 0.2, 0.5], SCAN.reactions
+    center, given = scan().trail.position - [0.1, 0.2, 0.5], scan().reactions
     turning = {"rotation_covariance": np.diag([1e-6, 4e-6, 9e-6]), "rotation_center": center}
     found, without = (
         vb.reconstruct(

@@ -2,6 +2,8 @@
 independent route.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,14 +14,14 @@ ROD = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
 TURN = Rotation.from_rotvec([0.1, -0.2, 0.7])
 AXES = TURN.as_matrix()
 _LINE = vb.Trail.line(start=(0.012, 0.005, 0), stop=(-0.008, 0.005, 0), count=6)
-SCAN = vb.scan(
-    ROD,
-    vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03),
-    vb.Trail(_LINE.position, Rotation.from_rotvec([0, 0, 0.7])),
-)
-ORIENTATION = SCAN.trail.orientation
-CLAMP_AXES = Rotation.from_quat(ORIENTATION[0]).as_matrix()
+TRAIL = vb.Trail(_LINE.position, Rotation.from_rotvec([0, 0, 0.7]))
+CLAMP_AXES = Rotation.from_quat(TRAIL.orientation[0]).as_matrix()
 SPREAD = np.diag([4e-6, 4e-6, 4e-6, 4e-9, 4e-9, 1e-9])
+
+
+@cache
+def scan() -> vb.Scan:
+    return vb.scan(ROD, vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03), TRAIL)
 
 
 def found_with(
@@ -29,29 +31,35 @@ def found_with(
     axes.
     """
     move = np.zeros(3) if shift is None else CLAMP_AXES @ shift
-    seen = Rotation.from_quat(ORIENTATION) * Rotation.from_rotvec(
+    seen = Rotation.from_quat(TRAIL.orientation) * Rotation.from_rotvec(
         np.zeros(3) if turn is None else turn
     )
-    moment = SCAN.reactions.moment - np.cross(move, SCAN.reactions.force)
+    moment = scan().reactions.moment - np.cross(move, scan().reactions.force)
     return vb.reconstruct(
         rod,
         vb.Reactions(
-            vb.Trail(SCAN.trail.position + move, seen.as_quat()),
-            SCAN.reactions.force,
+            vb.Trail(scan().trail.position + move, seen.as_quat()),
+            scan().reactions.force,
             moment,
             covariance=SPREAD,
         ),
     )
 
 
-FOUND = found_with()
-ERRORS = vb.contact_errors(
-    FOUND, youngs_modulus=0.01, length=1e-4, clamp_position=1e-4, clamp_rotation=2e-3, pose=2e-5
-)
+@cache
+def errors() -> vb.ContactErrors:
+    return vb.contact_errors(
+        found_with(),
+        youngs_modulus=0.01,
+        length=1e-4,
+        clamp_position=1e-4,
+        clamp_rotation=2e-3,
+        pose=2e-5,
+    )
 
 
 def test_the_positions_are_in_tangential_contact() -> None:
-    np.testing.assert_array_equal(SCAN.kind, vb.ContactKind.TANGENTIAL)
+    np.testing.assert_array_equal(scan().kind, vb.ContactKind.TANGENTIAL)
 
 
 def test_stiffness() -> None:
@@ -61,7 +69,7 @@ def test_stiffness() -> None:
         for sign in (1, -1)
     )
     np.testing.assert_allclose(
-        ERRORS.sensitivity["bending_stiffness"][..., 0],
+        errors().sensitivity["bending_stiffness"][..., 0],
         (up - down) / (2 * step),
         rtol=1e-4,
         atol=1e-8,
@@ -73,24 +81,24 @@ def test_mount(axis: int) -> None:
     shift, turn = 1e-6 * np.eye(3)[axis], 1e-5 * np.eye(3)[axis]
     moved = (found_with(shift=shift).point - found_with(shift=-shift).point) / 2e-6
     np.testing.assert_allclose(
-        ERRORS.sensitivity["clamp_position"][..., axis], moved, rtol=0, atol=1e-3
+        errors().sensitivity["clamp_position"][..., axis], moved, rtol=0, atol=1e-3
     )
     turned = (found_with(turn=turn).point - found_with(turn=-turn).point) / 2e-5
     np.testing.assert_allclose(
-        ERRORS.sensitivity["clamp_rotation"][..., axis], turned, rtol=0, atol=1e-4
+        errors().sensitivity["clamp_rotation"][..., axis], turned, rtol=0, atol=1e-4
     )
 
 
 def test_causes_add_up_and_are_what_was_given() -> None:
-    parts = ERRORS.by_cause
-    np.testing.assert_allclose(ERRORS.total, sum(parts.values()))
-    np.testing.assert_allclose(parts["wrench"], FOUND.covariance)
+    parts = errors().by_cause
+    np.testing.assert_allclose(errors().total, sum(parts.values()))
+    np.testing.assert_allclose(parts["wrench"], found_with().covariance)
     np.testing.assert_allclose(parts["pose"], np.broadcast_to(4e-10 * np.eye(3), (6, 3, 3)))
-    slope = ERRORS.sensitivity["bending_stiffness"]
+    slope = errors().sensitivity["bending_stiffness"]
     np.testing.assert_allclose(parts["bending_stiffness"], 1e-4 * slope @ np.swapaxes(slope, 1, 2))
     # Where the rod leaves the object before its tip, its length does not matter.
     assert np.abs(parts["length"]).max() < 1e-20
-    assert ERRORS.shared == ("bending_stiffness", "length", "clamp_position", "clamp_rotation")
+    assert errors().shared == ("bending_stiffness", "length", "clamp_position", "clamp_rotation")
 
 
 def test_spread_of_wrong_mounts() -> None:
@@ -101,14 +109,14 @@ def test_spread_of_wrong_mounts() -> None:
         seen = np.trace(np.cov(points[:, row].T))
         # Relative deviation of a variance from 200 draws: √(2/200).
         assert seen == pytest.approx(
-            np.trace(ERRORS.by_cause["clamp_position"][row]), rel=4 * np.sqrt(2 / 200)
+            np.trace(errors().by_cause["clamp_position"][row]), rel=4 * np.sqrt(2 / 200)
         )
 
 
 def test_what_is_given_is_checked() -> None:
     with pytest.raises(ValueError, match=r"youngs_modulus = -0.01; allowed"):
-        vb.contact_errors(FOUND, youngs_modulus=-0.01)
+        vb.contact_errors(found_with(), youngs_modulus=-0.01)
     with pytest.raises(ValueError, match=r"clamp_position = .*allowed is a number"):
-        vb.contact_errors(FOUND, clamp_position=[[1.0, 0.0], [0.0, 1.0]])
+        vb.contact_errors(found_with(), clamp_position=[[1.0, 0.0], [0.0, 1.0]])
     with pytest.raises(ValueError, match="need the noise of the wrench"):
-        vb.contact_errors(vb.reconstruct(ROD, SCAN.reactions))
+        vb.contact_errors(vb.reconstruct(ROD, scan().reactions))

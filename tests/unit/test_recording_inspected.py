@@ -3,13 +3,12 @@ together would hide.
 """
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bench_files import recording_table
+from command_line import vibrissa
 from test_recording_layout import TWO_FILES, load, text, two_files
 
 from vibrissa.io import InputError, inspect_recording, read_recording
@@ -71,27 +70,22 @@ def test_poses_that_run_back_make_a_recording_unusable_in_both(tmp_path: Path) -
         read_recording(file, setup)
 
 
-def vibrissa(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from vibrissa.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
 def test_what_was_left_out_is_one_line_on_stderr_and_part_of_what_inspect_prints(
-    tmp_path: Path,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     time = np.arange(0, 3, 0.01)
     two_files(tmp_path, time, np.arange(0.2049, 2.5, 0.01))
     load(tmp_path, TWO_FILES)
     file, setup = tmp_path / "ft.csv", ("--setup", tmp_path / "setup.toml")
     left_out = "of 300 wrenches lie before the first or after the last pose and are left out"
-    run = vibrissa("reconstruct", file, *setup, "--json")
-    assert run.returncode == 0, run.stderr
-    assert json.loads(run.stdout)["samples"] == 229
-    said = [line for line in run.stderr.splitlines() if left_out in line]
+    run = vibrissa(capsys, "reconstruct", file, *setup, "--json")
+    assert run.status == 0, run.err
+    assert json.loads(run.out)["samples"] == 229
+    said = [line for line in run.err.splitlines() if left_out in line]
     assert said == [f"vibrissa: warning: {file}: 71 {left_out}"]
-    assert "RecordingWarning" not in run.stderr
-    run = vibrissa("inspect", file, *setup, "--json")
-    assert json.loads(run.stdout)["notes"] == [f"71 {left_out}"]
+    assert "RecordingWarning" not in run.err
+    run = vibrissa(capsys, "inspect", file, *setup, "--json")
+    assert json.loads(run.out)["notes"] == [f"71 {left_out}"]
 
 
 def test_stamps_in_milliseconds_are_named_where_they_leave_no_rest(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ and covariances that hold them.
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -42,14 +43,18 @@ WHISK = vb.Trail.whisk(
     count=12,
     rod_axis=(1, 0, 0),
 )
-SCAN = vb.scan(ROD, vb.surfaces.Sphere(center=(0.042, 0.027, 0.004), radius=0.02), WHISK)
+
+
+@cache
+def scan() -> vb.Scan:
+    return vb.scan(ROD, vb.surfaces.Sphere(center=(0.042, 0.027, 0.004), radius=0.02), WHISK)
 
 
 def logged(sensor: Sensor) -> RawRecording:
     """What it logs of the whisk, without noise."""
     exact = replace(sensor, force_noise=None, torque_noise=None)
     return exact.measure(
-        replace(SCAN.reactions, time=np.arange(len(SCAN.kind)) / RATE), np.random.default_rng(0)
+        replace(scan().reactions, time=np.arange(len(scan().kind)) / RATE), np.random.default_rng(0)
     )
 
 
@@ -91,7 +96,7 @@ def test_derivatives_are_those_of_readings_with_other_numbers(frame: str) -> Non
     sensor = replace(SENSOR, wrench_frame=frame)
     raw = logged(sensor)
     slopes = sensitivities(read(raw, sensor))
-    rows = np.flatnonzero(SCAN.kind[1:-1] == vb.ContactKind.TANGENTIAL) + 1
+    rows = np.flatnonzero(scan().kind[1:-1] == vb.ContactKind.TANGENTIAL) + 1
     assert len(rows) > 3
     for column, name in enumerate(PARAMETERS):
         unit = ROD.length if name == "length" or name.startswith("clamp_position") else 1.0
@@ -121,7 +126,7 @@ def test_covariance_is_noise_and_what_is_shared() -> None:
     alone = vb.reconstruct(ROD, SENSOR.reactions(logged(SENSOR)))
     np.testing.assert_allclose(alone.covariance, found.covariance_noise, rtol=1e-9)
     np.testing.assert_array_equal(alone.covariance, alone.covariance_noise)
-    assert alone.shared.shape == (len(SCAN.kind), 3, 0)
+    assert alone.shared.shape == (len(scan().kind), 3, 0)
     assert alone.shared_names == ()
 
 

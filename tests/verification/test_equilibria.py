@@ -14,6 +14,7 @@ from vibrissa.forward.equilibria import Equilibrium
 UNIT = vb.Rod.unit()
 PARABOLOID = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 LEVEL = shooting.paraboloid(0.5, 1.0, 0.4)
+PLANE, TILT = vb.surfaces.Plane((0.3, 0, 0), (-1, 0, 0)), Rotation.from_rotvec([0, np.pi / 6, 0])
 PITCHFORK = 0.474512782442167
 LEAST = {0.6: 4, 0.3: 3, 0.0: 5, -0.3: 4}
 
@@ -114,53 +115,45 @@ def test_the_second_variation_converges() -> None:
     """Of a tip contact with a plane, whose Hessian is zero: the least eigenvalue of −v'' + (F·t −
     κ²) v and of its like in the plane, by shooting.
     """
-    clamp = np.array([0.0, 0.0, 0.0])
-    plane = vb.surfaces.Plane(point=(0.3, 0, 0), normal=(-1, 0, 0))
     axis = np.array([0.5, 0.0, np.sqrt(0.75)])
-    turn = Rotation.from_rotvec([0, np.pi / 6, 0])
-    np.testing.assert_allclose(turn.apply([0, 0, 1]), axis, atol=1e-15)
+    np.testing.assert_allclose(TILT.apply([0, 0, 1]), axis, atol=1e-15)
     one = next(
         one
-        for one in vb.equilibria(UNIT, plane, position=clamp, orientation=turn)
+        for one in vb.equilibria(UNIT, PLANE, position=(0, 0, 0), orientation=TILT)
         if one.stable and one.kind == vb.ContactKind.TIP
     )
     force, moment, n = -one.reactions.force[0], -one.reactions.moment[0], np.array([-1.0, 0, 0])
 
-    def end(value: float) -> np.ndarray:
-        """Changes out of the plane from v' = 1: v'(1). In the plane, with the multiplier of n·δr =
-        0: the determinant of (u'(1), n·δr).
-        """
-
-        def slope(_s: float, y: np.ndarray) -> np.ndarray:
-            t, m = y[:3], y[3:6]
-            u = np.cross([0, 1.0, 0], t) @ n
-            tension = force @ t
-            v, dv, first, dfirst, _rise, second, dsecond, _rise2 = y[6:]
-            changes = [
-                dv,
-                (tension - m @ m - value) * v,
-                dfirst,
-                (tension - value) * first,
-                u * first,
-                dsecond,
-                (tension - value) * second + u,
-                u * second,
-            ]
-            return np.concatenate([np.cross(m, t), np.cross(force, t), changes])
-
-        y = solve_ivp(
-            slope,
-            (0, 1),
-            np.concatenate([axis, moment, [0, 1, 0, 1, 0, 0, 0, 0]]),
-            rtol=1e-11,
-            atol=1e-12,
-        ).y[:, -1]
-        return np.array([y[7], y[9] * y[13] - y[12] * y[10]])
-
     values = np.linspace(-1, 40, 200)
-    ends = np.array([end(value) for value in values])
+
+    def slope(_s: float, y: np.ndarray) -> np.ndarray:
+        """Changes out of the plane from v' = 1, and in it, where the multiplier of n·δr = 0 adds a
+        second solution; of all values at once.
+        """
+        t, m = y[:3], y[3:6]
+        v, dv, first, dfirst, _rise, second, dsecond, _rise2 = y[6:].reshape(8, -1)
+        u, tension = np.cross([0, 1.0, 0], t) @ n, force @ t
+        changes = [
+            dv,
+            (tension - m @ m - values) * v,
+            dfirst,
+            (tension - values) * first,
+            u * first,
+            dsecond,
+            (tension - values) * second + u,
+            u * second,
+        ]
+        return np.concatenate([np.cross(m, t), np.cross(force, t), *changes])
+
+    start = np.repeat([0.0, 1, 0, 1, 0, 0, 0, 0], len(values))
+    y = (
+        solve_ivp(slope, (0, 1), np.concatenate([axis, moment, start]), rtol=1e-11, atol=1e-12)
+        .y[6:, -1]
+        .reshape(8, -1)
+    )
+    # v(1)' of the one, the determinant of (u'(1), n·δr) of the other.
     least = []
-    for column in ends.T:
+    for column in (y[1], y[3] * y[7] - y[6] * y[4]):
         k = int(np.flatnonzero(np.sign(column[1:]) != np.sign(column[:-1]))[0])
         least.append(
             values[k] - column[k] * (values[k + 1] - values[k]) / (column[k + 1] - column[k])
@@ -168,15 +161,38 @@ def test_the_second_variation_converges() -> None:
     assert one.second_variation == pytest.approx(min(least), rel=5e-3)
 
 
-def test_turned_and_moved_they_are_the_same(found: dict[float, list[Equilibrium]]) -> None:
+TURN, SHIFT = Rotation.from_rotvec([0.4, 1.2, -0.7]), np.array([0.2, 1.0, -3.0])
+MOVED_PLANE = vb.surfaces.Plane(TURN.apply((0.3, 0, 0)) + SHIFT, TURN.apply((-1, 0, 0)))
+
+
+@pytest.mark.parametrize(
+    ("surface", "moved", "turn", "shift", "position", "orientation"),
+    [
+        (PLANE, MOVED_PLANE, TURN, SHIFT, (0, 0, 0), TILT),
+        # Half a turn about its axis leaves a paraboloid as it is.
+        (
+            PARABOLOID,
+            PARABOLOID,
+            Rotation.from_rotvec([0, 0, np.pi]),
+            np.zeros(3),
+            (0.3, 0.2, 0),
+            Rotation.identity(),
+        ),
+    ],
+    ids=["plane", "paraboloid"],
+)
+def test_turned_and_moved_they_are_the_same(
+    surface: vb.surfaces.Surface,
+    moved: vb.surfaces.Surface,
+    turn: Rotation,
+    shift: np.ndarray,
+    position: tuple[float, float, float],
+    orientation: Rotation,
+) -> None:
     """All that are known, at the least; the search's starting points turn with the clamp."""
-    turn, shift = Rotation.from_rotvec([0.4, 1.2, -0.7]), np.array([0.2, 1.0, -3.0])
-    here = found[0.3]
+    here = vb.equilibria(UNIT, surface, position=position, orientation=orientation)
     there = vb.equilibria(
-        UNIT,
-        PARABOLOID.placed(turn, shift),
-        position=turn.apply([0.3, 0.2, 0]) + shift,
-        orientation=turn,
+        UNIT, moved, position=turn.apply(position) + shift, orientation=turn * orientation
     )
     assert len(there) == len(here)
     for one, other in zip(here, there, strict=True):

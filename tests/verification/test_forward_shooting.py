@@ -88,7 +88,7 @@ def ellipsoid_and_a_turning_clamp() -> Case:
     ) * Rotation.from_euler("z", 0.3)
     trail = vb.Trail(np.linspace([1.1, 0.15, 0.0], [0.2, 0.1, 0.1], COUNT), turning.as_quat())
     return Case(
-        vb.surfaces.Ellipsoid(center=center, semi_axes=semi_axes),
+        vb.surfaces.Ellipsoid(center=center, semi_axes=semi_axes).placed(),
         quadric(center, semi_axes),
         trail,
         "TANGENTIAL",

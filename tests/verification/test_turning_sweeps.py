@@ -15,7 +15,9 @@ CLOSE = 1e-10
 
 
 class Placed(NamedTuple):
-    """An object, turned and then moved: all are placed once, so that few kernels are compiled."""
+    """An object, turned and then moved: all but planes, which are planes again, are placed once, so
+    that few kernels are compiled.
+    """
 
     own: vb.surfaces.Surface
     rotation: Rotation = Rotation.identity()
@@ -24,13 +26,16 @@ class Placed(NamedTuple):
     @property
     def surface(self) -> vb.surfaces.Surface:
         """For the package."""
-        return self.own.placed(self.rotation, self.translation)
+        return self.moved(Rotation.identity(), np.zeros(3))
 
     def moved(self, rotation: Rotation, translation: np.ndarray) -> vb.surfaces.Surface:
         """The same, turned and moved once more."""
-        return self.own.placed(
-            rotation * self.rotation, rotation.apply(self.translation) + translation
-        )
+        turn, shift = rotation * self.rotation, rotation.apply(self.translation) + translation
+        if isinstance(self.own, vb.surfaces.Plane):
+            return vb.surfaces.Plane(
+                turn.apply(self.own.point) + shift, turn.apply(self.own.outward)
+            )
+        return self.own.placed(turn, shift)
 
 
 def ball(center: tuple[float, float, float], radius: float) -> Placed:

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 _MOST_EVALUATIONS = 80
 _WIDTH = 4e-16
 """Of a bracket between two neighbouring numbers."""
-_VALUE = 1e-12
-"""Share of the values at the ends that is small: of values of 1e-3 or more, not far from rounding."""
+_VALUE = 1e-14
+"""Share of the values at the ends that is rounding."""
 
 
 def roots(

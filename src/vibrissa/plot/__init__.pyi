@@ -8,10 +8,9 @@ from .contacts import contacts_figure
 from .coverage import coverage_figure
 from .design import expected_error_map
 from .events import reactions_along
-from .lines import elastic_lines
+from .lines import contact_sequences, elastic_lines
 from .reactions import reactions_over_plane
 from .recording import recording_figure
-from .sequences import contact_sequences
 from .style import journal, save, save_as
 
 __all__ = [

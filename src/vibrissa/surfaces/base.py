@@ -267,9 +267,9 @@ def _of_each(
         kinds.setdefault((tree, *(np.shape(leaf) for leaf in leaves)), []).append(solid)
     return jnp.concatenate(
         [
-            measure(same[0])[None]
-            if len(same) == 1
-            else jax.vmap(measure)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *same))
+            jax.vmap(measure)(jax.tree.map(lambda *leaves: jnp.stack(leaves), *same))
+            if len(same) > 1 and jax.tree.leaves(same[0])
+            else jnp.stack([measure(solid) for solid in same])
             for same in kinds.values()
         ]
     )

@@ -238,7 +238,8 @@ def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
     def vectors(names: Sequence[str]) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=-1)
 
-    given = {name: columns[name] for name in ("arc_length", "kind", "status")}
+    given = {"arc_length": columns["arc_length"]}
+    given |= {name: columns[name].astype(np.int64) for name in ("kind", "status")}
     if "cxx" in columns:
         # Rows of the matrix by their places in the upper triangle.
         covariance = vectors(COVARIANCE)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]

@@ -328,7 +328,7 @@ def together_for(labels: Labels, *, rough: bool = True) -> int:
 
 def group_starts(
     candidates: list[Labels], also: Codes | None = None, together: int = TOGETHER
-) -> Codes:
+) -> Int[np.ndarray, "groups"]:
     """First samples of groups of 4, or of 32 without contact; in none of the candidates something
     changes within a group or where one begins, nor does the number `also`.
     """

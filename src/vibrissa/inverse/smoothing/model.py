@@ -41,9 +41,9 @@ from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
-Samples = Float[np.ndarray, "n"]
-Flags = Bool[np.ndarray, "n"]
-Codes = Int[np.ndarray, "n"]
+Samples = Float[np.ndarray, "_"]
+Flags = Bool[np.ndarray, "_"]
+Codes = Int[np.ndarray, "_"]
 Rates = Float[np.ndarray, "coordinates"]
 Coordinates = Float[np.ndarray, "n coordinates"]
 

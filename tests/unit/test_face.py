@@ -1,7 +1,6 @@
 """The names of the public face."""
 
 import importlib
-import inspect
 
 import pytest
 
@@ -24,15 +23,3 @@ def test_functions_keep_their_names_when_their_rooms_are_imported() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="whisker"):
         _ = vb.whisker
-
-
-def test_signatures_are_readable() -> None:
-    """None spells out what NumPy takes for an array, which fills a screen."""
-    named = [getattr(module, name) for module in (vb, vb.surfaces) for name in module.__all__]
-    members = [part for whole in named for _, part in inspect.getmembers(whole, callable)]
-    for part in filter(callable, [*named, *members]):
-        try:
-            signature = inspect.signature(part)
-        except (TypeError, ValueError):  # of built-in types
-            continue
-        assert "NestedSequence" not in str(signature), part

@@ -131,7 +131,7 @@ def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scal
         of_bend = _least(found[:few], steepness * s1 * _FINE_BEND[1] * np.sqrt(2))
         of_tail = _least(found[few:], steepness * rest * _NEAR_TAIL[1] / 2)
         least = jnp.minimum(least, jnp.minimum(of_bend, of_tail))
-    if len(scene.surface.solids) > 1:
+    if scene.surface.parts_count > 1:
         touched = jnp.argmin(scene.part_levels(bent.point))
         levels = scene.each(scene.part_levels, jnp.concatenate(parts))
         others = jnp.min(jnp.where(jnp.arange(levels.shape[1]) == touched, jnp.inf, levels), axis=1)

@@ -5,13 +5,12 @@ method finds (q, λ); derivatives are those of the equations, not of the iterati
 second derivatives of the distance take no more than second derivatives of the level function.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Float
 
 from vibrissa.numerics.linear import solve_4x4
@@ -42,79 +41,76 @@ class Solid(Protocol):
         """g(p)."""
 
 
-class _Plane(NamedTuple):
-    """The plane that touches the surface at the foot."""
-
+class _Measured(NamedTuple):
     distance: Scalar
-    """Of the point from it."""
     normal: Vector
     steepness: Scalar
-    """‖∇g‖."""
     where: Vector
 
 
-@eqx.filter_custom_jvp
+@jax.custom_jvp
 def distance(solid: Solid, point: Vector) -> Scalar:
-    """Signed distance; g/‖∇g‖ where Newton's method does not converge: far away, or inside beyond
-    the centres of curvature.
+    """Signed distance; g/‖∇g‖ where Newton's method does not arrive: far away, or inside beyond the
+    centres of curvature.
     """
-    return _tangent_plane(solid, point).distance
+    return _measured(solid, point).distance
 
 
-@distance.def_jvp  # type: ignore[untyped-decorator]
-def _distance_jvp(primals: tuple[Solid, Vector], tangents: tuple[Any, Any]) -> tuple[Scalar, Any]:
+def _distance_jvp(
+    primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector | SymbolicZero]
+) -> tuple[Scalar, Scalar]:
     """Derivatives n(q) along the point and, along the parameters of g, ∂g/‖∇g‖ at q."""
     (solid, point), (solid_change, point_change) = primals, tangents
-    plane = _tangent_plane(solid, point)
-    change = _pushed(lambda other: other.level(plane.where), solid, solid_change) / plane.steepness
-    if point_change is not None:
-        change += jnp.dot(plane.normal, point_change)
-    return plane.distance, change
+    measured = _measured(solid, point)
+    change = jnp.zeros_like(measured.distance)
+    if not isinstance(point_change, SymbolicZero):
+        change += jnp.dot(measured.normal, point_change)
+    if not _constant(solid_change):
+        _, level_change = jax.jvp(
+            lambda changed: changed.level(measured.where), (solid,), (_materialised(solid_change),)
+        )
+        change += level_change / measured.steepness
+    return measured.distance, change
 
 
-def _pushed(function: Callable[[Solid], Array], solid: Solid, change: Any) -> Array:
-    """Derivative of a function of the solid along a change of it; None stands for no change."""
-    if not jax.tree.leaves(change):
-        return jnp.zeros(())
-    whole = jax.tree.map(
-        lambda moved, part: jnp.zeros_like(part) if moved is None else moved,
-        change,
-        solid,
-        is_leaf=lambda moved: moved is None,
-    )
-    return jax.jvp(function, (solid,), (whole,))[1]
+distance.defjvp(_distance_jvp, symbolic_zeros=True)
 
 
-def _tangent_plane(solid: Solid, point: Vector) -> _Plane:
-    """The plane at the closest point; where Newton's method finds none, that of one step from the
-    point with its slope taken as constant.
+def _measured(solid: Solid, point: Vector) -> _Measured:
+    """Distance from the plane that touches the surface at the foot; where that is none, by one step
+    from the point with its slope taken as constant.
     """
     foot = _foot(solid, point)
     q = foot[:3]
     value, gradient = jax.value_and_grad(solid.level)(q)
     steepness = norm(*gradient)
     normal = gradient / steepness
-    found = _Plane(jnp.dot(point - q, normal), normal, steepness, q)
+    found = jnp.dot(point - q, normal)
     miss = norm(*(q + foot[3] * gradient - point)) + jnp.abs(value) / steepness
 
     here = lax.stop_gradient(point)
-    value, gradient = lax.stop_gradient(jax.value_and_grad(solid.level)(here))
-    steepness = _or_one(norm(*gradient))
-    normal = gradient / steepness
-    far = _Plane(value / steepness + jnp.dot(normal, point - here), normal, steepness, here)
+    value_here, gradient_here = lax.stop_gradient(jax.value_and_grad(solid.level)(here))
+    steepness_here = _or_one(norm(*gradient_here))
+    normal_here = gradient_here / steepness_here
+    first_order = value_here / steepness_here + jnp.dot(normal_here, point - here)
 
     rounding = _MISSED_SIZE * norm(*here)
-    same_side = (found.distance * value >= 0) | (jnp.abs(found.distance) <= rounding)
-    arrived = (miss <= _MISSED * jnp.abs(far.distance) + rounding) & same_side
-    return jax.tree.map(lambda one, other: jnp.where(arrived, one, other), found, far)
+    same_side = (found * value_here >= 0) | (jnp.abs(found) <= rounding)
+    arrived = (miss <= _MISSED * jnp.abs(first_order) + rounding) & same_side
+    near = _Measured(found, normal, steepness, q)
+    far = _Measured(first_order, normal_here, steepness_here, here)
+    return _Measured(
+        *(jnp.where(arrived, one, other) for one, other in zip(near, far, strict=True))
+    )
 
 
-@eqx.filter_custom_jvp
+@jax.custom_jvp
 def _foot(solid: Solid, point: Vector) -> Foot:
     """Newton's method from the first-order step, its steps limited in length."""
     value, gradient = jax.value_and_grad(solid.level)(point)
     multiplier = value / _or_one(jnp.sum(gradient * gradient))
     reach = _REACH * jnp.abs(multiplier) * norm(*gradient)
+
     settled = _SETTLED * reach + _SETTLED_SIZE * norm(*point)
 
     def unsettled(state: tuple[Array, Foot, Scalar]) -> Array:
@@ -122,38 +118,50 @@ def _foot(solid: Solid, point: Vector) -> Foot:
 
     def refine(state: tuple[Array, Foot, Scalar]) -> tuple[Array, Foot, Scalar]:
         iteration, foot, _ = state
-        step, _determinant = solve_4x4(*reversed(_linearised(solid, point, foot)))
-        shortened = jnp.minimum(1.0, reach / _or_one(norm(*step[:3])))
-        step *= jnp.where(iteration < _HALVED, 1.0, 0.5) * shortened
-        # Where the Jacobian is singular, it ends.
-        step = jnp.where(jnp.all(jnp.isfinite(step)), step, 0.0)
-        return iteration + 1, foot - step, norm(*step[:3])
+        residual, jacobian = _linearised(solid, point, foot)
+        step, _determinant = solve_4x4(jacobian, residual)
+        step *= jnp.where(state[0] < _HALVED, 1.0, 0.5) * jnp.minimum(
+            1.0, reach / _or_one(norm(*step[:3]))
+        )
+        finite = jnp.all(jnp.isfinite(step))
+        return (
+            iteration + 1,
+            jnp.where(finite, foot - step, foot),
+            jnp.where(finite, norm(*step[:3]), 0.0),
+        )
 
-    start = jnp.append(point - multiplier * gradient, multiplier)
+    start = jnp.concatenate([point - multiplier * gradient, multiplier[None]])
     return lax.while_loop(
         unsettled, refine, (jnp.zeros((), dtype=int), start, jnp.full((), jnp.inf))
     )[1]
 
 
-@_foot.def_jvp  # type: ignore[untyped-decorator]
-def _foot_jvp(primals: tuple[Solid, Vector], tangents: tuple[Any, Any]) -> tuple[Foot, Foot]:
+def _foot_jvp(
+    primals: tuple[Solid, Vector], tangents: tuple[Solid, Vector | SymbolicZero]
+) -> tuple[Foot, Foot]:
     """The linearised equations at the solution."""
     (solid, point), (solid_change, point_change) = primals, tangents
     foot = _foot(solid, point)
     _, jacobian = _linearised(solid, point, foot)
-    right = -_pushed(
-        lambda other: _conditions(point, foot, *jax.value_and_grad(other.level)(foot[:3])),
-        solid,
-        solid_change,
-    )
-    if point_change is not None:
-        right += jnp.append(point_change, 0.0)
+    right = jnp.zeros_like(foot)
+    if not isinstance(point_change, SymbolicZero):
+        right += jnp.concatenate([point_change, jnp.zeros(1)])
+    if not _constant(solid_change):
+        change = (_materialised(solid_change),)
+        right -= jax.jvp(
+            lambda changed: _conditions(point, foot, *jax.value_and_grad(changed.level)(foot[:3])),
+            (solid,),
+            change,
+        )[1]
     moved, determinant = solve_4x4(jacobian, right)
     return foot, jnp.where(determinant != 0, moved, 0.0)
 
 
+_foot.defjvp(_foot_jvp, symbolic_zeros=True)
+
+
 def _conditions(point: Vector, foot: Foot, value: Scalar, gradient: Vector) -> Foot:
-    return jnp.append(foot[:3] + foot[3] * gradient - point, value)
+    return jnp.concatenate([foot[:3] + foot[3] * gradient - point, value[None]])
 
 
 def _linearised(solid: Solid, point: Vector, foot: Foot) -> tuple[Foot, Float[Array, "4 4"]]:
@@ -172,3 +180,20 @@ def _linearised(solid: Solid, point: Vector, foot: Foot) -> tuple[Foot, Float[Ar
 
 def _or_one(x: Scalar) -> Scalar:
     return jnp.where(x > 0, x, 1.0)
+
+
+def _is_symbolic(part: object) -> bool:
+    return isinstance(part, SymbolicZero)
+
+
+def _constant(change: object) -> bool:
+    return all(map(_is_symbolic, jax.tree.leaves(change, is_leaf=_is_symbolic)))
+
+
+def _materialised(change: Solid) -> Solid:
+    """The same with zeros written out."""
+    return jax.tree.map(
+        lambda part: jnp.zeros(part.shape, part.dtype) if _is_symbolic(part) else part,
+        change,
+        is_leaf=_is_symbolic,
+    )

@@ -242,7 +242,7 @@ def _with_tangential_phases(fit: Fit) -> Fit:
     return fit
 
 
-def _clearly_short(value: Samples, weight: Samples) -> Codes:
+def _clearly_short(value: Samples, weight: Samples) -> Int[np.ndarray, "k 2"]:
     """Stretches (k, 2), first and after the last, about those over which the weighted mean of the
     arc lengths lies most clearly below the rod's: as s₁ leaves and returns slowly, longer ones too.
     """

@@ -14,10 +14,8 @@ from scipy.sparse.csgraph import connected_components
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 from vibrissa.surfaces.mesh.patches import Patch
 
-# A quadratic without constant has 5 coefficients, a cubic 9: terms of the second and third degree
-# are fitted from one or two points more on.
-_QUADRATIC_FROM = 6
-_FEWEST = np.array([0, 0, *3 * [_QUADRATIC_FROM], *4 * [11]])
+# A cubic without constant has 9 coefficients, a quadratic 5; one or two points more than that.
+_CUBIC_FROM, _QUADRATIC_FROM = 11, 6
 # Two rings of a regular mesh hold 18 vertices; of more than this, evenly chosen ones do.
 _NEIGHBOURS = 24
 # Share of the weights' sum that keeps the least-squares matrix regular; error of its own size.
@@ -76,59 +74,38 @@ def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
     height = np.einsum("fi,fki->fk", flat, apex - vertices[np.roll(faces, -1, axis=1)])
     creases = np.where(turn > crease_angle, np.where(height < 0, 1, -1), 0)
     # The two ends of each edge, as corners of the triangle here and of the one across.
-    corners = np.arange(faces.size).reshape(-1, 3)
-    here = corners[:, (np.arange(3)[:, None] + [1, 2]) % 3]
-    there = corners[across[..., None], (opposite[..., None] + [2, 1]) % 3]
-    smooth = creases == 0
-    graph = coo_array(
-        (np.ones(2 * smooth.sum()), (here[smooth].ravel(), there[smooth].ravel())),
-        shape=(faces.size, faces.size),
-    )
-    fan = connected_components(graph, directed=False)[1].astype(np.int64)
-    fans, vertex = fan[corners], np.empty(fan.max() + 1, dtype=np.int64)
+    here = (np.arange(3)[:, None] + [1, 2]) % 3
+    there = (opposite[..., None] + [2, 1]) % 3
+    fans = _fans(here, across, there, creases == 0)
+    vertex = np.empty(fans.max() + 1, dtype=np.int64)
     vertex[fans] = faces
-    code, other = _corners(vertices, faces, creases, vertex)
-    facing = np.repeat(fans[:, None], 4, axis=1)
-    np.put_along_axis(facing[:, :3], here % 3, fan[there], axis=2)
-    facing[:, 3] = other[fans]
     normals = _fitted(vertices, faces, fans, vertex, flat)
+    code, other = _corners(vertices, faces, creases, vertex)
     weighting = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
     patches = Patch(
-        vertices[faces],
-        normals[fans],
-        normals[facing],
-        igl.per_vertex_normals(vertices, faces, weighting)[faces],
-        np.hstack([np.zeros((len(faces), 1)), creases, code[faces]]),
+        vertices=vertices[faces],
+        normals=normals[fans],
+        beyond=normals[fans[across[..., None], there]],
+        around=normals[other[fans]],
+        pseudo=igl.per_vertex_normals(vertices, faces, weighting)[faces],
+        edges=creases.astype(float),
+        corners=code[faces],
     )
-    return Sheets(vertices, faces, np.where(smooth, across, -1), fans, patches)
+    return Sheets(vertices, faces, np.where(creases == 0, across, -1), fans, patches)
 
 
-def _corners(
-    vertices: Vertices,
-    faces: Faces,
-    creases: Int[np.ndarray, "f 3"],
-    vertex: Int[np.ndarray, "fans"],
-) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "fans"]]:
-    """Code of each vertex as in `Patch`, and for each fan the other one where its vertex has two."""
-    row, k = np.nonzero(creases)
-    start, stop = faces[row, (k + 1) % 3], faces[row, (k + 2) % 3]
-    # Each crease is met from either side, in either direction: a vertex is its start once.
-    count = len(vertices)
-    number = np.bincount(start, minlength=count)
-    sense = np.bincount(start, weights=creases[row, k], minlength=count)
-    direction = _summed(_unit(vertices[stop] - vertices[start]), start, count)
-    fans = np.bincount(vertex, minlength=count)
-    # Two creases of the same sense that leave in about opposite directions.
-    passing = (
-        (number == 2)
-        & (fans == 2)
-        & (np.abs(sense) == 2)
-        & (np.linalg.norm(direction, axis=1) < 2 * (1 - np.cos(_STRAIGHT)))
-    )
-    code = np.where(fans <= 1, 0.0, np.where(passing, np.sign(sense), 2.0))
-    each = np.arange(len(vertex))
-    both = np.bincount(vertex, weights=each, minlength=count).astype(np.int64)
-    return code, np.where(fans[vertex] == 2, both[vertex] - each, each)
+def _fans(
+    here: Int[np.ndarray, "3 2"],
+    across: Faces,
+    there: Int[np.ndarray, "f 3 2"],
+    smooth: np.ndarray,
+) -> Int[np.ndarray, "f 3"]:
+    """Number of the fan of each corner."""
+    row, k = np.nonzero(smooth)
+    first, second = 3 * row[:, None] + here[k], 3 * across[row, k, None] + there[row, k]
+    size = across.size
+    graph = coo_array((np.ones(first.size), (first.ravel(), second.ravel())), shape=(size, size))
+    return connected_components(graph, directed=False)[1].reshape(-1, 3).astype(np.int64)
 
 
 def _fitted(
@@ -148,8 +125,10 @@ def _fitted(
     count = len(vertex)
     v = vertices[faces]
     a, b = np.roll(v, -1, axis=1) - v, np.roll(v, -2, axis=1) - v
+    rough = np.zeros((count, 3))
     product = np.sum(a * a, axis=-1) * np.sum(b * b, axis=-1)
-    rough = _unit(_summed(np.cross(a, b) / product[..., None], fans, count))
+    np.add.at(rough, fans, np.cross(a, b) / product[..., None])
+    rough /= np.linalg.norm(rough, axis=1, keepdims=True)
     agreement = np.ones(count)
     np.minimum.at(agreement, fans, np.sum(flat[:, None] * rough[fans], axis=-1))
     # Which fans lie within two edges of each other.
@@ -160,14 +139,16 @@ def _fitted(
     rings.setdiag(0)
     rings.eliminate_zeros()
     normals = rough.copy()
-    for rows in np.split(np.arange(count), np.arange(_CHUNK, count, _CHUNK)):
+    for start in range(0, count, _CHUNK):
+        rows = np.arange(start, min(start + _CHUNK, count))
         # Evenly thinned out where there are more neighbours than are used.
         first, size = rings.indptr[rows, None], np.diff(rings.indptr)[rows, None]
         step = np.maximum(size, _NEIGHBOURS) / _NEIGHBOURS
         index = np.floor(np.arange(_NEIGHBOURS) * step).astype(np.int64)
         valid = index < size
         near = vertex[rings.indices[first + np.where(valid, index, 0)]]
-        fitted = _jets(vertices[near] - vertices[vertex[rows], None], valid, rough[rows])
+        offset = vertices[near] - vertices[vertex[rows], None]
+        fitted = _jets(offset, valid, rough[rows])
         trusted = np.sum(fitted * rough[rows], axis=1) >= agreement[rows] - _ROUNDING
         normals[rows[trusted]] = fitted[trusted]
     return normals
@@ -181,31 +162,65 @@ def _jets(
     """Normals at the origin of the surfaces w = a₁u + a₂v + quadratic + cubic fitted to points seen
     along the rough normals.
     """
-    across = _unit(np.cross(rough, np.eye(3)[np.argmin(np.abs(rough), axis=1)]))
-    frame = np.stack([np.cross(rough, across), across, rough], axis=1)
+    across = np.cross(rough, np.eye(3)[np.argmin(np.abs(rough), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = np.cross(rough, across)
     distance = np.where(valid, np.linalg.norm(offset, axis=-1), 0.0)
     size = distance.max(axis=1, keepdims=True)
-    u, v, w = np.einsum("nki,nji->jnk", offset, frame) / size
-    count = valid.sum(axis=1)[:, None]
-    terms = [u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3]
-    fitted = np.stack(terms, axis=-1) * (count >= _FEWEST)[:, None]
+    u, v, w = (
+        np.einsum("nki,ni->nk", offset, direction) / size for direction in (along, across, rough)
+    )
+    count = valid.sum(axis=1, keepdims=True)
+    cubic, quadratic = count >= _CUBIC_FROM, count >= _QUADRATIC_FROM
+    terms = np.stack(
+        [
+            u,
+            v,
+            *(part * quadratic for part in (u * u, u * v, v * v)),
+            *(part * cubic for part in (u**3, u * u * v, u * v * v, v**3)),
+        ],
+        axis=-1,
+    )
     # By the inverse square of the distance, but for vertices that nearly coincide.
     weight = np.where(valid, 1 / np.maximum((distance / size) ** 2, 1e-6), 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
-    weighted = np.swapaxes(fitted * weight[..., None], 1, 2)
-    matrix = weighted @ fitted + _RIDGE * np.eye(len(terms))
-    slope = np.linalg.solve(matrix, weighted @ w[..., None])[:, :2, 0] * (count >= _QUADRATIC_FROM)
-    return _unit(rough - np.einsum("nj,nji->ni", slope, frame[:, :2]))
+    weighted = terms * weight[..., None]
+    matrix = np.swapaxes(weighted, 1, 2) @ terms + _RIDGE * np.eye(terms.shape[-1])
+    right = np.einsum("nkt,nk->nt", weighted, w)
+    slope = np.linalg.solve(matrix, right[..., None])[:, :2, 0] * quadratic
+    normal = rough - slope[:, :1] * along - slope[:, 1:] * across
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def _summed(
-    vectors: Float[np.ndarray, "*n 3"], groups: Int[np.ndarray, "*n"], count: int
-) -> Float[np.ndarray, "count 3"]:
-    """Sum of the vectors of each group."""
-    total = np.zeros((count, 3))
-    np.add.at(total, groups, vectors)
-    return total
+def _corners(
+    vertices: Vertices,
+    faces: Faces,
+    creases: Int[np.ndarray, "f 3"],
+    vertex: Int[np.ndarray, "fans"],
+) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "fans"]]:
+    """Code of each vertex as in `Patch.corners`, and for each fan the other one where a crease runs
+    through its vertex.
+    """
+    row, k = np.nonzero(creases)
+    start, stop = faces[row, (k + 1) % 3], faces[row, (k + 2) % 3]
+    along = vertices[stop] - vertices[start]
+    # Each crease is met from either side, in either direction: a vertex is its start once.
+    count = len(vertices)
+    number = np.bincount(start, minlength=count)
+    sense = np.bincount(start, weights=creases[row, k], minlength=count)
+    direction = np.zeros((count, 3))
+    np.add.at(direction, start, along / np.linalg.norm(along, axis=1, keepdims=True))
+    fans = np.bincount(vertex, minlength=count)
+    # Two creases of the same sense that leave in about opposite directions.
+    passing = (
+        (number == 2)
+        & (fans == 2)
+        & (np.abs(sense) == 2)
+        & (np.linalg.norm(direction, axis=1) < 2 * (1 - np.cos(_STRAIGHT)))
+    )
+    code = np.where(fans <= 1, 0.0, np.where(passing, np.sign(sense), 2.0))
+    order = np.argsort(vertex, kind="stable")
+    pairs = order[fans[vertex[order]] == 2].reshape(-1, 2)
+    other = np.arange(len(vertex))
+    other[pairs] = pairs[:, ::-1]
+    return code, other

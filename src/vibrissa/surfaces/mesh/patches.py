@@ -11,7 +11,6 @@ surface. Where the nearest point lies on a crease, the planes of its two sides g
 from their corner.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -25,12 +24,10 @@ Scalar = Float[Array, ""]
 AnyArray = Array | np.ndarray
 Triangle = Float[AnyArray, "3 3"]
 
-EDGE, CORNER = 1, 4
+INTERIOR, EDGE, CORNER = 0, 1, 4
 """Nearest feature of a triangle: 0 its interior, 1 to 3 the edge opposite that corner, 4 to 6 the
 corner.
 """
-# Edge k runs from corner k + 1 to corner k + 2: their barycentric coordinates, a row an edge.
-_START, _STOP = np.roll(np.eye(3), 1, axis=1), np.roll(np.eye(3), 2, axis=1)
 
 # Squared lengths below it, and their roots' derivatives, would leave the range of the numbers.
 _TINY = 1e-300
@@ -48,15 +45,21 @@ class Patch(NamedTuple):
     vertices: Float[AnyArray, "*f 3 3"]
     normals: Float[AnyArray, "*f 3 3"]
     """Of the corners, each on this triangle's side of a crease."""
-    beyond: Float[AnyArray, "*f 4 3 3"]
-    """The same on the other side of the crease along each edge, and through each corner."""
+    beyond: Float[AnyArray, "*f 3 2 3"]
+    """Normals on the other side of each crease edge, at its two ends: edge k runs from corner k + 1
+    to corner k + 2.
+    """
+    around: Float[AnyArray, "*f 3 3"]
+    """Normals on the other side of the crease through each corner."""
     pseudo: Float[AnyArray, "*f 3 3"]
     """Angle-weighted normals of all triangles about each corner (Bærentzen & Aanæs 2005): they tell
     inside from outside.
     """
-    codes: Float[AnyArray, "*f 7"]
-    """Of each feature: 0 where the surface is smooth, 1 on a convex crease, −1 on a concave one, 2
-    at a corner where creases meet.
+    edges: Float[AnyArray, "*f 3"]
+    """0 a smooth edge, 1 a convex crease, −1 a concave one."""
+    corners: Float[AnyArray, "*f 3"]
+    """0 a smooth corner, ±1 one on a convex or concave crease that runs through it, 2 one where
+    creases meet.
     """
 
 
@@ -87,21 +90,21 @@ def nearest(point: Vector, vertices: Triangle) -> Nearest:
     """
     weights = _planar(vertices, point)
     inside = jnp.all(weights >= 0)
-    start = jnp.roll(vertices, -1, axis=0)
-    along = jnp.roll(vertices, -2, axis=0) - start
+    start, stop = jnp.roll(vertices, -1, axis=0), jnp.roll(vertices, -2, axis=0)
+    along = stop - start
     share = jnp.clip(dot(along, point - start) / dot(along, along), 0.0, 1.0)
     offset = point - start - share[:, None] * along
     squared = dot(offset, offset)
     edge = jnp.argmin(squared)
-    t = share[edge]
-    ends = jnp.stack([EDGE + edge, CORNER + (edge + 1) % 3, CORNER + (edge + 2) % 3])
+    t, first, last = share[edge], (edge + 1) % 3, (edge + 2) % 3
+    index = jnp.arange(3)
+    on_edge = jnp.where(index == first, 1 - t, jnp.where(index == last, t, 0.0))
+    feature = jnp.where(t <= 0, CORNER + first, jnp.where(t >= 1, CORNER + last, EDGE + edge))
     below = point - mixed(weights, vertices)
     return Nearest(
         jnp.where(inside, dot(below, below), squared[edge]),
-        jnp.where(
-            inside, weights, (1 - t) * jnp.asarray(_START)[edge] + t * jnp.asarray(_STOP)[edge]
-        ),
-        jnp.where(inside, 0, ends[jnp.where(t <= 0, 1, jnp.where(t >= 1, 2, 0))]),
+        jnp.where(inside, weights, on_edge),
+        jnp.where(inside, INTERIOR, feature),
     )
 
 
@@ -118,58 +121,77 @@ def _planar(vertices: Triangle, point: Vector) -> Vector:
     return dot(_slopes(vertices), point - vertices[0]) + jnp.array([1.0, 0.0, 0.0])
 
 
-Sight = Callable[[Vector, Vector], Scalar]
-"""Level of a point over the triangle, given its barycentric coordinates; smooth in both."""
+class Frozen(NamedTuple):
+    """A point's nearest feature, held fast: what is left depends on the point smoothly."""
+
+    point: Vector
+    weights: Vector
+    """Barycentric coordinates of the nearest point."""
+    slopes: Triangle
+    """Their gradients, one a row."""
+    code: Scalar
+    """As in `Patch.edges` and `Patch.corners`: 0 smooth, ±1 a crease, 2 where creases meet."""
+    corner: Vector
+    """Where creases meet: the corner, with the sign of the level by its `pseudo` normal."""
+    sign: Scalar
+    beyond: Triangle
+    """Corner normals on the other side of the crease."""
 
 
-def surface_near(point: Vector, patch: Patch) -> tuple[Sight, Vector, Triangle, Scalar]:
-    """What a point sees of the surface over the triangle, its nearest feature held fast: the level
-    about there, the barycentric coordinates of the nearest point, their gradients, one a row, and
-    the feature's code.
-    """
+def frozen(point: Vector, patch: Patch) -> Frozen:
+    """Hold fast what is nearest to a point over the triangle."""
     _, weights, feature = nearest(point, patch.vertices)
+    at_corner, at_edge = feature >= CORNER, (feature >= EDGE) & (feature < CORNER)
     edge, corner = jnp.clip(feature - EDGE, 0, 2), jnp.clip(feature - CORNER, 0, 2)
-    along = patch.vertices[(edge + 2) % 3] - patch.vertices[(edge + 1) % 3]
-    on_edge = jnp.asarray(_STOP - _START)[edge][:, None] * (along / dot(along, along))
-    at_vertex, inside = feature >= CORNER, feature < EDGE
-    slopes = jnp.where(at_vertex, 0.0, jnp.where(inside, _slopes(patch.vertices), on_edge))
+    code = jnp.where(at_corner, patch.corners[corner], jnp.where(at_edge, patch.edges[edge], 0.0))
+    index = jnp.arange(3)[:, None]
+    first, last = index == (edge + 1) % 3, index == (edge + 2) % 3
+    ends = patch.beyond[edge]
+    across = jnp.where(first, ends[0], jnp.where(last, ends[1], patch.normals))
     apex = patch.vertices[corner]
-    sign = jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0)
-    sides = jnp.stack([patch.normals, patch.beyond[jnp.clip(feature - EDGE, 0, 3)]])
-    # A barrier, lest XLA work it out again for each of its uses.
-    held = lax.optimization_barrier(  # type: ignore[no-untyped-call]
-        (weights, slopes, patch.codes[feature], apex, sign, sides, patch.vertices)
+    along = patch.vertices[(edge + 2) % 3] - patch.vertices[(edge + 1) % 3]
+    along = along / dot(along, along)
+    on_edge = jnp.where(last, along, jnp.where(first, -along, 0.0))
+    return Frozen(
+        point,
+        weights,
+        slopes=jnp.where(at_corner, 0.0, jnp.where(at_edge, on_edge, _slopes(patch.vertices))),
+        code=code,
+        corner=apex,
+        sign=jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0),
+        beyond=jnp.where(at_corner, patch.around, across),
     )
-    weights, slopes, code, apex, sign, sides, vertices = held
 
-    def level(point: Vector, weights: Vector) -> Scalar:
-        levels, normals = jax.vmap(_sheet, in_axes=(None, None, 0, None))(
-            point, vertices, sides, weights
-        )
-        ridge = code * _outside_both(code * levels, dot(normals[0], normals[1]))
-        # Kept from zero, so that the derivative of the length stays finite.
-        offset = point - apex
-        tip = sign * jnp.sqrt(jnp.maximum(dot(offset, offset), _TINY))
-        return jnp.where(code == 0, levels[0], jnp.where(code == 2, tip, ridge))
 
-    return level, weights, slopes, code
+def patch_level(point: Vector, patch: Patch, nearby: Frozen) -> Scalar:
+    """Signed distance from the surface over the triangle, given what is nearest to about this
+    point.
+    """
+    weights = nearby.weights + dot(nearby.slopes, point - nearby.point)
+    sides = jnp.stack([patch.normals, nearby.beyond])
+    level, normal = jax.vmap(_sheet, in_axes=(None, None, 0, None))(
+        point, patch.vertices, sides, weights
+    )
+    ridge = nearby.code * _outside_both(nearby.code * level, dot(normal[0], normal[1]))
+    tip = nearby.sign * _length(point - nearby.corner)
+    return jnp.where(nearby.code == 0, level[0], jnp.where(nearby.code == 2, tip, ridge))
 
 
 def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
-    """Level seen along the interpolated normals, and the barycentric coordinates where the line of
-    sight meets the triangle's plane.
+    """The same seen along the interpolated normals, and the barycentric coordinates where the line
+    of sight meets the triangle's plane.
 
     They may lie outside the triangle: the neighbour there sees the point better.
     """
-    level, nearest_weights, _, code = surface_near(point, patch)
-    seen, trusted = _line_of_sight(point, patch, nearest_weights)
+    near = frozen(point, patch)
+    seen, trusted = _line_of_sight(point, patch, near.weights)
     # Far away, the direction over the triangle's plane is all that is asked for.
     seen = jnp.where(trusted, seen, _planar(patch.vertices, point))
     # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
-    creases = patch.codes[EDGE:CORNER] != 0
-    stopped = (code != 0) | jnp.any(creases & (seen < 0))
-    weights = jnp.where(stopped, nearest_weights, seen)
-    return level(point, jnp.where(trusted, weights, nearest_weights)), weights
+    stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
+    weights = jnp.where(stopped, near.weights, seen)
+    here = jnp.where(trusted, weights, near.weights)
+    return patch_level(point, patch, near._replace(weights=here)), weights
 
 
 def _sheet(
@@ -193,6 +215,12 @@ def _outside_both(distances: Float[Array, "2"], cosine: Scalar) -> Scalar:
     radius = jnp.sqrt(jnp.where(squared > _TINY, squared, _TINY))
     outside = jnp.where(along[0] <= 0, distances[1], jnp.where(along[1] <= 0, distances[0], radius))
     return jnp.where(jnp.all(distances <= 0), jnp.maximum(distances[0], distances[1]), outside)
+
+
+def _length(vector: Vector) -> Scalar:
+    """Kept from zero, so that the derivative stays finite."""
+    squared = dot(vector, vector)
+    return jnp.sqrt(jnp.where(squared > _TINY, squared, _TINY))
 
 
 def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector, Array]:

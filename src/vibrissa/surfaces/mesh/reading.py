@@ -11,6 +11,9 @@ _UNITLESS = (".stl", ".obj", ".ply")
 FORMATS = (*_UNITLESS, ".gltf", ".glb")
 """Suffixes of files that can be read; glTF is in metres, the others have no unit."""
 
+# STL in binary: a header of 80 bytes and a count of 4, then 50 bytes a triangle.
+_HEADER, _COUNT, _TRIANGLE = 80, 4, 50
+
 
 def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
     """Vertices, times `scale`, and faces of a file.
@@ -38,11 +41,7 @@ def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
         raise ValueError(f"{file}: cannot be read; allowed is a file")
     trimesh = library("trimesh")
     if suffix == ".stl":
-        content = file.read_bytes()
-        text = content.lstrip()[:5].lower() == b"solid" and b"facet" in content[:1000]
-        if text and b"endsolid" not in content[-1000:].lower():
-            # trimesh would take it for a whole one; in binary it compares the file's length.
-            raise ValueError(f"{file}: cut short (no endsolid at its end); allowed is a whole file")
+        _refuse_part_of_stl(file)
     try:
         mesh = trimesh.load_mesh(file, file_type=suffix[1:], process=False, skip_materials=True)
         vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
@@ -53,3 +52,24 @@ def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
     if not len(faces):
         raise ValueError(f"{file}: no triangles; allowed is a closed mesh")
     return vertices * factor, faces
+
+
+def _refuse_part_of_stl(file: Path) -> None:
+    """Raise ValueError for a file that is cut short, which trimesh would take for a whole one: in
+    binary it says how many triangles it holds, in ASCII how it ends.
+    """
+    content = file.read_bytes()
+    if content.lstrip()[:5].lower() == b"solid" and b"facet" in content[:1000]:
+        if b"endsolid" not in content[-1000:].lower():
+            raise ValueError(
+                f"{file}: cut short (no endsolid at its end); allowed is a whole STL file"
+            )
+        return
+    start = _HEADER + _COUNT
+    count = int.from_bytes(content[_HEADER:start], "little")
+    expected = start + _TRIANGLE * count
+    if len(content) != expected:
+        raise ValueError(
+            f"{file}: {len(content)} bytes where {expected} belong to the {count} triangles it "
+            "says; it is cut short or no STL file"
+        )

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
 
-from vibrissa.geometry.checks import finite_array
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 
 MOST_HOLE_EDGES = 8
@@ -70,20 +69,18 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
         If libigl is not installed.
     """
     v, given = _checked(vertices, faces)
-    # Each corner on the first of all vertices at about the same place.
-    place = np.round((v - v.min(axis=0)) / (_SAME * np.linalg.norm(np.ptp(v, axis=0)) or 1.0))
-    _, first, same = np.unique(place, axis=0, return_index=True, return_inverse=True)
-    f = first[same][given]
+    f = _merged(v, given)
     merged = len(np.unique(given)) - len(np.unique(f))
     proper = f[(f != np.roll(f, 1, axis=1)).all(axis=1)]
     if not len(proper):
         raise ValueError(f"faces: all {len(f)} are degenerate; allowed is a closed mesh")
     distinct = np.unique(np.sort(proper, axis=1), axis=0, return_index=True)[1]
     f = proper[np.sort(distinct)]
+    _refuse_open(f, closable=True)
     wound = np.asarray(library("igl").bfs_orient(f)[0], dtype=np.int64)
     turned = (wound != f).any(axis=1)
     v, f, filled = _filled(v, wound)
-    _refuse_open(f)
+    _refuse_open(f, closable=False)
     f, flat = _without_flat(v, f)
     reverse = _inside_out(v, f)
     flipped = np.sum(np.append(turned, np.zeros(len(f) - len(turned), dtype=bool)) ^ reverse)
@@ -95,30 +92,60 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
             "does not intersect itself"
         )
     kept, f = np.unique(f, return_inverse=True)
-    repairs = Repairs(
-        merged_vertices=merged,
-        unreferenced_vertices=len(v) - merged - len(kept),
-        degenerate_faces=len(given) - len(proper) + flat,
-        duplicate_faces=len(proper) - len(distinct),
-        flipped_faces=int(flipped),
-        filled_holes=filled,
+    return (
+        v[kept],
+        f,
+        Repairs(
+            merged_vertices=merged,
+            unreferenced_vertices=len(v) - merged - len(kept),
+            degenerate_faces=len(given) - len(proper) + flat,
+            duplicate_faces=len(proper) - len(distinct),
+            flipped_faces=int(flipped),
+            filled_holes=filled,
+        ),
     )
-    return v[kept], f, repairs
 
 
 def _checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces]:
-    v = finite_array(vertices, "vertices", last=3, ndim=2)
-    given = finite_array(faces, "faces", last=3, ndim=2)
-    f = given.astype(np.int64)
-    if not f.size:
-        raise ValueError(f"mesh: {len(v)} vertices and 0 faces; allowed is a closed mesh")
-    wrong = np.sum((f != given) | (f < 0) | (f >= len(v)))
-    if wrong:
+    try:
+        v, f = np.array(vertices, dtype=np.float64), np.asarray(faces)
+    except (TypeError, ValueError) as error:
         raise ValueError(
-            f"faces: {wrong} entries are not whole numbers in 0 … {len(v) - 1}; allowed are "
-            "indices of vertices"
+            f"vertices, faces: {error}; allowed are arrays (v, 3) of numbers and (f, 3) of indices"
+        ) from error
+    if v.ndim != 2 or v.shape[1] != 3:
+        raise ValueError(f"vertices has shape {v.shape}; allowed is (v, 3)")
+    if f.ndim != 2 or f.shape[1] != 3:
+        raise ValueError(f"faces has shape {f.shape}; allowed is (f, 3): triangles")
+    if not len(v) or not len(f):
+        raise ValueError(
+            f"mesh: {len(v)} vertices and {len(f)} faces; allowed is a closed mesh, of at least 4 "
+            "each"
         )
-    return v, f
+    if not np.issubdtype(f.dtype, np.integer):
+        raise ValueError(f"faces has entries of type {f.dtype}; allowed are whole numbers")
+    broken = np.sum(~np.isfinite(v).all(axis=1))
+    if broken:
+        raise ValueError(
+            f"vertices: {broken} of {len(v)} have coordinates that are not finite; allowed are "
+            "finite numbers"
+        )
+    beyond = np.sum((f < 0) | (f >= len(v)))
+    if beyond:
+        raise ValueError(
+            f"faces: {beyond} indices lie outside 0 … {len(v) - 1}; allowed are indices of vertices"
+        )
+    return v, np.ascontiguousarray(f, dtype=np.int64)
+
+
+def _merged(v: Vertices, f: Faces) -> Faces:
+    """Faces on the first of all vertices at about the same place."""
+    diagonal = np.linalg.norm(np.ptp(v, axis=0))
+    if diagonal == 0:
+        raise ValueError("vertices: all lie in one point; allowed is a closed mesh")
+    place = np.round((v - v.min(axis=0)) / (_SAME * diagonal))
+    _, first, same = np.unique(place, axis=0, return_index=True, return_inverse=True)
+    return first[same][f]
 
 
 def _edges(f: Faces) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
@@ -130,38 +157,49 @@ def _edges(f: Faces) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
     return edges, count[which]
 
 
-def _refuse_open(f: Faces) -> None:
-    """Raise ValueError for open edges and those with more than two triangles."""
+def _refuse_open(f: Faces, *, closable: bool) -> None:
+    """Raise ValueError for edges with more than two triangles and, unless they may still be closed,
+    for open ones.
+    """
     edges, count = _edges(f)
-    many, rims = int(np.sum(1 / count[count > 2]) + 0.5), _rims(edges[count == 1])
-    if many or rims:
-        sizes = ", ".join(str(size) for size in sorted(map(len, rims))[:5])
-        raise ValueError(
-            f"mesh: {many} edges with more than two triangles; {np.sum(count == 1)} open edges in "
-            f"{len(rims)} holes (edges of the smallest: {sizes or 'none'}); allowed is a closed "
-            f"surface (holes of at most {MOST_HOLE_EDGES} edges are filled)"
+    many = len(np.unique(np.sort(edges[count > 2], axis=1), axis=0))
+    if not many and (closable or (count == 2).all()):
+        return
+    parts = [f"{many} edges with more than two triangles"] if many else []
+    rims = sorted(_rims(edges[count == 1]), key=len)
+    if rims:
+        sizes = ", ".join(str(len(rim)) for rim in rims[:5])
+        parts.append(
+            f"{np.sum(count == 1)} open edges in {len(rims)} holes (edges of the smallest: {sizes})"
         )
+    raise ValueError(
+        f"mesh: {'; '.join(parts)}; allowed is a closed surface (holes of at most "
+        f"{MOST_HOLE_EDGES} edges are filled)"
+    )
 
 
 def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
     """Closed rims of the holes, vertices in order; those that meet in a vertex are told apart,
-    which libigl's `boundary_loop_all` does not. Open where triangles are wound against each other.
+    which libigl's `boundary_loop_all` does not.
     """
     following: dict[int, list[int]] = {}
     for start, stop in boundary.tolist():
         following.setdefault(start, []).append(stop)
     rims = []
-    for first in following:
-        way, here = list[int](), first
+    for start in following:
+        way: dict[int, int] = {}
+        here = start
         while following.get(here):
-            way.append(here)
+            way[here] = here
             here = following[here].pop()
             if here in way:
-                start = way.index(here)
-                rims.append(way[start:])
-                del way[start:]
+                whole = list(way)
+                rims.append(whole[whole.index(here) :])
+                for vertex in rims[-1]:
+                    del way[vertex]
         if way:
-            rims.append(way)
+            # Open where triangles are wound against each other.
+            rims.append(list(way))
     return rims
 
 
@@ -171,33 +209,34 @@ def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
     rims = [rim for rim in _rims(edges[count == 1]) if 3 <= len(rim) <= MOST_HOLE_EDGES]
     for rim in rims:
         if len(rim) == 3:
-            f = np.vstack([f, rim[::-1]])
+            new = [rim[::-1]]
         else:
-            f = np.vstack([f, np.column_stack([np.roll(rim, -1), rim, [len(v)] * len(rim)])])
+            new = [[b, a, len(v)] for a, b in zip(rim, rim[1:] + rim[:1], strict=True)]
             v = np.vstack([v, v[rim].mean(axis=0)])
+        f = np.vstack([f, new])
     return v, f, len(rims)
 
 
 def _without_flat(v: Vertices, f: Faces) -> tuple[Faces, int]:
     """Flip the longest edge of triangles whose corners lie on a line; how many were flipped."""
-    igl = library("igl")
     flipped = 0
     for _ in range(_MOST_PASSES):
-        # From corner k to corner k + 1.
-        squared = np.roll(igl.squared_edge_lengths(v, f), 1, axis=1)
-        flat = np.flatnonzero(igl.doublearea(v, f) <= _FLAT * squared.max(axis=1))
+        sides = v[np.roll(f, -1, axis=1)] - v[f]
+        squared = np.sum(sides**2, axis=2)
+        area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        flat = np.flatnonzero(area <= _FLAT * squared.max(axis=1))
         if not len(flat):
             return f, flipped
-        neighbours, edges = igl.triangle_triangle_adjacency(f)
+        neighbours, edges = library("igl").triangle_triangle_adjacency(f)
         touched: set[np.integer] = set()
         f = f.copy()
         for row, k in zip(flat, np.argmax(squared[flat], axis=1), strict=True):
             other = neighbours[row, k]
-            if not touched & {row, other}:
+            if row not in touched and other not in touched:
                 a, b, middle = f[row, (k + np.arange(3)) % 3]
                 apex = f[other, (edges[row, k] + 2) % 3]
                 f[row], f[other] = (a, apex, middle), (apex, b, middle)
-                touched |= {row, other}
+                touched.update((row, other))
                 flipped += 1
     raise ValueError(
         f"faces: {len(flat)} degenerate triangles (three vertices on a line) that cannot be "
@@ -211,11 +250,15 @@ def _inside_out(v: Vertices, f: Faces) -> np.ndarray:
     """
     igl = library("igl")
     count, part = igl.facet_components(f)
+    wrong = np.zeros(count, dtype=bool)
     shells = [f[part == number] for number in range(count)]
     corners = v[[shell[0, 0] for shell in shells]]
-    wrong = np.array([np.linalg.det(v[shell] - v.mean(axis=0)).sum() < 0 for shell in shells])
+    low = np.array([v[shell].min(axis=(0, 1)) for shell in shells])
+    high = np.array([v[shell].max(axis=(0, 1)) for shell in shells])
     for number, shell in enumerate(shells):
-        within = np.abs(igl.winding_number(v, shell, corners)) > 0.5
-        within[number] = False
-        wrong ^= within
+        a, b, c = np.moveaxis(v[shell] - v.mean(axis=0), 1, 0)
+        wrong[number] ^= np.sum(a * np.cross(b, c)) < 0
+        within = np.flatnonzero(((low > low[number]) & (high < high[number])).all(axis=1))
+        if len(within):
+            wrong[within] ^= np.abs(igl.winding_number(v, shell, corners[within])) > 0.5
     return wrong[part]

@@ -6,6 +6,7 @@ from itertools import combinations, compress
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 from scipy.special import logsumexp, softmax
 
 from vibrissa.inverse.smoothing import kalman

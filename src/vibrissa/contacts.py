@@ -2,12 +2,13 @@
 trusted.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 
 class RecordingWarning(UserWarning):
@@ -59,41 +60,51 @@ class Contacts:
     arc_length: Float[np.ndarray, "*rows"] | None = None
     status: Int[np.ndarray, "*rows"] | None = None
 
-    def __post_init__(self) -> None:
-        rows = np.shape(self.point)[:-1]
+    def __init__(
+        self,
+        point: ArrayLike,
+        normal: ArrayLike,
+        covariance: ArrayLike | None = None,
+        normal_covariance: ArrayLike | None = None,
+        sweep: ArrayLike | None = None,
+        time: ArrayLike | None = None,
+        kind: ArrayLike | None = None,
+        force_direction: ArrayLike | None = None,
+        arc_length: ArrayLike | None = None,
+        status: ArrayLike | None = None,
+    ) -> None:
+        given = locals()
+        rows = np.shape(point)[:-1]
+        widths = {"covariance": (3, 3), "normal_covariance": (3, 3)}
+        vectors = ("point", "normal", "force_direction")
         for field in fields(self):
-            value = getattr(self, field.name)
-            if value is None:
-                continue
-            whole = field.name in ("sweep", "kind", "status")
-            value = np.asarray(value, dtype=np.int64 if whole else np.float64)
-            shape = rows + _OF_A_ROW.get(field.name, ())
-            if value.shape != shape:
-                raise ValueError(
-                    f"{field.name} has shape {value.shape}; allowed is {shape}, as point has"
-                )
+            value = given[field.name]
+            if value is not None:
+                whole = field.name in ("sweep", "kind", "status")
+                value = np.asarray(value, dtype=np.int64 if whole else np.float64)
+                shape = rows + ((3,) if field.name in vectors else widths.get(field.name, ()))
+                if value.shape != shape:
+                    raise ValueError(
+                        f"{field.name} has shape {value.shape}; allowed is {shape}, as point has"
+                    )
             object.__setattr__(self, field.name, value)
         length = np.linalg.norm(self.normal, axis=-1)
-        for row in np.argwhere(np.abs(length - 1) > _UNIT).tolist():
-            raise ValueError(f"normal{row} has length {length[tuple(row)]:.6g}; allowed is 1")
+        wrong = np.abs(length - 1) > _UNIT
+        if wrong.any():
+            row = tuple(map(int, np.argwhere(wrong)[0]))
+            raise ValueError(f"normal{list(row)} has length {length[row]:.6g}; allowed is 1")
 
     def __getitem__(self, rows: Any) -> "Contacts":
         """Return the chosen rows, all fields together."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(
-            self, **{name: value[rows] for name, value in given.items() if value is not None}
-        )
+        whole: list[Any] = [getattr(self, field.name) for field in fields(self)]
+        chosen: list[Any] = [None if value is None else value[rows] for value in whole]
+        return Contacts(*chosen)
 
     def __len__(self) -> int:
         """Rows along the first axis."""
         return len(self.point)
 
 
-_OF_A_ROW = {
-    **dict.fromkeys(("point", "normal", "force_direction"), (3,)),
-    **dict.fromkeys(("covariance", "normal_covariance"), (3, 3)),
-}
-"""Shapes of the fields that are no single number a row."""
 _UNIT = 1e-6
 """By which a unit vector's length may be off: what files in single precision leave."""
 

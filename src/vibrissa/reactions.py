@@ -1,8 +1,6 @@
 """Support reactions: the only thing that forward, sensor and inverse share."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -75,27 +73,41 @@ class Reactions:
     velocity: Float[np.ndarray, "*trail n 6"] | None = None
     misread: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if (self.rotation_covariance is None) != (self.rotation_center is None):
+    def __init__(
+        self,
+        trail: Trail,
+        force: "ArrayLike",
+        moment: "ArrayLike",
+        time: "ArrayLike | None" = None,
+        covariance: "ArrayLike | None" = None,
+        position_covariance: "ArrayLike | None" = None,
+        rotation_covariance: "ArrayLike | None" = None,
+        rotation_center: "ArrayLike | None" = None,
+        setup_errors: SetupErrors | None = None,
+        velocity: "ArrayLike | None" = None,
+        misread: tuple[str, ...] = (),
+    ) -> None:
+        if (rotation_covariance is None) != (rotation_center is None):
             raise ValueError(
                 "rotation_covariance and rotation_center: one is given without the other; "
                 "allowed are both or none"
             )
-        shape = self.trail.shape
-        checks: dict[str, Callable[..., np.ndarray]] = {
-            "force": partial(_rows, shape=(*shape, 3)),
-            "moment": partial(_rows, shape=(*shape, 3)),
-            "time": partial(_increasing, shape=shape),
-            "covariance": partial(_covariance, shape=shape, size=_WRENCH),
-            "position_covariance": _covariance,
-            "rotation_covariance": _covariance,
-            "rotation_center": partial(_rows, shape=(*shape, 3)),
-            "velocity": partial(_rows, shape=(*shape, _WRENCH)),
+        shape = trail.shape
+        checked = {
+            "trail": trail,
+            "force": _rows(force, "force", (*shape, 3)),
+            "moment": _rows(moment, "moment", (*shape, 3)),
+            "time": _increasing(time, shape),
+            "covariance": _covariance(covariance, "covariance", _WRENCH, shape),
+            "position_covariance": _covariance(position_covariance, "position_covariance", 3, ()),
+            "rotation_covariance": _covariance(rotation_covariance, "rotation_covariance", 3, ()),
+            "rotation_center": _rows(rotation_center, "rotation_center", (*shape, 3)),
+            "setup_errors": setup_errors,
+            "velocity": _rows(velocity, "velocity", (*shape, _WRENCH)),
+            "misread": misread,
         }
-        for name, check in checks.items():
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, check(value, name))
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def __getitem__(self, index: Index) -> "Reactions":
         """Rows of one trail, or some of several trails, with all that belongs to them; what all
@@ -113,16 +125,16 @@ class Reactions:
         ValueError
             If nothing is left, or times do not increase.
         """
+        trail, axes = self.trail[index], len(self.trail.shape)
         chosen = first_axis(index, self.trail.shape)
-        rows = {
-            name: getattr(self, name) for name in ("force", "moment", "time", "rotation_center")
-        }
-        # One row alone does not tell its velocity.
-        rows["velocity"] = self.velocity if self.time is None else self.clamp_velocity()
-        if self.covariance is not None and self.covariance.ndim > 2:
-            rows["covariance"] = self.covariance
-        rows = {name: None if value is None else value[chosen] for name, value in rows.items()}
-        return replace(self, trail=self.trail[index], **rows)
+        rows = {name: getattr(self, name) for name in _BY_ROW}
+        if self.time is not None:
+            # One row alone does not tell it.
+            rows["velocity"] = self.clamp_velocity()
+        for name, value in rows.items():
+            if value is not None and value.ndim == axes + _BY_ROW[name]:
+                rows[name] = value[chosen]
+        return replace(self, trail=trail, **rows)
 
     def pose_covariance(
         self, point: Float[np.ndarray, "*trail n 3"]
@@ -193,32 +205,50 @@ def velocities(
     return np.asarray(steps / (time[last] - time[first])[:, None])
 
 
-def _rows(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    array = np.array(value, dtype=np.float64)
-    if array.shape != shape:
+_BY_ROW = {
+    "force": 1,
+    "moment": 1,
+    "time": 0,
+    "covariance": 2,
+    "rotation_center": 1,
+    "velocity": 1,
+}
+"""Fields with a value for each row, and the axes of one."""
+
+
+def _rows(
+    value: ArrayLike | None, name: str, shape: tuple[int, ...]
+) -> Float[np.ndarray, "..."] | None:
+    array = None if value is None else np.array(value, dtype=np.float64)
+    if array is not None and array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; allowed is {shape}, as the trail has")
     return array
 
 
-def _increasing(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    time = _rows(finite_array(value, name), name, shape)
-    for falling in np.argwhere(np.diff(time, axis=-1) <= 0).tolist():
+def _increasing(value: ArrayLike | None, shape: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
+    if value is None:
+        return None
+    time = _rows(finite_array(value, "time"), "time", shape)
+    assert time is not None
+    falling = np.argwhere(np.diff(time, axis=-1) <= 0).tolist()
+    if falling:
+        earlier = time[tuple(falling[0])]
         raise ValueError(
-            f"{name}{falling} = {time[tuple(falling)]} is not before the next; allowed are "
-            "increasing times"
+            f"time{falling[0]} = {earlier} is not before the next; allowed are increasing times"
         )
     return time
 
 
 def _covariance(
-    value: ArrayLike, name: str, shape: tuple[int, ...] = (), size: int = 3
-) -> Float[np.ndarray, "..."]:
+    value: ArrayLike | None, name: str, size: int, shape: tuple[int, ...]
+) -> Float[np.ndarray, "..."] | None:
+    if value is None:
+        return None
     array = finite_array(value, name, last=size)
     if array.shape not in ((size, size), (*shape, size, size)):
         raise ValueError(
             f"{name} has shape {array.shape}; allowed is {(size, size)} or {(*shape, size, size)}"
         )
-    # A wrench's weighs residuals by its inverse; a pose may be known exactly along some axes.
     definite = size == _WRENCH
     kind = "positive definite" if definite else "positive semidefinite"
     rounding = _ROUNDING * np.abs(array).max()
@@ -227,9 +257,10 @@ def _covariance(
         raise ValueError(
             f"{name} differs from its transpose by {uneven:.3g}; allowed is symmetric and {kind}"
         )
-    least = np.linalg.eigvalsh(array)[..., 0].min()
-    if least <= 0 if definite else least < -rounding:
+    least = np.linalg.eigvalsh(array)[..., 0]
+    if np.any(least <= 0 if definite else least < -rounding):
         raise ValueError(
-            f"{name} has the least eigenvalue {least:.3g}; allowed is symmetric and {kind}"
+            f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and "
+            f"{kind}"
         )
     return array

@@ -128,7 +128,7 @@ class Reactions:
         trail, axes = self.trail[index], len(self.trail.shape)
         chosen = first_axis(index, self.trail.shape)
         rows = {name: getattr(self, name) for name in _BY_ROW}
-        if self.time is not None:
+        if self.time is not None and axes == 1:
             # One row alone does not tell it.
             rows["velocity"] = self.clamp_velocity()
         for name, value in rows.items():

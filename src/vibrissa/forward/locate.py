@@ -59,11 +59,13 @@ def located(
     found = jax.tree.map(np.array, either(np.abs(before) <= np.abs(after), low, high))
 
     def value(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> np.ndarray:
-        start, end, way = chosen((low, high, stretches), row)
+        start, last, way = chosen((low, found, stretches), row)
         if law.branch:
-            gap = end.fraction - start.fraction
-            start = _between(start, end, (fraction - start.fraction) / np.where(gap == 0, 1.0, gap))
+            start = either(np.isfinite(last.phase), last, start)
         place, _ = stepped(scene, law, way, start, fraction)
+        if law.branch:
+            # Figure and phase are those before Newton's last step: on the spot, those of the state.
+            place, _ = stepped(scene, law, way, place, fraction)
         for whole, part in zip(jax.tree.leaves(found), jax.tree.leaves(place), strict=True):
             whole[row] = part
         return indicated(place, row)
@@ -90,10 +92,8 @@ def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:
 def stepped(
     scene: Scene, law: Law, way: Stretch, start: Place, fraction: Float[np.ndarray, "k"]
 ) -> tuple[Place, Float[np.ndarray, "k"]]:
-    """States at fractions, one step of the march from the start, and their residuals; on a branch
-    and a step on the spot, which tells figure and phase at the state itself.
-    """
-    fractions = np.column_stack([start.fraction, fraction, fraction])[:, : 3 if law.branch else 2]
+    """States at fractions, one step of the march from the start, and their residuals."""
+    fractions = np.column_stack([start.fraction, fraction])
     clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])
     never = np.zeros(fractions.shape, dtype=bool)
     meeting = jax.tree.map(
@@ -110,7 +110,5 @@ def stepped(
         np.where(start.figure > 0, 1.0, -1.0),
     )
     steps = march(scene, law, legs)
-    # A contact that has been lost at the first is not tried again.
-    first, last = chosen(steps, np.s_[:, 1]), chosen(steps, np.s_[:, -1])
-    found: Steps = either(np.isfinite(last.phase), last, first)
+    found: Steps = chosen(steps, np.s_[:, 1])
     return Place(fraction, found.reached, found.figure, found.phase), found.residual

@@ -88,7 +88,7 @@ conditions have corners.
 """
 
 
-_SHORT, _SHORTEST_TRAIL = 3, 256
+_SHORT, _SHORTEST_TRAIL = 2, 256
 """Positions of lanes that only locate an event, and room for those of a trail."""
 _SINGLE = 8
 """Lanes that are walked one by one: more are quicker side by side."""

@@ -8,18 +8,19 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
+from bisect import bisect, bisect_left
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass
+from operator import attrgetter
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.live.address import listening
 from vibrissa.live.samples import Flags, Nanoseconds, Quaternions, Vectors
 from vibrissa.trail import Trail
@@ -27,7 +28,7 @@ from vibrissa.trail import Trail
 _NORM = 1e-3  # by which a unit quaternion's may be off: it is printed with four digits or more
 _LONGEST = 65536  # bytes: no datagram is longer
 _MOST_HELD = 20_000  # poses: 20 s of the fastest robots
-_POSE = np.dtype([("stamp", "i8"), ("position", "f8", 3), ("orientation", "f8", 4)])
+_STAMP = attrgetter("stamp")
 _ANOTHER_CLOCK = 1_000_000_000  # [ns]: clocks that are set agree to less
 
 
@@ -124,13 +125,16 @@ def between(time: Float[np.ndarray, "k"], motion: Trail, moment: Float[np.ndarra
     between their neighbours, the outermost beyond the ends.
     """
     within = np.clip(moment, time[0], time[-1])
-    after = np.clip(np.searchsorted(time, within), min(1, len(time) - 1), None)
-    before = np.maximum(after - 1, 0)
-    share = (within - time[before]) / np.where(after > before, time[after] - time[before], 1.0)
-    first, last = (motion.orientation[rows] for rows in (before, after))
-    turned = Rotation.from_rotvec(share[:, None] * rotation_vectors(first, last))
-    orientation = (turned * Rotation.from_quat(first)).as_quat()
-    return Trail(linear(time, motion.position, within), orientation)
+    # Slerp takes all rotations that it is given: only those around the moments are.
+    first = max(int(np.searchsorted(time, within.min(), side="right")) - 1, 0)
+    around = slice(first, int(np.searchsorted(time, within.max())) + 1)
+    turns = motion.orientation[around]
+    if np.any(turns != turns[0]):
+        return Trail(
+            linear(time, motion.position, within),
+            Slerp(time[around], Rotation.from_quat(turns))(within),
+        )
+    return Trail(linear(time, motion.position, within), turns[0])
 
 
 def linear(
@@ -148,8 +152,9 @@ def with_unit_norm(quaternion: tuple[float, ...]) -> tuple[float, ...]:
     return quaternion
 
 
-# [m]: no laboratory is larger.
-_Number = Annotated[float, Field(gt=-1e9, lt=1e9, allow_inf_nan=False)]
+_Number = Annotated[
+    float, Field(gt=-1e9, lt=1e9, allow_inf_nan=False)
+]  # m: no laboratory is larger
 
 
 class PoseMessage(BaseModel):
@@ -204,10 +209,10 @@ class StreamedPoses(PoseSource):
 
     def __post_init__(self) -> None:
         self._patience = round(self.patience * 1e9)
-        self._held = np.empty(0, dtype=_POSE)
+        self._held: list[PoseMessage] = []
         self._lock = threading.Lock()
         self._socket: socket.socket | None = None
-        self._thread = threading.Thread(target=self._listen, name="poses", daemon=True)
+        self._thread: threading.Thread | None = None
         self.received = 0
 
     def open(self) -> None:
@@ -215,6 +220,7 @@ class StreamedPoses(PoseSource):
         self._socket = listening(self.host, self.port)
         self._socket.settimeout(0.1)
         self.port = self._socket.getsockname()[1]
+        self._thread = threading.Thread(target=self._listen, name="poses", daemon=True)
         self._thread.start()
 
     def _listen(self) -> None:
@@ -231,40 +237,48 @@ class StreamedPoses(PoseSource):
         except ValueError:
             self.malformed += 1
             return
-        stamp = now if message.stamp is None else message.stamp
-        self.misplaced += abs(stamp - now) > _ANOTHER_CLOCK
-        if stamp > now + _ANOTHER_CLOCK:
+        if message.stamp is None:
+            message.stamp = now
+        self.misplaced += abs(message.stamp - now) > _ANOTHER_CLOCK
+        if message.stamp > now + _ANOTHER_CLOCK:
             return
-        pose = np.array((stamp, message.position, message.orientation), dtype=_POSE)
         with self._lock:
             self.received += 1
-            if stamp not in self._held["stamp"]:
-                place = np.searchsorted(self._held["stamp"], stamp)
-                self._held = np.insert(self._held, place, pose)[-_MOST_HELD:]
+            place = bisect(self._held, message.stamp, key=_STAMP)
+            if not place or self._held[place - 1].stamp != message.stamp:
+                self._held.insert(place, message)
+                del self._held[:-_MOST_HELD]
 
     def close(self) -> None:
         """Stop listening."""
         connection, self._socket = self._socket, None
-        if connection is not None:
+        if connection is not None and self._thread is not None:
             self._thread.join(1)
             connection.close()
 
     def ready(self, stamp: Nanoseconds, now: int) -> int:
         """Stamps up to the latest pose, and those that have waited long enough."""
-        latest = max([now - self._patience, *self._held["stamp"][-1:]])
-        return int(np.searchsorted(stamp, latest, side="right"))
+        with self._lock:
+            latest = _STAMP(self._held[-1]) if self._held else 0
+        return int(np.searchsorted(stamp, max(latest, now - self._patience), side="right"))
 
     def at(self, stamp: Nanoseconds) -> Poses:
         """Poses at these times; poses before the first of them are forgotten. Farther than the
         patience from the poses on both sides none is known: a straight line would be a guess.
         """
         with self._lock:
-            past = np.searchsorted(self._held["stamp"], stamp[0], side="right")
-            held = self._held = self._held[max(past - 1, 0) :]
-        if not len(held):
+            del self._held[: max(bisect(self._held, stamp[0], key=_STAMP) - 1, 0)]
+            held = self._held[: bisect_left(self._held, stamp[-1], key=_STAMP) + 1]
+        if not held:
             return ConstantPose().at(stamp)._replace(known=np.zeros(len(stamp), dtype=bool))
-        motion, moments = Trail(held["position"], held["orientation"]), held["stamp"]
+        moments = np.array([pose.stamp for pose in held], dtype=np.int64)
+        position, orientation = (
+            [pose.position for pose in held],
+            [pose.orientation for pose in held],
+        )
+        motion = Trail(position, orientation)
         found = between((moments - moments[0]) * 1e-9, motion, (stamp - moments[0]) * 1e-9)
         after = np.clip(np.searchsorted(moments, stamp), 0, len(moments) - 1)
-        nearest = np.minimum(*(np.abs(moments[rows] - stamp) for rows in (after, after - 1)))
+        before = np.maximum(after - 1, 0)
+        nearest = np.minimum(np.abs(moments[after] - stamp), np.abs(stamp - moments[before]))
         return Poses(found.position, found.orientation, nearest <= self._patience)

@@ -82,7 +82,7 @@ class Surface(eqx.Module):
     @property
     def parts_count(self) -> int:
         """How many there are."""
-        return int(jax.eval_shape(self.part_levels, jnp.zeros(3)).shape[0])
+        return 1
 
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Outward unit normals ∇g/‖∇g‖ at points (…, 3)."""
@@ -154,6 +154,11 @@ class Derived(Surface):
     def creased(self) -> bool:
         """As of any of them; where they meet, `part_levels` tell."""
         return any(surface.creased for surface in self.sources)
+
+    @property
+    def parts_count(self) -> int:
+        """Of all of them."""
+        return sum(surface.parts_count for surface in self.sources)
 
 
 class Placed(Derived):

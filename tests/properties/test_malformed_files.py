@@ -26,7 +26,7 @@ import vibrissa as vb
 from vibrissa.io import InputError
 from vibrissa.io.recordings.table import RecordingTable
 
-TORN = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+TORN = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 NAMES = HEADER.split(",")
 TABLE = np.genfromtxt(RECORDING.splitlines()[1:], delimiter=",")
 LAYOUTS = (

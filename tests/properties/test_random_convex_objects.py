@@ -1,6 +1,5 @@
-"""Random boxes, with and without friction, and capsules under random trails: equilibrium, no
-penetration, the cone, scales, mirror and motions. To a rod of finite radius a box is made of faces,
-cylinders along its edges and balls at its corners, so that friction is left to boxes.
+"""Random boxes and capsules under random trails, with and without friction: equilibrium, no
+penetration, the cone, scales, mirror and motions.
 
 Levels and normals are written once more in NumPy, and the rod is integrated in space from its
 support reactions.
@@ -94,13 +93,13 @@ WIRE = vb.Rod(0.05, 6.3e-4, radius=RADIUS * 0.05)
 
 @st.composite
 def cases(draw: st.DrawFn, kind: str) -> Case:
-    """A trail past an object that is turned anyhow, a box with or without friction."""
+    """A trail past an object that is turned anyhow, with or without friction."""
     half = np.array([draw(numbers(0.15, 0.4)) for _ in range(3)])
     grown = RADIUS if kind == "box" else RADIUS + draw(numbers(0.1, 0.3))
     rotation = Rotation.from_rotvec(draw(vectors(-2.0, 2.0)))
     center = np.array([draw(numbers(-0.1, 0.1)), draw(numbers(-0.1, 0.1)), draw(numbers(0.8, 1.1))])
     axis = np.array([draw(numbers(-0.15, 0.15)), draw(numbers(-0.15, 0.15)), 1.0])
-    friction = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5])) if kind == "box" else 0.0
+    friction = draw(st.sampled_from([0.0, 0.1, 0.3, 0.5]))
     return Case(
         Core(kind, half, grown, rotation, center),
         draw(numbers(-0.4, 0.4)),

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 import vibrissa as vb
 
 FEW = settings(max_examples=5, phases=UNSHRUNK)
-SOME = settings(max_examples=10, phases=UNSHRUNK)
+SOME = settings(max_examples=20, phases=UNSHRUNK)
 CLOSE = 1e-9
 RACING = 0.02
 """Motion of the contact [L] in a step of 0.01 L: near a fold it would take shorter steps to

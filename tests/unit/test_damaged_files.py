@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import vibrissa as vb
 from vibrissa.io import InputError
 
-TORN = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+TORN = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module")

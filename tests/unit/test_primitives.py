@@ -44,7 +44,7 @@ def test_level_is_the_signed_distance_outside_and_inside(name: str) -> None:
 @ALL
 def test_special_places_lie_on_the_surface(name: str) -> None:
     surface, _, _, places = SOLIDS[name]
-    np.testing.assert_allclose(surface.levels(places), 0, atol=4e-16)  # roundings of places of order one
+    np.testing.assert_allclose(surface.levels(places), 0, atol=2e-16)
 
 
 @ALL

@@ -161,38 +161,15 @@ def test_the_second_variation_converges() -> None:
     assert one.second_variation == pytest.approx(min(least), rel=5e-3)
 
 
-TURN, SHIFT = Rotation.from_rotvec([0.4, 1.2, -0.7]), np.array([0.2, 1.0, -3.0])
-MOVED_PLANE = vb.surfaces.Plane(TURN.apply((0.3, 0, 0)) + SHIFT, TURN.apply((-1, 0, 0)))
-
-
-@pytest.mark.parametrize(
-    ("surface", "moved", "turn", "shift", "position", "orientation"),
-    [
-        (PLANE, MOVED_PLANE, TURN, SHIFT, (0, 0, 0), TILT),
-        # Half a turn about its axis leaves a paraboloid as it is.
-        (
-            PARABOLOID,
-            PARABOLOID,
-            Rotation.from_rotvec([0, 0, np.pi]),
-            np.zeros(3),
-            (0.3, 0.2, 0),
-            Rotation.identity(),
-        ),
-    ],
-    ids=["plane", "paraboloid"],
-)
-def test_turned_and_moved_they_are_the_same(
-    surface: vb.surfaces.Surface,
-    moved: vb.surfaces.Surface,
-    turn: Rotation,
-    shift: np.ndarray,
-    position: tuple[float, float, float],
-    orientation: Rotation,
-) -> None:
+def test_turned_and_moved_they_are_the_same(found: dict[float, list[Equilibrium]]) -> None:
     """All that are known, at the least; the search's starting points turn with the clamp."""
-    here = vb.equilibria(UNIT, surface, position=position, orientation=orientation)
+    turn, shift = Rotation.from_rotvec([0.4, 1.2, -0.7]), np.array([0.2, 1.0, -3.0])
+    here = found[0.3]
     there = vb.equilibria(
-        UNIT, moved, position=turn.apply(position) + shift, orientation=turn * orientation
+        UNIT,
+        PARABOLOID.placed(turn, shift),
+        position=turn.apply([0.3, 0.2, 0]) + shift,
+        orientation=turn,
     )
     assert len(there) == len(here)
     for one, other in zip(here, there, strict=True):

@@ -92,7 +92,9 @@ def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:
 def stepped(
     scene: Scene, law: Law, way: Stretch, start: Place, fraction: Float[np.ndarray, "k"]
 ) -> tuple[Place, Float[np.ndarray, "k"]]:
-    """States at fractions, one step of the march from the start, and their residuals."""
+    """States at fractions (k,) of stretches, one step of the march from the start, and their
+    residuals before Newton's last step (k,).
+    """
     fractions = np.column_stack([start.fraction, fraction])
     clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])
     never = np.zeros(fractions.shape, dtype=bool)

@@ -154,7 +154,9 @@ def once(
 
 
 def march(scene: Scene, law: Law, legs: Legs) -> Steps:
-    """Walk lanes (k, n, …) through all of their positions."""
+    """Walk lanes through all of their positions: legs and steps of k lanes and n positions
+    (k, n, …), in model units.
+    """
     count, n = legs.clear.shape
     # Each size is compiled for itself: a few short lanes share that of a trail.
     short = n <= _SHORT and count > _SINGLE

@@ -27,7 +27,8 @@ _RESIDUAL_TOLERANCE = 1e-9
 """Of the contact conditions, a thousand times what Newton's method leaves."""
 _TRAILS = 512
 """Of a thread's share at most: what is done once a share then weighs little, and memory is some
-30 MB."""
+30 MB.
+"""
 
 
 def scan(

@@ -1,6 +1,6 @@
 """Contacts to PLY, CSV, Parquet or NetCDF and back, by the file's suffix."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,9 +29,7 @@ VERTEX = np.dtype(
         "formats": ["<f8"] * 8 + ["u1"] * 2,
     }
 )
-"""A point of a PLY file; its standard deviation is that of the whole vector, NaN where the noise is
-not known.
-"""
+"""A point of a PLY file; its standard deviation is that of the whole vector."""
 _BLOCK = 8192  # rows between two words on progress: some tens of milliseconds
 
 
@@ -68,7 +66,7 @@ def write_contacts(
     """
     file, unit = checked_output(path), "metre" if found.rod.units == "SI" else "rod length"
     writers: dict[str, Callable[[], object]] = {
-        ".ply": lambda: cloud(vertices(found, known(found)), unit).write(str(file)),
+        ".ply": lambda: cloud(_points(found), unit).write(str(file)),
         ".csv": lambda: _write_csv(file, _table(found), progress),
         ".parquet": lambda: _table(found).to_parquet(file, index=False),
         ".nc": lambda: found.to_dataset().to_netcdf(file, engine="h5netcdf"),
@@ -169,6 +167,14 @@ def vertices(
     return structured(VERTEX, (*place, spread, found.kind[rows], found.status[rows]))
 
 
+def _points(found: Reconstruction | Scan) -> Shaped[np.ndarray, "contacts"]:
+    """Vertices of all contacts; with a standard deviation only where the noise is known."""
+    from numpy.lib.recfunctions import drop_fields  # noqa: PLC0415
+
+    points = vertices(found, known(found))
+    return points if _covariance(found) is not None else drop_fields(points, "standard_deviation")
+
+
 def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> Any:
     """Vertices as `plyfile.PlyData`, with the unit of length in a comment."""
     from plyfile import PlyData, PlyElement  # noqa: PLC0415
@@ -213,6 +219,13 @@ def read_contacts(path: str | Path) -> Contacts:
             ) from error
 
 
+def _need(names: Iterable[str], there: Container[str]) -> None:
+    """Raise KeyError with all names that are missing."""
+    missing = sorted(name for name in names if name not in there)
+    if missing:
+        raise KeyError(", ".join(missing))
+
+
 def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
     """Values by name, as written."""
     if suffix == ".ply":
@@ -235,6 +248,8 @@ def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
 
 
 def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
+    _need([*PLACE, "kind", "status"], columns)
+
     def vectors(names: Sequence[str]) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=-1)
 
@@ -252,6 +267,7 @@ def _of_dataset(file: Path) -> Contacts:
     import xarray  # noqa: PLC0415
 
     with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+        _need(("contact_point", "normal", "arc_length", "kind", "status"), data)
         own = {"point": "contact_point", "covariance": "contact_point_covariance"}
         names = {field.name: own.get(field.name, field.name) for field in fields(Contacts)}
         given = {field: data[name].to_numpy() for field, name in names.items() if name in data}

@@ -75,11 +75,13 @@ class Capsule(_Axial):
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        along, across = self._about(point)
-        beyond = positive_part(magnitude(along) - self.length / 2)
-        # Across plus beyond along the axis: with both in one length, second derivatives are right
-        # on the axis in front of an end.
-        return norm(*(across + beyond * jnp.asarray(self.axis))) - self.radius
+        along, _ = self._about(point)
+        half = self.length / 2
+        foot = jnp.where(along > half, half, jnp.where(along < -half, -half, along))
+        # From the nearest point of the axis, in one step: with the parts across and along in one
+        # length, second derivatives are right on the axis in front of an end.
+        nearest = jnp.asarray(self.center) + foot * jnp.asarray(self.axis)
+        return norm(*(point - nearest)) - self.radius
 
 
 class Cone(_Axial):

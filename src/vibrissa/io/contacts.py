@@ -267,7 +267,8 @@ def _of_dataset(file: Path) -> Contacts:
     import xarray  # noqa: PLC0415
 
     with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
-        _need(("contact_point", "normal", "arc_length", "kind", "status"), data)
+        needed = ("contact_point", "normal", "arc_length", "kind", "status")
+        _need(needed, [str(name) for name in data.variables])
         own = {"point": "contact_point", "covariance": "contact_point_covariance"}
         names = {field.name: own.get(field.name, field.name) for field in fields(Contacts)}
         given = {field: data[name].to_numpy() for field, name in names.items() if name in data}

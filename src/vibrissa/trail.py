@@ -7,14 +7,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from vibrissa.files import InputError, check_increasing, read_table
 from vibrissa.geometry.checks import finite, finite_array, unit_vector, whole_number
 from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts
-from vibrissa.geometry.rotation import third_axis, turning_axis_to, unit_quaternions
+from vibrissa.geometry.rotation import (
+    Orientation,
+    Turn,
+    third_axis,
+    turning_axis_to,
+    unit_quaternions,
+)
 
 COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Of a file of poses: clamp point [units of the rod], quaternion x, y, z, w."""
@@ -52,7 +58,7 @@ class Trail:
     )
 
     def __init__(
-        self, position: ArrayLike, orientation: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0)
+        self, position: ArrayLike, orientation: Orientation = (0.0, 0.0, 0.0, 1.0)
     ) -> None:
         points = finite_array(position, "position", last=3)
         if points.ndim not in (2, 3):
@@ -123,7 +129,7 @@ class Trail:
         start: ArrayLike,
         angle: float,
         count: int,
-        orientation: ArrayLike | Rotation | None = None,
+        orientation: Orientation | None = None,
         rod_axis: ArrayLike | None = None,
         turning: bool = False,
     ) -> Trail:
@@ -178,7 +184,7 @@ class Trail:
         start_angle: float,
         stop_angle: float,
         count: int,
-        orientation: ArrayLike | Rotation | None = None,
+        orientation: Orientation | None = None,
         rod_axis: ArrayLike | None = None,
     ) -> Trail:
         """`count` poses of a clamp that turns as one body about a pivot axis, as a rat's whisker
@@ -208,9 +214,14 @@ class Trail:
             finite(stop_angle, "stop_angle"),
             whole_number(count, "count"),
         )
-        point, turns = _point(position, "position"), Rotation.from_rotvec(angles[:, None] * about)
+        point, turns = (
+            _point(position, "position"),
+            scipy.spatial.transform.Rotation.from_rotvec(angles[:, None] * about),
+        )
         arm = arm_of(point, _point(pivot, "pivot"), about)
-        orientations = turns * Rotation.from_quat(_clamp_turn(orientation, rod_axis))
+        orientations = turns * scipy.spatial.transform.Rotation.from_quat(
+            _clamp_turn(orientation, rod_axis)
+        )
         return cls(point - arm + turns.apply(arm), orientations)
 
     @classmethod
@@ -219,7 +230,7 @@ class Trail:
         points: ArrayLike,
         count: int,
         *,
-        orientations: ArrayLike | Rotation | None = None,
+        orientations: Orientation | None = None,
         rod_axis: ArrayLike | None = None,
     ) -> Trail:
         """`count` poses on a smooth curve through way-points, equally spaced in arc length from the
@@ -258,7 +269,7 @@ class Trail:
         return cls(*along_spline(through, each, whole_number(count, "count")))
 
     @classmethod
-    def from_poses(cls, poses: ArrayLike | Rotation, *, position: ArrayLike | None = None) -> Trail:
+    def from_poses(cls, poses: Orientation, *, position: ArrayLike | None = None) -> Trail:
         """Clamp poses as robots give them.
 
         Parameters
@@ -276,7 +287,7 @@ class Trail:
             If shapes do not fit, an entry is not finite, a matrix is no rotation and translation to
             1e-3, or a `Rotation` comes without positions.
         """
-        if isinstance(poses, Rotation):
+        if isinstance(poses, Turn):
             if position is None:
                 raise ValueError(
                     "position = None; allowed are clamp points (n, 3) beside a Rotation"
@@ -402,7 +413,7 @@ def _point(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
 
 
 def _one_of(
-    orientation: ArrayLike | Rotation | None, rod_axis: ArrayLike | None, name: str
+    orientation: Orientation | None, rod_axis: ArrayLike | None, name: str
 ) -> Float[np.ndarray, "*batch 4"]:
     if rod_axis is None:
         return unit_quaternions((0.0, 0.0, 0.0, 1.0) if orientation is None else orientation, name)
@@ -412,7 +423,7 @@ def _one_of(
 
 
 def _clamp_turn(
-    orientation: ArrayLike | Rotation | None, rod_axis: ArrayLike | None
+    orientation: Orientation | None, rod_axis: ArrayLike | None
 ) -> Float[np.ndarray, "4"]:
     turn = _one_of(orientation, rod_axis, "orientation")
     if turn.shape != (4,):

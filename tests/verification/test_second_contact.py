@@ -14,6 +14,7 @@ import pytest
 import shooting
 
 import vibrissa as vb
+from vibrissa.forward.assess import parabolas
 from vibrissa.surfaces import Box, Sphere, Surface, Torus, Union
 
 Distance = Callable[[np.ndarray], np.ndarray]
@@ -298,3 +299,17 @@ def test_a_rod_of_finite_radius_is_caught_with_its_skin_on_both_parts() -> None:
             rtol=0,
             atol=1e-8,
         )
+
+
+def test_between_points_that_lie_differently_close_the_line_is_looked_at_where_it_is() -> None:
+    """On a circle to third order; and where a tip touches, beyond which nothing is left, between
+    the tip and the next point.
+    """
+    angles = np.array([[-3e-3, 0.0, 1e-3], [-1e-3, 0.0, 4e-3]])
+    circle = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
+    between = np.asarray(parabolas(*np.moveaxis(circle, 1, 0)))
+    np.testing.assert_allclose(np.linalg.norm(between, axis=-1), 1.0, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(between[[0, 16, -1]], np.moveaxis(circle, 1, 0), atol=1e-15)
+    tip, following = np.zeros((1, 3)), np.array([[0.0, 0.0, -1e-3]])
+    height = np.asarray(parabolas(tip + 1e-17, tip, following))[..., 2]
+    assert np.all((height <= 1e-15) & (height >= -1e-3))

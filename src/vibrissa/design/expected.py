@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vibrissa.contacts import Status
 from vibrissa.forward import Scan, scan
@@ -20,7 +20,7 @@ from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
 
-_WITHIN_95 = float(np.sqrt(chi2.isf(0.05, 3)))
+_WITHIN_95 = float(np.sqrt(chdtri(3, 0.05)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,7 +102,7 @@ class Meeting(NamedTuple):
     """Between normal and rod: −1 is head-on."""
 
     @property
-    def phase(self) -> Scalar:
+    def phase(self) -> Float[Any, "*k"]:
         """As in `Touching`: at f = 0 the incidence is (1 + n·t0)/2."""
         return (1 - self.arc_length) + self.cosine / 2
 
@@ -117,14 +117,17 @@ def meetings_on(
     at whose end it is not, by `after`.
     """
 
-    def at(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> tuple[Clearance, Clamp]:
-        clamps = chosen(stretches, row).clamps(fraction[:, None])
-        return clearances(scene, clamps), clamps
+    def distance(
+        fraction: Float[np.ndarray, "j n"], row: Int[np.ndarray, "j"]
+    ) -> Float[np.ndarray, "j n"]:
+        places = jax.tree.map(lambda part: part[row, None], stretches).clamps(fraction[..., None])
+        flat = Clamp(*(part.reshape(-1, 3) for part in places))
+        return clearances(scene, flat).distance.reshape(fraction.shape)
 
-    rows = np.arange(len(stretches.first.point))
-    ends = np.zeros(len(rows)), np.ones(len(rows))
-    fraction = roots(lambda fraction, row: at(fraction, row)[0].distance, ends, (before, after))
-    straight, clamp = at(fraction, rows)
+    count = len(stretches.first.point)
+    fraction = roots(distance, (np.zeros(count), np.ones(count)), (before, after))
+    clamp = stretches.clamps(fraction[:, None])
+    straight = clearances(scene, clamp)
     s = straight.arc_length
     point = clamp.point + s[:, None] * clamp.tangent
     return Meeting(fraction, point, s, clamp.tangent, straight.cosine)

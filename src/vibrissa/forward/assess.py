@@ -10,7 +10,7 @@ from jaxtyping import Float
 from vibrissa.contact import Law, Reached, Scene, State, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Bent, Clamp, is_neutral
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import AnyArray, lanes
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -58,6 +58,8 @@ _NEAR_BEND, _NEAR_TAIL = _FINE_BEND[:34:2], _TAIL[1] * np.linspace(0, 1, 9)
 """Close to the contact, where a crease may hide between the few."""
 _LOWEST, _BETWEEN = 4, 33
 """Lowest points looked at once more, and with how many points between their neighbours."""
+_APART = 1e-12
+"""[L] below which two points are one: a rod that touches with its tip has no rest."""
 _LEAST_GROWTH, _MOST_GROWTH = 1.6, 5.0
 """What lies on a straight line or a parabola from the contact doubles or quadruples from the first
 point to the second.
@@ -172,13 +174,28 @@ def deepest(scene: Scene, state: State, clamp: Clamp, law: Law) -> Deepest:
     lowest = lax.top_k(jnp.where(lower, -coarse, -jnp.inf), _LOWEST)[1]
     places = jnp.clip(lowest, 1, len(points) - 2)
     before, here, after = points[places - 1], points[places], points[places + 1]
-    t = jnp.linspace(-1.0, 1.0, _BETWEEN)[:, None, None]
-    curve = here + t / 2 * (after - before) + t**2 / 2 * (after - 2 * here + before)
-    between = curve.reshape(-1, 3)
+    between = parabolas(before, here, after).reshape(-1, 3)
     everywhere = jnp.concatenate([points, between])
     levels = jnp.concatenate([coarse, scene.each(scene.level, between)])
     place = jnp.argmin(levels)
     return Deepest(everywhere[place], -levels[place] / steepness)
+
+
+def parabolas(
+    before: Float[AnyArray, "k 3"], here: Float[AnyArray, "k 3"], after: Float[AnyArray, "k 3"]
+) -> Float[Array, "n k 3"]:
+    """Points of parabolas through three points each, by their distances: those of the bent part and
+    of the straight rest lie differently close.
+    """
+    back, onward = here - before, after - here
+    behind, ahead = (
+        jnp.maximum(jnp.linalg.norm(step, axis=1, keepdims=True), _APART) for step in (back, onward)
+    )
+    share = jnp.linspace(-1.0, 1.0, _BETWEEN)[:, None, None]
+    t = share * jnp.where(share < 0, behind, ahead)
+    slope = (onward / ahead * (t + behind) + back / behind * (ahead - t)) / (behind + ahead)
+    curve: Array = here + t * slope
+    return curve
 
 
 def assessed(

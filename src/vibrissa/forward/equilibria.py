@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from vibrissa.contact import FRICTIONLESS, Scene, State, touching
 from vibrissa.contacts import ContactKind
@@ -19,7 +18,7 @@ from vibrissa.forward.scan import touched_surface
 from vibrissa.forward.search import eased, seeds_around, solutions
 from vibrissa.forward.second_variation import NODES, least_second_variation
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import third_axis, unit_quaternions
+from vibrissa.geometry.rotation import Orientation, third_axis, unit_quaternions
 from vibrissa.mechanics.elastic_line import directors, elastic_line
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.model import Clamp
@@ -79,7 +78,7 @@ def equilibria(
     surface: Surface,
     *,
     position: ArrayLike,
-    orientation: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
+    orientation: Orientation = (0.0, 0.0, 0.0, 1.0),
     finite_radius: bool = False,
 ) -> list[Equilibrium]:
     """All admissible equilibria found at a clamp pose, lowest energy first: stable and unstable,

@@ -47,30 +47,27 @@ def located(
     high: Place,
     indicator: Int[np.ndarray, "k"],
 ) -> Place:
-    """Where indicators pass zero on stretches (k, …), between two places; with friction each a
-    step from the first.
+    """Where indicators pass zero on stretches (k, …), between two places; each place on the way is
+    a step from the first, or without friction from the one that is nearer to zero.
     """
-    rows = np.arange(len(low.fraction))
+    which = indicator[:, None, None]
 
-    def indicated(places: Place, row: Int[np.ndarray, "j"]) -> Float[np.ndarray, "j"]:
-        return np.take_along_axis(places.indicators, indicator[row, None], axis=1)[:, 0]
+    def indicated(places: Place, row: Any = slice(None)) -> Float[np.ndarray, "j n"]:
+        return np.take_along_axis(places.indicators, which[row], axis=2)[..., 0]
 
-    before, after = indicated(low, rows), indicated(high, rows)
-    found = jax.tree.map(np.array, either(np.abs(before) <= np.abs(after), low, high))
+    ends = (jax.tree.map(lambda part: part[:, None], end) for end in (low, high))
+    before, after = (indicated(end)[:, 0] for end in ends)
+    # With friction a state depends on the way; a branch has no memory.
+    start = either(law.branch & (np.abs(after) < np.abs(before)), high, low)
 
-    def value(fraction: Float[np.ndarray, "j"], row: Int[np.ndarray, "j"]) -> np.ndarray:
-        start, last, way = chosen((low, found, stretches), row)
-        if law.branch:
-            start = either(np.isfinite(last.phase), last, start)
-        place, _ = stepped(scene, law, way, start, fraction)
-        if law.branch:
-            # Figure and phase are those before Newton's last step: on the spot, those of the state.
-            place, _ = stepped(scene, law, way, place, fraction)
-        for whole, part in zip(jax.tree.leaves(found), jax.tree.leaves(place), strict=True):
-            whole[row] = part
-        return indicated(place, row)
+    def value(
+        fraction: Float[np.ndarray, "j n"], row: Int[np.ndarray, "j"]
+    ) -> Float[np.ndarray, "j n"]:
+        way, begin = chosen((stretches, start), row)
+        return indicated(stepped(scene, law, way, begin, fraction)[0], row)
 
-    roots(value, (low.fraction, high.fraction), (before, after))
+    fraction = roots(value, (low.fraction, high.fraction), (before, after))
+    found = chosen(stepped(scene, law, stretches, start, fraction[:, None])[0], np.s_[:, 0])
     # Where a step on the way does not converge, as next to a contact that jumps or of a rod that
     # comes to lie along a face, what lies between the ends in proportion.
     share = before / np.where(before == after, 1.0, before - after)
@@ -90,10 +87,10 @@ def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:
 
 
 def stepped(
-    scene: Scene, law: Law, way: Stretch, start: Place, fraction: Float[np.ndarray, "k"]
-) -> tuple[Place, Float[np.ndarray, "k"]]:
-    """States at fractions (k,) of stretches, one step of the march from the start, and their
-    residuals before Newton's last step (k,).
+    scene: Scene, law: Law, way: Stretch, start: Place, fraction: Float[np.ndarray, "k n"]
+) -> tuple[Place, Float[np.ndarray, "k n"]]:
+    """States at fractions (k, n) of stretches (k, …), each one step of the march from the start,
+    and their residuals before Newton's last step (k, n).
     """
     fractions = np.column_stack([start.fraction, fraction])
     clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])
@@ -101,16 +98,18 @@ def stepped(
     meeting = jax.tree.map(
         lambda part: np.zeros((*fractions.shape, *part.shape[1:])), start.reached
     )
+    count = len(fraction)
     legs = Legs(
         clamps,
         never,
         never,
         meeting,
-        np.zeros(len(fraction), dtype=int),
-        np.full(len(fraction), int(Mode.CONTACT)),
+        np.zeros(count, dtype=int),
+        np.full(count, int(Mode.CONTACT)),
         start.reached,
         np.where(start.figure > 0, 1.0, -1.0),
+        np.ones(count, dtype=bool),
     )
     steps = march(scene, law, legs)
-    found: Steps = chosen(steps, np.s_[:, 1])
+    found: Steps = chosen(steps, np.s_[:, 1:])
     return Place(fraction, found.reached, found.figure, found.phase), found.residual

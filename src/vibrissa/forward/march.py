@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from vibrissa.contact import Law, Reached, Scene, State, step_from, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp
+from vibrissa.numerics.bracket import POINTS
 from vibrissa.numerics.lanes import lanes
 
 Scalar = Float[Any, ""]
@@ -48,6 +49,10 @@ class Legs(NamedTuple):
     reached: Reached
     sign: Scalar
     """Sign of the Jacobian's determinant: negative on a stable branch."""
+    fanned: Bool[Any, ""]
+    """Each position is a step from where the lane enters, and solved to rounding: places on one
+    stretch, of which one is an event.
+    """
 
 
 class Steps(NamedTuple):
@@ -76,6 +81,8 @@ TOLERANCE = {True: 1e-9, False: 1e-11}
 """Largest residual from which one more quadratic step is taken, and no other: on a branch; and with
 friction, where what is handed on, of before that step, adds up.
 """
+_SHARP = 1e-13
+"""The same of an event, whose figure is of before the last step: what rounding leaves."""
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, and a bit, has jumped:
 before a smooth change of phase it may move several times as fast as the clamp.
@@ -88,10 +95,10 @@ conditions have corners.
 """
 
 
-_SHORT, _SHORTEST_TRAIL = 2, 256
+_FAN, _SHORTEST_TRAIL = 1 + POINTS, 256
 """Positions of lanes that only locate an event, and room for those of a trail."""
 _SINGLE = 8
-"""Lanes that are walked one by one: more are quicker side by side."""
+"""Lanes that are walked one after the other: more are quicker side by side."""
 
 
 class Solved(NamedTuple):
@@ -111,19 +118,18 @@ def solved(
     before: Reached | None,
     side: Float[Any, "3"] | None,
     active: Bool[Any, ""],
+    tolerance: Scalar,
 ) -> Solved:
-    """Newton's method for one position, given the one before, if the lane is active."""
+    """Newton's method for one position, given the one before, if the lane is active; the step from
+    a residual within the tolerance is the last.
+    """
 
     def iterate(state: tuple[Solved, Array]) -> tuple[Solved, Array]:
         found = once(scene, law, state[0].reached.state, clamp, before, side)
         return found, state[1] + 1
 
     def unfinished(state: tuple[Solved, Array]) -> Array:
-        return (
-            active
-            & (state[0].residual > TOLERANCE[law.branch])
-            & (state[1] < MOST_ITERATIONS[law.branch])
-        )
+        return active & (state[0].residual > tolerance) & (state[1] < MOST_ITERATIONS[law.branch])
 
     nan = jnp.full((), jnp.nan)
     start = Solved(Reached(guess, nan, jnp.full(3, jnp.nan)), jnp.full((), jnp.inf), nan, nan)
@@ -159,8 +165,8 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
     """
     count, n = legs.clear.shape
     # Each size is compiled for itself: a few short lanes share that of a trail.
-    short = n <= _SHORT and count > _SINGLE
-    size = _SHORT if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
+    short = n <= _FAN and count > _SINGLE
+    size = _FAN if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
 
     def padded(rows: np.ndarray) -> np.ndarray:
         whole = np.zeros((count, size, *rows.shape[2:]), rows.dtype)
@@ -214,8 +220,11 @@ def _advance(
     meeting = jax.tree.map(lambda part: part[index], legs.meeting)
     guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
     before = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting, last)
-    side = before.state.point - legs.clamp.point[jnp.maximum(index - 1, 0)]
-    found = solved(scene, law, guess, clamp, before, side, active)
+    back = [jnp.where(legs.fanned, legs.start, jnp.maximum(index - k, 0)) for k in (1, 2, 3)]
+    come_from = [jax.tree.map(lambda part, k=k: part[k], legs.clamp) for k in back]
+    side = before.state.point - come_from[0].point
+    tolerance = jnp.where(legs.fanned, _SHARP, TOLERANCE[law.branch])
+    found = solved(scene, law, guess, clamp, before, side, active, tolerance)
 
     converged = found.residual <= TOLERANCE[law.branch]
     state = found.reached.state
@@ -231,9 +240,10 @@ def _advance(
         tolerated = jnp.maximum(moved, jnp.maximum(*strides))
     tolerated = _MISS_FLOOR + _MISS * tolerated
     if not law.branch:
-        tolerated += JUMP * _clamp_miss(legs.clamp, index, carry.age)
+        tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
     misses = (carry.age >= 1) & (missed > tolerated)
-    leaps = touches & ((moved > JUMP_FLOOR + JUMP * _clamp_motion(legs.clamp, index)) | misses)
+    motion = _length(jnp.concatenate([b - a for a, b in zip(come_from[0], clamp, strict=True)]))
+    leaps = touches & ((moved > JUMP_FLOOR + JUMP * motion) | misses)
     # A contact that pulls is one that has been lost; the solution beyond tells by how much.
     released = touches & converged & ~leaps & (state.force < 0)
     held = active & converged & ~leaps & (state.force >= 0)
@@ -258,6 +268,9 @@ def _advance(
         jnp.where(fresh, 0, carry.age + 1),
         mode,
     )
+    following = jax.tree.map(
+        lambda kept, new: jnp.where(legs.fanned & ~given, kept, new), carry, following
+    )
     return following, Steps(reached, mode, found.figure, found.phase, found.residual)
 
 
@@ -272,13 +285,10 @@ def _next(last: Array, before: Array, second_before: Array, age: Array) -> Array
     return jnp.where(age >= 2, quadratic, jnp.where(age >= 1, linear, last))
 
 
-def _clamp_miss(clamp: Clamp, index: Array, age: Array) -> Scalar:
+def _clamp_miss(clamp: Clamp, back: list[Clamp], age: Array) -> Scalar:
     """How far the clamp is from where its motion would have taken it, by the same rule."""
-    back = [jnp.maximum(index - steps, 0) for steps in (1, 2, 3)]
-    misses = [at[index] - _next(at[back[0]], at[back[1]], at[back[2]], age) for at in clamp]
+    misses = [
+        here - _next(last, before, second_before, age)
+        for here, last, before, second_before in zip(clamp, *back, strict=True)
+    ]
     return _length(jnp.concatenate(misses))
-
-
-def _clamp_motion(clamp: Clamp, index: Array) -> Scalar:
-    before = jnp.maximum(index - 1, 0)
-    return _length(jnp.concatenate([at[index] - at[before] for at in clamp]))

@@ -16,9 +16,9 @@ negative. Linear finite elements; the sign of the least eigenvalue decides.
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax import Array
 from jaxtyping import Float
-from scipy.linalg import eigh
 
 from vibrissa.contact import Scene
 
@@ -106,7 +106,7 @@ def least_second_variation(
         np.eye(len(constraint)) - 2 * np.outer(reflection, reflection) / (reflection @ reflection)
     )[:, 1:]
     return float(
-        eigh(
+        scipy.linalg.eigh(
             basis.T @ form @ basis,
             basis.T @ norm @ basis,
             eigvals_only=True,

@@ -13,6 +13,7 @@ from vibrissa.contact import Law, Reached, Scene, State
 from vibrissa.contacts import Status
 from vibrissa.forward.approach import (
     CLEAR,
+    Meeting,
     Meetings,
     along_path,
     begun,
@@ -190,6 +191,7 @@ class _Walk:
             np.array([int(start.mode) for start in starts]),
             jax.tree.map(lambda *parts: np.stack(parts), *reached),
             np.array([start.sign for start in starts]),
+            np.zeros(count, dtype=bool),
         )
         return march(self._scene, self._law, legs)
 
@@ -285,11 +287,12 @@ def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) ->
     return entered
 
 
-class _Bracket(NamedTuple):
-    kind: EventKind
-    indicator: Indicator
-    lane: int
-    position: int
+class _Brackets(NamedTuple):
+    """Steps on which an indicator passes zero (k, …), by the position at their end."""
+
+    indicator: Int[np.ndarray, "k"]
+    lane: Int[np.ndarray, "k"]
+    position: Int[np.ndarray, "k"]
     low: Place
     high: Place
 
@@ -306,40 +309,48 @@ def _smooth_happenings(
     contact, free = steps.mode == Mode.CONTACT, steps.mode == Mode.FREE
     lane, index = meetings.lane, meetings.position
     entered = contact[lane, index] & ~by_hand[lane, index] & ~contact[lane, index - 1]
-    met = chosen(meetings, entered)
-    first = begun(met.at, law.unknowns)
-    happenings, brackets = [], []
+    lane, index, meeting = chosen(meetings, entered)
 
-    def place(lane: int, index: int, fraction: float) -> Place:
+    def place(lane: np.ndarray, index: np.ndarray, fraction: float) -> Place:
         at = chosen((steps.reached, steps.figure, steps.phase), (lane, index))
-        return Place(np.float64(fraction), *at)
+        return Place(np.full(len(lane), fraction), *at)
 
-    for row, (lane, index) in enumerate(zip(met.lane.tolist(), met.position.tolist(), strict=True)):
-        meeting = chosen(met.at, row)
-        fraction = float(meeting.fraction)
-        happenings.append(Happening(EventKind.FIRST_CONTACT, lane, index, fraction, meeting.point))
-        after = steps.phase[lane, index]
-        if (meeting.phase > 0) != (after > 0):
-            low = Place(meeting.fraction, chosen(first, row), np.float64(_STABLE), meeting.phase)
-            high = place(lane, index, 1.0)
-            brackets.append(_Bracket(_phase_change(after), Indicator.PHASE, lane, index, low, high))
-
-    def bracket(happened: np.ndarray, indicator: Indicator) -> None:
-        """Steps, by lane and by the position before, on which an indicator passes zero."""
-        for lane, before in np.argwhere(happened).tolist():
-            low, high = place(lane, before, 0.0), place(lane, before + 1, 1.0)
-            kind = _kind(indicator, high.indicators[indicator])
-            brackets.append(_Bracket(kind, indicator, lane, before + 1, low, high))
+    def between(happened: Bool[np.ndarray, "m n"], indicator: Indicator) -> _Brackets:
+        lane, before = np.nonzero(happened)
+        ends = place(lane, before, 0.0), place(lane, before + 1, 1.0)
+        return _Brackets(np.full(len(lane), int(indicator)), lane, before + 1, *ends)
 
     before, after = contact[:, :-1] & ~by_hand[:, 1:], contact[:, 1:]
     ends = free[:, 1:]
     changed = (steps.phase[:, :-1] > 0) != (steps.phase[:, 1:] > 0)
-    bracket(before & changed & (after | ends), Indicator.PHASE)
+    brackets = [
+        _at_once(law, lane, index, meeting, place(lane, index, 1.0)),
+        between(before & changed & (after | ends), Indicator.PHASE),
+        between(before & ends, Indicator.FORCE),
+    ]
     if not law.branch:
         turned = (steps.figure[:, :-1] > 0) != (steps.figure[:, 1:] > 0)
-        bracket(before & after & turned, Indicator.CONE)
-    bracket(before & ends, Indicator.FORCE)
-    return happenings + _located(scene, path, law, brackets)
+        brackets.append(between(before & after & turned, Indicator.CONE))
+    firsts = (rows.tolist() for rows in (lane, index, meeting.fraction))
+    begins = [
+        Happening(EventKind.FIRST_CONTACT, lane, index, fraction, point)
+        for lane, index, fraction, point in zip(*firsts, meeting.point, strict=True)
+    ]
+    every = jax.tree.map(lambda *parts: np.concatenate(parts), *brackets)
+    return begins + _located(scene, path, law, every)
+
+
+def _at_once(
+    law: Law, lane: np.ndarray, index: np.ndarray, meeting: Meeting, after: Place
+) -> _Brackets:
+    """Steps of a first contact on which the phase changes, too."""
+    unloaded = begun(meeting, law.unknowns)
+    stable = np.full(len(lane), _STABLE)
+    low = Place(meeting.fraction, unloaded, stable, meeting.phase)
+    phases = np.full(len(lane), int(Indicator.PHASE))
+    changes = (low.phase > 0) != (after.phase > 0)
+    brackets: _Brackets = chosen(_Brackets(phases, lane, index, low, after), changes)
+    return brackets
 
 
 def _phase_change(phase: float) -> EventKind:
@@ -354,27 +365,25 @@ def _kind(indicator: Indicator, after: float) -> EventKind:
     return EventKind.STICK_TO_SLIP if after > 0 else EventKind.SLIP_TO_STICK
 
 
-def _located(scene: Scene, path: Path, law: Law, brackets: list[_Bracket]) -> list[Happening]:
-    if not brackets:
+def _located(scene: Scene, path: Path, law: Law, brackets: _Brackets) -> list[Happening]:
+    indicator, lane, index, low, high = brackets
+    if not len(lane):
         return []
-    columns = _Bracket(*zip(*brackets, strict=True))
-    lane, index = np.array(columns.lane), np.array(columns.position)
-    low, high = (
-        jax.tree.map(lambda *parts: np.stack(parts), *ends) for ends in (columns.low, columns.high)
-    )
-    indicator = np.array(columns.indicator, dtype=np.int64)
     found = located(scene, law, path.stretch(lane, index), low, high, indicator)
+    after = np.take_along_axis(high.indicators, indicator[:, None], axis=1)[:, 0]
+    kinds = [_kind(Indicator(at), value) for at, value in zip(indicator, after, strict=True)]
+    places = list(zip(lane.tolist(), index.tolist(), strict=True))
+    fractions = found.fraction.tolist()
     release = {
-        (at.lane, at.position): fraction
-        for at, fraction in zip(brackets, found.fraction, strict=True)
-        if at.kind == EventKind.DETACH
+        place: fraction
+        for kind, place, fraction in zip(kinds, places, fractions, strict=True)
+        if kind == EventKind.DETACH
     }
     return [
-        Happening(at.kind, at.lane, at.position, float(fraction), point)
-        for at, fraction, point in zip(
-            brackets, found.fraction, found.reached.state.point, strict=True
+        Happening(kind, *place, fraction, point)
+        for kind, place, fraction, point in zip(
+            kinds, places, fractions, found.reached.state.point, strict=True
         )
         # A change of phase with or behind the loss of contact belongs to no rod.
-        if at.kind == EventKind.DETACH
-        or fraction < release.get((at.lane, at.position), np.inf) - _AT_ONCE
+        if kind == EventKind.DETACH or fraction < release.get(place, np.inf) - _AT_ONCE
     ]

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax import Array, lax
 from jaxtyping import Float
-from scipy.optimize import brentq
 
 from vibrissa.contact import FRICTIONLESS, Law, Reached, Scene, State, signed, touching
 from vibrissa.forward.approach import Meeting, clearances
@@ -238,7 +238,11 @@ class Branch(Way):
             return place
 
         try:
-            return at(brentq(lambda length: figure(at(length)), 0.0, step, xtol=1e-15, rtol=1e-14))
+            return at(
+                scipy.optimize.brentq(
+                    lambda length: figure(at(length)), 0.0, step, xtol=1e-15, rtol=1e-14
+                )
+            )
         except ValueError:
             # No root between them, to rounding: the end that comes nearer to it.
             end = self._along(start, step)
@@ -374,8 +378,8 @@ class Rubbing(Way):
                 return End("snapped", here)
             target = min(1.0, here.fraction + step)
             way, start = _row((self._stretch, here))
-            found = stepped(self._scene, self._law, way, start, np.array([target]))
-            following, residual = chosen(found, 0)
+            found = stepped(self._scene, self._law, way, start, np.array([[target]]))
+            following, residual = chosen(found, (0, 0))
             moved = np.linalg.norm(following.reached.state.point - here.reached.state.point)
             far = moved > JUMP_FLOOR * step + JUMP * motion * step
             if not residual <= TOLERANCE[self._law.branch] or far:

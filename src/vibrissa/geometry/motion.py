@@ -1,9 +1,9 @@
 """Motions of a rigid body: turns about an axis, homogeneous matrices."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.checks import finite_array
 
@@ -77,5 +77,5 @@ def matrix_parts(
         for where in np.argwhere(excess > _MATRIX_TOLERANCE).tolist():
             found = np.round(values[tuple(where)], 6).tolist()
             raise ValueError(f"{name}{where} {finding} {found}; allowed is {allowed}")
-    flat = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
+    flat = scipy.spatial.transform.Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
     return matrices[..., :3, 3].copy(), flat.reshape(*turn.shape[:-2], 4)

@@ -2,19 +2,33 @@
 axes.
 """
 
+from typing import Protocol, TypeAlias, runtime_checkable
+
 import numpy as np
+import scipy
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.checks import finite_array
 
 Quaternions = Float[np.ndarray, "*batch 4"]
 
+
+@runtime_checkable
+class Turn(Protocol):
+    """A rotation, or several, such as SciPy's `Rotation`."""
+
+    def as_quat(self) -> np.ndarray:
+        """Quaternions x, y, z, w (…, 4)."""
+
+
+Orientation: TypeAlias = ArrayLike | Turn
+"""Quaternions x, y, z, w (…, 4), or SciPy's `Rotation`."""
+
 _AXIS_TOLERANCE = 1e-12
 
 
-def unit_quaternions(value: "ArrayLike | Rotation", name: str) -> Quaternions:
+def unit_quaternions(value: Orientation, name: str) -> Quaternions:
     """Normalised quaternions x, y, z, w from an array (…, 4) or a SciPy `Rotation`.
 
     Raises
@@ -22,7 +36,7 @@ def unit_quaternions(value: "ArrayLike | Rotation", name: str) -> Quaternions:
     ValueError
         If an entry is not finite or a quaternion has zero norm.
     """
-    if isinstance(value, Rotation):
+    if isinstance(value, Turn):
         return np.asarray(value.as_quat(), dtype=np.float64)
     quaternion = finite_array(value, name, last=4)
     norm = np.linalg.norm(quaternion, axis=-1, keepdims=True)
@@ -49,14 +63,15 @@ def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
 
 def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"]:
     """Rotation matrices (…, 3, 3) that take body components to world components."""
-    flat = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
+    flat = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
     return np.asarray(flat.reshape(*quaternion.shape[:-1], 3, 3))
 
 
 def rotation_vectors(first: Quaternions, last: Quaternions) -> Float[np.ndarray, "*batch 3"]:
     """Rotation vectors (…, 3) [rad], world axes, that take the orientations `first` to `last`."""
     turned = (
-        Rotation.from_quat(last.reshape(-1, 4)) * Rotation.from_quat(first.reshape(-1, 4)).inv()
+        scipy.spatial.transform.Rotation.from_quat(last.reshape(-1, 4))
+        * scipy.spatial.transform.Rotation.from_quat(first.reshape(-1, 4)).inv()
     )
     return np.asarray(turned.as_rotvec().reshape(*first.shape[:-1], 3))
 
@@ -74,7 +89,9 @@ def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
 
 def multiplied(first: Quaternions, second: Float[np.ndarray, "4"]) -> Quaternions:
     """Quaternions of the rotation `second`, seen in the frames that `first` (…, 4) turns."""
-    flat = Rotation.from_quat(first.reshape(-1, 4)) * Rotation.from_quat(second)
+    flat = scipy.spatial.transform.Rotation.from_quat(
+        first.reshape(-1, 4)
+    ) * scipy.spatial.transform.Rotation.from_quat(second)
     return np.asarray(flat.as_quat().reshape(first.shape))
 
 

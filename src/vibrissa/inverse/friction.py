@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import jax
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.stats import median_abs_deviation
 
 from vibrissa.contacts import Status
 from vibrissa.inverse.result import Reconstruction, Vectors
@@ -116,7 +116,7 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     cosine = np.sqrt(1 - lean**2)
     coefficients = -lean / cosine
     friction = float(np.median(coefficients[slides]))
-    spread = float(median_abs_deviation(coefficients[slides], scale="normal"))
+    spread = float(scipy.stats.median_abs_deviation(coefficients[slides], scale="normal"))
     # Where the contact has just jumped, or turns within the window, the lean is another.
     fits = np.abs(coefficients - friction) <= _MOST_DEVIATIONS * spread + _ROUNDING
     sliding = np.where(fits[..., None], sliding, np.nan)

@@ -6,8 +6,8 @@ against each other.
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.integrate import solve_ivp
 
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -69,7 +69,7 @@ def _integrated(
         return float(y[6:] @ bend)
 
     straightens.terminal, straightens.direction = True, -1  # type: ignore[attr-defined]
-    path = solve_ivp(
+    path = scipy.integrate.solve_ivp(
         rod,
         (0, _LONGEST),
         np.concatenate([np.zeros(3), t0, bend]),

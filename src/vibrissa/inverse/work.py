@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import median_filter
 from scipy.special import chdtri
-from scipy.stats import median_abs_deviation
 
 from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.inverse.kernels import Sample, exact_contacts
@@ -300,7 +300,7 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
     largest = float(energy.max()) or _TINY
     deviation = _deviation(reactions, slice(begin, stop), start) / largest
     # Of a smooth course second differences are next to nothing.
-    scatter = median_abs_deviation(np.diff(energy, 2), scale="normal") / math.sqrt(6)
+    scatter = scipy.stats.median_abs_deviation(np.diff(energy, 2), scale="normal") / math.sqrt(6)
     loading = slice(0, max(2, int(np.argmax(energy >= _LOADING * largest)) + 1))
     # Single blocks in which the inverse goes astray count for nothing.
     lost = median_filter(mean - energy, 3, mode="nearest")

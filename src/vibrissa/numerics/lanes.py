@@ -82,33 +82,25 @@ class Lanes(Generic[Shared, Row]):
 
     def __call__(self, shared: Shared, *rows: Any) -> Row:
         """Apply the function to all rows."""
-        leaves = jax.tree.leaves(rows)
-        count, size = len(leaves[0]), self._width * self._blocks
+        count = len(jax.tree.leaves(rows)[0])
         if count == 0:
             return self._nothing(shared, rows)
-        if count <= self._alone:
-            return self._one_by_one(shared, rows, count)
-        starts = range(0, count, size)
+        alone = count <= self._alone
+        width, size = (1, self._alone) if alone else (self._width, self._width * self._blocks)
+        kernel = self._one_by_one if alone else self._side_by_side
 
         def call(first: int) -> Row:
             last = min(first + size, count)
             part = jax.tree.map(lambda leaf: _filled(leaf[first:last], size), rows)
-            used = np.asarray(-(-(last - first) // self._width))
-            found = self._guarded(self._kernel, shared, used, part)
+            used = np.asarray(-(-(last - first) // width))
+            found = self._guarded(kernel, shared, used, part)
             return jax.tree.map(lambda leaf: np.asarray(leaf)[..., : last - first], found)
 
-        found = in_threads(call, starts)
+        found = in_threads(call, range(0, count, size))
         # Lanes stay innermost in memory: what is returned are views.
         return jax.tree.map(
             lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
         )
-
-    def _one_by_one(self, shared: Shared, rows: Any, count: int) -> Row:
-        found = [
-            self._guarded(self._single, shared, jax.tree.map(lambda leaf, k=k: leaf[k], rows))
-            for k in range(count)
-        ]
-        return jax.tree.map(lambda *parts: np.stack(parts), *found)
 
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
         """Call a kernel; while one thread compiles it, others wait."""
@@ -126,29 +118,36 @@ class Lanes(Generic[Shared, Row]):
         return jax.tree.map(lambda shape: np.zeros((0, *shape.shape), shape.dtype), shapes)
 
     @cached_property
-    def _single(self) -> Callable[..., Any]:
-        """The kernel of one row, quickest to answer one question."""
+    def _one_by_one(self) -> Callable[..., Any]:
+        """The kernel of a few rows: quickest for those."""
 
-        def single(shared: Shared, row: Any) -> Any:
-            return self._one(shared, *row)
+        def one(shared: Shared, *row: Any) -> Any:
+            only = jax.tree.map(lambda leaf: leaf[..., 0], row)
+            return jax.tree.map(lambda leaf: leaf[..., None], self._one(shared, *only))
 
-        return compiled(self._named(single))
+        return self._compiled(one, 1, self._alone)
 
     @cached_property
-    def _kernel(self) -> Callable[..., Any]:
-        width, blocks = self._width, self._blocks
+    def _side_by_side(self) -> Callable[..., Any]:
+        def block(shared: Shared, *rows: Any) -> Any:
+            axes = (None, *(-1,) * len(rows))
+            return jax.vmap(self._one, in_axes=axes, out_axes=-1)(shared, *rows)
 
+        return self._compiled(block, self._width, self._blocks)
+
+    def _compiled(
+        self, of_block: Callable[..., Any], width: int, blocks: int
+    ) -> Callable[..., Any]:
         def kernel(shared: Shared, used: Array, rows: Any) -> Any:
             """Of the first `used` blocks."""
-            axes = (None, *(-1,) * len(rows))
             # Traced once, for its shapes and for its loop.
-            lanes = jax.jit(jax.vmap(self._one, in_axes=axes, out_axes=-1))
+            traced = jax.jit(of_block)
 
             def of(index: Array | int) -> Any:
-                blocks = jax.tree.map(
+                part = jax.tree.map(
                     lambda leaf: lax.dynamic_slice_in_dim(leaf, index * width, width), rows
                 )
-                return lanes(shared, *jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), blocks))
+                return traced(shared, *jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), part))
 
             def put(whole: Array, part: Array, index: Array) -> Array:
                 return lax.dynamic_update_slice_in_dim(whole, part, index * width, whole.ndim - 1)
@@ -164,12 +163,9 @@ class Lanes(Generic[Shared, Row]):
                 nothing,
             )
 
-        return compiled(self._named(kernel))
-
-    def _named(self, kernel: Callable[..., Any]) -> Callable[..., Any]:
-        """As profiles and logs of compilation show it."""
+        # As profiles and logs of compilation show it.
         kernel.__name__ = self._one.__name__
-        return kernel
+        return compiled(kernel)
 
 
 def lanes(
@@ -182,7 +178,7 @@ def lanes(
     width, blocks
         Lanes of a block, and blocks of a call.
     alone
-        How many rows are taken one by one, by a kernel of a single row.
+        Up to how many rows are taken one after the other, by a kernel of scalars.
     """
     return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone)
 

@@ -14,10 +14,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import rotation_matrices, unit_quaternions
+from vibrissa.geometry.rotation import Orientation, rotation_matrices, unit_quaternions
 from vibrissa.surfaces import closest
 
 Point: TypeAlias = Float[Array, "3"]
@@ -106,7 +105,7 @@ class Surface(eqx.Module):
 
     def placed(
         self,
-        rotation: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
+        rotation: Orientation = (0.0, 0.0, 0.0, 1.0),
         translation: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Placed:
         """Return the object turned about the origin (quaternion x, y, z, w, or a SciPy `Rotation`),

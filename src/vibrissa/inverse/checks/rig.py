@@ -9,8 +9,8 @@ model units, and the rate of that.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.rotation import cross_matrices, rotation_matrices
 from vibrissa.inverse.checks.constraints import TIP, Constraints, Slopes, constraints_of
@@ -115,7 +115,9 @@ class Bench(NamedTuple):
         for what is added to them.
         """
         there, back = self.frame.to_sensor, np.linalg.inv(self.frame.to_sensor)
-        turned = np.kron(np.eye(2), Rotation.from_rotvec(errors[ROTATION]).as_matrix().T)
+        turned = np.kron(
+            np.eye(2), scipy.spatial.transform.Rotation.from_rotvec(errors[ROTATION]).as_matrix().T
+        )
         moved = np.eye(6)
         moved[3:, :3] = -cross_matrices(errors[POSITION])
         gained = (back / (1 + errors[GAIN])) @ there

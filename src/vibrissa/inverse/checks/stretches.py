@@ -8,9 +8,9 @@ but linear in a mean's noise where it is not in a sample's.
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import median_abs_deviation
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
@@ -144,7 +144,9 @@ def _white(
     second = np.diff(whitened, 2, axis=0)[inner] / np.sqrt(6)
     if len(second) < _FEWEST:
         return np.ones(6)
-    return np.maximum(median_abs_deviation(second, axis=0, scale="normal") ** 2, _LEAST_WHITE)
+    return np.maximum(
+        scipy.stats.median_abs_deviation(second, axis=0, scale="normal") ** 2, _LEAST_WHITE
+    )
 
 
 def _mean(
@@ -160,7 +162,7 @@ def _mean(
         slope = own @ (values[good] - center) / (own @ own)
         off = values - center - (elapsed - middle)[:, None] * slope
         if not last:
-            spread = median_abs_deviation(off, axis=0, scale="normal")
+            spread = scipy.stats.median_abs_deviation(off, axis=0, scale="normal")
             near = np.all(np.abs(off) <= _OUTLYING * np.maximum(spread, 1e-300), axis=1)
             good = near if np.count_nonzero(near) >= _LINE else good
     count = int(np.count_nonzero(good))

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Int
 from scipy.ndimage import maximum_filter1d, median_filter
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vibrissa.inverse.smoothing.changes import moved
 from vibrissa.inverse.smoothing.kalman import RATE, States
@@ -71,7 +71,7 @@ def with_jumps(fit: Fit) -> Labels:
     turn = _shock(fit.states, rows, rates)
     shock = _shock(fit.states, rows, np.append(np.arange(LOADS), rates))
     level = _FALSE_JUMPS / max(len(rows), 1)
-    limit, value_limit = chi2.isf(level, 2 * LOADS), chi2.isf(level, LOADS)
+    limit, value_limit = chdtri(2 * LOADS, level), chdtri(LOADS, level)
     for k in np.argsort(-shock):
         if shock[k] < limit:
             break

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
@@ -180,7 +180,7 @@ class CausalSmoother:
             ),
             setup_errors=setup_errors,
         )
-        self._rod, self._threshold = rod, float(chi2.isf(false_alarm, WRENCH))
+        self._rod, self._threshold = rod, float(chdtri(WRENCH, false_alarm))
         pace = _SPEED if speed is None else positive(speed, "speed") / rod.length
         # Of a sweep: accelerations are of the order of the speed squared, and last for its inverse.
         expected = np.array([100.0, 100.0, 1.0, 1e-4, 0.0]) * pace**3 + [0, 0, 0, 0, 1e-4]

@@ -5,10 +5,10 @@ contact moves and the sensor's zero drifts; and averages over what the labels ma
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.optimize import minimize
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.kalman import DRIFT, INTENSITIES, PLACE, Gaussian, States, Step
@@ -191,7 +191,7 @@ def most_probable(fit: Fit, steps: Step, *, local: bool) -> Fit:
         return float(step @ step + away**2) / 2 - float(known), -np.append(total, of_walk + pull)
 
     begin = np.clip(np.log(fit.intensities), *np.transpose(_BOUNDS))
-    found = minimize(
+    found = scipy.optimize.minimize(
         objective,
         np.append(begin, np.log(labels.pace[first])),
         jac=True,
@@ -247,7 +247,7 @@ def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
     # Factors with a log-normal distribution, in an order unrelated to that of the alternatives:
     # each is followed by the one half the range off.
     order = np.arange(count).reshape(2, -1).T.ravel()
-    factors = np.exp(_drift_deviation(fit) * norm.ppf((order + 0.5) / count))
+    factors = np.exp(_drift_deviation(fit) * ndtri((order + 0.5) / count))
     for labels, factor in zip(candidates, factors, strict=True):
         other = fit.with_phases(labels)._replace(intensities=_with_drift(fit, factor))
         states = smoothed_states(other, steps_of(other), rough=False)

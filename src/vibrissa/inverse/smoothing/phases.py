@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 from scipy.ndimage import binary_closing, binary_opening, uniform_filter1d
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from vibrissa.inverse.inverse import invert, single_contact
 from vibrissa.inverse.smoothing.kalman import WRENCH, Gaussian
@@ -55,7 +55,7 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     mean = _running_sum(load, _DETECTION_SAMPLES) / seen
     covariance = np.eye(WRENCH) / seen[..., None] + zero.covariance
     distance = np.einsum("ni,ni->n", mean, np.linalg.solve(covariance, mean[..., None])[..., 0])
-    loaded = (count > 0) & (distance > chi2.isf(false_alarm, WRENCH))
+    loaded = (count > 0) & (distance > chdtri(WRENCH, false_alarm))
     around = np.pad(loaded, 1)
     for first, last in runs_of(~series.sound):
         loaded[first : last + 1] = around[first] & around[last + 2]

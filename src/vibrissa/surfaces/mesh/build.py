@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax import Array
 from jaxtyping import Float, Int
-from scipy.ndimage import correlate1d
 
 from vibrissa.surfaces.mesh.creases import Sheets
 from vibrissa.surfaces.mesh.field import Field, Triangles, field_level
@@ -54,7 +54,7 @@ def build(sheet: Sheets, reach: float) -> Field:
         # Quasi-interpolation: exact for cubics, and what happens at a crease stays within two nodes
         # of it.
         weights = np.array([-1.0, 8.0, -1.0]) / 6
-        coefficients = correlate1d(coefficients, weights, axis=axis, mode="nearest")
+        coefficients = scipy.ndimage.correlate1d(coefficients, weights, axis=axis, mode="nearest")
     plain = Field(
         jnp.asarray(grid.origin),
         jnp.asarray(grid.spacing),

@@ -7,9 +7,8 @@ A sheet's corner ("fan") is all the corners of triangles about one vertex that s
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
 
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 from vibrissa.surfaces.mesh.patches import Patch
@@ -104,8 +103,14 @@ def _fans(
     row, k = np.nonzero(smooth)
     first, second = 3 * row[:, None] + here[k], 3 * across[row, k, None] + there[row, k]
     size = across.size
-    graph = coo_array((np.ones(first.size), (first.ravel(), second.ravel())), shape=(size, size))
-    return connected_components(graph, directed=False)[1].reshape(-1, 3).astype(np.int64)
+    graph = scipy.sparse.coo_array(
+        (np.ones(first.size), (first.ravel(), second.ravel())), shape=(size, size)
+    )
+    return (
+        scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
+        .reshape(-1, 3)
+        .astype(np.int64)
+    )
 
 
 def _fitted(
@@ -133,9 +138,9 @@ def _fitted(
     np.minimum.at(agreement, fans, np.sum(flat[:, None] * rough[fans], axis=-1))
     # Which fans lie within two edges of each other.
     i, j = fans.ravel(), np.roll(fans, 1, axis=1).ravel()
-    ring = csr_array((np.ones(i.size), (i, j)), shape=(count, count))
+    ring = scipy.sparse.csr_array((np.ones(i.size), (i, j)), shape=(count, count))
     ring = ring + ring.T
-    rings = csr_array(ring @ ring)
+    rings = scipy.sparse.csr_array(ring @ ring)
     rings.setdiag(0)
     rings.eliminate_zeros()
     normals = rough.copy()

@@ -6,10 +6,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax import Array, lax
 from jaxtyping import Float, Int
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
 
 from vibrissa.numerics.compiled import compiled
 from vibrissa.surfaces.mesh.creases import Sheets
@@ -131,7 +130,7 @@ def node_levels(
     )
     triangle = triangle.astype(np.int64)
     far = ~np.isfinite(level)
-    seed = distance_transform_edt(
+    seed = scipy.ndimage.distance_transform_edt(
         far.reshape(grid.size), return_distances=False, return_indices=True
     )
     seed = np.ravel_multi_index(tuple(seed), grid.size).ravel()[far]
@@ -159,7 +158,7 @@ def candidates(
     vertices, faces, owner = library("trimesh.remesh").subdivide_to_size(
         sheet.vertices, sheet.faces, _LONGEST * grid.spacing, max_iter=64, return_index=True
     )
-    corners, tree = vertices[faces], cKDTree(middles)
+    corners, tree = vertices[faces], scipy.spatial.cKDTree(middles)
     center = corners.mean(axis=1)
     size = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1)
     pairs = []

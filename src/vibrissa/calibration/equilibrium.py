@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from vibrissa.calibration.bench import NO_STEP, Bench, Step, moved
-from vibrissa.contact import Leaning, Scene, Touching, root, touching
+from vibrissa.contact import Leaning, Scene, Touching, implicit, root, touching
 from vibrissa.contact import State as Unknowns
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import lanes
@@ -70,30 +70,34 @@ class Reading(NamedTuple):
 def _reading(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
     surface, given = shared
 
-    def read(step: Step, leaning: Float[Array, "3"]) -> tuple[Any, tuple[Any, ...]]:
+    unit = given.stiffness / given.length**2
+    guess = jnp.append(start.point / given.length, start.force / unit)
+    x = root(
+        lambda x: _touching(surface, given, Unknowns.of(x), start.leaning, pose).residual, guess
+    )
+
+    def read(
+        x: Float[Array, "unknowns"], step: Step, leaning: Float[Array, "3"]
+    ) -> tuple[Any, tuple[Any, ...]]:
         bench = moved(given, step)
-        unit = bench.stiffness / bench.length**2
-
-        def met(x: Float[Array, "unknowns"]) -> Touching:
-            return _touching(surface, bench, Unknowns.of(x), leaning, pose)
-
-        guess = jnp.append(start.point / bench.length, start.force / unit)
-        x = root(lambda x: met(x).residual, guess)
-        found = met(x)
-        point, magnitude = x[:3] * bench.length, x[3] * unit
+        found = _touching(surface, bench, Unknowns.of(x), leaning, pose)
+        point, magnitude = x[:3] * bench.length, x[3] * bench.stiffness / bench.length**2
         force = -magnitude * (pose.axes.T @ found.push.direction)
         arm = pose.axes.T @ (point - pose.position) - bench.wrench_point
         wrench = bench.gain * jnp.concatenate([force, jnp.cross(arm, force)])
-        astray = jnp.sum((point - start.point) ** 2) > (_ASTRAY * bench.length) ** 2
-        # An object pushes: where it would have to pull, the rod does not touch.
-        wrong = astray | (magnitude <= 0)
-        residual = jnp.where(wrong, jnp.inf, jnp.max(jnp.abs(found.residual)))
-        return wrench, (wrench, point, magnitude, residual)
+        return (found.residual, wrench), (found.residual, wrench, point, magnitude)
 
-    (by_step, by_leaning), (wrench, point, magnitude, residual) = jax.jacfwd(
-        read, argnums=(0, 1), has_aux=True
-    )(jax.tree.map(jnp.asarray, NO_STEP), start.leaning)
-    return Reading(State(point, magnitude, start.leaning), residual, wrench, by_step, by_leaning)
+    ((by_x, *rest), (wrench_by_x, *direct)), (residual, wrench, point, magnitude) = jax.jacfwd(
+        read, argnums=(0, 1, 2), has_aux=True
+    )(x, jax.tree.map(jnp.asarray, NO_STEP), start.leaning)
+    by_step, by_leaning = jax.tree.map(
+        lambda part, change: part + wrench_by_x @ change, direct, implicit(by_x, rest)
+    )
+    astray = jnp.sum((point - start.point) ** 2) > (_ASTRAY * given.length) ** 2
+    # An object pushes: where it would have to pull, the rod does not touch.
+    wrong = astray | (magnitude <= 0)
+    largest = jnp.where(wrong, jnp.inf, jnp.max(jnp.abs(residual)))
+    return Reading(State(point, magnitude, start.leaning), largest, wrench, by_step, by_leaning)
 
 
 def readings(surface: Surface, bench: Bench, states: State, poses: Pose) -> Reading:

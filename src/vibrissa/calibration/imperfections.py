@@ -7,21 +7,22 @@ clamp were moved by δp.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ellipkinc
 
 from vibrissa.calibration.arrays import Numbers, Vectors
+from vibrissa.numerics.bracket import roots
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 """Exact to rounding for an integrand as smooth as a rod's curvature."""
-_HALVINGS = 50
-"""Of an interval of 1: to rounding."""
 _STEP = 1e-4
 """Relative, of central differences: errors of 1e-8 by curvature, and 1e-11 by rounding."""
 _STEEPEST = 0.5
 """k² in tangential contact."""
+_LARGEST = 1 - 1e-12
+"""k² up to which a rod has an end."""
 _SMALL = 1e-9
 """Stands for zero in what is divided by, and changes nothing else by more than rounding."""
 
@@ -79,12 +80,13 @@ def _modulus(load: Load, force: Numbers, angle: Numbers) -> Numbers:
     and that of the rod's whole length in tip contact.
     """
     least = np.cos(angle / 2) ** 2
-    low, high = least, np.where(least < _STEEPEST, _STEEPEST, 1.0)
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        longer = _arc_length(load, force, angle, middle)[0] > load.length
-        low, high = np.where(longer, low, middle), np.where(longer, middle, high)
-    return (low + high) / 2
+    largest = np.where(least < _STEEPEST, _STEEPEST, _LARGEST)
+
+    def longer(square: Numbers, row: Any) -> Numbers:
+        return _arc_length(load, force[row, None], angle[row, None], square)[0] - load.length
+
+    reach = longer(largest[:, None], slice(None))[:, 0]
+    return roots(longer, (least, largest), (np.full(len(least), -load.length), reach))
 
 
 def _arc_length(

@@ -85,24 +85,26 @@ def step_from(
 
 
 def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
-    """Root of conditions by Newton's method, with the derivatives of the conditions, not of the
-    iterations: dx/dθ = −(∂R/∂x)⁻¹ ∂R/∂θ for every θ that `residual` closes over.
+    """Root of conditions by Newton's method."""
+
+    def advance(state: tuple[Unknowns, Scalar, Array]) -> tuple[Unknowns, Scalar, Array]:
+        step, _ = step_from(lambda x: (residual(x), None), state[0], cautious=True)
+        return step.x, step.residual, state[2] + 1
+
+    def unfinished(state: tuple[Unknowns, Scalar, Array]) -> Array:
+        return (state[1] > _CONVERGED) & (state[2] < _MOST_STEPS)
+
+    first = (start, jnp.asarray(jnp.inf), jnp.zeros((), dtype=int))
+    found: Unknowns = lax.while_loop(unfinished, advance, first)[0]
+    return found
+
+
+def implicit(by_unknowns: Float[Any, "n n"], by_parameters: Any) -> Any:
+    """Derivatives of a root x of conditions R(x, θ) by parameters, dx/dθ = −(∂R/∂x)⁻¹ ∂R/∂θ: those
+    of the conditions, not of the iterations. A tree of (n, …) gives a tree of (n, …).
     """
 
-    def newton(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
-        def advance(state: tuple[Unknowns, Scalar, Array]) -> tuple[Unknowns, Scalar, Array]:
-            step, _ = step_from(lambda x: (residual(x), None), state[0], cautious=True)
-            return step.x, step.residual, state[2] + 1
+    def column(right: Unknowns) -> Unknowns:
+        return -solved_linear(by_unknowns, right)[0]
 
-        def unfinished(state: tuple[Unknowns, Scalar, Array]) -> Array:
-            return (state[1] > _CONVERGED) & (state[2] < _MOST_STEPS)
-
-        first = (start, jnp.asarray(jnp.inf), jnp.zeros((), dtype=int))
-        found: Unknowns = lax.while_loop(unfinished, advance, first)[0]
-        return found
-
-    def tangent(linear: Callable[[Unknowns], Unknowns], right: Unknowns) -> Unknowns:
-        return solved_linear(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
-
-    found: Unknowns = lax.custom_root(residual, start, newton, tangent)
-    return found
+    return jax.tree.map(jax.vmap(column, in_axes=1, out_axes=1), by_parameters)

@@ -70,13 +70,17 @@ class Steps(NamedTuple):
 
 class _Carry(NamedTuple):
     last: Reached
-    before: Float[Any, "four"]
-    """Point and force of the position before the last, and of that before."""
-    second_before: Float[Any, "four"]
+    differences: Float[Any, "orders four"]
+    """Backward differences of point and force: of order 0, themselves."""
     age: Array
+    """Positions since the contact began: no difference of a higher order is known."""
     mode: Array
 
 
+_ORDERS = 8
+"""Differences kept: trails of 0.01 L a step then need about one step of Newton's method a position."""
+_UNTESTED = 2
+"""Order up to which a young contact is extrapolated without a look at how well that did before."""
 TOLERANCE = {True: 1e-9, False: 1e-11}
 """Largest residual from which one more quadratic step is taken, and no other: on a branch; and with
 friction, where what is handed on, of before that step, adds up.
@@ -191,9 +195,8 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
         Steps(legs.reached, *(legs.sign,) * 4),
     )
     steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
-    start = jnp.append(legs.reached.state.point, legs.reached.state.force)
     waiting = jnp.asarray(int(Mode.WAITING))
-    carry = _Carry(legs.reached, start, start, jnp.zeros((), dtype=int), waiting)
+    carry = _Carry(legs.reached, jnp.zeros((_ORDERS, 4)), jnp.zeros((), dtype=int), waiting)
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
         carry, row = _advance(scene, law, legs, index, state[0])
@@ -213,8 +216,7 @@ def _advance(
     entering = free & legs.met[index]
     active = touches | entering
     last = carry.last
-    here = jnp.append(last.state.point, last.state.force)
-    expected = _next(here, carry.before, carry.second_before, carry.age)
+    expected = _expected(law, carry)
     # The tangential force starts from where it was, for sliding may stop or turn.
     guess = State(expected[:3], expected[3], last.state.lean)
     meeting = jax.tree.map(lambda part: part[index], legs.meeting)
@@ -228,16 +230,14 @@ def _advance(
 
     converged = found.residual <= TOLERANCE[law.branch]
     state = found.reached.state
-    moved, missed = _length(state.point - here[:3]), _length(state.point - expected[:3])
+    moved = _length(state.point - last.state.point)
+    missed = _length(state.point - expected[:3])
     tolerated = moved
     if not law.branch:
         # With friction the contact turns off its way at a corner of the trail, without a jump, and
         # the guesses behind it still carry that on.
-        strides = [
-            _length(a - b)
-            for a, b in ((here[:3], carry.before[:3]), (carry.before[:3], carry.second_before[:3]))
-        ]
-        tolerated = jnp.maximum(moved, jnp.maximum(*strides))
+        _, step, turn = carry.differences[:3, :3]
+        tolerated = jnp.maximum(moved, jnp.maximum(_length(step), _length(step - turn)))
     tolerated = _MISS_FLOOR + _MISS * tolerated
     if not law.branch:
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
@@ -260,14 +260,12 @@ def _advance(
     )
 
     fresh = entering | given
-    now = jnp.append(reached.state.point, reached.state.force)
-    following = _Carry(
-        reached,
-        jnp.where(fresh, now, here),
-        jnp.where(fresh, now, carry.before),
-        jnp.where(fresh, 0, carry.age + 1),
-        mode,
-    )
+    now = [jnp.append(reached.state.point, reached.state.force)]
+    for before_it in carry.differences[:-1]:
+        now.append(now[-1] - before_it)
+    differences = jnp.stack(now)
+    differences = differences.at[1:].set(jnp.where(fresh, 0.0, differences[1:]))
+    following = _Carry(reached, differences, jnp.where(fresh, 0, carry.age + 1), mode)
     following = jax.tree.map(
         lambda kept, new: jnp.where(legs.fanned & ~given, kept, new), carry, following
     )
@@ -278,8 +276,21 @@ def _length(vector: Float[Array, "n"]) -> Scalar:
     return jnp.sqrt(jnp.sum(vector**2))
 
 
+def _expected(law: Law, carry: _Carry) -> Float[Array, "four"]:
+    """Point and force, extrapolated. Without friction to the order that would have foretold the
+    last position best: that it would have missed is the difference of the next order.
+    """
+    orders = jnp.arange(_ORDERS)
+    order = jnp.minimum(carry.age, _UNTESTED)
+    if law.branch:
+        missed = jnp.sum(carry.differences[1:] ** 2, axis=1)
+        tested = jnp.argmin(jnp.where(orders[1:] <= carry.age, missed, jnp.inf))
+        order = jnp.where(carry.age > _UNTESTED, tested, order)
+    return jnp.sum(jnp.where(orders[:, None] <= order, carry.differences, 0.0), axis=0)
+
+
 def _next(last: Array, before: Array, second_before: Array, age: Array) -> Array:
-    """Extrapolation by as many of the last three as the contact is old."""
+    """Extrapolation by as many of the last three as the contact is old, as of a young contact."""
     linear = 2 * last - before
     quadratic = 3 * (last - before) + second_before
     return jnp.where(age >= 2, quadratic, jnp.where(age >= 1, linear, last))

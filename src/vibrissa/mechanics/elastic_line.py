@@ -3,8 +3,8 @@ tip.
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.special import ellipeinc, ellipj
 
 _LEAST_FORCE = 1e-12
 """[EI/L²] below which the rod is drawn as under this force."""
@@ -40,8 +40,10 @@ def elastic_line(
     root = np.sqrt(max(force, _LEAST_FORCE))
     left = np.maximum(contact_arc_length - arc_length, 0.0)
     u = root * left
-    sn, cn, dn, amplitude = ellipj(u, modulus)
-    advance = (2 * (ellipeinc(amplitude, modulus) - modulus * sn * cn / dn) - u) / root
+    sn, cn, dn, amplitude = scipy.special.ellipj(u, modulus)
+    advance = (
+        2 * (scipy.special.ellipeinc(amplitude, modulus) - modulus * sn * cn / dn) - u
+    ) / root
     distance = 2 * np.sqrt(modulus * (1 - modulus)) * sn / dn / root
     tangent = -(1 - 2 * modulus) * direction + 2 * np.sqrt(max(modulus * (1 - modulus), 0.0)) * side
     beyond = np.maximum(arc_length - contact_arc_length, 0.0)
@@ -105,7 +107,9 @@ def directors(
     """Unit tangents, curvatures [1/L] about the plane's unit normal, and that normal; arguments and
     notation as in `elastic_line`.
     """
-    sn, cn, dn, _ = ellipj(np.sqrt(force) * (contact_arc_length - arc_length), modulus)
+    sn, cn, dn, _ = scipy.special.ellipj(
+        np.sqrt(force) * (contact_arc_length - arc_length), modulus
+    )
     sine, cosine = np.sqrt(modulus) * cn / dn, np.sqrt(1 - modulus) / dn
     tangent = -(1 - 2 * sine**2)[:, None] * direction + (2 * sine * cosine)[:, None] * side
     curvature = 2 * np.sqrt(force * modulus * (1 - modulus)) * sn / dn

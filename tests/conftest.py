@@ -5,6 +5,7 @@ Kernels are kept in the user's cache folder, as the package keeps them: the proc
 tests compile each once, and the next run compiles what has changed.
 """
 
+import os
 import re
 from pathlib import Path
 from typing import Any, get_args
@@ -14,6 +15,10 @@ import jaxtyping
 import pytest
 from hypothesis import settings
 from numpy.typing import ArrayLike
+
+# Two processes share the cores: a BLAS with threads of its own in each waits four times as long.
+# Taken up by the processes that pytest starts.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # NumPy's `ArrayLike` says complex for "any number" and a protocol for "any sequence" that tuples do
 # not fulfil; read to the letter, (0.0, 0.0, 1.0) would be none. The shape checks look up

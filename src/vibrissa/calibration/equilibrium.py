@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from vibrissa.calibration.bench import NO_STEP, Bench, Step, moved
-from vibrissa.contact import Leaning, Scene, Touching, implicit, root, touching
+from vibrissa.contact import Leaning, Scene, Touching, implicit, iterated, touching
 from vibrissa.contact import State as Unknowns
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import lanes
@@ -72,7 +72,7 @@ def _reading(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
 
     unit = given.stiffness / given.length**2
     guess = jnp.append(start.point / given.length, start.force / unit)
-    x = root(
+    x = iterated(
         lambda x: _touching(surface, given, Unknowns.of(x), start.leaning, pose).residual, guess
     )
 

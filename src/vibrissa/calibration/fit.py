@@ -8,6 +8,7 @@ median row. Where the data leave a combination of parameters open, the priors ho
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -116,10 +117,13 @@ def _descended(problem: Problem, start: Linear, scale: float) -> Linear:
             here, failed = at(x), 0
         return -units * downhill(problem, here, weights(problem, here, scale))
 
-    def curvature(x: Unknowns) -> Information:
-        there = at(x)
+    @lru_cache(maxsize=1)
+    def curved(there: Linear) -> Information:
         matrix = information(problem, there, weights(problem, there, scale))
         return matrix * np.outer(units, units)
+
+    def curvature(x: Unknowns) -> Information:
+        return curved(at(x))
 
     def stop(x: Unknowns) -> None:
         pull = slope(x)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.special import ellipkinc
 
 from vibrissa.calibration.arrays import Numbers, Vectors
@@ -25,6 +26,9 @@ _LARGEST = 1 - 1e-12
 """k² up to which a rod has an end."""
 _SMALL = 1e-9
 """Stands for zero in what is divided by, and changes nothing else by more than rounding."""
+
+
+Several = Float[np.ndarray, "*#n"]
 
 
 class Load(NamedTuple):
@@ -82,7 +86,7 @@ def _modulus(load: Load, force: Numbers, angle: Numbers) -> Numbers:
     least = np.cos(angle / 2) ** 2
     largest = np.where(least < _STEEPEST, _STEEPEST, _LARGEST)
 
-    def longer(square: Numbers, row: Any) -> Numbers:
+    def longer(square: Float[np.ndarray, "j n"], row: Any) -> Float[np.ndarray, "j n"]:
         return _arc_length(load, force[row, None], angle[row, None], square)[0] - load.length
 
     reach = longer(largest[:, None], slice(None))[:, 0]
@@ -90,8 +94,8 @@ def _modulus(load: Load, force: Numbers, angle: Numbers) -> Numbers:
 
 
 def _arc_length(
-    load: Load, force: Numbers, angle: Numbers, modulus: Numbers
-) -> tuple[Numbers, Numbers]:
+    load: Load, force: Several, angle: Several, modulus: Several
+) -> tuple[Several, Several]:
     """From clamp to contact, √(EI/F) (K(k) − F(ζ₀, k)), and the amplitude ζ₀ at the clamp, sin ζ₀ =
     cos(φ/2)/k.
     """

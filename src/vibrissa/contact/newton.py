@@ -84,7 +84,7 @@ def step_from(
     return Step(jnp.where(there, x, x - share * step), largest, signed(determinant)), told
 
 
-def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
+def iterated(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
     """Root of conditions by Newton's method."""
 
     def advance(state: tuple[Unknowns, Scalar, Array]) -> tuple[Unknowns, Scalar, Array]:
@@ -99,9 +99,21 @@ def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
     return found
 
 
+def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
+    """The same with the derivatives of the conditions, not of the iterations, by every θ that
+    `residual` closes over.
+    """
+
+    def tangent(linear: Callable[[Unknowns], Unknowns], right: Unknowns) -> Unknowns:
+        return solved_linear(jax.jacfwd(linear)(jnp.zeros_like(right)), right)[0]
+
+    found: Unknowns = lax.custom_root(residual, start, iterated, tangent)
+    return found
+
+
 def implicit(by_unknowns: Float[Any, "n n"], by_parameters: Any) -> Any:
-    """Derivatives of a root x of conditions R(x, θ) by parameters, dx/dθ = −(∂R/∂x)⁻¹ ∂R/∂θ: those
-    of the conditions, not of the iterations. A tree of (n, …) gives a tree of (n, …).
+    """Derivatives of a root x of R(x, θ), dx/dθ = −(∂R/∂x)⁻¹ ∂R/∂θ, from a tree of ∂R/∂θ (n, …):
+    what differentiating `root` gives, where both Jacobians are at hand.
     """
 
     def column(right: Unknowns) -> Unknowns:

@@ -79,7 +79,7 @@ def _nearest(
 ) -> tuple[Float[np.ndarray, "j six"], Float[np.ndarray, "j six"]]:
     """Of points in any order, those about the first change of sign from where the bracket began."""
     first, last = before[:, [_NEAREST - 1]], before[:, [_NEAREST]]
-    unknown = ~np.isfinite(x * f)
+    unknown = ~(np.isfinite(x) & np.isfinite(f))
     along = np.where(unknown, np.inf, (x - first) * np.sign(last - first))
     order = np.argsort(along, axis=1, kind="stable")
     x, f = (np.take_along_axis(np.where(unknown, np.nan, part), order, axis=1) for part in (x, f))

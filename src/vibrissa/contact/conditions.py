@@ -13,12 +13,12 @@ and those of the law. With friction a state depends on the one before.
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 from jaxtyping import Float
 
 from vibrissa.contact.laws import Law, Push
 from vibrissa.contact.scene import Reached, Scene, State
 from vibrissa.mechanics.model import Bent, Clamp
+from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -62,6 +62,6 @@ def touching(
     tangent = scene.rod.tangent(bent)
     left, away = 1 - bent.arc_length, law.away(bent, tangent, push.normal)
     rubs, beyond = law.rubs(scene, state, push.normal, bent, tangent, before)
-    placed = law.placed(left, away)[None]
-    residual = jnp.concatenate([push.gaps, bent.misses, placed, rubs])
+    placed = law.placed(left, away)
+    residual = joined(push.gaps, bent.misses, placed, rubs)
     return Touching(residual, push, bent, tangent, left - away, beyond)

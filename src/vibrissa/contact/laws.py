@@ -23,6 +23,7 @@ from jaxtyping import Float, Int
 
 from vibrissa.contact.scene import Reached, Scene, State
 from vibrissa.mechanics.model import Bent
+from vibrissa.numerics.vectors import dot
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -118,7 +119,7 @@ class Coulomb(Law):
 
     def away(self, bent: Bent, tangent: Vector, normal: Vector) -> Scalar:  # noqa: ARG002
         """As in `Law`."""
-        return -jnp.dot(tangent, normal) / 2
+        return -dot(tangent, normal) / 2
 
     def rubs(
         self,
@@ -133,7 +134,7 @@ class Coulomb(Law):
         the disk; where nothing is known of the past, by how much τ does.
         """
         tau = state.lean
-        lifted = jnp.dot(tau, normal) * normal
+        lifted = dot(tau, normal) * normal
         if before is None:
             outside = jnp.maximum(jnp.sqrt(jnp.sum(tau * tau) + _TINY) - scene.friction, 0.0)
             return lifted + outside, outside
@@ -141,7 +142,7 @@ class Coulomb(Law):
         moved = state.point - before.state.point
         along = (tangent + before.tangent) / 2 * (bent.arc_length - before.arc_length)
         w = _AUGMENTATION * (moved - along)
-        w = w - jnp.dot(w, normal) * normal
+        w = w - dot(w, normal) * normal
         trial = tau - lifted - w
         size = jnp.sqrt(jnp.sum(trial * trial) + _TINY)
         slides = tau - scene.friction / size * trial
@@ -158,11 +159,11 @@ class Leaning(Law):
     def push(self, scene: Scene, state: State) -> Push:
         """As in `Law`."""
         _, n, _ = _normal(scene, state.point)
-        return _leaning(scene, state.point, self.lean - jnp.dot(self.lean, n) * n)
+        return _leaning(scene, state.point, self.lean - dot(self.lean, n) * n)
 
     def away(self, bent: Bent, tangent: Vector, normal: Vector) -> Scalar:  # noqa: ARG002
         """As in `Law`."""
-        return -jnp.dot(tangent, normal) / 2
+        return -dot(tangent, normal) / 2
 
 
 class Held(Law):

@@ -4,13 +4,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.model import RodModel
+from vibrissa.numerics.vectors import joined
 from vibrissa.surfaces import Surface
 
 Scalar = Float[Any, ""]
@@ -54,7 +54,7 @@ class State(NamedTuple):
     @property
     def flat(self) -> Float[Array, "unknowns"]:
         """As one vector, for Newton's method."""
-        return jnp.concatenate([self.point, self.force[None], self.lean])
+        return joined(self.point, self.force, self.lean)
 
     @property
     def flat_rows(self) -> Float[np.ndarray, "n unknowns"]:

@@ -17,6 +17,7 @@ from vibrissa.geometry.rotation import lengths
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.bracket import roots
 from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.vectors import dot
 
 Scalar = Float[Any, ""]
 
@@ -79,7 +80,7 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     better = jnp.where(values[0] <= values[1], 0, 1)
     value, gradient = values[better], gradients[better]
     steepness = jnp.sqrt(jnp.sum(gradient * gradient))
-    cosine = jnp.dot(gradient, clamp.tangent) / steepness
+    cosine = dot(gradient, clamp.tangent) / steepness
     return Clearance(value / steepness, candidates[better], sampled[0], cosine)
 
 

@@ -7,6 +7,7 @@ Jacobian, or finds the straight rod in the object without having met it, it stop
 """
 
 from enum import IntEnum
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import jax
@@ -20,6 +21,7 @@ from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.bracket import POINTS
 from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
 
@@ -70,17 +72,21 @@ class Steps(NamedTuple):
 
 class _Carry(NamedTuple):
     last: Reached
-    differences: Float[Any, "orders four"]
+    differences: list[Float[Any, "four"]]
     """Backward differences of point and force: of order 0, themselves."""
     age: Array
-    """Positions since the contact began: no difference of a higher order is known."""
+    """Positions since the contact began: differences of a higher order are not known, and zero."""
     mode: Array
 
 
 _ORDERS = 8
 """Differences kept: trails of 0.01 L a step then need about one step of Newton's method a position."""
 _UNTESTED = 2
-"""Order up to which a young contact is extrapolated without a look at how well that did before."""
+"""Order to which a contact is extrapolated without a look at how well that did before."""
+_BETTER = 2.0
+"""Times by which a higher order has to do better: behind a kink all orders do equally badly, and
+the highest overshoots by most.
+"""
 TOLERANCE = {True: 1e-9, False: 1e-11}
 """Largest residual from which one more quadratic step is taken, and no other: on a branch; and with
 friction, where what is handed on, of before that step, adds up.
@@ -179,11 +185,10 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
 
     clamp, clear, met, meeting = jax.tree.map(padded, legs[:4])
     legs = legs._replace(clamp=clamp, clear=clear, met=met, meeting=meeting)
-    steps: Steps = _walk((scene, law, np.asarray(n)), legs)
+    steps: Steps = (_fans if short else _trails)((scene, law, np.asarray(n)), legs)
     return chosen(steps, np.s_[:, :n])
 
 
-@lanes(blocks=1, alone=_SINGLE)
 def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     """Walk a lane through the first `count` of its positions, for what is shared: scene, law and
     count.
@@ -196,7 +201,7 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     )
     steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
     waiting = jnp.asarray(int(Mode.WAITING))
-    carry = _Carry(legs.reached, jnp.zeros((_ORDERS, 4)), jnp.zeros((), dtype=int), waiting)
+    carry = _Carry(legs.reached, [jnp.zeros(4)] * _ORDERS, jnp.zeros((), dtype=int), waiting)
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
         carry, row = _advance(scene, law, legs, index, state[0])
@@ -205,6 +210,9 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
 
     walked: tuple[_Carry, Steps] = lax.fori_loop(0, count, advance, (carry, steps))
     return walked[1]
+
+
+_trails, _fans = lanes(blocks=1, alone=_SINGLE)(_walk), lanes()(_walk)
 
 
 def _advance(
@@ -216,7 +224,8 @@ def _advance(
     entering = free & legs.met[index]
     active = touches | entering
     last = carry.last
-    expected = _expected(law, carry)
+    foretold = list(accumulate(carry.differences))
+    expected = _expected(law, carry, foretold)
     # The tangential force starts from where it was, for sliding may stop or turn.
     guess = State(expected[:3], expected[3], last.state.lean)
     meeting = jax.tree.map(lambda part: part[index], legs.meeting)
@@ -231,18 +240,13 @@ def _advance(
     converged = found.residual <= TOLERANCE[law.branch]
     state = found.reached.state
     moved = _length(state.point - last.state.point)
-    missed = _length(state.point - expected[:3])
-    tolerated = moved
+    missed = jnp.min(joined(*(_length(state.point - order[:3]) for order in foretold[:-1])))
+    tolerated = _MISS_FLOOR + _MISS * moved
     if not law.branch:
-        # With friction the contact turns off its way at a corner of the trail, without a jump, and
-        # the guesses behind it still carry that on.
-        _, step, turn = carry.differences[:3, :3]
-        tolerated = jnp.maximum(moved, jnp.maximum(_length(step), _length(step - turn)))
-    tolerated = _MISS_FLOOR + _MISS * tolerated
-    if not law.branch:
+        # With friction the contact turns off its way at a corner of the trail, without a jump.
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
     misses = (carry.age >= 1) & (missed > tolerated)
-    motion = _length(jnp.concatenate([b - a for a, b in zip(come_from[0], clamp, strict=True)]))
+    motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
     leaps = touches & ((moved > JUMP_FLOOR + JUMP * motion) | misses)
     # A contact that pulls is one that has been lost; the solution beyond tells by how much.
     released = touches & converged & ~leaps & (state.force < 0)
@@ -260,12 +264,10 @@ def _advance(
     )
 
     fresh = entering | given
-    now = [jnp.append(reached.state.point, reached.state.force)]
-    for before_it in carry.differences[:-1]:
-        now.append(now[-1] - before_it)
-    differences = jnp.stack(now)
-    differences = differences.at[1:].set(jnp.where(fresh, 0.0, differences[1:]))
-    following = _Carry(reached, differences, jnp.where(fresh, 0, carry.age + 1), mode)
+    age = jnp.where(fresh, 0, carry.age + 1)
+    here = joined(reached.state.point, reached.state.force)
+    changes = [jnp.where(age > order, here - at, 0.0) for order, at in enumerate(foretold[:-1])]
+    following = _Carry(reached, [here, *changes], age, mode)
     following = jax.tree.map(
         lambda kept, new: jnp.where(legs.fanned & ~given, kept, new), carry, following
     )
@@ -276,17 +278,19 @@ def _length(vector: Float[Array, "n"]) -> Scalar:
     return jnp.sqrt(jnp.sum(vector**2))
 
 
-def _expected(law: Law, carry: _Carry) -> Float[Array, "four"]:
-    """Point and force, extrapolated. Without friction to the order that would have foretold the
-    last position best: that it would have missed is the difference of the next order.
+def _expected(
+    law: Law, carry: _Carry, foretold: list[Float[Array, "four"]]
+) -> Float[Array, "four"]:
+    """Point and force, extrapolated; without friction to the order that would have foretold the last
+    position best: what it would have missed is the difference of the next order.
     """
-    orders = jnp.arange(_ORDERS)
-    order = jnp.minimum(carry.age, _UNTESTED)
-    if law.branch:
-        missed = jnp.sum(carry.differences[1:] ** 2, axis=1)
-        tested = jnp.argmin(jnp.where(orders[1:] <= carry.age, missed, jnp.inf))
-        order = jnp.where(carry.age > _UNTESTED, tested, order)
-    return jnp.sum(jnp.where(orders[:, None] <= order, carry.differences, 0.0), axis=0)
+    expected, least = foretold[_UNTESTED], jnp.asarray(jnp.inf)
+    for order in range(_UNTESTED, _ORDERS - 1) if law.branch else ():
+        missed = _BETTER * _length(carry.differences[order + 1])
+        better = (carry.age > order) & (missed < least)
+        expected = jnp.where(better, foretold[order], expected)
+        least = jnp.where(better, missed / _BETTER, least)
+    return expected
 
 
 def _next(last: Array, before: Array, second_before: Array, age: Array) -> Array:
@@ -302,4 +306,4 @@ def _clamp_miss(clamp: Clamp, back: list[Clamp], age: Array) -> Scalar:
         here - _next(last, before, second_before, age)
         for here, last, before, second_before in zip(clamp, *back, strict=True)
     ]
-    return _length(jnp.concatenate(misses))
+    return _length(joined(*misses))

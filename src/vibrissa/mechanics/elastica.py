@@ -28,6 +28,7 @@ from jaxtyping import Float
 from vibrissa.mechanics.model import Bent, Clamp, Contact, RodModel, is_neutral
 from vibrissa.numerics.carlson import carlson_rf_rd
 from vibrissa.numerics.trigonometry import cosine, sine
+from vibrissa.numerics.vectors import dot, joined
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -80,8 +81,8 @@ def base_plane(direction: Vector, to_contact_side: Vector, tangent: Vector) -> B
         t0, unit tangent of the rod at the clamp.
     """
     lever_arm = jnp.sqrt(jnp.sum(to_contact_side**2))
-    sin_delta = jnp.dot(direction, to_contact_side) / lever_arm
-    cos_a0 = jnp.sqrt((1 - jnp.dot(direction, tangent)) / 2)
+    sin_delta = dot(direction, to_contact_side) / lever_arm
+    cos_a0 = jnp.sqrt((1 - dot(direction, tangent)) / 2)
     return BasePlane(sin_delta / (2 * cos_a0), lever_arm)
 
 
@@ -149,20 +150,20 @@ class Elastica(RodModel):
     ) -> Bent:
         """As in `RodModel`."""
         r, d, t0 = point - clamp.point, direction, clamp.tangent
-        plane = base_plane(d, d * jnp.dot(r, t0) - r * jnp.dot(d, t0), t0)
+        plane = base_plane(d, d * dot(r, t0) - r * dot(d, t0), t0)
         rod = contact_on_rod(plane, force, self.inflections)
         # Where the force acts along the clamp's axis, any plane through the axis will do: the
         # rod stays in the one that it had when it came there, as no force turns it.
         before = jnp.cross(t0, lax.stop_gradient(r) if reached is None else reached)
         held = before / jnp.sqrt(jnp.maximum(jnp.sum(before * before), _TINY))
-        out_of_plane = jnp.dot(r, jnp.where(is_neutral(d, t0), held, jnp.cross(t0, d)))
-        misses = jnp.stack([out_of_plane, jnp.dot(r, d) + rod.advance])
+        out_of_plane = dot(r, jnp.where(is_neutral(d, t0), held, jnp.cross(t0, d)))
+        misses = joined(out_of_plane, dot(r, d) + rod.advance)
         return Bent(point, r, force, d, misses, rod.arc_length, rod.modulus, Inner(plane, rod))
 
     def side(self, bent: Bent) -> Vector:
         """Unit vector from the clamp to the line of the force."""
         r, d = bent.to_contact, bent.direction
-        return (r - jnp.dot(r, d) * d) / bent.inner.plane.lever_arm
+        return (r - dot(r, d) * d) / bent.inner.plane.lever_arm
 
     def tangent(self, bent: Bent) -> Vector:
         """As in `RodModel`; where a = α it makes 2α with −d."""

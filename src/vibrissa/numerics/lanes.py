@@ -78,6 +78,7 @@ class Lanes(Generic[Shared, Row]):
         self._one, self._width, self._blocks = one, width, blocks
         self._alone = alone
         self._known: set[object] = set()
+        self._shapes: dict[object, Any] = {}
         self._compiling = threading.Lock()
 
     def __call__(self, shared: Shared, *rows: Any) -> Row:
@@ -113,9 +114,14 @@ class Lanes(Generic[Shared, Row]):
         return found
 
     def _nothing(self, shared: Shared, rows: Any) -> Row:
-        one = jax.tree.map(lambda leaf: jnp.zeros(np.shape(leaf)[1:], np.result_type(leaf)), rows)
-        shapes = jax.eval_shape(self._one, shared, *one)
-        return jax.tree.map(lambda shape: np.zeros((0, *shape.shape), shape.dtype), shapes)
+        one = jax.tree.map(lambda leaf: np.empty(leaf.shape[1:], leaf.dtype), rows)
+        leaves, structure = jax.tree.flatten((one, shared))
+        known = structure, *((np.shape(leaf), np.result_type(leaf)) for leaf in leaves)
+        if known not in self._shapes:
+            self._shapes[known] = jax.eval_shape(self._one, shared, *one)
+        return jax.tree.map(
+            lambda shape: np.zeros((0, *shape.shape), shape.dtype), self._shapes[known]
+        )
 
     @cached_property
     def _one_by_one(self) -> Callable[..., Any]:

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float
 
+from vibrissa.numerics.vectors import dot, joined
+
 
 def solve_4x4(
     matrix: Float[Array, "4 4"], right: Float[Array, "4"]
@@ -48,7 +50,7 @@ def solve_4x4(
                 + cofactors[3] * b[3]
             )
         )
-    return jnp.stack(values) / determinant, determinant
+    return joined(*values) / determinant, determinant
 
 
 def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -56,11 +58,11 @@ def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Ar
     first, second, third = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     across = jnp.cross(second, third)
     values = (
-        jnp.dot(right, across),
-        jnp.dot(first, jnp.cross(right, third)),
-        jnp.dot(first, jnp.cross(second, right)),
+        dot(right, across),
+        dot(first, jnp.cross(right, third)),
+        dot(first, jnp.cross(second, right)),
     )
-    return jnp.stack(values) / jnp.dot(first, across)
+    return joined(*values) / dot(first, across)
 
 
 def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -110,4 +112,4 @@ def solve_lower(lower: Float[Array, "n n"], right: Float[Array, "n"]) -> Float[A
     for i in range(lower.shape[0]):
         known = sum((lower[i, k] * value for k, value in enumerate(values)), jnp.zeros(()))
         values.append((right[i] - known) / lower[i, i])
-    return jnp.stack(values)
+    return joined(*values)

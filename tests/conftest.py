@@ -7,6 +7,7 @@ tests compile each once, and the next run compiles what has changed.
 
 import os
 import re
+import sys
 from pathlib import Path
 from typing import Any, get_args
 
@@ -15,6 +16,11 @@ import jaxtyping
 import pytest
 from hypothesis import settings
 from numpy.typing import ArrayLike
+
+# Bytecode is kept, whatever the machine's habit: without it each process that the tests start takes
+# three times as long to import what it needs.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # Two processes share the cores: a BLAS with threads of its own in each waits four times as long.
 # Taken up by the processes that pytest starts.

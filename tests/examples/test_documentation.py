@@ -66,8 +66,9 @@ def _commands(body: str) -> Iterator[list[str]]:
 
 
 def _plain(text: str) -> str:
-    """Without the sign of a zero, which is rounding."""
-    return re.sub(r"-0\.(?=[\s\]])", " 0.", text)
+    """Without the sign of a zero, which is rounding, and the blanks that make room for it."""
+    unsigned = re.sub(r"-0\.(?=[\s\]])", "0.", text)
+    return re.sub(r"\[ ", "[", re.sub(r" +", " ", unsigned))
 
 
 def _differences(page: str) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from vibrissa.contact import Law, Reached, Scene
-from vibrissa.forward.march import Legs, Mode, Steps, march
+from vibrissa.forward.march import Steps, entering, march
 from vibrissa.forward.path import Stretch, chosen, either
 from vibrissa.numerics.bracket import roots
 
@@ -94,21 +94,10 @@ def stepped(
     """
     fractions = np.column_stack([start.fraction, fraction])
     clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])
-    never = np.zeros(fractions.shape, dtype=bool)
-    meeting = jax.tree.map(
-        lambda part: np.zeros((*fractions.shape, *part.shape[1:])), start.reached
-    )
-    count = len(fraction)
-    legs = Legs(
-        clamps,
-        never,
-        never,
-        meeting,
-        np.zeros(count, dtype=int),
-        np.full(count, int(Mode.CONTACT)),
-        start.reached,
-        np.where(start.figure > 0, 1.0, -1.0),
-        np.ones(count, dtype=bool),
+    legs = entering(law, clamps)._replace(
+        reached=start.reached,
+        sign=np.where(start.figure > 0, 1.0, -1.0),
+        fanned=np.ones(len(fraction), dtype=bool),
     )
     steps = march(scene, law, legs)
     found: Steps = chosen(steps, np.s_[:, 1:])

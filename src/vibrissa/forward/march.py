@@ -105,6 +105,8 @@ conditions have corners.
 """
 
 
+STABLE = -1.0
+"""Sign of the Jacobian's determinant on a stable branch."""
 _FAN, _SHORTEST_TRAIL = 1 + POINTS, 256
 """Positions of lanes that only locate an event, and room for those of a trail."""
 _SINGLE = 8
@@ -167,6 +169,26 @@ def once(
     figure = step.determinant if law.branch else beyond
     reached = Reached(State.of(step.x), arc_length, tangent)
     return Solved(reached, step.residual, figure, phase)
+
+
+def nowhere(law: Law, *shape: int, fill: float = np.nan) -> Reached:
+    """What is reached where there is no contact."""
+
+    def full(*width: int) -> Float[np.ndarray, "..."]:
+        return np.full((*shape, *width), fill)
+
+    return Reached(State(full(3), full(), full(law.unknowns)), full(), full(3))
+
+
+def entering(law: Law, clamps: Clamp) -> Legs:
+    """Legs of lanes at clamps (k, n, 3) that enter in contact at the first, where what they have
+    reached is still to be filled in.
+    """
+    count, n = clamps.point.shape[:2]
+    never, first = np.zeros((count, n), dtype=bool), np.zeros(count, dtype=int)
+    reached, meeting = (nowhere(law, *shape, fill=0.0) for shape in ((count,), (count, n)))
+    modes, signs = np.full(count, int(Mode.CONTACT)), np.full(count, STABLE)
+    return Legs(clamps, never, never.copy(), meeting, first, modes, reached, signs, first > 0)
 
 
 def march(scene: Scene, law: Law, legs: Legs) -> Steps:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from vibrissa.contact import Law, Reached, Scene, State
+from vibrissa.contact import Law, Reached, Scene
 from vibrissa.contacts import Status
 from vibrissa.forward.approach import (
     CLEAR,
@@ -22,10 +22,9 @@ from vibrissa.forward.approach import (
 from vibrissa.forward.events import EventKind, Happening
 from vibrissa.forward.follow import Outcome, follow
 from vibrissa.forward.locate import Indicator, Place, located
-from vibrissa.forward.march import Legs, Mode, Steps, march
+from vibrissa.forward.march import STABLE, Mode, Steps, entering, march, nowhere
 from vibrissa.forward.path import Path, chosen, extended_back
 
-_STABLE = -1.0
 _AT_ONCE = 1e-9
 """Fraction of a step between events that are one, to rounding."""
 _WAY_BACK = 40
@@ -89,15 +88,6 @@ class _Start(NamedTuple):
     """Positions to pass over after the next failure of a search, doubled each time."""
 
 
-def _nowhere(law: Law, *shape: int, fill: float = np.nan) -> Reached:
-    """What is reached where there is no contact."""
-
-    def full(*width: int) -> Float[np.ndarray, "..."]:
-        return np.full((*shape, *width), fill)
-
-    return Reached(State(full(3), full(), full(law.unknowns)), full(), full(3))
-
-
 class _Walk:
     """The lanes still on their way, and what has been found so far."""
 
@@ -117,7 +107,7 @@ class _Walk:
         self.pending: list[_Start] = []
         nothing = np.full(shape, np.nan)
         free = np.full(shape, int(Mode.FREE))
-        steps = Steps(_nowhere(law, *shape), free, *(nothing.copy() for _ in range(3)))
+        steps = Steps(nowhere(law, *shape), free, *(nothing.copy() for _ in range(3)))
         self.found = Sweep(steps, np.zeros(shape, dtype=np.int64))
 
     def begin(self) -> None:
@@ -126,7 +116,7 @@ class _Walk:
         entered = _entered(self._scene, self._path, self._law, touching)
         for lane, clear in enumerate(self._clear[:, 0]):
             if clear:
-                self.pending.append(_Start(lane, 0, Mode.FREE, None, _STABLE, 1))
+                self.pending.append(_Start(lane, 0, Mode.FREE, None, STABLE, 1))
             elif lane in entered:
                 self._settle(lane, 0, entered[lane], 1)
             else:
@@ -135,8 +125,7 @@ class _Walk:
     def start_at(self, first: Int[np.ndarray, "m"]) -> None:
         """Start every lane free at a given position."""
         self.pending = [
-            _Start(lane, int(index), Mode.FREE, None, _STABLE, 1)
-            for lane, index in enumerate(first)
+            _Start(lane, int(index), Mode.FREE, None, STABLE, 1) for lane, index in enumerate(first)
         ]
 
     def march(self, *, resolve: bool = True) -> None:
@@ -169,29 +158,23 @@ class _Walk:
     def _marched(
         self, starts: list[_Start], lanes: Int[np.ndarray, "k"], first: Int[np.ndarray, "k"]
     ) -> Steps:
-        count, n = len(starts), self._clear.shape[1]
-
-        met, meeting = np.zeros((count, n), dtype=bool), _nowhere(self._law, count, n, fill=0.0)
+        legs = entering(self._law, chosen(self._path.clamps, lanes))
         place = np.full(len(self._clear), -1)
-        place[lanes] = np.arange(count)
+        place[lanes] = np.arange(len(starts))
         here = place[self._meetings.lane] >= 0
         at = (place[self._meetings.lane[here]], self._meetings.position[here])
-        met[at] = True
+        legs.met[at] = True
         states = begun(chosen(self._meetings.at, here), self._law.unknowns)
-        for whole, part in zip(jax.tree.leaves(meeting), jax.tree.leaves(states), strict=True):
+        for whole, part in zip(jax.tree.leaves(legs.meeting), jax.tree.leaves(states), strict=True):
             whole[at] = part
-        nothing = _nowhere(self._law, fill=0.0)
+        nothing = nowhere(self._law, fill=0.0)
         reached = [start.reached or nothing for start in starts]
-        legs = Legs(
-            chosen(self._path.clamps, lanes),
-            self._clear[lanes],
-            met,
-            meeting,
-            first,
-            np.array([int(start.mode) for start in starts]),
-            jax.tree.map(lambda *parts: np.stack(parts), *reached),
-            np.array([start.sign for start in starts]),
-            np.zeros(count, dtype=bool),
+        legs = legs._replace(
+            clear=self._clear[lanes],
+            start=first,
+            mode=np.array([int(start.mode) for start in starts]),
+            reached=jax.tree.map(lambda *parts: np.stack(parts), *reached),
+            sign=np.array([start.sign for start in starts]),
         )
         return march(self._scene, self._law, legs)
 
@@ -215,7 +198,7 @@ class _Walk:
     def _settle(self, lane: int, index: int, outcome: Outcome, patience: int) -> None:
         steps, at = self.found.steps, (lane, index)
         self.by_hand[at] = True
-        reached = outcome.reached or _nowhere(self._law)
+        reached = outcome.reached or nowhere(self._law)
         for whole, part in zip(
             jax.tree.leaves(steps.reached), jax.tree.leaves(reached), strict=True
         ):
@@ -229,7 +212,7 @@ class _Walk:
         if outcome.mode == Mode.LOST:
             self._pass_over(lane, index, outcome.status, patience)
         elif index < self._clear.shape[1] - 1:
-            sign = float(np.sign(outcome.figure)) if outcome.mode == Mode.CONTACT else _STABLE
+            sign = float(np.sign(outcome.figure)) if outcome.mode == Mode.CONTACT else STABLE
             self.pending.append(_Start(lane, index, outcome.mode, outcome.reached, sign, patience))
 
     def _pass_over(self, lane: int, index: int, status: Status, patience: int) -> None:
@@ -345,7 +328,7 @@ def _at_once(
 ) -> _Brackets:
     """Steps of a first contact on which the phase changes, too."""
     unloaded = begun(meeting, law.unknowns)
-    stable = np.full(len(lane), _STABLE)
+    stable = np.full(len(lane), STABLE)
     low = Place(meeting.fraction, unloaded, stable, meeting.phase)
     phases = np.full(len(lane), int(Indicator.PHASE))
     changes = (low.phase > 0) != (after.phase > 0)

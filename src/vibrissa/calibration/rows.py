@@ -76,6 +76,13 @@ class Rows(NamedTuple):
         """How many recordings there are."""
         return int(self.recording[-1]) + 1
 
+    @property
+    def contacts(self) -> list[Int[np.ndarray, "rows"]]:
+        """Rows in contact of each recording."""
+        return [
+            np.flatnonzero(self.contact & (self.recording == one)) for one in range(self.recordings)
+        ]
+
 
 class _Samples(NamedTuple):
     """Seen from the sensor."""

@@ -13,9 +13,9 @@ from scipy.linalg import solve_triangular
 from vibrissa.calibration.bench import SetupType, Step, bench_of, moved_at_once
 from vibrissa.calibration.held_out import HeldOut, Part, predicted_by_others
 from vibrissa.calibration.parameters import Parameter, stepped, uncertain
-from vibrissa.calibration.result import Calibration, Residuals, estimates_of
+from vibrissa.calibration.result import Calibration, Residuals, concluded
 from vibrissa.calibration.rows import CalibrationError, reactions_of
-from vibrissa.calibration.statistics import Fitness, identifiability, weakest, without_held
+from vibrissa.calibration.statistics import Fitness, opened
 from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import reconstruct
@@ -57,7 +57,6 @@ class Fit(NamedTuple):
     solution: Solution
     directions: Float[np.ndarray, "errors p"]
     spread: Float[np.ndarray, "p"]
-    covariance: Float[np.ndarray, "p p"]
     inflation: float
 
 
@@ -155,10 +154,9 @@ def _fitted(
     free, held = list(chosen), dict[str, tuple[str, ...]]()
     given = bench_of(setup.rod, setup.sensor).numbers(setup.sensor)
     while free:
-        scales = np.array([one.scale for one in free])
+        # Gains are not divided by what they were given as: the sensor has been.
         known = [
             min(
-                # Gains are not divided by what they were given as: the sensor has been.
                 deviations.get(one.group, math.inf)
                 / (1.0 if one.field == "gain" else one.slope(given)),
                 within.get(one, math.inf),
@@ -170,16 +168,10 @@ def _fitted(
         solution = solved(cases, directions, spread, friction, np.zeros(len(free)))
         left = np.concatenate([misfit.value for misfit in solution.misfits])
         inflation = max(1.0, float(left @ left) / max(len(left) - len(free), 1))
-        covariance = solution.covariance * inflation
-        open_one = weakest(np.linalg.inv(covariance) * np.outer(scales, scales), _OPEN)
-        if open_one is None:
-            names = {one.name for one in chosen} - {one.name for one in free}
-            return Fit(
-                free, without_held(held, names), solution, directions, spread, covariance, inflation
-            )
-        place, others = open_one
-        held[free[place].name] = tuple(free[other].name for other in others)
-        del free[place]
+        more = opened(free, np.linalg.inv(solution.covariance * inflation), _OPEN)
+        if not more:
+            return Fit(free, held, solution, directions, spread, inflation)
+        free, held = [one for one in free if one.name not in more], held | more
     raise CalibrationError(
         f"these recordings determine none of the free parameters: {', '.join(held)}"
     )
@@ -199,19 +191,15 @@ def _result(
     # Errors of gains are relative, steps logarithmic.
     step = step._replace(gain=np.log1p(step.gain))
     bench = jax.tree.map(np.asarray, moved_at_once(start, step))
-    given = start.numbers(setup.sensor)
-    slopes = np.array([one.slope(given) for one in fit.free])
-    covariance = fit.covariance * np.outer(slopes, slopes)
-    deviations = {
-        one.name: float(deviation)
-        for one, deviation in zip(fit.free, np.sqrt(np.diag(covariance)), strict=True)
-    }
-    estimates = estimates_of(chosen, setup, start, bench, deviations, fit.held)
-    known = 1 / np.sqrt(np.diag(np.linalg.inv(fit.covariance)))
+    given, covariance = start.numbers(setup.sensor), fit.solution.covariance * fit.inflation
+    estimates, own, identified = concluded(
+        setup, chosen, fit.free, fit.held, bench, covariance,
+        alone=1 / np.sqrt(np.diag(np.linalg.inv(covariance))),
+        slopes=np.array([one.slope(given) for one in fit.free]),
+    )  # fmt: skip
     parts, count = _held_out(fit), len(fit.solution.cases)
     nothing, unknown = np.zeros((count, 6)), np.full((count, 6), np.nan)
-    stated = {one.name: deviation * one.slope(given) for one, deviation in within.items()}
-    lines = moved(chosen, estimates, setup.rod, stated)
+    lines = moved(chosen, estimates, setup.rod, within)
     if fit.inflation >= _CONTRADICTED:
         lines.append(
             "the constraints contradict each other by up to "
@@ -223,8 +211,8 @@ def _result(
         setup=bench.setup(setup, setup.surface),
         surface=None,
         estimates=estimates,
-        covariance=covariance,
-        identifiability=identifiability(fit.free, fit.covariance, known, fit.held),
+        covariance=own,
+        identifiability=identified,
         residuals=_residuals(setup.rod, fit.solution),
         fitness=Fitness(fit.inflation, 1.0, np.full(6, fit.inflation), 0.0, 0.0),
         tare=nothing,

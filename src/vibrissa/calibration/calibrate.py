@@ -23,7 +23,7 @@ from vibrissa.calibration.parameters import (
 )
 from vibrissa.calibration.problem import WRENCH, Linear, Point, Problem, by_rows
 from vibrissa.calibration.result import Calibration, Residuals, concluded
-from vibrissa.calibration.rows import CalibrationError, gathered
+from vibrissa.calibration.rows import CalibrationError, gathered, sweeps_of
 from vibrissa.calibration.score import scores
 from vibrissa.calibration.statistics import covariance, fitness, undetermined
 from vibrissa.calibration.suspects import held as unsure
@@ -148,14 +148,15 @@ def calibrate(
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     coefficient = not_negative(friction, "friction")
+    sweeps = sweeps_of(listed, setup.sensor)
     if surface is None:
         result = calibrated_without_object(
-            listed, setup, names, chosen, deviations, coefficient, known or Tolerances()
+            sweeps, setup, names, chosen, deviations, coefficient, known or Tolerances()
         )
     else:
         start = bench_of(setup.rod, setup.sensor)
         given = start.numbers(setup.sensor)
-        rows = gathered(listed, setup.sensor)
+        rows = gathered(sweeps, setup.sensor)
         priors = [deviations.get(one.group, math.inf) / one.slope(given) for one in chosen]
         problem = Problem(
             surface, rows, start, chosen, np.array(priors), "drift" in names, coefficient,

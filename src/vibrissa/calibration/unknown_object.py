@@ -14,17 +14,17 @@ from vibrissa.calibration.bench import SetupType, Step, bench_of, moved_at_once
 from vibrissa.calibration.held_out import HeldOut, Part, predicted_by_others
 from vibrissa.calibration.parameters import Parameter, stepped, uncertain
 from vibrissa.calibration.result import Calibration, Residuals, concluded
-from vibrissa.calibration.rows import CalibrationError, reactions_of
+from vibrissa.calibration.rows import CalibrationError
 from vibrissa.calibration.statistics import Fitness, opened
 from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import reconstruct
-from vibrissa.inverse.checks.case import Case, Solution, case_of, solved
+from vibrissa.inverse.checks.case import Case, Solution, case_of, picked, solved
 from vibrissa.inverse.checks.rig import ERRORS, GAIN, LENGTH, POSITION, ROTATION, STIFFNESS, Frame
 from vibrissa.inverse.checks.stretches import stretches_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.sensor import Sensor
 from vibrissa.tolerances import Tolerances
 
 _PLACES = {
@@ -61,7 +61,7 @@ class Fit(NamedTuple):
 
 
 def calibrated_without_object(
-    recordings: list[Reactions | RawRecording],
+    sweeps: list[Reactions],
     setup: SetupType,
     names: tuple[str, ...],
     chosen: list[Parameter],
@@ -88,11 +88,8 @@ def calibrated_without_object(
                 f"free: {one.group!r} needs the object, and surface = None; allowed are parameters "
                 "of rod, clamp and sensor, tare and drift"
             )
-    if not recordings:
-        raise ValueError("recordings = []; allowed is at least one recording")
     cases = [
-        _case(index, reactions_of(recording, setup.sensor), setup.rod, setup.sensor, friction)
-        for index, recording in enumerate(recordings)
+        _case(index, sweep, setup.rod, setup.sensor, friction) for index, sweep in enumerate(sweeps)
     ]
     within = {
         one: deviation
@@ -106,21 +103,13 @@ def calibrated_without_object(
 
 
 def _case(index: int, reactions: Reactions, rod: Rod, sensor: Sensor, friction: float) -> Case:
-    if reactions.force.ndim != 2:
-        raise ValueError(
-            "recordings: without an object allowed are single sweeps, as Reactions "
-            "(`read_recording`) or RawRecording"
-        )
     if reactions.covariance is None:
         raise CalibrationError(
             f"recordings[{index}]: the sensor's noise is not known; give force_noise and "
             "torque_noise"
         )
     averaged = stretches_of(reconstruct(rod, reactions, friction=friction, check=False))
-    frame = Frame(
-        rotation_matrices(sensor.clamp_orientation),
-        (sensor.clamp_position - np.asarray(sensor.wrench_point)) / rod.length,
-    )
+    frame = Frame(rotation_matrices(sensor.clamp_orientation), sensor.arm / rod.length)
     case = None if averaged is None else case_of(averaged, frame, friction)
     if case is None:
         raise CalibrationError(
@@ -132,13 +121,11 @@ def _case(index: int, reactions: Reactions, rod: Rod, sensor: Sensor, friction: 
 
 def _directions(free: list[Parameter], setup: SetupType) -> Float[np.ndarray, "errors p"]:
     """Errors of the bench for unit steps of parameters."""
-    turn = rotation_matrices(setup.sensor.clamp_orientation)
-    out = np.zeros((ERRORS, len(free)))
+    places, out = np.arange(ERRORS), np.zeros((ERRORS, len(free)))
     for column, one in enumerate(free):
-        step = stepped([one], np.ones(1))._asdict()
-        step["clamp"] = turn.T @ step["clamp"] / setup.rod.length
-        for field, place in _PLACES.items():
-            out[place, column] = step[field]
+        out[places[_PLACES[one.field]][list(one.entries)], column] = 1.0
+    turn = rotation_matrices(setup.sensor.clamp_orientation)
+    out[POSITION] = turn.T @ out[POSITION] / setup.rod.length
     return out
 
 
@@ -249,7 +236,7 @@ def _held_out(fit: Fit) -> tuple[HeldOut, ...]:
             )
         )
         told = int(np.count_nonzero(misfit.told))
-        parts.append(Part(f"recordings[{index}]", told, 1, -design, left))
+        parts.append(Part(f"recordings[{index}]", told, told, -design, left))
     total = np.diag(fit.spread**-2.0) + sum(part.design.T @ part.design for part in parts)
     return predicted_by_others(parts if len(parts) > 1 else [], total, fit.free, fit.inflation)
 
@@ -259,8 +246,8 @@ def _residuals(rod: Rod, solution: Solution) -> Residuals:
     units, columns = np.repeat([rod.force_scale, rod.moment_scale], 3), []
     for index, (case, misfit) in enumerate(zip(solution.cases, solution.misfits, strict=True)):
         own, there = case.bench.stretches, case.bench.frame.to_sensor
-        slope = np.take_along_axis(case.here.by_wrench.constraints, misfit.pick[..., None], axis=1)
-        value = np.take_along_axis(case.here.value, misfit.pick, axis=1)
+        slope = picked(case.here.by_wrench.constraints, misfit.pick)
+        value = picked(case.here.value, misfit.pick)
         spread = own.noise @ np.swapaxes(slope, 1, 2)
         # By the least change of the wrench that meets the constraints.
         change = (spread @ np.linalg.solve(slope @ spread, value[..., None]))[..., 0]

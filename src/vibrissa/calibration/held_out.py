@@ -66,7 +66,7 @@ def held_out(linear: Linear, weight: Numbers, inflation: float) -> tuple[HeldOut
         root = np.sqrt(weight[out, None])
         design = (root[..., None] * linear.jacobian[out]).reshape(-1, len(total))
         left = (root * linear.residual[out]).ravel()
-        parts.append(Part(name, len(out), problem.freedom, design, left))
+        parts.append(Part(name, len(out), len(out) * problem.freedom, design, left))
     return predicted_by_others(parts, total, problem.free, inflation)
 
 
@@ -75,8 +75,8 @@ class Part(NamedTuple):
 
     name: str
     rows: int
-    freedom: int
-    """Conditions that each row adds."""
+    conditions: int
+    """That they add."""
     design: Float[np.ndarray, "k u"]
     """Derivatives, with the sign that unknowns larger by a step leave `left - design @ step`."""
     left: Float[np.ndarray, "k"]
@@ -115,7 +115,7 @@ def predicted_by_others(
         # At the solution the gradient of all is zero: that of the others opposes this part's.
         step = -others @ part.design.T @ part.left
         predicted = part.left - part.design @ step
-        expected = part.rows * part.freedom + float(np.sum(own * others))
+        expected = part.conditions + float(np.sum(own * others))
         # What a prior holds does not move, and the difference of both variances is rounding.
         variance = np.diag(others - whole)[:count]
         told = variance > _TOLD * own_variances

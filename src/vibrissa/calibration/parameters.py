@@ -75,9 +75,9 @@ def default_names(rod: Rod) -> tuple[str, ...]:
 def _all(rod: Rod) -> list[Parameter]:
     """Every parameter of a bench with this rod, in a fixed order: rod, clamp, object, sensor."""
     length = rod.unit_of("length")
-    inertia = None if rod.radius is None else math.pi / 4 * rod.radius**4
+    inertia = math.inf if rod.radius is None else math.pi / 4 * rod.radius**4
     table = (
-        *([(STIFFNESS[0], "stiffness", "Pa", 1.0, 1 / inertia, _ONE)] if inertia else []),
+        (STIFFNESS[0], "stiffness", "Pa", 1.0, 1 / inertia, _ONE),
         (STIFFNESS[1], "stiffness", "N m2" if rod.units == "SI" else "1", 1.0, 1.0, _ONE),
         ("length", "length", length, 1.0, 1.0, _ONE),
         ("clamp_position", "clamp", length, rod.length, 1.0, _AXES),
@@ -91,7 +91,7 @@ def _all(rod: Rod) -> list[Parameter]:
     )
     return [
         Parameter(group + suffix, group, unit, field, entries, scale, factor)
-        for group, field, unit, scale, factor, each in table
+        for group, field, unit, scale, factor, each in table[rod.radius is None :]
         for suffix, entries in each.items()
     ]
 

@@ -116,29 +116,27 @@ class Fitness:
     disturbed: float
 
 
-def weakest(information: Square, limit: float) -> tuple[int, list[int]] | None:
-    """Of scaled information, the parameter to hold where a direction's standard deviation exceeds a
-    limit, and those it goes with; None where all are determined.
-    """
-    least = max(1 / limit**2, _ROUNDING * float(np.trace(information)))
-    values, vectors = np.linalg.eigh(information)
-    if values[0] > least:
-        return None
-    loading = np.abs(vectors[:, 0])
-    # Of several that weigh alike the last is held: what comes first is asked for first.
-    place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
-    return place, [int(one) for one in np.flatnonzero(loading > _ALIKE) if one != place]
-
-
 def opened(free: list[Parameter], information: Square, limit: float) -> dict[str, tuple[str, ...]]:
-    """Parameters of directions that are open, to be held one by one, with what each goes with."""
+    """Parameters to be held, one by one, until no direction's standard deviation, in the
+    parameters' scales, exceeds a limit; each with what it goes with.
+    """
     held, scales = dict[str, tuple[str, ...]](), np.array([one.scale for one in free])
-    left, free = information * np.outer(scales, scales), list(free)
-    while free and (open_one := weakest(left, limit)):
-        place, others = open_one
-        held[free[place].name] = tuple(free[other].name for other in others)
+    left, names = information * np.outer(scales, scales), [one.name for one in free]
+    while names:
+        values, vectors = np.linalg.eigh(left)
+        if values[0] > max(1 / limit**2, _ROUNDING * np.trace(left)):
+            break
+        loading = np.abs(vectors[:, 0])
+        # Of several that weigh alike the last is held: what comes first is asked for first.
+        place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
+        name = names[place]
+        held[name] = tuple(
+            other
+            for other, share in zip(names, loading, strict=True)
+            if share > _ALIKE and other != name
+        )
         left = np.delete(np.delete(left, place, 0), place, 1)
-        del free[place]
+        names.remove(name)
     return held
 
 

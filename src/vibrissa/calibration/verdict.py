@@ -100,7 +100,7 @@ def _matters(score: Score) -> bool:
     """Whether a cause is significant, large enough to matter, and beyond its tolerance."""
     suspect, size = score.suspect, float(np.linalg.norm(score.value))
     return (
-        score.significance > _TELLING * (1 if suspect.linear else 2)
+        score.significance > (_TELLING if suspect.linear else 2 * _TELLING)
         and suspect.least < size * suspect.scale < _LARGEST
         and size > 2 * suspect.tolerance
     )

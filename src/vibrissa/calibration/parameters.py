@@ -158,13 +158,12 @@ def uncertain(rod: Rod, tolerances: Tolerances) -> dict[Parameter, float]:
         "gain": tolerances.gain,
         "object_position": tolerances.object_position,
     }
-    each = {
-        one: float(np.ravel(deviation)[one.entries[0]])
+    return {
+        one: size
         for group, deviation in deviations.items()
         for one in _all(rod)
-        if one.group == group
+        if one.group == group and (size := float(np.ravel(deviation)[one.entries[0]])) > 0
     }
-    return {one: deviation for one, deviation in each.items() if deviation > 0}
 
 
 def stepped(free: list[Parameter], values: Float[np.ndarray, "parameters"]) -> Step:

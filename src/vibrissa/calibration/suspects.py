@@ -131,14 +131,13 @@ def held(linear: Linear, rod: Rod, tolerances: Tolerances) -> Columns:
     (n, 6, m): of those with a tolerance.
     """
     problem, step = linear.problem, linear.reading.by_step
-    fitted = {one.name for one in problem.free}
     columns = [
         deviation * one.column(step)
         for one, deviation in uncertain(rod, tolerances).items()
-        if one.name not in fitted
+        if one not in problem.free
     ]
     grown = object_scale(linear)
-    if "standoff" in fitted:
+    if "standoff" in (one.name for one in problem.free):
         # Fitted is what an offset of the surface does; left is what growing does besides, nothing
         # for a ball.
         size = object_size(problem.surface, linear.bench, linear.point.states.point)

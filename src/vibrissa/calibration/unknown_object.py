@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from vibrissa.calibration.bench import SetupType, Step, bench_of, moved_at_once
+from vibrissa.calibration.bench import SetupLike, SetupType, Step, bench_of, moved_at_once
 from vibrissa.calibration.held_out import HeldOut, Part, predicted_by_others
 from vibrissa.calibration.parameters import Parameter, stepped, uncertain
 from vibrissa.calibration.result import Calibration, Residuals, concluded
@@ -24,7 +24,6 @@ from vibrissa.inverse.checks.rig import ERRORS, GAIN, LENGTH, POSITION, ROTATION
 from vibrissa.inverse.checks.stretches import stretches_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor import Sensor
 from vibrissa.tolerances import Tolerances
 
 _PLACES = {
@@ -88,9 +87,7 @@ def calibrated_without_object(
                 f"free: {one.group!r} needs the object, and surface = None; allowed are parameters "
                 "of rod, clamp and sensor, tare and drift"
             )
-    cases = [
-        _case(index, sweep, setup.rod, setup.sensor, friction) for index, sweep in enumerate(sweeps)
-    ]
+    cases = [_case(index, sweep, setup, friction) for index, sweep in enumerate(sweeps)]
     within = {
         one: deviation
         for one, deviation in uncertain(setup.rod, tolerances).items()
@@ -102,7 +99,8 @@ def calibrated_without_object(
     return _result(setup, names, chosen, fit, friction, tolerances if within else None, within)
 
 
-def _case(index: int, reactions: Reactions, rod: Rod, sensor: Sensor, friction: float) -> Case:
+def _case(index: int, reactions: Reactions, setup: SetupLike, friction: float) -> Case:
+    rod, sensor = setup.rod, setup.sensor
     if reactions.covariance is None:
         raise CalibrationError(
             f"recordings[{index}]: the sensor's noise is not known; give force_noise and "
@@ -137,7 +135,7 @@ def _fitted(
     setup: SetupType,
     friction: float,
 ) -> Fit:
-    """Solve; hold what the solution leaves open, one by one, and solve anew without it."""
+    """Solve; hold what the solution leaves open, and solve anew without it."""
     free, held = list(chosen), dict[str, tuple[str, ...]]()
     given = bench_of(setup.rod, setup.sensor).numbers(setup.sensor)
     while free:

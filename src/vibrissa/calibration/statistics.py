@@ -203,10 +203,12 @@ def covariance(
     An error h of a held number moves the estimates by −(JᵀWJ)⁻¹ JᵀW ∂r/∂h ("consider parameters":
     S. F. Schmidt, Advances in Control Systems 3 (1966) 293-340).
     """
-    inverse, contact = np.linalg.inv(linear.information(weight)), linear.problem.rows.contact
+    matrix, contact = linear.information(weight), linear.problem.rows.contact
+    inverse = np.linalg.inv(matrix)
     size = np.sqrt(weight)[:, None, None] * np.sqrt(inflation - 1)[:, None]
     excess = (size * (linear.channels @ linear.design))[contact].reshape(-1, len(inverse))
     crossed = np.tensordot(
         weight[:, None, None] * linear.jacobian, linear.weighing @ columns, axes=((0, 1), (0, 1))
     )
-    return inverse + inverse @ (excess.T @ excess + crossed @ crossed.T) @ inverse
+    shift = np.linalg.solve(matrix, crossed)
+    return inverse + inverse @ (excess.T @ excess) @ inverse + shift @ shift.T

@@ -273,7 +273,7 @@ def test_derivatives_are_those_of_the_readings(leaning: float) -> None:
         pivot=np.array([0.01, 0.02, 0.03]),
         standoff=np.asarray(2e-5),
     )
-    at = readings(BALL, bench, states, poses)
+    at = readings((BALL, bench), states, poses)
     assert at.sound.all()
 
     def checked(exact: np.ndarray, ends: list[np.ndarray], what: str) -> None:
@@ -287,13 +287,13 @@ def test_derivatives_are_those_of_the_readings(leaning: float) -> None:
             for sign in (1e-6, -1e-6):
                 step = NO_STEP._replace(**{field: sign * np.eye(len(part))[entry]})
                 there = jax.tree.map(np.asarray, moved(bench, step))
-                ends.append(readings(BALL, there, at.state, poses).wrench)
+                ends.append(readings((BALL, there), at.state, poses).wrench)
             checked(getattr(at.by_step, field)[..., entry], ends, f"{field} {entry}")
     for axis in range(3):
         ends = []
         for sign in (1e-6, -1e-6):
             there = at.state._replace(leaning=at.state.leaning + sign * np.eye(3)[axis])
-            ends.append(readings(BALL, bench, there, poses).wrench)
+            ends.append(readings((BALL, bench), there, poses).wrench)
         checked(at.by_leaning[..., axis], ends, f"leaning {axis}")
 
 

@@ -10,7 +10,7 @@ import pytest
 from calibration_bench import BALL, WIRE, recordings, sensor, setup
 
 import vibrissa as vb
-from vibrissa.calibration.imperfections import Load, curving, tapering
+from vibrissa.calibration.imperfections import imperfect_moves
 
 _BALL = replace(BALL, radius=0.03 * 1.03)
 _SIZE = "object seems 3.0% smaller than stated"
@@ -95,13 +95,13 @@ def test_an_estimate_beyond_its_tolerance_is_named() -> None:
 
 def test_taper_and_rest_curvature_move_a_cantilever_s_tip() -> None:
     """Of small deflections under forces that push by 10°: F L³/(3 EI) more by the taper, and κ₀
-    L²/2 by the curvature, whatever the force.
+    L²/2 by the curvature, whatever the force. In units of L and EI.
     """
-    length, stiffness, across, along = 0.05, 6e-4, np.cos(np.radians(10)), -np.sin(np.radians(10))
-    force = 1e-3 * np.array([[across, 0.0, along], [0.0, -2 * across, 2 * along]])
-    load = Load(length, stiffness, force)
-    np.testing.assert_allclose(
-        tapering(load)[:, :2], force[:, :2] * length**3 / (3 * stiffness), rtol=5e-3, atol=1e-9
-    )
-    np.testing.assert_allclose(curving(load, 1)[:, 0], length**2 / 2, rtol=5e-3)
-    np.testing.assert_allclose(curving(load, 0)[:, 1], -(length**2) / 2, rtol=5e-3)
+    across, along = np.cos(np.radians(10)), -np.sin(np.radians(10))
+    force = 4e-3 * np.array([[across, 0.0, along], [0.0, -2 * across, 2 * along]])
+    bent = force[:, :2] / 3
+    tip = np.column_stack([bent, [1.0, 1.0]])
+    moves = imperfect_moves(np.hstack([-force, -np.cross(tip, force)]))
+    np.testing.assert_allclose(moves[:, :2, 0], bent, rtol=5e-3, atol=1e-6)
+    np.testing.assert_allclose(moves[:, 0, 1], 1 / 2, rtol=5e-3)
+    np.testing.assert_allclose(moves[:, 1, 2], 1 / 2, rtol=5e-3)

@@ -1,6 +1,6 @@
 """Everything a calibration may change, as one tree of numbers, and what it makes of a setup."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
 
 import jax.numpy as jnp
@@ -109,19 +109,17 @@ class Bench(NamedTuple):
             clamp_orientation=Rotation.from_matrix(np.asarray(self.axes)).as_quat(),
             gain=(fx, fy, fz, tx, ty, tz),
         )
-        whole = cast(Any, given)
-        earlier = {one.name: None for one in fields(whole) if one.name == "calibration"}
-        parts = {"rod": self.rod(given.rod), "sensor": sensor, "surface": surface, **earlier}
-        return cast(SetupType, replace(whole, **parts))
+        parts: dict[str, Any] = {"rod": self.rod(given.rod), "sensor": sensor, "surface": surface}
+        if hasattr(given, "calibration"):
+            parts["calibration"] = None
+        return cast(SetupType, replace(cast(Any, given), **parts))
 
     def numbers(self, given: Sensor) -> Step:
         """EI, L, clamp point, turn of the clamp from the given one, gains, shift and turn of the
         object, standoff.
         """
         turned = rotation_matrices(given.clamp_orientation).T @ np.asarray(self.axes)
-        tilt, turn = (
-            Rotation.from_matrix(np.asarray(part)).as_rotvec() for part in (turned, self.turn)
-        )
+        tilt, turn = Rotation.from_matrix(np.stack([turned, self.turn])).as_rotvec()
         one, gain = np.atleast_1d, np.asarray(given.gain * self.gain)
         return Step(
             one(self.stiffness), one(self.length), self.clamp, tilt, gain, self.shift, turn,

@@ -9,36 +9,27 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vibrissa.calibration.arrays import Numbers, Vectors
+from vibrissa.calibration.arrays import Vectors
 from vibrissa.calibration.bench import Bench, SetupType, bench_of
 from vibrissa.calibration.equilibrium import State
-from vibrissa.calibration.fit import disturbed, fitted, unevenness
+from vibrissa.calibration.fit import check_equilibria, disturbed, fitted, unevenness
 from vibrissa.calibration.held_out import first_contacts, held_out
 from vibrissa.calibration.parameters import (
-    STIFFNESS,
     Parameter,
     checked_prior,
     default_names,
     parameters,
     uncertain,
 )
-from vibrissa.calibration.problem import WRENCH, Linear, Point, Problem, spread, weights
-from vibrissa.calibration.result import Calibration, Residuals, estimates_of
-from vibrissa.calibration.rows import CalibrationError, gathered
+from vibrissa.calibration.problem import WRENCH, Linear, Point, Problem, by_rows
+from vibrissa.calibration.result import Calibration, Residuals, concluded
+from vibrissa.calibration.rows import CalibrationError, gathered, sweeps_of
 from vibrissa.calibration.score import scores
-from vibrissa.calibration.statistics import (
-    alone,
-    considered,
-    covariance,
-    fitness,
-    identifiability,
-    undetermined,
-    without_held,
-)
+from vibrissa.calibration.statistics import covariance, fitness, undetermined
 from vibrissa.calibration.suspects import held as unsure
 from vibrissa.calibration.suspects import object_size
 from vibrissa.calibration.unknown_object import calibrated_without_object
-from vibrissa.calibration.verdict import warnings_of
+from vibrissa.calibration.verdict import moved, warnings_of
 from vibrissa.contacts import RecordingWarning
 from vibrissa.geometry.checks import not_negative
 from vibrissa.inverse import reconstruct
@@ -52,7 +43,6 @@ from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
 """Median residual, in that of noise, beyond which nothing that is fitted explains the data."""
-_LEAST_SHARE = 0.5
 _MOST_ROUNDS = 5
 """Of leaving rows out and of the unevenness's size, which settle in two or three."""
 _ALIKE = 0.1
@@ -66,8 +56,6 @@ _EXACT, _UNKNOWN = 1e-9, 1.0
 """Bounds of the deviations before the data, in the parameters' scales: beyond them a parameter is
 held, or free, to all digits that its estimate has.
 """
-_DRIFT = 1.0
-"""Standard deviation of a free drift over a recording before the data, in those of one sample."""
 _STEEPEST = 0.3
 """Share of a force along the normal below which its direction tells of no friction."""
 
@@ -160,18 +148,19 @@ def calibrate(
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     coefficient = not_negative(friction, "friction")
+    sweeps = sweeps_of(listed, setup.sensor)
     if surface is None:
         result = calibrated_without_object(
-            listed, setup, names, chosen, deviations, coefficient, known or Tolerances()
+            sweeps, setup, names, chosen, deviations, coefficient, known or Tolerances()
         )
     else:
         start = bench_of(setup.rod, setup.sensor)
         given = start.numbers(setup.sensor)
-        rows = gathered(listed, setup.sensor)
+        rows = gathered(sweeps, setup.sensor)
         priors = [deviations.get(one.group, math.inf) / one.slope(given) for one in chosen]
         problem = Problem(
-            surface, rows, start, chosen, np.array(priors), _DRIFT if "drift" in names else 0.0,
-            coefficient, np.zeros(len(rows.time), dtype=bool),
+            surface, rows, start, chosen, np.array(priors), "drift" in names, coefficient,
+            np.zeros(len(rows.time), dtype=bool),
         )  # fmt: skip
         try:
             result = _calibrated(problem, setup, names, known)
@@ -197,48 +186,39 @@ def _calibrated(
     within = uncertain(rod, allowed)
     if allowed.object_scale > 0:
         within |= dict.fromkeys(parameters(["standoff"], rod), allowed.object_scale * size)
-    problem = _loosened(problem, within)
+    # What is not free is bounded by its tolerance; what is has no bounds.
+    fields = {one.field for one in problem.free}
+    more = {one: deviation for one, deviation in within.items() if one.field not in fields}
+    problem = replace(problem, free=[*problem.free, *more])
+    spreads, scales = np.append(problem.prior, list(more.values())), problem.scales
+    problem = replace(problem, prior=np.clip(spreads, _EXACT * scales, _UNKNOWN * scales))
     chosen, held = problem.free, dict[str, tuple[str, ...]]()
     while problem.free:
-        problem, linear = _refined(problem, _best(problem, states, rod))
-        more = undetermined(problem, linear)
-        if not more:
-            _check_explained(problem, linear)
-            groups = dict.fromkeys([*names, *(one.group for one in chosen)])
-            return _result(setup, tuple(groups), chosen, problem, held, linear, known, within)
-        problem, held = problem.without(more), without_held(held, more) | more
+        linear = _refined(_best(problem, states, rod))
+        opened = undetermined(linear)
+        if not opened:
+            _check_explained(linear)
+            groups = tuple(dict.fromkeys([*names, *(one.group for one in chosen)]))
+            return _result(setup, groups, chosen, held, linear, known, within)
+        problem, held = linear.problem.without(opened), held | opened
     raise CalibrationError(
         f"these recordings determine none of the free parameters: {', '.join(held)}"
     )
 
 
-def _loosened(problem: Problem, within: dict[Parameter, float]) -> Problem:
-    """With all that has a tolerance and is not free yet, which then bounds it; what has been free
-    is so without bounds.
-    """
-    groups = {one.group for one in problem.free}
-    same = [set(STIFFNESS), {"gain", "force_gain", "torque_gain"}]
-    taken = groups.union(*(one for one in same if one & groups))
-    more = {one: deviation for one, deviation in within.items() if one.group not in taken}
-    problem = replace(problem, free=[*problem.free, *more])
-    spreads, scales = np.append(problem.prior, list(more.values())), problem.scales
-    return replace(problem, prior=np.clip(spreads, _EXACT * scales, _UNKNOWN * scales))
-
-
-def _refined(problem: Problem, linear: Linear) -> tuple[Problem, Linear]:
+def _refined(linear: Linear) -> Linear:
     """Fit again without stretches that do not fit, and with the unevenness that the data show,
     until neither changes.
     """
     for count in range(_MOST_ROUNDS):
-        size = unevenness(problem, linear)
-        rows = disturbed(problem, linear) if count else problem.disturbed
+        problem, size = linear.problem, unevenness(linear)
+        rows = disturbed(linear) if count else problem.disturbed
         if np.array_equal(rows, problem.disturbed) and math.isclose(
             size, problem.unevenness, rel_tol=_ALIKE
         ):
             break
-        problem = replace(problem, disturbed=rows, unevenness=size)
-        linear = fitted(problem, linear.point)
-    return problem, linear
+        linear = fitted(replace(problem, disturbed=rows, unevenness=size), linear.point)
+    return linear
 
 
 def _best(problem: Problem, states: State, rod: Rod) -> Linear:
@@ -246,55 +226,43 @@ def _best(problem: Problem, states: State, rod: Rod) -> Linear:
     one in contact along its flank does not show its length.
     """
     values = np.zeros(len(problem.known))
-    found = _seeded_anew(problem, fitted(problem, Point(values, states)), rod)
-    length = np.array([one.group == "length" for one in problem.free])
-    if not length.any() or spread(problem, found) < _GOOD_SPREAD:
+    found = _seeded_anew(fitted(problem, Point(values, states)), rod)
+    length = [index for index, one in enumerate(problem.free) if one.group == "length"]
+    if not length or found.spread < _GOOD_SPREAD:
         return found
     for change in _OTHER_LENGTHS:
-        other = values.copy()
-        other[: len(length)][length] = change
+        values[length] = change
         try:
-            again = _seeded_anew(problem, fitted(problem, Point(other, states)), rod)
+            again = _seeded_anew(fitted(problem, Point(values.copy(), states)), rod)
         except CalibrationError:
             continue
-        found = _better(problem, found, again)
+        found = max(found, again, key=_rows_that_fit)
     return found
 
 
-def _better(problem: Problem, first: Linear, second: Linear) -> Linear:
-    """The one that fits more rows."""
-    return max(first, second, key=lambda one: float(np.sum(weights(problem, one, 1.0))))
+def _rows_that_fit(linear: Linear) -> float:
+    return float(np.sum(linear.weights(1.0)))
 
 
-def _seeded_anew(problem: Problem, linear: Linear, rod: Rod) -> Linear:
+def _seeded_anew(linear: Linear, rod: Rod) -> Linear:
     """Where rows do not fit, fit again from states that the found parameters give: rows may be
     caught on another equilibrium. Keep what fits more rows.
     """
-    if np.all(_weights(problem, linear)[linear.contact] == 1):
+    problem, values = linear.problem, linear.point.values
+    if np.all(linear.weights(linear.spread)[problem.rows.contact] == 1):
         return linear
-    values = linear.point.values
     states = _states(problem, linear.bench, problem.offsets(values), rod)
-    return _better(problem, linear, fitted(problem, Point(values, states)))
+    return max(linear, fitted(problem, Point(values, states)), key=_rows_that_fit)
 
 
-def _weights(problem: Problem, linear: Linear) -> Numbers:
-    return weights(problem, linear, spread(problem, linear))
-
-
-def _check_explained(problem: Problem, linear: Linear) -> None:
-    excess = spread(problem, linear)
-    if excess > _WORST_SPREAD:
+def _check_explained(linear: Linear) -> None:
+    if linear.spread > _WORST_SPREAD:
         raise CalibrationError(
-            f"rod and object as given do not explain the recordings: residuals are {excess:.0f} "
-            f"times the noise in the median, allowed are {_WORST_SPREAD:g}: check the object's "
-            "shape and pose, friction, the sign of the wrench, and what is free"
+            "rod and object as given do not explain the recordings: residuals are "
+            f"{linear.spread:.0f} times the noise in the median, allowed are {_WORST_SPREAD:g}: "
+            "check the object's shape and pose, friction, the sign of the wrench, and what is free"
         )
-    share = float(np.mean(linear.reading.sound))
-    if share < _LEAST_SHARE:
-        raise CalibrationError(
-            f"for {share:.0%} of the samples in contact the rod has an equilibrium on the object; "
-            f"needed are at least {_LEAST_SHARE:.0%}: check the object's shape and pose"
-        )
+    check_equilibria(linear)
 
 
 def _states(
@@ -307,7 +275,7 @@ def _states(
     zero = np.einsum("nt,nti->ni", trends, offsets[rows.recording])
     wrench = ((rows.wrench - zero) / bench.gain)[contact]
     moment = wrench[:, 3:] - np.cross(bench.clamp - bench.wrench_point, wrench[:, :3])
-    force, moment = (np.einsum("nij,nj->ni", axes, part) for part in (wrench[:, :3], moment))
+    force, moment = (by_rows(axes, part) for part in (wrench[:, :3], moment))
     trail = Trail(
         rows.pose.position[contact] + axes @ bench.clamp, Rotation.from_matrix(axes @ bench.axes)
     )
@@ -339,26 +307,28 @@ def _result(
     setup: SetupType,
     names: tuple[str, ...],
     chosen: list[Parameter],
-    problem: Problem,
     held: dict[str, tuple[str, ...]],
     linear: Linear,
     known: Tolerances | None,
     within: dict[Parameter, float],
 ) -> Calibration[SetupType]:
-    rows, rod, allowed = problem.rows, setup.rod, known or Tolerances()
-    weight = _weights(problem, linear)
-    found = fitness(problem, linear, weight)
-    errors = covariance(problem, linear, weight, found.inflation)
-    errors = errors + considered(problem, linear, weight, unsure(problem, linear, rod, allowed))
-    count, excess = len(problem.free), float(found.inflation.max())
-    own = np.ascontiguousarray(errors[:count, :count])
+    problem, rows, rod, allowed = (
+        linear.problem,
+        linear.problem.rows,
+        setup.rod,
+        known or Tolerances(),
+    )
+    weight, count = linear.weights(linear.spread), len(problem.free)
+    found = fitness(linear, weight)
+    errors = covariance(linear, weight, found.inflation, unsure(linear, rod, allowed))
     bench = linear.bench.unrolled(setup.sensor) if _ROLL in held else linear.bench
-    slopes = np.array([one.slope(bench.numbers(setup.sensor)) for one in problem.free])
-    deviations = {
-        one.name: float(deviation)
-        for one, deviation in zip(problem.free, slopes * np.sqrt(np.diag(own)), strict=True)
-    }
-    estimates = estimates_of(chosen, setup, problem.start, bench, deviations, held)
+    numbers = bench.numbers(setup.sensor)
+    estimates, own, identified = concluded(
+        setup, chosen, problem.free, held, bench,
+        covariance=np.ascontiguousarray(errors[:count, :count]),
+        alone=1 / np.sqrt(np.diag(linear.information(linear.weights(1.0)))[:count]),
+        slopes=np.array([one.slope(numbers) for one in problem.free]),
+    )  # fmt: skip
     # A drift that was not free is zero, and known.
     offsets, spreads = np.zeros((2, rows.recordings, 2, WRENCH))
     trends = problem.trends.shape[1]
@@ -366,16 +336,17 @@ def _result(
     spreads[:, :trends] = problem.offsets(np.sqrt(np.diag(errors)))
     posed = {"object_position", "object_orientation"} & set(names)
     surface = bench.placed(problem.surface) if posed else problem.surface
-    parts = held_out(problem, linear, weight, excess)
-    missed = first_contacts(surface, problem, linear)
-    given = problem.start.numbers(setup.sensor)
-    stated = {one.name: one.slope(given) * deviation for one, deviation in within.items()}
+    excess = float(found.inflation.max())
+    parts = held_out(linear, weight, excess)
+    missed = first_contacts(surface, linear)
+    causes = scores(linear, rod, allowed, excess)
+    moves = moved(chosen, estimates, rod, within)
     return Calibration(
         setup=bench.setup(setup, surface),
         surface=surface,
         estimates=estimates,
-        covariance=own * np.outer(slopes, slopes),
-        identifiability=identifiability(problem.free, own, alone(problem, linear), held),
+        covariance=own,
+        identifiability=identified,
         residuals=Residuals(
             rows.recording,
             rows.seconds,
@@ -396,17 +367,7 @@ def _result(
         friction=problem.friction,
         unevenness=problem.unevenness,
         free=names,
-        warnings=warnings_of(
-            chosen,
-            estimates,
-            stated,
-            rod,
-            found,
-            scores(problem, linear, rod, allowed, excess),
-            parts,
-            missed,
-            problem.friction,
-        ),
+        warnings=warnings_of(linear, rod, moves, found, causes, parts, missed),
         held_out=parts,
         first_contact=missed,
         tolerances=known,

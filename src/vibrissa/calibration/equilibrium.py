@@ -10,11 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
 from vibrissa.calibration.bench import NO_STEP, Bench, Step, moved
 from vibrissa.contact import Leaning, Scene, Touching, implicit, iterated, touching
 from vibrissa.contact import State as Unknowns
+from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import lanes
 from vibrissa.surfaces import Surface
@@ -47,8 +49,8 @@ class Reading(NamedTuple):
     """Of rows in contact."""
 
     state: State
-    residual: Float[Any, "*n"]
-    """Largest of the equilibrium, dimensionless."""
+    sound: Bool[Any, "*n"]
+    """Whether it is an equilibrium, with finite derivatives."""
     wrench: Float[Any, "*n 6"]
     """Support reaction on the rod as the sensor reads it, its own axes, without tare."""
     by_step: Step
@@ -56,20 +58,19 @@ class Reading(NamedTuple):
     by_leaning: Float[Any, "*n 6 3"]
     """Derivatives by the tangential force."""
 
-    @property
-    def sound(self) -> Bool[np.ndarray, "n"]:
-        """Rows with an equilibrium and finite derivatives."""
-        finite = [
-            np.isfinite(part).reshape(len(self.residual), -1).all(axis=1)
-            for part in (self.wrench, self.by_leaning, *self.by_step)
-        ]
-        return np.logical_and.reduce(finite) & (self.residual < _SOLVED)
+    def by_turn(self, arm: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 6 3"]:
+        """Derivatives by a turn of the object about points from which its pivot is `arm` away;
+        those by a turn of sensor and rod about them are the opposite.
+        """
+        return self.by_step.turn - self.by_step.shift @ cross_matrices(arm)
 
 
 @lanes(blocks=4)
-def _reading(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
+def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
+    """Readings of rows in contact, each equilibrium sought from a state, under its tangential
+    force.
+    """
     surface, given = shared
-
     unit = given.stiffness / given.length**2
     guess = jnp.append(start.point / given.length, start.force / unit)
     x = iterated(
@@ -93,18 +94,15 @@ def _reading(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
     by_step, by_leaning = jax.tree.map(
         lambda part, change: part + wrench_by_x @ change, direct, implicit(by_x, rest)
     )
-    astray = jnp.sum((point - start.point) ** 2) > (_ASTRAY * given.length) ** 2
-    # An object pushes: where it would have to pull, the rod does not touch.
-    wrong = astray | (magnitude <= 0)
-    largest = jnp.where(wrong, jnp.inf, jnp.max(jnp.abs(residual)))
-    return Reading(State(point, magnitude, start.leaning), largest, wrench, by_step, by_leaning)
-
-
-def readings(surface: Surface, bench: Bench, states: State, poses: Pose) -> Reading:
-    """Readings of rows in contact, each equilibrium sought from a state, under its tangential
-    force.
-    """
-    return _reading((surface, bench), states, poses)
+    told, _ = ravel_pytree((wrench, by_step, by_leaning))
+    sound = (
+        jnp.isfinite(told).all()
+        & (jnp.max(jnp.abs(residual)) < _SOLVED)
+        & (jnp.linalg.norm(point - start.point) <= _ASTRAY * given.length)
+        # An object pushes: where it would have to pull, the rod does not touch.
+        & (magnitude > 0)
+    )
+    return Reading(State(point, magnitude, start.leaning), sound, wrench, by_step, by_leaning)
 
 
 def _touching(

@@ -11,25 +11,13 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.optimize import minimize
+from scipy.special import huber
 from scipy.stats import chi2
 
 from vibrissa.calibration.arrays import Chosen, Information, Unknowns
-from vibrissa.calibration.problem import (
-    FAR_OUT,
-    OUTLYING,
-    Linear,
-    Point,
-    Problem,
-    downhill,
-    information,
-    linearised,
-    nearby,
-    outlying,
-    spread,
-    weights,
-)
+from vibrissa.calibration.problem import FAR_OUT, OUTLYING, Linear, Point, Problem, linearised
 from vibrissa.calibration.rows import CalibrationError
 
 _LONGEST_STEP = 0.25
@@ -67,31 +55,35 @@ def fitted(problem: Problem, start: Point) -> Linear:
         If for less than half of the rows an equilibrium is found near the start.
     """
     values = np.zeros(len(problem.known))
-    values[: min(len(values), len(start.values))] = start.values[: len(values)]
+    values[: len(start.values)] = start.values[: len(values)]
     linear = linearised(problem, start._replace(values=values))
-    share = float(np.mean(linear.reading.sound))
-    if share < _LEAST_SHARE:
-        raise CalibrationError(
-            f"for {share:.0%} of the samples in contact the rod as given can touch the object as "
-            f"given; needed are at least {_LEAST_SHARE:.0%}: check the object's pose, the clamp's, "
-            "and the rod's length"
-        )
+    check_equilibria(linear)
     scale = math.inf
     for _ in range(_MOST_SCALES):
-        before, scale = scale, spread(problem, linear)
+        before, scale = scale, linear.spread
         if math.isclose(before, scale, rel_tol=_SETTLED):
             break
-        linear = _descended(problem, linear, scale)
+        linear = _descended(linear, scale)
     return linear
 
 
-def _descended(problem: Problem, start: Linear, scale: float) -> Linear:
+def check_equilibria(linear: Linear) -> None:
+    """Raise CalibrationError if less than half of the rows in contact have an equilibrium."""
+    share = float(np.mean(linear.sound[linear.problem.rows.contact]))
+    if share < _LEAST_SHARE:
+        raise CalibrationError(
+            f"for {share:.0%} of the samples in contact the rod has an equilibrium on the object "
+            f"as given; needed are at least {_LEAST_SHARE:.0%}: check the object's shape and pose, "
+            "the clamp's pose, and the rod's length"
+        )
+
+
+def _descended(start: Linear, scale: float) -> Linear:
     """The minimum of the cost for rows of this scale, or a point where they show another scale."""
-    limit = scale * outlying(problem)
-    matrix = information(problem, start, weights(problem, start, scale))
-    units = np.append(
-        _LONGEST_STEP * problem.scales, _MANY / np.sqrt(np.diag(matrix)[len(problem.free) :])
-    )
+    problem = start.problem
+    limit = scale * problem.outlying
+    offsets = np.diag(start.information(start.weights(scale)))[len(problem.free) :]
+    units = np.append(_LONGEST_STEP * problem.scales, _MANY / np.sqrt(offsets))
     here, tried, failed = start, start, 0
 
     def at(x: Unknowns) -> Linear:
@@ -100,92 +92,85 @@ def _descended(problem: Problem, start: Linear, scale: float) -> Linear:
         for known in (here, tried):
             if np.array_equal(values, known.point.values):
                 return known
-        tried, failed = linearised(problem, nearby(here, values)), failed + 1
+        tried, failed = linearised(problem, here.nearby(values)), failed + 1
         return tried
 
     def cost(x: Unknowns) -> float:
         """Huber's of the length of each row, constant far out and without equilibrium."""
         there = at(x)
         near = np.minimum(np.where(there.sound, there.length, np.inf), FAR_OUT * limit)
-        rows = np.where(near <= limit, near**2, limit * (2 * near - limit))
         prior = problem.known * there.point.values
-        return float(np.sum(rows[~problem.disturbed]) + prior @ prior) / 2
+        return float(np.sum(huber(limit, near)[~problem.disturbed]) + prior @ prior / 2)
 
     def slope(x: Unknowns) -> Unknowns:
         nonlocal here, failed
         if at(x) is not here:
             here, failed = at(x), 0
-        return -units * downhill(problem, here, weights(problem, here, scale))
+        return -units * here.downhill(here.weights(scale))
 
     @lru_cache(maxsize=1)
     def curved(there: Linear) -> Information:
-        matrix = information(problem, there, weights(problem, there, scale))
-        return matrix * np.outer(units, units)
-
-    def curvature(x: Unknowns) -> Information:
-        return curved(at(x))
+        return there.information(there.weights(scale)) * np.outer(units, units)
 
     def stop(x: Unknowns) -> None:
         pull = slope(x)
-        close = pull @ np.linalg.solve(curvature(x), pull) < _DONE**2
-        if close or failed == _MOST_TRIALS or spread(problem, here) < scale / 2:
+        close = pull @ np.linalg.solve(curved(here), pull) < _DONE**2
+        if close or failed == _MOST_TRIALS or here.spread < scale / 2:
             raise StopIteration
 
     minimize(
-        cost, np.zeros(len(units)), jac=slope, hess=curvature, method="trust-exact", callback=stop,
+        cost, np.zeros(len(units)), jac=slope, hess=lambda x: curved(at(x)), method="trust-exact",
+        callback=stop,
         options={"initial_trust_radius": 1.0, "gtol": 0.0, "maxiter": _MOST_STEPS},
     )  # fmt: skip
     return here
 
 
-def disturbed(problem: Problem, linear: Linear) -> Chosen:
+def disturbed(linear: Linear) -> Chosen:
     """Rows in contact (n,) where many in a row do not fit, with as many before and behind: there
     the rod swings, or sticks and slips.
 
     None where that would be more than three rows in ten: then it is not the rod that is disturbed,
     but rod or object are others.
     """
-    square = spread(problem, linear) ** 2
+    problem, square = linear.problem, linear.spread**2
     cap = square * chi2.isf(OUTLYING, problem.freedom)
     length = np.where(linear.sound, np.minimum(linear.length**2, cap), cap)
-    found, rows = problem.disturbed.copy(), problem.rows
-    for recording in range(rows.recordings):
-        own = np.flatnonzero(rows.contact & (rows.recording == recording))
+    found = problem.disturbed.copy()
+    for own in problem.rows.contacts:
         stretch = int(np.clip(len(own) // _OF_A_CONTACT, _SHORTEST, _LONGEST))
         allowed = square * chi2.isf(_CHANCE, stretch * problem.freedom) / stretch
-        too_long = (uniform_filter1d(length[own], stretch) > allowed).astype(float)
-        near = uniform_filter1d(too_long, 4 * stretch + 1, mode="constant")
-        found[own] |= near > _LITTLE
-    share = np.count_nonzero(found) / np.count_nonzero(rows.contact)
+        too_long = uniform_filter1d(length[own], stretch) > allowed
+        found[own] |= maximum_filter1d(too_long, 4 * stretch + 1)
+    share = np.mean(found[problem.rows.contact])
     return found if share <= _MOST_DISTURBED else problem.disturbed
 
 
-def unevenness(problem: Problem, linear: Linear) -> float:
+def unevenness(linear: Linear) -> float:
     """Size [units of the rod] of the unevenness that makes the data most likely, all else unknown;
     0 if that is no better than none.
 
     Restricted maximum likelihood of the problem linearised about the point, over all other unknowns
     (Patterson and Thompson 1971).
     """
-    scale, length = spread(problem, linear), float(linear.bench.length)
+    problem, scale, length = linear.problem, linear.spread, float(linear.bench.length)
     even = len(problem.free) + problem.offsets(problem.known).size
     changed = replace(problem, unevenness=1.0)
     values = np.zeros(len(changed.known))
     values[:even] = linear.point.values[:even]
     flat = linearised(changed, Point(values, linear.point.states))
-    weight = weights(changed, flat, scale) / scale**2
-    matrix = information(changed, flat, weight)
-    slope = downhill(changed, flat, weight)
+    weight = flat.weights(scale) / scale**2
+    matrix, slope = flat.information(weight), flat.downhill(weight)
     uneven = np.arange(len(slope)) >= even
     matrix[uneven, uneven] -= 1.0
-    known = np.sqrt(np.where(uneven, 1.0, np.diag(matrix)))
+    unit = 1 / np.sqrt(np.where(uneven, 1.0, np.diag(matrix)))
 
     def badness(size: float) -> float:
-        unit = np.where(uneven, size * length, 1 / known)
-        scaled = matrix * np.outer(unit, unit) + np.diag(np.where(uneven, 1.0, _LITTLE))
-        pull = slope * unit
+        units = np.where(uneven, size * length, unit)
+        scaled = matrix * np.outer(units, units) + np.diag(np.where(uneven, 1.0, _LITTLE))
+        pull = slope * units
         return float(np.linalg.slogdet(scaled)[1] - pull @ np.linalg.solve(scaled, pull))
 
     found = [badness(size) for size in (0.0, *_UNEVEN)]
     best = int(np.argmin(found))
-    return float(_UNEVEN[best - 1]) * length if best and found[best] < found[0] - _BETTER else 0.0
+    return float(_UNEVEN[best - 1]) * length if found[best] < found[0] - _BETTER else 0.0

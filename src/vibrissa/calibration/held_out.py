@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.calibration.arrays import Chosen, Numbers
+from vibrissa.calibration.arrays import Numbers
 from vibrissa.calibration.parameters import Parameter
-from vibrissa.calibration.problem import Linear, Problem, information
+from vibrissa.calibration.problem import Linear
 from vibrissa.calibration.statistics import UNDETERMINED
 from vibrissa.surfaces import Surface
 
@@ -47,37 +47,27 @@ class HeldOut:
     move: float
 
 
-def held_out(
-    problem: Problem, linear: Linear, weight: Numbers, inflation: float
-) -> tuple[HeldOut, ...]:
+def held_out(linear: Linear, weight: Numbers, inflation: float) -> tuple[HeldOut, ...]:
     """Leave each recording out, or of one recording alternate stretches, and predict it from the
     others, where these determine all that is free.
 
     Prediction is by a Gauss–Newton step from the solution, each row's contact following by its
     derivatives; tare and drift stay those of the rest rows.
     """
-    total, root = information(problem, linear, weight), np.sqrt(weight)
-    parts = []
-    for name, own in _parts(problem):
-        out = own & (weight > 0)
-        design = (root[out, None, None] * linear.jacobian[out]).reshape(-1, len(total))
-        left = (root[out, None] * linear.residual[out]).ravel()
-        parts.append(Part(name, int(np.count_nonzero(out)), problem.freedom, design, left))
+    problem, contacts = linear.problem, linear.problem.rows.contacts
+    named = {f"recordings[{index}]": own for index, own in enumerate(contacts)}
+    if len(contacts) == 1:
+        (own,) = contacts
+        odd = np.arange(1, len(own) + 1) * _STRETCHES // (len(own) + 1) % 2 == 1
+        named = {"even stretches": own[~odd], "odd stretches": own[odd]}
+    total, parts = linear.information(weight), []
+    for name, own in named.items():
+        out = own[weight[own] > 0]
+        root = np.sqrt(weight[out, None])
+        design = (root[..., None] * linear.jacobian[out]).reshape(-1, len(total))
+        left = (root * linear.residual[out]).ravel()
+        parts.append(Part(name, len(out), len(out) * problem.freedom, design, left))
     return predicted_by_others(parts, total, problem.free, inflation)
-
-
-def _parts(problem: Problem) -> list[tuple[str, Chosen]]:
-    rows = problem.rows
-    if rows.recordings > 1:
-        return [
-            (f"recordings[{index}]", rows.contact & (rows.recording == index))
-            for index in range(rows.recordings)
-        ]
-    order = np.cumsum(rows.contact) * _STRETCHES // (np.count_nonzero(rows.contact) + 1)
-    return [
-        ("even stretches", rows.contact & (order % 2 == 0)),
-        ("odd stretches", rows.contact & (order % 2 == 1)),
-    ]
 
 
 class Part(NamedTuple):
@@ -85,8 +75,8 @@ class Part(NamedTuple):
 
     name: str
     rows: int
-    freedom: int
-    """Conditions that each row adds."""
+    conditions: int
+    """That they add."""
     design: Float[np.ndarray, "k u"]
     """Derivatives, with the sign that unknowns larger by a step leave `left - design @ step`."""
     left: Float[np.ndarray, "k"]
@@ -125,7 +115,7 @@ def predicted_by_others(
         # At the solution the gradient of all is zero: that of the others opposes this part's.
         step = -others @ part.design.T @ part.left
         predicted = part.left - part.design @ step
-        expected = part.rows * part.freedom + float(np.sum(own * others))
+        expected = part.conditions + float(np.sum(own * others))
         # What a prior holds does not move, and the difference of both variances is rounding.
         variance = np.diag(others - whole)[:count]
         told = variance > _TOLD * own_variances
@@ -137,24 +127,21 @@ def predicted_by_others(
     return tuple(found)
 
 
-def first_contacts(
-    surface: Surface, problem: Problem, linear: Linear
-) -> Float[np.ndarray, "recordings"]:
+def first_contacts(surface: Surface, linear: Linear) -> Float[np.ndarray, "recordings"]:
     """By how much the straight rod contradicts the loads: how far it stays off the object where
     they begin, or how deep it is inside just before.
     """
-    rows, bench = problem.rows, linear.bench
+    rows, bench = linear.problem.rows, linear.bench
+    along = np.linspace(0.0, 1.0, _NODES)[1:, None] * bench.length * bench.axes[:, 2]
     missed = np.zeros(rows.recordings)
-    for recording in range(rows.recordings):
-        own = np.flatnonzero(rows.recording == recording)
-        own = own[np.argsort(rows.seconds[own], kind="stable")]
-        begin = int(np.argmax(rows.contact[own]))
-        if begin == 0:
-            continue
-        pair = own[[begin - 1, begin]]
-        along = np.linspace(0.0, 1.0, _NODES)[1:, None] * bench.length * bench.axes[:, 2]
-        turned = np.einsum("nij,mj->nmi", rows.pose.axes[pair], along + bench.clamp)
-        points = rows.pose.position[pair, None] + turned
-        before, after = np.min(surface.distances(points), axis=1) - bench.standoff
-        missed[recording] = max(0.0, after, -before)
+    for recording, own in enumerate(rows.contacts):
+        before = np.flatnonzero(
+            (rows.recording == recording) & (rows.seconds < rows.seconds[own[0]])
+        )
+        if before.size:
+            pair = [before[-1], own[0]]
+            turned = np.einsum("nij,mj->nmi", rows.pose.axes[pair], along + bench.clamp)
+            points = rows.pose.position[pair, None] + turned
+            free, touching = np.min(surface.distances(points), axis=1) - bench.standoff
+            missed[recording] = max(0.0, touching, -free)
     return missed

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -15,10 +16,14 @@ from vibrissa.tolerances import Tolerances
 STIFFNESS = ("youngs_modulus", "bending_stiffness")
 _OFFSETS = ("tare", "drift")
 _DEFAULT = ("length", "clamp_position", "clamp_orientation", *_OFFSETS)
-_AXES = ("x", "y", "z")
-_CHANNELS = tuple(f"{kind}_{axis}" for kind in ("force", "torque") for axis in _AXES)
-_SAME = ((STIFFNESS[0], STIFFNESS[1:]), ("gain", ("force_gain", "torque_gain")))
-"""Groups that are the same parameters as others."""
+_ONE: dict[str, tuple[int, ...]] = {"": (0,)}
+_AXES = {f"_{axis}": (entry,) for entry, axis in enumerate("xyz")}
+_CHANNELS = {
+    f"_{kind}{axis}": (first + entry,)
+    for kind, first in (("force", 0), ("torque", 3))
+    for axis, (entry,) in _AXES.items()
+}
+"""Suffixes of a group's parameters, and the entries of each."""
 
 
 @dataclass(frozen=True)
@@ -69,38 +74,25 @@ def default_names(rod: Rod) -> tuple[str, ...]:
 
 def _all(rod: Rod) -> list[Parameter]:
     """Every parameter of a bench with this rod, in a fixed order: rod, clamp, object, sensor."""
-    unit, each = rod.unit_of("length"), ((0,), (1,), (2,))
-    inertia = None if rod.radius is None else math.pi / 4 * rod.radius**4
+    length = rod.unit_of("length")
+    inertia = math.inf if rod.radius is None else math.pi / 4 * rod.radius**4
     table = (
-        *([(STIFFNESS[0], "stiffness", "Pa", 1.0, ((0,),))] if inertia else []),
-        (STIFFNESS[1], "stiffness", "N m2" if rod.units == "SI" else "1", 1.0, ((0,),)),
-        ("length", "length", unit, 1.0, ((0,),)),
-        ("clamp_position", "clamp", unit, rod.length, each),
-        ("clamp_orientation", "tilt", "rad", 1.0, each),
-        ("object_position", "shift", unit, rod.length, each),
-        ("object_orientation", "turn", "rad", 1.0, each),
-        ("standoff", "standoff", unit, rod.length, ((0,),)),
-        ("gain", "gain", "1", 1.0, tuple((channel,) for channel in range(6))),
-        ("force_gain", "gain", "1", 1.0, ((0, 1, 2),)),
-        ("torque_gain", "gain", "1", 1.0, ((3, 4, 5),)),
+        (STIFFNESS[0], "stiffness", "Pa", 1.0, 1 / inertia, _ONE),
+        (STIFFNESS[1], "stiffness", "N m2" if rod.units == "SI" else "1", 1.0, 1.0, _ONE),
+        ("length", "length", length, 1.0, 1.0, _ONE),
+        ("clamp_position", "clamp", length, rod.length, 1.0, _AXES),
+        ("clamp_orientation", "tilt", "rad", 1.0, 1.0, _AXES),
+        ("object_position", "shift", length, rod.length, 1.0, _AXES),
+        ("object_orientation", "turn", "rad", 1.0, 1.0, _AXES),
+        ("standoff", "standoff", length, rod.length, 1.0, _ONE),
+        ("gain", "gain", "1", 1.0, 1.0, _CHANNELS),
+        ("force_gain", "gain", "1", 1.0, 1.0, {"": (0, 1, 2)}),
+        ("torque_gain", "gain", "1", 1.0, 1.0, {"": (3, 4, 5)}),
     )
-    suffixes = {
-        1: ("",),
-        3: tuple(f"_{axis}" for axis in _AXES),
-        6: tuple(f"_{one}" for one in _CHANNELS),
-    }
     return [
-        Parameter(
-            group + suffix,
-            group,
-            unit_of,
-            field,
-            entries,
-            scale,
-            1 / inertia if inertia and group == STIFFNESS[0] else 1.0,
-        )
-        for group, field, unit_of, scale, rows in table
-        for suffix, entries in zip(suffixes[len(rows)], rows, strict=True)
+        Parameter(group + suffix, group, unit, field, entries, scale, factor)
+        for group, field, unit, scale, factor, each in table[rod.radius is None :]
+        for suffix, entries in each.items()
     ]
 
 
@@ -122,13 +114,13 @@ def parameters(names: Iterable[str], rod: Rod) -> list[Parameter]:
             )
         if wanted.count(name) > 1:
             raise ValueError(f"free: {name!r} is given twice; allowed is each once")
-    for first, others in _SAME:
-        clash = [name for name in others if name in wanted]
-        if first in wanted and clash:
-            raise ValueError(
-                f"free: {first!r} and {clash[0]!r} are the same parameters; allowed is one of them"
-            )
     found = [one for one in known if one.group in wanted]
+    for one, other in combinations(found, 2):
+        if one.field == other.field and set(one.entries) & set(other.entries):
+            raise ValueError(
+                f"free: {one.group!r} and {other.group!r} are the same parameters; "
+                "allowed is one of them"
+            )
     if not found:
         raise ValueError(
             f"free = {wanted}: no parameter of rod, clamp, sensor or object; "
@@ -166,18 +158,17 @@ def uncertain(rod: Rod, tolerances: Tolerances) -> dict[Parameter, float]:
         "gain": tolerances.gain,
         "object_position": tolerances.object_position,
     }
-    each = {
-        one: float(np.atleast_1d(deviations[one.group])[one.entries[0]])
-        for group in deviations
+    return {
+        one: size
+        for group, deviation in deviations.items()
         for one in _all(rod)
-        if one.group == group
+        if one.group == group and (size := float(np.ravel(deviation)[one.entries[0]])) > 0
     }
-    return {one: deviation for one, deviation in each.items() if deviation > 0}
 
 
 def stepped(free: list[Parameter], values: Float[np.ndarray, "parameters"]) -> Step:
     """Steps of parameters as one of the bench."""
-    step = Step(*(part.copy() for part in NO_STEP))
+    step = Step(*map(np.copy, NO_STEP))
     for one, value in zip(free, values, strict=True):
         getattr(step, one.field)[list(one.entries)] += value
     return step

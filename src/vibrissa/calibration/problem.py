@@ -8,19 +8,19 @@ what the row leaves (a Gaussian unknown, marginalised).
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from scipy.stats import chi2
 
-from vibrissa.calibration.arrays import Chosen, Information, Numbers, Unknowns, Vectors, Wrenches
-from vibrissa.calibration.bench import Bench, Step, moved_at_once
+from vibrissa.calibration.arrays import Chosen, Information, Numbers, Unknowns, Wrenches
+from vibrissa.calibration.bench import Bench, moved_at_once
 from vibrissa.calibration.equilibrium import Reading, State, readings
 from vibrissa.calibration.parameters import Parameter, stepped
 from vibrissa.calibration.rows import Rows
-from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.surfaces import Surface
 
 WRENCH = 6
@@ -51,7 +51,8 @@ class Problem:
     prior
         (parameters,) standard deviations of their steps before the data.
     drift
-        Standard deviation of the drift over a recording, in those of one sample; 0 for none.
+        Whether it is free, with the standard deviation of one sample over a recording before the
+        data.
     friction
         Coulomb's coefficient: the standard deviation given to each tangential force, in units of
         the normal one. Each row shows its own.
@@ -67,7 +68,7 @@ class Problem:
     start: Bench
     free: list[Parameter]
     prior: Float[np.ndarray, "parameters"]
-    drift: float
+    drift: bool
     friction: float
     disturbed: Chosen
     unevenness: float = 0.0
@@ -78,6 +79,11 @@ class Problem:
         return WRENCH - 2 if self.friction > 0 else WRENCH
 
     @property
+    def outlying(self) -> float:
+        """Length of a residual from which a row weighs less."""
+        return float(np.sqrt(chi2.isf(OUTLYING, self.freedom)))
+
+    @property
     def scales(self) -> Float[np.ndarray, "parameters"]:
         """Gross changes of the parameters."""
         return np.array([one.scale for one in self.free])
@@ -85,32 +91,31 @@ class Problem:
     @cached_property
     def trends(self) -> Float[np.ndarray, "n trends"]:
         """Share of tare and drift in each row."""
-        time = self.rows.time
-        return np.stack([np.ones_like(time), time], axis=1)[:, : 2 if self.drift > 0 else 1]
+        return np.vander(self.rows.time, 1 + self.drift, increasing=True)
 
     @cached_property
     def hats(self) -> Float[np.ndarray, "n places"]:
         """Share of each place in the unevenness at a row: piecewise linear in time, from the first
         to the last row in contact; 0 at rest.
         """
-        rows, places = self.rows, PLACES if self.unevenness > 0 else 0
-        hats = np.zeros((len(rows.time), places))
-        for recording in range(rows.recordings if places else 0):
-            own = rows.contact & (rows.recording == recording)
-            along = np.interp(rows.time[own], rows.time[own][[0, -1]], [0, places - 1])
-            hats[own] = np.maximum(0.0, 1 - np.abs(along[:, None] - np.arange(places)))
+        places = np.arange(PLACES if self.unevenness > 0 else 0)
+        hats = np.zeros((len(self.rows.time), len(places)))
+        for own in self.rows.contacts:
+            time = self.rows.time[own]
+            along = np.interp(time, time[[0, -1]], [0, PLACES - 1])
+            hats[own] = np.maximum(0.0, 1 - np.abs(along[:, None] - places))
         return hats
 
     @cached_property
     def known(self) -> Unknowns:
         """Inverse standard deviations of all unknowns before the data."""
         rows = self.rows
+        variances = np.diagonal(rows.covariance, axis1=1, axis2=2) * rows.samples[:, None]
+        of_sample = [
+            np.median(variances[rows.recording == one], axis=0) for one in range(rows.recordings)
+        ]
         offsets = np.zeros((rows.recordings, self.trends.shape[1], WRENCH))
-        for recording in range(rows.recordings if self.drift > 0 else 0):
-            own = rows.recording == recording
-            variances = np.diagonal(rows.covariance[own], axis1=1, axis2=2)
-            one = np.median(variances * rows.samples[own, None], axis=0)
-            offsets[recording, 1] = 1 / (self.drift * np.sqrt(one))
+        offsets[:, 1:] = 1 / np.sqrt(of_sample)[:, None]
         uneven = np.full(self.hats.shape[1] * rows.recordings, 1 / (self.unevenness or 1.0))
         return np.concatenate([1 / self.prior, offsets.ravel(), uneven])
 
@@ -122,13 +127,14 @@ class Problem:
     def offsets(self, values: Unknowns) -> Float[np.ndarray, "recordings trends 6"]:
         """Tare and drift among the unknowns, or among numbers that belong to them."""
         shape = (self.rows.recordings, self.trends.shape[1], WRENCH)
-        return values[len(self.free) :][: int(np.prod(shape))].reshape(shape)
+        return values[len(self.free) :][: np.prod(shape)].reshape(shape)
 
     def without(self, names: "dict[str, tuple[str, ...]]") -> "Problem":
         """With some parameters held, and an even object."""
-        keep = [index for index, one in enumerate(self.free) if one.name not in names]
-        free = [self.free[index] for index in keep]
-        return replace(self, free=free, prior=self.prior[keep], unevenness=0.0)
+        keep = [one.name not in names for one in self.free]
+        return replace(
+            self, free=list(compress(self.free, keep)), prior=self.prior[keep], unevenness=0.0
+        )
 
 
 class Point(NamedTuple):
@@ -139,6 +145,7 @@ class Point(NamedTuple):
     the rod touches at places along each contact.
     """
     states: State
+    """Of the rows in contact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +154,12 @@ class Linear:
 
     Attributes
     ----------
-    point, bench, reading
-        Where it is, and what rows in contact read there.
-    by_step
-        Derivatives of all rows by small steps of the bench, 0 without contact or equilibrium.
-    contact, sound
-        (n,) rows in contact, and those that rest or have an equilibrium.
+    problem, point, bench
+        What it is of, and where.
+    reading
+        Of all rows, 0 without contact or equilibrium.
+    sound
+        (n,) rows that rest or have an equilibrium.
     predicted
         (n, 6) readings.
     left
@@ -165,26 +172,25 @@ class Linear:
     channels
         (n, 6, 6) the same for what is left when the tangential force is estimated.
     leaning
-        (contacts, 3, 6) from what is left to tangential forces.
+        (n, 3, 6) from what is left to tangential forces.
     """
 
+    problem: Problem
     point: Point
     bench: Bench
     reading: Reading
-    by_step: Step
-    contact: Chosen
     sound: Chosen
     predicted: Wrenches
     left: Wrenches
     design: Float[np.ndarray, "n 6 unknowns"]
     weighing: Float[np.ndarray, "n 6 6"]
     channels: Float[np.ndarray, "n 6 6"]
-    leaning: Float[np.ndarray, "contacts 3 6"]
+    leaning: Float[np.ndarray, "n 3 6"]
 
     @cached_property
     def residual(self) -> Wrenches:
         """What is left, in standard deviations."""
-        return _by(self.weighing, self.left)
+        return by_rows(self.weighing, self.left)
 
     @cached_property
     def jacobian(self) -> Float[np.ndarray, "n 6 unknowns"]:
@@ -194,7 +200,7 @@ class Linear:
     @cached_property
     def whitened(self) -> Wrenches:
         """What no tangential force explains, in the channels' standard deviations."""
-        return _by(self.channels, self.left)
+        return by_rows(self.channels, self.left)
 
     @cached_property
     def length(self) -> Numbers:
@@ -206,120 +212,103 @@ class Linear:
         """Squared length of each row's whitened channels; NaN where there is no equilibrium."""
         return np.where(self.sound, np.sum(self.whitened**2, axis=1), np.nan)
 
+    @property
+    def equilibria(self) -> float:
+        """Share of the rows in contact that have an equilibrium."""
+        return float(np.mean(self.sound[self.problem.rows.contact]))
 
-def _by(matrix: Float[np.ndarray, "n i j"], vector: Float[np.ndarray, "n j"]) -> np.ndarray:
+    @cached_property
+    def spread(self) -> float:
+        """Median length of the residuals of rows in contact over that of noise alone, at least
+        1.
+        """
+        median = np.nanmedian(self.chi_square[self.problem.rows.contact])
+        return max(1.0, float(np.sqrt(median / chi2.median(self.problem.freedom))))
+
+    def weights(self, scale: float) -> Numbers:
+        """Weights (n,): 1 for 999 of 1000 rows of noise of this scale, less as Huber's beyond, and
+        0 far out, without equilibrium or in a disturbed stretch.
+        """
+        limit = scale * self.problem.outlying
+        counts = self.sound & (self.length < FAR_OUT * limit) & ~self.problem.disturbed
+        return np.where(counts, limit / np.maximum(self.length, limit), 0.0)
+
+    def information(self, weight: Numbers) -> Information:
+        """Σ JᵀWJ with the priors."""
+        flat = self.jacobian * np.sqrt(weight)[:, None, None]
+        flat = flat.reshape(-1, flat.shape[2])
+        return flat.T @ flat + np.diag(self.problem.known**2)
+
+    def downhill(self, weight: Numbers) -> Unknowns:
+        """Σ JᵀWr with the priors: the gradient of half the cost, with the opposite sign."""
+        pull = np.einsum("n,nku,nk->u", weight, self.jacobian, self.residual, optimize=True)
+        return pull - self.problem.known**2 * self.point.values
+
+    def nearby(self, values: Unknowns) -> Point:
+        """Other values of the unknowns: the rows' states follow in the next linearisation,
+        tangential forces at once. Rows without equilibrium start from their nearest neighbour's.
+        """
+        left = self.left - self.design @ (values - self.point.values)
+        forces = np.clip(by_rows(self.leaning, left), -_MOST_LEANING, _MOST_LEANING)
+        contact = np.flatnonzero(self.problem.rows.contact)
+        good = np.flatnonzero(self.reading.sound[contact])
+        if not good.size:
+            return Point(values, self.point.states)
+        nearest = np.interp(np.arange(len(contact)), good, np.arange(len(good)))
+        own = contact[good[np.round(nearest).astype(int)]]
+        state = self.reading.state._replace(leaning=forces)
+        return Point(values, jax.tree.map(lambda part: part[own], state))
+
+
+def by_rows(matrix: Float[np.ndarray, "n i j"], vector: Float[np.ndarray, "n j"]) -> np.ndarray:
+    """Each row's matrix by its vector (n, i)."""
     return np.einsum("nij,nj->ni", matrix, vector)
 
 
 def linearised(problem: Problem, point: Point) -> Linear:
     """Readings, residuals and derivatives about a point."""
-    rows, contact = problem.rows, problem.rows.contact
-    bench, count = problem.bench(point.values), len(problem.free)
-    found = readings(
-        problem.surface, bench, point.states, jax.tree.map(lambda part: part[contact], rows.pose)
-    )
-    sound = np.ones(len(contact), dtype=bool)
-    sound[contact] = found.sound
+    rows, count = problem.rows, len(problem.free)
+    bench = problem.bench(point.values)
+    poses = jax.tree.map(lambda part: part[rows.contact], rows.pose)
+    found = readings((problem.surface, bench), point.states, poses)
+    place = np.flatnonzero(rows.contact)[found.sound]
 
-    def everywhere(part: Float[np.ndarray, "contacts *k"]) -> Float[np.ndarray, "n *k"]:
-        whole = np.zeros((len(contact), *part.shape[1:]))
-        whole[contact & sound] = part[found.sound]
+    def everywhere(part: Shaped[np.ndarray, "contacts *k"]) -> Shaped[np.ndarray, "n *k"]:
+        whole = np.zeros((len(rows.time), *part.shape[1:]), part.dtype)
+        whole[place] = part[found.sound]
         return whole
 
-    by_step: Step = jax.tree.map(everywhere, found.by_step)
-    by_leaning, leaning = everywhere(found.by_leaning), everywhere(found.state.leaning)
-    parameters = np.stack([one.column(by_step) for one in problem.free], axis=2)
-    ours = np.eye(rows.recordings)[rows.recording]
+    reading: Reading = jax.tree.map(everywhere, found)
+    step, ours = reading.by_step, np.eye(rows.recordings)[rows.recording]
+    parameters = np.stack([one.column(step) for one in problem.free], axis=2)
     offsets = np.einsum("nr,nt,ij->nirtj", ours, problem.trends, np.eye(WRENCH))
-    uneven = np.einsum("nr,ni,np->nirp", ours, by_step.standoff[..., 0], problem.hats)
-    shape = (len(contact), WRENCH, -1)
-    linear = np.concatenate([offsets.reshape(shape), uneven.reshape(shape)], axis=2)
-    predicted = everywhere(found.wrench) + linear @ point.values[count:]
+    uneven = np.einsum("nr,ni,np->nirp", ours, step.standoff[..., 0], problem.hats)
+    shape = (len(rows.time), WRENCH, -1)
+    design = np.concatenate([parameters, offsets.reshape(shape), uneven.reshape(shape)], axis=2)
+    predicted = reading.wrench + design[..., count:] @ point.values[count:]
     # The torque's and the pose's noise, in what the sensor reads.
-    shift, turn = by_step.shift, by_turn(by_step, bench.center - rows.noise.center)
+    noise = rows.noise
+    turn = reading.by_turn(bench.center - noise.center)
     covariance = (
         rows.covariance
-        + shift @ rows.noise.position @ np.swapaxes(shift, 1, 2)
-        + turn @ rows.noise.rotation @ np.swapaxes(turn, 1, 2)
+        + step.shift @ noise.position @ step.shift.swapaxes(1, 2)
+        + turn @ noise.rotation @ turn.swapaxes(1, 2)
     )
-    rubbing = problem.friction * by_leaning
-    whole = covariance + rubbing @ np.swapaxes(rubbing, 1, 2)
+    rubbing = problem.friction * reading.by_leaning
+    whole = covariance + rubbing @ rubbing.swapaxes(1, 2)
     explained = covariance @ np.linalg.inv(whole)
     root, white = (np.linalg.inv(np.linalg.cholesky(part)) for part in (whole, covariance))
+    sound = reading.sound | ~rows.contact
     return Linear(
+        problem=problem,
         point=Point(point.values, found.state),
         bench=bench,
-        reading=found,
-        by_step=by_step,
-        contact=contact,
+        reading=reading,
         sound=sound,
         predicted=predicted,
-        left=rows.wrench - predicted + _by(by_leaning, leaning),
-        design=np.concatenate([parameters, linear], axis=2),
+        left=rows.wrench - predicted + by_rows(reading.by_leaning, reading.state.leaning),
+        design=design,
         weighing=np.where(sound[:, None, None], root, 0.0),
         channels=np.where(sound[:, None, None], white @ explained, 0.0),
-        leaning=problem.friction * np.linalg.solve(whole, rubbing)[contact].swapaxes(1, 2),
+        leaning=problem.friction * np.linalg.solve(whole, rubbing).swapaxes(1, 2),
     )
-
-
-def by_turn(by_step: Step, arm: Vectors) -> Float[np.ndarray, "n 6 3"]:
-    """Derivatives of readings by a turn of the object about points from which its pivot is `arm`
-    away; those by a turn of sensor and rod about them are the opposite.
-    """
-    return by_step.turn - by_step.shift @ cross_matrices(arm)
-
-
-def nearby(linear: Linear, values: Unknowns) -> Point:
-    """Other values of the unknowns: the rows' states follow in the next linearisation, tangential
-    forces at once. Rows without equilibrium start from their nearest neighbour's.
-    """
-    left = linear.left - linear.design @ (values - linear.point.values)
-    state, sound = linear.reading.state, linear.reading.sound
-    forces = _by(linear.leaning, left[linear.contact])
-    state = state._replace(
-        leaning=np.where(
-            sound[:, None], np.clip(forces, -_MOST_LEANING, _MOST_LEANING), state.leaning
-        )
-    )
-    good = np.flatnonzero(sound)
-    if good.size:
-        nearest = np.interp(np.arange(len(sound)), good, np.arange(len(good)))
-        own = good[np.round(nearest).astype(int)]
-        state = jax.tree.map(lambda part: part[own], state)
-    return Point(values, state)
-
-
-def spread(problem: Problem, linear: Linear) -> float:
-    """Median length of the residuals of rows in contact over that of noise alone, at least 1."""
-    found = linear.chi_square[problem.rows.contact & linear.sound]
-    return max(1.0, float(np.sqrt(np.median(found) / chi2.median(problem.freedom))))
-
-
-def outlying(problem: Problem) -> float:
-    """Length of a residual from which a row weighs less."""
-    return float(np.sqrt(chi2.isf(OUTLYING, problem.freedom)))
-
-
-def weights(problem: Problem, linear: Linear, scale: float) -> Numbers:
-    """Weights (n,): 1 for 999 of 1000 rows of noise of this scale, less as Huber's beyond, and 0
-    far out, without equilibrium or in a disturbed stretch.
-    """
-    limit = scale * outlying(problem)
-    return np.where(
-        linear.sound & (linear.length < FAR_OUT * limit) & ~problem.disturbed,
-        limit / np.maximum(linear.length, limit),
-        0.0,
-    )
-
-
-def information(problem: Problem, linear: Linear, weight: Numbers) -> Information:
-    """Σ JᵀWJ with the priors."""
-    flat = linear.jacobian * np.sqrt(weight)[:, None, None]
-    flat = flat.reshape(-1, flat.shape[2])
-    return flat.T @ flat + np.diag(problem.known**2)
-
-
-def downhill(problem: Problem, linear: Linear, weight: Numbers) -> Unknowns:
-    """Σ JᵀWr with the priors: the gradient of half the cost, with the opposite sign."""
-    pull = np.einsum("n,nku,nk->u", weight, linear.jacobian, linear.residual, optimize=True)
-    return pull - problem.known**2 * linear.point.values

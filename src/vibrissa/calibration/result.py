@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import norm
 
-from vibrissa.calibration.bench import Bench, SetupLike, SetupType
+from vibrissa.calibration.arrays import Square
+from vibrissa.calibration.bench import Bench, SetupLike, SetupType, bench_of
 from vibrissa.calibration.held_out import HeldOut
 from vibrissa.calibration.parameters import Parameter
 from vibrissa.calibration.statistics import Fitness, Identifiability
@@ -61,28 +62,54 @@ class Estimate:
         return self.value - half, self.value + half
 
 
-def estimates_of(
-    chosen: list[Parameter],
+def concluded(
     setup: SetupLike,
-    start: Bench,
-    bench: Bench,
-    deviations: Mapping[str, float],
+    chosen: list[Parameter],
+    free: list[Parameter],
     held: Mapping[str, tuple[str, ...]],
-) -> dict[str, Estimate]:
-    """Of all that was to be free, by name; `deviations` are of what was determined."""
-    given, found = start.numbers(setup.sensor), bench.numbers(setup.sensor)
-    return {
+    bench: Bench,
+    covariance: Square,
+    alone: Float[np.ndarray, "k"],
+    slopes: Float[np.ndarray, "k"],
+) -> tuple[dict[str, Estimate], Square, Identifiability]:
+    """Estimates of all that was to be free, by name, the covariance of what was determined, and
+    what the data cannot tell apart.
+
+    Parameters
+    ----------
+    bench
+        As found.
+    covariance, alone, slopes
+        Of the steps of what was determined; their deviations if all others were known; and what
+        makes changes of the values of them.
+    """
+    start, deviations = bench_of(setup.rod, setup.sensor), np.sqrt(np.diag(covariance))
+    given, found = (one.numbers(setup.sensor) for one in (start, bench))
+    names, scales = tuple(one.name for one in free), np.array([one.scale for one in free])
+    known = dict(zip(names, slopes * deviations, strict=True))
+    apart = {one: tuple(other for other in held[one] if other not in held) for one in held}
+    estimates = {
         one.name: Estimate(
             one.name,
             one.unit,
             one.value(given),
             one.value(found),
-            deviations.get(one.name, math.nan),
-            one.name in deviations,
-            tuple(name for name, others in held.items() if one.name in others),
+            float(known.get(one.name, math.nan)),
+            one.name in known,
+            tuple(name for name, others in apart.items() if one.name in others),
         )
         for one in chosen
     }
+    values, vectors = np.linalg.eigh(covariance / np.outer(scales, scales))
+    identified = Identifiability(
+        names=names,
+        correlation=covariance / np.outer(deviations, deviations),
+        directions=vectors.T[::-1],
+        deviations=np.sqrt(np.maximum(values[::-1], 0.0)),
+        alone=alone,
+        held=apart,
+    )
+    return estimates, covariance * np.outer(slopes, slopes), identified
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,16 +4,17 @@ Rows in contact hold the rod's mechanics, rows at rest the tare. What lies betwe
 and after detachment, is left out: there the rod swings.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from scipy.ndimage import uniform_filter1d
 
 from vibrissa.calibration.arrays import Chosen, Numbers, Wrenches
 from vibrissa.calibration.equilibrium import Pose
-from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices, unit_quaternions
+from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.reactions import Reactions
 from vibrissa.sensor import RawRecording, Sensor
 
@@ -76,105 +77,99 @@ class Rows(NamedTuple):
         """How many recordings there are."""
         return int(self.recording[-1]) + 1
 
-
-class _Samples(NamedTuple):
-    """Seen from the sensor."""
-
-    seconds: Float[np.ndarray, "*m n"]
-    wrench: Float[np.ndarray, "*m n 6"]
-    covariance: Float[np.ndarray, "*m n 6 6"] | None
-    position: Float[np.ndarray, "*m n 3"]
-    orientation: Float[np.ndarray, "*m n 4"]
-    noise: PoseNoise
+    @property
+    def contacts(self) -> list[Int[np.ndarray, "rows"]]:
+        """Rows in contact of each recording."""
+        return [
+            np.flatnonzero(self.contact & (self.recording == one)) for one in range(self.recordings)
+        ]
 
 
-def gathered(recordings: list[Reactions | RawRecording], sensor: Sensor) -> Rows:
-    """Rows of all recordings.
+def gathered(sweeps: list[Reactions], sensor: Sensor) -> Rows:
+    """Rows of all sweeps.
 
     Raises
     ------
     CalibrationError
-        If a recording has no contact, no rest, or too few samples of either; if the noise is
-        neither known nor to be seen.
-    ValueError
-        If a recording is of another kind than reactions or raw.
+        If a sweep has no contact, no rest, or too few samples of either; if the noise is neither
+        known nor to be seen.
     """
-    every = [one for recording in recordings for one in _samples(recording, sensor)]
-    if not every:
-        raise ValueError("recordings = []; allowed is at least one recording")
-    parts = [_rows(index, samples, sensor) for index, samples in enumerate(every)]
+    return _joined(_rows(index, one, sensor) for index, one in enumerate(sweeps))
+
+
+def _joined(parts: Iterable[Rows]) -> Rows:
     return jax.tree.map(lambda *part: np.concatenate(part), *parts)
 
 
-def reactions_of(recording: Reactions | RawRecording, sensor: Sensor) -> Reactions:
-    """Reactions, from a raw recording as the sensor takes it.
+def sweeps_of(recordings: list[Reactions | RawRecording], sensor: Sensor) -> list[Reactions]:
+    """Reactions on each trail, from raw recordings as the sensor takes them.
 
     Raises
     ------
     ValueError
-        If it is neither.
+        If a recording is neither, or there is none.
     """
-    found = sensor.reactions(recording) if isinstance(recording, RawRecording) else recording
-    if not isinstance(found, Reactions):
-        raise ValueError(
-            f"recordings holds {type(recording).__name__}; allowed are Reactions "
-            "(`read_recording`) and RawRecording (`Sensor.measure`)"
-        )
+    found: list[Reactions] = []
+    for recording in recordings:
+        one = sensor.reactions(recording) if isinstance(recording, RawRecording) else recording
+        if not isinstance(one, Reactions):
+            raise ValueError(
+                f"recordings holds {type(recording).__name__}; allowed are Reactions "
+                "(`read_recording`) and RawRecording (`Sensor.measure`)"
+            )
+        found += [one] if one.force.ndim == 2 else [one[trail] for trail in range(len(one.force))]
+    if not found:
+        raise ValueError("recordings = []; allowed is at least one recording")
     return found
 
 
-def _samples(recording: Reactions | RawRecording, sensor: Sensor) -> list[_Samples]:
-    """Each trail of a recording, with the mount undone that the reactions were made with."""
-    given = reactions_of(recording, sensor)
-    shape, trail = given.trail.shape, given.trail
-    orientation = multiplied(trail.orientation, inverse(sensor.clamp_orientation))
-    axes = rotation_matrices(orientation)
-    position = trail.position - axes @ sensor.clamp_position
+def _samples(index: int, given: Reactions, sensor: Sensor) -> Rows:
+    """A row for each sample, with the mount undone that the reactions were made with; without noise
+    where it is not known.
+    """
+    pose, count = sensor.frame(given.trail), given.trail.count
     plain = Sensor(
         sensor.clamp_position, sensor.clamp_orientation, "on_rod", wrench_point=sensor.wrench_point
     )
-    maps = plain.to_readings(orientation.reshape(-1, 4)).reshape(*shape, 6, 6)
-    wrench = np.concatenate([given.force, given.moment], axis=-1)
+    maps = plain.to_readings(pose.orientation)
+    wrench = np.concatenate([given.force, given.moment], axis=1)
 
-    def known(values: np.ndarray | None, default: np.ndarray, *own: int) -> np.ndarray:
-        return np.broadcast_to(default if values is None else values, (*shape, *own))
+    def known(values: np.ndarray | None, default: np.ndarray) -> np.ndarray:
+        return default if values is None else np.broadcast_to(values, default.shape)
 
-    none = np.zeros((3, 3))
-    whole = _Samples(
-        known(given.time, np.arange(shape[-1], dtype=np.float64)),
-        np.einsum("...ij,...j->...i", maps, wrench),
-        None if given.covariance is None else maps @ given.covariance @ np.swapaxes(maps, -1, -2),
-        position,
-        orientation,
-        PoseNoise(
-            known(given.position_covariance, none, 3, 3),
-            known(given.rotation_covariance, none, 3, 3),
-            known(given.rotation_center, position, 3),
+    seconds, none = known(given.time, np.arange(float(count))), np.zeros((count, 3, 3))
+    return Rows(
+        recording=np.full(count, index),
+        time=(seconds - seconds[0]) / np.ptp(seconds) - 0.5,
+        seconds=seconds,
+        wrench=np.einsum("nij,nj->ni", maps, wrench),
+        covariance=maps @ known(given.covariance, np.zeros((count, 6, 6))) @ maps.swapaxes(1, 2),
+        pose=Pose(pose.position, rotation_matrices(pose.orientation)),
+        noise=PoseNoise(
+            known(given.position_covariance, none),
+            known(given.rotation_covariance, none),
+            known(given.rotation_center, pose.position),
         ),
+        contact=np.zeros(count, dtype=bool),
+        samples=np.ones(count, dtype=int),
     )
 
-    def one(index: int) -> _Samples:
-        return jax.tree.map(
-            lambda part: part.reshape(-1, *part.shape[len(shape) - 1 :])[index], whole
-        )
 
-    return [one(index) for index in range(int(np.prod(shape[:-1])))]
-
-
-def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
+def _rows(index: int, given: Reactions, sensor: Sensor) -> Rows:
     def needs(enough: object, text: str) -> None:
         if not enough:
             raise CalibrationError(f"recordings[{index}]: {text}")
 
-    finite, seconds = np.isfinite(samples.wrench).all(axis=1), samples.seconds - samples.seconds[0]
+    finite = np.isfinite(given.force).all(axis=1) & np.isfinite(given.moment).all(axis=1)
     needs(
         np.count_nonzero(finite) >= _FEWEST,
         f"{np.count_nonzero(finite)} samples hold numbers; needed are at least {_FEWEST}",
     )
+    samples = _samples(index, given, sensor)
+    seconds, noise = samples.seconds - samples.seconds[0], samples.covariance
     tare_seconds = sensor.tare_seconds or 0.0
     tared = finite & (seconds < tare_seconds)
-    noise = samples.covariance
-    if noise is None:
+    if given.covariance is None:
         needs(
             np.count_nonzero(tared) >= _FEWEST,
             "the sensor's noise is not known; give force_noise and torque_noise, or a tare_seconds "
@@ -186,7 +181,7 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
             "a channel does not scatter at rest, so that its noise cannot be seen; give "
             "force_noise and torque_noise",
         )
-        noise = np.broadcast_to(np.diag(variance), (len(finite), 6, 6))
+        noise = np.broadcast_to(np.diag(variance), noise.shape)
     force = np.where(finite[:, None], samples.wrench[:, :3], 0.0)
     deviation = np.sqrt(np.trace(noise[:, :3, :3], axis1=1, axis2=2) / 3)
     strength = np.linalg.norm(uniform_filter1d(force, _WINDOW, axis=0), axis=1) / deviation
@@ -208,11 +203,8 @@ def _rows(index: int, samples: _Samples, sensor: Sensor) -> Rows:
         "no sample is at rest and free of contact; needed is a start free of contact, which "
         "`tare_seconds` may name",
     )
-    parts = [(contact, _MOST_ROWS), (rest, _REST_ROWS)]
-    return jax.tree.map(
-        lambda *part: np.concatenate(part),
-        *(_averaged(index, samples, noise, one, most, one is contact) for one, most in parts),
-    )
+    samples = samples._replace(covariance=noise, contact=contact)
+    return _joined([_averaged(samples, contact, _MOST_ROWS), _averaged(samples, rest, _REST_ROWS)])
 
 
 def _stretches(
@@ -232,14 +224,7 @@ def _stretches(
     return contact & ~rest, rest
 
 
-def _averaged(
-    recording: int,
-    samples: _Samples,
-    covariance: Float[np.ndarray, "n 6 6"],
-    chosen: Chosen,
-    most: int,
-    touching: bool,  # noqa: FBT001
-) -> Rows:
+def _averaged(samples: Rows, chosen: Chosen, most: int) -> Rows:
     """Means of neighbouring chosen samples, as many as keeps the rows to about `most`."""
     index = np.flatnonzero(chosen)
     size = -(-len(index) // most)
@@ -247,27 +232,18 @@ def _averaged(
     starts = np.flatnonzero((np.arange(len(index)) - np.searchsorted(run, run)) % size == 0)
     count = np.diff(starts, append=len(index))
 
-    def mean(values: Float[np.ndarray, "n *rest"]) -> Float[np.ndarray, "rows *rest"]:
-        total = np.add.reduceat(values[index], starts, axis=0)
+    def mean(values: Shaped[np.ndarray, "n *rest"]) -> Float[np.ndarray, "rows *rest"]:
+        total = np.add.reduceat(values[index], starts, axis=0, dtype=float)
         return total / count.reshape(-1, *[1] * (total.ndim - 1))
 
-    first = np.repeat(samples.orientation[index[starts]], count, axis=0)
-    aligned = samples.orientation.copy()
-    # A quaternion and its negative are the same rotation.
-    aligned[index] *= np.copysign(1.0, np.sum(aligned[index] * first, axis=1, keepdims=True))
-    axes = rotation_matrices(unit_quaternions(mean(aligned), "orientation"))
-    seconds, shared = mean(samples.seconds), count[:, None, None]
-    noise = samples.noise
-    return Rows(
-        recording=np.full(len(starts), recording),
-        time=(seconds - samples.seconds[0]) / np.ptp(samples.seconds) - 0.5,
-        seconds=seconds,
-        wrench=mean(samples.wrench),
-        covariance=mean(covariance) / shared,
-        pose=Pose(mean(samples.position), axes),
-        noise=PoseNoise(
-            mean(noise.position) / shared, mean(noise.rotation) / shared, mean(noise.center)
-        ),
-        contact=np.full(len(starts), touching),
+    means: Rows = jax.tree.map(mean, samples)
+    left, _, right = np.linalg.svd(means.pose.axes)
+    noise, shared = means.noise, count[:, None, None]
+    return means._replace(
+        recording=samples.recording[index[starts]],
+        covariance=means.covariance / shared,
+        pose=means.pose._replace(axes=left @ right),
+        noise=noise._replace(position=noise.position / shared, rotation=noise.rotation / shared),
+        contact=samples.contact[index[starts]],
         samples=count,
     )

@@ -1,6 +1,5 @@
 """What the data determine, how well, and whether the model explains them."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +8,7 @@ from scipy.stats import chi2
 
 from vibrissa.calibration.arrays import Columns, Information, Numbers, Square
 from vibrissa.calibration.parameters import Parameter
-from vibrissa.calibration.problem import WRENCH, Linear, Problem, information, weights
+from vibrissa.calibration.problem import WRENCH, Linear
 
 UNDETERMINED = 0.3
 """Standard deviation, in the parameters' scales, from which a direction counts as open: 30 % of a
@@ -117,84 +116,51 @@ class Fitness:
     disturbed: float
 
 
-def weakest(information: Square, limit: float) -> tuple[int, list[int]] | None:
-    """Of scaled information, the parameter to hold where a direction's standard deviation exceeds a
-    limit, and those it goes with; None where all are determined.
+def opened(free: list[Parameter], information: Square, limit: float) -> dict[str, tuple[str, ...]]:
+    """Parameters to be held, one by one, until no direction's standard deviation, in the
+    parameters' scales, exceeds a limit; each with what it goes with.
     """
-    least = max(1 / limit**2, _ROUNDING * float(np.trace(information)))
-    values, vectors = np.linalg.eigh(information)
-    if values[0] > least:
-        return None
-    loading = np.abs(vectors[:, 0])
-    # Of several that weigh alike the last is held: what comes first is asked for first.
-    place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
-    return place, [int(one) for one in np.flatnonzero(loading > _ALIKE) if one != place]
-
-
-def undetermined(problem: Problem, linear: Linear) -> dict[str, tuple[str, ...]]:
-    """Parameters of directions that are open, to be held one by one, with what each goes with."""
-    held: dict[str, tuple[str, ...]] = {}
-    free, count = list(problem.free), len(problem.free)
-    matrix = information(problem, linear, linear.sound.astype(float))
-    mixed = matrix[:count, count:]
-    # On the parameters when the other unknowns are unknown, too (Schur's complement).
-    left = matrix[:count, :count] - mixed @ np.linalg.solve(matrix[count:, count:], mixed.T)
-    left = left * np.outer(problem.scales, problem.scales)
-    while free and (open_one := weakest(left, UNDETERMINED)):
-        place, others = open_one
-        held[free[place].name] = tuple(free[other].name for other in others)
+    held, scales = dict[str, tuple[str, ...]](), np.array([one.scale for one in free])
+    left, names = information * np.outer(scales, scales), [one.name for one in free]
+    while names:
+        values, vectors = np.linalg.eigh(left)
+        if values[0] > max(1 / limit**2, _ROUNDING * np.trace(left)):
+            break
+        loading = np.abs(vectors[:, 0])
+        # Of several that weigh alike the last is held: what comes first is asked for first.
+        place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
+        name = names[place]
+        held[name] = tuple(
+            other
+            for other, share in zip(names, loading, strict=True)
+            if share > _ALIKE and other != name
+        )
         left = np.delete(np.delete(left, place, 0), place, 1)
-        del free[place]
-    return without_held(held, held)
+        names.remove(name)
+    return held
 
 
-def without_held(
-    held: dict[str, tuple[str, ...]], names: Iterable[str]
-) -> dict[str, tuple[str, ...]]:
-    """What is held, going with parameters that are not."""
-    return {
-        one: tuple(other for other in others if other not in names) for one, others in held.items()
-    }
+def undetermined(linear: Linear) -> dict[str, tuple[str, ...]]:
+    """The same of a fit, when the other unknowns are unknown, too (Schur's complement)."""
+    matrix, count = linear.information(linear.sound.astype(float)), len(linear.problem.free)
+    mixed = matrix[:count, count:]
+    left = matrix[:count, :count] - mixed @ np.linalg.solve(matrix[count:, count:], mixed.T)
+    return opened(linear.problem.free, left, UNDETERMINED)
 
 
-def identifiability(
-    free: list[Parameter],
-    covariance: Square,
-    alone: Float[np.ndarray, "k"],
-    held: dict[str, tuple[str, ...]],
-) -> Identifiability:
-    """Of parameters that were fitted, from the covariance of their steps."""
-    scales, deviations = np.array([one.scale for one in free]), np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scales, scales))
-    return Identifiability(
-        names=tuple(one.name for one in free),
-        correlation=covariance / np.outer(deviations, deviations),
-        directions=vectors.T[::-1],
-        deviations=np.sqrt(np.maximum(values[::-1], 0.0)),
-        alone=alone,
-        held=held,
-    )
-
-
-def alone(problem: Problem, linear: Linear) -> Float[np.ndarray, "k"]:
-    """Standard deviation of each parameter if all others were known."""
-    matrix = information(problem, linear, weights(problem, linear, 1.0))
-    return 1 / np.sqrt(np.diag(matrix)[: len(problem.free)])
-
-
-def fitness(problem: Problem, linear: Linear, weight: Numbers) -> Fitness:
+def fitness(linear: Linear, weight: Numbers) -> Fitness:
     """Judge the residuals in contact, in time order within each recording."""
-    rows = problem.rows
-    chosen = rows.contact & (weight > 0)
+    problem, rows = linear.problem, linear.problem.rows
     left = np.sqrt(weight)[:, None] * linear.whitened
-    series = [left[chosen & (rows.recording == recording)] for recording in range(rows.recordings)]
+    series = [left[own[weight[own] > 0]] for own in rows.contacts]
     series = [part for part in series if len(part) > 2 * _LAGS]
-    used = linear.chi_square[chosen & (weight == 1.0)]
-    total = len(used) * problem.freedom - len(problem.free)
-    reduced = float(np.sum(used) / max(total, 1))
-    whiteness = _ljung_box(series) if series else 1.0
-    worse = chi2.sf(reduced * total, max(total, 1)) < _SIGNIFICANT
-    inflation = np.full(WRENCH, max(1.0, reduced) if worse else 1.0)
+    used = linear.chi_square[rows.contact & (weight == 1.0)]
+    total = max(len(used) * problem.freedom - len(problem.free), 1)
+    square = float(np.sum(used))
+    reduced, whiteness = square / total, _ljung_box(series) if series else 1.0
+    inflation = np.ones(WRENCH)
+    if chi2.sf(square, total) < _SIGNIFICANT:
+        inflation *= max(1.0, reduced)
     if whiteness < _SIGNIFICANT:
         inflation = np.maximum(inflation, _long_run(series))
     outliers, disturbed = (
@@ -228,37 +194,21 @@ def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
 
 
 def covariance(
-    problem: Problem,
-    linear: Linear,
-    weight: Numbers,
-    inflation: Float[np.ndarray, "6"],
+    linear: Linear, weight: Numbers, inflation: Float[np.ndarray, "6"], columns: Columns
 ) -> Information:
     """Of all unknowns: the inverse information, or where the residuals are more than noise that of
-    estimates with their long-run variance (a sandwich).
-    """
-    inverse = np.linalg.inv(information(problem, linear, weight))
-    if np.all(inflation == 1):
-        return inverse
-    size = np.sqrt(weight)[:, None, None] * np.sqrt(inflation - 1)[:, None]
-    excess = (size * (linear.channels @ linear.design))[linear.contact]
-    excess = excess.reshape(-1, len(inverse))
-    return inverse + inverse @ (excess.T @ excess) @ inverse
-
-
-def considered(
-    problem: Problem,
-    linear: Linear,
-    weight: Numbers,
-    columns: Columns,
-) -> Information:
-    """Covariance of all unknowns from numbers that are held, whose standard deviations change the
-    readings by `columns`.
+    estimates with their long-run variance (a sandwich); and what numbers that are held add to it,
+    whose standard deviations change the readings by `columns`.
 
     An error h of a held number moves the estimates by −(JᵀWJ)⁻¹ JᵀW ∂r/∂h ("consider parameters":
     S. F. Schmidt, Advances in Control Systems 3 (1966) 293-340).
     """
+    matrix, contact = linear.information(weight), linear.problem.rows.contact
+    inverse = np.linalg.inv(matrix)
+    size = np.sqrt(weight)[:, None, None] * np.sqrt(inflation - 1)[:, None]
+    excess = (size * (linear.channels @ linear.design))[contact].reshape(-1, len(inverse))
     crossed = np.tensordot(
         weight[:, None, None] * linear.jacobian, linear.weighing @ columns, axes=((0, 1), (0, 1))
     )
-    shift = np.linalg.solve(information(problem, linear, weight), crossed)
-    return shift @ shift.T
+    shift = np.linalg.solve(matrix, crossed)
+    return inverse + inverse @ (excess.T @ excess) @ inverse + shift @ shift.T

@@ -10,21 +10,20 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from vibrissa.calibration.bench import SetupType, Step, bench_of, moved_at_once
+from vibrissa.calibration.bench import SetupLike, SetupType, Step, bench_of, moved_at_once
 from vibrissa.calibration.held_out import HeldOut, Part, predicted_by_others
 from vibrissa.calibration.parameters import Parameter, stepped, uncertain
-from vibrissa.calibration.result import Calibration, Residuals, estimates_of
-from vibrissa.calibration.rows import CalibrationError, reactions_of
-from vibrissa.calibration.statistics import Fitness, identifiability, weakest, without_held
+from vibrissa.calibration.result import Calibration, Residuals, concluded
+from vibrissa.calibration.rows import CalibrationError
+from vibrissa.calibration.statistics import Fitness, opened
 from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import reconstruct
-from vibrissa.inverse.checks.case import Case, Solution, case_of, solved
+from vibrissa.inverse.checks.case import Case, Solution, case_of, picked, solved
 from vibrissa.inverse.checks.rig import ERRORS, GAIN, LENGTH, POSITION, ROTATION, STIFFNESS, Frame
 from vibrissa.inverse.checks.stretches import stretches_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.tolerances import Tolerances
 
 _PLACES = {
@@ -57,12 +56,11 @@ class Fit(NamedTuple):
     solution: Solution
     directions: Float[np.ndarray, "errors p"]
     spread: Float[np.ndarray, "p"]
-    covariance: Float[np.ndarray, "p p"]
     inflation: float
 
 
 def calibrated_without_object(
-    recordings: list[Reactions | RawRecording],
+    sweeps: list[Reactions],
     setup: SetupType,
     names: tuple[str, ...],
     chosen: list[Parameter],
@@ -89,12 +87,7 @@ def calibrated_without_object(
                 f"free: {one.group!r} needs the object, and surface = None; allowed are parameters "
                 "of rod, clamp and sensor, tare and drift"
             )
-    if not recordings:
-        raise ValueError("recordings = []; allowed is at least one recording")
-    cases = [
-        _case(index, reactions_of(recording, setup.sensor), setup.rod, setup.sensor, friction)
-        for index, recording in enumerate(recordings)
-    ]
+    cases = [_case(index, sweep, setup, friction) for index, sweep in enumerate(sweeps)]
     within = {
         one: deviation
         for one, deviation in uncertain(setup.rod, tolerances).items()
@@ -106,22 +99,15 @@ def calibrated_without_object(
     return _result(setup, names, chosen, fit, friction, tolerances if within else None, within)
 
 
-def _case(index: int, reactions: Reactions, rod: Rod, sensor: Sensor, friction: float) -> Case:
-    if reactions.force.ndim != 2:
-        raise ValueError(
-            "recordings: without an object allowed are single sweeps, as Reactions "
-            "(`read_recording`) or RawRecording"
-        )
+def _case(index: int, reactions: Reactions, setup: SetupLike, friction: float) -> Case:
+    rod, sensor = setup.rod, setup.sensor
     if reactions.covariance is None:
         raise CalibrationError(
             f"recordings[{index}]: the sensor's noise is not known; give force_noise and "
             "torque_noise"
         )
     averaged = stretches_of(reconstruct(rod, reactions, friction=friction, check=False))
-    frame = Frame(
-        rotation_matrices(sensor.clamp_orientation),
-        (sensor.clamp_position - np.asarray(sensor.wrench_point)) / rod.length,
-    )
+    frame = Frame(rotation_matrices(sensor.clamp_orientation), sensor.arm / rod.length)
     case = None if averaged is None else case_of(averaged, frame, friction)
     if case is None:
         raise CalibrationError(
@@ -133,13 +119,11 @@ def _case(index: int, reactions: Reactions, rod: Rod, sensor: Sensor, friction: 
 
 def _directions(free: list[Parameter], setup: SetupType) -> Float[np.ndarray, "errors p"]:
     """Errors of the bench for unit steps of parameters."""
-    turn = rotation_matrices(setup.sensor.clamp_orientation)
-    out = np.zeros((ERRORS, len(free)))
+    places, out = np.arange(ERRORS), np.zeros((ERRORS, len(free)))
     for column, one in enumerate(free):
-        step = stepped([one], np.ones(1))._asdict()
-        step["clamp"] = turn.T @ step["clamp"] / setup.rod.length
-        for field, place in _PLACES.items():
-            out[place, column] = step[field]
+        out[places[_PLACES[one.field]][list(one.entries)], column] = 1.0
+    turn = rotation_matrices(setup.sensor.clamp_orientation)
+    out[POSITION] = turn.T @ out[POSITION] / setup.rod.length
     return out
 
 
@@ -151,14 +135,13 @@ def _fitted(
     setup: SetupType,
     friction: float,
 ) -> Fit:
-    """Solve; hold what the solution leaves open, one by one, and solve anew without it."""
+    """Solve; hold what the solution leaves open, and solve anew without it."""
     free, held = list(chosen), dict[str, tuple[str, ...]]()
     given = bench_of(setup.rod, setup.sensor).numbers(setup.sensor)
     while free:
-        scales = np.array([one.scale for one in free])
+        # Gains are not divided by what they were given as: the sensor has been.
         known = [
             min(
-                # Gains are not divided by what they were given as: the sensor has been.
                 deviations.get(one.group, math.inf)
                 / (1.0 if one.field == "gain" else one.slope(given)),
                 within.get(one, math.inf),
@@ -170,16 +153,10 @@ def _fitted(
         solution = solved(cases, directions, spread, friction, np.zeros(len(free)))
         left = np.concatenate([misfit.value for misfit in solution.misfits])
         inflation = max(1.0, float(left @ left) / max(len(left) - len(free), 1))
-        covariance = solution.covariance * inflation
-        open_one = weakest(np.linalg.inv(covariance) * np.outer(scales, scales), _OPEN)
-        if open_one is None:
-            names = {one.name for one in chosen} - {one.name for one in free}
-            return Fit(
-                free, without_held(held, names), solution, directions, spread, covariance, inflation
-            )
-        place, others = open_one
-        held[free[place].name] = tuple(free[other].name for other in others)
-        del free[place]
+        more = opened(free, np.linalg.inv(solution.covariance * inflation), _OPEN)
+        if not more:
+            return Fit(free, held, solution, directions, spread, inflation)
+        free, held = [one for one in free if one.name not in more], held | more
     raise CalibrationError(
         f"these recordings determine none of the free parameters: {', '.join(held)}"
     )
@@ -199,19 +176,15 @@ def _result(
     # Errors of gains are relative, steps logarithmic.
     step = step._replace(gain=np.log1p(step.gain))
     bench = jax.tree.map(np.asarray, moved_at_once(start, step))
-    given = start.numbers(setup.sensor)
-    slopes = np.array([one.slope(given) for one in fit.free])
-    covariance = fit.covariance * np.outer(slopes, slopes)
-    deviations = {
-        one.name: float(deviation)
-        for one, deviation in zip(fit.free, np.sqrt(np.diag(covariance)), strict=True)
-    }
-    estimates = estimates_of(chosen, setup, start, bench, deviations, fit.held)
-    known = 1 / np.sqrt(np.diag(np.linalg.inv(fit.covariance)))
+    given, covariance = start.numbers(setup.sensor), fit.solution.covariance * fit.inflation
+    estimates, own, identified = concluded(
+        setup, chosen, fit.free, fit.held, bench, covariance,
+        alone=1 / np.sqrt(np.diag(np.linalg.inv(covariance))),
+        slopes=np.array([one.slope(given) for one in fit.free]),
+    )  # fmt: skip
     parts, count = _held_out(fit), len(fit.solution.cases)
     nothing, unknown = np.zeros((count, 6)), np.full((count, 6), np.nan)
-    stated = {one.name: deviation * one.slope(given) for one, deviation in within.items()}
-    lines = moved(chosen, estimates, setup.rod, stated)
+    lines = moved(chosen, estimates, setup.rod, within)
     if fit.inflation >= _CONTRADICTED:
         lines.append(
             "the constraints contradict each other by up to "
@@ -223,8 +196,8 @@ def _result(
         setup=bench.setup(setup, setup.surface),
         surface=None,
         estimates=estimates,
-        covariance=covariance,
-        identifiability=identifiability(fit.free, fit.covariance, known, fit.held),
+        covariance=own,
+        identifiability=identified,
         residuals=_residuals(setup.rod, fit.solution),
         fitness=Fitness(fit.inflation, 1.0, np.full(6, fit.inflation), 0.0, 0.0),
         tare=nothing,
@@ -261,7 +234,7 @@ def _held_out(fit: Fit) -> tuple[HeldOut, ...]:
             )
         )
         told = int(np.count_nonzero(misfit.told))
-        parts.append(Part(f"recordings[{index}]", told, 1, -design, left))
+        parts.append(Part(f"recordings[{index}]", told, told, -design, left))
     total = np.diag(fit.spread**-2.0) + sum(part.design.T @ part.design for part in parts)
     return predicted_by_others(parts if len(parts) > 1 else [], total, fit.free, fit.inflation)
 
@@ -271,8 +244,8 @@ def _residuals(rod: Rod, solution: Solution) -> Residuals:
     units, columns = np.repeat([rod.force_scale, rod.moment_scale], 3), []
     for index, (case, misfit) in enumerate(zip(solution.cases, solution.misfits, strict=True)):
         own, there = case.bench.stretches, case.bench.frame.to_sensor
-        slope = np.take_along_axis(case.here.by_wrench.constraints, misfit.pick[..., None], axis=1)
-        value = np.take_along_axis(case.here.value, misfit.pick, axis=1)
+        slope = picked(case.here.by_wrench.constraints, misfit.pick)
+        value = picked(case.here.value, misfit.pick)
         spread = own.noise @ np.swapaxes(slope, 1, 2)
         # By the least change of the wrench that meets the constraints.
         change = (spread @ np.linalg.solve(slope @ spread, value[..., None]))[..., 0]

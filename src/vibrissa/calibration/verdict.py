@@ -10,6 +10,7 @@ import numpy as np
 from vibrissa.calibration.bench import LOGARITHMIC
 from vibrissa.calibration.held_out import HeldOut
 from vibrissa.calibration.parameters import Parameter
+from vibrissa.calibration.problem import Linear
 from vibrissa.calibration.result import Estimate
 from vibrissa.calibration.score import Score
 from vibrissa.calibration.statistics import Fitness
@@ -50,29 +51,34 @@ _TOO_FAR_OFF = 0.01
 
 
 def warnings_of(
-    chosen: Iterable[Parameter],
-    estimates: Mapping[str, Estimate],
-    stated: Mapping[str, float],
+    linear: Linear,
     rod: Rod,
+    moves: list[str],
     fitness: Fitness,
     scores: list[Score],
     parts: Iterable[HeldOut],
     missed: np.ndarray,
-    friction: float,
 ) -> list[str]:
-    """One sentence a finding, empty where all is well; `stated` holds tolerances of estimates, by
-    name and in their units.
-    """
+    """One sentence a finding, empty where all is well."""
     causes = [score for score in scores if _matters(score)]
-    lines = [*_left_out(fitness, causes, friction), *moved(chosen, estimates, rod, stated)]
+    share, lines = fitness.disturbed + fitness.outliers, list(moves)
+    most = _MOST_SLIPPING if linear.problem.friction > 0 else _MOST_LEFT_OUT
+    # Single outliers weigh less in good fits, too; whole stretches do not.
+    if share >= most or (causes and fitness.disturbed > most / 3):
+        lines.insert(
+            0,
+            f"{share:.0%} of the rows in contact do not fit and were left out or weigh less "
+            f"({fitness.disturbed:.0%} in whole stretches): likely causes are the object's size, "
+            "place or shape, friction, gains, a delay of the poses, a rod that tapers or is bent "
+            "at rest; or it swings, or sticks and slips",
+        )
     worst = float(fitness.inflation.max())
     if causes:
-        best = max(cause.significance for cause in causes)
         named = "; or ".join(
             f"{one.suspect.said(one.value)} ({one.significance:.0f} standard deviations): "
             f"{one.suspect.remedy}"
             for one in causes
-            if one.significance > _ALIKE * best
+            if one.significance > _ALIKE * causes[0].significance
         )
         lines.append(f"the readings contradict what is held: {named}")
     elif worst > _INFLATED:
@@ -82,20 +88,19 @@ def warnings_of(
             "rod's straightness, and the sensor"
         )
     lines += unpredicted(parts, fitness.reduced_chi_square)
-    lines += [
+    return lines + [
         f"recordings[{index}]: the loads begin where the rod as calibrated is "
         f"{length_text(gap, rod)} from first touching the object"
         for index, gap in enumerate(missed)
         if gap > _TOO_FAR_OFF * rod.length
     ]
-    return lines
 
 
 def _matters(score: Score) -> bool:
     """Whether a cause is significant, large enough to matter, and beyond its tolerance."""
     suspect, size = score.suspect, float(np.linalg.norm(score.value))
     return (
-        score.significance > _TELLING * (1 if suspect.linear else 2)
+        score.significance > (_TELLING if suspect.linear else 2 * _TELLING)
         and suspect.least < size * suspect.scale < _LARGEST
         and size > 2 * suspect.tolerance
     )
@@ -112,51 +117,30 @@ def unpredicted(parts: Iterable[HeldOut], inflation: float) -> list[str]:
     ]
 
 
-def _left_out(fitness: Fitness, causes: list[Score], friction: float) -> list[str]:
-    share = fitness.disturbed + fitness.outliers
-    most = _MOST_SLIPPING if friction > 0 else _MOST_LEFT_OUT
-    # Single outliers weigh less in good fits, too; whole stretches do not.
-    if share < most and not (causes and fitness.disturbed > most / 3):
-        return []
-    return [
-        f"{share:.0%} of the rows in contact do not fit and were left out or weigh less "
-        f"({fitness.disturbed:.0%} in whole stretches): likely causes are the object's size, place "
-        "or shape, friction, gains, a delay of the poses, a rod that tapers or is bent at rest; or "
-        "it swings, or sticks and slips"
-    ]
-
-
 def moved(
     chosen: Iterable[Parameter],
     estimates: Mapping[str, Estimate],
     rod: Rod,
-    stated: Mapping[str, float],
+    within: Mapping[Parameter, float],
 ) -> list[str]:
     """Estimates farther from where they were given than their tolerances, or a start, explain;
-    `stated` as of `warnings_of`.
+    `within` holds tolerances, in the parameters' steps.
     """
     lines = []
     for parameter in chosen:
         one, relative = estimates[parameter.name], parameter.field in LOGARITHMIC
-        if not one.determined:
-            continue
-        known, move = stated.get(one.name, 0.0), abs(one.value - one.given)
-        limit, against = (
-            _FAR * math.hypot(known, one.deviation),
-            f"{move / (known or 1.0):.1f} times its tolerance",
-        )
-        if known == 0:
-            unit = abs(one.given) if relative else parameter.scale
-            limit = _STARTS[parameter.field] * unit + _FAR * one.deviation
+        move, size = abs(one.value - one.given), abs(one.given) if relative else 1.0
+        known = within.get(parameter, 0.0) * size
+        if known > 0:
+            limit = _FAR * math.hypot(known, one.deviation)
+            against = f"{move / known:.1f} times its tolerance"
+        else:
+            limit = _STARTS[parameter.field] * parameter.scale * size + _FAR * one.deviation
             against = "more than a start should be off by"
-        if move > limit:
-            amount = (
-                f"{move / abs(one.given):.1%}"
-                if relative
-                else f"{math.degrees(move):.2g}°"
-                if one.unit == "rad"
-                else length_text(move, rod)
-            )
+        if one.determined and move > limit:
+            amount = f"{move / size:.1%}" if relative else length_text(move, rod)
+            if one.unit == "rad":
+                amount = f"{math.degrees(move):.2g}°"
             lines.append(
                 f"{one.name}: found {amount} from where it was given, {against}: it was misstated, "
                 "or makes up for something else that is"

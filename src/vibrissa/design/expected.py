@@ -154,66 +154,44 @@ def expected_error(
         whole_number(samples, "samples"),
     )
     swept = scan(rod, surface, trail, friction=friction, finite_radius=finite_radius)
+    exact, shape = swept.reactions, swept.trail.shape
     averaged, rate = _averaged(sensor, samples), rate / samples
-    lanes = [_lane(averaged, part, rate, rest, speed) for part in _lanes(swept)]
-    shape = swept.trail.shape
-    covariance = np.stack([lane[0] for lane in lanes]).reshape(*shape, 6, 6)
-    exact = swept.reactions
-    told = Reactions(
-        exact.trail,
-        exact.force,
-        exact.moment,
-        covariance=covariance,
-        position_covariance=sensor.position_noise**2 / samples * np.eye(3),
-        rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
-        rotation_center=sensor.frame(swept.trail).position,
-        setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
-        time=np.stack([lane[3] for lane in lanes]).reshape(shape),
+    trails = [exact] if len(shape) == 1 else [exact[index] for index in range(len(exact.force))]
+    covariance, late, saturated, time = (
+        np.stack(part).reshape(*shape, *part[0].shape[1:])
+        for part in zip(*(_lane(averaged, one, rate, rest, speed) for one in trails), strict=True)
     )
-    found = reconstruct(rod, told, friction=friction, false_alarm=false_alarm, check=False)
+
+    def contacts(reactions: Reactions) -> Reconstruction:
+        return reconstruct(rod, reactions, friction=friction, false_alarm=false_alarm, check=False)
+
+    found = contacts(
+        replace(
+            exact,
+            covariance=covariance,
+            position_covariance=sensor.position_noise**2 / samples * np.eye(3),
+            rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
+            rotation_center=sensor.frame(swept.trail).position,
+            setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
+            time=time,
+        )
+    )
     assert found.covariance is not None
     lag = np.zeros((*shape, 3))
     if sensor.low_pass is not None and speed is not None:
-        late = np.stack([lane[1] for lane in lanes]).reshape(*shape, 6)
-        shifted = Reactions(exact.trail, late[..., :3], late[..., 3:], covariance=covariance)
-        lag = np.nan_to_num(
-            reconstruct(rod, shifted, friction=friction, false_alarm=false_alarm, check=False).point
-            - found.point
-        )
-    saturated = np.stack([lane[2] for lane in lanes]).reshape(shape)
+        shifted = replace(exact, force=late[..., :3], moment=late[..., 3:], covariance=covariance)
+        lag = np.nan_to_num(contacts(shifted).point - found.point)
     solved = (swept.status < Status.HEAD_ON)[..., None, None]
     return ExpectedError(swept, found, np.where(solved, found.covariance, np.nan), lag, saturated)
 
 
 def _averaged(sensor: Sensor, samples: int) -> Sensor:
     """The sensor whose single readings have the errors of means over so many."""
-    if samples == 1:
-        return sensor
     noise = sensor.noise
     steps = np.sqrt(12 * quantisation_of_mean(noise.white, noise.resolution, samples))
-    white = noise.white / samples**0.5
-    return sensor.updated(
-        force_noise=tuple(white[:3].tolist()),
-        torque_noise=tuple(white[3:].tolist()),
-        force_resolution=tuple(steps[:3].tolist()),
-        torque_resolution=tuple(steps[3:].tolist()),
-    )
-
-
-def _lanes(swept: Scan) -> list[Reactions]:
-    """The reactions of each trail."""
-    trail, count = swept.trail, swept.trail.count
-    parts = zip(
-        trail.position.reshape(-1, count, 3),
-        trail.orientation.reshape(-1, count, 4),
-        swept.reactions.force.reshape(-1, count, 3),
-        swept.reactions.moment.reshape(-1, count, 3),
-        strict=True,
-    )
-    return [
-        Reactions(Trail(position, orientation), force, moment)
-        for position, orientation, force, moment in parts
-    ]
+    names = ("force_noise", "torque_noise", "force_resolution", "torque_resolution")
+    figures = np.reshape([noise.white / samples**0.5, steps], (4, 3)).tolist()
+    return sensor.updated(**dict(zip(names, map(tuple, figures), strict=True)))
 
 
 def _lane(
@@ -227,44 +205,30 @@ def _lane(
     """Of one trail: the reactions' covariance, the reactions that come late, where the range ends,
     and the stamps.
     """
-    orientation = sensor.frame(reactions.trail).orientation
-    time = _stamps(reactions.trail, rate, rest, speed)
-    maps = sensor.to_reactions(orientation)
-    count = int(rest * rate)
-    tare = no_tare(sensor, time)
-    if count >= 2:
-        ends = ((0.0, rest), (float(time[-1]), float(time[-1]) + rest))[
-            : 2 if sensor.estimate_drift else 1
-        ]
-        tare = planned_tare(sensor, ends, (count,) * len(ends))
-    # Pink noise knows the whole recording, the rest included.
-    coloured = tuple(sensor.noise.coloured(np.concatenate([[0.0], time])))
-    tare = replace(tare, coloured=coloured)
-    covariance = carried(maps, tare.covariance(sensor, time, orientation))
-    timed = Reactions(
-        reactions.trail, np.nan_to_num(reactions.force), np.nan_to_num(reactions.moment), time=time
-    )
-    late = sensor.filtered_readings(timed, orientation)
-    shown = sensor.updated(low_pass=None).filtered_readings(timed, orientation)
-    limits = [
-        np.full(3, np.inf) if part is None else np.asarray(part)
-        for part in (sensor.force_range, sensor.torque_range)
-    ]
-    saturated = np.any(np.abs(shown) > np.concatenate(limits), axis=1) & np.isfinite(
-        reactions.force
-    ).all(axis=1)
-    exact = np.concatenate([reactions.force, reactions.moment], axis=1)
-    return (
-        np.broadcast_to(covariance, (len(time), 6, 6)),
-        exact + np.einsum("nij,nj->ni", maps, late - shown),
-        saturated,
-        time,
-    )
-
-
-def _stamps(trail: Trail, rate: float, rest: float, speed: float | None) -> Float[np.ndarray, "n"]:
-    steps = np.full(trail.count - 1, 1 / rate)
+    trail, steps = reactions.trail, np.full(reactions.trail.count - 1, 1 / rate)
     if speed is not None:
         way = np.linalg.norm(np.diff(trail.position, axis=0), axis=1)
         steps = np.maximum(way / positive(speed, "speed"), steps)
-    return rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
+    time = rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
+    orientation, count = sensor.frame(trail).orientation, int(rest * rate)
+    tare = no_tare(sensor, time)
+    if count >= 2:
+        end = float(time[-1])
+        ends = ((0.0, rest), (end, end + rest))[: 1 + sensor.estimate_drift]
+        tare = planned_tare(sensor, ends, (count,) * len(ends))
+    # Pink noise knows the whole recording, the rest included.
+    tare = replace(tare, coloured=tuple(sensor.noise.coloured(np.append(0.0, time))))
+    maps = sensor.to_reactions(orientation)
+    covariance = carried(maps, tare.covariance(sensor, time, orientation))
+    exact = np.concatenate([reactions.force, reactions.moment], axis=1)
+    force, moment = np.hsplit(np.nan_to_num(exact), 2)
+    timed = Reactions(trail, force, moment, time=time)
+    late = sensor.filtered_readings(timed, orientation)
+    shown = sensor.updated(low_pass=None).filtered_readings(timed, orientation)
+    beyond = np.any(np.abs(shown) > sensor.response.limits(np.zeros(6)), axis=1)
+    return (
+        np.broadcast_to(covariance, (len(time), 6, 6)),
+        exact + np.einsum("nij,nj->ni", maps, late - shown),
+        beyond & np.isfinite(exact).all(axis=1),
+        time,
+    )

@@ -116,7 +116,7 @@ class Lanes(Generic[Shared, Row]):
     def _nothing(self, shared: Shared, rows: Any) -> Row:
         one = jax.tree.map(lambda leaf: np.empty(leaf.shape[1:], leaf.dtype), rows)
         leaves, structure = jax.tree.flatten((one, shared))
-        known = structure, *((np.shape(leaf), np.result_type(leaf)) for leaf in leaves)
+        known = structure, *((np.shape(leaf), getattr(leaf, "dtype", float)) for leaf in leaves)
         if known not in self._shapes:
             self._shapes[known] = jax.eval_shape(self._one, shared, *one)
         return jax.tree.map(

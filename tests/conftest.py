@@ -64,6 +64,15 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Together(config, log)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Any:
+    """Check shapes in the tests of parts; those of results run as a user's program does, in little
+    more than half the time.
+    """
+    jaxtyping.config.update("jaxtyping_disable", "unit" not in item.path.parts)
+    return (yield)
+
+
 _SHARED = Path(__file__).parents[1].parent / "shared"
 
 

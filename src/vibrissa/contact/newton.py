@@ -42,9 +42,9 @@ class Step(NamedTuple):
     """
 
 
-def signed(determinant: Scalar) -> Scalar:
-    """A determinant whose sign can be relied on."""
-    return jnp.where(jnp.abs(determinant) < _SINGULAR, _SINGULAR, determinant)
+def signed(determinant: Scalar, xp: Any = jnp) -> Scalar:
+    """A determinant whose sign can be relied on; `xp` is NumPy or JAX's."""
+    return xp.where(abs(determinant) < _SINGULAR, _SINGULAR, determinant)
 
 
 def solved_linear(

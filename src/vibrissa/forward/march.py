@@ -211,6 +211,32 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
     return chosen(steps, np.s_[:, :n])
 
 
+def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
+    """Newton's method from states (k, …) at one clamp pose: each a first contact on a lane that
+    goes on as if it had not been.
+    """
+    count, room = len(seeds.force), _SHORTEST_TRAIL - 1
+    rows = -(-count // room)
+    lane, position = np.indices((rows, _SHORTEST_TRAIL))
+    which = np.clip(lane * room + position - 1, 0, count - 1)
+    clamps = jax.tree.map(lambda part: np.broadcast_to(part, (*which.shape, 3)), clamp)
+    legs = entering(law, clamps)
+    legs = legs._replace(
+        met=np.ones(which.shape, dtype=bool),
+        meeting=legs.meeting._replace(state=chosen(seeds, which)),
+        mode=np.full(rows, int(Mode.FREE)),
+        fanned=np.ones(rows, dtype=bool),
+    )
+    parts = [
+        march(scene, law, chosen(legs, np.s_[first : first + _SINGLE]))
+        for first in range(0, rows, _SINGLE)
+    ]
+    found: Steps = jax.tree.map(
+        lambda *parts: np.concatenate([row[1:] for part in parts for row in part])[:count], *parts
+    )
+    return found
+
+
 def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     """Walk a lane through the first `count` of its positions, for what is shared: scene, law and
     count.

@@ -3,16 +3,18 @@ after a snap, for trails that begin in contact, and for tips caught between two 
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 from jaxtyping import Float, Int
 
-from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State, step_from, touching
+from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State
 from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assessed
+from vibrissa.forward.march import from_seeds
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import NEUTRAL, Clamp
 from vibrissa.numerics.lanes import lanes
@@ -30,16 +32,18 @@ _SIDES, _EVERY = 8, 6
 """Ways out of the object, from every sixth point of the straight rod in it."""
 FORCES = (0.05, 0.5, 1.5, 4.0)
 """[EI/L²] to start with: from a slight touch to half of the buckling load π²."""
-_STEPS, _ROUNDS = 8, 5
-"""Steps of Newton's method at a time, and how often."""
+_ROUNDS = 2
+"""How often a dozen steps of Newton's method are taken: where the rod may bend to any side, the
+Jacobian is singular, and convergence slow.
+"""
 _SETTLED = 1e-9
 """Residual before a step of quadratic convergence that changes nothing more."""
 _SAME = 1e-6
 """Of unknowns of one and the same equilibrium."""
 _THICKEST = 0.1
 """Radius [L] of the thickest rod by whose way an edge is found."""
-_REACH, _ASTRAY = 1.2, 3.0
-"""How far [L] from the clamp a contact may lie, and on the way to it."""
+_REACH = 1.2
+"""How far [L] from the clamp a contact may lie."""
 _SHORTEST = 0.05
 _CAUGHT = 0.15
 """How deep [L] a rod that touches twice may lie in the object at its second contact when it is
@@ -119,15 +123,6 @@ def stable_equilibria(
     ]
 
 
-class Caught(NamedTuple):
-    """Rows of rods caught at their tips: their assessments (k, …), and where they touch the second
-    part (k, 3); NaN where none was found.
-    """
-
-    values: Assessment
-    second_normal: Float[np.ndarray, "k 3"]
-
-
 def caught(scene: Scene, clamps: Clamp) -> list[tuple[Assessment, Float[np.ndarray, "3"]] | None]:
     """The equilibria of least energy of rods that are caught by their tips between two parts and
     lie outside the object, at clamps (k, …); with the outward normals of the second parts.
@@ -138,23 +133,23 @@ def caught(scene: Scene, clamps: Clamp) -> list[tuple[Assessment, Float[np.ndarr
 def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "3"]] | None:
     seeds = seeds_around(scene, clamp, [], FORCES)
     levels = np.asarray(_part_levels(scene, seeds.point))
-    pairs = np.argsort(levels, axis=1)[:, :2]
-    near = np.take_along_axis(levels, pairs[:, 1:], axis=1)[:, 0] < _SECOND_PART
-    starts = State(seeds.point[near], seeds.force[near], np.full((int(near.sum()), 1), 0.5))
-    found = solutions(scene, clamp, Held(pairs[near]), starts)
-    share = found.state.lean[:, 0]
-    found = chosen(found, (share > 0) & (share < 1))
-    if not len(found.residual):
-        return None
-    clamps = _repeated(clamp, len(found.residual))
-    values, _ = assessed(scene, found.law, found.state, clamps)
-    clear = values.depth < DEPTH_TOLERANCE
-    if not clear.any():
-        return None
-    best = int(np.argmin(np.where(clear, values.energy, np.inf)))
-    law = chosen(found.law, best)
-    normal = np.asarray(law.second_normal(scene, jnp.asarray(values.point[best])))
-    return chosen(values, best), normal
+    pairs = np.sort(np.argsort(levels, axis=1)[:, :2], axis=1)
+    near = np.sort(levels, axis=1)[:, 1] < _SECOND_PART
+    best = None
+    for pair in np.unique(pairs[near], axis=0):
+        own = near & (pairs == pair).all(axis=1)
+        starts = State(seeds.point[own], seeds.force[own], np.full((int(own.sum()), 1), 0.5))
+        state = solutions(scene, clamp, Held(pair), starts).state
+        state = chosen(state, (state.lean[:, 0] > 0) & (state.lean[:, 0] < 1))
+        count = len(state.force)
+        law = Held(np.broadcast_to(pair, (count, 2)))
+        values, _ = assessed(scene, law, state, _repeated(clamp, count))
+        values = chosen(values, values.depth < DEPTH_TOLERANCE)
+        for row in np.argsort(values.energy)[:1]:
+            if best is None or values.energy[row] < best[0].energy:
+                found = chosen(values, row)
+                best = found, np.asarray(Held(pair).second_normal(scene, jnp.asarray(found.point)))
+    return best
 
 
 def _repeated(clamp: Clamp, count: int) -> Clamp:
@@ -264,34 +259,23 @@ class Solutions(NamedTuple):
     """Where Newton's method ended (k, …)."""
 
     state: State
-    law: Law
     determinant: Float[np.ndarray, "k"]
     residual: Float[np.ndarray, "k"]
     """Before the last step."""
 
 
 def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
-    """Converged contacts that push and lie near the clamp, each once, from each seed (k, …); a few
-    steps at a time: those that have converged or gone astray are not carried on.
-
-    `law` holds a row a seed, if anything.
+    """Converged contacts that push and lie near the clamp, each once, from each seed (k, …); those
+    that have not converged are given as many steps again.
     """
     count = len(seeds.force)
-    found = Solutions(
-        State(*(np.array(part) for part in seeds)),
-        law,
-        np.full(count, np.nan),
-        np.full(count, np.inf),
-    )
-    left = np.arange(count)
+    found = Solutions(seeds, np.full(count, np.nan), np.full(count, np.inf))
     for _ in range(_ROUNDS):
-        state, determinant, residual = _stepped((scene, clamp), *chosen((found.state, law), left))
-        for part, new in zip(found.state, state, strict=True):
-            part[left] = new
-        found.determinant[left], found.residual[left] = determinant, residual
-        far = np.abs(found.state.point[left] - clamp.point).max(axis=1, initial=0.0) > _ASTRAY
-        astray = far | ~np.isfinite(found.state.flat_rows[left]).all(axis=1)
-        left = left[~astray & ~(found.residual[left] < _SETTLED)]
+        left = np.flatnonzero(~(found.residual < _SETTLED))
+        if left.size:
+            steps = from_seeds(scene, law, clamp, chosen(found.state, left))
+            again = Solutions(steps.reached.state, steps.figure, steps.residual)
+            found = jax.tree.map(partial(_put, left), found, again)
     near = np.abs(found.state.point - clamp.point).max(axis=1, initial=0.0) < _REACH
     sound = (found.residual < _SETTLED) & (found.state.force > 0) & near
     unknowns, rows, kept = found.state.flat_rows, np.flatnonzero(sound), []
@@ -302,23 +286,11 @@ def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
     return single
 
 
-@lanes()
-def _stepped(
-    shared: tuple[Scene, Clamp], state: State, law: Law
-) -> tuple[State, Float[Array, ""], Float[Array, ""]]:
-    """A few steps: state, determinant, and residual before the last step."""
-    scene, clamp = shared
-
-    def iterate(_: Array | int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        def conditions(x: Float[Array, "unknowns"]) -> tuple[Float[Array, "unknowns"], None]:
-            return touching(scene, law, State.of(x), clamp).residual, None
-
-        step, _told = step_from(conditions, carry[0])
-        return step.x, step.determinant, step.residual
-
-    zero = jnp.zeros(())
-    x, determinant, residual = lax.fori_loop(0, _STEPS, iterate, (state.flat, zero, zero))
-    return State.of(x), determinant, residual
+def _put(where: Int[np.ndarray, "j"], whole: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """The whole with some rows replaced."""
+    replaced = whole.copy()
+    replaced[where] = part
+    return replaced
 
 
 def eased(scene: Scene, clamp: Clamp, seeds: State) -> State:

@@ -205,7 +205,7 @@ class Branch(Way):
         return Place(
             float(y[4]),
             Reached(state, found.arc_length, found.tangent),
-            float(signed(np.linalg.det(found.jacobian[:, :4]))),
+            float(signed(np.linalg.det(found.jacobian[:, :4]), np)),
             float(found.phase),
             tangent if onward > 0 else -tangent,
         )

@@ -222,7 +222,6 @@ class Sensor:
         tare: Tare | None = None,
         *,
         tolerances: Tolerances | SetupErrors | ArrayLike | None = None,
-        velocity: ArrayLike | None = None,
     ) -> Reactions:
         """Support reactions on the rod about the clamp, in world axes, tare removed, with their
         covariance where the noise is known.
@@ -242,8 +241,6 @@ class Sensor:
             15) of `vibrissa.tolerances.PARAMETERS`: contacts state them then beside the noise.
             `Setup.parameter_covariance` gives those of a setup, and `setup_errors` both seen from
             this mount.
-        velocity
-            Of the clamp (n, 6), as for `Reactions`.
 
         Raises
         ------
@@ -276,7 +273,6 @@ class Sensor:
             wrench[:, 3:],
             time=raw.time,
             setup_errors=tolerances,
-            velocity=None if velocity is None else np.asarray(velocity),
             **errors,
         )
 

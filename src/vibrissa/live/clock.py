@@ -145,6 +145,8 @@ class SequenceClock:
         self.counts.lost += int(lost.sum())
         self.counts.gaps += int(np.count_nonzero(lost))
         steps[anew] = lost + 1
+        if anew.any():
+            self._clock.restart()
         count = np.cumsum(steps)
         own = int(last.own) + self._periods(count)
         factor = self._watch.factor(own, arrival)

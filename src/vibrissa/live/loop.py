@@ -92,7 +92,7 @@ def stream(
         loop.run(stop or threading.Event(), duration or np.inf, silence or np.inf, batch_seconds)
     report.malformed_poses, report.misplaced_poses = poses.malformed, poses.misplaced
     for text in report.losses():
-        report.say(text, warns=True)
+        report.warn(text)
     return report
 
 
@@ -129,7 +129,7 @@ class _Loop:
         threads = self._closing.enter_context(ThreadPoolExecutor(1, "source"))
         self._closing.callback(self._ending.set)
         reading = threads.submit(self._read)
-        report.say("waiting for samples")
+        report.notice("waiting for samples")
         why = ""
         begun = last = time.monotonic_ns()
         while not (stop.is_set() or why or self._seconds() > duration):
@@ -143,7 +143,7 @@ class _Loop:
                 why, report.silent = f"nothing came for {silence:g} s", True
             elif watched and self._silence.begins(begun):
                 text = "no samples come: is the sensor on, its cable in, or has another program"
-                report.say(f"{text} taken its stream?", warns=True)
+                report.warn(f"{text} taken its stream?")
             self._work()
             time.sleep(max(batch_seconds - (time.monotonic_ns() - begun) * 1e-9, 0.0))
         if report.silent or not why:
@@ -158,7 +158,7 @@ class _Loop:
             unread = f"; {malformed} lines or datagrams could not be read, the last one for: "
             raise SilentSourceError(f"{why}{unread}{last_one}" if malformed else why)
         if report.silent:
-            report.say(f"{why}: the stream ends here", warns=True)
+            report.warn(f"{why}: the stream ends here")
 
     def _read(self) -> None:
         """In a thread of its own: what comes goes into a bounded queue, so that nothing is missed
@@ -191,7 +191,7 @@ class _Loop:
         samples = joined(parts)
         if self._first == np.inf:
             self._first, self._cpu = int(samples.arrival[0]), time.process_time()
-            self._report.say("first sample")
+            self._report.notice("first sample")
             self.add(self._make_sinks())
         pause = None if self._source.recorded else self._silence.came(samples.arrival)
         said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
@@ -201,7 +201,7 @@ class _Loop:
                 "stream; its zero is compared with that before"
             )
         if said:
-            self._report.say("; ".join(said), warns=True)
+            self._report.warn("; ".join(said))
         for sink in self._sinks:
             sink.wrench(samples.stamp, samples.sequence, samples.force, samples.torque)
         self._processor.push(samples)

@@ -209,7 +209,6 @@ class StreamedPoses(PoseSource):
         self._held: list[PoseMessage] = []
         self._lock = threading.Lock()
         self._socket: socket.socket | None = None
-        self.received = 0
 
     def open(self) -> None:
         """Listen, in a thread."""
@@ -239,7 +238,6 @@ class StreamedPoses(PoseSource):
         if message.stamp > now + _ANOTHER_CLOCK:
             return
         with self._lock:
-            self.received += 1
             place = bisect(self._held, message.stamp, key=_STAMP)
             if not place or self._held[place - 1].stamp != message.stamp:
                 self._held.insert(place, message)

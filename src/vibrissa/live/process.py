@@ -17,7 +17,6 @@ from vibrissa.live.samples import (
     Quaternions,
     Samples,
     Vectors,
-    Wrenches,
     joined,
     rows_of,
 )
@@ -164,16 +163,15 @@ class Processor:
         posed = ConstantPose().at(rest.stamp) if sensor.mount is None else self._posed(rest)
         raw = self._raw(rest, posed)
         self._take_tare(sensor.tare(raw), raw.time)
-        self.report.say(
-            f"tare: {', '.join(f'{value:.6g}' for value in self._tare.offset)} (N, N m)"
-        )
+        shown = ", ".join(f"{value:.6g}" for value in self._tare.offset)
+        self.report.notice(f"tare: {shown} (N, N m)")
         noise = spread = np.nanstd(raw.wrench[rest.stamp < end], axis=0, ddof=1)
         if sensor.noise.known:
             noise, times = np.sqrt(sensor.reading_variance), np.max(spread / sensor.noise.white)
             self.report.moved_during_tare = bool(times > RESTLESS)
             if times > RESTLESS:
                 text = f"the wrench varied by {times:.1f} times its noise during the tare"
-                self.report.say(f"{text}: is the rod free?", warns=True)
+                self.report.warn(f"{text}: is the rod free?")
         self._zero = ZeroWatch(noise, sensor.noise.resolution, self.rod.length, self._seconds)
 
     def _take_tare(self, tare: Tare, time: Times) -> None:
@@ -204,11 +202,18 @@ class Processor:
         return int(min(ends))
 
     def _result(self, samples: Samples) -> Result:
-        posed = self._posed(samples)
+        posed, zero, unsure = self._posed(samples), self._zero, False
         raw = self._raw(samples, posed)
         found = self._found(raw, posed.known)
         tared = raw.wrench - self._tare.readings(self._sensor, raw.time, raw.orientation)
-        unsure = self._zero is not None and self._follow(self._zero, samples, raw, tared, found)
+        if zero is not None:
+            if samples.anew[0]:
+                zero.restart()
+            unsure, same = zero.pending, zero.take(raw, tared, found)
+            if same:
+                self.report.notice("the sensor's zero is as it was before the restart")
+            elif same is not None:
+                self._tare_anew(zero.rest())
         found = found if self.stage is None else self.stage.push(found)
         if unsure:
             status = np.where(found.status == Status.OK, Status.SETUP_CONTRADICTED, found.status)
@@ -238,33 +243,16 @@ class Processor:
         self._passed = [rows_of(passed, passed.time > passed.time[-1] - VELOCITY_SPAN)]
         return velocities(*rows_of(passed, [0, -1]))[1]
 
-    def _follow(
-        self,
-        zero: ZeroWatch,
-        samples: Samples,
-        raw: RawRecording,
-        tared: Wrenches,
-        found: Reconstruction,
-    ) -> bool:
-        """Whether the zero was not known up to here. It is taken anew if it is another."""
-        if samples.anew[0]:
-            zero.restart()
-        unsure, same = zero.pending, zero.take(raw, tared, found)
-        if same:
-            self.report.say("the sensor's zero is as it was before the restart")
-        elif same is not None:
-            rest, before = zero.rest(), self._tare.offset
-            self._take_tare(self._sensor.tare(rest), rest.time)
-            self.report.zero_changes += 1
-            getattr(self.stage, "reset", lambda: None)()
-            changes = zip(CHANNELS, self._tare.offset - before, strict=True)
-            moved = ", ".join(f"{name} {value:+.4g}" for name, value in changes)
-            self.report.say(
-                f"the sensor's zero has changed with its restart ({moved} N, N m): it is tared "
-                "again",
-                warns=True,
-            )
-        return unsure
+    def _tare_anew(self, rest: RawRecording) -> None:
+        """From rest after a restart that changed the zero."""
+        before = self._tare.offset
+        self._take_tare(self._sensor.tare(rest), rest.time)
+        self.report.zero_changes += 1
+        getattr(self.stage, "reset", lambda: None)()
+        changes = zip(CHANNELS, self._tare.offset - before, strict=True)
+        moved = ", ".join(f"{name} {value:+.4g}" for name, value in changes)
+        text = f"the sensor's zero has changed with its restart ({moved} N, N m)"
+        self.report.warn(f"{text}: it is tared again")
 
     def _time(self, samples: Samples) -> Times:
         """Since the first sample [s]."""

@@ -84,13 +84,11 @@ class Report:
         # Is told, in one line, what happens.
         self.notice: Callable[[str], object] = str
 
-    def say(self, text: str, *, warns: bool = False) -> None:
-        """Tell something; a warning is kept, and not told where there is no room for it."""
-        if warns and len(self.warnings) >= _MOST_WARNINGS:
-            return
-        if warns:
+    def warn(self, text: str) -> None:
+        """Tell and keep a warning, unless there is no room for it."""
+        if len(self.warnings) < _MOST_WARNINGS:
             self.warnings.append(text)
-        self.notice(f"warning: {text}" if warns else text)
+            self.notice(f"warning: {text}")
 
     def losses(self) -> list[str]:
         """What the figures say against the stream, one line each; nothing if all is well."""
@@ -118,23 +116,21 @@ class Latency:
     """Counts times in bins that widen by 1 %, so that every percentile is right to 1 %."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(len(_EDGES) + 1, dtype=np.int64)
+        self._counts = np.zeros(len(_EDGES), dtype=np.int64)
 
     def add(self, nanoseconds: Nanoseconds) -> None:
         """Count these (n,)."""
-        self._counts += np.bincount(
-            np.searchsorted(_EDGES, nanoseconds), minlength=len(self._counts)
-        )
+        bins = np.searchsorted(_EDGES[:-1], nanoseconds)
+        self._counts += np.bincount(bins, minlength=len(_EDGES))
 
     def percentile(self, percent: float) -> float | None:
         """Time [s] that this share of all does not exceed: the upper end of its bin; None if none
         was counted.
         """
-        total = np.cumsum(self._counts)
-        if not total[-1]:
+        if not self._counts.any():
             return None
-        place = int(np.searchsorted(total, total[-1] * percent / 100))
-        return float(_EDGES[min(place, len(_EDGES) - 1)] * 1e-9)
+        edge = np.percentile(_EDGES, percent, weights=self._counts, method="inverted_cdf")
+        return float(edge) * 1e-9
 
 
 class SilenceWatch:

@@ -1,6 +1,6 @@
 """What happens on a trail, and where."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -72,7 +72,3 @@ class Happening:
     index: int
     fraction: float
     point: Float[np.ndarray, "3"]
-
-    def on(self, first: int) -> "Happening":
-        """Return it with lanes counted from another first."""
-        return replace(self, lane=self.lane + first)

@@ -1,10 +1,8 @@
 """The forward problem's entry point."""
 
-from typing import Any, NamedTuple
-
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from vibrissa.contact import COULOMB, FRICTIONLESS, Law, Scene
 from vibrissa.contacts import ContactKind, Motion, Status
@@ -90,27 +88,35 @@ def scan(
     # Whole blocks of lanes, and work for every thread.
     share = min(_TRAILS, WIDTH * -(-count // (WIDTH * threads())))
 
-    def part(first: int) -> _Solved:
+    def part(first: int) -> tuple[dict[str, np.ndarray], list[Happening]]:
         own = np.s_[first : first + share]
         some = type(path)(path.point[own], path.orientation[own], path.stride)
         found = sweep(scene, some, law)
-        return _solved(scene, law, some.clamps, path.stride, found)
+        return _fields(rod, scene, law, some.clamps, path.stride, found), found.happenings
 
     parts = in_threads(part, range(0, count, share))
-    happenings = [
-        happening.on(first * share)
-        for first, part in enumerate(parts)
-        for happening in part.happenings
-    ]
-    rows = [part._replace(happenings=()) for part in parts]
-    solved: _Solved = jax.tree.map(lambda *arrays: np.concatenate(arrays), *rows)
-    if np.all(solved.status == Status.CLAMP_INSIDE):
-        first = trail.position.reshape(-1, 3)[0].tolist()
+    fields = {
+        name: np.concatenate([fields[name] for fields, _ in parts]).reshape(*trail.shape, *rest)
+        for name, rest in ((name, rows.shape[1:]) for name, rows in parts[0][0].items())
+    }
+    if np.all(fields["status"] == Status.CLAMP_INSIDE):
+        outermost = trail.position.reshape(-1, 3)[0].tolist()
         raise ValueError(
-            f"trail.position = {first} …: the clamp is inside the object; allowed is outside"
+            f"trail.position = {outermost} …: the clamp is inside the object; allowed is outside"
         )
-    events = _events(happenings, rod, trail, path.stride, touched)
-    return _result(rod, surface, trail, scene, solved, events)
+    happenings = [
+        (first * share + at.lane, at) for first, part in enumerate(parts) for at in part[1]
+    ]
+    return Scan(
+        rod,
+        surface,
+        trail,
+        reactions=Reactions(trail, fields.pop("force"), fields.pop("moment")),
+        events=_events(happenings, rod, trail, path.stride, touched),
+        friction=friction,
+        offset=touched.radius if isinstance(touched, Offset) else 0.0,
+        **fields,
+    )
 
 
 def touched_surface(rod: Rod, surface: Surface) -> Offset:
@@ -120,159 +126,125 @@ def touched_surface(rod: Rod, surface: Surface) -> Offset:
     return Offset(surface, rod.radius)
 
 
-class _Solved(NamedTuple):
-    """All rows of some trails (m, n), model units."""
+def _fields(
+    rod: Rod, scene: Scene, law: Law, clamps: Clamp, stride: int, found: Sweep
+) -> dict[str, np.ndarray]:
+    """Fields of `Scan` at all positions of some trails (k, …), and force and moment."""
+    clamps, steps, status = jax.tree.map(
+        lambda rows: np.concatenate(rows[:, ::stride]),
+        (clamps, found.steps, found.status),
+    )
+    places, lost = np.flatnonzero(steps.mode == Mode.CONTACT), steps.mode == Mode.LOST
+    values, second = assessed(scene, law, *chosen((steps.reached.state, clamps), places))
+    offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
+    # What no single contact explains may be a tip that is caught between two parts.
+    several = scene.surface.parts_count > 1
+    jammed = np.flatnonzero(several & (status == Status.NO_EQUILIBRIUM))
+    for place, held in zip(jammed, caught(scene, chosen(clamps, jammed)), strict=True):
+        if held is not None:
+            own, normal = held
+            values = jax.tree.map(lambda rows, row: np.append(rows, [row], axis=0), values, own)
+            second = np.append(second, [own.point - offset / scene.length * normal], axis=0)
+            places, lost[place], status[place] = np.append(places, place), False, Status.PENETRATING
+    figure, friction = steps.figure[places], float(scene.friction)
+    worst = _worst(rod, friction, chosen(clamps.tangent, places), values, figure, status[places])
+    status[places] = worst
+    kind = np.where(values.phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP)
 
-    contact: Bool[np.ndarray, "m n"]
-    lost: Bool[np.ndarray, "m n"]
-    values: Assessment
-    """NaN without contact."""
-    figure: Float[np.ndarray, "m n"]
-    status: Int[np.ndarray, "m n"]
-    second_contact: Float[np.ndarray, "m n 3"]
-    """Where the rod lies deepest in the object, or touches a second part."""
-    happenings: Any
-
-
-def _solved(scene: Scene, law: Law, clamps: Clamp, stride: int, found: Sweep) -> _Solved:
-    clamps, steps, status = chosen((clamps, found.steps, found.status), np.s_[:, ::stride])
-    contact, lost = steps.mode == Mode.CONTACT, steps.mode == Mode.LOST
-    values, second = assessed(scene, law, *chosen((steps.reached.state, clamps), contact))
-
-    def spread(rows: np.ndarray) -> np.ndarray:
-        whole = np.full((*contact.shape, *rows.shape[1:]), np.nan)
-        whole[contact] = rows
+    def spread(rows: np.ndarray, elsewhere: float = np.nan) -> np.ndarray:
+        whole = np.full((len(status), *rows.shape[1:]), elsewhere, rows.dtype)
+        whole[places] = rows
         return whole
 
-    values, second, status = jax.tree.map(spread, values), spread(second), status.copy()
-    # What no single contact explains may be a tip that is caught between two parts.
-    jammed = np.argwhere(status == Status.NO_EQUILIBRIUM)
-    if scene.surface.parts_count > 1 and len(jammed):
-        offset = scene.surface.radius / scene.length if isinstance(scene.surface, Offset) else 0.0
-        for at, held in zip(
-            map(tuple, jammed), caught(scene, chosen(clamps, tuple(jammed.T))), strict=True
-        ):
-            if held is not None:
-                for whole, part in zip(values, held[0], strict=True):
-                    whole[at] = part
-                second[at] = held[0].point - offset * held[1]
-                status[at], contact[at], lost[at] = Status.PENETRATING, True, False
-    return _Solved(contact, lost, values, steps.figure, status, second, tuple(found.happenings))
-
-
-def _result(
-    rod: Rod, surface: Surface, trail: Trail, scene: Scene, solved: _Solved, events: list[Event]
-) -> Scan:
-    contact, values, shape = solved.contact, solved.values, trail.shape
-    friction = float(scene.friction)
-    offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
-    tangential = np.where(values.phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP)
-    kind = np.where(contact, tangential, ContactKind.NONE).astype(np.int8)
-    status = _status(rod, trail, friction, solved)
-    absent = np.where(solved.lost, np.nan, 0.0)
-
-    def known(where: np.ndarray, scale: float) -> Float[np.ndarray, "..."]:
+    def known(rows: np.ndarray) -> np.ndarray:
         """A quantity that is zero without contact, and not known of unsolved rows."""
-        missing = absent.reshape(absent.shape + (1,) * (where.ndim - 2))
-        mask = contact.reshape(missing.shape)
-        return np.where(mask, where * scale, missing).reshape(*shape, *where.shape[2:])
+        whole = spread(rows, 0.0)
+        whole[lost] = np.nan
+        return whole
 
-    def rows(values: np.ndarray, scale: float = 1.0) -> Float[np.ndarray, "..."]:
-        return (values * scale).reshape(*shape, *values.shape[2:])
-
-    force = -values.force[..., None] * values.direction
-    reactions = Reactions(
-        trail, known(force, rod.force_scale), known(values.moment, rod.moment_scale)
-    )
-    return Scan(
-        rod,
-        surface,
-        trail,
-        kind=rows(kind).astype(np.int8),
-        point=rows(values.point * rod.length - offset * values.normal),
-        normal=rows(values.normal),
-        force_direction=rows(values.direction),
-        motion=_motion(kind, solved.figure, friction).reshape(shape),
-        arc_length=rows(values.arc_length, rod.length),
-        reactions=reactions,
-        energy=known(values.energy, rod.moment_scale),
-        largest_curvature=known(values.largest_curvature, 1 / rod.length),
-        contact_tangent=rows(values.tangent),
-        plane_normal=rows(values.plane_normal),
-        residual=rows(values.residual),
-        depth=rows(values.depth, rod.length),
-        status=status.reshape(shape),
-        events=events,
-        friction=friction,
-        offset=offset,
-        second_contact=rows(_second_contacts(scene, solved, (status == Status.PENETRATING))),
-    )
+    return {
+        "kind": spread(kind.astype(np.int8), ContactKind.NONE),
+        "point": spread(values.point * rod.length - offset * values.normal),
+        "normal": spread(values.normal),
+        "force_direction": spread(values.direction),
+        "motion": spread(_motion(kind, figure, friction), Motion.NONE),
+        "arc_length": spread(values.arc_length * rod.length),
+        "force": known(-rod.force_scale * values.force[:, None] * values.direction),
+        "moment": known(values.moment * rod.moment_scale),
+        "energy": known(values.energy * rod.moment_scale),
+        "largest_curvature": known(values.largest_curvature / rod.length),
+        "contact_tangent": spread(values.tangent),
+        "plane_normal": spread(values.plane_normal),
+        "residual": spread(values.residual),
+        "depth": spread(values.depth * rod.length),
+        "status": status.astype(np.int8),
+        "second_contact": spread(_second_contacts(scene, values, second, worst)),
+    }
 
 
 def _second_contacts(
-    scene: Scene, solved: _Solved, wrong: Bool[np.ndarray, "m n"]
-) -> Float[np.ndarray, "m n 3"]:
+    scene: Scene, values: Assessment, second: Float[np.ndarray, "k 3"], status: Int[np.ndarray, "k"]
+) -> Float[np.ndarray, "k 3"]:
     """Points of the object where rods lie deepest in it, or are caught."""
-    places = np.where(wrong[..., None], solved.second_contact * scene.length, np.nan)
-    entered = (solved.values.depth > DEPTH_TOLERANCE) & np.isfinite(places).all(axis=-1)
+    wrong = (status == Status.PENETRATING)[:, None]
+    places = np.where(wrong, second * scene.length, np.nan)
+    entered = (values.depth > DEPTH_TOLERANCE) & np.isfinite(places).all(axis=-1)
     if isinstance(scene.surface, Offset) and entered.any():
         places[entered] = scene.surface.foot(places[entered])
     return places
 
 
 def _motion(
-    kind: Int[np.ndarray, "m n"], figure: Float[np.ndarray, "m n"], friction: float
-) -> Int[np.ndarray, "m n"]:
+    kind: Int[np.ndarray, "k"], figure: Float[np.ndarray, "k"], friction: float
+) -> Int[np.ndarray, "k"]:
     at_rest = np.where(kind == ContactKind.TANGENTIAL, Motion.ROLL, Motion.STICK)
-    moves = np.where((figure > 0) | (friction == 0), Motion.SLIP, at_rest)
-    return np.where(kind == ContactKind.NONE, Motion.NONE, moves).astype(np.int8)
+    return np.where((figure > 0) | (friction == 0), Motion.SLIP, at_rest).astype(np.int8)
 
 
-def _status(rod: Rod, trail: Trail, friction: float, solved: _Solved) -> Int[np.ndarray, "m n"]:
-    """The worst finding of each row."""
-    values = solved.values
+def _worst(
+    rod: Rod,
+    friction: float,
+    axis: Float[np.ndarray, "k 3"],
+    values: Assessment,
+    figure: Float[np.ndarray, "k"],
+    status: Int[np.ndarray, "k"],
+) -> Int[np.ndarray, "k"]:
+    """The worst finding of each contact."""
     findings = [(values.depth > DEPTH_TOLERANCE, Status.PENETRATING)]
     if friction == 0:
-        axis = trail.axis.reshape(*solved.contact.shape, 3)
         sine = np.linalg.norm(np.cross(axis, values.direction), axis=-1)
-        findings += [
-            (solved.figure > 0, Status.LATERALLY_UNSTABLE),
-            (sine < NEUTRAL, Status.HEAD_ON),
-        ]
+        findings += [(figure > 0, Status.LATERALLY_UNSTABLE), (sine < NEUTRAL, Status.HEAD_ON)]
     if rod.yield_strain is not None and rod.radius is not None:
         strain = values.largest_curvature * rod.radius / rod.length
         findings.append((strain > rod.yield_strain, Status.OVERSTRAINED))
     sound = (values.residual <= _RESIDUAL_TOLERANCE) & (values.force >= 0)
     sound &= values.arc_length <= 1 + _RESIDUAL_TOLERANCE
     findings.append((~sound, Status.NOT_CONVERGED))
-    status = solved.status
     for wrong, finding in findings:
-        worse = np.maximum(status, int(finding))
-        status = np.where(solved.contact & wrong, worse, status)
-    return status.astype(np.int8)
+        status = np.where(wrong, np.maximum(status, int(finding)), status)
+    return status
 
 
 def _events(
-    happenings: list[Happening], rod: Rod, trail: Trail, stride: int, touched: Surface
+    happenings: list[tuple[int, Happening]], rod: Rod, trail: Trail, stride: int, touched: Surface
 ) -> list[Event]:
-    """The solver's happenings in the user's terms."""
+    """The solver's happenings, each with its trail, in the user's terms."""
     if not happenings:
         return []
     n = trail.count
     positions, parameters = trail.position.reshape(-1, n, 3), trail.parameter.reshape(-1, n)
-    lane, index = (
-        np.array(part) for part in zip(*((at.lane, at.index) for at in happenings), strict=True)
-    )
-    fraction = np.array([happening.fraction for happening in happenings]) * (index > 0)
-    share = (np.maximum(index - 1, 0) + fraction) / stride
+    rows = ((lane, at.index, at.fraction, *at.point) for lane, at in happenings)
+    lane, index, fraction, *point = np.array(list(rows)).T
+    lane, index = lane.astype(int), index.astype(int)
+    share = (np.maximum(index - 1, 0) + fraction * (index > 0)) / stride
     before = np.minimum(share.astype(int), max(n - 2, 0))
     after, share = np.minimum(before + 1, n - 1), share - before
     parameter = parameters[lane, before] * (1 - share) + parameters[lane, after] * share
     ends, share = (positions[lane, at] for at in (before, after)), share[:, None]
     clamp = next(ends) * (1 - share) + next(ends) * share
-    point = np.array([happening.point for happening in happenings]) * rod.length
+    touches = np.column_stack(point) * rod.length
     if isinstance(touched, Offset):
-        point = touched.foot(point)
-    kinds = (happening.kind for happening in happenings)
-    columns = kinds, lane.tolist(), parameter.tolist(), clamp, point
+        touches = touched.foot(touches)
+    kinds = (at.kind for _, at in happenings)
+    columns = kinds, lane.tolist(), parameter.tolist(), clamp, touches
     return [Event(*parts) for parts in zip(*columns, strict=True)]

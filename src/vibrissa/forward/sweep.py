@@ -59,7 +59,7 @@ def sweep(scene: Scene, path: Path, law: Law) -> Sweep:
 def _in_order(happenings: list[Happening]) -> list[Happening]:
     """By place, each once."""
     lasting = (EventKind.FIRST_CONTACT, EventKind.DETACH)
-    finite = [at for at in happenings if np.isfinite([at.fraction, *at.point]).all()]
+    finite = [at for at in happenings if np.isfinite(at.fraction + at.point.sum())]
     # The beginning and the end of a contact, in their own order, come before a change of phase at
     # the same place, whichever way rounding has it.
     finite.sort(key=lambda at: (at.lane, at.index, round(at.fraction, 12), at.kind not in lasting))
@@ -143,11 +143,12 @@ class _Walk:
         kept = own & (np.arange(n) < ends[:, None])
         # The first row of a resumed lane was found by hand, with its figure and phase.
         kept &= (np.arange(n) > first[:, None]) | (steps.mode == Mode.FREE)
-        row, index = np.nonzero(kept)
         for whole, part in zip(
             jax.tree.leaves(self.found.steps), jax.tree.leaves(steps), strict=True
         ):
-            whole[lanes[row], index] = part[row, index]
+            own = whole[lanes]
+            np.copyto(own, part, where=kept.reshape(*kept.shape, *(1,) * (part.ndim - 2)))
+            whole[lanes] = own
         failed = np.flatnonzero(ends < n)
         self.found.steps.mode[lanes[failed], ends[failed]] = int(Mode.LOST)
         for which in failed.tolist() if resolve else ():

@@ -1,5 +1,6 @@
 """The commands' names, and what happens to their errors and warnings."""
 
+import os
 import sys
 import warnings
 from collections.abc import Iterator
@@ -41,6 +42,7 @@ def _version(
 
 def main() -> None:
     """Run a command; exit status 2 for wrong input, in one line, and 1 for failed work."""
+    os.environ["MPLBACKEND"] = "Agg"  # figures go to files
     try:
         with _warnings_in_one_line():
             app()

@@ -77,9 +77,6 @@ Figure = Annotated[
 
 def draw(path: Path, make: Callable[[], Any]) -> None:
     """Write the figure whose axes `make` returns."""
-    import matplotlib as mpl  # noqa: PLC0415
-
-    mpl.use("Agg")
     with vb.plot.journal():
         vb.plot.save_as(make(), path)
 

@@ -28,9 +28,6 @@ def demo(
     folder = writable_folder(output)
     with reporting() as report:
         report("loading")
-        import matplotlib as mpl  # noqa: PLC0415
-
-        mpl.use("Agg")
         from vibrissa.paper import run_demo  # noqa: PLC0415
 
         result = run_demo(folder, report)

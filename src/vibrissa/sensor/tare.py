@@ -128,23 +128,20 @@ def _of_sums(
     return np.einsum("knij,kln,lnmj->nim", weights, between, weights, optimize=True)
 
 
-def no_tare(sensor: "Sensor", time: Times) -> Tare:
-    """Nothing is taken off but a drift and a weight that are given."""
-    found, drift = "none: tare_seconds = 0", sensor.tare_policy.drift
-    return Tare((), (), found, float(time[0]), np.zeros(6), drift, sensor.mount)
-
-
 def planned_tare(
     sensor: "Sensor", intervals: tuple[Interval, ...], counts: tuple[int, ...]
 ) -> Tare:
-    """Return the tare that rest of this length will give, without its values: for its covariance.
-    The mount's weight is taken as known.
+    """Return the tare that rest of this length will give, or none, without its values: for its
+    covariance. The mount's weight is taken as known.
     """
+    nothing = Tare(intervals, counts, "planned", 0.0, np.zeros(6), np.zeros(6), None)
+    if not intervals:
+        return nothing
     terms, middle = sensor.updated(mount=None).estimates, np.mean(intervals, axis=1)
-    epoch, nothing = float(middle[0]), np.zeros(6)
+    epoch = float(middle[0])
     designs = _design_rows(sensor, terms, middle - epoch, np.zeros((len(middle), 4)))
     gains = _fitted_gains(designs, np.array(counts)[:, None] / sensor.noise.variance, terms)
-    return Tare(intervals, counts, "planned", epoch, nothing, nothing, None, terms, gains)
+    return replace(nothing, epoch=epoch, _terms=terms, _gains=gains)
 
 
 def fitted_tare(
@@ -159,9 +156,9 @@ def fitted_tare(
         If an interval holds fewer than two good samples, or the intervals do not determine drift
         or mount, or do not fit a mount.
     """
-    if not intervals:
-        return no_tare(sensor, raw.time)
     policy, terms, first = sensor.tare_policy, sensor.estimates, float(raw.time[0])
+    if not intervals:
+        return Tare((), (), found, first, np.zeros(6), policy.drift, sensor.mount)
     groups = [raw.whole & raw.during((start, stop - _SAME_TIME)) for start, stop in intervals]
     counts = np.count_nonzero(groups, axis=1)
     for (start, stop), count in zip(intervals, counts, strict=True):
@@ -179,8 +176,8 @@ def fitted_tare(
         variance = sensor.noise.variance
     else:
         # As the forces and the torques scatter at rest.
-        within = [readings[group] - mean for group, mean in zip(groups, means, strict=True)]
-        pooled = np.mean(np.concatenate(within).reshape(-1, 2, 3) ** 2, axis=(0, 2))
+        left = np.concatenate([readings[group] - readings[group].mean(axis=0) for group in groups])
+        pooled = np.mean(left.reshape(-1, 2, 3) ** 2, axis=(0, 2))
         variance = np.repeat(np.where(pooled > 0, pooled, 1.0), 3)
     gains = _fitted_gains(designs, counts[:, None] / variance, terms)
     solution = np.einsum("kpi,ki->p", gains, means)

@@ -158,13 +158,10 @@ class Reactions:
         """
         if self.velocity is not None:
             return self.velocity
-        velocity = np.zeros((*self.trail.shape, 6))
-        if self.time is not None and self.trail.count > 1:
-            for index in np.ndindex(*self.trail.shape[:-1]):
-                velocity[index] = velocities(
-                    self.time[index], self.trail.position[index], self.trail.orientation[index]
-                )
-        return velocity
+        if self.time is None or self.trail.count < 2:
+            return np.zeros((*self.trail.shape, 6))
+        by_trail = np.vectorize(velocities, signature="(n),(n,p),(n,q)->(n,v)")
+        return np.asarray(by_trail(self.time, self.trail.position, self.trail.orientation))
 
     @property
     def single_contact_residual(self) -> Float[np.ndarray, "*trail n"]:

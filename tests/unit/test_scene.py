@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vibrissa as vb
-from vibrissa.live.scene import Scene, measured, motion, sensor_poses, swept
+from vibrissa.live.scene import Scene, measured, motion, swept
 from vibrissa.sensor import RawRecording
 
 TRAIL = vb.Trail.line(start=(1.0, 0.2, 0), stop=(-1.0, 0.2, 0), count=11)
@@ -89,7 +89,7 @@ def test_the_sensor_s_log_read_back_is_the_scene() -> None:
     first = blocks[0]
     rows = slice(len(first.time))
     clamp = vb.Trail(again.trail.position[rows], again.trail.orientation[rows])
-    poses = sensor_poses(sensor(), clamp)
+    poses = sensor().frame(clamp)
     np.testing.assert_allclose(poses.position, first.position, atol=1e-12)
     np.testing.assert_allclose(poses.orientation, first.orientation, atol=1e-12)
 

@@ -74,7 +74,7 @@ def poses_of(loaded: vb.Setup, folder: Path, *, needed: bool) -> vb.live.PoseSou
     """
     from vibrissa.io import live_setup as tables  # noqa: PLC0415
     from vibrissa.live.address import host_and_port  # noqa: PLC0415
-    from vibrissa.live.scene import motion, sensor_poses  # noqa: PLC0415
+    from vibrissa.live.scene import motion  # noqa: PLC0415
 
     table = loaded.pose
     try:
@@ -87,7 +87,7 @@ def poses_of(loaded: vb.Setup, folder: Path, *, needed: bool) -> vb.live.PoseSou
                 trail = vb.load_case(folder / table.path).trail
                 times = {"rest": table.rest, "sweep": table.sweep, "pause": table.pause}
                 time, clamp = motion(trail, **times)
-                poses = sensor_poses(loaded.sensor, clamp)
+                poses = loaded.sensor.frame(clamp)
                 return vb.live.TimedPoses(time, poses.position, poses.orientation)
             case tables.ConstantPoseTable():
                 return vb.live.ConstantPose(table.position, table.orientation)

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from vibrissa.forward import scan
 from vibrissa.geometry.checks import not_negative, positive
-from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
 from vibrissa.live.poses import between, linear
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -112,12 +111,6 @@ def motion(
 def _after(rest: float, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "n c"]:
     """The first row also at the beginning of the rest, if there is one."""
     return np.concatenate([rows[:1], rows]) if rest else rows
-
-
-def sensor_poses(sensor: Sensor, clamp: Trail) -> Trail:
-    """Poses of the sensor frame (k, …) that go with these of the clamp."""
-    turn = multiplied(clamp.orientation, inverse(sensor.clamp_orientation))
-    return Trail(clamp.position - rotation_matrices(turn) @ sensor.clamp_position, turn)
 
 
 def _refined(trail: Trail) -> Trail:

@@ -81,7 +81,7 @@ def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -
         axes.set(xlabel=labels[0], ylabel=labels[1], xlim=frame[:, view[0]], ylim=frame[:, view[1]])
         axes.set_aspect("equal", adjustable="box")
         if len(ellipses):
-            _ellipses(axes, points[ellipses][:, view], covariance[np.ix_(ellipses, view, view)])
+            _ellipses(axes, points[ellipses][:, view], covariance[ellipses][:, view][:, :, view])
     outside = drawn & ~np.all((points >= frame[0]) & (points <= frame[1]), axis=1)
     title = None
     if outside.any():

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 from scipy.signal import welch
 
 from vibrissa.geometry.rotation import rotation_vectors
@@ -148,8 +148,8 @@ def _spectrum(
         low, high = axis.get_view_interval()
         labelled = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
         axis.set_major_locator(LogLocator(subs=labelled, numticks=8))
-        axis.set_major_formatter(FormatStrFormatter("%g"))
-        axis.set_minor_formatter(NullFormatter())
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
     low, high = axes.get_ylim()
     middle = np.sqrt(low * high)
     axes.set_ylim(min(low, middle / _LEAST_SPAN), max(high, middle * _LEAST_SPAN))

@@ -36,7 +36,7 @@ _NOISE_RATIO = 1.25
 # Units that forces and torques may be in, by how much noisier they are then, and within how many
 # decades: noise is stated to half a decade at worst, but of a kilogram it is to be a tenth to tell
 # it from a quieter sensor.
-_UNITS = (
+_UNITS: tuple[tuple[slice, str, float, float], ...] = (
     *((slice(0, 3), unit, 1000**power, 0.5) for unit, power in (("mN", 1), ("kN", -1))),
     *((slice(3, 6), unit, 1000**power, 0.5) for unit, power in (("N mm", 1), ("kN m", -1))),
     *((slice(0, 3), unit, 1 / newtons, 0.06) for unit, newtons in (("kgf", kgf), ("lbf", lbf))),
@@ -101,7 +101,7 @@ def noise_unit_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
             names, grave = CHANNELS[part], decades == _UNITS[0][3]
             text = (
                 f"{','.join(names)} at rest are {np.mean(ratios[part]):.3g} times as noisy as "
-                f"stated, so they are mis-scaled (in {unit}?); allowed are N and N m"
+                f"stated: mis-scaled (in {unit}?); allowed are N and N m"
             )
             yield Fault.over(names, FaultKind.UNITS, rest.time, text, unusable=grave)
 

@@ -131,7 +131,7 @@ def held_rows(noise: Noise, raw: RawRecording) -> Iterator[Fault]:
         )
         yield Fault.over(CHANNELS, FaultKind.HELD, raw.time, text, count, quiet=True)
         return
-    needed = max(2, longest_run(np.prod(_repeat_chances(noise, wrench)[1]), rows))
+    needed = float(longest_run(np.prod(_repeat_chances(noise, wrench)[1]), rows))
     for start, stop in runs(same):
         if stop - start + 1 >= needed:
             text = f"{stop - start} rows {what}"

@@ -91,7 +91,7 @@ def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
             stretches.append((first, last))
         first = last
     leading = trailing = None
-    intervals = {}
+    intervals: dict[Interval, None] = {}
     for first, last in [*stretches, (ending, count)]:
         guard = max(1, round(_GUARD * (last - first)))
         begin, end = first + guard * (first > 0), last - guard * (last < count)

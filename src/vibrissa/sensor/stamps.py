@@ -48,7 +48,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
     equal = late & np.isin(stamps, stamps[~late])
     yield from _gaps(np.unique(stamps), usual)
     if rounded:
-        count = np.count_nonzero(equal)
+        count = int(np.count_nonzero(equal))
         text = (
             f"{count} of {len(stamps)} rows repeat an earlier stamp while the readings change: the "
             f"stamps are rounded to {usual:.4g} s; they are spread evenly"
@@ -60,7 +60,7 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
     falling = np.flatnonzero(steps < 0)
     if falling.size:
         before, after = stamps[falling[0]], stamps[falling[0] + 1]
-        count = np.count_nonzero(late & ~equal) or len(falling)
+        count = int(np.count_nonzero(late & ~equal)) or len(falling)
         text = f"time = {after} after {before} ({len(falling)} such); allowed are increasing times"
         yield _fault(FaultKind.BACKWARD, (after, before), text, count, unusable=True)
     if not _SLOWEST <= 1 / usual <= _FASTEST:

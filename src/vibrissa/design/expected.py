@@ -12,10 +12,10 @@ from vibrissa.geometry.checks import not_negative, positive, whole_number
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor import Sensor
+from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.sensor.noise import quantisation_of_mean
 from vibrissa.sensor.sensor import carried
-from vibrissa.sensor.tare import planned_tare
+from vibrissa.sensor.tare import fitted_tare
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
@@ -213,7 +213,10 @@ def _lane(
     orientation, count = sensor.frame(trail).orientation, int(rest * rate)
     end = float(time[-1])
     ends = ((0.0, rest), (end, end + rest))[: (count >= 2) * (1 + sensor.estimate_drift)]
-    tare = planned_tare(sensor, ends, (count,) * len(ends))
+    stamps = np.concatenate([np.arange(count) / rate, time, end + np.arange(1, count) / rate])
+    still = np.zeros((len(stamps), 3))
+    raw = RawRecording(stamps, still, np.insert(still, 3, 1.0, axis=1), still, still)
+    tare = fitted_tare(sensor.updated(mount=None), raw, ends, "planned")
     # Pink noise knows the whole recording, the rest included.
     tare = replace(tare, coloured=tuple(sensor.noise.coloured(np.append(0.0, time))))
     maps = sensor.to_reactions(orientation)

@@ -75,7 +75,7 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     colours = {str(kind): colour for kind, colour in _FAULT_COLOURS.items()}
     shown = [name for name in colours if name in {str(fault.kind) for fault in found.faults}]
     handles = [Patch(color=colours[name], alpha=0.45, label=name) for name in shown]
-    if found.tare is not None and found.tare.intervals:
+    if found.tared:
         handles.insert(0, Patch(color=_TARE_COLOUR, label="tare"))
     if handles:
         columns = min(6, len(handles))
@@ -86,7 +86,7 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
 def _shade(axes: Axes, found: Inspection, names: Sequence[str], right: float = 1.005) -> None:
     """Tare and faults of these channels behind the lines, and the legend at this place."""
     first, last = found.cleaned.time[[0, -1]]
-    for start, stop in found.tare.intervals if found.tare is not None else ():
+    for start, stop in found.tared:
         axes.axvspan(
             start - first, stop - first, linewidth=0, color=_TARE_COLOUR, alpha=0.6, zorder=0
         )
@@ -125,8 +125,7 @@ def _spectrum(
     with its pink part.
     """
     axes.set_title("noise at rest")
-    tared = found.tare.intervals if found.tare is not None else ()
-    intervals = [found.cleaned.during(interval) for interval in tared or found.rest.intervals]
+    intervals = map(found.cleaned.during, found.tared or found.rest.intervals)
     rows = max(intervals, key=np.count_nonzero, default=np.zeros_like(found.usable))
     wrench = found.cleaned.wrench[rows & found.usable, channels]
     if len(wrench) < _FEWEST:
@@ -137,11 +136,9 @@ def _spectrum(
     frequency, density = welch(wrench, fs=found.rate, nperseg=segment, detrend="linear", axis=0)
     axes.loglog(frequency[1:-1], factor * np.sqrt(density[1:-1]))
     if sensor.noise.known:
-        white, own = (
-            part[channels] * 2 / found.rate
-            for part in (sensor.noise.variance, sensor.noise.white**2)
-        )
-        stated = factor * np.sqrt(white + own * sensor.noise_corner / frequency[1:, None])
+        noise = sensor.noise
+        variance = noise.variance + noise.white**2 * noise.noise_corner / frequency[1:, None]
+        stated = factor * np.sqrt(2 / found.rate * variance[:, channels])
         axes.loglog(frequency[1:], np.unique(stated, axis=1), "k--", label="stated")
         axes.legend(handles=[axes.lines[-1]], loc="best")
     for axis in (axes.xaxis, axes.yaxis):

@@ -33,13 +33,16 @@ from vibrissa.sensor.tare import Tare, fitted_tare, without_given
 _FALSE_ALARM = 1e-6
 # Stated figures are rounded, and noise differs from one sensor of a kind to the next.
 _NOISE_RATIO = 1.25
-# Units that forces and torques may be in, by how much noisier they are then, and within how many
-# decades: noise is stated to half a decade at worst, but of a kilogram it is to be a tenth to tell
-# it from a quieter sensor.
-_UNITS: tuple[tuple[slice, str, float, float], ...] = (
-    *((slice(0, 3), unit, 1000**power, 0.5) for unit, power in (("mN", 1), ("kN", -1))),
-    *((slice(3, 6), unit, 1000**power, 0.5) for unit, power in (("N mm", 1), ("kN m", -1))),
-    *((slice(0, 3), unit, 1 / newtons, 0.06) for unit, newtons in (("kgf", kgf), ("lbf", lbf))),
+# First channel of three, unit that they may be in, by how much noisier they are then, and within
+# how many decades: noise is stated to half a decade at worst, but to tell a kilogram from a quieter
+# sensor takes a tenth.
+_UNITS = (
+    (0, "mN", 1e3, 0.5),
+    (0, "kN", 1e-3, 0.5),
+    (3, "N mm", 1e3, 0.5),
+    (3, "kN m", 1e-3, 0.5),
+    (0, "kgf", 1 / kgf, 0.06),
+    (0, "lbf", 1 / lbf, 0.06),
 )
 # A variance of 20 samples is known to a third, a slope's deviation by 50 to a tenth; a spectrum of
 # 100 has 25 neighbours of a line.
@@ -96,32 +99,35 @@ def noise_unit_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
     if not stated.known:
         return
     ratios = np.maximum(rest.noise / np.sqrt(stated.variance), _TINY)
-    for part, unit, times, decades in _UNITS:
-        if np.all(np.abs(np.log10(ratios[part] / times)) < decades):
-            names, grave = CHANNELS[part], decades == _UNITS[0][3]
+    for first, unit, times, decades in _UNITS:
+        names, found = CHANNELS[first : first + 3], ratios[first : first + 3]
+        if np.all(np.abs(np.log10(found / times)) < decades):
             text = (
-                f"{','.join(names)} at rest are {np.mean(ratios[part]):.3g} times as noisy as "
-                f"stated: mis-scaled (in {unit}?); allowed are N and N m"
+                f"{','.join(names)} at rest are {np.mean(found):.3g} times as noisy as stated: "
+                f"mis-scaled (in {unit}?); allowed are N and N m"
             )
+            grave = unit not in ("kgf", "lbf")
             yield Fault.over(names, FaultKind.UNITS, rest.time, text, unusable=grave)
 
 
-def noise_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
-    """By the χ² of the variance at rest, and by a quarter at least: stated figures are rounded.
+def noise_faults(sensor: Sensor, rest: Stretch) -> tuple[list[Fault], Sensor]:
+    """By the χ² of the variance at rest, and by a quarter at least: stated figures are rounded; and
+    the sensor with the noise of the channels that is larger than stated.
 
     What rounding leaves of noise below half a step is not judged as too small. Pink noise and
     random walk are left out by taking successive differences.
     """
-    count, noise = len(rest.time), rest.noise
+    stated, count, noise = sensor.noise, len(rest.time), rest.noise
+    faults: list[Fault] = []
     if not stated.known or count < _FEWEST_FOR_NOISE:
-        return
+        return faults, sensor
     freedom = count - 2.0
     if stated.lasting:
         # Differences of neighbours overlap: two thirds of them count.
         noise = np.sqrt(np.mean(np.diff(rest.values, axis=0) ** 2, axis=0) / 2)
         freedom = 2 * count / 3
-    deviation, step = np.sqrt(stated.variance), stated.resolution
-    coarse = step > 2 * stated.white
+    white, deviation, step = stated.white, np.sqrt(stated.variance), stated.resolution
+    coarse = step > 2 * white
     ratio = noise / np.where(coarse, np.maximum(deviation, step / 2), deviation)
     square = freedom * ratio**2
     larger = (ratio > _NOISE_RATIO) & (square > chi2.isf(_FALSE_ALARM, freedom))
@@ -133,25 +139,12 @@ def noise_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
             f"{ratio[channel]:.3g} times the stated {deviation[channel]:.3g} {unit}"
         )
         text += "" if quiet else "; the error bars use it"
-        yield Fault.over((name,), FaultKind.NOISE, rest.time, text, quiet=quiet)
-
-
-def noisier(sensor: Sensor, noise: Wrench, faults: list[Fault]) -> Sensor:
-    """The sensor with the noise at rest of the channels that were found larger than stated; the
-    rest of its figures stay.
-    """
-    loud = [
-        name
-        for fault in faults
-        if fault.kind is FaultKind.NOISE and not fault.quiet
-        for name in fault.channels
-    ]
-    if not loud:
-        return sensor
-    white = sensor.noise.white
-    found = np.sqrt(np.maximum(noise**2 - sensor.noise.resolution**2 / 12, white**2))
-    figures = np.where(np.isin(CHANNELS, loud), found, white).tolist()
-    return sensor.updated(force_noise=tuple(figures[:3]), torque_noise=tuple(figures[3:]))
+        faults.append(Fault.over((name,), FaultKind.NOISE, rest.time, text, quiet=quiet))
+    if larger.any():
+        found = np.sqrt(np.maximum(rest.noise**2 - step**2 / 12, white**2))
+        figures = np.where(larger, found, white).tolist()
+        sensor = sensor.updated(force_noise=tuple(figures[:3]), torque_noise=tuple(figures[3:]))
+    return faults, sensor
 
 
 def hum_faults(stated: Noise, rest: Stretch, rate: float) -> Iterator[Fault]:
@@ -203,7 +196,7 @@ def drift_of(
 def drift_faults(
     sensor: Sensor,
     raw: RawRecording,
-    ends: tuple[Stretch, Stretch],
+    ends: list[Stretch],
     tare: Tare | None,
     drift: Wrench,
     deviation: Wrench,

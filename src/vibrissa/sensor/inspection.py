@@ -14,10 +14,18 @@ from vibrissa.sensor.at_rest import (
     lone_drift_faults,
     noise_faults,
     noise_unit_faults,
-    noisier,
 )
 from vibrissa.sensor.poses import filled_poses, pose_jumps, pose_noise_faults
-from vibrissa.sensor.raw import CHANNELS, Fault, FaultKind, RawRecording, Rows, Times, Wrench
+from vibrissa.sensor.raw import (
+    CHANNELS,
+    Fault,
+    FaultKind,
+    Interval,
+    RawRecording,
+    Rows,
+    Times,
+    Wrench,
+)
 from vibrissa.sensor.readings import drop_outs, held_rows, standing_channels, without
 from vibrissa.sensor.rest import Rest, contact_misfits, find_rest, restless_tare
 from vibrissa.sensor.sensor import Sensor
@@ -83,6 +91,11 @@ class Inspection:
     def usable(self) -> Rows:
         """Rows (n,) whose wrench and pose can be used."""
         return self.cleaned.whole
+
+    @property
+    def tared(self) -> tuple[Interval, ...]:
+        """Intervals in which the tare is taken; none without one."""
+        return () if self.tare is None else self.tare.intervals
 
     @property
     def rate(self) -> float:
@@ -186,18 +199,17 @@ def _at_rest(
     noise, drift, deviation = np.full((3, 6), np.nan)
     interval = tare.intervals[0] if tare is not None and tare.intervals else rest.leading
     if interval is not None:
-        still = Stretch.of(sensor, cleaned, interval)
-        noise, mis_scaled = still.noise, list(noise_unit_faults(sensor.noise, still))
+        still, stated = Stretch.of(sensor, cleaned, interval), sensor.noise
+        noise, mis_scaled = still.noise, list(noise_unit_faults(stated, still))
         faults += restless + mis_scaled
         # Where a contact or a drift lies within the tare, its scatter is no noise.
         if not (restless or any(fault.unusable for fault in mis_scaled)):
-            faults += noise_faults(sensor.noise, still)
-            faults += hum_faults(sensor.noise, still, cleaned.rate)
+            noisy, sensor = noise_faults(sensor, still)
+            faults += [*noisy, *hum_faults(stated, still, cleaned.rate)]
         if not (rest.ends or restless):
-            faults += lone_drift_faults(sensor.noise, cleaned, still)
-        sensor = noisier(sensor, noise, faults)
+            faults += lone_drift_faults(stated, cleaned, still)
     if rest.ends is not None:
-        ends = tuple(Stretch.of(sensor, cleaned, end) for end in rest.ends)
+        ends = [Stretch.of(sensor, cleaned, end) for end in rest.ends]
         drift, deviation = drift_of(sensor, cleaned, *ends)
         drifting, line = drift_faults(sensor, cleaned, ends, tare, drift, deviation)
         faults += drifting

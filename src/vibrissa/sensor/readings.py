@@ -110,7 +110,7 @@ def _repeat_chances(noise: Noise, wrench: Wrenches) -> tuple[Wrench, Wrench]:
     numbers as stated, or the smallest that they show, if that is larger.
     """
     shown, deviation = smallest_steps(wrench), believed_noise(noise, wrench)
-    steps = np.fmax(noise.resolution, np.where(np.isfinite(shown), shown, 0))
+    steps = np.maximum(noise.resolution, np.where(np.isfinite(shown), shown, 0))
     return deviation, repeat_chance(deviation, steps)
 
 

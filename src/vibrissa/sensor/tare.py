@@ -118,7 +118,7 @@ class Tare:
                 for j, other in enumerate(self.intervals, start=1):
                     moved[i, j] = process.between_means(rest, other)
             total = total + _of_sums(weights * scale, moved)
-        return total[0] if constant else (total + np.swapaxes(total, 1, 2)) / 2
+        return total[0] if constant else total
 
 
 def _of_sums(
@@ -126,22 +126,6 @@ def _of_sums(
 ) -> Covariances:
     """Covariances (n, 6, 6) of weighted sums of k numbers a channel, by their own covariances."""
     return np.einsum("knij,kln,lnmj->nim", weights, between, weights, optimize=True)
-
-
-def planned_tare(
-    sensor: "Sensor", intervals: tuple[Interval, ...], counts: tuple[int, ...]
-) -> Tare:
-    """Return the tare that rest of this length will give, or none, without its values: for its
-    covariance. The mount's weight is taken as known.
-    """
-    nothing = Tare(intervals, counts, "planned", 0.0, np.zeros(6), np.zeros(6), None)
-    if not intervals:
-        return nothing
-    terms, middle = sensor.updated(mount=None).estimates, np.mean(intervals, axis=1)
-    epoch = float(middle[0])
-    designs = _design_rows(sensor, terms, middle - epoch, np.zeros((len(middle), 4)))
-    gains = _fitted_gains(designs, np.array(counts)[:, None] / sensor.noise.variance, terms)
-    return replace(nothing, epoch=epoch, _terms=terms, _gains=gains)
 
 
 def fitted_tare(
@@ -180,18 +164,16 @@ def fitted_tare(
         pooled = np.mean(left.reshape(-1, 2, 3) ** 2, axis=(0, 2))
         variance = np.repeat(np.where(pooled > 0, pooled, 1.0), 3)
     gains = _fitted_gains(designs, counts[:, None] / variance, terms)
-    solution = np.einsum("kpi,ki->p", gains, means)
-    mount = sensor.mount
+    solution, mount = np.einsum("kpi,ki->p", gains, means), sensor.mount
     if mount is not None and mount.estimated:
         misses = (means - designs @ solution) / np.sqrt(variance)
         _check_weight(raw, groups, misses, counts @ misses**2, len(solution))
-        mass = float(solution[-4])
+        mass, (x, y, z) = float(solution[-4]), (solution[-3:] / (solution[-4] or 1.0)).tolist()
         if mass < 0:
             raise ValueError(
                 f"mount.estimated = True gives the mass {mass:.3g} kg; allowed is at least 0: "
                 f"check wrench = {sensor.wrench!r} and mount.gravity"
             )
-        x, y, z = (solution[-3:] / (mass or 1.0)).tolist()
         mount = replace(mount, mass=mass, center=(x, y, z))
     drift = policy.drift + (solution[6:12] if policy.estimate_drift else 0)
     offset = solution[:6] + (epoch - first) * policy.drift

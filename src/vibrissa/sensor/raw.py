@@ -57,7 +57,7 @@ class RawRecording:
     def rate(self) -> float:
         """Samples a second [Hz], by the median step of the time; NaN with fewer than two rows."""
         steps = np.diff(self.time)
-        steps = steps[np.isfinite(steps) & (steps > 0)]
+        steps = steps[steps > 0]
         return float(1 / max(np.median(steps), _LEAST_STEP)) if len(steps) else np.nan
 
     @cached_property

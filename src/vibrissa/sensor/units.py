@@ -131,8 +131,7 @@ def wrench_unit_faults(
         else f"torque over force is {load[0]:.3g} rod lengths in the median"
     )
     text += f", so {what} are mis-scaled{guess}; allowed are N, N m, m and Pa"
-    count = np.count_nonzero(loaded_rows(reactions))
-    yield Fault.over(channels, FaultKind.UNITS, raw.time, text, count, unusable=True)
+    yield Fault.over(channels, FaultKind.UNITS, raw.time, text, unusable=True)
 
 
 def loaded_rows(reactions: Reactions) -> Rows:

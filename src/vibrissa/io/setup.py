@@ -29,7 +29,7 @@ from vibrissa.io.objects import ObjectTable
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.rod import Rod
 from vibrissa.sensor import LowPass, Mount, Sensor
-from vibrissa.sensor.presets import PRESETS, preset_figures
+from vibrissa.sensor.presets import PRESETS
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 
@@ -176,7 +176,7 @@ class SensorTable(Table):
 
     def build(self, folder: Path) -> Sensor:
         """Return the sensor."""
-        given = {"tare_seconds": None} | preset_figures(self.preset) | self.arguments(folder)
+        given = {"tare_seconds": None} | PRESETS.get(self.preset, {}) | self.arguments(folder)
         given.pop("preset", None)
         for name in given.keys() & {"clamp_position", "clamp_orientation", "cross_talk"}:
             given[name] = np.array(given[name])

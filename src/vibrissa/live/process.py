@@ -106,9 +106,9 @@ class Processor:
     tolerances: Tolerances | ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        seconds, given = self.sensor.tare_seconds, self.tolerances
+        seconds = self.sensor.tare_seconds
         self._seconds = TARE_SECONDS if seconds is None else seconds
-        self._errors = None if given is None else self.sensor.setup_errors(given)
+        self._errors = self.sensor.setup_errors(self.tolerances)
         self._sensor = self.sensor.updated(
             tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
         )

@@ -58,15 +58,14 @@ def calibrate(
     """
     from vibrissa.cli.progress import reporting  # noqa: PLC0415
     from vibrissa.contacts import RecordingWarning  # noqa: PLC0415
-    from vibrissa.io.calibration import check_source, toml_library, write_calibration  # noqa: PLC0415
+    from vibrissa.files import InputError, writable_folder  # noqa: PLC0415
+    from vibrissa.io.calibration import source_document, write_calibration  # noqa: PLC0415
     from vibrissa.io.calibration_report import summary  # noqa: PLC0415
     from vibrissa.io.contacts import checked_output  # noqa: PLC0415
-    from vibrissa.io.errors import InputError, writable_folder  # noqa: PLC0415
     from vibrissa.io.recordings.read import read_recording  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
 
     if output is not None:
-        toml_library()
         checked_output(output, (".toml",))
     if report is not None:
         writable_folder(report)
@@ -76,7 +75,7 @@ def calibrate(
             raise InputError(f"{recording}: is given twice; allowed is each recording once")
     loaded = load_setup(setup)
     if output is not None:
-        check_source(loaded, setup)
+        source_document(setup)
     priors = _priors(prior or [])
     reactions = [read_recording(recording, loaded) for recording in recordings]
     names = None if free is None else [name.strip() for name in free.split(",")]
@@ -107,7 +106,7 @@ def calibrate(
 
 
 def _priors(texts: list[str]) -> dict[str, float]:
-    from vibrissa.io.errors import InputError  # noqa: PLC0415
+    from vibrissa.files import InputError  # noqa: PLC0415
 
     priors: dict[str, float] = {}
     for text in texts:
@@ -119,7 +118,7 @@ def _priors(texts: list[str]) -> dict[str, float]:
 
 
 def _prior(text: str) -> tuple[str, float]:
-    from vibrissa.io.errors import InputError  # noqa: PLC0415
+    from vibrissa.files import InputError  # noqa: PLC0415
 
     name, _, value = text.partition("=")
     try:

@@ -63,9 +63,9 @@ def simulate_sensor(
     import numpy as np  # noqa: PLC0415
 
     from vibrissa.cli.live_parts import interrupts, one_line, rdt_of  # noqa: PLC0415
+    from vibrissa.files import InputError  # noqa: PLC0415
     from vibrissa.geometry.checks import finite_array, positive  # noqa: PLC0415
     from vibrissa.io.case import load_case  # noqa: PLC0415
-    from vibrissa.io.errors import InputError  # noqa: PLC0415
     from vibrissa.io.setup import load_setup  # noqa: PLC0415
     from vibrissa.live.address import host_and_port, listening  # noqa: PLC0415
     from vibrissa.live.process import TARE_SECONDS  # noqa: PLC0415

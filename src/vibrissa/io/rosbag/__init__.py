@@ -4,8 +4,11 @@ Importing it raises ImportError, with the command that installs them, where `mca
 missing.
 """
 
-from vibrissa.io.rosbag.library import library
+from functools import partial
 
+from vibrissa.libraries import extra_library
+
+library = partial(extra_library, extra="live", need="MCAP needs it")
 for _name in ("mcap.records", "rosbags.typesys"):
     library(_name)
 

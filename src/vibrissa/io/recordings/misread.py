@@ -264,9 +264,9 @@ def _about_a_point(raw: RawRecording) -> tuple[float, float, float]:
     """
     rows = np.linspace(0, len(raw.time) - 1, min(len(raw.time), _ROWS)).astype(int)
     position, turns = raw.position[rows], Rotation.from_quat(raw.orientation[rows])
-    fixed = np.broadcast_to(np.eye(3), (len(rows), 3, 3))
-    design = np.concatenate([fixed, turns.as_matrix()], axis=2).reshape(-1, 6)
-    left = position.ravel() - design @ np.linalg.lstsq(design, position.ravel(), rcond=None)[0]
-    extent, turned = position.std(axis=0), (turns[0].inv() * turns).magnitude()
-    residual = np.sqrt(np.mean(left**2))
-    return float(residual), float(np.sqrt(np.mean(extent**2))), float(turned.max())
+    matrices, turned = turns.as_matrix(), (turns[0].inv() * turns).magnitude()
+    # The means of both sides, which c takes up, are taken off.
+    way = (position - position.mean(axis=0)).ravel()
+    design = (matrices - matrices.mean(axis=0)).reshape(-1, 3)
+    left = way - design @ np.linalg.lstsq(design, way, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2))), float(way.std()), float(turned.max())

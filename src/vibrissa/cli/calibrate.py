@@ -64,9 +64,9 @@ def calibrate(
     """Find stiffness, length and mount of the rod from sweeps over an object, best over one that is
     known.
     """
-    from vibrissa.io.calibration import check_source, toml_library  # noqa: PLC0415
+    from vibrissa.files import writable_folder  # noqa: PLC0415
+    from vibrissa.io.calibration import source_document  # noqa: PLC0415
     from vibrissa.io.calibration_report import summary, write_summary  # noqa: PLC0415
-    from vibrissa.io.errors import writable_folder  # noqa: PLC0415
 
     if report is not None:
         writable_folder(report)
@@ -76,8 +76,7 @@ def calibrate(
             raise vb.io.InputError(f"{recording}: is given twice; allowed is each recording once")
     loaded = vb.load_setup(setup)
     if output is not None:
-        toml_library()
-        check_source(loaded, setup)
+        source_document(setup)
     priors = _priors(prior or [])
     reactions = [vb.read_recording(recording, loaded) for recording in recordings]
     names = None if free is None else [name.strip() for name in free.split(",")]

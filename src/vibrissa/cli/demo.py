@@ -23,7 +23,7 @@ def demo(
     """Compute the whole paper: figures 2, 3a and 3b, its statements checked, and the sweeps it
     suggests.
     """
-    from vibrissa.io.errors import writable_folder  # noqa: PLC0415
+    from vibrissa.files import writable_folder  # noqa: PLC0415
 
     folder = writable_folder(output)
     with reporting() as report:

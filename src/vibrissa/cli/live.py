@@ -124,8 +124,8 @@ def live(
 
 
 def _source(address: vb.live.Address, loaded: vb.Setup) -> vb.live.Source:
-    from vibrissa.io.live_setup import UdpPoseTable  # noqa: PLC0415
     from vibrissa.io.recordings.read import read_cleaned  # noqa: PLC0415
+    from vibrissa.io.setup import UdpPoseTable  # noqa: PLC0415
     from vibrissa.live.lines import serial_line, tcp_line  # noqa: PLC0415
 
     if address.kind == "replay":
@@ -139,7 +139,7 @@ def _source(address: vb.live.Address, loaded: vb.Setup) -> vb.live.Source:
 
 def _target(text: str, *, overwrite: bool) -> tuple[str, Path | None]:
     """Kind and file of a sink, or folder."""
-    from vibrissa.io.errors import writable, writable_folder  # noqa: PLC0415
+    from vibrissa.files import writable, writable_folder  # noqa: PLC0415
 
     if text == "jsonl:-":
         return "jsonl", None
@@ -166,8 +166,7 @@ def _maker(kind: str, loaded: vb.Setup) -> Callable[[Any], vb.live.Sink]:
         return JsonLinesSink
     if kind == "ply":
         return partial(PlySink, unit="metre" if loaded.rod.units == "SI" else "rod length")
-    from vibrissa.io.rosbag import McapSink, Rosbag2Sink  # noqa: PLC0415
-    from vibrissa.io.rosbag.library import library  # noqa: PLC0415
+    from vibrissa.io.rosbag import McapSink, Rosbag2Sink, library  # noqa: PLC0415
 
     for name in ("mcap.records", "mcap.data_stream", "rosbags.typesys"):
         library(name)

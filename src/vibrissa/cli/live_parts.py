@@ -17,7 +17,7 @@ import typer
 import vibrissa as vb
 
 if TYPE_CHECKING:
-    from vibrissa.io.live_setup import RdtTable
+    from vibrissa.io.setup import RdtTable
 
 _COUNTS, _RATE = 1e6, 1000.0
 say = partial(typer.echo, err=True)
@@ -48,7 +48,7 @@ def working() -> Iterator[threading.Event]:
 
 def rdt_of(loaded: vb.Setup) -> RdtTable:
     """Table [rdt] of the setup, or what such sensors do unless set otherwise."""
-    from vibrissa.io.live_setup import RdtTable  # noqa: PLC0415
+    from vibrissa.io.setup import RdtTable  # noqa: PLC0415
 
     if loaded.rdt is not None:
         return loaded.rdt
@@ -68,7 +68,7 @@ def poses_of(loaded: vb.Setup, folder: Path, *, needed: bool) -> vb.live.PoseSou
         If the table names a file that cannot be used, or an address that is none.
     """
     from vibrissa.files import read_table  # noqa: PLC0415
-    from vibrissa.io import live_setup as tables  # noqa: PLC0415
+    from vibrissa.io import setup as tables  # noqa: PLC0415
     from vibrissa.live.address import host_and_port  # noqa: PLC0415
     from vibrissa.live.scene import motion  # noqa: PLC0415
     from vibrissa.trail import COLUMNS  # noqa: PLC0415

@@ -162,12 +162,12 @@ def pose_faults(pose: Poses) -> Iterator[Fault]:
     wrong = known.time[wrong_norms(known.orientation)]
     if len(wrong):
         text = f"{len(wrong)} quaternions of the poses have another norm than 1; allowed is 1"
-        yield Fault.over(FaultKind.UNITS, channels[1:], wrong, text, unusable=True)
+        yield Fault.over(channels[1:], FaultKind.UNITS, wrong, text, unusable=True)
     lost = pose.time[~pose.finite]
     if len(lost) and len(known.time):
         stamps = lost[np.isfinite(lost)] if np.isfinite(lost).any() else known.time
         text = f"{len(lost)} poses without a number, which are skipped"
-        yield Fault.over(FaultKind.DROP_OUT, channels, stamps, text, len(lost))
+        yield Fault.over(channels, FaultKind.DROP_OUT, stamps, text, len(lost))
 
 
 def read_raw(path: str | Path, setup: Setup) -> Recording:

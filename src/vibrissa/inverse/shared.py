@@ -91,10 +91,9 @@ def shared_of(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 p"]:
     """What the sweep shares, points in units of the rod's length; without columns where no
     tolerances are stated, or no noise.
     """
-    factor = prepared(found.rod, found.reactions.setup_errors).factor
-    if found.covariance is None or not factor.shape[1]:
+    if not found.shared_names:
         return np.zeros((*found.kind.shape, 6, 0))
-    return sensitivities(found) @ factor
+    return sensitivities(found) @ prepared(found.rod, found.reactions.setup_errors).factor
 
 
 def with_shared(found: Reconstruction) -> Reconstruction:

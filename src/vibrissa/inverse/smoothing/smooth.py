@@ -97,10 +97,7 @@ def smooth(
             "give the sensor force_noise and torque_noise"
         )
     alone = found.kind.ndim == 1
-    each = [
-        _smoothed(trail, false_alarm, model_error, progress)
-        for trail in ([found] if alone else map(found.__getitem__, range(len(found.kind))))
-    ]
+    each = [_smoothed(trail, false_alarm, model_error, progress) for trail in found.trails]
     rows: dict[str, Any] = {name: np.stack([part[name] for part, _ in each]) for name in each[0][0]}
     if alone:
         rows = {name: value[0] for name, value in rows.items()}

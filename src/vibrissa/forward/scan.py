@@ -147,7 +147,7 @@ def _solved(scene: Scene, law: Law, clamps: Clamp, stride: int, found: Sweep) ->
     values, second, status = jax.tree.map(spread, values), spread(second), status.copy()
     # What no single contact explains may be a tip that is caught between two parts.
     jammed = np.argwhere(status == Status.NO_EQUILIBRIUM)
-    if scene.surface.parts_count > 1 and len(jammed):
+    if len(scene.surface.solids) > 1 and len(jammed):
         offset = scene.surface.radius / scene.length if isinstance(scene.surface, Offset) else 0.0
         for at, held in zip(
             map(tuple, jammed), caught(scene, chosen(clamps, tuple(jammed.T))), strict=True

@@ -21,7 +21,7 @@ from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.kernels import Errors
 from vibrissa.inverse.parameters import COUNT, Changes, changes_of_rows, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.shared import sensitivities, with_pose_errors
+from vibrissa.inverse.shared import pose_errors, sensitivities
 from vibrissa.inverse.smoothing.fit import OUTLIER, squared_residuals, stretches
 from vibrissa.inverse.smoothing.kalman import PLACE, WRENCH
 from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, Linear, chosen, finite
@@ -136,13 +136,11 @@ def contacts_of(
     known = finite((linear, errors, rows["sensitivity"]))
     status, raw = _judged(found, smoothest, known)
     # Errors of the robot's pose are not taken to be others in each sample: they stay in full.
-    noise = Errors(
-        rows["covariance"] + np.eye(3) * (model_error * rod.length) ** 2, rows["normal_covariance"]
-    )
-    whole = with_pose_errors(noise, reactions, rows["point"], rows["force_direction"])
+    of_pose = pose_errors(reactions, rows["point"], rows["force_direction"])
+    of_model = np.eye(3) * (model_error * rod.length) ** 2
     rows |= {
-        "covariance": whole.point,
-        "normal_covariance": whole.direction,
+        "covariance": rows["covariance"] + of_model + of_pose.point,
+        "normal_covariance": rows["normal_covariance"] + of_pose.direction,
         "arc_length_deviation": rod.length
         * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0)),
     }

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.kernels import Errors
 from vibrissa.inverse.parameters import COUNT, Changes, changes_of_rows, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import pose_errors, sensitivities

@@ -73,21 +73,18 @@ class Contacts:
         arc_length: ArrayLike | None = None,
         status: ArrayLike | None = None,
     ) -> None:
-        given = locals()
-        rows = np.shape(point)[:-1]
-        widths = {"covariance": (3, 3), "normal_covariance": (3, 3)}
-        vectors = ("point", "normal", "force_direction")
+        given, rows = locals(), np.shape(point)[:-1]
         for field in fields(self):
-            value = given[field.name]
+            name = field.name
+            value, shape = given[name], rows + _SHAPES.get(name, ())
             if value is not None:
-                whole = field.name in ("sweep", "kind", "status")
+                whole = name in ("sweep", "kind", "status")
                 value = np.asarray(value, dtype=np.int64 if whole else np.float64)
-                shape = rows + ((3,) if field.name in vectors else widths.get(field.name, ()))
                 if value.shape != shape:
                     raise ValueError(
-                        f"{field.name} has shape {value.shape}; allowed is {shape}, as point has"
+                        f"{name} has shape {value.shape}; allowed is {shape}, as point has"
                     )
-            object.__setattr__(self, field.name, value)
+            vars(self)[name] = value
         length = np.linalg.norm(self.normal, axis=-1)
         wrong = np.abs(length - 1) > _UNIT
         if wrong.any():
@@ -96,15 +93,23 @@ class Contacts:
 
     def __getitem__(self, rows: Any) -> "Contacts":
         """Return the chosen rows, all fields together."""
-        whole: list[Any] = [getattr(self, field.name) for field in fields(self)]
-        chosen: list[Any] = [None if value is None else value[rows] for value in whole]
-        return Contacts(*chosen)
+        return Contacts(
+            **{name: part[rows] for name, part in vars(self).items() if part is not None}
+        )
 
     def __len__(self) -> int:
         """Rows along the first axis."""
         return len(self.point)
 
 
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "point": (3,),
+    "normal": (3,),
+    "force_direction": (3,),
+    "covariance": (3, 3),
+    "normal_covariance": (3, 3),
+}
+"""Of a row's value, where that is more than a number."""
 _UNIT = 1e-6
 """By which a unit vector's length may be off: what files in single precision leave."""
 

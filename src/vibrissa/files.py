@@ -1,10 +1,9 @@
-"""What every reader of files needs: errors in one line, and tables of text."""
+"""Files in and out: errors in one line, and tables of text."""
 
 import csv
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +57,35 @@ def readable(path: Path) -> Path:
         ) from error
 
 
+def writable(path: Path) -> Path:
+    """Return the path of a file to be written, its folder made if need be; raise InputError where
+    that cannot be.
+    """
+    writable_folder(path.parent)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; allowed is a file")
+    return path
+
+
+def writable_folder(path: Path) -> Path:
+    """Return the path of a folder to write into, made if need be; raise InputError where that
+    cannot be.
+    """
+    wrong = "cannot be made"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        wrong = "is not writable"
+        probe = path / ".vibrissa-write-test"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(
+            f"{path}: the output folder {wrong} ({error.strerror or error}); "
+            "allowed is a folder that can be written to"
+        ) from error
+    return path
+
+
 def text_of(file: Path, encoding: str = "utf-8-sig") -> str:
     """Content of a text file; raise InputError if it cannot be read or has another encoding."""
     try:
@@ -109,12 +137,10 @@ def cells_of(
     names: Sequence[str],
     *,
     delimiter: str = ",",
-    decimal: str = ".",
     skip: int = 1,
     comments: tuple[str, ...] | None = None,
 ) -> "pandas.DataFrame":
-    """Cells of a text, by pandas: numbers where all of a column are, else texts. Columns are counted
-    from 0, rows named by their lines, from 1.
+    """Cells of a text; columns are counted from 0, rows named by their lines, from 1.
 
     Parameters
     ----------
@@ -122,8 +148,8 @@ def cells_of(
         For messages, and its content.
     names
         Of the columns.
-    delimiter, decimal
-        What separates cells, and the decimal sign. Delimiters behind the last cell and empty rows
+    delimiter
+        What separates cells. Delimiters behind the last cell and empty rows
         at the end are ignored.
     skip
         Lines before the first row.
@@ -140,46 +166,33 @@ def cells_of(
     import pandas as pd  # noqa: PLC0415
 
     lines, count = text.splitlines(), len(names)
-    rows: dict[int, str] = {}
-    stop = len(lines)
-    while stop > skip and not lines[stop - 1].strip(f'{delimiter}" \t'):
-        stop -= 1
-    for number, whole in enumerate(lines[skip:stop], skip + 1):
-        line = whole.rstrip(" ")
-        if comments is not None and (not line.strip() or line.lstrip().startswith(comments)):
-            continue
-        quoted = '"' in line or delimiter == " "
-        cells = len(split(line, delimiter)) if quoted else line.count(delimiter) + 1
-        while cells > count and line.endswith(delimiter):
-            line, cells = line.removesuffix(delimiter).rstrip(" "), cells - 1
-        if cells != count:
+    while len(lines) > skip and not lines[-1].strip(f'{delimiter}" \t'):
+        lines.pop()
+    kept = {
+        number: line
+        for number, line in enumerate(lines[skip:], skip + 1)
+        if comments is None or (line.strip() and not line.lstrip().startswith(comments))
+    }
+    if not kept:
+        raise InputError(f"{file}: no rows; allowed is at least one sample")
+    rows = list(csv.reader(kept.values(), delimiter=delimiter, skipinitialspace=True))
+    if len(rows) != len(kept):
+        raise ValueError("a quote is not closed")
+    for number, cells in zip(kept, rows, strict=True):
+        if not any(cell.strip() for cell in cells[count:]):
+            del cells[count:]
+        if len(cells) != count:
             raise InputError(
-                f"{file}, line {number}: {cells} of {count} columns, the line is truncated or "
+                f"{file}, line {number}: {len(cells)} of {count} columns, the line is truncated or "
                 f"damaged; allowed are {count} numbers a line"
             )
-        rows[number] = line
-    if not rows:
-        raise InputError(f"{file}: no rows; allowed is at least one sample")
-    last, above = [*reversed(rows.values()), ""][:2]
-    ends = [line.rpartition(delimiter)[2].strip().lstrip("-") for line in (last, above)]
-    if not text.endswith(("\n", "\r")) and stop in rows and len(ends[0]) < len(ends[1]):
+    ends = [cells[-1].strip().lstrip("-") for cells in [[""], *rows[-2:]][-2:]]
+    if not text.endswith(("\n", "\r")) and len(lines) in kept and len(ends[1]) < len(ends[0]):
         raise InputError(
-            f"{file}, line {stop}: {names[-1]} = {ends[0]!r}, the last line is truncated: no line "
-            "end, and fewer digits than above; allowed are complete lines"
+            f"{file}, line {len(lines)}: {names[-1]} = {ends[1]!r}, the last line is truncated: no "
+            "line end, and fewer digits than above; allowed are complete lines"
         )
-    frame = pd.read_csv(
-        StringIO("\n".join(rows.values())),
-        sep=r"\s+" if delimiter == " " else delimiter,
-        decimal=decimal,
-        header=None,
-        na_filter=False,
-        skipinitialspace=True,
-        skip_blank_lines=False,
-        low_memory=False,
-    )
-    if len(frame) != len(rows):
-        raise ValueError("a quote is not closed")
-    return frame.set_axis(list(rows))
+    return pd.DataFrame(rows, index=list(kept), dtype=object)
 
 
 def numbers_of(
@@ -199,7 +212,7 @@ def numbers_of(
     file, name
         For messages.
     cells
-        Numbers or texts by line.
+        Texts by line.
     missing
         Words in small letters for numbers that are missing, which become NaN.
     decimal
@@ -216,24 +229,22 @@ def numbers_of(
     """
     import pandas as pd  # noqa: PLC0415
 
-    if cells.dtype.kind in "iuf" and not dates:
-        return cells.to_numpy(np.float64)
-    texts = cells.astype(str).str.strip()
-    known = texts[~texts.str.lower().isin(missing)]
+    texts = cells.str.strip()
     if dates:
-        moments = pd.to_datetime(known, format="ISO8601", utc=True, errors="coerce")
+        moments = pd.to_datetime(texts, format="ISO8601", utc=True, errors="coerce")
         numbers = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
     else:
-        points = known if decimal == "." else known.replace({r"\.": "?", ",": "."}, regex=True)
+        points = texts if decimal == "." else texts.replace({r"\.": "?", ",": "."}, regex=True)
         numbers = pd.to_numeric(points, errors="coerce").astype(float)
-    bad = known[numbers.isna() & ~known.str.lower().isin(("nan", "-nan"))]
+    lost = texts[numbers.isna()]
+    bad = lost[~lost.str.lower().isin(("nan", "-nan", *missing))]
     if len(bad):
         allowed = "a date of ISO 8601" if dates else "a number"
         raise InputError(
             f"{file}, line {bad.index[0]}: {name} = {bad.iloc[0][:40]!r}; allowed is {allowed}"
             + hint * ("," in bad.iloc[0])
         )
-    return numbers.reindex(cells.index).to_numpy(np.float64)
+    return numbers.to_numpy(np.float64)
 
 
 def read_table(
@@ -242,6 +253,7 @@ def read_table(
     *,
     optional: Sequence[str] = (),
     any_order: bool = False,
+    missing: Sequence[str] = (),
 ) -> dict[str, np.ndarray]:
     """Numbers (rows,) by column from a CSV file whose first line names the columns.
 
@@ -255,6 +267,8 @@ def read_table(
         Names that may be there besides.
     any_order
         Whether the columns may come in another order than that of `columns`.
+    missing
+        Words for numbers that are missing, which become NaN.
 
     Raises
     ------
@@ -270,9 +284,12 @@ def read_table(
     check_header(file, names, columns, optional, any_order=any_order)
     with reading(file, "text"):
         cells = cells_of(file, text, names)
-    table = {name: numbers_of(file, name, cells[place]) for place, name in enumerate(names)}
+    table = {
+        name: numbers_of(file, name, cells[place], missing=missing)
+        for place, name in enumerate(names)
+    }
     for name, numbers in table.items():
-        bad = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
+        bad = np.flatnonzero(~(np.abs(numbers) <= LARGEST) & ~(np.isnan(numbers) & bool(missing)))
         if len(bad):
             raise InputError(
                 f"{file}, line {cells.index[bad[0]]}: {name} = {numbers[bad[0]]:g} "

@@ -11,7 +11,6 @@ from vibrissa.geometry.rotation import cross_matrices, rotation_vectors
 from vibrissa.tolerances import SetupErrors
 from vibrissa.trail import Index, Trail, first_axis
 
-_WRENCH = 6
 # Of the largest entry: covariances that were turned are symmetric and definite to rounding only.
 _ROUNDING = 1e-9
 VELOCITY_SPAN = 0.05
@@ -87,27 +86,22 @@ class Reactions:
         velocity: "ArrayLike | None" = None,
         misread: tuple[str, ...] = (),
     ) -> None:
+        given, fields = locals(), vars(self)
         if (rotation_covariance is None) != (rotation_center is None):
             raise ValueError(
                 "rotation_covariance and rotation_center: one is given without the other; "
                 "allowed are both or none"
             )
-        shape = trail.shape
-        checked = {
-            "trail": trail,
-            "force": _rows(force, "force", (*shape, 3)),
-            "moment": _rows(moment, "moment", (*shape, 3)),
-            "time": _increasing(time, shape),
-            "covariance": _covariance(covariance, "covariance", _WRENCH, shape),
-            "position_covariance": _covariance(position_covariance, "position_covariance", 3, ()),
-            "rotation_covariance": _covariance(rotation_covariance, "rotation_covariance", 3, ()),
-            "rotation_center": _rows(rotation_center, "rotation_center", (*shape, 3)),
-            "setup_errors": setup_errors,
-            "velocity": _rows(velocity, "velocity", (*shape, _WRENCH)),
-            "misread": misread,
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        fields |= {"trail": trail, "setup_errors": setup_errors, "misread": misread}
+        for name, own in _BY_ROW.items():
+            shape = trail.shape + own
+            fields[name] = None if given[name] is None else _rows(given[name], name, shape)
+        for name, shape in (
+            ("covariance", trail.shape),
+            ("position_covariance", ()),
+            ("rotation_covariance", ()),
+        ):
+            fields[name] = None if given[name] is None else _covariance(given[name], name, shape)
 
     def __getitem__(self, index: Index) -> "Reactions":
         """Rows of one trail, or some of several trails, with all that belongs to them; what all
@@ -127,14 +121,19 @@ class Reactions:
         """
         trail, axes = self.trail[index], len(self.trail.shape)
         chosen = first_axis(index, self.trail.shape)
-        rows = {name: getattr(self, name) for name in _BY_ROW}
+        rows = {name: getattr(self, name) for name in (*_BY_ROW, "covariance")}
         if self.time is not None and axes == 1:
             # One row alone does not tell it.
             rows["velocity"] = self.clamp_velocity()
         for name, value in rows.items():
-            if value is not None and value.ndim == axes + _BY_ROW[name]:
+            if value is not None and value.ndim == axes + len(_BY_ROW.get(name, (6, 6))):
                 rows[name] = value[chosen]
         return replace(self, trail=trail, **rows)
+
+    @property
+    def wrench(self) -> Float[np.ndarray, "*trail n 6"]:
+        """Force and moment side by side."""
+        return np.concatenate([self.force, self.moment], axis=-1)
 
     def pose_covariance(
         self, point: Float[np.ndarray, "*trail n 3"]
@@ -146,10 +145,12 @@ class Reactions:
         """
         if self.position_covariance is None and self.rotation_covariance is None:
             return None
-        moved = np.zeros((3, 3)) if self.position_covariance is None else self.position_covariance
-        if self.rotation_covariance is None:
-            return np.broadcast_to(moved, (*point.shape, 3))
-        return moved + turned_covariance(self.rotation_covariance, point - self.rotation_center)
+        moved = np.zeros((*point.shape, 3))
+        if self.position_covariance is not None:
+            moved += self.position_covariance
+        if self.rotation_covariance is not None:
+            moved += turned_covariance(self.rotation_covariance, point - self.rotation_center)
+        return moved
 
     def clamp_velocity(self) -> Float[np.ndarray, "*trail n 6"]:
         """As given, or over 50 ms about each row, at least from the row before to the one after;
@@ -157,13 +158,10 @@ class Reactions:
         """
         if self.velocity is not None:
             return self.velocity
-        velocity = np.zeros((*self.trail.shape, _WRENCH))
-        if self.time is not None and self.trail.count > 1:
-            for index in np.ndindex(*self.trail.shape[:-1]):
-                velocity[index] = velocities(
-                    self.time[index], self.trail.position[index], self.trail.orientation[index]
-                )
-        return velocity
+        if self.time is None or self.trail.count < 2:
+            return np.zeros((*self.trail.shape, 6))
+        by_trail = np.vectorize(velocities, signature="(n),(n,p),(n,q)->(n,v)")
+        return np.asarray(by_trail(self.time, self.trail.position, self.trail.orientation))
 
     @property
     def single_contact_residual(self) -> Float[np.ndarray, "*trail n"]:
@@ -171,12 +169,8 @@ class Reactions:
         "Statics alone"); NaN without a force.
         """
         scale = np.linalg.norm(self.force, axis=-1) * np.linalg.norm(self.moment, axis=-1)
-        return np.divide(
-            np.sum(self.force * self.moment, axis=-1),
-            scale,
-            out=np.full(scale.shape, np.nan),
-            where=scale > 0,
-        )
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sum(self.force * self.moment, axis=-1) / scale)
 
 
 def turned_covariance(
@@ -205,62 +199,42 @@ def velocities(
     return np.asarray(steps / (time[last] - time[first])[:, None])
 
 
-_BY_ROW = {
-    "force": 1,
-    "moment": 1,
-    "time": 0,
-    "covariance": 2,
-    "rotation_center": 1,
-    "velocity": 1,
+_BY_ROW: dict[str, tuple[int, ...]] = {
+    "force": (3,),
+    "moment": (3,),
+    "time": (),
+    "rotation_center": (3,),
+    "velocity": (6,),
 }
-"""Fields with a value for each row, and the axes of one."""
+"""Fields with a value for each row, and the shape of one."""
 
 
-def _rows(
-    value: ArrayLike | None, name: str, shape: tuple[int, ...]
-) -> Float[np.ndarray, "..."] | None:
-    array = None if value is None else np.array(value, dtype=np.float64)
-    if array is not None and array.shape != shape:
+def _rows(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    array = finite_array(value, name) if name == "time" else np.array(value, dtype=np.float64)
+    if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; allowed is {shape}, as the trail has")
+    for falling in np.argwhere(np.diff(array, axis=-1) <= 0).tolist() if name == "time" else ():
+        raise ValueError(
+            f"time{falling} = {array[tuple(falling)]} is not before the next; allowed are "
+            "increasing times"
+        )
     return array
 
 
-def _increasing(value: ArrayLike | None, shape: tuple[int, ...]) -> Float[np.ndarray, "..."] | None:
-    if value is None:
-        return None
-    time = _rows(finite_array(value, "time"), "time", shape)
-    assert time is not None
-    falling = np.argwhere(np.diff(time, axis=-1) <= 0).tolist()
-    if falling:
-        earlier = time[tuple(falling[0])]
-        raise ValueError(
-            f"time{falling[0]} = {earlier} is not before the next; allowed are increasing times"
-        )
-    return time
-
-
-def _covariance(
-    value: ArrayLike | None, name: str, size: int, shape: tuple[int, ...]
-) -> Float[np.ndarray, "..."] | None:
-    if value is None:
-        return None
+def _covariance(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    definite = name == "covariance"
+    kind, size = ("definite", 6) if definite else ("semidefinite", 3)
     array = finite_array(value, name, last=size)
     if array.shape not in ((size, size), (*shape, size, size)):
         raise ValueError(
             f"{name} has shape {array.shape}; allowed is {(size, size)} or {(*shape, size, size)}"
         )
-    definite = size == _WRENCH
-    kind = "positive definite" if definite else "positive semidefinite"
     rounding = _ROUNDING * np.abs(array).max()
     uneven = np.abs(array - np.swapaxes(array, -1, -2)).max()
-    if uneven > rounding:
-        raise ValueError(
-            f"{name} differs from its transpose by {uneven:.3g}; allowed is symmetric and {kind}"
-        )
-    least = np.linalg.eigvalsh(array)[..., 0]
-    if np.any(least <= 0 if definite else least < -rounding):
-        raise ValueError(
-            f"{name} has the least eigenvalue {float(np.min(least)):.3g}; allowed is symmetric and "
-            f"{kind}"
-        )
+    least = np.linalg.eigvalsh(array)[..., 0].min()
+    if uneven > rounding or (least <= 0 if definite else least < -rounding):
+        wrong = f"differs from its transpose by {uneven:.3g}"
+        if uneven <= rounding:
+            wrong = f"has the least eigenvalue {least:.3g}"
+        raise ValueError(f"{name} {wrong}; allowed is symmetric and positive {kind}")
     return array

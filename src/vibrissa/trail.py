@@ -382,12 +382,9 @@ class Trail:
         one of them the clamp stands or only turns.
         """
         steps = np.linalg.norm(np.diff(self.position, axis=-2), axis=-1)
-        moving = np.all(steps > 0, axis=-1, keepdims=True)
-        total = np.where(moving, steps.sum(axis=-1, keepdims=True), 1)
-        share = np.where(
-            moving, np.cumsum(steps, axis=-1) / total, np.linspace(0, 1, self.count)[1:]
-        )
-        return np.concatenate([np.zeros((*self.shape[:-1], 1)), share], axis=-1)
+        steps = np.where(np.all(steps > 0, axis=-1, keepdims=True), steps, 1.0)
+        gone = np.cumsum(np.insert(steps, 0, 0.0, axis=-1), axis=-1)
+        return gone / np.where(self.count > 1, gone[..., -1:], 1.0)
 
 
 def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:

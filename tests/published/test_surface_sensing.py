@@ -26,7 +26,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Demo, Path]:
 def test_every_statement_holds(demo: tuple[Demo, Path]) -> None:
     result, folder = demo
     assert len(result.statements) >= 18
-    assert [part.text for part in result.statements if not part.holds] == []
+    assert [part.statement for part in result.statements if not part.holds] == []
     with (folder / "statements.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["holds"] for row in rows] == ["yes"] * len(result.statements)

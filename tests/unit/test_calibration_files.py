@@ -173,7 +173,7 @@ BAD = {
     "no matrix": (
         "correlation = [",
         "correlation = [\n  [1.0],",
-        "calibration.correlation has 11 rows; allowed are 10",
+        "calibration.correlation has 11 rows of [1, 10] numbers; allowed are 10 of 10",
     ),
     "estimate": ('unit = "Pa"', 'unit = "Pa"\nguess = 1', "calibration.estimates.youngs_modulus"),
 }

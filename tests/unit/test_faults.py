@@ -12,7 +12,7 @@ from simulated import CONTACT, RATE, REST, ROD, changed, logged, only, pushed, s
 
 import vibrissa as vb
 from vibrissa.sensor import Fault, Inspection, LowPass, Mount, RawRecording, inspect_raw
-from vibrissa.sensor.readings import longest_repeat
+from vibrissa.sensor.readings import longest_run, repeat_chance
 from vibrissa.sensor.stamps import increasing_stamps
 
 OF = sensor()
@@ -121,7 +121,7 @@ HIDDEN: dict[
         lambda: replace(
             GOOD, position=np.where(np.arange(ROWS)[:, None] == 400, np.nan, GOOD.position)
         ),
-        ("drop-out", ("position", "orientation"), 1),
+        ("drop-out", ("position",), 1),
         (400, 400),
     ),
     "gap": (
@@ -225,8 +225,9 @@ def test_equal_readings_come_in_a_row_as_seldom_as_stated(deviation: float, step
     with the chance p^(r−1).
     """
     count, alarm = 200_000, 0.5
-    needed = longest_repeat(deviation, step, count, alarm)
-    same = erf(step / (np.sqrt(8) * deviation))
+    same = float(repeat_chance(deviation, step))
+    assert same == erf(step / (np.sqrt(8) * deviation))
+    needed = longest_run(same, count, alarm)
     assert count * same ** (needed - 1) <= alarm < count * same ** (needed - 2)
     rng, seen = np.random.default_rng(3), 0
     for _ in range(20):
@@ -234,8 +235,8 @@ def test_equal_readings_come_in_a_row_as_seldom_as_stated(deviation: float, step
         edges = np.flatnonzero(np.diff(np.r_[0, equal.astype(int), 0]))
         seen += int(np.max(edges[1::2] - edges[::2]) + 1 >= needed)
     assert seen <= 16
-    assert longest_repeat(0.0, step, count) == np.inf
-    assert longest_repeat(1.0, 0.0, count) == 5
+    assert longest_run(repeat_chance(0.0, step), count) == np.inf
+    assert longest_run(repeat_chance(1.0, 0.0), count) == 1
 
 
 UNITS = {

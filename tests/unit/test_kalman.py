@@ -56,8 +56,7 @@ def first() -> Gaussian:
 
 @jax.jit
 def predicted(start: Gaussian, step: Step) -> Gaussian:
-    entered = kalman.entered(*start, *step[:3])
-    return Gaussian(*kalman.predicted(*entered, step, jnp.asarray(INTENSITIES)))
+    return kalman.predicted(kalman.entered(start, *step[:3]), step, jnp.asarray(INTENSITIES))
 
 
 def observing(steps: Step) -> np.ndarray:

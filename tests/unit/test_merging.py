@@ -7,8 +7,6 @@ from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.kalman import ROWS, SIZE, Gaussian, Step
 from vibrissa.inverse.smoothing.model import (
     FREE,
-    GO_ON,
-    KINK,
     TANGENTIAL,
     TIP,
     Labels,
@@ -20,11 +18,6 @@ from vibrissa.inverse.smoothing.model import (
 COUNT, RATE = 240, 250.0
 INTENSITIES = np.array([0.02, 0.02, 0.002, 1e-6, 0.02])
 PHASE = np.repeat([FREE, TIP, TANGENTIAL], [80, 90, 70])
-
-
-def labels() -> Labels:
-    link = np.where(np.diff(PHASE, prepend=FREE) != 0, KINK, GO_ON)
-    return Labels(PHASE, link, np.ones(COUNT), np.ones(COUNT))
 
 
 def steps() -> Step:
@@ -62,7 +55,7 @@ def states(given: Step) -> kalman.States:
 
 
 def test_nothing_changes_within_a_group() -> None:
-    starts = group_starts([labels()])
+    starts = group_starts([Labels.of(PHASE)])
     number = np.searchsorted(starts, np.arange(COUNT), side="right") - 1
     for change in (80, 170):
         assert {change - 1, change, change + 1} <= set(starts)
@@ -72,8 +65,9 @@ def test_nothing_changes_within_a_group() -> None:
 
 
 def test_groups_tell_what_their_samples_tell() -> None:
-    one_by_one, starts = states(steps()), group_starts([labels()])
-    together = spread_out(states(merged(steps(), starts)), steps(), starts)
+    one_by_one, starts = states(steps()), group_starts([Labels.of(PHASE)])
+    groups = merged(steps(), starts)
+    together = spread_out(states(groups), groups, steps(), starts)
     deviation = np.sqrt(np.maximum(np.einsum("nii->ni", one_by_one.covariance), 1e-12))
     touching = PHASE != FREE
     for entries in (slice(0, 5), slice(10, 16)):

@@ -454,15 +454,15 @@ BAD = {
     ),
     "transposed": (
         lambda: vb.Trail.from_poses(matrix(r30=0.2)),
-        "poses[1] has the last row [0.2, 0.0, 0.0, 1.0]; allowed is [0, 0, 0, 1]",
+        "[0.2, 0.0, 0.0, 1.0]]; allowed are a rotation and a translation above the row",
     ),
     "scaled": (
         lambda: vb.Trail.from_poses(matrix(r00=1.01)),
-        "poses[1] has rotation columns that differ from unit vectors",
+        "poses[1] = [[1.01, 0.0, 0.0, 0.0], ",
     ),
     "mirrored": (
         lambda: vb.Trail.from_poses(matrix(r00=-1)),
-        "poses[1] has a rotation of the determinant -1.0; allowed is +1",
+        "poses[1] = [[-1.0, 0.0, 0.0, 0.0], ",
     ),
     "a matrix of no number": (
         lambda: vb.Trail.from_poses(matrix(r03=np.nan)),

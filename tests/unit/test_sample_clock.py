@@ -29,7 +29,6 @@ def test_stamps_are_even_though_arrivals_are_not(drift: float, rate: float) -> N
     error = (stamp - truth)[count // 10 :]
     assert np.std(arrival - truth) > 4e5
     assert np.abs(error - 2e5).max() < 2e5
-    assert clock.resyncs == 0
 
 
 def test_after_a_pause_stamps_follow_at_once() -> None:
@@ -40,7 +39,6 @@ def test_after_a_pause_stamps_follow_at_once() -> None:
     later = np.arange(100, 200) * period
     stamp = clock.stamps(later, later + 3_000_000_000)
     assert np.array_equal(stamp, later + 3_000_000_000)
-    assert clock.resyncs == 1
     back = np.arange(200, 300) * period
     stamp = clock.stamps(back, back + 1_000_000)
     assert np.all(np.diff(stamp) > 0)

@@ -146,11 +146,11 @@ def test_the_solid_is_convex(exponents: tuple[float, float]) -> None:
 BAD: dict[str, tuple[Callable[[], object], str]] = {
     "exponent 0": (
         lambda: surfaces.Superquadric(CENTER, AXES, (0, 1)),
-        "exponents[0] = 0.0; allowed is a number greater than 0 and at most 2",
+        "exponents[0] = 0.0; allowed is a finite number greater than 0",
     ),
     "exponent 3": (
         lambda: surfaces.Superquadric(CENTER, AXES, (1, 3)),
-        "exponents[1] = 3.0; allowed is a number greater than 0 and at most 2",
+        "exponents = [1.0, 3.0]; allowed are at most 2",
     ),
     "one exponent": (
         lambda: surfaces.Superquadric(CENTER, AXES, 1.0),

@@ -7,7 +7,7 @@ import trimesh
 import vibrissa as vb
 from vibrissa.surfaces import Box, Ellipsoid, Mesh
 from vibrissa.surfaces.mesh.creases import sheets
-from vibrissa.surfaces.mesh.sampling import Surveyor
+from vibrissa.surfaces.mesh.sampling import mesh_levels
 
 UNIT = vb.Rod.unit()
 CENTER, SEMI_AXES = np.array([0.0, 0.0, 1.15]), np.array([0.6, 0.5, 0.55])
@@ -110,7 +110,7 @@ def test_edges_stay_sharp() -> None:
 def test_levels_are_those_of_the_triangle_below_from_wherever_one_starts() -> None:
     """A grid coarser than the mesh hands its middles a triangle that is several edges away."""
     mesh, exact = ball(4), Ellipsoid(CENTER, SEMI_AXES)
-    surveyor = Surveyor(sheets(mesh.vertices, mesh.faces, 0.7))
+    sheet = sheets(mesh.vertices, mesh.faces, 0.7)
     rng = np.random.default_rng(7)
     below = rng.integers(0, len(mesh.faces), 200)
     points = (
@@ -118,8 +118,8 @@ def test_levels_are_those_of_the_triangle_below_from_wherever_one_starts() -> No
     )
     apart = np.linalg.norm(mesh.triangles_center - points[:, None], axis=2)
     away = np.argmin(np.abs(apart - 0.25), axis=1)
-    found = surveyor.levels(points, away)
-    np.testing.assert_allclose(found, surveyor.levels(points, below), rtol=0, atol=1e-9)
+    found = mesh_levels(sheet, points, away)
+    np.testing.assert_allclose(found, mesh_levels(sheet, points, below), rtol=0, atol=1e-9)
     np.testing.assert_allclose(
         found, exact.distances(points), rtol=0, atol=0.1 * chordal_error(mesh, exact)
     )

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.calibration.arrays import Wrenches
-from vibrissa.inverse.checks.constraints import COUPLE, TANGENT, TIP, TORSION, constraints_of
+from vibrissa.inverse.checks.constraints import TANGENT, TIP, constraints_of, holding
 from vibrissa.mechanics.imperfect import Imperfect
 
 
@@ -21,12 +21,8 @@ def imperfect_moves(wrench: Wrenches) -> Float[np.ndarray, "n 3 3"]:
     ideal = Imperfect(wrench, np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
     here = constraints_of(np.ones(()), ideal)
     tip = here.value[:, TIP] < -here.value[:, TANGENT]
-    own = np.where(tip, TIP, TANGENT)[:, None]
-    rows = np.insert(own, 0, [[COUPLE], [TORSION]], axis=1)
-    slopes, point = (
-        np.take_along_axis(here.by_rod.constraints, rows[..., None], axis=1),
-        here.by_rod.point,
-    )
+    constraints, point = here.by_rod
+    slopes = constraints[holding(tip)].reshape(count, 3, -1)
     # The moment at the base follows, so that the constraints of the contact hold.
     moment, imperfect = np.s_[..., 3:6], np.s_[..., 6:9]
     follows = -np.linalg.solve(slopes[moment], slopes[imperfect])

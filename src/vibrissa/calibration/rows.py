@@ -132,7 +132,7 @@ def _samples(index: int, given: Reactions, sensor: Sensor) -> Rows:
         sensor.clamp_position, sensor.clamp_orientation, "on_rod", wrench_point=sensor.wrench_point
     )
     maps = plain.to_readings(pose.orientation)
-    wrench = np.concatenate([given.force, given.moment], axis=1)
+    wrench = given.wrench
 
     def known(values: np.ndarray | None, default: np.ndarray) -> np.ndarray:
         return default if values is None else np.broadcast_to(values, default.shape)

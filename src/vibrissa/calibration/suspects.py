@@ -15,7 +15,8 @@ from vibrissa.calibration.imperfections import imperfect_moves
 from vibrissa.calibration.parameters import uncertain
 from vibrissa.calibration.problem import Linear, by_rows
 from vibrissa.calibration.rows import Rows
-from vibrissa.inverse.checks.rig import Frame
+from vibrissa.inverse.checks.findings import length_text
+from vibrissa.inverse.checks.rig import sensor_matrix
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
@@ -121,11 +122,6 @@ def suspects(linear: Linear, rod: Rod, tolerances: Tolerances) -> list[Suspect]:
     return [one for one in found if free.isdisjoint(one.freed)]
 
 
-def length_text(value: float, rod: Rod) -> str:
-    """A length as said in a sentence."""
-    return f"{1e3 * value:.2g} mm" if rod.units == "SI" else f"{value:.2g} L"
-
-
 def held(linear: Linear, rod: Rod, tolerances: Tolerances) -> Columns:
     """What one standard deviation of each number that is not fitted changes in the readings
     (n, 6, m): of those with a tolerance.
@@ -188,9 +184,9 @@ def _friction(linear: Linear) -> Wrenches:
 def _imperfections(linear: Linear) -> Columns:
     """Changes by a unit of taper, and of curvature towards both of the clamp's axes."""
     bench, reading = linear.bench, linear.reading
-    frame = Frame(bench.axes, (bench.clamp - bench.wrench_point) / bench.length)
+    to_sensor = sensor_matrix(bench.axes, (bench.clamp - bench.wrench_point) / bench.length)
     units = np.repeat([bench.length**2, bench.length], 3) / bench.stiffness / bench.gain
-    wrench = reading.wrench[reading.sound] * units @ np.linalg.inv(frame.to_sensor).T
+    wrench = reading.wrench[reading.sound] * units @ np.linalg.inv(to_sensor).T
     moves = np.zeros((len(reading.sound), 3, 3))
     moves[reading.sound] = np.clip(np.nan_to_num(imperfect_moves(wrench)), -_FARTHEST, _FARTHEST)
     return reading.by_step.clamp @ bench.axes @ moves * bench.length ** np.array([1, 2, 2])

@@ -19,8 +19,18 @@ from vibrissa.calibration.statistics import Fitness, opened
 from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import reconstruct
-from vibrissa.inverse.checks.case import Case, Solution, case_of, picked, solved
-from vibrissa.inverse.checks.rig import ERRORS, GAIN, LENGTH, POSITION, ROTATION, STIFFNESS, Frame
+from vibrissa.inverse.checks.case import Case, Solution, case_of, solved
+from vibrissa.inverse.checks.rig import (
+    ERRORS,
+    FRICTION,
+    GAIN,
+    LENGTH,
+    POSITION,
+    ROTATION,
+    RUBBING,
+    STIFFNESS,
+    sensor_matrix,
+)
 from vibrissa.inverse.checks.stretches import stretches_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -95,7 +105,7 @@ def calibrated_without_object(
     }
     chosen = list(dict.fromkeys([*chosen, *within]))
     names = tuple(dict.fromkeys([*names, *(one.group for one in chosen)]))
-    fit = _fitted(cases, chosen, deviations, within, setup, friction)
+    fit = _fitted(cases, chosen, deviations, within, setup)
     return _result(setup, names, chosen, fit, friction, tolerances if within else None, within)
 
 
@@ -107,8 +117,8 @@ def _case(index: int, reactions: Reactions, setup: SetupLike, friction: float) -
             "torque_noise"
         )
     averaged = stretches_of(reconstruct(rod, reactions, friction=friction, check=False))
-    frame = Frame(rotation_matrices(sensor.clamp_orientation), sensor.arm / rod.length)
-    case = None if averaged is None else case_of(averaged, frame, friction)
+    turn = rotation_matrices(sensor.clamp_orientation)
+    case = averaged and case_of(averaged, sensor_matrix(turn, sensor.arm / rod.length), friction)
     if case is None:
         raise CalibrationError(
             f"recordings[{index}]: too little of it is in contact, or its signal too weak, to tell "
@@ -133,7 +143,6 @@ def _fitted(
     deviations: dict[str, float],
     within: dict[Parameter, float],
     setup: SetupType,
-    friction: float,
 ) -> Fit:
     """Solve; hold what the solution leaves open, and solve anew without it."""
     free, held = list(chosen), dict[str, tuple[str, ...]]()
@@ -150,7 +159,7 @@ def _fitted(
             for one in free
         ]
         spread, directions = np.array(known), _directions(free, setup)
-        solution = solved(cases, directions, spread, friction, np.zeros(len(free)))
+        solution = solved(cases, directions, spread, np.zeros(len(free)))
         left = np.concatenate([misfit.value for misfit in solution.misfits])
         inflation = max(1.0, float(left @ left) / max(len(left) - len(free), 1))
         more = opened(free, np.linalg.inv(solution.covariance * inflation), _OPEN)
@@ -224,7 +233,7 @@ def _held_out(fit: Fit) -> tuple[HeldOut, ...]:
     for index, (case, misfit) in enumerate(
         zip(fit.solution.cases, fit.solution.misfits, strict=True)
     ):
-        rubbing = misfit.whitened(case.friction) * case.friction_spread
+        rubbing = misfit.whitened(case.slopes.constraints @ RUBBING) * case.spread[FRICTION]
         root = np.linalg.cholesky(np.eye(len(misfit.value)) + rubbing @ rubbing.T)
         design, left = (
             solve_triangular(root, part, lower=True)
@@ -243,9 +252,11 @@ def _residuals(rod: Rod, solution: Solution) -> Residuals:
     """Stretches as rows; their three constraints are the first three columns of `whitened`."""
     units, columns = np.repeat([rod.force_scale, rod.moment_scale], 3), []
     for index, (case, misfit) in enumerate(zip(solution.cases, solution.misfits, strict=True)):
-        own, there = case.bench.stretches, case.bench.frame.to_sensor
-        slope = picked(case.here.by_wrench.constraints, misfit.pick)
-        value = picked(case.here.value, misfit.pick)
+        own, there = case.bench.stretches, case.bench.to_sensor
+        slope, value = (
+            part[misfit.holds].reshape(-1, 3, *part.shape[2:])
+            for part in (case.here.by_wrench.constraints, case.here.value)
+        )
         spread = own.noise @ np.swapaxes(slope, 1, 2)
         # By the least change of the wrench that meets the constraints.
         change = (spread @ np.linalg.solve(slope @ spread, value[..., None]))[..., 0]

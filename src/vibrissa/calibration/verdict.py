@@ -14,7 +14,7 @@ from vibrissa.calibration.problem import Linear
 from vibrissa.calibration.result import Estimate
 from vibrissa.calibration.score import Score
 from vibrissa.calibration.statistics import Fitness
-from vibrissa.calibration.suspects import length_text
+from vibrissa.inverse.checks.findings import length_text
 from vibrissa.rod import Rod
 
 _MOST_LEFT_OUT, _MOST_SLIPPING = 0.1, 0.25

@@ -1,5 +1,6 @@
-"""The commands' names, and what happens to their errors."""
+"""The commands' names, and what happens to their errors and warnings."""
 
+import os
 import sys
 import warnings
 from collections.abc import Iterator
@@ -9,11 +10,11 @@ import typer
 
 import vibrissa as vb
 from vibrissa.cli.calibrate import calibrate
+from vibrissa.cli.common import contradictions
 from vibrissa.cli.demo import demo
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
-from vibrissa.cli.said import of_setup, one_line
 from vibrissa.cli.scan import scan
 from vibrissa.cli.simulate_sensor import simulate_sensor
 
@@ -41,13 +42,14 @@ def _version(
 
 def main() -> None:
     """Run a command; exit status 2 for wrong input, in one line, and 1 for failed work."""
+    os.environ["MPLBACKEND"] = "Agg"  # figures go to files
     try:
         with _warnings_in_one_line():
             app()
     except ValueError as error:
         if not isinstance(error, vb.io.InputError):
             raise
-        print(f"vibrissa: error: {error}", file=sys.stderr)  # noqa: T201
+        typer.echo(f"vibrissa: error: {error}", err=True)
         sys.exit(2)
 
 
@@ -56,15 +58,23 @@ def _warnings_in_one_line() -> Iterator[None]:
     """Print each warning once, on stderr, without the place in the code that it comes from:
     `warning: ...` where a recording contradicts its setup.
     """
+    contradictions.clear()
     said: set[str] = set()
 
     def show(
         message: Warning | str, category: type[Warning], *_place: object, **_more: object
     ) -> None:
-        line = one_line(message)
-        if line not in said:
-            said.add(line)
-            print(f"{'' if of_setup(category) else 'vibrissa: '}warning: {line}", file=sys.stderr)  # noqa: T201
+        from vibrissa.contacts import RecordingNote, RecordingWarning  # noqa: PLC0415
+
+        line = " ".join(str(message).split())
+        if line in said:
+            return
+        said.add(line)
+        prefix = "vibrissa: "
+        if issubclass(category, RecordingWarning) and not issubclass(category, RecordingNote):
+            prefix = ""
+            contradictions.append(line)
+        typer.echo(f"{prefix}warning: {line}", err=True)
 
     with warnings.catch_warnings():
         # Each line, also one that two files share; `show` passes over those that were said.

@@ -1,27 +1,30 @@
-"""What commands share: options, checks of numbers, figures, and words for what was counted."""
+"""What commands share: options, checks of them, figures, and words for what was counted."""
 
 from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperOption
 
 import vibrissa as vb
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")]
-CaseFile = Annotated[
-    Path, typer.Argument(help="TOML file with [rod], [object] and [[trail]].", show_default=False)
-]
-SetupFile = Annotated[
-    Path, typer.Option("--setup", help="TOML file with [rod] and [sensor].", show_default=False)
-]
-Figure = Annotated[Path | None, typer.Option("--figure", help="Figure to write (PNG or PDF).")]
+CaseFile = Annotated[Path, typer.Argument(help="TOML file with [rod], [object] and [[trail]].")]
+SetupFile = Annotated[Path, typer.Option(help="TOML file with [rod] and [sensor].")]
+
+
+contradictions: list[str] = []
+"""What recordings said against their setups since the command began, a line each."""
 
 
 def positive(param: TyperOption, value: float | None) -> float | None:
@@ -51,13 +54,38 @@ Friction = Annotated[
 ]
 
 
+def written(*suffixes: str) -> Callable[[Any], Any]:
+    """Callback of an option: raise InputError unless the files it names have one of these suffixes,
+    by default those of contacts, and can be written.
+    """
+
+    def check(value: Any) -> Any:
+        from vibrissa.io.contacts import SUFFIXES, checked_output  # noqa: PLC0415
+
+        for path in [value] if isinstance(value, Path) else value or []:
+            checked_output(path, suffixes or SUFFIXES)
+        return value
+
+    return check
+
+
+Figure = Annotated[
+    Path | None,
+    typer.Option(help="Figure to write (PNG or PDF).", callback=written(".png", ".pdf")),
+]
+
+
 def draw(path: Path, make: Callable[[], Any]) -> None:
     """Write the figure whose axes `make` returns."""
-    import matplotlib as mpl  # noqa: PLC0415
-
-    mpl.use("Agg")
     with vb.plot.journal():
         vb.plot.save_as(make(), path)
+
+
+def table_console() -> Console:
+    """The standard output for tables, wide where it is not a terminal."""
+    from rich.console import Console  # noqa: PLC0415
+
+    return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 160)
 
 
 def counted(values: Any, words: type[IntEnum]) -> dict[str, int]:

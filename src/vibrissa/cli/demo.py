@@ -23,22 +23,17 @@ def demo(
     """Compute the whole paper: figures 2, 3a and 3b, its statements checked, and the sweeps it
     suggests.
     """
-    from vibrissa.io.errors import writable_folder  # noqa: PLC0415
+    from vibrissa.files import writable_folder  # noqa: PLC0415
 
     folder = writable_folder(output)
     with reporting() as report:
         report("loading")
-        import matplotlib as mpl  # noqa: PLC0415
-
-        mpl.use("Agg")
         from vibrissa.paper import run_demo  # noqa: PLC0415
 
         result = run_demo(folder, report)
     if as_json:
-        names = ("statement", "measured", "holds")
-        rows = [(part.text, part.measured, part.holds) for part in result.statements]
         summary = {
-            "statements": [dict(zip(names, row, strict=True)) for row in rows],
+            "statements": [part._asdict() for part in result.statements],
             "coverage": result.coverage,
             "files": [str(path) for path in result.files],
         }
@@ -50,23 +45,15 @@ def demo(
 
 
 def _print(result: Demo, folder: Path) -> None:
-    from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=160)
-    table = Table(
-        title="Statements of the paper's section III", title_justify="left", show_lines=False
-    )
+    table = Table(title="Statements of the paper's section III", title_justify="left")
     for name, ratio in (("statement", 5), ("measured here", 6)):
         table.add_column(name, ratio=ratio, overflow="fold")
     table.add_column("holds")
     for part in result.statements:
-        table.add_row(part.text, part.measured, "yes" if part.holds else "NO")
-    console.print(table)
+        table.add_row(part.statement, part.measured, "yes" if part.holds else "NO")
+    common.table_console().print(table)
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result.coverage.items())
-    console.print(
-        f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}", soft_wrap=True
-    )
-    console.print(f"{len(result.files)} files in {folder}", soft_wrap=True)
+    typer.echo(f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}")
+    typer.echo(f"{len(result.files)} files in {folder}")

@@ -6,7 +6,8 @@ import gc
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +16,7 @@ import typer
 
 import vibrissa as vb
 from vibrissa.cli import common
-from vibrissa.cli.live_parts import interrupts, one_line, poses_of, rdt_of, say
+from vibrissa.cli.live_parts import poses_of, rdt_of, say, working
 
 SINKS = "FILE.mcap, rosbag2:FOLDER, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:- (standard output)"
 
@@ -97,8 +98,8 @@ def live(
         friction=friction,
         tolerances=loaded.parameter_covariance,
     )
-    with interrupts() as stop, one_line():
-        sinks = partial(_sinks, [(_maker(kind, loaded), path) for kind, path in targets])
+    with working() as stop:
+        makers = [(_maker(kind, loaded), path) for kind, path in targets]
         processor.warm_up()
         # No pause for what was made up to here, and short turns: the thread that reads must not
         # wait for the one that works.
@@ -108,22 +109,23 @@ def live(
         report = vb.live.stream(
             origin,
             processor,
-            sinks,
+            # One by one: those that are there are closed where the next cannot be made.
+            lambda: (make(path) for make, path in makers),
             duration=duration,
             batch_seconds=batch,
             silence=silence,
             stop=stop,
             notice=say,
         )
-    text = json.dumps(report.as_dict(), indent=1) if as_json else _text(report)
+    text = json.dumps(asdict(report), indent=1) if as_json else _text(report)
     typer.echo(text, err=not as_json or None in places)
     if report.silent:
         raise typer.Exit(1)
 
 
 def _source(address: vb.live.Address, loaded: vb.Setup) -> vb.live.Source:
-    from vibrissa.io.live_setup import UdpPoseTable  # noqa: PLC0415
     from vibrissa.io.recordings.read import read_cleaned  # noqa: PLC0415
+    from vibrissa.io.setup import UdpPoseTable  # noqa: PLC0415
     from vibrissa.live.lines import serial_line, tcp_line  # noqa: PLC0415
 
     if address.kind == "replay":
@@ -137,20 +139,17 @@ def _source(address: vb.live.Address, loaded: vb.Setup) -> vb.live.Source:
 
 def _target(text: str, *, overwrite: bool) -> tuple[str, Path | None]:
     """Kind and file of a sink, or folder."""
-    from vibrissa.io.errors import writable, writable_folder  # noqa: PLC0415
+    from vibrissa.files import writable, writable_folder  # noqa: PLC0415
 
     if text == "jsonl:-":
         return "jsonl", None
     kind, _, name = text.partition(":")
     if kind not in ("jsonl", "rosbag2"):
         kind, name = Path(text).suffix.lower()[1:], text
-    path = Path(name)
-    folder = kind == "rosbag2"
+    path, folder = Path(name), kind == "rosbag2"
     if kind not in ("mcap", "ply", "jsonl", "rosbag2") or not (name if folder else path.name):
         raise vb.io.InputError(f"sink {text!r}; allowed are {SINKS}")
-    there = path.is_file()
-    if folder:
-        there = path.exists() and (not path.is_dir() or any(path.iterdir()))
+    there = any(path.iterdir()) if folder and path.is_dir() else path.is_file()
     if there and not (overwrite and path.is_dir() == folder):
         what = "a new or empty folder, or a folder" if folder else "a new file, or one"
         raise vb.io.InputError(f"sink {path}: is there already; allowed is {what} with --overwrite")
@@ -167,22 +166,12 @@ def _maker(kind: str, loaded: vb.Setup) -> Callable[[Any], vb.live.Sink]:
         return JsonLinesSink
     if kind == "ply":
         return partial(PlySink, unit="metre" if loaded.rod.units == "SI" else "rod length")
-    from vibrissa.io.rosbag import McapSink, Rosbag2Sink  # noqa: PLC0415
-    from vibrissa.io.rosbag.library import library  # noqa: PLC0415
+    from vibrissa.io.rosbag import McapSink, Rosbag2Sink, library  # noqa: PLC0415
 
-    bag = kind == "rosbag2"
-    needed = ("mcap.records", "mcap.data_stream", "rosbags.typesys", "ruamel.yaml")
-    for name in needed if bag else needed[:-1]:
+    for name in ("mcap.records", "mcap.data_stream", "rosbags.typesys"):
         library(name)
-    return partial(Rosbag2Sink if bag else McapSink, wrench_frame=loaded.sensor.wrench_frame)
-
-
-def _sinks(
-    makers: list[tuple[Callable[[Any], vb.live.Sink], Path | None]],
-) -> Iterator[vb.live.Sink]:
-    """Made one by one, so that those that are there are closed where the next cannot be made."""
-    for make, path in makers:
-        yield make(path)
+    sink = Rosbag2Sink if kind == "rosbag2" else McapSink
+    return partial(sink, wrench_frame=loaded.sensor.wrench_frame)
 
 
 def _text(report: vb.live.Report) -> str:

@@ -17,7 +17,7 @@ import typer
 import vibrissa as vb
 
 if TYPE_CHECKING:
-    from vibrissa.io.live_setup import RdtTable
+    from vibrissa.io.setup import RdtTable
 
 _COUNTS, _RATE = 1e6, 1000.0
 say = partial(typer.echo, err=True)
@@ -25,35 +25,30 @@ say = partial(typer.echo, err=True)
 
 
 @contextmanager
-def interrupts() -> Iterator[threading.Event]:
-    """An event that an interrupt or a request to terminate sets."""
+def working() -> Iterator[threading.Event]:
+    """Give an event that an interrupt, or a request to terminate, sets. What fails within is one
+    line on stderr and exit status 1.
+    """
     stop = threading.Event()
     before = {
         kind: signal.signal(kind, lambda *_: stop.set()) for kind in (signal.SIGINT, signal.SIGTERM)
     }
     try:
         yield stop
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
-
-
-@contextmanager
-def one_line() -> Iterator[None]:
-    """Failed work is one line on stderr and exit status 1."""
-    try:
-        yield
     except (OSError, ImportError, ValueError, vb.live.SilentSourceError) as error:
         text = str(error)
         if isinstance(error, OSError) and error.filename is not None:
             text = f"{error.filename}: {error.strerror}"
         say(f"vibrissa: error: {' '.join(text.splitlines())}")
         raise typer.Exit(1) from error
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
 
 
 def rdt_of(loaded: vb.Setup) -> RdtTable:
     """Table [rdt] of the setup, or what such sensors do unless set otherwise."""
-    from vibrissa.io.live_setup import RdtTable  # noqa: PLC0415
+    from vibrissa.io.setup import RdtTable  # noqa: PLC0415
 
     if loaded.rdt is not None:
         return loaded.rdt
@@ -72,41 +67,33 @@ def poses_of(loaded: vb.Setup, folder: Path, *, needed: bool) -> vb.live.PoseSou
     InputError
         If the table names a file that cannot be used, or an address that is none.
     """
-    from vibrissa.io import live_setup as tables  # noqa: PLC0415
+    from vibrissa.files import read_table  # noqa: PLC0415
+    from vibrissa.io import setup as tables  # noqa: PLC0415
     from vibrissa.live.address import host_and_port  # noqa: PLC0415
-    from vibrissa.live.scene import motion, sensor_poses  # noqa: PLC0415
+    from vibrissa.live.scene import motion  # noqa: PLC0415
+    from vibrissa.trail import COLUMNS  # noqa: PLC0415
 
     table = loaded.pose
     try:
         match table:
+            case None:
+                if needed:
+                    say("the setup has no [pose]: contacts are in the sensor's frame")
+                return vb.live.ConstantPose()
+            case tables.ConstantPoseTable():
+                return vb.live.ConstantPose(table.position, table.orientation)
             case tables.UdpPoseTable():
                 return vb.live.StreamedPoses(*host_and_port(table.listen), patience=table.patience)
             case tables.TrailPoseTable():
-                return _from_csv(folder / table.path)
+                file = folder / table.path
+                time = read_table(file, ("time", *COLUMNS), any_order=True)["time"]
+                time, poses = time - time[0], vb.Trail.from_csv(file)
             case tables.CasePoseTable():
                 trail = vb.load_case(folder / table.path).trail
-                times = {"rest": table.rest, "sweep": table.sweep, "pause": table.pause}
-                time, clamp = motion(trail, **times)
-                poses = sensor_poses(loaded.sensor, clamp)
-                return vb.live.TimedPoses(time, poses.position, poses.orientation)
-            case tables.ConstantPoseTable():
-                return vb.live.ConstantPose(table.position, table.orientation)
+                time, clamp = motion(trail, rest=table.rest, sweep=table.sweep, pause=table.pause)
+                poses = loaded.sensor.frame(clamp)
+        return vb.live.TimedPoses(time, poses.position, poses.orientation)
     except vb.io.InputError:
         raise
     except ValueError as error:
         raise vb.io.InputError(f"[pose]: {error}") from error
-    if needed:
-        say("the setup has no [pose]: contacts are in the sensor's frame")
-    return vb.live.ConstantPose()
-
-
-def _from_csv(file: Path) -> vb.live.TimedPoses:
-    import numpy as np  # noqa: PLC0415
-
-    from vibrissa.files import check_increasing, read_table  # noqa: PLC0415
-    from vibrissa.trail import COLUMNS  # noqa: PLC0415
-
-    table = read_table(file, ("time", *COLUMNS), any_order=True)
-    check_increasing(file, table["time"])
-    columns = np.column_stack([table[name] for name in COLUMNS])
-    return vb.live.TimedPoses(table["time"] - table["time"][0], columns[:, :3], columns[:, 3:])

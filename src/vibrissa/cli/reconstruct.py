@@ -10,7 +10,6 @@ import typer
 import vibrissa as vb
 from vibrissa.cli import common
 from vibrissa.cli.progress import reporting
-from vibrissa.cli.said import listening
 
 _NOISE_ONLY = (
     "error bars hold noise only: state how well rod, clamp, gains and clocks are known in "
@@ -24,14 +23,16 @@ def reconstruct(
         Path,
         typer.Argument(
             help="Log of the sensor: CSV, Parquet, HDF5, NetCDF, .mat, rosbag2 or MCAP.",
-            show_default=False,
         ),
     ],
     setup: common.SetupFile,
     output: Annotated[
         list[Path] | None,
         typer.Option(
-            "--output", "-o", help="Contacts to write: .ply, .csv or .nc; may be given again."
+            "--output",
+            "-o",
+            help="Contacts to write: .ply, .csv or .nc; may be given again.",
+            callback=common.written(),
         ),
     ] = None,
     figure: common.Figure = None,
@@ -48,19 +49,13 @@ def reconstruct(
     as_json: common.AsJson = False,
 ) -> None:
     """Find where the rod touched, from a recording of forces and torques alone."""
-    from vibrissa.io.contacts import checked_output  # noqa: PLC0415
-
-    for path in output or []:
-        checked_output(path)
-    if figure is not None:
-        checked_output(figure, (".png", ".pdf"))
     loaded = vb.load_setup(setup)
     if smooth and loaded.sensor.force_noise is None:
         raise vb.io.InputError(
             f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and "
             "torque_noise"
         )
-    with listening() as said, reporting() as report:
+    with reporting() as report:
         report("reading")
         reactions = vb.read_recording(recording, loaded)
         report("reconstructing")
@@ -75,7 +70,7 @@ def reconstruct(
         if figure is not None:
             report(f"drawing {figure}")
             common.draw(figure, lambda: vb.plot.contacts_figure(found))
-    warnings = list(dict.fromkeys([*said, *found.warnings]))
+    warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
     common.show(_summary(found) | estimated | {"warnings": warnings}, _text, as_json=as_json)
 
 
@@ -171,11 +166,8 @@ def _contact_line(contact: dict[str, Any]) -> str:
         time, deviation = contact[name], contact[f"{name}_deviation"]
         return otherwise if time is None else f"{time:.4f} ± {deviation:.4f} s"
 
-    start, end = (
-        instant("start", "before the first sample"),
-        instant("end", "after the last sample"),
-    )
-    line = f"contact from {start} to {end}"
+    start = instant("start", "before the first sample")
+    line = f"contact from {start} to {instant('end', 'after the last sample')}"
     for name, word in (("changes", "changes of phase"), ("jumps", "jumps")):
         if contact[name]:
             line += f"; {word} at " + ", ".join(f"{time:.3f}" for time in contact[name]) + " s"

@@ -15,7 +15,10 @@ from vibrissa.cli.progress import reporting
 def scan(
     case: common.CaseFile,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="NetCDF file to write.")
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="NetCDF file to write.", callback=common.written(".nc")
+        ),
     ] = None,
     figure: common.Figure = None,
     speed: Annotated[
@@ -27,12 +30,6 @@ def scan(
     as_json: common.AsJson = False,
 ) -> None:
     """Sweep a rod along an object: equilibria, support reactions and events."""
-    from vibrissa.io.contacts import checked_output  # noqa: PLC0415
-
-    if output is not None:
-        checked_output(output, (".nc",))
-    if figure is not None:
-        checked_output(figure, (".png", ".pdf"))
     loaded = vb.load_case(case)
     if speed is not None and loaded.rod.linear_density is None:
         raise vb.io.InputError(
@@ -85,10 +82,9 @@ def _summary(result: vb.Scan, speed: float | None) -> dict[str, Any]:
         **common.counts_of(result),
         "largest_force": float(np.nanmax(force)) if np.isfinite(force).any() else None,
         "events": [
-            {
+            vars(event)
+            | {
                 "kind": event.kind.name,
-                "trail": event.trail,
-                "parameter": event.parameter,
                 "clamp": event.clamp.tolist(),
                 "point": event.point.tolist(),
             }

@@ -1,29 +1,31 @@
 """`vibrissa simulate-sensor`: a sensor on the loopback address that feels a scan."""
 
-import json
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+import vibrissa as vb
+from vibrissa.cli import common
+from vibrissa.cli.live_parts import rdt_of, say, working
+
 
 def simulate_sensor(
-    case: Annotated[
-        Path,
-        typer.Argument(help="TOML file with [rod], [object] and [[trail]].", show_default=False),
-    ],
-    setup: Annotated[
-        Path,
-        typer.Option(help="TOML file with [rod], [sensor] and [rdt].", show_default=False),
-    ],
+    case: common.CaseFile,
+    setup: Annotated[Path, typer.Option(help="TOML file with [rod], [sensor] and [rdt].")],
     rate: Annotated[
-        float | None, typer.Option(help="Records a second; default is the setup's.")
+        float | None,
+        typer.Option(help="Records a second; default is the setup's.", callback=common.positive),
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to listen at.")] = 49152,
     duration: Annotated[
         float | None,
-        typer.Option(help="Seconds after the first request at which to end."),
+        typer.Option(
+            help="Seconds after the first request at which to end.", callback=common.positive
+        ),
     ] = None,
     rest: Annotated[
         float | None,
@@ -42,7 +44,9 @@ def simulate_sensor(
     pose: Annotated[
         str | None, typer.Option(help="udp://HOST:PORT to which poses are sent as JSON.")
     ] = None,
-    pose_rate: Annotated[float, typer.Option(help="Poses a second.")] = 250.0,
+    pose_rate: Annotated[
+        float, typer.Option(help="Poses a second.", callback=common.positive)
+    ] = 250.0,
     buffer: Annotated[int, typer.Option(help="Records a datagram in buffered mode.")] = 20,
     drop: Annotated[float, typer.Option(help="Share of datagrams that are lost.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Share of datagrams that come twice.")] = 0.0,
@@ -55,31 +59,23 @@ def simulate_sensor(
     ] = 0.0,
     error: Annotated[float, typer.Option(help="Share of datagrams whose status says error.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Of noise and flaws.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    as_json: common.AsJson = False,
 ) -> None:
     """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts
     of the setup.
     """
     import numpy as np  # noqa: PLC0415
 
-    from vibrissa.cli.live_parts import interrupts, one_line, rdt_of  # noqa: PLC0415
-    from vibrissa.geometry.checks import finite_array, positive  # noqa: PLC0415
-    from vibrissa.io.case import load_case  # noqa: PLC0415
-    from vibrissa.io.errors import InputError  # noqa: PLC0415
-    from vibrissa.io.setup import load_setup  # noqa: PLC0415
+    from vibrissa.geometry.checks import finite_array  # noqa: PLC0415
     from vibrissa.live.address import host_and_port, listening  # noqa: PLC0415
     from vibrissa.live.process import TARE_SECONDS  # noqa: PLC0415
     from vibrissa.live.scene import measured, swept  # noqa: PLC0415
-    from vibrissa.live.simulator import Flaws, SensorSimulator  # noqa: PLC0415
 
-    loaded, setting = load_case(case), load_setup(setup)
+    loaded, setting = vb.load_case(case), vb.load_setup(setup)
     table, tared = rdt_of(setting), setting.sensor.tare_seconds
-    every = table.rate if rate is None else rate
+    every = rate or table.rate
     resting = (TARE_SECONDS if tared is None else tared) + 0.1
     try:
-        for name, value in (("rate", every), ("pose_rate", pose_rate), ("duration", duration)):
-            if value is not None:
-                positive(value, name)
         if not 0 <= port <= 65535:
             raise ValueError(f"port = {port}; allowed is a port from 1 to 65535, or 0 for any")
         try:
@@ -87,11 +83,11 @@ def simulate_sensor(
         except ValueError as failure:
             text = f"tare = {tare!r}; allowed are six finite numbers fx,fy,fz,tx,ty,tz"
             raise ValueError(text) from failure
-        flaws = Flaws(drop, duplicate, reorder, malformed, error)
+        flaws = vb.live.Flaws(drop, duplicate, reorder, malformed, error)
         listener = None if pose is None else host_and_port(pose)
-        with one_line():
+        with working():
             listening(host, port).close()
-        typer.echo("scanning", err=True)
+        say("scanning")
         scene = swept(
             loaded.rod,
             loaded.surface,
@@ -103,7 +99,7 @@ def simulate_sensor(
             finite_radius=loaded.finite_radius,
         )
         rng = np.random.default_rng(seed)
-        simulator = SensorSimulator(
+        simulator = vb.live.SensorSimulator(
             measured(scene, setting.sensor, every, rng, tare=offsets, repeat=repeat),
             counts_per_force=table.counts_per_force,
             counts_per_torque=table.counts_per_torque,
@@ -115,23 +111,23 @@ def simulate_sensor(
             seed=seed,
             poses=listener,
             pose_rate=pose_rate,
-            notice=lambda text: typer.echo(text, err=True),
+            notice=say,
         )
     except ValueError as failure:
-        raise InputError(str(failure)) from failure
-    with interrupts() as stop, one_line():
+        raise vb.io.InputError(str(failure)) from failure
+    assert scene.time is not None
+    with working() as stop:
         simulator.open()
-        typer.echo(
+        say(
             f"listening at {host}:{simulator.port}, {every:g} records a second, one scan lasts "
-            f"{scene.duration:g} s",
-            err=True,
+            f"{scene.time[-1]:g} s"
         )
         try:
             sent = simulator.run(duration=duration, stop=stop)
         finally:
             simulator.close()
     if as_json:
-        typer.echo(json.dumps(vars(sent), indent=1))
+        common.show(vars(sent), str, as_json=True)
         return
     text = (
         f"{sent.records} records, {sent.sent} of them sent, {sent.dropped} dropped; {sent.poses} "
@@ -140,4 +136,4 @@ def simulate_sensor(
     )
     if sent.takeovers:
         text += f"; the stream was taken by another client {sent.takeovers} times"
-    typer.echo(text, err=True)
+    say(text)

@@ -39,7 +39,8 @@ class Scene(NamedTuple):
         """The function of several points: side by side, or one by one where that would take long to
         compile.
         """
-        return lax.map(function, points) if self.surface.heavy else jax.vmap(function)(points)
+        heavy = any(solid.heavy for solid in self.surface.solids)
+        return lax.map(function, points) if heavy else jax.vmap(function)(points)
 
 
 class State(NamedTuple):

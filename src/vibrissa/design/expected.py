@@ -12,10 +12,10 @@ from vibrissa.geometry.checks import not_negative, positive, whole_number
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor import Sensor
+from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.sensor.noise import quantisation_of_mean
 from vibrissa.sensor.sensor import carried
-from vibrissa.sensor.tare import no_tare, planned_tare
+from vibrissa.sensor.tare import fitted_tare
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
@@ -172,7 +172,7 @@ def expected_error(
             position_covariance=sensor.position_noise**2 / samples * np.eye(3),
             rotation_covariance=sensor.orientation_noise**2 / samples * np.eye(3),
             rotation_center=sensor.frame(swept.trail).position,
-            setup_errors=None if tolerances is None else sensor.setup_errors(tolerances),
+            setup_errors=sensor.setup_errors(tolerances),
             time=time,
         )
     )
@@ -211,16 +211,17 @@ def _lane(
         steps = np.maximum(way / positive(speed, "speed"), steps)
     time = rest + np.concatenate([[0.0], np.cumsum(steps)]) + 1 / rate
     orientation, count = sensor.frame(trail).orientation, int(rest * rate)
-    tare = no_tare(sensor, time)
-    if count >= 2:
-        end = float(time[-1])
-        ends = ((0.0, rest), (end, end + rest))[: 1 + sensor.estimate_drift]
-        tare = planned_tare(sensor, ends, (count,) * len(ends))
+    end = float(time[-1])
+    ends = ((0.0, rest), (end, end + rest))[: (count >= 2) * (1 + sensor.estimate_drift)]
+    stamps = np.concatenate([np.arange(count) / rate, time, end + np.arange(1, count) / rate])
+    still = np.zeros((len(stamps), 3))
+    raw = RawRecording(stamps, still, np.insert(still, 3, 1.0, axis=1), still, still)
+    tare = fitted_tare(sensor.updated(mount=None), raw, ends, "planned")
     # Pink noise knows the whole recording, the rest included.
     tare = replace(tare, coloured=tuple(sensor.noise.coloured(np.append(0.0, time))))
     maps = sensor.to_reactions(orientation)
     covariance = carried(maps, tare.covariance(sensor, time, orientation))
-    exact = np.concatenate([reactions.force, reactions.moment], axis=1)
+    exact = reactions.wrench
     force, moment = np.hsplit(np.nan_to_num(exact), 2)
     timed = Reactions(trail, force, moment, time=time)
     late = sensor.filtered_readings(timed, orientation)

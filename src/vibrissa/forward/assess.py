@@ -127,13 +127,13 @@ def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scal
     count = len(_BEND)
     levels = scene.each(scene.level, jnp.concatenate(parts))
     least = jnp.minimum(_least(levels[:count], near[0]), _least(levels[count:], near[1]))
-    if scene.surface.creased:
+    if any(solid.may_crease for solid in scene.surface.solids):
         close = jnp.concatenate(_line(scene, bent, tangent, _NEAR_BEND, _NEAR_TAIL))
         found, few = scene.each(scene.level, close), len(_NEAR_BEND)
         of_bend = _least(found[:few], steepness * s1 * _FINE_BEND[1] * np.sqrt(2))
         of_tail = _least(found[few:], steepness * rest * _NEAR_TAIL[1] / 2)
         least = jnp.minimum(least, jnp.minimum(of_bend, of_tail))
-    if scene.surface.parts_count > 1:
+    if len(scene.surface.solids) > 1:
         touched = jnp.argmin(scene.part_levels(bent.point))
         levels = scene.each(scene.part_levels, jnp.concatenate(parts))
         others = jnp.min(jnp.where(jnp.arange(levels.shape[1]) == touched, jnp.inf, levels), axis=1)

@@ -138,7 +138,7 @@ def _fields(
     values, second = assessed(scene, law, *chosen((steps.reached.state, clamps), places))
     offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
     # What no single contact explains may be a tip that is caught between two parts.
-    several = scene.surface.parts_count > 1
+    several = len(scene.surface.solids) > 1
     jammed = np.flatnonzero(several & (status == Status.NO_EQUILIBRIUM))
     for place, held in zip(jammed, caught(scene, chosen(clamps, jammed)), strict=True):
         if held is not None:

@@ -56,6 +56,14 @@ def finite_array(
     return array
 
 
+def positive_array(value: ArrayLike, name: str, *, last: int) -> Float[np.ndarray, "n"]:
+    """Return a float64 copy (`last`,); raise ValueError unless all are finite and above zero."""
+    array = finite_array(value, name, last=last, ndim=1)
+    for index, entry in enumerate(array.tolist()):
+        positive(entry, f"{name}[{index}]")
+    return array
+
+
 def unit_vector(value: ArrayLike, name: str) -> Float[np.ndarray, "3"]:
     """Return `value` scaled to length 1; raise ValueError unless it is a finite 3-vector of
     non-zero length.

@@ -50,29 +50,26 @@ def unit_quaternions(value: Orientation, name: str) -> Quaternions:
 
 def lengths(vectors: Float[np.ndarray, "*batch n"]) -> Float[np.ndarray, "*batch"]:
     """Euclidean norms along the last axis."""
-    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
 
 
-def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
-    """World direction of the body's +z axis: the way the rod leaves its clamp."""
-    x, y, z, w = np.moveaxis(quaternion, -1, 0)
-    return np.stack(
-        [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], axis=-1
-    )
+def _rotations(quaternion: Quaternions) -> "scipy.spatial.transform.Rotation":
+    return scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4))
 
 
 def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"]:
     """Rotation matrices (…, 3, 3) that take body components to world components."""
-    flat = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
-    return np.asarray(flat.reshape(*quaternion.shape[:-1], 3, 3))
+    return np.asarray(_rotations(quaternion).as_matrix().reshape(*quaternion.shape[:-1], 3, 3))
+
+
+def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
+    """World direction of the body's +z axis: the way the rod leaves its clamp."""
+    return rotation_matrices(quaternion)[..., 2]
 
 
 def rotation_vectors(first: Quaternions, last: Quaternions) -> Float[np.ndarray, "*batch 3"]:
     """Rotation vectors (…, 3) [rad], world axes, that take the orientations `first` to `last`."""
-    turned = (
-        scipy.spatial.transform.Rotation.from_quat(last.reshape(-1, 4))
-        * scipy.spatial.transform.Rotation.from_quat(first.reshape(-1, 4)).inv()
-    )
+    turned = _rotations(last) * _rotations(first).inv()
     return np.asarray(turned.as_rotvec().reshape(*first.shape[:-1], 3))
 
 
@@ -89,10 +86,8 @@ def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
 
 def multiplied(first: Quaternions, second: Float[np.ndarray, "4"]) -> Quaternions:
     """Quaternions of the rotation `second`, seen in the frames that `first` (…, 4) turns."""
-    flat = scipy.spatial.transform.Rotation.from_quat(
-        first.reshape(-1, 4)
-    ) * scipy.spatial.transform.Rotation.from_quat(second)
-    return np.asarray(flat.as_quat().reshape(first.shape))
+    turned = _rotations(first) * _rotations(second)
+    return np.asarray(turned.as_quat().reshape(first.shape))
 
 
 def inverse(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:

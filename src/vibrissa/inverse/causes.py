@@ -11,9 +11,10 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array, not_negative
+from vibrissa.inverse.arrays import Covariances
 from vibrissa.inverse.parameters import prepared
-from vibrissa.inverse.result import Covariances, Reconstruction
-from vibrissa.inverse.shared import sensitivities
+from vibrissa.inverse.result import Reconstruction
+from vibrissa.inverse.shared import pose_errors, sensitivities
 from vibrissa.reactions import turned_covariance
 
 
@@ -101,10 +102,6 @@ def contact_errors(
             "sensor force_noise and torque_noise"
         )
     rod, reactions = found.rod, found.reactions
-    stiffness = np.hypot(
-        not_negative(youngs_modulus, "youngs_modulus"),
-        not_negative(bending_stiffness, "bending_stiffness") / rod.bending_stiffness,
-    )
     by_stiffness, by_length, by_position, by_turn = np.split(
         sensitivities(found)[..., :3, :8], [1, 2, 5], axis=-1
     )
@@ -115,40 +112,42 @@ def contact_errors(
         "clamp_position": by_position @ turn.T,
         "clamp_rotation": by_turn * rod.length,
     }
+    relative = _covariance(bending_stiffness, "bending_stiffness", 1) / rod.bending_stiffness**2
     spreads = (
-        np.eye(1) * stiffness**2,
-        np.eye(1) * not_negative(length, "length") ** 2,
+        _covariance(youngs_modulus, "youngs_modulus", 1) + relative,
+        _covariance(length, "length", 1),
         _covariance(clamp_position, "clamp_position"),
         _covariance(clamp_rotation, "clamp_rotation"),
     )
-    own, none = reactions.pose_covariance(found.point), np.zeros((3, 3))
-    floor = none if own is None else own
+    floor = pose_errors(reactions, found.point, found.force_direction).point
     robot = floor if pose is None else _covariance(pose, "pose")
-    turning = np.eye(3) * not_negative(pose_rotation, "pose_rotation") ** 2
+    turning = _covariance(pose_rotation, "pose_rotation")
     turned = turned_covariance(turning, found.point - reactions.trail.position)
-    model, nothing = none, np.where(found.in_contact[..., None, None], 0.0, np.nan)
+    nothing = np.where(found.in_contact[..., None, None], 0.0, np.nan)
     by_cause = {"pose": nothing + robot + turned}
+    wrench = found.covariance_noise - floor
     if found.smoothing is not None:
         model = np.eye(3) * (found.smoothing[0].model_error * rod.length) ** 2
         by_cause["model"] = nothing + model
-    by_cause["wrench"] = found.covariance_noise - floor - model
+        wrench = wrench - model
+    by_cause["wrench"] = wrench
     for (name, part), spread in zip(sensitivity.items(), spreads, strict=True):
         by_cause[name] = nothing + part @ spread @ np.swapaxes(part, -1, -2)
     return ContactErrors(by_cause, tuple(sensitivity), sensitivity)
 
 
-def _covariance(value: ArrayLike, name: str) -> Float[np.ndarray, "3 3"]:
+def _covariance(value: ArrayLike, name: str, size: int = 3) -> Float[np.ndarray, "k k"]:
     """From one standard deviation, or a covariance."""
     array = finite_array(value, name)
     if array.ndim == 0:
-        return np.eye(3) * not_negative(float(array), name) ** 2
+        return np.eye(size) * not_negative(float(array), name) ** 2
     if (
-        array.shape != (3, 3)
+        array.shape != (size, size)
         or not np.allclose(array, array.T)
         or np.linalg.eigvalsh(array)[0] < -1e-12 * np.abs(array).max()
     ):
         raise ValueError(
             f"{name} = {array.tolist()}; allowed is a number of at least 0, or a symmetric "
-            "positive semidefinite (3, 3)"
+            f"positive semidefinite {(size, size)}"
         )
     return array

@@ -13,13 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.inverse.arrays import Flag, Scalar, Wrench
 from vibrissa.inverse.kernels import Errors, Found, Sample, Setting
 from vibrissa.inverse.shared import samples_of, setting_of
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, bent
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, bent, chosen
 from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.linear import cholesky, solve_lower
 from vibrissa.numerics.rotation import rotation_matrix
@@ -57,30 +58,27 @@ class Branch(NamedTuple):
     """A solution under one law of contact."""
 
     x: Float[Array, "5"]
-    residual: Float[Array, ""]
+    residual: Scalar
     """Norm of the equations that are left, in model units, or in standard deviations."""
-    independence: Float[Array, ""]
+    independence: Scalar
     """Least singular value of the equations' derivative over the largest: 0 where the channels
     leave a direction open.
     """
-    bad: Bool[Array, ""]
+    bad: Flag
     found: Found
     """As if unique and in contact; without χ² of the loads and errors where the noise is not known.
     """
 
 
-def checked_channels(channels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names in the order of the reactions; raise ValueError unless they are known,
-    different, and at least three.
-    """
-    given = tuple(channels)
-    unknown = [name for name in given if name not in CHANNELS]
-    if isinstance(channels, str) or unknown or len(set(given)) != len(given) or len(given) < 3:
+def _selected(channels: Sequence[str]) -> Bool[np.ndarray, "6"]:
+    """Which are named; raise ValueError unless they are known, different, and at least three."""
+    selected = np.isin(CHANNELS, channels)
+    if isinstance(channels, str) or not 3 <= len(channels) == selected.sum():
         raise ValueError(
             f"channels = {channels!r}; allowed are at least 3 different ones of "
             f"{', '.join(CHANNELS)}, forces and moments in clamp axes"
         )
-    return tuple(name for name in CHANNELS if name in given)
+    return selected
 
 
 def found_by_channels(
@@ -99,7 +97,7 @@ def found_by_channels(
     With friction the incidence of a tangential contact is not known, and the channels have to do
     without a law.
     """
-    selected = np.isin(CHANNELS, checked_channels(channels))
+    selected = _selected(channels)
     known, rough = reactions.covariance is not None, bool(friction)
     tolerance, slack = (_DEVIATIONS, _KNOWN_SLACK) if known else (_FITS, _SLACK)
     setting, samples = setting_of(rod, reactions), samples_of(rod, reactions)
@@ -125,14 +123,9 @@ def found_by_channels(
         Status.NOT_UNIQUE: tip_fits | other_fits | open_ended,
     }
     status = np.select([*findings.values()], [*findings], Status.NO_CURVATURE_ZERO)
-    good = touching & (status == Status.OK)
-
-    def kept(first: Shaped[np.ndarray, "n *k"], second: Shaped[np.ndarray, "n *k"]) -> np.ndarray:
-        own, contact = (rows.reshape(-1, *[1] * (first.ndim - 1)) for rows in (use_other, good))
-        return np.where(contact, np.where(own, second, first), np.nan)
-
-    found: Found = jax.tree.map(kept, tip.found, other.found)
-    at_tip = use_tip | (np.where(use_other[:, None], other.x, tip.x)[:, ARC_LENGTH] > 1 - slack)
+    good, best = touching & (status == Status.OK), chosen(use_other, other, tip)
+    found: Found = chosen(good, best.found, np.nan)
+    at_tip = use_tip | (best.x[:, ARC_LENGTH] > 1 - slack)
     kind = np.where(at_tip, ContactKind.TIP, ContactKind.TANGENTIAL)
     return found._replace(
         kind=np.where(good, kind, ContactKind.NONE).astype(np.int8),
@@ -218,7 +211,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     return Branch(x, jnp.sqrt(jnp.sum(left**2)), values[-1] / values[0], bad, found)
 
 
-def _start(measured: Float[Array, "6"], selected: Bool[Array, "6"]) -> Float[Array, "5"]:
+def _start(measured: Wrench, selected: Bool[Array, "6"]) -> Float[Array, "5"]:
     """A tip contact near the channels that are seen: F_⊥ = t0 × m0 / L, and −F_z = ‖m0‖²/2."""
     fx, fy, fz, mx, my, _ = measured
     mx, my = jnp.where(selected[3], mx, -fy), jnp.where(selected[4], my, fx)

@@ -85,7 +85,8 @@ def reconstruction_dataset(found: "Reconstruction") -> "xarray.Dataset":
     variables = {}
     for name, field, axes, quantity, text in _VARIABLES:
         values = attrgetter(field)(found)
-        if values is not None and (names or "shared" not in name):
+        # Nothing is shared without tolerances.
+        if values is not None and values.size:
             unit = units.get(quantity, quantity)
             variables[name] = Variable(values, tuple(axes.split()), unit, text)
     result = dataset_of(found.kind.shape, variables, found.kind, found.status)

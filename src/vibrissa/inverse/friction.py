@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 import scipy
-from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import correlate1d, maximum_filter1d, minimum_filter1d
 
 from vibrissa.contacts import Status
-from vibrissa.inverse.result import Reconstruction, Vectors
+from vibrissa.inverse.arrays import Vectors
+from vibrissa.inverse.result import Reconstruction
 from vibrissa.mechanics.elastica import contact_tangent
 
 _LEAST_WINDOW = 5
@@ -85,29 +86,28 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
             f"window = {window!r}; allowed is an odd number of at least {_LEAST_WINDOW}"
         )
     usable = np.atleast_2d(found.in_contact & (found.status == Status.OK))
-    several = (len(usable), usable.shape[1], -1)
-    tangent, point, direction = (
+    several = (*usable.shape, -1)
+    tangent, point, direction, arc_length = (
         part.reshape(several)
-        for part in (contact_tangents(found), found.point, found.force_direction)
+        for part in (contact_tangents(found), found.point, found.force_direction, found.arc_length)
     )
     # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
-    # it.
-    kind, half = np.where(usable, found.kind, 0), window // 2
-    whole = np.zeros_like(usable)
-    if usable.shape[1] >= window:
-        seen = sliding_window_view(kind, window, axis=1)
-        whole[:, half : usable.shape[1] - half] = (seen[..., 0] > 0) & (np.ptp(seen, axis=2) == 0)
+    # it, nor reach beyond the sweep.
+    kind = np.where(usable, found.kind, 0)
+    least, most = (
+        extreme(kind, window, axis=1, mode="constant", cval=-1)
+        for extreme in (minimum_filter1d, maximum_filter1d)
+    )
+    whole = (least > 0) & (least == most)
     if not whole.any():
         raise ValueError(
             f"window = {window}: no contact lasts that many samples; allowed is a smaller window "
             "or a denser recording"
         )
-    way = np.concatenate([point, found.arc_length.reshape(several)], axis=2)
-    rates = np.full_like(way, np.nan)
+    way = np.concatenate([point, arc_length], axis=2)
     # Of a parabola by least squares, at the middle.
-    steps = np.arange(-half, half + 1.0)
-    slopes = sliding_window_view(way, window, axis=1) @ (steps / (steps @ steps))
-    rates[:, half : way.shape[1] - half] = slopes
+    steps = np.arange(window) - window // 2
+    rates = correlate1d(way, steps / (steps @ steps), axis=1)
     motion = np.where(whole[..., None], rates[..., :3] - tangent * rates[..., 3:], np.nan)
     speed = np.linalg.norm(motion, axis=-1)
     slides = whole & (speed > _AT_REST * np.median(speed[whole]))
@@ -154,4 +154,4 @@ def _window(found: Reconstruction) -> int:
     step = float(np.median(np.minimum(moved, clamp)[contact[..., 1:] & np.isfinite(moved)]))
     # The slope of a straight line through n equally noisy samples: σ √(12/n³) a sample.
     count = (12 * (_MOTION_TO_NOISE * noise / max(step, 1e-300)) ** 2) ** (1 / 3)
-    return int(min(_LARGEST_WINDOW, max(_LEAST_WINDOW, 2 * (int(count) // 2) + 1)))
+    return int(np.clip(2 * (int(count) // 2) + 1, _LEAST_WINDOW, _LARGEST_WINDOW))

@@ -5,21 +5,23 @@ Slow, and independent of the closed form in `mechanics`: it exists so that tests
 against each other.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy
 from jaxtyping import Float
 
+from vibrissa.inverse.arrays import Scalars, Vector, Vectors
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
 _LONGEST = 3.0
+State = Float[np.ndarray, "9"]
 
 
 def reconstruct_by_integration(
     rod: Rod, reactions: Reactions, *, tolerance: float = 1e-12
-) -> tuple[
-    Float[np.ndarray, "*trail n 3"], Float[np.ndarray, "*trail n 3"], Float[np.ndarray, "*trail n"]
-]:
+) -> tuple[Vectors, Vectors, Scalars]:
     """Contact point (…, 3), direction of the contact force (…, 3) and arc length (…) by integrating
     the paper's eqs. (10) and (16).
 
@@ -46,38 +48,28 @@ def reconstruct_by_integration(
     for index in np.ndindex(*trail.shape):
         f0, m0 = force[index], moment[index]
         if np.all(np.isfinite([f0, m0])) and np.any(f0):
-            reach, s1 = _integrated(f0, m0, trail.axis[index], tolerance)
-            point = trail.position[index] + rod.length * reach
-            found[index] = *point, *(-f0 / np.linalg.norm(f0)), rod.length * s1
+            path = _integrated(f0, m0, trail.axis[index], tolerance)
+            for end, s1 in zip(path.y_events[0], path.t_events[0], strict=True):
+                point = trail.position[index] + rod.length * end[:3]
+                found[index] = *point, *(-f0 / np.linalg.norm(f0)), rod.length * s1
     return found[..., :3], found[..., 3:6], found[..., 6]
 
 
-def _integrated(
-    f0: Float[np.ndarray, "3"],
-    m0: Float[np.ndarray, "3"],
-    t0: Float[np.ndarray, "3"],
-    tolerance: float,
-) -> tuple[Float[np.ndarray, "3"], float]:
-    """Reach r [L] and s₁ [L], by r' = t, t' = m × t, m' = t × f0 with m = −m0 at the clamp."""
+def _integrated(f0: Vector, m0: Vector, t0: Vector, tolerance: float) -> Any:
+    """Of r' = t, t' = m × t, m' = t × f0 with m = −m0 at the clamp, in model units: SciPy's
+    solution, which ends where the rod straightens.
+    """
     bend = (m0 @ t0) * t0 - m0
 
-    def rod(_: float, y: Float[np.ndarray, "9"]) -> Float[np.ndarray, "9"]:
-        tangent, moment = y[3:6], y[6:]
+    def rod(_: float, y: State) -> State:
+        tangent, moment = y.reshape(3, 3)[1:]
         return np.concatenate([tangent, np.cross(moment, tangent), np.cross(tangent, f0)])
 
-    def straightens(_: float, y: Float[np.ndarray, "9"]) -> float:
+    def straightens(_: float, y: State) -> float:
         return float(y[6:] @ bend)
 
     straightens.terminal, straightens.direction = True, -1  # type: ignore[attr-defined]
-    path = scipy.integrate.solve_ivp(
-        rod,
-        (0, _LONGEST),
-        np.concatenate([np.zeros(3), t0, bend]),
-        method="DOP853",
-        events=straightens,
-        rtol=tolerance,
-        atol=tolerance,
+    start, options = np.concatenate([np.zeros(3), t0, bend]), {"rtol": tolerance, "atol": tolerance}
+    return scipy.integrate.solve_ivp(
+        rod, (0, _LONGEST), start, "DOP853", events=straightens, **options
     )
-    if not path.t_events[0].size:
-        return np.full(3, np.nan), np.nan
-    return path.y_events[0][0][:3], float(path.t_events[0][0])

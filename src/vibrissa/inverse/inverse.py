@@ -6,24 +6,21 @@ wrench's central axis, and only I₁, how far along it, needs the rod. Everythin
 """
 
 import jax.numpy as jnp
-from jax import Array
-from jaxtyping import Float
 
+from vibrissa.inverse.arrays import Scalar, Spread, Wrench
 from vibrissa.mechanics.elastica import Elastica
-
-Scalar = Float[Array, ""]
 
 invert = Elastica().contact
 """The contact that explains support reactions, by the rod's model."""
 
 
 def towards(
-    start: Float[Array, "6"],
-    at: Float[Array, "6"],
+    start: Wrench,
+    at: Wrench,
     value: Scalar,
-    slope: Float[Array, "6"],
-    covariance: Float[Array, "6 6"],
-) -> tuple[Float[Array, "6"], Scalar]:
+    slope: Wrench,
+    covariance: Spread,
+) -> tuple[Wrench, Scalar]:
     """A Gauss–Newton step to the most probable wrench that fulfils a condition: the least change of
     the measured one, `start`, in the metric of its covariance, with the condition's value and slope
     at a wrench; and the size of the change in standard deviations.
@@ -34,14 +31,12 @@ def towards(
     return start - spread * missing / variance, missing / jnp.sqrt(variance)
 
 
-def single_contact(
-    wrench: Float[Array, "6"], covariance: Float[Array, "6 6"]
-) -> tuple[Float[Array, "6"], Scalar]:
+def single_contact(wrench: Wrench, covariance: Spread) -> tuple[Wrench, Scalar]:
     """Most probable wrench of a single contact, and by how many standard deviations the measured
     one violates its condition m0·f0 = 0 (mechanics.md, "Statics alone"); two steps.
     """
 
-    def step(at: Float[Array, "6"]) -> tuple[Float[Array, "6"], Scalar]:
+    def step(at: Wrench) -> tuple[Wrench, Scalar]:
         return towards(wrench, at, jnp.dot(at[:3], at[3:]), jnp.roll(at, 3), covariance)
 
     once, deviation = step(wrench)

@@ -14,9 +14,10 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.inverse.arrays import Flag, Scalar, Spread, Vector, Wrench
 from vibrissa.inverse.inverse import invert, single_contact, towards
 from vibrissa.inverse.parameters import Rig, changes
-from vibrissa.mechanics.model import Contact, Scalar, Vector
+from vibrissa.mechanics.model import Contact
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
 from vibrissa.numerics.rotation import cross_matrix, rotation_matrix, third_axis
@@ -37,13 +38,6 @@ _FIRST_ORDER = 20.0
 """Standard deviations of the force from which errors to first order hold nine in ten and more
 (measured, `benchmarks/signal_strength.py`): below, second moments are taken."""
 _TINY = 1e-300
-
-
-Flag = Bool[Array, ""]
-Wrench = Float[AnyArray, "6"]
-"""Force and moment, or a derivative by these."""
-Spread = Float[AnyArray, "6 6"]
-"""Covariance of a wrench."""
 
 
 class Setting(NamedTuple):

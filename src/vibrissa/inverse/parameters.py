@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.arrays import Frame, Scalar, Vector, Wrench, Wrenches
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.rotation import cross_matrix
 from vibrissa.reactions import Reactions
@@ -27,16 +27,17 @@ from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
 COUNT = len(PARAMETERS)
+_NO_ERRORS = SetupErrors(np.zeros((COUNT, COUNT)), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
 
 
 class Rig(NamedTuple):
     """How the sensor sits to the clamp: clamp axes, model units."""
 
-    turn: Float[AnyArray, "3 3"]
+    turn: Frame
     """From sensor to clamp axes."""
-    arm: Float[AnyArray, "3"]
+    arm: Vector
     """From the torque's reference point to the clamp."""
-    in_world_axes: Float[AnyArray, ""]
+    in_world_axes: Scalar
     """1 where the wrench was logged in world axes."""
 
 
@@ -56,10 +57,10 @@ class Changes(NamedTuple):
 
 def changes(
     rig: Rig | None,
-    wrench: Float[Array, "6"],
-    reach: Float[Array, "3"],
-    direction: Float[Array, "3"],
-    velocity: Float[Array, "6"],
+    wrench: Wrench,
+    reach: Vector,
+    direction: Vector,
+    velocity: Wrench,
 ) -> Changes:
     """Of one sample, clamp axes and model units; `velocity` of the clamp point and of its rotation,
     a second.
@@ -103,17 +104,15 @@ class Known(NamedTuple):
 @lru_cache(maxsize=64)
 def prepared(rod: Rod, errors: SetupErrors | None) -> Known:
     """Errors of a setup, for this rod; without any the sensor's axes are those of the clamp."""
-    if errors is None:
-        rig = Rig(np.eye(3), np.zeros(3), np.zeros(()))
-        return Known(rig, np.zeros((COUNT, 0)), np.zeros((COUNT, COUNT)))
-    turn = rotation_matrices(errors.clamp_orientation).T
-    rig = Rig(turn, turn @ errors.arm / rod.length, np.array(float(errors.in_world_axes)))
+    given = errors or _NO_ERRORS
+    turn = rotation_matrices(given.clamp_orientation).T
+    rig = Rig(turn, turn @ given.arm / rod.length, np.array(float(given.in_world_axes)))
     lengths = [name.startswith(("length", "clamp_position")) for name in PARAMETERS]
-    factor = errors.factor / np.where(lengths, rod.length, 1.0)[:, None]
+    factor = given.factor / np.where(lengths, rod.length, 1.0)[:, None]
     return Known(rig, factor, factor @ factor.T)
 
 
-def velocities_of(rod: Rod, reactions: Reactions) -> Float[np.ndarray, "*trail n 6"]:
+def velocities_of(rod: Rod, reactions: Reactions) -> Wrenches:
     """Of the clamp, clamp axes, rod lengths and radians a second."""
     parts = reactions.clamp_velocity().reshape(*reactions.trail.shape, 2, 3)
     turn = rotation_matrices(reactions.trail.orientation)

@@ -22,7 +22,7 @@ from vibrissa.inverse.kernels import (
 )
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.ringing import without_ringing
-from vibrissa.inverse.shared import samples_of, setting_of, with_pose_errors
+from vibrissa.inverse.shared import pose_errors, samples_of, setting_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
@@ -142,24 +142,20 @@ def _reconstruction(
 ) -> Reconstruction:
     shape = reactions.trail.shape
     rows: Any = jax.tree.map(lambda part: part.reshape(*shape, *part.shape[1:]), found)
-    noise, setup = rows.noise, rows.setup
-    whole: Any
     given = rows._asdict()
-    for name in ("noise", "setup", "weak"):
-        del given[name]
-    if noise is None:
-        whole = noise = Errors(None, None)
-    else:
-        whole = noise = with_pose_errors(noise, reactions, rows.point, rows.force_direction)
-        if setup is not None:
-            whole = jax.tree.map(np.add, noise, setup)
+    noise, setup, _ = (given.pop(name) for name in ("noise", "setup", "weak"))
+    own: Any = Errors(None, None)
+    if noise is not None:
+        by_pose = pose_errors(reactions, rows.point, rows.force_direction)
+        own = jax.tree.map(np.add, noise, by_pose)
+    whole = own if setup is None else jax.tree.map(np.add, own, setup)
     return Reconstruction(
         rod,
         reactions,
         **given,
         covariance=whole.point,
         normal_covariance=whole.direction,
-        covariance_noise=noise.point,
-        normal_covariance_noise=noise.direction,
+        covariance_noise=own.point,
+        normal_covariance_noise=own.direction,
         friction=friction,
     )

@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrissa.contacts import ContactKind, Contacts, Status
+from vibrissa.inverse.arrays import Codes, Covariances, Flags, Scalars, Vectors
 from vibrissa.inverse.checks.findings import SetupCheck
 from vibrissa.mechanics.elastic_line import force_of, sampled_line
 from vibrissa.reactions import Reactions
@@ -19,13 +20,6 @@ if TYPE_CHECKING:
 
     from vibrissa.inverse.friction import FrictionEstimate
     from vibrissa.inverse.smoothing.result import Smoothing
-
-
-Codes = Int[np.ndarray, "*trail n"]
-Scalars = Float[np.ndarray, "*trail n"]
-Vectors = Float[np.ndarray, "*trail n 3"]
-Covariances = Float[np.ndarray, "*trail n 3 3"]
-Flags = Bool[np.ndarray, "*trail n"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,11 +102,6 @@ class Reconstruction:
     setup_check: SetupCheck | None = None
     estimated_normal: Vectors | None = None
 
-    def __post_init__(self) -> None:
-        for name in ("covariance", "normal_covariance"):
-            if getattr(self, f"{name}_noise") is None:
-                object.__setattr__(self, f"{name}_noise", getattr(self, name))
-
     @property
     def contacts(self) -> Contacts:
         """Where the rod touches, one row a sample (…)."""
@@ -150,6 +139,11 @@ class Reconstruction:
         """Return one trail of several, or some rows of one trail: all fields together."""
         taken = {name: value[rows] for name, value in rows_of(self).items()}
         return replace(self, reactions=self.reactions[rows], **taken)
+
+    @property
+    def trails(self) -> list["Reconstruction"]:
+        """Contacts (n, …) of each trail; of one, these alone."""
+        return [self] if self.kind.ndim == 1 else [self[j] for j in range(len(self.kind))]
 
     def __repr__(self) -> str:
         """Return a few lines: rows, contacts, statuses, noise and warnings."""
@@ -239,12 +233,11 @@ class Reconstruction:
             raise ValueError(
                 f"index = {index}; allowed is (trail, i), as the reactions hold several trails"
             )
-        if self.kind[index] == ContactKind.NONE:
-            return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
+        reach, direction = (self.point[index] - clamp) / length, self.force_direction[index]
         # The force that goes with the point and the arc length, which noise and the limit at the
         # tip may have moved from the measured one.
-        reach, direction = (self.point[index] - clamp) / length, self.force_direction[index]
-        force = force_of(float(self.modulus[index]), reach, direction, axis)
+        touches, incidence = self.kind[index] != ContactKind.NONE, float(self.modulus[index])
+        force = force_of(incidence, reach, direction, axis) if touches else 0.0
         s1 = float(self.arc_length[index]) / length
         return sampled_line(clamp, axis, length, reach, direction, force, s1, count)
 
@@ -259,8 +252,3 @@ def rows_of(found: Reconstruction) -> dict[str, Any]:
     """Fields of a reconstruction that hold one entry a sample."""
     given = {each.name: getattr(found, each.name) for each in fields(found)}
     return {name: value for name, value in given.items() if isinstance(value, np.ndarray)}
-
-
-def trail_of(found: Reconstruction, j: int) -> Reconstruction:
-    """One of several trails (m, n, …): its rows (n, …)."""
-    return found[j]

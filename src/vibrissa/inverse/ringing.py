@@ -11,8 +11,10 @@ from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.inverse.arrays import Flags
 from vibrissa.inverse.result import Reconstruction, rows_of
 from vibrissa.inverse.shared import in_clamp_axes
+from vibrissa.inverse.smoothing.manifold import chosen
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
@@ -38,7 +40,7 @@ _CLEAR = 3.0
 _KEPT = ("chi_square", "single_contact_residual")
 
 
-def ringing(reactions: Reactions) -> Bool[np.ndarray, "n"]:
+def ringing(reactions: Reactions) -> Flags:
     """Rows (n,) of one trail in which the lateral loads oscillate about zero, several times within
     a window of 0.02 to 0.15 s, by more than their noise.
 
@@ -56,7 +58,7 @@ def ringing(reactions: Reactions) -> Bool[np.ndarray, "n"]:
         raise ValueError(f"reactions of shape {shape}: allowed is one trail (n, …), with stamps")
     loads = _whitened(reactions)
     found = np.zeros(len(loads), dtype=bool)
-    step = float(np.median(np.diff(time))) if len(time) > 1 else math.inf
+    step = np.median(np.diff(time)) if len(time) > 1 else math.inf
     for size in {max(_FEWEST, round(seconds / step)) for seconds in _WINDOWS}:
         if size <= len(loads):
             found |= _oscillating(loads, size)
@@ -70,11 +72,12 @@ def without_ringing(found: Reconstruction) -> Reconstruction:
     rows = found.in_contact & ringing(found.reactions)
     if not rows.any():
         return found
-    changed: dict[str, Any] = {
-        name: np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), np.nan, value)
+    floats: dict[str, Any] = {
+        name: value
         for name, value in rows_of(found).items()
         if value.dtype.kind == "f" and name not in _KEPT
     }
+    changed = chosen(~rows, floats, np.nan)
     for name, code in (("kind", ContactKind.NONE), ("status", Status.RINGING)):
         changed[name] = np.where(rows, np.int8(code), getattr(found, name))
     return replace(found, **changed)
@@ -92,43 +95,33 @@ def _whitened(reactions: Reactions) -> Float[np.ndarray, "n 4"]:
     return loads / np.repeat(np.where(scales > 0, scales, 1.0), 2)
 
 
-def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Bool[np.ndarray, "n"]:
+def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Flags:
     """Rows within windows of `size` samples that hold an oscillation."""
     mean, square = _window_means(loads, size), _window_means(loads**2, size)
-    spread = square - mean**2
-    swing = np.maximum(spread.sum(axis=1) - len(_LATERAL) * (1 - 1 / size), 0.0)
-    loud = size * spread.sum(axis=1) > chdtri(len(_LATERAL) * (size - 1), _FALSE_ALARM)
-    changes = _sign_changes(loads)
-    often = np.rint(size * _window_means(changes.astype(float), size))
-    strongest = np.argmax(spread, axis=1)
-    crossings = np.take_along_axis(often, strongest[:, None], axis=1)[:, 0]
+    spread, changes = square - mean**2, _sign_changes(loads)
+    total, strongest = spread.sum(axis=1), np.argmax(spread, axis=1)
+    swing = np.maximum(total - len(_LATERAL) * (1 - 1 / size), 0.0)
+    loud = size * total > chdtri(len(_LATERAL) * (size - 1), _FALSE_ALARM)
     # Noise of the mean: its square is below 18 / size in all but one of a thousand windows.
     slow = (mean**2).sum(axis=1) > _SLOW * swing + 18 / size
     rows = np.zeros(len(loads), dtype=bool)
-    for first in np.flatnonzero(loud & ~slow & (crossings >= _SIGN_CHANGES)):
-        begin = _first_swing(changes[first : first + size, strongest[first]], int(crossings[first]))
-        rows[first + begin : first + size] = True
+    for first in np.flatnonzero(loud & ~slow):
+        turns = np.flatnonzero(changes[first : first + size, strongest[first]])
+        if len(turns) >= _SIGN_CHANGES:
+            # What lies more than a quarter of a period before the first change of sign may still be
+            # the contact.
+            quarter = math.ceil((turns[-1] - turns[0]) / (len(turns) - 1) / 2)
+            rows[first + max(0, turns[0] - quarter) : first + size] = True
     return rows
-
-
-def _first_swing(changes: Bool[np.ndarray, "size"], crossings: int) -> int:
-    """A quarter of a period before the first change of sign in a window: what lies before may still
-    be the contact.
-    """
-    first, *_, last = np.flatnonzero(changes)
-    return max(0, int(first) - math.ceil((last - first) / (crossings - 1) / 2))
 
 
 def _sign_changes(loads: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n 4"]:
     """Samples beyond their noise whose sign is another than that of the last such sample."""
     clear = np.abs(loads) > _CLEAR
-    rows = np.where(clear, np.arange(len(loads))[:, None], 0)
-    before = np.maximum.accumulate(rows, axis=0)[:-1]
-    changes = np.zeros_like(clear)
-    # Without an earlier one, the first row stands in: it is not beyond its noise, or the last.
-    earlier = np.take_along_axis(np.where(clear, loads, 0.0), before, axis=0)
-    changes[1:] = clear[1:] & (earlier * loads[1:] < 0)
-    return changes
+    rows = np.maximum.accumulate(np.where(clear, np.arange(len(loads))[:, None], 0), axis=0)
+    # Before the first such sample, zero.
+    last = np.take_along_axis(np.where(clear, loads, 0.0), rows, axis=0)
+    return np.pad(last[1:] * last[:-1] < 0, ((1, 0), (0, 0)))
 
 
 def _window_means(values: Float[np.ndarray, "n k"], size: int) -> Float[np.ndarray, "windows k"]:

@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.arrays import Spread, Vectors, Wrenches
 from vibrissa.inverse.kernels import Errors, Sample, Setting, sensitivities_of
 from vibrissa.inverse.parameters import prepared, velocities_of
-from vibrissa.inverse.result import Reconstruction, Vectors
+from vibrissa.inverse.result import Reconstruction
 from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.rod import Rod
 
@@ -42,7 +43,7 @@ def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sampl
 
 def in_clamp_axes(
     reactions: Reactions, rod: Rod
-) -> tuple[Float[np.ndarray, "n 6"], Float[np.ndarray, "n 6 6"] | None]:
+) -> tuple[Wrenches, Float[np.ndarray, "n 6 6"] | None]:
     """Wrenches of one trail in clamp axes and model units, and their covariances if known."""
     turn = rotation_matrices(reactions.trail.orientation)
     wrench = np.stack([reactions.force, reactions.moment], axis=1) @ turn
@@ -53,25 +54,21 @@ def in_clamp_axes(
     return scaled, np.swapaxes(both, 1, 2) @ (reactions.covariance / _squares(rod)) @ both
 
 
-def _squares(rod: Rod) -> Float[np.ndarray, "6 6"]:
+def _squares(rod: Rod) -> Spread:
     """Units of a wrench's covariance."""
     units = np.repeat([rod.force_scale, rod.moment_scale], 3)
     return np.outer(units, units)
 
 
-def with_pose_errors(
-    errors: Errors,
-    reactions: Reactions,
-    point: Vectors,
-    direction: Vectors,
-) -> Errors:
-    """Covariances of points and directions seen from the clamp, with those of the robot's pose."""
-    by_pose, turned = reactions.pose_covariance(point), reactions.rotation_covariance
+def pose_errors(reactions: Reactions, point: Vectors, direction: Vectors) -> Errors:
+    """What errors of the robot's pose add to the covariances of points and directions that are
+    known from the clamp.
+    """
+    by_pose, turning = reactions.pose_covariance(point), reactions.rotation_covariance
+    none = np.zeros((3, 3))
     return Errors(
-        errors.point if by_pose is None else errors.point + by_pose,
-        errors.direction
-        if turned is None
-        else errors.direction + turned_covariance(turned, direction),
+        none if by_pose is None else by_pose,
+        none if turning is None else turned_covariance(turning, direction),
     )
 
 
@@ -94,10 +91,9 @@ def shared_of(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 p"]:
     """What the sweep shares, points in units of the rod's length; without columns where no
     tolerances are stated, or no noise.
     """
-    factor = prepared(found.rod, found.reactions.setup_errors).factor
-    if found.covariance is None or not factor.shape[1]:
+    if not found.shared_names:
         return np.zeros((*found.kind.shape, 6, 0))
-    return sensitivities(found) @ factor
+    return sensitivities(found) @ prepared(found.rod, found.reactions.setup_errors).factor
 
 
 def with_shared(found: Reconstruction) -> Reconstruction:

@@ -9,22 +9,26 @@ apart.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from scipy.ndimage import median_filter
 from scipy.special import chdtri
 
 from vibrissa.geometry.rotation import rotation_vectors
+from vibrissa.inverse.arrays import Codes, Flags, Scalars
+from vibrissa.inverse.checks.findings import length_text
 from vibrissa.inverse.kernels import Sample, exact_contacts
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import setting_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
+from vibrissa.trail import Trail
 
 _FALSE_ALARM = 1e-9
 """Of a row that is loaded: less than one in any recording."""
@@ -88,8 +92,6 @@ class ClampWork:
 
     Attributes
     ----------
-    row
-        Middle rows.
     work, energy
         [J]; the work is zero where the contact begins.
     ratio, ratio_deviation
@@ -108,9 +110,8 @@ class ClampWork:
         as these are said to be known.
     """
 
-    row: Float[np.ndarray, "k"]
-    work: Float[np.ndarray, "k"]
-    energy: Float[np.ndarray, "k"]
+    work: Scalars
+    energy: Scalars
     ratio: float
     ratio_deviation: float
     gained: float
@@ -138,16 +139,38 @@ class ClampWork:
         return float(np.sqrt(np.mean((self.work - self.energy) ** 2)) / self.energy.max())
 
 
-class _Load(NamedTuple):
-    """Reactions of the rows that hold numbers, and the stretches of them under load."""
+@dataclass(frozen=True, eq=False)
+class _Load:
+    """Rows that hold numbers, and the stretches of them under load."""
 
-    rows: Int[np.ndarray, "m"]
+    rows: Codes
     reactions: Reactions
-    loaded: Bool[np.ndarray, "m"]
+    loaded: Flags
     spans: list[tuple[int, int]]
     """[start, stop) of contacts that begin and last long enough, parted where the rod is free for
     some rows on end.
     """
+
+    @cached_property
+    def moved(self) -> Float[np.ndarray, "2 steps 3"]:
+        """Way and turn of the clamp from each row to the next."""
+        return _moved(self.reactions.trail[:-1], self.reactions.trail[1:])
+
+    @cached_property
+    def work(self) -> Scalars:
+        """Of the clamp since the row before."""
+        wrench = np.stack([self.reactions.force, self.reactions.moment])
+        twice = np.sum((wrench[:, 1:] + wrench[:, :-1]) * self.moved, axis=(0, 2))
+        return np.append(0.0, twice / 2)
+
+    def farthest(self, start: int, stop: int) -> Float[np.ndarray, "2"]:
+        """How far the clamp goes from where it is at first, and by how much it turns."""
+        trail = self.reactions.trail[start:stop]
+        return np.linalg.norm(_moved(trail[:1], trail), axis=2).max(axis=1)
+
+    def way(self, rod: Rod, span: tuple[int, int]) -> float:
+        """How far the clamp goes, and the tip by its turning."""
+        return float(self.farthest(*span) @ [1.0, rod.length])
 
 
 def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
@@ -162,25 +185,27 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     if reactions.force.ndim != 2:
         raise ValueError(f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …)")
     load = _load(reactions)
-    if load is None:
-        return []
-    found, before = [], 0
+    found, before = list[ClampWork](), 0
     for start, stop in load.spans:
         # Noise may part a weak contact, and of its rest the earlier work is not known.
         earlier = load.loaded[max(0, start - (stop - start) // _EARLIER) : start]
         begins = start > 0 and np.mean(earlier) < _PARTED
         missing = load.rows[stop - 1] - load.rows[start] + 1 - (stop - start)
         # Where the clamp stands, it is the object that moves, and works.
-        moves = _way(rod, load.reactions, slice(start, stop)) > _LEAST_WAY * rod.length
+        moves = load.way(rod, (start, stop)) > _LEAST_WAY * rod.length
         if begins and missing <= _LARGEST_GAP * (stop - start) and moves:
             found.append(_of_contact(rod, load, before, start, stop))
         before = stop
     return found
 
 
-def work_warnings(found: Reconstruction) -> list[str]:
-    """One line on clamp work that no contact explains, with the likeliest mistake where the ratio
-    is that of a known one; empty for sound sweeps, also with friction.
+def work_warnings(found: Reconstruction) -> tuple[list[str], bool]:
+    """Lines on the clamp's work and way where they contradict the reactions, and whether no contact
+    is to be trusted; empty for sound sweeps, also with friction.
+
+    One on work that no contact explains, with the likeliest mistake where its ratio to the rod's
+    energy is that of a known one. One where the rod is loaded and released while its clamp hardly
+    moves: where it stands the object may move; where it moves a little the poses are misread.
 
     Parameters
     ----------
@@ -188,57 +213,54 @@ def work_warnings(found: Reconstruction) -> list[str]:
         Contacts of a recording. Of reactions without stamps or noise, or of a few rows, nothing is
         said: `clamp_work` gives the figures.
     """
-    wrong = [work for work in clamp_work(found.rod, found.reactions) if work.impossible]
-    if not wrong:
-        return []
-    worst = max(wrong, key=lambda work: work.energy.max())
-    text = (
-        f"the clamp's work is {worst.ratio:.3g} times the rod's bending energy while it is loaded "
-        f"(1 without friction, up to {_MOST_BY_FRICTION:g} with it)"
-    )
-    if worst.gains:
-        share = f"{worst.gained:.0%} of the largest energy come"
-        text += f", and {share if worst.gained < 1 else 'energy comes'} from nowhere"
-    low, high = _NEAR
-    guesses = [words for ratio, words in _KNOWN_RATIOS.items() if low < worst.ratio / ratio < high]
-    return [f"{text}: {[*guesses, _ELSE][0]}"]
-
-
-def still_warnings(found: Reconstruction) -> tuple[list[str], bool]:
-    """One line where the rod is loaded and released while its clamp hardly moves, and whether it
-    moves at all.
-
-    Where it stands the object may move; where it moves a little the poses are misread.
-    """
-    rod, load = found.rod, _load(found.reactions)
-    if found.reactions.covariance is None or load is None:
+    if found.reactions.time is None or found.reactions.covariance is None:
         return [], False
-    contacts = [slice(start, stop) for start, stop in load.spans if start > 0]
-    ways = [_way(rod, load.reactions, rows) for rows in contacts]
-    forces = [np.linalg.norm(load.reactions.force[rows], axis=1).max() for rows in contacts]
+    told = {line: bad for trail in found.trails for line, bad in _told(trail.rod, trail.reactions)}
+    return list(told), any(told.values())
+
+
+def _told(rod: Rod, reactions: Reactions) -> Iterator[tuple[str, bool]]:
+    wrong = [work for work in clamp_work(rod, reactions) if work.impossible]
+    if wrong:
+        worst = max(wrong, key=lambda work: work.energy.max())
+        text = (
+            f"the clamp's work is {worst.ratio:.3g} times the rod's bending energy while it is "
+            f"loaded (1 without friction, up to {_MOST_BY_FRICTION:g} with it)"
+        )
+        if worst.gains:
+            share = f"{worst.gained:.0%} of the largest energy come"
+            text += f", and {share if worst.gained < 1 else 'energy comes'} from nowhere"
+        low, high = _NEAR
+        known = (
+            words for ratio, words in _KNOWN_RATIOS.items() if low < worst.ratio / ratio < high
+        )
+        yield f"{text}: {next(known, _ELSE)}", True
+    load = _load(reactions)
+    contacts = [span for span in load.spans if span[0] > 0]
+    ways = [load.way(rod, span) for span in contacts]
     # By so much a force bends the rod's tip at first; the clamp has to go about as far.
-    bent = np.array(forces) * rod.length / (3 * rod.force_scale)
-    if not ways or np.any(ways > _SHARE_OF_BEND * bent):
-        return [], False
-    variance = found.reactions.position_covariance
-    noise = 0.0 if variance is None else float(np.sqrt(np.trace(variance)))
-    moves = max(ways) > _CLEARLY_MOVES * noise and max(ways) > 0
-    size = f"{1e3 * max(ways):.2g} mm" if rod.units == "SI" else f"{max(ways):.2g} L"
-    causes = (
-        "positions in m, taken for mm?"
-        if moves
-        else "a pose stream that stands still? It is right only if the object moves"
-    )
-    return [
-        f"the clamp moves by no more than {size} while the rod is loaded and released: {causes}"
-    ], moves
+    force = np.linalg.norm(load.reactions.force, axis=1)
+    bends = [force[slice(*span)].max() * rod.length / (3 * rod.force_scale) for span in contacts]
+    if ways and np.all(np.array(ways) <= _SHARE_OF_BEND * np.array(bends)):
+        variance = reactions.position_covariance
+        noise = 0.0 if variance is None else float(np.sqrt(np.trace(variance)))
+        moves = max(ways) > _CLEARLY_MOVES * noise and max(ways) > 0
+        causes = (
+            "positions in m, taken for mm?"
+            if moves
+            else "a pose stream that stands still? It is right only if the object moves"
+        )
+        size = length_text(max(ways), rod)
+        yield (
+            f"the clamp moves by no more than {size} while the rod is loaded and released: {causes}",
+            moves,
+        )
 
 
-def _load(reactions: Reactions) -> _Load | None:
-    """None where no row holds numbers."""
+def _load(reactions: Reactions) -> _Load:
     rows = np.flatnonzero(np.isfinite(reactions.force + reactions.moment).all(axis=1))
     if not rows.size:
-        return None
+        return _Load(rows, reactions, rows > 0, [])
     given = reactions if rows.size == len(reactions.force) else reactions[rows]
     if given.covariance is None:
         size = np.linalg.norm(given.force, axis=1)
@@ -249,68 +271,46 @@ def _load(reactions: Reactions) -> _Load | None:
         loaded = square > chdtri(3, _FALSE_ALARM)
     places = np.flatnonzero(loaded)
     runs = np.split(places, np.flatnonzero(np.diff(places) > _FREE_ROWS) + 1)
-    spans = [(int(run[0]), int(run[-1]) + 1) for run in runs if run.size]
+    spans = [(int(run[0]), int(run[-1]) + 1) for run in runs if len(run)]
     return _Load(rows, given, loaded, [one for one in spans if one[1] - one[0] >= _FEWEST])
 
 
-def _way(rod: Rod, reactions: Reactions, rows: slice) -> float:
-    """How far the clamp goes, and the tip by its turning."""
-    far, turned = _farthest(reactions, rows)
-    return far + rod.length * turned
-
-
-def _farthest(reactions: Reactions, rows: slice) -> tuple[float, float]:
-    """How far the clamp goes from where it is at first, and by how much it turns."""
-    position, orientation = reactions.trail.position[rows], reactions.trail.orientation[rows]
-    turned = rotation_vectors(np.broadcast_to(orientation[0], orientation.shape), orientation)
-    far, angle = (
-        float(np.linalg.norm(part, axis=1).max()) for part in (position - position[0], turned)
-    )
-    return far, angle
-
-
-def _moved(reactions: Reactions) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-    """Way and turn of the clamp from each row to the next."""
-    position, orientation = reactions.trail.position, reactions.trail.orientation
-    return np.diff(position, axis=0), rotation_vectors(orientation[:-1], orientation[1:])
+def _moved(first: Trail, last: Trail) -> Float[np.ndarray, "2 n 3"]:
+    """Ways and turns from poses to others."""
+    turned = np.broadcast_to(first.orientation, last.orientation.shape)
+    return np.stack([last.position - first.position, rotation_vectors(turned, last.orientation)])
 
 
 def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> ClampWork:
     """Of the rows [start, stop), which are free since the row `before`."""
-    reactions, trail = load.reactions, load.reactions.trail
+    reactions = load.reactions
     size = max(1, (stop - start) // _BLOCKS)
     count = (stop - start) // size
 
-    def blocks(rows: Float[np.ndarray, "m *k"]) -> Float[np.ndarray, "count size *k"]:
-        return rows[: size * count].reshape(count, size, *rows.shape[1:])
+    def means(rows: Float[np.ndarray, "m *k"]) -> Float[np.ndarray, "count *k"]:
+        return rows[: size * count].reshape(count, size, *rows.shape[1:]).mean(axis=1)
 
-    force, moment = (
-        blocks(part[start:]).mean(axis=1) for part in (reactions.force, reactions.moment)
-    )
     middle = start + np.arange(count) * size + size // 2
-    rows = Sample(force, moment, trail.position[middle], trail.orientation[middle])
+    force, moment = (means(part[start:]) for part in (reactions.force, reactions.moment))
+    trail = reactions.trail[middle]
+    rows = Sample(force, moment, trail.position, trail.orientation)
     energy = np.nan_to_num(exact_contacts(setting_of(rod, reactions), rows).energy)
     # From well before the first row that stands out of the noise: the load began there.
     begin = max(before, start - (stop - start) // _EARLIER)
-    way, turn = _moved(reactions)
-    force, moment = (part[1:] + part[:-1] for part in (reactions.force, reactions.moment))
-    steps = np.append(0.0, 0.5 * np.sum(force * way + moment * turn, axis=1))
-    work = np.cumsum(steps[begin:stop])[start - begin :]
-    mean = blocks(work).mean(axis=1)
+    work = np.cumsum(load.work[begin:stop])[start - begin :]
+    mean = means(work)
     largest = float(energy.max()) or _TINY
-    deviation = _deviation(reactions, slice(begin, stop), start) / largest
+    deviation = _deviation(load, begin, start, stop) / largest
     # Of a smooth course second differences are next to nothing.
     scatter = scipy.stats.median_abs_deviation(np.diff(energy, 2), scale="normal") / math.sqrt(6)
     loading = slice(0, max(2, int(np.argmax(energy >= _LOADING * largest)) + 1))
+    stored = energy[loading]
     # Single blocks in which the inverse goes astray count for nothing.
     lost = median_filter(mean - energy, 3, mode="nearest")
     return ClampWork(
-        row=load.rows[middle].astype(float),
         work=mean,
         energy=energy,
-        ratio=float(
-            mean[loading] @ energy[loading] / max(energy[loading] @ energy[loading], _TINY)
-        ),
+        ratio=float(mean[loading] @ stored / max(stored @ stored, _TINY)),
         ratio_deviation=deviation / _LOADING,
         gained=float(np.max(np.maximum.accumulate(np.maximum(lost, 0.0)) - lost)) / largest,
         remainder=float(work[-1]) / largest if stop < len(load.rows) else math.nan,
@@ -328,15 +328,14 @@ def _by_setup(reactions: Reactions) -> float:
     return float(np.sqrt(variance["bending_stiffness"] + _BY_GAIN**2 * gain))
 
 
-def _deviation(reactions: Reactions, rows: slice, free: int) -> float:
+def _deviation(load: _Load, begin: int, start: int, stop: int) -> float:
     """Of the work [J] by the noise of the samples, and by a tare that is known from the free rows
     before the contact at best to their mean.
     """
-    if reactions.covariance is None:
+    if load.reactions.covariance is None:
         return 0.0
-    first = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))[rows.start]
+    first = np.broadcast_to(load.reactions.covariance, (len(load.rows), 6, 6))[begin]
     variance = np.diag(first).reshape(2, 3).mean(axis=1)
-    moved = slice(rows.start, rows.stop - 1)
-    squares = np.array([np.sum(part[moved] ** 2) for part in _moved(reactions)])
-    by_tare = np.square(_farthest(reactions, rows)) / max(1, free)
+    squares = np.sum(load.moved[:, begin : stop - 1] ** 2, axis=(1, 2))
+    by_tare = load.farthest(begin, stop) ** 2 / max(1, start)
     return float(np.sqrt(variance @ (squares + 4 * by_tare)))

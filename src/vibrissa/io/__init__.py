@@ -1,10 +1,10 @@
 """Files: setups, cases, recordings in; contacts and datasets out."""
 
 from vibrissa.contacts import RecordingWarning
+from vibrissa.files import InputError
 from vibrissa.io.calibration import write_calibration
 from vibrissa.io.case import Case, load_case
 from vibrissa.io.contacts import read_contacts, write_contacts, write_dataset
-from vibrissa.io.errors import InputError
 from vibrissa.io.recordings.align import Recording
 from vibrissa.io.recordings.read import inspect_recording, read_raw, read_recording
 from vibrissa.io.recordings.write import write_recording

@@ -3,7 +3,7 @@ them in a table [calibration].
 """
 
 import os
-from collections.abc import Iterator, MutableMapping, Sequence
+from collections.abc import MutableMapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,15 +13,14 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from vibrissa.files import InputError, readable
+from vibrissa.files import InputError, readable, writable
+from vibrissa.io.calibration_report import summary
 from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table, number
-from vibrissa.io.errors import writable
 from vibrissa.libraries import extra_library
 from vibrissa.tolerances import PARAMETERS
 
 if TYPE_CHECKING:
     from vibrissa.calibration import Calibration
-    from vibrissa.io.setup import Setup
 
 FORMAT = 1
 """Version of the table [calibration]."""
@@ -87,19 +86,18 @@ class CalibrationTable(Table):
                     f"allowed is each once of {', '.join(self.estimates)}"
                 )
         count, recordings = len(self.names), len(self.tare)
-        for key, matrix, shape in (
-            ("correlation", self.correlation, (count, count)),
-            ("tare", self.tare, (recordings, _CHANNELS)),
-            ("drift", self.drift, (recordings, _CHANNELS)),
-            ("inflation", [self.inflation], (1, _CHANNELS)),
+        for key, matrix, rows, columns in (
+            ("correlation", self.correlation, count, count),
+            ("tare", self.tare, recordings, _CHANNELS),
+            ("drift", self.drift, recordings, _CHANNELS),
+            ("inflation", [self.inflation], 1, _CHANNELS),
         ):
-            if len(matrix) != shape[0]:
-                raise ValueError(f"{key} has {len(matrix)} rows; allowed are {shape[0]}")
-            for row in matrix:
-                if len(row) != shape[1]:
-                    raise ValueError(
-                        f"{key} has a row of {len(row)} numbers; allowed are {shape[1]}"
-                    )
+            lengths = [len(row) for row in matrix]
+            if lengths != [columns] * rows:
+                raise ValueError(
+                    f"{key} has {len(matrix)} rows of {sorted({*lengths})} numbers; "
+                    f"allowed are {rows} of {columns}"
+                )
         return self
 
     def covariance(self) -> Float[np.ndarray, "names names"]:
@@ -124,34 +122,28 @@ class CalibrationTable(Table):
         return np.asarray(result + of_names @ self.covariance() @ of_names.T)
 
 
-def toml_library() -> Any:
-    """Import `tomlkit`, which changes numbers in a TOML file and keeps the rest.
+def source_document(path: str | Path) -> Any:
+    """A setup's file by `tomlkit`, which changes numbers in it and keeps the rest.
 
     Raises
     ------
     InputError
-        If it is not installed; the text names the command that does it.
+        If tomlkit is not installed (the text names the command that does it), or the setup of this file
+        cannot hold a calibrated rod.
     """
     try:
-        return extra_library(
+        library = extra_library(
             "tomlkit", extra="calibrate", need="writing a calibrated setup needs it"
         )
     except ImportError as error:
         raise InputError(str(error)) from error
-
-
-def check_source(setup: "Setup", path: str | Path) -> None:
-    """Raise InputError if the setup of this file cannot hold a calibrated rod: before the work is
-    done.
-    """
-    if setup.rod.units != "SI":
-        raise _no_stiffness(path)
-
-
-def _no_stiffness(path: str | Path) -> InputError:
-    return InputError(
-        f"{path}: rod.kind = 'unit' cannot hold a calibrated rod; allowed are cylinder and uniform"
-    )
+    document = library.parse(readable(Path(path)).read_text(encoding="utf-8"))
+    if document["rod"]["kind"] == "unit":
+        raise InputError(
+            f"{path}: rod.kind = 'unit' cannot hold a calibrated rod; "
+            "allowed are cylinder and uniform"
+        )
+    return document
 
 
 def write_calibration(
@@ -184,127 +176,69 @@ def write_calibration(
         If a file cannot be read or written, the setup's rod is one in the model's units, or tomlkit
         is not installed.
     """
-    library = toml_library()
-    source, file = Path(setup), writable(Path(path))
-    document = library.parse(readable(source).read_text(encoding="utf-8"))
-    if document["rod"]["kind"] == "unit":
-        raise _no_stiffness(source)
+    from vibrissa import __version__  # noqa: PLC0415
+
+    document, file = source_document(setup), writable(Path(path))
     _set_numbers(document, calibration)
-    _set_files(document, source.parent.resolve(), file.parent.resolve())
-    date = date or datetime.now(UTC).replace(microsecond=0)
+    folders = Path(setup).parent.resolve(), file.parent.resolve()
+    if folders[0] != folders[1]:
+        _set_files(document, *folders)
+    found = summary(calibration) | {
+        "format": FORMAT,
+        "vibrissa": __version__,
+        "date": date or datetime.now(UTC).replace(microsecond=0),
+        "recordings": [Path(recording).name for recording in recordings],
+        "setup": Path(setup).name,
+    }
+    found["inflation"] = found["variance_inflation"]
+    found["held_out"] = [part["reduced_chi_square"] for part in found["held_out"]]
+    found["not_determined"] = list(found["not_determined"])
+    found["estimates"] = {
+        name: {key: one[key] for key in EstimateTable.model_fields if one[key] is not None}
+        for name, one in found["estimates"].items()
+    }
     document.pop("calibration", None)
-    document.add("calibration", _table(library, calibration, source, recordings, date))
-    file.write_text(library.dumps(document), encoding="utf-8")
+    document["calibration"] = {name: found[name] for name in CalibrationTable.model_fields}
+    for matrix in ("correlation", "tare", "drift"):
+        document["calibration"][matrix].multiline(multiline=True)
+    file.write_text(document.as_string(), encoding="utf-8")
     return file
 
 
 def _set_numbers(document: Any, calibration: "Calibration[Any]") -> None:
     rod, sensor = calibration.setup.rod, calibration.setup.sensor
     if document["rod"]["kind"] == "cylinder":
-        modulus = rod.bending_stiffness / (np.pi / 4 * rod.radius**4)
-        _change(document["rod"], length=rod.length, youngs_modulus=modulus)
+        stiffness = {"youngs_modulus": rod.bending_stiffness / (np.pi / 4 * rod.radius**4)}
     else:
-        _change(document["rod"], length=rod.length, bending_stiffness=rod.bending_stiffness)
-    table = document["sensor"]
-    for name in ("clamp_position", "clamp_orientation"):
-        _change(table, **{name: getattr(sensor, name).tolist()})
-    if "gain" in table or set(sensor.gain) != {1.0}:
-        _change(table, gain=list(sensor.gain))
+        stiffness = {"bending_stiffness": rod.bending_stiffness}
+    _change(document["rod"], length=rod.length, **stiffness)
+    names = ("clamp_position", "clamp_orientation", "gain")
+    _change(document["sensor"], **{name: getattr(sensor, name) for name in names})
     if "object" in document and {"object_position", "object_orientation"} & set(calibration.free):
         table, (turn, move) = document["object"], calibration.pose
         rotation = Rotation.from_matrix(turn)
-        before = Rotation.from_quat(list(table.get("rotation", NO_TURN)))
-        place = np.array(list(table.get("translation", ORIGIN)), dtype=float)
-        _change(
-            table,
-            rotation=(rotation * before).as_quat().tolist(),
-            translation=(rotation.apply(place) + move).tolist(),
-        )
+        before = Rotation.from_quat(table.get("rotation", NO_TURN))
+        place = rotation.apply(table.get("translation", ORIGIN)) + move
+        _change(table, rotation=(rotation * before).as_quat(), translation=place)
+
+
+_LEFT_OUT = {"gain": (1.0,) * _CHANNELS, "rotation": NO_TURN, "translation": ORIGIN}
+"""Numbers of a setup that does not state them."""
 
 
 def _change(table: MutableMapping[str, Any], **values: Any) -> None:
     """Set values, where they differ by more than rounding: what is as it was keeps its digits."""
     for name, value in values.items():
-        old = table.get(name)
-        if old is None or not np.allclose(np.array(old, dtype=float), value, rtol=1e-14, atol=0):
-            table[name] = value
+        old = np.array(table.get(name, _LEFT_OUT.get(name)), dtype=float)
+        if not np.allclose(old, value, rtol=1e-14, atol=0):
+            table[name] = np.asarray(value).tolist()
 
 
-def _set_files(document: Any, old: Path, new: Path) -> None:
+def _set_files(value: Any, old: Path, new: Path) -> None:
     """Meshes and motions are seen from the folder of the TOML file that names them."""
-    if old == new:
-        return
-    named = [(table, "file") for table in _tables(document.get("object"))] + [
-        (document.get("pose", {}), "path")
-    ]
-    for table, key in named:
-        if key in table and not Path(str(table[key])).is_absolute():
-            table[key] = Path(os.path.relpath(old / str(table[key]), new)).as_posix()
-
-
-def _tables(value: Any) -> Iterator[MutableMapping[str, Any]]:
-    if isinstance(value, MutableMapping):
-        yield value
-        for inner in list(value.values()):
-            yield from _tables(inner)
-    elif isinstance(value, list):
-        for inner in value:
-            yield from _tables(inner)
-
-
-def _table(
-    library: Any,
-    calibration: "Calibration[Any]",
-    source: Path,
-    recordings: Sequence[str | Path],
-    date: datetime,
-) -> Any:
-    """The table [calibration]; each row of a matrix has its own line."""
-    from vibrissa import __version__  # noqa: PLC0415
-
-    found, known = calibration.fitness, calibration.identifiability
-    table = library.item(
-        {
-            "format": FORMAT,
-            "vibrissa": __version__,
-            "date": date,
-            "recordings": [Path(recording).name for recording in recordings],
-            "setup": source.name,
-            "free": list(calibration.free),
-            "friction": calibration.friction,
-            "unevenness": _rounded(calibration.unevenness, 4),
-            "rows": int(np.count_nonzero(calibration.residuals.contact)),
-            "reduced_chi_square": found.reduced_chi_square,
-            "whiteness": found.whiteness,
-            "inflation": _rounded(found.inflation, 4),
-            "disturbed": _rounded(found.disturbed, 4),
-            "held_out": _rounded([part.reduced_chi_square for part in calibration.held_out], 4),
-            "warnings": list(calibration.warnings),
-            "not_determined": list(known.held),
-            "names": list(known.names),
-        }
-    )
-    for name, matrix in (
-        ("correlation", np.round(known.correlation, 9).tolist()),
-        ("tare", _rounded(calibration.tare, 5)),
-        ("drift", _rounded(calibration.drift, 5)),
-    ):
-        lines = library.array()
-        for row in matrix:
-            lines.add_line(row)
-        if matrix:
-            lines.add_line(indent="")
-        table.add(name, lines)
-    estimates = {
-        name: {"unit": one.unit, "given": one.given, "value": one.value}
-        | ({"standard_deviation": one.deviation} if one.determined else {})
-        for name, one in calibration.estimates.items()
-    }
-    table.add("estimates", library.item(estimates))
-    return table
-
-
-def _rounded(values: Any, digits: int) -> Any:
-    """Numbers, however nested, to significant digits."""
-    one = np.vectorize(lambda value: float(f"{value:.{digits}g}"), otypes=[float])
-    return one(values).tolist()
+    table = dict(enumerate(value)) if isinstance(value, list) else value
+    for key, part in dict(table if isinstance(table, MutableMapping) else {}).items():
+        if key not in {"file", "path"}:
+            _set_files(part, old, new)
+        elif not Path(part).is_absolute():
+            value[key] = Path(os.path.relpath(old / part, new)).as_posix()

@@ -2,16 +2,17 @@
 
 import json
 import math
-from dataclasses import asdict
+from operator import methodcaller
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
-from vibrissa.io.errors import writable
+from vibrissa.files import writable
 
 if TYPE_CHECKING:
-    from vibrissa.calibration import Calibration, Estimate
+    from vibrissa.calibration import Calibration
 
 _SHOWN = {
     "Pa": (1e-9, "GPa"),
@@ -19,70 +20,51 @@ _SHOWN = {
     "rad": (180 / math.pi, "°"),
     "N m2": (1e6, "N mm²"),
 }
+_OWN = (
+    "unevenness",
+    "held_out",
+    "first_contact",
+    "warnings",
+    "tare",
+    "tare_deviation",
+    "drift",
+    "drift_deviation",
+    "friction",
+    "free",
+)
 
 
 def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
     """Everything but the residuals, as plain numbers and names; None where there is no number."""
     known, found = calibration.identifiability, calibration.fitness
     numbers = {
-        "estimates": {name: _numbers(one) for name, one in calibration.estimates.items()},
+        "estimates": {
+            name: {
+                "unit": one.unit,
+                "given": one.given,
+                "value": one.value,
+                "standard_deviation": one.deviation,
+                "interval_95": one.interval(),
+                "determined": one.determined,
+                "holds_for": one.holds_for,
+            }
+            for name, one in calibration.estimates.items()
+        },
         "not_determined": known.held,
         "hardly_told_apart": known.confused,
         "weakest_direction": dict(zip(known.names, known.directions[0], strict=True)),
         "names": known.names,
         "correlation": known.correlation,
         "deviation_if_others_were_known": dict(zip(known.names, known.alone, strict=True)),
-        "rows": _rows_in_contact(calibration),
+        "rows": np.count_nonzero(calibration.residuals.contact),
         "reduced_chi_square": found.reduced_chi_square,
         "whiteness": found.whiteness,
         "variance_inflation": found.inflation,
         "outliers": found.outliers,
         "disturbed": found.disturbed,
-        "unevenness": calibration.unevenness,
-        "held_out": [asdict(part) for part in calibration.held_out],
+        **{name: getattr(calibration, name) for name in _OWN},
     }
-    own = [
-        "first_contact",
-        "warnings",
-        "tare",
-        "tare_deviation",
-        "drift",
-        "drift_deviation",
-        "friction",
-        "free",
-    ]
-    return cast(
-        dict[str, Any], _plain(numbers | {name: getattr(calibration, name) for name in own})
-    )
-
-
-def _rows_in_contact(calibration: "Calibration[Any]") -> int:
-    return int(np.count_nonzero(calibration.residuals.contact))
-
-
-def _plain(value: Any) -> Any:
-    """Arrays and tuples as lists, numbers of NumPy as Python's."""
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-
-
-def _numbers(estimate: "Estimate") -> dict[str, Any]:
-    low, high, deviation = (
-        value if math.isfinite(value) else None
-        for value in (*estimate.interval(), estimate.deviation)
-    )
-    return {
-        "unit": estimate.unit,
-        "given": estimate.given,
-        "value": estimate.value,
-        "standard_deviation": deviation,
-        "interval_95": [low, high],
-        "determined": estimate.determined,
-        "holds_for": estimate.holds_for,
-    }
+    return to_jsonable_python(numbers, inf_nan_mode="null", fallback=methodcaller("tolist"))
 
 
 def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str]]:
@@ -109,9 +91,9 @@ def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str
 
 def findings(calibration: "Calibration[Any]") -> list[str]:
     """Sentences: how well the model explains the data, and what they cannot tell apart."""
-    found = calibration.fitness
+    found, rows = calibration.fitness, np.count_nonzero(calibration.residuals.contact)
     lines = [
-        f"{_rows_in_contact(calibration)} rows in contact; mean square of the residuals "
+        f"{rows} rows in contact; mean square of the residuals "
         f"{found.reduced_chi_square:.3f} of the noise's; {found.outliers:.1%} of the rows fit "
         "badly and weigh less."
     ]
@@ -150,7 +132,7 @@ def findings(calibration: "Calibration[Any]") -> list[str]:
     return lines + [f"{sentence}." for sentence in calibration.identifiability.text]
 
 
-def write_summary(folder: Path, calibration: "Calibration[Any]") -> list[Path]:
+def write_summary(folder: Path, calibration: "Calibration[Any]") -> None:
     """Write `summary.json` and `summary.md`.
 
     Raises
@@ -158,15 +140,12 @@ def write_summary(folder: Path, calibration: "Calibration[Any]") -> list[Path]:
     InputError
         If the folder cannot be written to.
     """
-    numbers, text = writable(folder / "summary.json"), writable(folder / "summary.md")
-    numbers.write_text(json.dumps(summary(calibration), indent=1) + "\n", encoding="utf-8")
-    heading, *rows = table(calibration)
-    lines = ["# Calibration", "", _row(heading), _row(["---"] * len(heading)), *map(_row, rows), ""]
+    heading, *rows = (f"| {' | '.join(row)} |" for row in table(calibration))
+    lines = ["# Calibration", "", heading, "|---" * 5 + "|", *rows, ""]
     lines += [f"- warning: {sentence}" for sentence in calibration.warnings]
     lines += [f"- {sentence}" for sentence in findings(calibration)]
-    text.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return [numbers, text]
-
-
-def _row(cells: "tuple[str, ...] | list[str]") -> str:
-    return "| " + " | ".join(cells) + " |"
+    for name, text in (
+        ("summary.json", json.dumps(summary(calibration), indent=1)),
+        ("summary.md", "\n".join(lines)),
+    ):
+        writable(folder / name).write_text(text + "\n", encoding="utf-8")

@@ -1,17 +1,79 @@
 """One simulation: rod, object and trails (`case.toml`)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from vibrissa.io.config import Boolean, NotNegative, RodTable, Table, load
+from vibrissa.io.config import (
+    Boolean,
+    Finite,
+    NotNegative,
+    Quaternion,
+    RodTable,
+    Table,
+    Vector,
+    load,
+    number,
+    one_of,
+    table_of,
+)
 from vibrissa.io.objects import ObjectTable
-from vibrissa.io.trails import TrailTable
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
+
+Count = Annotated[int, number("a whole number of at least 1", ge=1)]
+
+
+class MotionTable(Table):
+    """Where the clamp goes; one orientation in a list holds for all positions."""
+
+    def arguments(self, folder: Path) -> dict[str, Any]:
+        """Keys of the table, a single orientation out of its list."""
+        given = super().arguments(folder)
+        for name in given.keys() & {"orientation", "orientations"}:
+            given[name] = given[name][0] if len(given[name]) == 1 else given[name]
+        return given
+
+
+def _several(of: Any, least: int, description: str) -> Any:
+    return Annotated[tuple[of, ...], Field(min_length=least, description=description)]
+
+
+_TURNS = _several(Quaternion, 1, "a list of one quaternion x, y, z, w, or one for each position")
+_TYPES = {
+    **dict.fromkeys(("start", "stop", "axis", "step", "center", "rod_axis", "pivot"), Vector),
+    **dict.fromkeys(("count", "trails"), Count),
+    **dict.fromkeys(("angle", "start_angle", "stop_angle"), Finite),
+    "position": Vector,
+    "orientation": Quaternion,
+    "orientations": _TURNS,
+    "turning": Boolean,
+    "points": _several(Vector, 2, "a list of at least two way-points of three finite numbers"),
+    "path": Annotated[
+        Path, Field(description="the path of a CSV file, seen from the case's folder")
+    ],
+}
+_POSES = {
+    "position": _several(Vector, 1, "a list of at least one position of three finite numbers"),
+    "orientation": _TURNS,
+}
+_KINDS: dict[str, Callable[..., Any]] = {
+    "line": Trail.line,
+    "raster": Trail.raster,
+    "poses": Trail,
+    "arc": Trail.arc,
+    "whisk": Trail.whisk,
+    "spline": Trail.spline,
+    "csv": Trail.from_csv,
+}
+TrailTable = one_of(
+    table_of(noun, _TYPES | (_POSES if kind == "poses" else {}), kind, MotionTable)
+    for kind, noun in _KINDS.items()
+)
 
 MOST_POSITIONS = 10_000_000  # what `scan` can hold in some GB of memory
 
@@ -65,13 +127,8 @@ class CaseFile(Table):
         """Return the case; several trails become one of several sweeps."""
         given = self.arguments(folder)
         first, *others = given["trail"]
-        return Case(
-            given["rod"],
-            given["object"],
-            Trail.stack([first, *others]) if others else first,
-            self.contact.friction,
-            self.contact.finite_radius,
-        )
+        trail = Trail.stack([first, *others]) if others else first
+        return Case(given["rod"], given["object"], trail, **self.contact.model_dump())
 
 
 def load_case(path: str | Path) -> Case:
@@ -84,4 +141,4 @@ def load_case(path: str | Path) -> Case:
         If the file cannot be read, a key is unknown, missing or out of range, or the trails differ
         in length or hold more than 10,000,000 positions.
     """
-    return cast(Case, load(path, CaseFile))
+    return load(path, CaseFile)

@@ -1,13 +1,12 @@
 """TOML files as tables: what a key may hold, and the one line that says what is wrong."""
 
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Set
 from difflib import get_close_matches
 from inspect import signature
 from pathlib import Path
 from reprlib import repr as shortened
-from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WrapValidator, create_model
 from pydantic_core import ErrorDetails
@@ -19,6 +18,11 @@ from vibrissa.rod import Rod
 def number(description: str, **bounds: Any) -> Any:
     """Field of a number within pydantic's bounds, which text and truth values are not."""
     return Field(strict=True, description=description, **bounds)
+
+
+def several(count: int, description: str, *, least: int | None = None) -> Any:
+    """Field of a list of so many, or of at least some."""
+    return Field(min_length=least or count, max_length=count, description=description)
 
 
 def _in_one(value: object, check: Callable[[object], object]) -> object:
@@ -35,14 +39,9 @@ Positive = Annotated[float, number("a number greater than 0", gt=0, allow_inf_na
 NotNegative = Annotated[float, number("a number of at least 0", ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, number("a finite number", allow_inf_nan=False)]
 Boolean = Annotated[bool, Field(strict=True, description="true or false")]
-Vector = Annotated[tuple[Finite, Finite, Finite], Field(description="three finite numbers")]
-Lengths = Annotated[
-    tuple[Positive, Positive, Positive], Field(description="three numbers greater than 0")
-]
-Quaternion = Annotated[
-    tuple[Finite, Finite, Finite, Finite],
-    Field(description="a quaternion x, y, z, w of non-zero norm"),
-]
+Vector = Annotated[tuple[Finite, ...], several(3, "three finite numbers")]
+Lengths = Annotated[tuple[Positive, ...], several(3, "three numbers greater than 0")]
+Quaternion = Annotated[tuple[Finite, ...], several(4, "a quaternion x, y, z, w of non-zero norm")]
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -106,7 +105,7 @@ def table_of(
 def one_of(tables: Iterable[type[Table]]) -> Any:
     """A choice of tables, by their key `kind`."""
     choice = tuple(tables)
-    *names, last = (name for table in choice for name in _kinds(table))
+    *names, last = (get_args(table.model_fields["kind"].annotation)[0] for table in choice)
     description = f"{', '.join(names)} or {last}"
     return Annotated[Union[choice], Field(discriminator="kind", description=description)]  # noqa: UP007
 
@@ -157,68 +156,62 @@ def _one_line(error: ValidationError, model: type[Table]) -> str:
     errors = sorted(
         error.errors(include_url=False), key=lambda finding: ranks.get(finding["type"], 2)
     )
-    findings = list(dict.fromkeys(_finding(one, model) for one in errors))
+    schema = model.model_json_schema()
+    findings = list(dict.fromkeys(_finding(one, schema) for one in errors))
     more = len(findings) - _SHOWN
     return "; ".join(findings[:_SHOWN]) + (f" (and {more} more)" if more > 0 else "")
 
 
-def _finding(error: ErrorDetails, model: type[Table]) -> str:
-    location, value = error["loc"], error["input"]
-    short = error["type"] == "missing" and isinstance(location[-1], int)  # a list, of its value
-    place, allowed = _place(model, location[:-1] if short else location)
-    where = place.removeprefix(".")
+def _finding(error: ErrorDetails, schema: dict[str, Any]) -> str:
+    place, allowed = _place(schema, error["loc"])
     match error["type"]:
         case "extra_forbidden":
-            near = get_close_matches(str(location[-1]), allowed.split(", "), 1)
+            near = get_close_matches(str(error["loc"][-1]), allowed.split(", "), 1)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            return f"{where}: unknown key; {hint}allowed are {allowed}"
-        case "missing" if not short:
-            return f"{where}: missing; allowed is {allowed}"
+            return f"{place}: unknown key; {hint}allowed are {allowed}"
+        case "missing":
+            return f"{place}: missing; allowed is {allowed}"
         case "union_tag_not_found":
-            near = get_close_matches("kind", value, 1)
-            hint = f"{where}.{near[0]}: unknown key; did you mean 'kind'? " if near else ""
-            return f"{hint}{where}.kind: missing; allowed is {allowed}"
+            near = get_close_matches("kind", error["input"], 1)
+            hint = f"{place}.{near[0]}: unknown key; did you mean 'kind'? " if near else ""
+            return f"{hint}{place}.kind: missing; allowed is {allowed}"
         case "union_tag_invalid":
-            return f"{where}.kind = {error['ctx']['tag']!r}: allowed is {allowed}"
+            return f"{place}.kind = {error['ctx']['tag']!r}: allowed is {allowed}"
         case "value_error" if text := str(error["ctx"]["error"]):
-            return f"{where}.{text}".removeprefix(".")
-    return f"{where} = {shortened(value)}: allowed is {allowed}"
+            return f"{place}.{text}".removeprefix(".")
+    return f"{place} = {shortened(error['input'])}: allowed is {allowed}"
 
 
-def _place(
-    annotation: Any, location: Sequence[int | str], allowed: str | None = None
-) -> tuple[str, str]:
-    """Name of a place in a value of this type, and what the schema allows there."""
-    origin = get_origin(annotation)
-    inner = [part for part in get_args(annotation) if part is not NoneType]
-    if origin is Annotated:
-        described = (getattr(part, "description", None) for part in inner[1:])
-        return _place(inner[0], location, allowed or next(filter(None, described), None))
-    if origin in (Union, UnionType):
-        # Of several types, the location names the one that was taken: that is no key of the file.
-        taken = [part for part in inner if location and location[0] in _kinds(part)]
-        return _place((taken or inner)[0], location[1:] if inner[1:] else location, allowed)
-    if isinstance(annotation, type) and issubclass(annotation, Table):
-        fields = annotation.model_fields
-        if not location:
-            keys = [name for name, field in fields.items() if field.is_required()]
-            return "", allowed or f"a table with {', '.join(keys or fields)}"
-        key, *rest = location
-        if key not in fields:
-            return f".{key}", ", ".join(fields)
-        name, allowed = _place(fields[key].annotation, rest, fields[key].description)
-        return f".{key}{name}", allowed
-    if location and inner:
-        key, *rest = location
-        name, allowed = _place(inner[-1 if origin is dict else 0], rest)
-        return (f".{key}" if origin is dict else f"[{key}]") + name, allowed
-    return "", allowed or " or ".join(map(repr, inner)) or "a TOML table"
+def _place(schema: dict[str, Any], location: Iterable[int | str]) -> tuple[str, str]:
+    """How a place in a file is written, and what is allowed there, by the JSON schema of the file's
+    tables; of an unknown key, the keys of its table.
+    """
+    place, node = "", schema
+    for key in location:
+        node = _resolved(schema, node)
+        keys, kinds = node.get("properties", {}), node.get("discriminator", {}).get("mapping", {})
+        if key in kinds:  # the kind of table that was taken, which is no key of the file
+            node = {"$ref": kinds[key]}
+            continue
+        place += f"[{key}]" if isinstance(key, int) else f".{key}"
+        if keys and key not in keys:
+            return place.removeprefix("."), ", ".join(keys)
+        node = keys.get(key) or node.get("items") or node.get("additionalProperties", {})
+    inner = _resolved(schema, node)
+    table = f"a table with {', '.join(inner.get('required', inner.get('properties', ())))}"
+    described = _resolved(schema, node, until={"description"})
+    allowed = table if "properties" in described else described.get("description", "a TOML table")
+    return place.removeprefix("."), allowed
 
 
-def _kinds(table: Any) -> tuple[str, ...]:
-    """Values of the discriminating key `kind`; empty for anything without one."""
-    kind = getattr(table, "model_fields", {}).get("kind")
-    return get_args(kind.annotation) if kind else ()
+def _resolved(
+    schema: dict[str, Any], node: dict[str, Any], until: Set[str] = frozenset()
+) -> dict[str, Any]:
+    """What a part of a schema refers to, or holds if it is there at all."""
+    while not until & node.keys() and ("$ref" in node or "anyOf" in node):
+        name = node.get("$ref", "").rpartition("/")[2]
+        node = schema["$defs"][name] if name else node["anyOf"][0]
+    return node
 
 
 RodTable = one_of(table_of(noun, _ROD, kind) for kind, noun in _RODS.items())

@@ -1,6 +1,6 @@
 """Contacts to PLY, CSV, Parquet or NetCDF and back, by the file's suffix."""
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,10 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from vibrissa.contacts import ContactKind, Contacts, Status
-from vibrissa.files import InputError, cells_of, numbers_of, readable, reading, text_of
+from vibrissa.files import InputError, read_table, readable, reading, writable
 from vibrissa.forward.result import Scan
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.errors import writable
 
 if TYPE_CHECKING:
     import pandas
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".ply", ".csv", ".nc", ".parquet")
 PLACE = ("x", "y", "z", "nx", "ny", "nz", "arc_length")
+DEVIATIONS = tuple(f"deviation_{axis}" for axis in "xyz")
 COVARIANCE = ("cxx", "cxy", "cxz", "cyy", "cyz", "czz")
 """Upper triangle, row by row."""
 COLUMNS = ("time", *PLACE, "kind", "status", *COVARIANCE)
@@ -69,7 +69,7 @@ def write_contacts(
         ".ply": lambda: cloud(_points(found), unit).write(str(file)),
         ".csv": lambda: _write_csv(file, _table(found), progress),
         ".parquet": lambda: _table(found).to_parquet(file, index=False),
-        ".nc": lambda: found.to_dataset().to_netcdf(file, engine="h5netcdf"),
+        ".nc": lambda: write_dataset(file, found.to_dataset()),
     }
     return _written(file, writers[_suffix(file)])
 
@@ -113,26 +113,24 @@ def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
     """A row a sample, trails one after the other; NaN for what is not known."""
     import pandas  # noqa: PLC0415
 
-    there, covariance, time = known(found), _covariance(found), found.reactions.time
-    lost = found.in_contact & ~there & (found.status == Status.OK)
-    upper = np.full((*there.shape, 6), np.nan)
-    if covariance is not None:
-        upper = covariance[..., *np.triu_indices(3)]
-    numbers = [found.point, found.normal, found.arc_length[..., None], upper]
-    values = np.concatenate(numbers, axis=-1)
-    values = np.where(there[..., None] & np.isfinite(values), values, np.nan)
-    table = pandas.DataFrame(values.reshape(there.size, -1), columns=[*PLACE, *COVARIANCE]).assign(
-        time=np.nan if time is None else time.reshape(-1),
-        kind=np.where(there, found.kind, ContactKind.NONE).reshape(-1),
-        # A contact without a place is never OK.
-        status=np.where(lost, Status.NOT_CONVERGED, found.status).reshape(-1),
-    )
-    return table[list(COLUMNS)]
+    there, covariance, time = known(found).reshape(-1), _covariance(found), found.reactions.time
+    upper = covariance[..., *np.triu_indices(3)].reshape(-1, len(COVARIANCE))
+    own = {"time": np.nan if time is None else time.reshape(-1)}
+    own |= dict(zip(COVARIANCE, upper.T, strict=True))
+    table = pandas.DataFrame(columns(found) | own)[list(COLUMNS)]
+    numbers = table[[*PLACE, *COVARIANCE]]
+    table[numbers.columns] = numbers.where(there[:, None] & np.isfinite(numbers.to_numpy()))
+    # A contact without a place is none, and never OK.
+    lost = (table["kind"] != ContactKind.NONE) & ~there
+    table.loc[lost & (table["status"] == Status.OK), "status"] = Status.NOT_CONVERGED
+    table.loc[lost, "kind"] = ContactKind.NONE
+    return table
 
 
-def _covariance(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3 3"] | None:
-    """Of the points; a scan has none."""
-    return getattr(found, "covariance", None)
+def _covariance(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3 3"]:
+    """Of the points; NaN where the noise is not known, as in scans."""
+    given = getattr(found, "covariance", None)
+    return np.full((*found.point.shape, 3), np.nan) if given is None else given
 
 
 def known(found: Reconstruction | Scan) -> Bool[np.ndarray, "*trail n"]:
@@ -142,37 +140,41 @@ def known(found: Reconstruction | Scan) -> Bool[np.ndarray, "*trail n"]:
 
 def deviations(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3"]:
     """Standard deviations along x, y, z; NaN where the noise is not known."""
-    covariance = _covariance(found)
-    if covariance is None:
-        return np.full(found.point.shape, np.nan)
-    return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    return np.sqrt(np.diagonal(_covariance(found), axis1=-2, axis2=-1))
+
+
+def columns(found: Reconstruction | Scan) -> dict[str, Shaped[np.ndarray, "rows"]]:
+    """What is found in each row, trails one after the other."""
+    spread = deviations(found)
+    whole, arc_length = np.linalg.norm(spread, axis=-1, keepdims=True), found.arc_length[..., None]
+    numbers = np.concatenate([found.point, found.normal, arc_length, spread, whole], axis=-1)
+    flat = numbers.reshape(-1, numbers.shape[-1]).T
+    return {
+        **dict(zip((*PLACE, *DEVIATIONS, "standard_deviation"), flat, strict=True)),
+        "kind": found.kind.reshape(-1),
+        "status": found.status.reshape(-1),
+    }
 
 
 def structured(
-    kind: np.dtype[np.void], columns: Sequence[Shaped[np.ndarray, "rows"]]
-) -> Shaped[np.ndarray, "rows"]:
-    """Columns as rows of this type, what lies between its fields zero."""
-    rows = np.zeros(len(columns[0]), dtype=kind)
-    for name, column in zip(kind.names or (), columns, strict=True):
-        rows[name] = column
-    return rows
-
-
-def vertices(
-    found: Reconstruction | Scan, rows: Bool[np.ndarray, "*trail n"]
-) -> Shaped[np.ndarray, "contacts"]:
-    """Contacts as PLY holds them."""
-    spread = np.linalg.norm(deviations(found)[rows], axis=1)
-    place = (*found.point[rows].T, *found.normal[rows].T, found.arc_length[rows])
-    return structured(VERTEX, (*place, spread, found.kind[rows], found.status[rows]))
+    kind: np.dtype[np.void],
+    columns: Mapping[str, Shaped[np.ndarray, "rows"]],
+    rows: Bool[np.ndarray, "rows"],
+) -> Shaped[np.ndarray, "chosen"]:
+    """Some rows of these columns as this type has them, what lies between its fields zero."""
+    chosen = np.zeros(np.count_nonzero(rows), dtype=kind)
+    for name in kind.names or ():
+        chosen[name] = columns[name][rows]
+    return chosen
 
 
 def _points(found: Reconstruction | Scan) -> Shaped[np.ndarray, "contacts"]:
     """Vertices of all contacts; with a standard deviation only where the noise is known."""
     from numpy.lib.recfunctions import drop_fields  # noqa: PLC0415
 
-    points = vertices(found, known(found))
-    return points if _covariance(found) is not None else drop_fields(points, "standard_deviation")
+    points = structured(VERTEX, columns(found), known(found).reshape(-1))
+    is_known = getattr(found, "covariance", None) is not None
+    return points if is_known else drop_fields(points, "standard_deviation")
 
 
 def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> Any:
@@ -219,13 +221,6 @@ def read_contacts(path: str | Path) -> Contacts:
             ) from error
 
 
-def _need(names: Iterable[str], there: Container[str]) -> None:
-    """Raise KeyError with all names that are missing."""
-    missing = sorted(name for name in names if name not in there)
-    if missing:
-        raise KeyError(", ".join(missing))
-
-
 def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
     """Values by name, as written."""
     if suffix == ".ply":
@@ -236,42 +231,34 @@ def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
     if suffix == ".parquet":
         import pandas  # noqa: PLC0415
 
-        table = pandas.read_parquet(file)
-        return {name: table[name].to_numpy() for name in COLUMNS}
-    text = text_of(file)
-    names = text.partition("\n")[0].strip().split(",")
-    cells = cells_of(file, text, names)
-    return {
-        name: numbers_of(file, name, cells[place], missing=("",))
-        for place, name in enumerate(names)
-    }
+        return {name: part.to_numpy() for name, part in pandas.read_parquet(file).items()}
+    needed = (*PLACE, "kind", "status")
+    return read_table(file, needed, optional=COLUMNS, any_order=True, missing=("",))
 
 
 def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
-    _need([*PLACE, "kind", "status"], columns)
-
-    def vectors(names: Sequence[str]) -> np.ndarray:
+    def vectors(*names: str) -> np.ndarray:
         return np.stack([columns[name] for name in names], axis=-1)
 
-    given = {"arc_length": columns["arc_length"]}
-    given |= {name: columns[name].astype(np.int64) for name in ("kind", "status")}
+    given = {name: columns[name] for name in ("arc_length", "kind", "status")}
     if "cxx" in columns:
         # Rows of the matrix by their places in the upper triangle.
-        covariance = vectors(COVARIANCE)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        covariance = vectors(*COVARIANCE)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         optional = {"time": columns["time"], "covariance": covariance}
         given |= {name: part for name, part in optional.items() if not np.isnan(part).all()}
-    return Contacts(vectors(PLACE[:3]), vectors(PLACE[3:6]), **given)
+    return Contacts(vectors(*PLACE[:3]), vectors(*PLACE[3:6]), **given)
 
 
 def _of_dataset(file: Path) -> Contacts:
     import xarray  # noqa: PLC0415
 
+    own = {"point": "contact_point", "covariance": "contact_point_covariance"}
+    needed, given = ("point", "normal", "arc_length", "kind", "status"), {}
     with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
-        needed = ("contact_point", "normal", "arc_length", "kind", "status")
-        _need(needed, [str(name) for name in data.variables])
-        own = {"point": "contact_point", "covariance": "contact_point_covariance"}
-        names = {field.name: own.get(field.name, field.name) for field in fields(Contacts)}
-        given = {field: data[name].to_numpy() for field, name in names.items() if name in data}
-        if given["kind"].ndim > 1:
-            given["sweep"] = np.indices(given["kind"].shape)[0]
-        return Contacts(**given)
+        for name in (field.name for field in fields(Contacts)):
+            written = own.get(name, name)
+            if written in data or name in needed:
+                given[name] = data.variables[written].to_numpy()
+    if given["kind"].ndim > 1:
+        given["sweep"] = np.indices(given["kind"].shape)[0]
+    return Contacts(**given)

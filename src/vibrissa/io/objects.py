@@ -19,6 +19,7 @@ from vibrissa.io.config import (
     Vector,
     number,
     one_of,
+    several,
     table_of,
 )
 
@@ -67,13 +68,14 @@ class MeshTable(PlacedTable):
         return surfaces.Mesh.load(file, **options)
 
 
+_EXPONENTS = "two numbers greater than 0 and at most 2"
 _PARTS = "a list of at least one object, each a table with its own kind"
 _TYPES = {
     **dict.fromkeys("abh", Finite),
     **dict.fromkeys(("center", "point", "normal", "axis"), Vector),
     **dict.fromkeys(("radius", "length", "height", "major_radius", "minor_radius"), Positive),
     **dict.fromkeys(("semi_axes", "half_extents"), Lengths),
-    "exponents": tuple[Exponent, Exponent],
+    "exponents": Annotated[tuple[Exponent, ...], several(2, _EXPONENTS)],
     "parts": Annotated[list["ObjectTable"], Field(min_length=1, description=_PARTS)],  # type: ignore[valid-type]
     "surface": "ObjectTable",
 }
@@ -94,7 +96,8 @@ _KINDS = {
     "offset": surfaces.Offset,
 }
 # A cylinder without ends has two semi-axes.
-_OTHER = {"elliptic_cylinder": {"semi_axes": tuple[Positive, Positive]}}
+_TWO = Annotated[tuple[Positive, ...], several(2, "two numbers greater than 0")]
+_OTHER = {"elliptic_cylinder": {"semi_axes": _TWO}}
 _TABLES = [
     noun if noun is MeshTable else table_of(noun, _TYPES | _OTHER.get(kind, {}), kind, PlacedTable)
     for kind, noun in _KINDS.items()

@@ -2,15 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from vibrissa.io.calibration import CalibrationTable
 from vibrissa.io.config import (
     IN_ONE,
+    NO_TURN,
     ORIGIN,
     Boolean,
     Finite,
@@ -22,16 +23,82 @@ from vibrissa.io.config import (
     Table,
     Vector,
     load,
+    number,
+    several,
     table_of,
 )
-from vibrissa.io.live_setup import PoseTable, RdtTable
 from vibrissa.io.objects import ObjectTable
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.rod import Rod
 from vibrissa.sensor import LowPass, Mount, Sensor
-from vibrissa.sensor.presets import PRESETS, preset_figures
+from vibrissa.sensor.presets import PRESETS
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
+
+PoseFile = Annotated[Path, Field(description="the path of a file, seen from the setup's folder")]
+Listen = Annotated[
+    str,
+    StringConstraints(strict=True, pattern=r"^udp://.+$"),
+    Field(description="udp://HOST:PORT, such as udp://127.0.0.1:49153"),
+]
+
+
+class RdtTable(Table):
+    """An Ethernet sensor that speaks RDT: counts for one newton and for one newton metre, records a
+    second, whether it sends several a datagram.
+
+    A sample is invalid if any of the status bits `error_bits` is set.
+    """
+
+    counts_per_force: Positive
+    counts_per_torque: Positive
+    rate: Positive
+    buffered: Boolean = False
+    bias: Boolean = False
+    error_bits: Annotated[int, number("a whole number of 32 bits", ge=0, lt=1 << 32)] = 1 << 31
+
+
+class ConstantPoseTable(Table):
+    """A sensor that stands still: pose of the sensor frame in the world."""
+
+    kind: Literal["constant"]
+    position: Vector = ORIGIN
+    orientation: Quaternion = NO_TURN
+
+
+class UdpPoseTable(Table):
+    """Poses of the sensor frame as JSON over UDP."""
+
+    kind: Literal["udp"]
+    listen: Listen = "udp://127.0.0.1:49153"
+    patience: Positive = 0.05
+
+
+class TrailPoseTable(Table):
+    """A motion of the sensor frame from a CSV file with the columns time,x,y,z,qx,qy,qz,qw; it
+    begins with the first sample.
+    """
+
+    kind: Literal["trail"]
+    path: PoseFile
+
+
+class CasePoseTable(Table):
+    """The motion of a case's trails, as `vibrissa simulate-sensor` plays it: clamp poses; it begins
+    with the first sample.
+    """
+
+    kind: Literal["case"]
+    path: PoseFile
+    rest: NotNegative
+    sweep: Positive
+    pause: Positive = 0.5
+
+
+PoseTable = Annotated[
+    ConstantPoseTable | UdpPoseTable | TrailPoseTable | CasePoseTable,
+    Field(discriminator="kind", description="constant, udp, trail or case"),
+]
 
 
 @dataclass(frozen=True)
@@ -76,24 +143,14 @@ class Setup:
         return self.calibration.parameter_covariance((self.tolerances or Tolerances()).covariance)
 
 
-Interval = Annotated[
-    tuple[NotNegative, NotNegative], Field(description="a pair (start, stop) of seconds")
-]
-Row = Annotated[
-    tuple[Finite, Finite, Finite, Finite, Finite, Finite],
-    Field(description="six finite numbers, fx, fy, fz, tx, ty, tz"),
-]
-Matrix = Annotated[
-    tuple[Row, Row, Row, Row, Row, Row], Field(description="six rows of six finite numbers")
-]
+Interval = Annotated[tuple[NotNegative, ...], several(2, "a pair (start, stop) of seconds")]
+Row = Annotated[tuple[Finite, ...], several(6, "six finite numbers, fx, fy, fz, tx, ty, tz")]
+Matrix = Annotated[tuple[Row, ...], several(6, "six rows of six finite numbers")]
+Gain = Annotated[tuple[Positive, ...], several(6, "six numbers greater than 0, forces and torques")]
 Figure = Annotated[
-    NotNegative | tuple[NotNegative, NotNegative, NotNegative],
+    NotNegative | Annotated[tuple[NotNegative, ...], several(3, "")],
     IN_ONE,
     Field(description="a number of at least 0, or three, one for each axis"),
-]
-Gain = Annotated[
-    tuple[Positive, Positive, Positive, Positive, Positive, Positive],
-    Field(description="six numbers greater than 0, forces and torques"),
 ]
 Noise = Annotated[
     Positive | Lengths,
@@ -101,7 +158,7 @@ Noise = Annotated[
     Field(description="a number greater than 0, or three, one for each axis"),
 ]
 Deviations = Annotated[
-    NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=6, max_length=6)],
+    NotNegative | Annotated[tuple[NotNegative, ...], several(6, "")],
     IN_ONE,
     Field(description="a number of at least 0, or six, one for each channel"),
 ]
@@ -172,14 +229,12 @@ class SensorTable(Table):
     cross_talk: Matrix | None = None
     low_pass: LowPassTable | None = None  # type: ignore[valid-type]
     mount: MountTable | None = None  # type: ignore[valid-type]
-    gain: Gain = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    gain: Gain = (1.0,) * 6
 
     def build(self, folder: Path) -> Sensor:
         """Return the sensor."""
-        given = {"tare_seconds": None} | preset_figures(self.preset) | self.arguments(folder)
+        given = {"tare_seconds": None} | PRESETS.get(self.preset, {}) | self.arguments(folder)
         given.pop("preset", None)
-        for name in given.keys() & {"clamp_position", "clamp_orientation", "cross_talk"}:
-            given[name] = np.array(given[name])
         return Sensor(**given)
 
 
@@ -210,4 +265,4 @@ def load_setup(path: str | Path) -> Setup:
     InputError
         If the file cannot be read, or a key is unknown, missing or out of range.
     """
-    return cast(Setup, load(path, SetupFile))
+    return load(path, SetupFile)

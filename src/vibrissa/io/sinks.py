@@ -8,18 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.contacts import VERTEX, cloud, deviations, vertices
+from vibrissa.io.contacts import VERTEX, cloud, columns, deviations, structured
+from vibrissa.io.recordings.streams import Vectors
 from vibrissa.io.rosbag.disk import naming_file, whole_file
+from vibrissa.io.rosbag.growing import Stamps
 from vibrissa.sensor import RawRecording
 
 _COUNT_DIGITS = 20  # of the largest number of 64 bits
 _RAW = ("position", "orientation", "force", "torque")
 _FOUND = ("point", "normal", "arc_length")
-_MOST_WRITTEN = 1 << 20  # bytes of one call of the system: a batch of 64 rows has some 40 kB
 
 
 class _ContactsAlone:
@@ -27,10 +28,10 @@ class _ContactsAlone:
 
     def wrench(
         self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
+        stamp: Stamps,
+        sequence: Stamps,
+        force: Vectors,
+        torque: Vectors,
     ) -> None:
         """Raw samples are not written."""
 
@@ -61,24 +62,21 @@ class JsonLinesSink(_ContactsAlone):
             place = os.dup(sys.stdout.fileno()) if path is None else path
             self._file = open(place, "wb", buffering=0)  # noqa: PTH123, SIM115
 
-    def contacts(
-        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
-    ) -> None:
+    def contacts(self, stamp: Stamps, raw: RawRecording, found: Reconstruction) -> None:
         """Write whole lines."""
-        rows = _rows(stamp, raw, found)
-        text = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode()
-        done = 0
+        descriptor = self._file.fileno()
         with naming_file(self._path):
-            try:
-                while done < len(text):
-                    done += os.write(self._file.fileno(), text[done : done + _MOST_WRITTEN])
-            finally:
-                whole = text.rfind(b"\n", 0, done) + 1
-                self._size += whole
-                if whole < done:
+            for row in _rows(stamp, raw, found):
+                left = line = f"{json.dumps(row, allow_nan=False)}\n".encode()
+                try:
+                    while left:
+                        left = left[os.write(descriptor, left) :]
+                except OSError:
                     # A pipe cannot be cut.
                     with suppress(OSError):
                         self._file.truncate(self._size)
+                    raise
+                self._size += len(line)
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -88,9 +86,7 @@ class JsonLinesSink(_ContactsAlone):
         self._file.close()
 
 
-def _rows(
-    stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
-) -> list[dict[str, object]]:
+def _rows(stamp: Stamps, raw: RawRecording, found: Reconstruction) -> list[dict[str, object]]:
     columns = {
         "stamp": stamp.tolist(),
         "kind": [ContactKind(kind).name for kind in found.kind.tolist()],
@@ -140,12 +136,12 @@ class PlySink(_ContactsAlone):
 
     def contacts(
         self,
-        stamp: Int[np.ndarray, "n"],  # noqa: ARG002
+        stamp: Stamps,  # noqa: ARG002
         raw: RawRecording,  # noqa: ARG002
         found: Reconstruction,
     ) -> None:
         """Keep the rows with a contact."""
-        self._held += vertices(found, found.in_contact).tobytes()
+        self._held += structured(VERTEX, columns(found), found.in_contact).tobytes()
 
     def flush(self) -> None:
         """Write what is held, then the count."""

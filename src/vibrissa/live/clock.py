@@ -1,5 +1,6 @@
 """Time stamps: the host's clock, made even by the sender's."""
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -7,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vibrissa.live.samples import Counts, Nanoseconds
+from vibrissa.live.samples import Counts, Flags, Nanoseconds
 
 LEAST_STEP = 1000
 """Between stamps [ns]: what 64-bit seconds tell apart over a century."""
@@ -16,6 +17,7 @@ AHEAD = 1_000_000
 _DRIFT = 500e-6  # quartzes differ by 100 ppm at most
 _RESYNC = 100_000_000  # [ns]; networks and busy computers delay by less
 _RATE_WINDOW = 500_000_000  # [ns]; longer than a sender or receiver stalls
+_NO_WINDOW = -2  # before the first: no window follows it
 # Spans in windows, and the share of the time by which the sender has to run off: over long spans
 # what delays do matters less. Measured: no false alarm with delays of 0.15 s (test_sample_clock).
 _RATE_SPANS = ((1, 0.2), (2, 0.05), (4, 0.01), (16, 3e-3), (64, 6e-4))
@@ -42,8 +44,7 @@ class RateWatch:
     """
 
     def __init__(self) -> None:
-        self._begun: int | None = None
-        self._least = 0
+        self._begun, self._window, self._least = 0, _NO_WINDOW, 0
         self._seen: deque[int] = deque(maxlen=2 * _RATE_SPANS[-1][0] + 1)
 
     def factor(self, own: Nanoseconds, arrival: Nanoseconds) -> float | None:
@@ -51,16 +52,16 @@ class RateWatch:
         it is not; arrivals (n,) [ns].
         """
         delay, now = int(np.min(arrival - own)), int(arrival[-1])
-        if self._begun is None:
-            self._begun, self._least = int(arrival[0]), delay
-        if now - self._begun < _RATE_WINDOW:
+        window = (now - self._begun) // _RATE_WINDOW
+        if window == self._window:
             self._least = min(self._least, delay)
             return None
-        self._seen.append(self._least)
-        self._begun, self._least = self._begun + _RATE_WINDOW, delay
-        if now - self._begun >= _RATE_WINDOW:  # a pause: the windows before it tell nothing
-            self._begun = now
+        if window == self._window + 1:
+            self._seen.append(self._least)
+        else:  # a pause, or the beginning: the windows before it tell nothing
+            self._begun, window = now, 0
             self._seen.clear()
+        self._window, self._least = window, delay
         for span, tolerance in _RATE_SPANS:
             if len(self._seen) <= 2 * span:
                 return None
@@ -68,8 +69,7 @@ class RateWatch:
             first, second = (np.diff(ends) / (span * _RATE_WINDOW)).tolist()
             alike = abs(second - first) <= _ALIKE * abs(first)
             if abs(first) >= tolerance and alike and max(first, second) < 1:
-                self._begun = None
-                self._seen.clear()
+                self._window = _NO_WINDOW
                 return 1 / (1 - (first + second) / 2)
         return None
 
@@ -83,30 +83,24 @@ class SampleClock:
     """
 
     def __init__(self) -> None:
-        self._offset: int | None = None
-        self._last_own = 0
-        self._last_stamp = -(2**62)
-        self.resyncs = 0
+        self._offset, self._last_own, self._last_stamp = -math.inf, 0, -(2**62)
 
     def restart(self) -> None:
-        """Forget the sender's clock: it began anew."""
-        self._offset = None
+        """Forget the sender's clock: it goes another way."""
+        self._offset = -math.inf
 
     def stamps(self, own: Nanoseconds, arrival: Nanoseconds) -> Nanoseconds:
         """Stamps (n,) [ns] on the clock of `arrival`, increasing, for the sender's times `own` (n,)
         [ns], increasing, at least one.
         """
         least, last = int(np.min(arrival - own)), int(own[-1])
-        if self._offset is None:
-            self._offset, self._last_own = least, int(own[0])
         slack = least - self._offset
         if abs(slack) > _RESYNC:
             self._offset = least
-            self.resyncs += 1
         else:
-            self._offset += min(slack, round(_DRIFT * max(last - self._last_own, 0)))
+            self._offset += min(slack, round(_DRIFT * (last - self._last_own)))
         earliest = self._last_stamp + LEAST_STEP * (1 + np.arange(len(own), dtype=np.int64))
-        stamp = np.maximum(own + self._offset, earliest)
+        stamp = np.maximum(own + int(self._offset), earliest)
         self._last_own, self._last_stamp = last, int(stamp[-1])
         return stamp
 
@@ -115,7 +109,7 @@ class Tick(NamedTuple):
     """A sample by the sender's count, by the sender's clock [ns], and by its arrival here [ns]."""
 
     number: float
-    own: int
+    own: float
     arrival: int
 
 
@@ -138,36 +132,33 @@ class SequenceClock:
         self._clock, self._watch = SampleClock(), RateWatch()
         self._last: Tick | None = None
 
-    def stamps(self, number: Nanoseconds, arrival: Nanoseconds) -> tuple[Nanoseconds, bool]:
-        """Stamps (n,) [ns] on the clock of `arrival` for numbers (n,) of one stream, and whether it
-        is another stream than before: there the sensor's clock goes on.
+    def stamps(self, number: Nanoseconds, arrival: Nanoseconds) -> tuple[Nanoseconds, Flags]:
+        """Stamps (n,) [ns] on the clock of `arrival` for numbers (n,), and whether another stream
+        begins with a sample: there the sensor's clock goes on, by the time that passed here.
         """
-        first, last, begin, anew = int(number[0]), self._last, 0, False
-        if last is not None and first - last.number > AHEAD:
-            # Its numbers do not say what was lost before it, but the time does.
-            lost = max(round((int(arrival[0]) - last.arrival) / self.period) - 1, 0)
-            self.counts.lost += lost
-            self.counts.gaps += lost > 0
-            begin, anew = last.own + round(self.period), True
-        if last is None or anew:
-            self._watch = RateWatch()
-            self._begin(first, begin)
-        own = self._own(number)
+        last = self._last or Tick(int(number[0]), 0, int(arrival[0]))
+        steps = np.diff(number, prepend=int(last.number))
+        anew = steps > AHEAD
+        # A stream's numbers do not say what was lost before it, but the time does.
+        passed = np.diff(arrival, prepend=last.arrival)[anew] / self.period
+        lost = np.maximum(np.round(passed).astype(np.int64) - 1, 0)
+        self.counts.lost += int(lost.sum())
+        self.counts.gaps += int(np.count_nonzero(lost))
+        steps[anew] = lost + 1
+        if anew.any():
+            self._clock.restart()
+        count = np.cumsum(steps)
+        own = int(last.own) + self._periods(count)
         factor = self._watch.factor(own, arrival)
         if factor is not None:
             least = _OTHER_AGAIN if self.counts.rate_changes else _OTHER_RATE
             self.counts.rate_changes += abs(factor - 1) > least
             self.period *= factor
-            self._begin(first, int(own[0]))
-            own = self._own(number)
+            own = own[0] + self._periods(count - count[0])
+            self._clock.restart()
         self._last = Tick(int(number[-1]), int(own[-1]), int(arrival[-1]))
         return self._clock.stamps(own, arrival), anew
 
-    def _begin(self, number: int, own: int) -> None:
-        """Count own time [ns] from this number on, on a clock that is not known yet."""
-        self._number, self._number_own = number, own
-        self._clock.restart()
-
-    def _own(self, number: Nanoseconds) -> Nanoseconds:
-        since = np.round((number - self._number) * self.period)
-        return self._number_own + since.astype(np.int64)
+    def _periods(self, count: Nanoseconds) -> Nanoseconds:
+        """Time [ns] of so many samples."""
+        return np.round(count * self.period).astype(np.int64)

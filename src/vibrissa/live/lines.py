@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import KW_ONLY, dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -143,14 +142,6 @@ def serial_line(device: str, baud: int) -> Iterator[Receive]:
         yield receive
 
 
-class _Row(NamedTuple):
-    """Numbers of a line, its time [ns] since the first line, and whether the clock began anew."""
-
-    numbers: dict[str, float]
-    own: int
-    anew: bool
-
-
 @dataclass(eq=False)
 class LineSource(Source):
     """Samples from lines of CSV; columns as in a recording, or without the pose.
@@ -181,15 +172,12 @@ class LineSource(Source):
     on_host_clock: bool = False
 
     def __post_init__(self) -> None:
-        self.counts = Counts()
-        self._closing, self._rest = ExitStack(), b""
+        self.counts, self._closing, self._rest = Counts(), ExitStack(), b""
         self._columns: tuple[str, ...] | None = None
-        self._first = True
         self._posed: bool | None = None
         self._last: Tick | None = None
-        self._anchor = Tick(0, 0, 0)
         self._clock = SampleClock() if self.on_host_clock else None
-        self._begun = self._epoch = 0
+        self._first = True
 
     def open(self) -> None:
         """Connect, or open the device."""
@@ -207,20 +195,18 @@ class LineSource(Source):
         *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         # A line without end takes no memory: its beginning is enough to reject it.
         self._rest = rest[: _LONGEST_LINE + 1]
-        rows = [row for line in lines if line.strip() and (row := self._row(line.strip(), now))]
-        return self._samples(rows, now) if rows else None
+        rows = [row for line in map(bytes.strip, lines) if line and (row := self._row(line, now))]
+        if not rows:
+            return None
 
-    def _samples(self, rows: list[_Row], now: int) -> Samples:
         def columns(*names: str) -> np.ndarray:
-            return np.array([[row.numbers[name] for name in names] for row in rows])
+            return np.array([[row[name] for name in names] for row in rows])
 
         count, first = len(rows), self.counts.samples
         self.counts.samples += count
-        self._begun = self._begun or now
-        own, arrival = np.array([row.own for row in rows]), np.full(count, now)
-        stamp = own + self._begun if self._clock is None else self._clock.stamps(own, arrival)
+        stamp, arrival = columns("stamp")[:, 0].astype(np.int64), np.full(count, now)
         return Samples(
-            stamp + self._epoch,
+            self._epoch + (stamp if self._clock is None else self._clock.stamps(stamp, arrival)),
             np.arange(first, first + count),
             columns(*CHANNELS[:3]),
             columns(*CHANNELS[3:]),
@@ -228,10 +214,11 @@ class LineSource(Source):
             arrival,
             columns(*_PLACE) if self._posed else None,
             columns(*_TURN) if self._posed else None,
-            np.array([row.anew for row in rows]),
+            columns("anew")[:, 0] > 0,
         )
 
-    def _row(self, line: bytes, now: int) -> _Row | None:
+    def _row(self, line: bytes, now: int) -> dict[str, float] | None:
+        """Numbers of a line, and `stamp` [ns] and `anew` beside them; None for no new row."""
         first, self._first = self._first, False
         try:
             names = parse_header(line)
@@ -253,26 +240,21 @@ class LineSource(Source):
         self._posed = "qw" in numbers
         return self._in_time(numbers, now)
 
-    def _in_time(self, numbers: dict[str, float], now: int) -> _Row | None:
+    def _in_time(self, numbers: dict[str, float], now: int) -> dict[str, float] | None:
         """The row, if it is later than the last one or of a clock that was set."""
-        moment, last = numbers["time"], self._last
-        anew, earliest = False, 0
-        if last is None:
-            self._anchor = Tick(moment, 0, now)
-        else:
-            step, earliest = moment - last.number, last.own + LEAST_STEP
+        moment, stamp, anew, last = numbers["time"], float(now), False, self._last
+        if last is not None:
+            step = moment - last.number
             if -_CLOCK_JUMP < step <= 0:
                 self.counts.duplicates += step == 0
                 self.counts.late += step < 0
                 return None
             anew = not 0 < step <= _LONGEST_PAUSE
-            if anew:
-                self.counts.restarts += 1
-                passed = max(now - last.arrival, _AFTER_RESTART)
-                self._anchor = Tick(moment, last.own + passed, now)
-        own = self._anchor.own + round((moment - self._anchor.number) * 1e9)
-        self._last = Tick(moment, max(own, earliest), now)
-        return _Row(numbers, self._last.own, anew)
+            self.counts.restarts += anew
+            passed = max(now - last.arrival, _AFTER_RESTART) if anew else step * 1e9
+            stamp = last.own + max(passed, LEAST_STEP)
+        self._last = Tick(moment, stamp, now)
+        return numbers | {"stamp": stamp, "anew": anew}
 
 
 def _end_of_header(line: bytes) -> bool:

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from queue import Empty, Full, Queue
 
@@ -79,7 +80,7 @@ def stream(
     positive(batch_seconds, "batch_seconds")
     not_negative(silence, "silence")
     report, poses = processor.report, processor.poses
-    report.counts, report.notice = source.counts, notice
+    report.counts, report.notice = source.counts, notice or str
     with ExitStack() as closing:
         loop = _Loop(source, processor, sinks if callable(sinks) else lambda: (), closing)
         if not callable(sinks):
@@ -91,54 +92,8 @@ def stream(
         loop.run(stop or threading.Event(), duration or np.inf, silence or np.inf, batch_seconds)
     report.malformed_poses, report.misplaced_poses = poses.malformed, poses.misplaced
     for text in report.losses():
-        report.say(text, warns=True)
+        report.warn(text)
     return report
-
-
-class _Reader(threading.Thread):
-    """Reads the source in a thread of its own, into a bounded queue, so that nothing is missed
-    while another thread works.
-    """
-
-    def __init__(self, source: Source) -> None:
-        super().__init__(name="source", daemon=True)
-        self._source, self._stopping = source, threading.Event()
-        self._queue: Queue[Samples] = Queue(_QUEUED_WAITING if source.waits else _QUEUED)
-        self.error: BaseException | None = None
-        self.overflow = 0
-
-    def stop(self) -> None:
-        """Stop reading."""
-        self._stopping.set()
-        if self.is_alive():
-            self.join(5)
-
-    def run(self) -> None:
-        """Read until the end, an error, or a stop."""
-        try:
-            while not self._stopping.is_set():
-                samples = self._source.read(_READ_WAIT)
-                while samples is not None:
-                    try:
-                        self._queue.put(samples, timeout=_READ_WAIT)
-                    except Full:
-                        if self._source.waits and not self._stopping.is_set():
-                            continue
-                        self.overflow += len(samples)
-                    break
-        except EndOfStreamError:
-            pass
-        except BaseException as error:
-            self.error = error
-
-    def take(self, wait: float) -> Samples | None:
-        """Everything that is there, or None after `wait` seconds."""
-        parts: list[Samples] = []
-        with suppress(Empty):
-            parts.append(self._queue.get(timeout=wait))
-            while True:
-                parts.append(self._queue.get_nowait())
-        return joined(parts) if parts else None
 
 
 class _Loop:
@@ -154,11 +109,11 @@ class _Loop:
         self._source, self._processor, self._report = source, processor, processor.report
         self._make_sinks, self._closing = make_sinks, closing
         self._sinks: list[Sink] = []
-        self._reader, self._silence, self._latency = _Reader(source), SilenceWatch(), Latency()
-        self._flushed = 0
-        self._steady = np.inf
-        self._first: int | None = None
-        self._cpu = 0.0
+        self._queue: Queue[Samples] = Queue(_QUEUED_WAITING if source.waits else _QUEUED)
+        self._ending = threading.Event()
+        self._silence, self._latency = SilenceWatch(self._report), Latency()
+        self._flushed, self._cpu = 0, 0.0
+        self._first = self._steady = np.inf
 
     def add(self, sinks: Iterable[Sink]) -> None:
         """Give to these sinks too, and close them in the end."""
@@ -170,46 +125,73 @@ class _Loop:
         self, stop: threading.Event, duration: float, silence: float, batch_seconds: float
     ) -> None:
         """Until the source, the duration or `stop` ends it; times in seconds."""
-        report, reader = self._report, self._reader
-        self._closing.callback(reader.stop)
-        reader.start()
-        report.say("waiting for samples")
-        ended = silent = False
+        report, watched = self._report, not self._source.recorded
+        threads = self._closing.enter_context(ThreadPoolExecutor(1, "source"))
+        self._closing.callback(self._ending.set)
+        reading = threads.submit(self._read)
+        report.notice("waiting for samples")
+        why = ""
         begun = last = time.monotonic_ns()
-        while not (stop.is_set() or ended or silent or self._seconds() > duration):
+        while not (stop.is_set() or why or self._seconds() > duration):
             begun = time.monotonic_ns()
-            over, samples = not reader.is_alive(), reader.take(_WAIT)
-            if samples is not None:
+            over = reading.done()
+            if self._take(_WAIT):
                 last = begun
-                self._take(samples)
             elif over:
-                ended = True
+                why = "the source ended before a sample"
             elif begun - last > silence * 1e9:
-                silent = True
-            elif not self._source.recorded and self._silence.begins(begun):
+                why, report.silent = f"nothing came for {silence:g} s", True
+            elif watched and self._silence.begins(begun):
                 text = "no samples come: is the sensor on, its cable in, or has another program"
-                report.say(f"{text} taken its stream?", warns=True)
+                report.warn(f"{text} taken its stream?")
             self._work()
             time.sleep(max(batch_seconds - (time.monotonic_ns() - begun) * 1e-9, 0.0))
-        report.silences, report.silent_seconds = self._silence.until(0 if ended else begun)
+        if report.silent or not why:
+            self._silence.came(np.array([begun]))
+        self._ending.set()
+        error = reading.exception()
         self._finish()
-        why = f"nothing came for {silence:g} s" if silent else "the source ended before a sample"
-        if self._first is None and (ended or silent):
+        if error is not None:
+            raise error
+        if why and self._first == np.inf:
             malformed, last_one = report.counts.malformed, self._source.complaint
             unread = f"; {malformed} lines or datagrams could not be read, the last one for: "
             raise SilentSourceError(f"{why}{unread}{last_one}" if malformed else why)
-        report.silent = silent
-        if silent:
-            report.say(f"{why}: the stream ends here", warns=True)
+        if report.silent:
+            report.warn(f"{why}: the stream ends here")
+
+    def _read(self) -> None:
+        """In a thread of its own: what comes goes into a bounded queue, so that nothing is missed
+        while the other thread works.
+        """
+        with suppress(EndOfStreamError):
+            while not self._ending.is_set():
+                samples = self._source.read(_READ_WAIT)
+                while samples is not None:
+                    with suppress(Full):
+                        self._queue.put(samples, timeout=_READ_WAIT)
+                        break
+                    if not self._source.waits or self._ending.is_set():
+                        self._report.overflow += len(samples)
+                        break
 
     def _seconds(self) -> float:
         """Since the first sample."""
-        return 0.0 if self._first is None else (time.monotonic_ns() - self._first) * 1e-9
+        return (time.monotonic_ns() - self._first) * 1e-9
 
-    def _take(self, samples: Samples) -> None:
-        if self._first is None:
+    def _take(self, wait: float) -> bool:
+        """Pass on everything that is there; false if nothing is within `wait` seconds."""
+        parts: list[Samples] = []
+        with suppress(Empty):
+            parts.append(self._queue.get(timeout=wait))
+            while True:
+                parts.append(self._queue.get_nowait())
+        if not parts:
+            return False
+        samples = joined(parts)
+        if self._first == np.inf:
             self._first, self._cpu = int(samples.arrival[0]), time.process_time()
-            self._report.say("first sample")
+            self._report.notice("first sample")
             self.add(self._make_sinks())
         pause = None if self._source.recorded else self._silence.came(samples.arrival)
         said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
@@ -219,10 +201,11 @@ class _Loop:
                 "stream; its zero is compared with that before"
             )
         if said:
-            self._report.say("; ".join(said), warns=True)
+            self._report.warn("; ".join(said))
         for sink in self._sinks:
             sink.wrench(samples.stamp, samples.sequence, samples.force, samples.torque)
         self._processor.push(samples)
+        return True
 
     def _work(self) -> None:
         for result in self._processor.ready(time.time_ns()):
@@ -250,21 +233,16 @@ class _Loop:
         """What has come already is worked on, poses that are due are awaited, and all is summed
         up.
         """
-        report, reader, processor = self._report, self._reader, self._processor
-        reader.stop()
-        samples = reader.take(0)
-        if samples is not None:
-            self._take(samples)
+        report, processor = self._report, self._processor
+        self._take(0)
         until = time.monotonic() + _LAST_WAIT
         self._work()
         while processor.waiting and processor.tare is not None and time.monotonic() < until:
             time.sleep(0.01)
             self._work()
-        if reader.error is not None:
-            raise reader.error
-        report.overflow, report.unused = reader.overflow, processor.waiting
+        report.unused = processor.waiting
         report.latency_median = self._latency.percentile(50)
         report.latency_999 = self._latency.percentile(99.9)
-        if self._first is not None:
+        if self._first < np.inf:
             report.seconds = self._seconds()
             report.cpu_share = (time.process_time() - self._cpu) / report.seconds

@@ -14,9 +14,9 @@ import numpy as np
 from vibrissa.geometry.checks import positive
 from vibrissa.live import rdt
 from vibrissa.live.address import naming
-from vibrissa.live.clock import AHEAD, SequenceClock, epoch_offset
-from vibrissa.live.samples import Counts, Samples, Source, joined
-from vibrissa.live.sequence import Sequencer
+from vibrissa.live.clock import SequenceClock, epoch_offset
+from vibrissa.live.samples import Counts, Samples, Source
+from vibrissa.live.sequence import ORDERED, Sequencer
 
 # SO_TIMESTAMPNS and SO_RCVBUFFORCE, as asm-generic/socket.h of Linux numbers them.
 _STAMPED, _FORCE_BUFFER = 35, 33
@@ -82,7 +82,7 @@ class NetFtSource(Source):
         self.counts = Counts()
         self._sequencer = Sequencer(self.counts)
         self._clock = SequenceClock(1e9 / positive(self.rate, "rate"), self.counts)
-        self._early: list[np.ndarray] | None = []
+        self._early, self._settle = np.zeros(0, dtype=ORDERED), _SETTLE
         self._stream = rdt.Command.BUFFERED if self.buffered else rdt.Command.REAL_TIME
         self._closing = ExitStack()
         self._asked = 0.0
@@ -119,20 +119,12 @@ class NetFtSource(Source):
                 self.complaint = str(error)
         now, records = time.monotonic_ns(), np.frombuffer(sound, dtype=rdt.RECORD)
         rows = self._sequencer.accept(records, np.array(came, dtype=np.int64), now)
-        if self._early is not None:
-            # The first records are held for a moment: the clock is set by the least late of many.
-            self._early.append(rows)
-            rows = np.concatenate(self._early)
-            if not len(rows) or now - rows["arrival"][0] < _SETTLE:
-                return None
-            self._early = None
-        if not len(rows):
+        rows = np.concatenate([self._early, rows])
+        # The first records are held for a moment: the clock is set by the least late of many.
+        if not len(rows) or now - rows["arrival"][0] < self._settle:
+            self._early = rows
             return None
-        streams = np.split(rows, np.flatnonzero(np.diff(rows["number"]) > AHEAD) + 1)
-        return joined([self._samples(stream) for stream in streams])
-
-    def _samples(self, rows: np.ndarray) -> Samples:
-        """Of records of one stream."""
+        self._early, self._settle = rows[:0], 0
         status = rows["record"]["status"].astype(np.int64)
         valid = (status & self.error_bits) == 0
         self.counts.samples += len(rows)
@@ -148,7 +140,7 @@ class NetFtSource(Source):
             wrench[:, 3:],
             valid,
             rows["arrival"],
-            anew=(np.arange(len(rows)) == 0) & anew,
+            anew=anew,
         )
 
     def _datagrams(self, timeout: float) -> list[tuple[bytes, int]]:

@@ -18,12 +18,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.checks import finite_array
+from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.live.address import listening
 from vibrissa.live.samples import Flags, Nanoseconds, Quaternions, Vectors
 from vibrissa.trail import Trail
+
+Times = Float[np.ndarray, "k"]
+Moments = Float[np.ndarray, "n"]
 
 _NORM = 1e-3  # by which a unit quaternion's may be off: it is printed with four digits or more
 _LONGEST = 65536  # bytes: no datagram is longer
@@ -120,25 +124,18 @@ class ConstantPose(PoseSource):
         return self._poses.at(stamp)
 
 
-def between(time: Float[np.ndarray, "k"], motion: Trail, moment: Float[np.ndarray, "n"]) -> Trail:
+def between(time: Times, motion: Trail, moment: Moments) -> Trail:
     """Poses at these times of a motion with poses (k, …) at `time`: straight and evenly turned
     between their neighbours, the outermost beyond the ends.
     """
-    within = np.clip(moment, time[0], time[-1])
-    # Slerp takes all rotations that it is given: only those around the moments are.
-    first = max(int(np.searchsorted(time, within.min(), side="right")) - 1, 0)
-    around = slice(first, int(np.searchsorted(time, within.max())) + 1)
-    turns = motion.orientation[around]
-    if np.any(turns != turns[0]):
-        return Trail(
-            linear(time, motion.position, within),
-            Slerp(time[around], Rotation.from_quat(turns))(within),
-        )
-    return Trail(linear(time, motion.position, within), turns[0])
+    row = np.interp(moment, time, np.arange(len(time)))
+    before, after = (motion.orientation[end(row).astype(int)] for end in (np.floor, np.ceil))
+    turn = Rotation.from_rotvec((row % 1)[:, None] * rotation_vectors(before, after))
+    return Trail(linear(time, motion.position, moment), turn * Rotation.from_quat(before))
 
 
 def linear(
-    time: Float[np.ndarray, "k"], values: Float[np.ndarray, "k c"], moment: Float[np.ndarray, "n"]
+    time: Times, values: Float[np.ndarray, "k c"], moment: Moments
 ) -> Float[np.ndarray, "n c"]:
     """Values at these times: straight between their neighbours, the outermost beyond the ends."""
     return np.stack([np.interp(moment, time, column) for column in values.T], axis=1)
@@ -212,8 +209,6 @@ class StreamedPoses(PoseSource):
         self._held: list[PoseMessage] = []
         self._lock = threading.Lock()
         self._socket: socket.socket | None = None
-        self._thread: threading.Thread | None = None
-        self.received = 0
 
     def open(self) -> None:
         """Listen, in a thread."""
@@ -243,7 +238,6 @@ class StreamedPoses(PoseSource):
         if message.stamp > now + _ANOTHER_CLOCK:
             return
         with self._lock:
-            self.received += 1
             place = bisect(self._held, message.stamp, key=_STAMP)
             if not place or self._held[place - 1].stamp != message.stamp:
                 self._held.insert(place, message)
@@ -252,7 +246,7 @@ class StreamedPoses(PoseSource):
     def close(self) -> None:
         """Stop listening."""
         connection, self._socket = self._socket, None
-        if connection is not None and self._thread is not None:
+        if connection is not None:
             self._thread.join(1)
             connection.close()
 
@@ -271,14 +265,8 @@ class StreamedPoses(PoseSource):
             held = self._held[: bisect_left(self._held, stamp[-1], key=_STAMP) + 1]
         if not held:
             return ConstantPose().at(stamp)._replace(known=np.zeros(len(stamp), dtype=bool))
-        moments = np.array([pose.stamp for pose in held], dtype=np.int64)
-        position, orientation = (
-            [pose.position for pose in held],
-            [pose.orientation for pose in held],
-        )
-        motion = Trail(position, orientation)
+        moments = np.array([pose.stamp for pose in held])
+        motion = Trail([pose.position for pose in held], [pose.orientation for pose in held])
         found = between((moments - moments[0]) * 1e-9, motion, (stamp - moments[0]) * 1e-9)
-        after = np.clip(np.searchsorted(moments, stamp), 0, len(moments) - 1)
-        before = np.maximum(after - 1, 0)
-        nearest = np.minimum(np.abs(moments[after] - stamp), np.abs(stamp - moments[before]))
+        nearest = np.abs(stamp[:, None] - moments).min(axis=1)
         return Poses(found.position, found.orientation, nearest <= self._patience)

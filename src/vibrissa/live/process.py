@@ -1,25 +1,32 @@
 """Samples to contacts: tare, pose, inverse, batch by batch."""
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
-from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.live.poses import ConstantPose, Poses, PoseSource
 from vibrissa.live.report import Report
-from vibrissa.live.samples import Flags, Nanoseconds, Samples, Wrenches, joined
+from vibrissa.live.samples import (
+    Flags,
+    Nanoseconds,
+    Quaternions,
+    Samples,
+    Vectors,
+    joined,
+    rows_of,
+)
 from vibrissa.live.zero import RESTLESS, ZeroWatch
 from vibrissa.reactions import VELOCITY_SPAN, velocities
 from vibrissa.rod import Rod
 from vibrissa.sensor import CHANNELS, RawRecording, Sensor, Tare
+from vibrissa.sensor.raw import Times, Wrench
 from vibrissa.tolerances import PARAMETERS, Tolerances
+from vibrissa.trail import Trail
 
 MOST_ROWS = 64
 """Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
@@ -51,12 +58,12 @@ class Result(NamedTuple):
     found: Reconstruction
 
 
-class _Place(NamedTuple):
+class _Places(NamedTuple):
     """Where the clamp was."""
 
-    time: float
-    position: Float[np.ndarray, "3"]
-    orientation: Float[np.ndarray, "4"]
+    time: Times
+    position: Vectors
+    orientation: Quaternions
 
 
 @dataclass(eq=False)
@@ -99,93 +106,88 @@ class Processor:
     tolerances: Tolerances | ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        seconds, given = self.sensor.tare_seconds, self.tolerances
+        seconds = self.sensor.tare_seconds
         self._seconds = TARE_SECONDS if seconds is None else seconds
-        self._errors = None if given is None else self.sensor.setup_errors(given)
+        self._errors = self.sensor.setup_errors(self.tolerances)
         self._sensor = self.sensor.updated(
             tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
         )
         self._tare = self._sensor.updated(tare_seconds=0.0).tare(_unloaded(1))
         self._tared = not self._seconds
-        self._waiting: list[Samples] = []
+        self._waiting: Samples | None = None
         self._origin: int | None = None
-        self._passed: deque[_Place] = deque()
+        self._passed: list[_Places] = []
         self._zero: ZeroWatch | None = None
         self.report = Report()
 
     @property
-    def tare(self) -> Float[np.ndarray, "6"] | None:
+    def tare(self) -> Wrench | None:
         """What is taken off [N], [N m]; None as long as that is not known."""
         return self._tare.offset if self._tared else None
 
     @property
     def waiting(self) -> int:
         """Samples that are held."""
-        return sum(map(len, self._waiting))
+        return len(self._waiting or ())
 
     def warm_up(self) -> None:
         """Compile, for every size of batch that may come, before samples do."""
         for rows in (1, MOST_ROWS):
-            self._found(replace(_unloaded(rows), force=np.ones((rows, 3))), None)
+            self._found(replace(_unloaded(rows), force=np.ones((rows, 3))), np.zeros(rows, bool))
 
     def push(self, samples: Samples) -> None:
         """Take samples in."""
-        if not len(samples):
+        if not samples:
             return
         if self._origin is None:
             self._origin = int(samples.stamp[0])
-        waiting = joined([*self._waiting, samples])
+        waiting = joined([self._waiting, samples]) if self._waiting else samples
         if not self._tared and samples.anew.any():
             # What came from the sensor before its restart is of another zero.
             here = np.arange(len(waiting)) >= np.flatnonzero(waiting.anew)[-1]
             waiting = replace(waiting, valid=waiting.valid & here)
-        self._waiting = [waiting]
+        self._waiting = waiting
         if not self._tared:
             self._try_tare(waiting[int(np.argmax(waiting.valid)) :])
         elif self._tare.coloured is None and len(samples) > 1:
-            self._take_tare(self._tare, 0.0, (samples.stamp - self._origin) * 1e-9)
+            self._take_tare(self._tare, self._time(samples))
 
     def _try_tare(self, rest: Samples) -> None:
         """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from
         a recording.
         """
-        end = rest.stamp[0] + self._seconds * 1e9
+        end, sensor = rest.stamp[0] + self._seconds * 1e9, self._sensor
         if not rest.valid[0] or rest.stamp[-1] < end:
             return
         # Without a mount that weighs, the tare needs no pose.
-        posed = ConstantPose().at(rest.stamp) if self._sensor.mount is None else self._posed(rest)
-        raw, sensor = self._raw(rest, posed), self._sensor
-        self._take_tare(sensor.tare(raw), raw.time[0], raw.time)
+        posed = ConstantPose().at(rest.stamp) if sensor.mount is None else self._posed(rest)
+        raw = self._raw(rest, posed)
+        self._take_tare(sensor.tare(raw), raw.time)
         shown = ", ".join(f"{value:.6g}" for value in self._tare.offset)
-        self.report.say(f"tare: {shown} (N, N m)")
+        self.report.notice(f"tare: {shown} (N, N m)")
         noise = spread = np.nanstd(raw.wrench[rest.stamp < end], axis=0, ddof=1)
-        if sensor.force_noise is not None:
+        if sensor.noise.known:
             noise, times = np.sqrt(sensor.reading_variance), np.max(spread / sensor.noise.white)
             self.report.moved_during_tare = bool(times > RESTLESS)
             if times > RESTLESS:
                 text = f"the wrench varied by {times:.1f} times its noise during the tare"
-                self.report.say(f"{text}: is the rod free?", warns=True)
+                self.report.warn(f"{text}: is the rod free?")
         self._zero = ZeroWatch(noise, sensor.noise.resolution, self.rod.length, self._seconds)
 
-    def _take_tare(self, tare: Tare, start: float, time: Float[np.ndarray, "n"]) -> None:
+    def _take_tare(self, tare: Tare, time: Times) -> None:
         """From now on this one, with a covariance that holds pink noise and random walk of a stream
-        that began at `start` [s] and goes on, by times (n,) [s] of its samples.
+        that began with the first of these times [s] of its samples, and goes on.
         """
         interval = float(np.median(np.diff(time)))
-        coloured = self._sensor.noise.coloured_within(float(start), _DAY, interval)
+        coloured = self._sensor.noise.coloured_within(float(time[0]), _DAY, interval)
         self._tare, self._tared = replace(tare, coloured=tuple(coloured)), True
 
     def ready(self, now: int) -> Iterator[Result]:
         """Batches that can be worked on at `now` [ns since 1970], for sources whose stamps are of
         the host's clock.
         """
-        while self._waiting:
-            samples = self._waiting.pop()
-            count = self._workable(samples, now)
-            if count < len(samples):
-                self._waiting, samples = [samples[count:]], samples[:count]
-            if count == 0:
-                return
+        while self._waiting and (count := self._workable(self._waiting, now)):
+            samples, self._waiting = self._waiting[:count], self._waiting[count:]
             yield self._result(samples)
 
     def _workable(self, samples: Samples, now: int) -> int:
@@ -200,70 +202,67 @@ class Processor:
         return int(min(ends))
 
     def _result(self, samples: Samples) -> Result:
-        if self._zero is not None and samples.anew[0]:
-            self._zero.restart()
-        poses = self._posed(samples)
-        raw = self._raw(samples, poses)
-        found = self._found(raw, self._velocity(raw, poses.known))
+        posed, zero, unsure = self._posed(samples), self._zero, False
+        raw = self._raw(samples, posed)
+        found = self._found(raw, posed.known)
         tared = raw.wrench - self._tare.readings(self._sensor, raw.time, raw.orientation)
-        unsure = self._zero is not None and self._zero.pending
-        self._watch(raw, tared, found)
+        if zero is not None:
+            if samples.anew[0]:
+                zero.restart()
+            unsure, same = zero.pending, zero.take(raw, tared, found)
+            if same:
+                self.report.notice("the sensor's zero is as it was before the restart")
+            elif same is not None:
+                self._tare_anew(zero.rest())
         found = found if self.stage is None else self.stage.push(found)
         if unsure:
             status = np.where(found.status == Status.OK, Status.SETUP_CONTRADICTED, found.status)
             found = replace(found, status=status.astype(np.int8))
         self.report.unsure += unsure * len(samples)
-        self.report.without_pose += int(np.count_nonzero(~poses.known))
-        position, orientation = (np.where(poses.known[:, None], part, np.nan) for part in poses[:2])
-        shown = RawRecording(raw.time, position, orientation, tared[:, :3], tared[:, 3:])
+        self.report.without_pose += int(np.count_nonzero(~posed.known))
+        position, orientation = (np.where(posed.known[:, None], part, np.nan) for part in posed[:2])
+        shown = replace(raw, position=position, orientation=orientation).with_wrench(tared)
         return Result(samples.stamp, samples.arrival, shown, found)
 
-    def _found(self, raw: RawRecording, velocity: Wrenches | None) -> Reconstruction:
-        reactions = self._sensor.reactions(
-            raw, self._tare, tolerances=self._errors, velocity=velocity
-        )
+    def _found(self, raw: RawRecording, known: Flags) -> Reconstruction:
+        """Contacts of rows of which some have a pose."""
+        reactions = self._sensor.reactions(raw, self._tare, tolerances=self._errors)
+        late = PARAMETERS.index("pose_delay")
+        if self._errors is not None and self._errors.covariance[late, late]:
+            velocity = self._velocity(raw.time, reactions.trail, known)
+            reactions = replace(reactions, velocity=np.tile(velocity, (len(known), 1)))
         return reconstruct(self.rod, reactions, friction=self.friction, check=False)
 
-    def _watch(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> None:
-        """Follow the zero, and take it anew if it is another."""
-        same = None if self._zero is None else self._zero.take(raw, tared, found)
-        if same:
-            self.report.say("the sensor's zero is as it was before the restart")
-        if self._zero is None or same is not False:
-            return
-        rest, before = self._zero.rest(), self._tare.offset
-        self._take_tare(self._sensor.tare(rest), rest.time[0], rest.time)
+    def _velocity(self, time: Times, clamp: Trail, known: Flags) -> Wrench:
+        """Of the clamp, one for the batch: between its last pose and one some 50 ms before."""
+        here = rows_of(_Places(time, clamp.position, clamp.orientation), known)
+        passed = joined([*self._passed, here])
+        if len(passed.time) < 2:
+            self._passed = [passed]
+            return np.zeros(6)
+        self._passed = [rows_of(passed, passed.time > passed.time[-1] - VELOCITY_SPAN)]
+        return velocities(*rows_of(passed, [0, -1]))[1]
+
+    def _tare_anew(self, rest: RawRecording) -> None:
+        """From rest after a restart that changed the zero."""
+        before = self._tare.offset
+        self._take_tare(self._sensor.tare(rest), rest.time)
         self.report.zero_changes += 1
         getattr(self.stage, "reset", lambda: None)()
         changes = zip(CHANNELS, self._tare.offset - before, strict=True)
         moved = ", ".join(f"{name} {value:+.4g}" for name, value in changes)
-        text = f"the sensor's zero has changed with its restart ({moved} N, N m): it is tared again"
-        self.report.say(text, warns=True)
+        text = f"the sensor's zero has changed with its restart ({moved} N, N m)"
+        self.report.warn(f"{text}: it is tared again")
 
-    def _velocity(self, raw: RawRecording, known: Flags) -> Wrenches | None:
-        """Of the clamp, one for the batch: between its last pose and one some 50 ms before; None
-        if no pose comes late.
-        """
-        late = PARAMETERS.index("pose_delay")
-        if self._errors is None or not self._errors.covariance[late, late]:
-            return None
-        passed = self._passed
-        for row in np.flatnonzero(known)[-1:]:
-            arm = rotation_matrices(raw.orientation[row]) @ self._sensor.clamp_position
-            passed.append(_Place(raw.time[row], raw.position[row] + arm, raw.orientation[row]))
-        while len(passed) > 2 and passed[-1].time - passed[1].time >= VELOCITY_SPAN:
-            passed.popleft()
-        ends = map(np.array, zip(passed[0], passed[-1], strict=True)) if len(passed) > 1 else None
-        velocity = np.zeros(6) if ends is None else velocities(*ends)[1]
-        return np.broadcast_to(velocity, (len(raw.time), 6))
+    def _time(self, samples: Samples) -> Times:
+        """Since the first sample [s]."""
+        return (samples.stamp - self._origin) * 1e-9
 
     def _raw(self, samples: Samples, poses: Poses) -> RawRecording:
         """Samples as a recording, NaN for those without a pose or not valid."""
-        assert self._origin is not None
         good = (samples.valid & poses.known)[:, None]
         force, torque = (np.where(good, part, np.nan) for part in (samples.force, samples.torque))
-        time = (samples.stamp - self._origin) * 1e-9
-        return RawRecording(time, poses.position, poses.orientation, force, torque)
+        return RawRecording(self._time(samples), poses.position, poses.orientation, force, torque)
 
     def _posed(self, samples: Samples) -> Poses:
         if samples.position is None or samples.orientation is None:
@@ -274,6 +273,5 @@ class Processor:
 def _unloaded(rows: int) -> RawRecording:
     """Rows of a sensor that stands and feels nothing."""
     still = np.zeros((rows, 3))
-    return RawRecording(
-        np.arange(float(rows)), still, np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)), still, still
-    )
+    turn = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1))
+    return RawRecording(np.arange(float(rows)), still, turn, still, still)

@@ -41,18 +41,16 @@ class ReplaySource(Source):
         if not len(raw.time):
             raise ValueError("the recording has no rows; allowed is at least one")
         self._due = np.round((raw.time - raw.time[0]) / self.speed * 1e9).astype(np.int64)
-        rows = np.arange(len(raw.time))
         self._samples = Samples(
             np.round(raw.time * 1e9).astype(np.int64),
-            rows,
+            np.arange(len(raw.time)),
             raw.force,
             raw.torque,
             np.isfinite(raw.wrench).all(axis=1),
-            rows,
+            self._due,
             raw.position,
             raw.orientation,
         )
-        self._next = self._start = 0
         self.counts = Counts()
 
     def open(self) -> None:
@@ -61,19 +59,16 @@ class ReplaySource(Source):
 
     def read(self, timeout: float) -> Samples | None:
         """Rows that are due."""
-        first = self._next
+        first = self.counts.samples
         if first == len(self._due):
             raise EndOfStreamError
         wait = (int(self._due[first]) + self._start - time.monotonic_ns()) * 1e-9
         time.sleep(min(max(wait, 0.0), timeout))
         now = time.monotonic_ns()
         due = int(np.searchsorted(self._due, now - self._start, side="right"))
-        self._next = min(due, first + _MOST_ROWS)
-        if self._next == first:
-            return None
-        self.counts.samples += self._next - first
-        part = self._samples[first : self._next]
-        return replace(part, arrival=np.full(len(part), now))
+        part = self._samples[first : min(due, first + _MOST_ROWS)]
+        self.counts.samples += len(part)
+        return replace(part, arrival=np.full(len(part), now)) if part else None
 
     def close(self) -> None:
         """Nothing is held open."""

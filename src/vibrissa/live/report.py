@@ -1,7 +1,7 @@
 """What a stream did, in figures and in words; its delays and its silences."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -82,20 +82,13 @@ class Report:
 
     def __post_init__(self) -> None:
         # Is told, in one line, what happens.
-        self.notice: Callable[[str], None] | None = None
+        self.notice: Callable[[str], object] = str
 
-    def as_dict(self) -> dict[str, object]:
-        """All figures, for JSON."""
-        return asdict(self)
-
-    def say(self, text: str, *, warns: bool = False) -> None:
-        """Tell something; a warning is kept, and not told where there is no room for it."""
-        if warns and len(self.warnings) >= _MOST_WARNINGS:
-            return
-        if warns:
+    def warn(self, text: str) -> None:
+        """Tell and keep a warning, unless there is no room for it."""
+        if len(self.warnings) < _MOST_WARNINGS:
             self.warnings.append(text)
-        if self.notice is not None:
-            self.notice(f"warning: {text}" if warns else text)
+            self.notice(f"warning: {text}")
 
     def losses(self) -> list[str]:
         """What the figures say against the stream, one line each; nothing if all is well."""
@@ -123,30 +116,31 @@ class Latency:
     """Counts times in bins that widen by 1 %, so that every percentile is right to 1 %."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(len(_EDGES) + 1, dtype=np.int64)
+        self._counts = np.zeros(len(_EDGES), dtype=np.int64)
 
     def add(self, nanoseconds: Nanoseconds) -> None:
         """Count these (n,)."""
-        self._counts += np.bincount(
-            np.searchsorted(_EDGES, nanoseconds), minlength=len(self._counts)
-        )
+        bins = np.searchsorted(_EDGES[:-1], nanoseconds)
+        self._counts += np.bincount(bins, minlength=len(_EDGES))
 
     def percentile(self, percent: float) -> float | None:
         """Time [s] that this share of all does not exceed: the upper end of its bin; None if none
         was counted.
         """
-        total = np.cumsum(self._counts)
-        if not total[-1]:
+        if not self._counts.any():
             return None
-        place = int(np.searchsorted(total, total[-1] * percent / 100))
-        return float(_EDGES[min(place, len(_EDGES) - 1)] * 1e-9)
+        edge = np.percentile(_EDGES, percent, weights=self._counts, method="inverted_cdf")
+        return float(edge) * 1e-9
 
 
 class SilenceWatch:
-    """Notices silences of a source by the arrivals of its samples [ns]."""
+    """Notices silences of a source by the arrivals of its samples [ns], and adds them up in a
+    report.
+    """
 
-    def __init__(self) -> None:
-        self._last = self._samples = self._lively = self._silent = self.count = 0
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._last = self._samples = self._lively = 0
         self._noticed = False
 
     def _silences(self, pause: Nanoseconds) -> np.ndarray:
@@ -159,24 +153,19 @@ class SilenceWatch:
         return pause[pause >= max(_LEAST_SILENCE, _SILENT_STEPS * pace)]
 
     def came(self, arrival: Nanoseconds) -> float | None:
-        """Take note of samples (n,), and return the longest silence [s] before one of them; None
-        for none.
+        """Take note of samples (n,), or of the end, and return the longest silence [s] before one of
+        them; None for none.
         """
         pause = np.diff(arrival, prepend=self._last if self._samples else arrival[0])
         silences = self._silences(pause)
         self._samples += len(arrival)
         self._last, self._noticed = int(arrival[-1]), False
-        self._silent += int(silences.sum())
         self._lively += int(pause.sum() - silences.sum())
-        self.count += len(silences)
+        self._report.silences += len(silences)
+        self._report.silent_seconds += float(silences.sum()) * 1e-9
         return float(silences.max()) * 1e-9 if len(silences) else None
 
     def begins(self, now: int) -> bool:
         """Whether a silence is noticed now; once each."""
         before, self._noticed = self._noticed, len(self._silences(np.array([now - self._last]))) > 0
         return self._noticed and not before
-
-    def until(self, now: int) -> tuple[int, float]:
-        """How many silences there were, and their seconds, with one that has not ended."""
-        lasting = self._silences(np.array([now - self._last]))
-        return self.count + len(lasting), (self._silent + int(lasting.sum())) * 1e-9

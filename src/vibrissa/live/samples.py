@@ -66,7 +66,7 @@ class Samples:
     def __post_init__(self) -> None:
         if not self.anew.size:
             object.__setattr__(self, "anew", np.zeros(len(self), dtype=bool))
-        lengths = {len(column) for column in vars(self).values() if column is not None}
+        lengths = set(map(len, jax.tree.leaves(self)))
         if len(lengths) > 1:
             raise ValueError(f"columns of {sorted(lengths)} rows; allowed is one number of rows")
 
@@ -77,7 +77,7 @@ class Samples:
         return rows_of(self, rows)
 
 
-def rows_of(table: Table, rows: slice | Flags) -> Table:
+def rows_of(table: Table, rows: slice | Flags | list[int]) -> Table:
     """These rows of a table."""
     return jax.tree.map(lambda column: column[rows], table)
 

@@ -1,15 +1,13 @@
 """A scan played in time, as a sensor would feel it."""
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrissa.forward import scan
 from vibrissa.geometry.checks import not_negative, positive
-from vibrissa.geometry.rotation import inverse, multiplied, rotation_matrices
 from vibrissa.live.poses import between, linear
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -18,38 +16,6 @@ from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
 
 _MOST_POSITIONS = 4001  # of a scan: steps of 10 µm over 40 mm, between which reactions are linear
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """Reactions at the clamp over time: at rest before the first trail, along it, then on to the
-    next one.
-
-    Attributes
-    ----------
-    time
-        (k,) [s], increasing, from 0.
-    trail
-        Clamp poses (k, …).
-    force, moment
-        (k, 3) on the rod, world axes.
-    """
-
-    time: Float[np.ndarray, "k"]
-    trail: Trail
-    force: Float[np.ndarray, "k 3"]
-    moment: Float[np.ndarray, "k 3"]
-
-    @property
-    def duration(self) -> float:
-        """Seconds until the last trail has been swept."""
-        return float(self.time[-1])
-
-    def reactions(self, time: Float[np.ndarray, "n"]) -> Reactions:
-        """Reactions (n, …) at these times [s], increasing; after the end, the clamp stands."""
-        trail = between(self.time, self.trail, time)
-        force, moment = (linear(self.time, part, time) for part in (self.force, self.moment))
-        return Reactions(trail, force, moment, time=time)
 
 
 def swept(
@@ -62,20 +28,16 @@ def swept(
     pause: float = 0.5,
     friction: float = 0.0,
     finite_radius: bool = False,
-) -> Scene:
-    """Scene of a case.
+) -> Reactions:
+    """Reactions (k, …) over time of a case: along the first trail, then on to the next one.
 
     Parameters
     ----------
     rod, surface, trail, friction, finite_radius
         As for `vibrissa.scan`, in SI units.
-    rest
-        Seconds at the start before anything moves: the tare's.
-    sweep
-        Seconds for each trail.
-    pause
-        Seconds from one trail's end to the next one's start: straight, and with reactions that go
-        over evenly, none if the ends are free of contact.
+    rest, sweep, pause
+        As for `motion`. Reactions go over evenly between trails: none if the ends are free of
+        contact.
 
     Raises
     ------
@@ -85,39 +47,39 @@ def swept(
     fine = _refined(trail)
     time, clamp = motion(fine, rest=rest, sweep=sweep, pause=pause)
     felt = scan(rod, surface, fine, friction=friction, finite_radius=finite_radius).reactions
-    force, moment = (
-        _after(rest, np.nan_to_num(part).reshape(-1, 3)) for part in (felt.force, felt.moment)
-    )
-    return Scene(time, clamp, force, moment)
+    force, moment = (np.nan_to_num(part).reshape(-1, 3) for part in (felt.force, felt.moment))
+    return Reactions(clamp, force, moment, time=time)
 
 
 def motion(
     trail: Trail, *, rest: float, sweep: float, pause: float
 ) -> tuple[Float[np.ndarray, "k"], Trail]:
-    """Time (k,) [s] and clamp poses (k, …) of trails that are swept one after the other; arguments
-    and errors as for `swept`.
+    """Time (k,) [s] and clamp poses (k, …) of trails that are swept one after the other.
+
+    Parameters
+    ----------
+    trail
+        One or several.
+    rest
+        Seconds before anything moves: the tare's.
+    sweep
+        Seconds for each trail.
+    pause
+        Seconds from one trail's end to the next one's start: straight.
+
+    Raises
+    ------
+    ValueError
+        If a time is not allowed, or a trail has less than two positions.
     """
     not_negative(rest, "rest")
     positive(sweep, "sweep")
     positive(pause, "pause")
     if trail.count < 2:
         raise ValueError(f"trail has {trail.count} positions; allowed are at least 2")
-    position, orientation = trail.position.reshape(-1, 3), trail.orientation.reshape(-1, 4)
-    start = rest + (sweep + pause) * np.arange(len(position) // trail.count)
-    time = np.add.outer(start, np.linspace(0.0, sweep, trail.count)).ravel()
-    time = np.concatenate([[0.0], time]) if rest else time
-    return time, Trail(_after(rest, position), _after(rest, orientation))
-
-
-def _after(rest: float, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "n c"]:
-    """The first row also at the beginning of the rest, if there is one."""
-    return np.concatenate([rows[:1], rows]) if rest else rows
-
-
-def sensor_poses(sensor: Sensor, clamp: Trail) -> Trail:
-    """Poses of the sensor frame (k, …) that go with these of the clamp."""
-    turn = multiplied(clamp.orientation, inverse(sensor.clamp_orientation))
-    return Trail(clamp.position - rotation_matrices(turn) @ sensor.clamp_position, turn)
+    clamp = Trail(trail.position.reshape(-1, 3), trail.orientation.reshape(-1, 4))
+    start = rest + (sweep + pause) * np.arange(clamp.count // trail.count)
+    return np.add.outer(start, np.linspace(0.0, sweep, trail.count)).ravel(), clamp
 
 
 def _refined(trail: Trail) -> Trail:
@@ -131,7 +93,7 @@ def _refined(trail: Trail) -> Trail:
 
 
 def measured(
-    scene: Scene,
+    scene: Reactions,
     sensor: Sensor,
     rate: float,
     rng: np.random.Generator,
@@ -140,17 +102,14 @@ def measured(
     block: int = 512,
     repeat: bool = False,
 ) -> Iterator[RawRecording]:
-    """What the sensor logs of a scene, in blocks of rows, without end: sample i at i/rate; `repeat`
-    plays the scene again and again.
+    """What the sensor logs of a scene, in blocks of rows, without end: sample i at i/rate. The clamp
+    stands before and after the scene, or `repeat` plays it again and again.
     """
-    first, begin, end = 0, 0.0, scene.duration if repeat else math.inf
-    while True:
+    assert scene.time is not None
+    duration = scene.time[-1] if repeat else np.inf
+    for first in count(0, block):
         time = np.arange(first, first + block) / rate
-        time = time[time < end]
-        if len(time):
-            part = scene.reactions(time - begin)
-            raw = sensor.measure(part, rng, force_tare=tare[:3], torque_tare=tare[3:])
-            yield replace(raw, time=time)
-            first += len(time)
-        else:
-            begin, end = end, end + scene.duration
+        parts = (scene.force, scene.moment)
+        force, moment = (linear(scene.time, part, time % duration) for part in parts)
+        felt = Reactions(between(scene.time, scene.trail, time % duration), force, moment, time)
+        yield sensor.measure(felt, rng, force_tare=tare[:3], torque_tare=tare[3:])

@@ -3,6 +3,7 @@ dropped.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,14 @@ _BYTES = np.dtype(f"V{RECORD.itemsize}")
 _ORDERED = [("number", "i8"), ("record", _BYTES), ("arrival", "i8")]
 ORDERED = np.dtype([("number", "i8"), ("record", RECORD), ("arrival", "i8")])
 """A record in order: its unwrapped number, itself, and when it arrived [ns]."""
+
+
+class _Record(NamedTuple):
+    """A record as it came: its wrapped number, its bytes, and when."""
+
+    wrapped: int
+    content: bytes
+    came: int
 
 
 @dataclass(eq=False)
@@ -42,87 +51,80 @@ class Sequencer:
 
     def __post_init__(self) -> None:
         self._next = -1  # until the first record
-        self._held: dict[int, tuple[bytes, int]] = {}
+        self._held: dict[int, _Record] = {}
         # What was given on by number, the last 1000; None for a number that was given up.
         self._past: dict[int, bytes | None] = {}
-        self._aside: tuple[int, bytes, int] | None = None
+        self._aside: _Record | None = None
         self._out: list[tuple[int, bytes, int]] = []
 
     def accept(self, records: np.ndarray, arrival: Nanoseconds, now: int) -> np.ndarray:
         """Take records (n,) of type `RECORD` as they came, and return those that are in order by
         now, of type `ORDERED`; `now` [ns] is on the clock of `arrival`.
         """
-        rows = records.view(_BYTES).tolist()
-        for row in zip(records["rdt_sequence"].tolist(), rows, arrival.tolist(), strict=True):
-            self._take(*row)
+        contents = records.view(_BYTES).tolist()
+        for row in zip(records["rdt_sequence"].tolist(), contents, arrival.tolist(), strict=True):
+            self._take(_Record(*row))
         while self._held and (
             len(self._held) > _MOST_HELD
-            or now - min(came for _, came in self._held.values()) >= self.patience
+            or now - min(record.came for record in self._held.values()) >= self.patience
         ):
             self._give_up()
+        while len(self._past) > _BACK:
+            del self._past[next(iter(self._past))]
         out, self._out = self._out, []
         return np.array(out, dtype=_ORDERED).view(ORDERED)
 
-    def _take(self, wrapped: int, row: bytes, came: int) -> None:
+    def _take(self, record: _Record) -> None:
+        wrapped, content, _ = record
         if self._next < 0:
             self._next = wrapped
         half = MODULUS // 2
         number = self._next + (wrapped - self._next + half) % MODULUS - half
         seen = self._past.get(number, b"")
-        if number in self._held or seen == row:
+        if number in self._held or seen == content:
             self.counts.duplicates += 1
         elif seen is None:
-            self._past[number] = row
+            self._past[number] = content
             self.counts.late += 1
         elif self._next <= number <= self._next + AHEAD:
-            self._forget_aside()
-            self._held[number] = (row, came)
+            self._set_aside(None)
+            self._held[number] = record
             self.counts.reordered += max(self._give_held(self._next) - 1, 0)
+        elif self._aside and 1 <= (wrapped - self._aside.wrapped) % MODULUS <= MOST_RECORDS:
+            self._begin_anew(self._aside, record)
         else:
-            self._doubt(wrapped, row, came)
+            self._set_aside(record)
+
+    def _set_aside(self, record: _Record | None) -> None:
+        """In the place of the one before, which was damage."""
+        self.counts.malformed += self._aside is not None
+        self._aside = record
+
+    def _begin_anew(self, *records: _Record) -> None:
+        """Number on, from a new stream's first records."""
+        self._aside = None
+        while self._held:
+            self._give_up()
+        self.counts.restarts += 1
+        self._past.clear()
+        self._next += MODULUS - self._next % MODULUS + records[0].wrapped
+        for record in records:
+            self._take(record)
 
     def _give_held(self, first: int) -> int:
         """Give on what is held from this number on, and return how many those were."""
         self._next = first
         while self._next in self._held:
-            row, came = self._held.pop(self._next)
-            self._out.append((self._next, row, came))
-            self._remember(self._next, row)
+            _, content, came = self._held.pop(self._next)
+            self._out.append((self._next, content, came))
+            self._past[self._next] = content
             self._next += 1
         return self._next - first
-
-    def _remember(self, number: int, row: bytes | None) -> None:
-        self._past[number] = row
-        if len(self._past) > _BACK:
-            del self._past[next(iter(self._past))]
 
     def _give_up(self) -> None:
         """Skip the numbers before the first held record."""
         first = min(self._held)
         self.counts.gaps += 1
         self.counts.lost += first - self._next
-        for number in range(max(self._next, first - _BACK), first):
-            self._remember(number, None)
+        self._past |= dict.fromkeys(range(max(self._next, first - _BACK), first))
         self._give_held(first)
-
-    def _doubt(self, wrapped: int, row: bytes, came: int) -> None:
-        """Set a record that fits nowhere aside, or take it for a new stream's if it continues the
-        one that was set aside just before.
-        """
-        before = self._aside
-        if before is None or not 1 <= (wrapped - before[0]) % MODULUS <= MOST_RECORDS:
-            self._forget_aside()
-            self._aside = (wrapped, row, came)
-            return
-        self._aside = None
-        while self._held:
-            self._give_up()
-        self.counts.restarts += 1
-        self._past.clear()
-        self._next = self._next + MODULUS - self._next % MODULUS + before[0]
-        self._take(*before)
-        self._take(wrapped, row, came)
-
-    def _forget_aside(self) -> None:
-        self.counts.malformed += self._aside is not None
-        self._aside = None

@@ -147,12 +147,18 @@ class SensorSimulator:
         scale = rdt.counts_per_unit(self.counts_per_force, self.counts_per_torque)
         rate, pose_rate = positive(self.rate, "rate"), positive(self.pose_rate, "pose_rate")
         self._pose_every = max(1, round(rate / pose_rate))
-        self._samples = _in_counts(self.samples, scale)
+        self._samples = (
+            _Sample(np.rint(wrench * scale).astype(np.int64), position, orientation)
+            for block in self.samples
+            for wrench, position, orientation in zip(
+                block.wrench, block.position, block.orientation, strict=True
+            )
+        )
         self._next: list[_Sample] = []
         self._rng = np.random.default_rng(self.seed)
         self._client: tuple[str, int] | None = None
         self._per_datagram = 1
-        self._wanted = self._sequence = 0
+        self._wanted, self._sequence = np.inf, 0
         self._bias = np.zeros(6, dtype=np.int64)
         self._swapped: list[bytes] = []
         self.sent = Sent()
@@ -212,14 +218,14 @@ class SensorSimulator:
                         f"{after} asked for the stream, and {before} loses it: there is one "
                         "stream, for the client that asked last"
                     )
-                self._client, self._sequence, self._wanted = sender, 0, records
+                self._client, self._sequence, self._wanted = sender, 0, records or np.inf
                 self._per_datagram = self.buffer if command == rdt.Command.BUFFERED else 1
             case rdt.Command.BIAS if self._next:
                 self._bias = self._next[0].counts
 
     def _send(self, start: int, epoch: int) -> None:
         """The next datagram, and the poses of its samples."""
-        samples, first, sent = self._next, self.sent.records, self.sent
+        samples, sent, first = self._next, self.sent, self.sent.records
         for number, (_, position, orientation) in enumerate(samples, start=first):
             moment = start + round(number / self.rate * 1e9)
             if self.poses is not None and number % self._pose_every == 0:
@@ -228,28 +234,26 @@ class SensorSimulator:
             sent.latest = max(sent.latest, (time.monotonic_ns() - moment) * 1e-9)
         sent.records += len(samples)
         self._next = list(islice(self._samples, self._per_datagram))
-        if self._client is not None:
-            wanted = self._wanted - self._sequence if self._wanted else len(samples)
-            counts = np.array([sample.counts for sample in samples[:wanted]])
-            self._datagram(counts, first, self._client)
-            if self._sequence == self._wanted:
-                self._client = None
-
-    def _datagram(
-        self, counts: Int[np.ndarray, "k 6"], first: int, client: tuple[str, int]
-    ) -> None:
-        """Send records, or what the flaws make of them."""
-        number = np.arange(len(counts))
-        records = np.zeros(len(counts), dtype=rdt.RECORD)
-        records["rdt_sequence"] = (self._sequence + 1 + number) % rdt.MODULUS
-        records["ft_sequence"] = (first + number) % rdt.MODULUS
-        records["counts"] = np.clip(counts - self._bias, -_LARGEST_COUNT, _LARGEST_COUNT)
-        records["status"][0] = rdt.ERROR_BIT * self._happens("error")
-        self._sequence += len(counts)
-        if self._happens("drop"):
-            self.sent.dropped += len(counts)
+        if self._client is None:
             return
-        self.sent.sent += len(counts)
+        count = int(min(len(samples), self._wanted - self._sequence))
+        records, place = np.zeros(count, dtype=rdt.RECORD), np.arange(count)
+        records["rdt_sequence"] = (self._sequence + 1 + place) % rdt.MODULUS
+        records["ft_sequence"] = (first + place) % rdt.MODULUS
+        counts = [sample.counts - self._bias for sample in samples[:count]]
+        records["counts"] = np.clip(counts, -_LARGEST_COUNT, _LARGEST_COUNT)
+        records["status"][0] = rdt.ERROR_BIT * self._happens("error")
+        self._sequence += count
+        self._datagram(records, self._client)
+        if self._sequence == self._wanted:
+            self._client = None
+
+    def _datagram(self, records: np.ndarray, client: tuple[str, int]) -> None:
+        """Send records, or what the flaws make of them."""
+        if self._happens("drop"):
+            self.sent.dropped += len(records)
+            return
+        self.sent.sent += len(records)
         data = records.tobytes()
         if not self._swapped and self._happens("reorder"):
             self._swapped = [data]
@@ -261,15 +265,8 @@ class SensorSimulator:
         self._swapped = []
 
     def _happens(self, flaw: str) -> bool:
-        share = getattr(self.flaws, flaw)
-        return bool(share) and self._rng.random() < share
+        return self._rng.random() < getattr(self.flaws, flaw)
 
     def _put(self, data: bytes, address: tuple[str, int]) -> None:
         with suppress(BlockingIOError, ConnectionRefusedError):
             self._socket.sendto(data, address)
-
-
-def _in_counts(blocks: Iterator[RawRecording], scale: Float[np.ndarray, "6"]) -> Iterator[_Sample]:
-    for block in blocks:
-        counts = np.clip(np.rint(block.wrench * scale), -_LARGEST_COUNT, _LARGEST_COUNT)
-        yield from map(_Sample, counts.astype(np.int64), block.position, block.orientation)

@@ -1,29 +1,14 @@
 """Contacts smoothed as they come."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import CausalSmoother, Reconstruction
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.trail import Trail
-
-_FILTERED = (
-    "kind",
-    "point",
-    "force_direction",
-    "arc_length",
-    "modulus",
-    "covariance",
-    "normal_covariance",
-    "covariance_noise",
-    "normal_covariance_noise",
-    "sensitivity",
-)
 
 
 class SmoothingStage:
@@ -70,10 +55,10 @@ class SmoothingStage:
             self._smoother.reset()
         self._last = float(reactions.time[-1])
         rows = self._smoother.update_all(reactions)
+        filtered = {name: value for name, value in vars(rows).items() if name in vars(found)}
         bad = found.status * ~np.isfinite(reactions.force).all(axis=-1)
-        filtered: dict[str, Any] = {name: getattr(rows, name) for name in _FILTERED}
-        status = np.maximum(bad, rows.status)
-        return replace(found, **filtered, arc_length_deviation=None, status=status)
+        filtered["status"] = np.maximum(bad, rows.status)
+        return replace(found, **filtered, arc_length_deviation=None)
 
     def reset(self) -> None:
         """Begin anew: the sensor's zero was taken anew."""
@@ -81,13 +66,12 @@ class SmoothingStage:
             self._smoother.reset()
 
 
-def _first_covariance(reactions: Reactions) -> Float[np.ndarray, "6 6"]:
-    """Covariance of the first row's wrench, in clamp axes."""
+def _first_covariance(reactions: Reactions) -> np.ndarray:
+    """Covariance (6, 6) of the first row's wrench, in clamp axes."""
     if reactions.covariance is None:
         raise ValueError(
             "force_noise = None: smoothing needs the noise of the wrench; allowed is a [sensor] "
             "with force_noise and torque_noise"
         )
-    first = np.broadcast_to(reactions.covariance, (len(reactions.force), 6, 6))[0]
-    both = np.kron(np.eye(2), rotation_matrices(reactions.trail.orientation[:1])[0])
-    return np.asarray(both.T @ first @ both)
+    both = np.kron(np.eye(2), rotation_matrices(reactions.trail.orientation[0]))
+    return both.T @ reactions.covariance.reshape(-1, 6, 6)[0] @ both

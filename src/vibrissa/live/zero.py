@@ -120,26 +120,23 @@ class ZeroWatch:
         return RawRecording(*joined(self._blocks)[:5])
 
     def _same(self) -> bool | None:
-        short, before = self._last(self._check), self._before
-        if short is None or not self._quiet(short):
+        short, before = self._quiet(self._last(self._check)), self._quiet(self._before)
+        if short is None:
             return None
         level = short.tared.mean(axis=0)
+        levels = [level]
+        if before is not None and self._at(short, before):
+            levels.append((level - before.tared.mean(axis=0)) / np.sqrt(2))
         # The mean of rounded readings is off by up to half a step: by a quarter on average.
-        tolerance = _DEVIATIONS * np.sqrt(
-            self.noise**2 / len(short.time) + (self.resolution / 4) ** 2
+        tolerance = _DEVIATIONS * np.hypot(
+            self.noise / np.sqrt(len(short.time)), self.resolution / 4
         )
-        if np.all(np.abs(level) <= tolerance):
+        if np.any(np.all(np.abs(levels) <= tolerance, axis=1)):
             return True
-        if before is not None and self._quiet(before) and self._at(short, before):
-            change = np.abs(level - before.tared.mean(axis=0))
-            if np.all(change <= np.sqrt(2) * tolerance):
-                return True
-        whole = self._last(_TARED * self.seconds)
-        if whole is None or not self._quiet(whole):
+        whole = self._quiet(self._last(_TARED * self.seconds))
+        if whole is None or (not self._moved and whole.explained.mean() > _FEW):
             return None
-        hidden = not self._moved and whole.explained.mean() > _FEW
-        free = any(self._at(whole, rows) for rows in self._free)
-        return False if free and not hidden else None
+        return False if any(self._at(whole, rows) for rows in self._free) else None
 
     def _last(self, seconds: float) -> _Rows | None:
         """The last rows of so many seconds; None if there are fewer."""
@@ -150,8 +147,11 @@ class ZeroWatch:
         enough = rows.time[-1] - rows.time[0] >= _WHOLE * seconds
         return last if enough and len(last.time) >= _FEWEST else None
 
-    def _quiet(self, rows: _Rows) -> bool:
-        return bool(np.all(rows.tared.std(axis=0, ddof=1) <= RESTLESS * self.noise))
+    def _quiet(self, rows: _Rows | None) -> _Rows | None:
+        """The same rows if they are at rest."""
+        if rows is None or np.any(rows.tared.std(axis=0, ddof=1) > RESTLESS * self.noise):
+            return None
+        return rows
 
     def _at(self, rows: _Rows, place: _Rows) -> bool:
         """Whether the sensor was where the last of other rows was."""

@@ -14,24 +14,20 @@ Y0 = np.round(np.arange(-0.5, 0.55, 0.1), 10)
 PLANE = int(np.argmin(np.abs(Y0)))
 """The trail y0 = 0."""
 
-REACH_X, REACH_Y = 1.0, 0.7
+REACH = (1.0, 0.7)
 """Half widths of the surface region on which coverage is measured [L]."""
+Grid = Float[np.ndarray, "*grid"]
 
 
 def trails(count: int = 241, reach: float = 1.2) -> Trail:
     """The eleven trails y0 = −0.5 : 0.1 : 0.5, from x0 = `reach` to −`reach`."""
-    return Trail.raster(
-        start=(reach, Y0[0], 0),
-        stop=(-reach, Y0[0], 0),
-        count=count,
-        step=(0, 0.1, 0),
-        trails=len(Y0),
-    )
+    start, stop = (reach, Y0[0], 0), (-reach, Y0[0], 0)
+    return Trail.raster(start=start, stop=stop, count=count, step=(0, 0.1, 0), trails=len(Y0))
 
 
-def plane_trail(count: int = 521) -> Trail:
+def plane_trail() -> Trail:
     """y0 = 0, on to its snap-off at x0 = −1.342."""
-    return Trail.line(start=(1.2, 0, 0), stop=(-1.4, 0, 0), count=count)
+    return Trail.line(start=(1.2, 0, 0), stop=(-1.4, 0, 0), count=521)
 
 
 def perpendicular_trails(count: int = 241, reach: float = 1.2) -> Trail:
@@ -41,16 +37,11 @@ def perpendicular_trails(count: int = 241, reach: float = 1.2) -> Trail:
     )
 
 
-def crossed(count: int = 301, reach: float = 1.5) -> Trail:
-    """Both, from further out."""
-    return Trail.stack([trails(count, reach), perpendicular_trails(count, reach)])
-
-
 def further() -> dict[str, Trail]:
     """What the paper suggests: sweeps perpendicular to the trails, and at other distances: h = 0.4
-    becomes 0.2 and 0.6.
+    becomes 0.2 and 0.6; there both, from further out.
     """
-    both = crossed()
+    both = Trail.stack([trails(301, 1.5), perpendicular_trails(301, 1.5)])
     return {
         "perpendicular": perpendicular_trails(),
         "nearer": Trail(both.position + [0, 0, 0.2], both.orientation),
@@ -58,29 +49,21 @@ def further() -> dict[str, Trail]:
     }
 
 
-def height(
-    x: Float[np.ndarray, "*batch"], y: Float[np.ndarray, "*batch"]
-) -> Float[np.ndarray, "*batch"]:
-    """C(x, y)."""
-    return np.asarray(SURFACE.a * x**2 + SURFACE.b * y**2 + SURFACE.h)
+def on_surface(x: Grid, y: Grid) -> tuple[Grid, Grid, Grid]:
+    """Coordinates x, y, C(x, y)."""
+    return x, y, SURFACE.a * x**2 + SURFACE.b * y**2 + SURFACE.h
 
 
 def region(step: float = 0.015) -> Float[np.ndarray, "n 3"]:
     """Points of the surface over |x| ≤ 1, |y| ≤ 0.7, evenly spread over its area: a grid thinned by
     the share of area each cell has.
     """
-    x, y = np.meshgrid(
-        np.arange(-REACH_X, REACH_X, step) + step / 2, np.arange(-REACH_Y, REACH_Y, step) + step / 2
-    )
+    x, y = np.meshgrid(*(np.arange(-reach, reach, step) + step / 2 for reach in REACH))
     area = np.sqrt(1 + (2 * SURFACE.a * x) ** 2 + (2 * SURFACE.b * y) ** 2)
     kept = np.random.default_rng(0).random(x.shape) < area / area.max()
-    x, y = x[kept], y[kept]
-    return np.column_stack([x, y, height(x, y)])
+    return np.column_stack(on_surface(x[kept], y[kept]))
 
 
-def patch(
-    count: int = 61,
-) -> tuple[Float[np.ndarray, "i j"], Float[np.ndarray, "i j"], Float[np.ndarray, "i j"]]:
+def patch() -> tuple[Grid, Grid, Grid]:
     """Grids x, y, z of the surface for figures."""
-    x, y = np.meshgrid(np.linspace(-1.15, 1.15, count), np.linspace(-0.8, 0.8, count))
-    return x, y, height(x, y)
+    return on_surface(*np.meshgrid(np.linspace(-1.15, 1.15, 61), np.linspace(-0.8, 0.8, 61)))

@@ -53,16 +53,17 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
     covered = _covered(found, further)
     checked = statements(paper, plane, found)
     report("datasets")
+    datasets: dict[str, Scan | Reconstruction] = {
+        "paper_scan": paper,
+        "paper_contacts": found,
+        "plane_scan": plane,
+        **{f"{name}_scan": part for name, part in further.items()},
+    }
     files = [
-        write_dataset(folder / f"{name}.nc", result.to_dataset())  # type: ignore[attr-defined]
-        for name, result in {
-            "paper_scan": paper,
-            "paper_contacts": found,
-            "plane_scan": plane,
-            **{f"{name}_scan": part for name, part in further.items()},
-        }.items()
+        write_dataset(folder / f"{name}.nc", result.to_dataset())
+        for name, result in datasets.items()
     ]
-    table = pd.DataFrame(checked, columns=["statement", "measured", "holds"])
+    table = pd.DataFrame(checked)
     table["holds"] = table["holds"].map({True: "yes", False: "no"})
     files.append(folder / "statements.csv")
     table.to_csv(files[-1], index=False)
@@ -74,8 +75,7 @@ def _covered(
     found: Reconstruction, further: dict[str, Scan]
 ) -> list[tuple[str, np.ndarray, np.ndarray, float]]:
     samples = case.region()
-    rows = [lane for lane in range(len(case.Y0)) if lane != case.PLANE]
-    contacts = found.point[rows].reshape(-1, 3)
+    contacts = np.delete(found.point, case.PLANE, axis=0).reshape(-1, 3)
     cases = []
     for name, more in (
         ("ten trails", ()),
@@ -103,7 +103,7 @@ def _figures(
 ) -> list[Path]:
     from vibrissa import plot  # noqa: PLC0415
 
-    shown = tuple(int(lane) for lane in np.flatnonzero(np.isin(np.abs(case.Y0), (0.2, 0.5))))
+    shown = tuple(np.flatnonzero(np.isin(np.abs(case.Y0), (0.2, 0.5))).tolist())
     skip = (case.PLANE,)
     drawings: dict[str, Callable[[], Axes | list[Axes]]] = {
         "figure2_reactions": lambda: plot.reactions_over_plane(paper, skip=skip),

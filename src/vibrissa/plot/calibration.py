@@ -3,19 +3,23 @@
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from scipy.stats import norm
 
 from vibrissa.calibration import Calibration, Residuals
 from vibrissa.plot.style import COLUMN, PAGE
+from vibrissa.sensor.deviations import deviation_by_differences
 
 _CHANNELS = ("$f_x$", "$f_y$", "$f_z$", "$m_x$", "$m_y$", "$m_z$")
 _COLOURS = ("#1d5fa8", "#c1121f", "#2a7f3f", "#8a5a00", "#6a3d9a", "#444444")
-_DOT, _LINE = "0.75", "#c1121f"
 _MEANS = 40
 _LIMIT = 5.0
+# Of the median step: a longer one is of rows that were left out.
 _GAP = 2.0
+# Of parameters, whose correlations are written out.
+_MOST_NUMBERS = 16
 
 
 def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
@@ -23,35 +27,26 @@ def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
     mean: white noise about zero where the model is right.
     """
     residuals = calibration.residuals
-    left = _deviations(residuals)
+    rows, left = _deviations(residuals)
+    time, recording = residuals.time[rows], residuals.recording[rows]
     figure, panels = plt.subplots(
         6, 1, figsize=(PAGE, 6.6), sharex=True, sharey=True, layout="constrained"
     )
-    for recording in np.unique(residuals.recording):
-        rows = residuals.contact & (residuals.recording == recording) & (residuals.weight > 0)
-        colour = _COLOURS[int(recording) % len(_COLOURS)]
-        for axes, values in zip(panels, left[rows].T, strict=True):
-            axes.plot(
-                residuals.time[rows],
-                values,
-                ".",
-                color=colour,
-                markersize=1.6,
-                alpha=0.45,
-                markeredgewidth=0,
-            )
-            axes.plot(
-                *_broken(*_means(residuals.time[rows], values)),
-                color=colour,
-                label=f"recording {int(recording) + 1}",
-            )
-    for axes, name in zip(panels, _CHANNELS, strict=True):
+    for axes, values, name in zip(panels, left.T, _CHANNELS, strict=True):
+        for number in np.unique(recording).tolist():
+            own, colour = recording == number, _COLOURS[number % len(_COLOURS)]
+            x, y = time[own], values[own]
+            axes.plot(x, y, ".", color=colour, markersize=1.6, alpha=0.45, markeredgewidth=0)
+            means = _means(x, y)
+            # The line ends where rows were left out.
+            steps = np.diff(means[0], prepend=means[0][:1])
+            gaps = np.flatnonzero(steps > _GAP * np.median(steps))
+            label = f"recording {number + 1}"
+            axes.plot(*np.insert(means, gaps, np.nan, axis=1), color=colour, label=label)
         axes.axhline(0.0, color="0.4", linewidth=0.5)
-        axes.set_ylabel(f"{name} [$\\sigma$]")
-    panels[0].set_ylim(-_LIMIT, _LIMIT)
+        axes.set(ylabel=f"{name} [$\\sigma$]", ylim=(-_LIMIT, _LIMIT))
     panels[-1].set_xlabel("time [s]")
-    handles, names = panels[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=4)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     return list(panels)
 
 
@@ -62,20 +57,12 @@ def residual_histogram(calibration: Calibration[Any]) -> Axes:
     residuals = calibration.residuals
     values = residuals.whitened[residuals.contact & (residuals.weight > 0)].ravel()
     _, axes = plt.subplots(figsize=(COLUMN * 1.2, COLUMN * 0.9), layout="constrained")
-    bins = np.linspace(-_LIMIT, _LIMIT, 61)
-    axes.hist(
-        np.clip(values, -_LIMIT, _LIMIT),
-        bins=bins.tolist(),
-        density=True,
-        color="#9ecae1",
-        label="residuals",
-    )
-    grid = np.linspace(-_LIMIT, _LIMIT, 401)
+    grid = np.linspace(-_LIMIT, _LIMIT, 61)
+    values, bins = np.clip(values, -_LIMIT, _LIMIT), grid.tolist()
+    axes.hist(values, bins=bins, density=True, color="#9ecae1", label="residuals")
     axes.plot(grid, norm.pdf(grid), color="black", label="normal distribution")
-    axes.set_yscale("log")
-    axes.set_ylim(1e-5, 1.0)
-    axes.set_xlabel(r"residual [$\sigma$]")
-    axes.set_ylabel(r"density [1/$\sigma$]")
+    axes.set(yscale="log", ylim=(1e-5, 1.0))
+    axes.set(xlabel=r"residual [$\sigma$]", ylabel=r"density [1/$\sigma$]")
     axes.legend(loc="upper right")
     return axes
 
@@ -85,24 +72,21 @@ def residuals_over_force(calibration: Calibration[Any]) -> list[Axes]:
     their running mean: a slope hints at gain or stiffness.
     """
     residuals = calibration.residuals
-    rows = residuals.contact & (residuals.weight > 0)
-    force, left = np.linalg.norm(residuals.reading[rows, :3], axis=1), _deviations(residuals)[rows]
+    rows, left = _deviations(residuals)
+    force = np.linalg.norm(residuals.reading[rows, :3], axis=1)
     order = np.argsort(force)
-    unit = "N" if calibration.setup.rod.units == "SI" else "EI/L^2"
+    unit = "N" if calibration.setup.rod.units == "SI" else "$EI/L^2$"
     _, panels = plt.subplots(
         2, 3, figsize=(PAGE, 3.6), sharex=True, sharey=True, layout="constrained"
     )
-    for axes, values, name in zip(panels.ravel(), left.T, _CHANNELS, strict=True):
-        axes.plot(force, values, ".", color=_DOT, markersize=1.5, markeredgewidth=0)
-        axes.plot(*_means(force[order], values[order]), color=_LINE)
+    for axes, values, name in zip(panels.flat, left.T, _CHANNELS, strict=True):
+        axes.plot(force, values, ".", color="0.75", markersize=1.5, markeredgewidth=0)
+        axes.plot(*_means(force[order], values[order]), color="#c1121f")
         axes.axhline(0.0, color="0.4", linewidth=0.5)
-        axes.set_title(name)
-        axes.set_ylim(-_LIMIT, _LIMIT)
-    for axes in panels[-1]:
-        axes.set_xlabel(f"contact force [{unit}]" if unit == "N" else f"contact force [${unit}$]")
-    for axes in panels[:, 0]:
-        axes.set_ylabel(r"residual [$\sigma$]")
-    return list(panels.ravel())
+        axes.set(title=name, ylim=(-_LIMIT, _LIMIT))
+    plt.setp(panels[-1], xlabel=f"contact force [{unit}]")
+    plt.setp(panels[:, 0], ylabel=r"residual [$\sigma$]")
+    return list(panels.flat)
 
 
 def parameter_correlation(calibration: Calibration[Any]) -> Axes:
@@ -116,48 +100,27 @@ def parameter_correlation(calibration: Calibration[Any]) -> Axes:
     axes.set_yticks(range(len(names)), names)
     if len(names) <= _MOST_NUMBERS:
         for (row, column), value in np.ndenumerate(known.correlation):
-            axes.text(
-                column,
-                row,
-                f"{value:.2f}".replace("-", "−"),
-                ha="center",
-                va="center",
-                fontsize=6,
-                color="white" if abs(value) > 0.6 else "black",
-            )
+            number, colour = f"{value:.2f}".replace("-", "−"), "w" if abs(value) > 0.6 else "k"
+            axes.text(column, row, number, ha="center", va="center", fontsize=6, color=colour)
     figure.colorbar(image, ax=axes, label="correlation", shrink=0.8)
     return axes
 
 
-_MOST_NUMBERS = 16
-
-
-def _deviations(residuals: Residuals) -> np.ndarray:
-    """Reading less prediction in standard deviations of each channel, as the rows in contact
-    scatter about their running mean.
+def _deviations(
+    residuals: Residuals,
+) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "shown 6"]]:
+    """The rows to show, and their reading less prediction in standard deviations of each channel,
+    as they scatter about their running mean.
     """
-    left = residuals.reading - residuals.predicted
     rows = residuals.contact & (residuals.weight > 0)
-    # Differences of neighbours hold the noise alone, whatever the model leaves: √2 of it, by the
-    # median so that outliers do not count.
-    noise = np.median(np.abs(np.diff(left[rows], axis=0)), axis=0) / (0.6745 * np.sqrt(2))
-    return np.asarray(left / noise)
+    left = (residuals.reading - residuals.predicted)[rows]
+    # Differences of neighbours hold the noise alone, whatever the model leaves, and a median of
+    # them no outliers.
+    return rows, left / deviation_by_differences(np.diff(left, axis=0), 1)
 
 
-def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The line ends where rows were left out."""
-    steps = np.diff(time)
-    gaps = (
-        1 + np.flatnonzero(steps > _GAP * np.median(steps))
-        if len(steps)
-        else np.empty(0, dtype=int)
-    )
-    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
-
-
-def _means(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _means(x: Float[np.ndarray, "n"], values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "2 k"]:
     """Means over groups of neighbours."""
     parts = min(_MEANS, max(1, len(x) // 5))
-    return tuple(
-        np.array([np.mean(part) for part in np.array_split(array, parts)]) for array in (x, values)
-    )  # type: ignore[return-value]
+    split = np.array_split(np.stack([x, values]), parts, axis=1)
+    return np.stack([part.mean(axis=1) for part in split], axis=1)

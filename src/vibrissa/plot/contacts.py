@@ -1,7 +1,7 @@
 """Reconstructed contacts of a recording, from three sides."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
@@ -45,16 +45,21 @@ def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -
     )
     kind, status = found.kind.ravel(), found.status.ravel()
     drawn = found.in_contact.ravel() & np.isfinite(points).all(axis=1)
-    sound = drawn & (status == Status.OK)
-    known = sound if found.covariance is None else _known(found, sound, trusted_deviation)
+    sound = known = drawn & (status == Status.OK)
+    wide, ellipses = factor * trusted_deviation * rod.length, np.zeros(0, dtype=int)
+    if found.covariance is not None:
+        covariance = factor**2 * found.covariance.reshape(-1, 3, 3)
+        known = sound & np.isfinite(covariance).all(axis=(1, 2))
+        known[known] = np.linalg.eigvalsh(covariance[known])[:, -1] <= wide**2
+        ellipses = np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _ELLIPSES)]
     frame = _frame(points[known], points[drawn & ~known], path, factor * rod.length)
-    unit = "mm" if rod.units == "SI" else "L"
-    wide = f", deviation above {factor * trusted_deviation * rod.length:.3g} {unit}"
-    layers = [
-        (rows & (kind == name), ".", colour, alpha, order, KIND_NAMES[name] + more)
-        for name, colour in KIND_COLOURS.items()
-        for rows, alpha, order, more in ((known, 1.0, 2.5, ""), (sound & ~known, 0.4, 1.5, wide))
-    ] + [(drawn & ~sound, "x", _FLAGGED_COLOUR, 0.7, 2, "status not OK")]
+    layers = []
+    for name, colour in KIND_COLOURS.items():
+        label, own = KIND_NAMES[name], kind == name
+        layers.append((own & known, ".", colour, 1.0, 2.5, label))
+        label += f", deviation above {wide:.3g} {'mm' if rod.units == 'SI' else 'L'}"
+        layers.append((own & sound & ~known, ".", colour, 0.4, 1.5, label))
+    layers.append((drawn & ~sound, "x", _FLAGGED_COLOUR, 0.7, 2, "status not OK"))
     figure, panels = plt.subplots(1, 3, figsize=(PAGE, 2.9), layout="constrained")
     for axes, view in zip(panels, _VIEWS, strict=True):
         for rows, marker, colour, alpha, order, label in layers:
@@ -75,16 +80,12 @@ def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -
         labels = [length_label("xyz"[axis], rod) for axis in view]
         axes.set(xlabel=labels[0], ylabel=labels[1], xlim=frame[:, view[0]], ylim=frame[:, view[1]])
         axes.set_aspect("equal", adjustable="box")
-        if found.covariance is not None and known.any():
-            shown = np.flatnonzero(known)
-            shown = shown[:: max(1, len(shown) // _ELLIPSES)]
-            covariance = factor**2 * found.covariance.reshape(-1, 3, 3)[shown]
-            _ellipses(axes, points[shown][:, view], covariance[:, view][:, :, view])
+        if len(ellipses):
+            _ellipses(axes, points[ellipses][:, view], covariance[ellipses][:, view][:, :, view])
     outside = drawn & ~np.all((points >= frame[0]) & (points <= frame[1]), axis=1)
     title = None
     if outside.any():
-        counts = (np.count_nonzero(rows) for rows in (outside, drawn))
-        title = "outside of the frame: {} of {} contacts".format(*counts)
+        title = f"outside of the frame: {outside.sum()} of {drawn.sum()} contacts"
     if not drawn.any():
         flagged = zip(*np.unique(status[status != Status.OK], return_counts=True), strict=True)
         said = [f"{count} {Status(number).name}" for number, count in flagged]
@@ -98,18 +99,6 @@ def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -
         title_fontsize=8,
     )
     return list(panels)
-
-
-def _known(
-    found: Reconstruction, sound: Bool[np.ndarray, "rows"], trusted_deviation: float
-) -> Bool[np.ndarray, "rows"]:
-    """Those sound rows whose largest standard deviation is at most so many rod lengths."""
-    assert found.covariance is not None
-    covariance = found.covariance.reshape(-1, 3, 3)
-    known = sound & np.isfinite(covariance).all(axis=(1, 2))
-    largest = np.linalg.eigvalsh(covariance[known])[:, -1]
-    known[known] = largest <= (trusted_deviation * found.rod.length) ** 2
-    return known
 
 
 def _frame(

@@ -8,19 +8,7 @@ from vibrissa.contacts import Status
 from vibrissa.forward import EventKind, Scan
 from vibrissa.plot.style import COLUMN, length_factor, length_label
 
-_MARKS = {
-    EventKind.FIRST_CONTACT: ("o", "first contact"),
-    EventKind.TIP_TO_TANGENTIAL: ("s", "tip to tangential"),
-    EventKind.TANGENTIAL_TO_TIP: ("D", "tangential to tip"),
-    EventKind.DETACH: ("v", "detachment"),
-    EventKind.SNAP: ("X", "snap-off"),
-    EventKind.LATERAL_INSTABILITY: ("^", "lateral instability"),
-    EventKind.LATERAL_RECOVERY: ("<", "lateral recovery"),
-    EventKind.STARTED_IN_CONTACT: ("P", "started in contact"),
-    EventKind.HEAD_ON: ("*", "head-on contact"),
-    EventKind.STICK_TO_SLIP: (">", "stick to slip"),
-    EventKind.SLIP_TO_STICK: ("d", "slip to stick"),
-}
+_MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
 
 
 def reactions_along(scan: Scan) -> list[Axes]:
@@ -47,9 +35,9 @@ def reactions_along(scan: Scan) -> list[Axes]:
         known = np.isfinite(values)
         order = np.argsort(x[known])
         for event in scan.events:
-            marker, name = _MARKS[event.kind]
-            at = factor * event.clamp[0]
+            at, name = factor * event.clamp[0], event.kind.name.lower().replace("_", " ")
             value = np.interp(at, x[known][order], values[known][order])
+            marker = _MARKERS[event.kind]
             axes.plot(at, value, marker, color="#c1121f", markersize=5, label=name, clip_on=False)
     panels[-1].set_xlabel(length_label("x_0", scan.rod))
     panels[-1].invert_xaxis()

@@ -39,7 +39,7 @@ def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes
     pieces = np.stack([clamp[:, :-1], clamp[:, 1:]], axis=2)
     contact = scan.in_contact[shown]
     both = contact[:, :-1] & contact[:, 1:]
-    values = np.concatenate([scan.reactions.force, scan.reactions.moment], axis=-1)[shown]
+    values = scan.reactions.wrench[shown]
     for axes, (symbol, si, own), part in zip(
         grid.flat, _PANELS, np.moveaxis(values, -1, 0), strict=True
     ):

@@ -1,14 +1,13 @@
 """A recording with its tare, faults, noise and pose."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 from scipy.signal import welch
 
 from vibrissa.geometry.rotation import rotation_vectors
@@ -53,59 +52,54 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     sensor
         For the stated noise.
     """
-    figure = plt.figure(figsize=(PAGE, 6.6), layout="constrained")
-    grid = figure.add_gridspec(4, 2, height_ratios=(1.25, 1.25, 1, 1.25))
-    force = figure.add_subplot(grid[0, :])
-    torque, pose = (figure.add_subplot(grid[row, :], sharex=force) for row in (1, 2))
-    spectra = [figure.add_subplot(grid[3, column]) for column in (0, 1)]
+    figure, axes = plt.subplot_mosaic(
+        [["force"] * 2, ["torque"] * 2, ["pose"] * 2, ["noise of force", "noise of torque"]],
+        figsize=(PAGE, 6.6),
+        height_ratios=(1.25, 1.25, 1, 1.25),
+        layout="constrained",
+    )
     time = found.cleaned.time - found.cleaned.time[0]
     logged = np.where(np.abs(found.raw.wrench) < _LARGEST, found.raw.wrench, np.nan)
-    for axes, spectrum, kind in zip((force, torque), spectra, _KINDS, strict=True):
-        channels, name, symbol, factor, unit, of_noise, density = kind
-        axes.plot(time, factor * logged[:, channels], alpha=0.35)
+    for channels, name, symbol, factor, unit, of_noise, density in _KINDS:
+        lines, spectrum = axes[name], axes[f"noise of {name}"]
+        lines.sharex(axes["pose"])
+        lines.plot(time, factor * logged[:, channels], alpha=0.35)
         labels = [f"${symbol}_{axis}$" for axis in "xyz"]
-        axes.plot(time, factor * found.cleaned.wrench[:, channels], label=labels)
-        axes.set_ylabel(f"{name} [{unit}]")
-        axes.tick_params(labelbottom=False)
-        _shade(axes, found, CHANNELS[channels])
+        lines.plot(time, factor * found.cleaned.wrench[:, channels], label=labels)
+        lines.set_ylabel(f"{name} [{unit}]")
+        lines.tick_params(labelbottom=False)
+        _shade(lines, found, CHANNELS[channels])
         _spectrum(spectrum, found, sensor, channels, of_noise)
         spectrum.set(xlabel="frequency [Hz]", ylabel=f"{name} [{density}]")
-    _pose(pose, found)
-    kinds = {fault.kind for fault in found.faults}
-    handles = [
-        Patch(color=colour, alpha=0.45, label=str(kind))
-        for kind, colour in _FAULT_COLOURS.items()
-        if kind in kinds
-    ]
-    if found.tare is not None and found.tare.intervals:
+    _pose(axes["pose"], found)
+    colours = {str(kind): colour for kind, colour in _FAULT_COLOURS.items()}
+    shown = [name for name in colours if name in {str(fault.kind) for fault in found.faults}]
+    handles = [Patch(color=colours[name], alpha=0.45, label=name) for name in shown]
+    if found.tared:
         handles.insert(0, Patch(color=_TARE_COLOUR, label="tare"))
     if handles:
         columns = min(6, len(handles))
         figure.legend(handles=handles, loc="outside upper center", ncols=columns, handlelength=1.2)
-    return [force, torque, pose, *spectra]
+    return list(axes.values())
 
 
 def _shade(axes: Axes, found: Inspection, names: Sequence[str], right: float = 1.005) -> None:
     """Tare and faults of these channels behind the lines, and the legend at this place."""
     first, last = found.cleaned.time[[0, -1]]
-    spans: list[tuple[float, float, dict[str, Any]]] = [
-        (start, stop, {"color": _TARE_COLOUR, "alpha": 0.6, "zorder": 0.0})
-        for start, stop in (found.tare.intervals if found.tare is not None else ())
-    ]
+    for start, stop in found.tared:
+        axes.axvspan(
+            start - first, stop - first, linewidth=0, color=_TARE_COLOUR, alpha=0.6, zorder=0
+        )
     for fault in found.faults:
         if fault.kind in _FAULT_COLOURS and set(names) & set(fault.channels):
-            middle, wide = (fault.start + fault.stop) / 2, abs(fault.stop - fault.start)
+            middle, wide = (fault.start + fault.stop) / 2 - first, abs(fault.stop - fault.start)
             half = max(wide / 2, 0.002 * (last - first))
             # What fills the figure must not hide it.
             alpha = 0.45 if half < (last - first) / 4 else 0.15
-            style: dict[str, Any] = {
-                "color": _FAULT_COLOURS[fault.kind],
-                "alpha": alpha,
-                "zorder": 0.5,
-            }
-            spans.append((middle - half, middle + half, style))
-    for start, stop, style in spans:
-        axes.axvspan(start - first, stop - first, linewidth=0, **style)
+            colour = _FAULT_COLOURS[fault.kind]
+            axes.axvspan(
+                middle - half, middle + half, linewidth=0, color=colour, alpha=alpha, zorder=0.5
+            )
     axes.legend(loc="upper left", bbox_to_anchor=(right, 1.0), handlelength=1.2, borderaxespad=0)
 
 
@@ -131,8 +125,7 @@ def _spectrum(
     with its pink part.
     """
     axes.set_title("noise at rest")
-    tared = found.tare.intervals if found.tare is not None else ()
-    intervals = [found.cleaned.during(interval) for interval in tared or found.rest.intervals]
+    intervals = map(found.cleaned.during, found.tared or found.rest.intervals)
     rows = max(intervals, key=np.count_nonzero, default=np.zeros_like(found.usable))
     wrench = found.cleaned.wrench[rows & found.usable, channels]
     if len(wrench) < _FEWEST:
@@ -143,19 +136,17 @@ def _spectrum(
     frequency, density = welch(wrench, fs=found.rate, nperseg=segment, detrend="linear", axis=0)
     axes.loglog(frequency[1:-1], factor * np.sqrt(density[1:-1]))
     if sensor.noise.known:
-        white, own = (
-            part[channels] * 2 / found.rate
-            for part in (sensor.noise.variance, sensor.noise.white**2)
-        )
-        stated = factor * np.sqrt(white + own * sensor.noise_corner / frequency[1:, None])
+        noise = sensor.noise
+        variance = noise.variance + noise.white**2 * noise.noise_corner / frequency[1:, None]
+        stated = factor * np.sqrt(2 / found.rate * variance[:, channels])
         axes.loglog(frequency[1:], np.unique(stated, axis=1), "k--", label="stated")
         axes.legend(handles=[axes.lines[-1]], loc="best")
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()
         labelled = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
         axis.set_major_locator(LogLocator(subs=labelled, numticks=8))
-        axis.set_major_formatter(FormatStrFormatter("%g"))
-        axis.set_minor_formatter(NullFormatter())
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
     low, high = axes.get_ylim()
     middle = np.sqrt(low * high)
     axes.set_ylim(min(low, middle / _LEAST_SPAN), max(high, middle * _LEAST_SPAN))

@@ -50,24 +50,17 @@ def journal() -> Iterator[None]:
 
 def save(axes: Axes | Sequence[Axes], folder: Path, name: str) -> list[Path]:
     """Write the figure of some axes as PNG and as PDF, and close it; return both paths."""
-    paths = [folder / f"{name}.{suffix}" for suffix in ("png", "pdf")]
-    _write(axes, paths)
-    return paths
+    return [save_as(axes, folder / f"{name}.{suffix}") for suffix in ("png", "pdf")]
 
 
 def save_as(axes: Axes | Sequence[Axes], path: Path) -> Path:
     """Write the figure of some axes in the format of the path's suffix, and close it."""
-    _write(axes, [path])
-    return path
-
-
-def _write(axes: Axes | Sequence[Axes], paths: list[Path]) -> None:
     figure = np.ravel(np.asarray(axes, dtype=object))[0].get_figure(root=True)
-    for path in paths:
-        # Without a date in its metadata the same figure gives the same file.
-        dateless = {"CreationDate": None} if path.suffix == ".pdf" else None
-        figure.savefig(path, bbox_inches="tight", pad_inches=0.04, metadata=dateless)
+    # Without a date in its metadata the same figure gives the same file.
+    dateless = {"CreationDate": None} if path.suffix == ".pdf" else None
+    figure.savefig(path, bbox_inches="tight", pad_inches=0.04, metadata=dateless)
     plt.close(figure)
+    return path
 
 
 def length_label(symbol: str, rod: Rod) -> str:

@@ -3,17 +3,17 @@ a zero that drifts.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool
 from scipy import ndimage
 from scipy.constants import kgf, lbf
 from scipy.signal import periodogram
 from scipy.stats import chi2
 
 from vibrissa.sensor.figures import Noise
+from vibrissa.sensor.noise import quantisation_of_mean
 from vibrissa.sensor.raw import (
     CHANNEL_UNITS,
     CHANNELS,
@@ -21,18 +21,29 @@ from vibrissa.sensor.raw import (
     FaultKind,
     Interval,
     RawRecording,
+    Times,
     Wrench,
     Wrenches,
 )
+from vibrissa.sensor.rest import ANOTHER_LEVEL, share_of_load
 from vibrissa.sensor.sensor import Sensor
-from vibrissa.sensor.tare import Tare, fitted_tare, planned_tare, without_given
+from vibrissa.sensor.tare import Tare, fitted_tare, without_given
 
 # Chance that a sound recording is warned of.
 _FALSE_ALARM = 1e-6
 # Stated figures are rounded, and noise differs from one sensor of a kind to the next.
 _NOISE_RATIO = 1.25
-# Decades about the thousand by which a unit is mistaken, and factor by which axes may differ.
-_NEARLY, _ALIKE = 0.5, 2.0
+# First channel of three, unit that they may be in, by how much noisier they are then, and within
+# how many decades: noise is stated to half a decade at worst, but to tell a kilogram from a quieter
+# sensor takes a tenth.
+_UNITS = (
+    (0, "mN", 1e3, 0.5),
+    (0, "kN", 1e-3, 0.5),
+    (3, "N mm", 1e3, 0.5),
+    (3, "kN m", 1e-3, 0.5),
+    (0, "kgf", 1 / kgf, 0.06),
+    (0, "lbf", 1 / lbf, 0.06),
+)
 # A variance of 20 samples is known to a third, a slope's deviation by 50 to a tenth; a spectrum of
 # 100 has 25 neighbours of a line.
 _FEWEST_FOR_NOISE, _FEWEST_FOR_SLOPES, _FEWEST_FOR_LINES = 20, 50, 100
@@ -42,136 +53,98 @@ _FEWEST_CYCLES = 5
 _NEIGHBOURS = 12
 # Of the stated noise: a line of half its size adds an eighth to its variance.
 _NOTICEABLE = 0.5
-# Standard deviations over some hundred samples are known to a twentieth.
-_SAME_RATIO = 0.15
 # Frequencies of the mains and their multiples [Hz].
 _MAINS = np.outer(np.arange(1, 11), [50.0, 60.0]).ravel()
 # Readings without noise are known to some digits only, a noiseless simulation to single precision.
 _DIGITS, _SINGLE, _TINY = 1e-9, 1e-6, 1e-30
 # By chance in one of four million recordings, of which each has six channels.
 _DRIFT_DEVIATIONS = 5.5
-# Of the largest load: a zero that moves by more is the load of a clamp that stands in contact
-# rather.
-_ANOTHER_LEVEL = 0.2
 # Squares of three standard deviations: what the slopes within both rests must say to tell a drift
 # from a contact.
 _TOLD = 9.0
 
 
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """Whole rows of a rest, a given drift and weight taken off.
-
-    Attributes
-    ----------
-    interval
-        Start and stop [s].
-    time, values
-        Stamps (n,) [s] and readings (n, 6).
-    """
+class Stretch(NamedTuple):
+    """Whole rows of a rest, a given drift and weight taken off, and straight lines through them."""
 
     interval: Interval
-    time: Float[np.ndarray, "n"]
+    time: Times
     values: Wrenches
+    slope: Wrench
+    """Of the lines [1/s]."""
+    slope_deviation: Wrench
+    """Standard deviation of the slopes, by the scatter about the lines."""
+    noise: Wrench
+    """Standard deviation about the lines; NaN with fewer than three rows, as the slopes are."""
 
     @classmethod
     def of(cls, sensor: Sensor, raw: RawRecording, interval: Interval) -> "Stretch":
         """The rest in an interval of a recording."""
         rows = raw.during(interval) & raw.whole
-        return cls(interval, raw.time[rows], without_given(sensor, raw)[rows])
-
-    @cached_property
-    def about_lines(self) -> tuple[Wrench, Wrenches]:
-        """Slopes (6,) of straight lines through the readings, and what is left (n, 6)."""
-        elapsed = self.time - self.time.mean()
-        slopes, levels = np.polyfit(elapsed, self.values, 1)
-        return slopes, self.values - levels - elapsed[:, None] * slopes
-
-    @cached_property
-    def noise(self) -> Wrench:
-        """Standard deviation (6,) about the lines; NaN with fewer than three rows."""
-        freedom = len(self.time) - 2
-        if freedom < 1:
-            return np.full(6, np.nan)
-        return np.sqrt(np.sum(self.about_lines[1] ** 2, axis=0) / freedom)
-
-    @cached_property
-    def slope_deviation(self) -> Wrench:
-        """Standard deviation (6,) of the slopes, by the scatter about the lines."""
-        scatter = np.maximum(self.noise, _DIGITS * np.abs(self.values).max(axis=0)) + _TINY
-        return scatter / np.linalg.norm(self.time - self.time.mean())
+        time, values = raw.time[rows], without_given(sensor, raw)[rows]
+        if len(time) < 3:
+            return cls(interval, time, values, *np.full((3, 6), np.nan))
+        elapsed = time - time.mean()
+        slope = elapsed @ values / (elapsed @ elapsed)
+        left = values - values.mean(axis=0) - np.outer(elapsed, slope)
+        noise = np.sqrt(np.sum(left**2, axis=0) / (len(time) - 2))
+        scatter = np.maximum(noise, _DIGITS * np.abs(values).max(axis=0)) + _TINY
+        return cls(interval, time, values, slope, scatter / np.linalg.norm(elapsed), noise)
 
 
 def noise_unit_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
-    """Noise about a thousand times as large or small as stated on all three axes: other units."""
+    """Noise on all three axes as many times as large or small as stated as another unit is: of a
+    thousand the recording cannot be used; of a pound it can, as sensors may be quieter.
+    """
     if not stated.known:
         return
-    found = (rest.noise / np.sqrt(stated.variance)).reshape(2, 3)
-    units = ((CHANNELS[:3], "mN", "kN"), (CHANNELS[3:], "N mm", "kN m"))
-    for (channels, small, large), ratios in zip(units, found, strict=True):
-        decades = np.log10(np.maximum(ratios, _TINY))
-        usual = decades.mean()
-        alike = np.all(np.abs(decades - usual) < np.log10(_ALIKE))
-        if alike and abs(abs(usual) - 3) < _NEARLY:
+    ratios = np.maximum(rest.noise / np.sqrt(stated.variance), _TINY)
+    for first, unit, times, decades in _UNITS:
+        names, found = CHANNELS[first : first + 3], ratios[first : first + 3]
+        if np.all(np.abs(np.log10(found / times)) < decades):
             text = (
-                f"{','.join(channels)} at rest are {10**usual:.3g} times as noisy as stated, so "
-                f"they are mis-scaled (in {small if usual > 0 else large}?); allowed are N and N m"
+                f"{','.join(names)} at rest are {np.mean(found):.3g} times as noisy as stated: "
+                f"mis-scaled (in {unit}?); allowed are N and N m"
             )
-            count = len(rest.time)
-            yield Fault.over(FaultKind.UNITS, channels, rest.interval, text, count, unusable=True)
+            grave = unit not in ("kgf", "lbf")
+            yield Fault.over(names, FaultKind.UNITS, rest.time, text, unusable=grave)
 
 
-def noise_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
-    """By the χ² of the variance at rest, and by a quarter at least: stated figures are rounded.
+def noise_faults(sensor: Sensor, rest: Stretch) -> tuple[list[Fault], Sensor]:
+    """By the χ² of the variance at rest, and by a quarter at least: stated figures are rounded; and
+    the sensor with the noise of the channels that is larger than stated.
 
     What rounding leaves of noise below half a step is not judged as too small. Pink noise and
     random walk are left out by taking successive differences.
     """
-    count, noise = len(rest.time), rest.noise
+    stated, count, noise = sensor.noise, len(rest.time), rest.noise
+    faults: list[Fault] = []
     if not stated.known or count < _FEWEST_FOR_NOISE:
-        return
+        return faults, sensor
     freedom = count - 2.0
     if stated.lasting:
         # Differences of neighbours overlap: two thirds of them count.
         noise = np.sqrt(np.mean(np.diff(rest.values, axis=0) ** 2, axis=0) / 2)
         freedom = 2 * count / 3
-    deviation, step = np.sqrt(stated.variance), stated.resolution
-    coarse = step > 2 * stated.white
+    white, deviation, step = stated.white, np.sqrt(stated.variance), stated.resolution
+    coarse = step > 2 * white
     ratio = noise / np.where(coarse, np.maximum(deviation, step / 2), deviation)
     square = freedom * ratio**2
     larger = (ratio > _NOISE_RATIO) & (square > chi2.isf(_FALSE_ALARM, freedom))
     smaller = ~coarse & (ratio < 1 / _NOISE_RATIO) & (square < chi2.ppf(_FALSE_ALARM, freedom))
     for channel in np.flatnonzero(larger | smaller):
-        name, unit = CHANNELS[channel], CHANNEL_UNITS[channel]
+        name, unit, quiet = CHANNELS[channel], CHANNEL_UNITS[channel], bool(smaller[channel])
         text = (
             f"{name} at rest has a standard deviation of {noise[channel]:.3g} {unit}, "
             f"{ratio[channel]:.3g} times the stated {deviation[channel]:.3g} {unit}"
         )
-        text += "; the error bars use it" if larger[channel] else ""
-        quiet = not larger[channel]
-        yield Fault.over(FaultKind.NOISE, (name,), rest.time, text, quiet=quiet)
-    # Forces as much quieter, on all axes, as a unit is larger: a hint, as sensors may be quieter.
-    quieter = (noise / deviation)[:3]
-    for unit, factor in (("kgf", kgf), ("lbf", lbf)):
-        if np.all(np.abs(quieter * factor - 1) < _SAME_RATIO):
-            text = (
-                f"fx,fy,fz at rest are {np.mean(quieter):.3g} times as noisy as stated: in {unit}, "
-                "taken for N?"
-            )
-            yield Fault.over(FaultKind.UNITS, CHANNELS[:3], rest.time, text)
-
-
-def noisier(sensor: Sensor, noise: Wrench, faults: list[Fault]) -> Sensor:
-    """The sensor with the noise at rest of the channels that were found larger than stated; the
-    rest of its figures stay.
-    """
-    loud = [fault for fault in faults if fault.kind is FaultKind.NOISE and not fault.quiet]
-    if not loud:
-        return sensor
-    white, larger = sensor.noise.white, np.isin(CHANNELS, [fault.channels[0] for fault in loud])
-    found = np.sqrt(np.maximum(noise**2 - sensor.noise.resolution**2 / 12, white**2))
-    figures = tuple(np.where(larger, found, white).tolist())
-    return sensor.updated(force_noise=figures[:3], torque_noise=figures[3:])
+        text += "" if quiet else "; the error bars use it"
+        faults.append(Fault.over((name,), FaultKind.NOISE, rest.time, text, quiet=quiet))
+    if larger.any():
+        found = np.sqrt(np.maximum(rest.noise**2 - step**2 / 12, white**2))
+        figures = np.where(larger, found, white).tolist()
+        sensor = sensor.updated(force_noise=tuple(figures[:3]), torque_noise=tuple(figures[3:]))
+    return faults, sensor
 
 
 def hum_faults(stated: Noise, rest: Stretch, rate: float) -> Iterator[Fault]:
@@ -185,57 +158,52 @@ def hum_faults(stated: Noise, rest: Stretch, rate: float) -> Iterator[Fault]:
     frequency, power = periodogram(
         rest.values, rate, "hann", detrend="linear", scaling="spectrum", axis=0
     )
-    inner = slice(_FEWEST_CYCLES, -1)
     # The median of the squares of two normal numbers is ln 2 of their mean.
     floor = ndimage.median_filter(power, (2 * _NEIGHBOURS + 1, 1), mode="mirror") / np.log(2)
-    ratio = (power / np.maximum(floor, 1e-300))[inner]
-    frequency, amplitude = frequency[inner], np.sqrt(2 * power[inner])
+    inner = slice(_FEWEST_CYCLES, -1)
+    frequency, power, floor = frequency[inner], power[inner], np.maximum(floor[inner], 1e-300)
     noise = np.sqrt(stated.variance) if stated.known else rest.noise
     folded = np.abs(_MAINS - rate * np.round(_MAINS / rate))
-    for channel, at in enumerate(np.argmax(ratio, axis=0)):
-        size, name = amplitude[at, channel], CHANNELS[channel]
-        rare = ratio[at, channel] > -np.log(_FALSE_ALARM / (6 * len(ratio)))
-        if rare and size > _NOTICEABLE * noise[channel]:
-            text = (
-                f"{name} at rest holds a line of {size:.3g} {CHANNEL_UNITS[channel]} at "
-                f"{frequency[at]:.4g} Hz"
-            )
-            for line in _MAINS[np.abs(folded - frequency[at]) < 2 * rate / count][:1]:
-                sampled = "" if line < rate / 2 else f" at {rate:.4g} samples a second"
-                text += f", as of {line:g} Hz{sampled}: hum of the mains"
-            yield Fault.over(FaultKind.HUM, (name,), rest.time, text)
+    rare = -np.log(_FALSE_ALARM / power.size)
+    for name, unit, line, under, least in zip(
+        CHANNELS, CHANNEL_UNITS, power.T, floor.T, _NOTICEABLE * noise, strict=True
+    ):
+        at = np.argmax(line / under)
+        size = np.sqrt(2 * line[at])
+        if line[at] > rare * under[at] and size > least:
+            text = f"{name} at rest holds a line of {size:.3g} {unit} at {frequency[at]:.4g} Hz"
+            for mains in _MAINS[np.abs(folded - frequency[at]) < 2 * rate / count][:1]:
+                sampled = "" if mains < rate / 2 else f" at {rate:.4g} samples a second"
+                text += f", as of {mains:g} Hz{sampled}: hum of the mains"
+            yield Fault.over((name,), FaultKind.HUM, rest.time, text)
 
 
 def drift_of(
-    sensor: Sensor, raw: RawRecording, early: Stretch, late: Stretch, noise: Wrench
+    sensor: Sensor, raw: RawRecording, early: Stretch, late: Stretch
 ) -> tuple[Wrench, Wrench]:
     """Rate of the offset from one rest to another (6,) [N/s], [N m/s], a given drift taken off, and
     its standard deviation.
     """
-    middle, counts = late.time.mean(), (len(early.time), len(late.time))
-    span = middle - early.time.mean()
-    rate = (late.values.mean(axis=0) - early.values.mean(axis=0)) / span
-    if not sensor.noise.known:
-        noise = np.maximum(noise, _SINGLE * np.nanmax(np.abs(raw.wrench), axis=0)) + 1e-300
-        return rate, noise * np.sqrt(1 / counts[0] + 1 / counts[1]) / span
-    plain = sensor.without_estimates()
-    tare = planned_tare(plain, (early.interval,), counts[:1])
-    later = tare.covariance(plain, raw.time, raw.orientation).reshape(-1, 6, 6)
-    there = later[-1 if len(later) == 1 else np.argmin(np.abs(raw.time - middle))]
-    variance = np.diag(there) - sensor.noise.variance * (1 - 1 / counts[1])
-    return rate, np.sqrt(variance) / span
+    stated, digits = sensor.noise, _SINGLE * np.nanmax(np.abs(raw.wrench), axis=0) + _TINY
+    white = stated.white if stated.known else np.fmax(early.noise, digits)
+    variance = stated.wandered(raw.time, early.interval, late.interval)
+    for count in (len(early.time), len(late.time)):
+        variance += white**2 / count + quantisation_of_mean(white, stated.resolution, count)
+    span = late.time.mean() - early.time.mean()
+    return (late.values.mean(axis=0) - early.values.mean(axis=0)) / span, np.sqrt(variance) / span
 
 
 def drift_faults(
     sensor: Sensor,
     raw: RawRecording,
-    ends: tuple[Stretch, Stretch],
+    ends: list[Stretch],
     tare: Tare | None,
     drift: Wrench,
     deviation: Wrench,
 ) -> tuple[list[Fault], Tare | None]:
     """Channels whose offset moves by more than 5.5 standard deviations, and the tare with a line
-    from rest to rest in its place where the slopes within them agree.
+    from rest to rest in its place where the slopes within them agree, and the zero moves by no
+    noticeable share of the load.
 
     None where drift or weight are estimated anyway, and none where the readings within the rests
     stand: a clamp that stops in contact has another level, too.
@@ -245,62 +213,45 @@ def drift_faults(
         return [], None
     # Log-likelihood (times two) of the drift over none, from the slopes within the rests, and how
     # much they could tell.
-    slopes = np.stack([rest.about_lines[0][moved] for rest in ends])
-    of_slopes = np.stack([rest.slope_deviation[moved] for rest in ends])
-    most = np.sum((drift[moved] / of_slopes) ** 2)
-    told = 2 * np.sum(slopes * drift[moved] / of_slopes**2) - most
+    weights = np.array([drift / rest.slope_deviation**2 for rest in ends])[:, moved]
+    most = np.sum(drift[moved] * weights)
+    told = 2 * np.sum(weights * [rest.slope[moved] for rest in ends]) - most
     if told < 0 and most > _TOLD:
         return [], None
-    line = _line(sensor, raw, ends[1], tare, drift) if told > 0 and most > _TOLD else None
-    advice = (
-        "estimate_drift = true takes it off"
-        if line is None
-        else "a line from rest to rest is taken off"
-    )
-    span, faults = (ends[0].interval[0], ends[1].interval[1]), []
-    for channel in np.flatnonzero(moved):
-        name = CHANNELS[channel]
-        text = (
-            f"the offset of {name} drifts by {drift[channel]:.3g} {CHANNEL_UNITS[channel]}/s, "
-            f"{abs(drift[channel]) / deviation[channel]:.3g} standard deviations more than stated; "
-            f"{advice}"
-        )
-        faults.append(Fault.over(FaultKind.DRIFT, (name,), span, text, len(raw.time)))
-    return faults, line
-
-
-def _line(
-    sensor: Sensor, raw: RawRecording, late: Stretch, tare: Tare | None, drift: Wrench
-) -> Tare | None:
-    """The tare as a line, unless the zero moves by a noticeable share of the load."""
-    if tare is None or len(tare.intervals) != 1 or tare.intervals[0][1] >= late.interval[0]:
-        return None
-    loads = np.linalg.norm((raw.wrench - tare.offset).reshape(-1, 2, 3), axis=2)
-    step = drift * (late.interval[0] - tare.intervals[0][0])
-    moved = np.linalg.norm(step.reshape(2, 3), axis=1)
-    if np.any(moved > _ANOTHER_LEVEL * np.nanmax(loads, axis=0)):
-        return None
-    found = f"{tare.found}, and at the end, as the zero drifts"
-    drifting = sensor.updated(estimate_drift=True)
-    return fitted_tare(drifting, raw, (*tare.intervals, late.interval), found)
+    late, line, advice = ends[1].interval, None, "estimate_drift = true takes it off"
+    if told > 0 and most > _TOLD and tare is not None and len(tare.intervals) == 1:
+        (first,) = tare.intervals
+        step = drift * (late[0] - first[0])
+        if first[1] < late[0] and share_of_load(step, raw.wrench - tare.offset) < ANOTHER_LEVEL:
+            found = f"{tare.found}, and at the end, as the zero drifts"
+            line = fitted_tare(sensor.updated(estimate_drift=True), raw, (first, late), found)
+            advice = "a line from rest to rest is taken off"
+    return list(_drifts(moved, drift, deviation, raw.time, advice)), line
 
 
 def lone_drift_faults(stated: Noise, raw: RawRecording, rest: Stretch) -> Iterator[Fault]:
     """Channels that drift within the rest at the start, where there is none at the end to draw a
     line to.
     """
-    count = len(rest.time)
-    if not stated.known or stated.lasting or count < _FEWEST_FOR_SLOPES:
+    if not stated.known or stated.lasting or len(rest.time) < _FEWEST_FOR_SLOPES:
         return
-    slope, deviation = rest.about_lines[0], rest.slope_deviation
-    over_all = np.abs(slope) * (raw.time[-1] - raw.time[0])
-    clear = np.abs(slope) > _DRIFT_DEVIATIONS * deviation
-    for channel in np.flatnonzero(clear & (over_all > np.sqrt(stated.variance))):
+    size = np.abs(rest.slope)
+    over_all = size * (raw.time[-1] - raw.time[0]) > np.sqrt(stated.variance)
+    clear = size > _DRIFT_DEVIATIONS * rest.slope_deviation
+    advice = (
+        "seen within the rest at the start, and there is none at the end: record one and set "
+        "estimate_drift = true, or give force_drift or torque_drift"
+    )
+    yield from _drifts(clear & over_all, rest.slope, rest.slope_deviation, rest.time, advice)
+
+
+def _drifts(
+    moved: Bool[np.ndarray, "6"], rate: Wrench, deviation: Wrench, stamps: Times, advice: str
+) -> Iterator[Fault]:
+    for channel in np.flatnonzero(moved):
         name = CHANNELS[channel]
         text = (
-            f"the offset of {name} drifts by {slope[channel]:.3g} ± {deviation[channel]:.2g} "
-            f"{CHANNEL_UNITS[channel]}/s within the rest at the start, and there is none at the "
-            "end: record one and set estimate_drift = true, or give "
-            f"{'force' if channel < 3 else 'torque'}_drift"
+            f"the offset of {name} drifts by {rate[channel]:.3g} ± {deviation[channel]:.2g} "
+            f"{CHANNEL_UNITS[channel]}/s; {advice}"
         )
-        yield Fault.over(FaultKind.DRIFT, (name,), rest.interval, text, count)
+        yield Fault.over((name,), FaultKind.DRIFT, stamps, text)

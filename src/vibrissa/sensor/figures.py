@@ -151,6 +151,16 @@ class Noise:
             processes.append((RandomWalk(start), self.random_walk))
         return processes
 
+    def wandered(self, time: Times, first: Interval, second: Interval) -> Wrench:
+        """Variance (6,) of the difference of the offset's means over two intervals, by pink noise
+        and random walk over the stamps (n,).
+        """
+        variance = np.zeros(6)
+        for process, scale in self.coloured(time):
+            own = process.between_means(first, first) + process.between_means(second, second)
+            variance += scale**2 * max(own - 2 * process.between_means(first, second), 0.0)
+        return variance
+
 
 @dataclass(frozen=True, eq=False)
 class Response:

@@ -1,7 +1,6 @@
 """All that can be told of a recording before anyone trusts it."""
 
 from dataclasses import astuple, dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,15 +14,23 @@ from vibrissa.sensor.at_rest import (
     lone_drift_faults,
     noise_faults,
     noise_unit_faults,
-    noisier,
 )
 from vibrissa.sensor.poses import filled_poses, pose_jumps, pose_noise_faults
-from vibrissa.sensor.raw import CHANNELS, Fault, FaultKind, RawRecording, Rows, Times, Wrench
-from vibrissa.sensor.readings import drop_outs, held_rows, standing_channels
+from vibrissa.sensor.raw import (
+    CHANNELS,
+    Fault,
+    FaultKind,
+    Interval,
+    RawRecording,
+    Rows,
+    Times,
+    Wrench,
+)
+from vibrissa.sensor.readings import drop_outs, held_rows, standing_channels, without
 from vibrissa.sensor.rest import Rest, contact_misfits, find_rest, restless_tare
 from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.stamps import increasing_stamps, rounded_stamps, stamp_faults
-from vibrissa.sensor.tare import Tare, fitted_tare
+from vibrissa.sensor.tare import Tare
 from vibrissa.sensor.units import mount_faults, pose_unit_faults, wrench_unit_faults
 
 # Of numbers in any unit, stamps in nanoseconds since 1970 included.
@@ -49,10 +56,6 @@ class Inspection:
         wrench of rows that are not usable.
     faults
         In order of their start.
-    usable
-        Rows (n,) whose wrench and pose can be used.
-    rate
-        Samples a second [Hz], by the median step.
     rest
         Quiet stretches.
     tare
@@ -75,16 +78,29 @@ class Inspection:
     raw: RawRecording
     cleaned: RawRecording
     faults: tuple[Fault, ...]
-    usable: Rows
-    rate: float
     rest: Rest
     tare: Tare | None
     noise: Wrench
     drift: Wrench
     drift_deviation: Wrench
-    single_contact_misfit: float
     sensor: Sensor
+    single_contact_misfit: float = np.nan
     notes: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> Rows:
+        """Rows (n,) whose wrench and pose can be used."""
+        return self.cleaned.whole
+
+    @property
+    def tared(self) -> tuple[Interval, ...]:
+        """Intervals in which the tare is taken; none without one."""
+        return () if self.tare is None else self.tare.intervals
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz], by the median step."""
+        return self.cleaned.rate
 
     @property
     def unusable(self) -> tuple[Fault, ...]:
@@ -142,98 +158,83 @@ def inspect_raw(
     if not np.isfinite(given.time).any():
         raise ValueError(f"none of {len(raw.time)} rows has a stamp; allowed are stamps in seconds")
     rounded = rounded_stamps(given)
-    faults = [*stamp_faults(given.time, rounded=rounded), *pose_unit_faults(given, rod)]
     time, moved = increasing_stamps(given.time, rounded=rounded)
     position, orientation, poseless = filled_poses(given)
-    timed = replace(given, time=time)
-    lost, bad = drop_outs(timed, ~np.isfinite(given.time))
-    held, repeated = held_rows(sensor.noise, timed, bad | moved[:, None])
-    bad |= repeated
-    stuck, standing = standing_channels(sensor, timed, bad)
-    usable = ~((bad | standing).any(axis=1) | moved | poseless)
-    cleaned = replace(timed, position=position, orientation=orientation)
-    cleaned = cleaned.with_wrench(np.where(usable[:, None], given.wrench, np.nan))
+    good = replace(given, time=time)
+    faults = [*stamp_faults(given.time, rounded=rounded), *pose_unit_faults(good, rod)]
+    lost = list(drop_outs(given, time))
+    good = without(good, lost)
+    unmoved = np.where(moved[:, None], np.nan, good.wrench)
+    held = list(held_rows(sensor.noise, good.with_wrench(unmoved)))
+    good = without(good, held)
+    stuck = list(standing_channels(sensor, good))
+    good = without(good, stuck)
+    usable = good.whole & ~moved & ~poseless
+    good = good.with_wrench(np.where(usable[:, None], good.wrench, np.nan))
+    cleaned = replace(good, position=position, orientation=orientation)
     faults += [*lost, *held, *stuck, *pose_jumps(cleaned, rod, poseless)]
     if not usable.any():
         text = f"none of {len(usable)} rows is usable; allowed is at least one"
-        faults.append(Fault.over(FaultKind.DROP_OUT, CHANNELS, time, text, unusable=True))
+        faults.append(Fault.over(CHANNELS, FaultKind.DROP_OUT, time, text, unusable=True))
     stamps, logged = poses or (time, np.hstack([given.position, given.orientation]))
     scattered, sensor = pose_noise_faults(sensor, rod, stamps, logged[:, :3], logged[:, 3:])
-    told, rested = _at_rest(cleaned, sensor, usable)
-    faults += [*scattered, *told]
-    tare, misfit = rested["tare"], float("nan")
-    if tare is not None and not any(fault.unusable for fault in faults):
-        reactions = rested["sensor"].reactions(cleaned, tare)
-        mistaken = list(wrench_unit_faults(cleaned, reactions, rod, sensor, tare))
-        faults += mistaken or mount_faults(reactions, rod)
-        if reactions.covariance is not None:
-            wrench = np.hstack([reactions.force, reactions.moment])
-            covariance = np.broadcast_to(reactions.covariance, (len(wrench), 6, 6))
-            misfits = contact_misfits(wrench, covariance)
-            misfit = float(np.median(misfits)) if len(misfits) else misfit
-        # Errors that last, of pink noise and random walk, do not average out.
-        if misfit > (_LASTING_MISFIT if sensor.noise.lasting else _MISFIT):
-            text = (
-                "force and moment at the clamp fit no single contact: they miss one by "
-                f"{misfit:.3g} standard deviations in the median (0.67 is noise alone); check "
-                "tare, cross-talk and mount"
-            )
-            faults.append(Fault.over(FaultKind.TARE, CHANNELS, time, text))
-    return Inspection(
-        raw=raw,
-        cleaned=cleaned,
-        faults=tuple(sorted(faults, key=lambda fault: (fault.start, fault.stop))),
-        usable=usable,
-        rate=cleaned.rate,
-        single_contact_misfit=misfit,
-        **rested,
-    )
+    found = _loaded(_at_rest(raw, cleaned, sensor, faults + scattered), sensor, rod)
+    return replace(found, faults=tuple(sorted(found.faults, key=lambda f: (f.start, f.stop))))
 
 
-def _at_rest(raw: RawRecording, sensor: Sensor, usable: Rows) -> tuple[list[Fault], dict[str, Any]]:
-    """What rest tells: the fields of `Inspection` for rest, tare, noise and drift, and the sensor
-    with the noise that is found.
-    """
-    faults: list[Fault] = []
-    rest, tare, policy = find_rest(sensor, raw), None, sensor.tare_policy
-    if usable.any():
+def _at_rest(
+    raw: RawRecording, cleaned: RawRecording, sensor: Sensor, faults: list[Fault]
+) -> Inspection:
+    """With what rest tells: tare, noise and drift, and the sensor with the noise that is found."""
+    rest, tare, policy = find_rest(sensor, cleaned), None, sensor.tare_policy
+    restless: list[Fault] = []
+    if cleaned.whole.any():
         try:
-            tare = sensor.tare(raw)
+            tare = sensor.tare(cleaned)
+            if policy.tare_seconds is not None or policy.rest_intervals:
+                restless = list(restless_tare(sensor, cleaned, tare))
         except ValueError as error:
             text = str(error)
-            faults.append(Fault.over(FaultKind.REST, CHANNELS, raw.time, text, unusable=True))
-    restless: list[Fault] = []
-    if tare is not None and (policy.tare_seconds is not None or policy.rest_intervals):
-        restless += restless_tare(sensor, raw, tare)
-    interval = tare.intervals[0] if tare is not None and tare.intervals else rest.leading
+            faults.append(Fault.over(CHANNELS, FaultKind.REST, cleaned.time, text, unusable=True))
     noise, drift, deviation = np.full((3, 6), np.nan)
+    interval = tare.intervals[0] if tare is not None and tare.intervals else rest.leading
     if interval is not None:
-        still = Stretch.of(sensor, raw, interval)
-        noise, mis_scaled = still.noise, list(noise_unit_faults(sensor.noise, still))
+        still, stated = Stretch.of(sensor, cleaned, interval), sensor.noise
+        noise, mis_scaled = still.noise, list(noise_unit_faults(stated, still))
         faults += restless + mis_scaled
         # Where a contact or a drift lies within the tare, its scatter is no noise.
-        if not (mis_scaled or restless):
-            faults += [
-                *noise_faults(sensor.noise, still),
-                *hum_faults(sensor.noise, still, raw.rate),
-            ]
+        if not (restless or any(fault.unusable for fault in mis_scaled)):
+            noisy, sensor = noise_faults(sensor, still)
+            faults += [*noisy, *hum_faults(stated, still, cleaned.rate)]
         if not (rest.ends or restless):
-            faults += lone_drift_faults(sensor.noise, raw, still)
-        sensor = noisier(sensor, noise, faults)
-    if tare is not None:
-        tare = fitted_tare(sensor, raw, tare.intervals, tare.found)
+            faults += lone_drift_faults(stated, cleaned, still)
     if rest.ends is not None:
-        early, late = (Stretch.of(sensor, raw, end) for end in rest.ends)
-        drift, deviation = drift_of(sensor, raw, early, late, noise)
-        drifting, line = drift_faults(sensor, raw, (early, late), tare, drift, deviation)
+        ends = [Stretch.of(sensor, cleaned, end) for end in rest.ends]
+        drift, deviation = drift_of(sensor, cleaned, *ends)
+        drifting, line = drift_faults(sensor, cleaned, ends, tare, drift, deviation)
         faults += drifting
         if line is not None:
             sensor, tare = sensor.updated(estimate_drift=True), line
-    return faults, {
-        "rest": rest,
-        "tare": tare,
-        "noise": noise,
-        "drift": drift,
-        "drift_deviation": deviation,
-        "sensor": sensor,
-    }
+    return Inspection(raw, cleaned, tuple(faults), rest, tare, noise, drift, deviation, sensor)
+
+
+def _loaded(found: Inspection, stated: Sensor, rod: Rod) -> Inspection:
+    """With what the loads tell: units, mount, and whether they are those of single contacts."""
+    tare, misfit = found.tare, np.nan
+    if tare is None or found.unusable:
+        return found
+    reactions = found.sensor.reactions(found.cleaned, tare)
+    faults = list(wrench_unit_faults(found.cleaned, reactions, rod, stated, tare))
+    faults = faults or list(mount_faults(reactions, rod))
+    if reactions.covariance is not None:
+        misfits = contact_misfits(reactions.wrench, reactions.covariance)
+        misfit = float(np.median(misfits)) if len(misfits) else misfit
+    # Errors that last, of pink noise and random walk, do not average out.
+    if misfit > (_LASTING_MISFIT if stated.noise.lasting else _MISFIT):
+        text = (
+            "force and moment at the clamp fit no single contact: they miss one by "
+            f"{misfit:.3g} standard deviations in the median (0.67 is noise alone); check "
+            "tare, cross-talk and mount"
+        )
+        faults.append(Fault.over(CHANNELS, FaultKind.TARE, found.cleaned.time, text))
+    return replace(found, faults=(*found.faults, *faults), single_contact_misfit=misfit)

@@ -61,9 +61,8 @@ class LowPass:
         whatever the step's length (K. J. Åström, B. Wittenmark, "Computer-Controlled Systems", 3rd
         ed. 1997, section 2.3; for a linear signal, the first-order hold).
         """
-        if self.delay:
-            delayed = [np.interp(time - self.delay, time, column) for column in signal.T]
-            signal = np.stack(delayed, axis=1)
+        delayed = [np.interp(time - self.delay, time, column) for column in signal.T]
+        signal = np.stack(delayed, axis=1)
         if self.cutoff == math.inf:
             return signal
         rate, order = 2 * math.pi * self.cutoff, self.order

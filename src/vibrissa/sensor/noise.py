@@ -137,9 +137,8 @@ def quantisation_of_mean(
     "Quantization Noise", Cambridge 2008, eq. 4.10 ff.).
     """
     noise, step = np.asarray(noise, dtype=float), np.asarray(step, dtype=float)
-    # What is left of Σ 6/(πj)² behind these is 0.3 %; without noise the whole error stays.
+    # What is left of Σ 6/(πj)² behind these is 0.3 %.
     orders = np.pi * np.arange(1, 200)
     over = (noise / np.maximum(step, NO_STEP))[..., None]
     kept = np.sum(6 / orders**2 * np.exp(-((2 * orders * over) ** 2)), axis=-1)
-    kept = np.where(noise > 0, kept, 1.0)
     return np.asarray(step**2 / 12 * (kept + (1 - kept) / count))

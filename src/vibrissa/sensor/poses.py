@@ -54,7 +54,7 @@ def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> Iterator[Fault]:
             text = f"the {name} jumps by {sizes[0]:.3g} {unit} within {span[1] - span[0]:.3g} s"
             if len(rows) > 1:
                 text += f", and {len(rows) - 1} more times, by up to {sizes.max():.3g} {unit}"
-            yield Fault.over(FaultKind.POSE_JUMP, (name,), span, text, len(rows))
+            yield Fault.over((name,), FaultKind.POSE_JUMP, span, text, len(rows))
 
 
 def _steps(
@@ -129,6 +129,6 @@ def pose_noise_faults(
                 f"{name}_noise = {stated:.3g} {unit} is stated"
             )
             text += "; the error bars use it" if sensor.noise.known else ""
-            faults.append(Fault.over(FaultKind.POSE_NOISE, (name,), time[whole], text))
+            faults.append(Fault.over((name,), FaultKind.POSE_NOISE, time[whole], text))
             figures[f"{name}_noise"] = found
     return faults, sensor.updated(**figures) if figures else sensor

@@ -30,8 +30,12 @@ from numpy.typing import ArrayLike
 from vibrissa.sensor.sensor import Sensor, WrenchSign
 
 _FIGURES = (
-    *("force_range", "torque_range", "force_resolution", "torque_resolution"),
-    *("force_noise", "torque_noise"),
+    "force_range",
+    "torque_range",
+    "force_resolution",
+    "torque_resolution",
+    "force_noise",
+    "torque_noise",
 )
 _SHEETS: dict[str, tuple[Any, ...]] = {
     "ati_nano17_si_12_0_12": ((12.0, 12.0, 17.0), (0.12,) * 3, 1 / 320, 1e-3 / 64),
@@ -39,8 +43,10 @@ _SHEETS: dict[str, tuple[Any, ...]] = {
     "ati_nano17_si_50_0_5": ((50.0, 50.0, 70.0), (0.5,) * 3, 1 / 80, 1e-3 / 16),
     "ati_mini40_si_40_2": ((40.0, 40.0, 120.0), (2.0,) * 3, (0.01, 0.01, 0.02), 1 / 4000),
     "ati_mini45_si_145_5": (
-        *((145.0, 145.0, 290.0), (5.0,) * 3),
-        *(1 / 16, (1 / 752, 1 / 752, 1 / 1504)),
+        (145.0, 145.0, 290.0),
+        (5.0,) * 3,
+        1 / 16,
+        (1 / 752, 1 / 752, 1 / 1504),
     ),
     "ati_axia80_m20_si_500_20": ((500.0, 500.0, 900.0), (20.0,) * 3),
     "robotiq_ft_300_s": ((300.0,) * 3, (30.0,) * 3, 0.01, 0.001, 0.1, 0.005),
@@ -51,19 +57,6 @@ PRESETS: dict[str, dict[str, Any]] = {
     name: dict(zip(_FIGURES, (*sheet, *sheet[2:]), strict=False)) for name, sheet in _SHEETS.items()
 }
 """Figures by the name of the sensor and its calibration: fields of `Sensor`, SI units."""
-
-
-def preset_figures(name: str) -> dict[str, Any]:
-    """Fields of `Sensor` that a preset gives; none for the empty name.
-
-    Raises
-    ------
-    ValueError
-        If there is no such preset.
-    """
-    if name and name not in PRESETS:
-        raise ValueError(f"preset = {name!r}; allowed are {', '.join(PRESETS)}")
-    return dict(PRESETS.get(name, {}))
 
 
 def preset(
@@ -87,4 +80,6 @@ def preset(
     ValueError
         If there is no such preset, or as for `Sensor`.
     """
-    return Sensor(clamp_position, clamp_orientation, wrench, **preset_figures(name))
+    if name not in PRESETS:
+        raise ValueError(f"preset = {name!r}; allowed are {', '.join(PRESETS)}")
+    return Sensor(clamp_position, clamp_orientation, wrench, **PRESETS[name])

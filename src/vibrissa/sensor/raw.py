@@ -1,6 +1,5 @@
 """What a sensor and a robot log, before anything is made of it, and what may be wrong with it."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -58,7 +57,7 @@ class RawRecording:
     def rate(self) -> float:
         """Samples a second [Hz], by the median step of the time; NaN with fewer than two rows."""
         steps = np.diff(self.time)
-        steps = steps[np.isfinite(steps) & (steps > 0)]
+        steps = steps[steps > 0]
         return float(1 / max(np.median(steps), _LEAST_STEP)) if len(steps) else np.nan
 
     @cached_property
@@ -80,9 +79,9 @@ def runs(mask: Rows) -> list[list[int]]:
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
 
 
-def channel_names(mask: Bool[np.ndarray, "6"]) -> tuple[str, ...]:
-    """Names of the channels that a mask (6,) picks."""
-    return tuple(np.array(CHANNELS)[mask].tolist())
+def names_of(mask: Bool[np.ndarray, "k"], names: tuple[str, ...] = CHANNELS) -> tuple[str, ...]:
+    """Those of the names (k,) that a mask picks."""
+    return tuple(np.array(names)[mask].tolist())
 
 
 class FaultKind(StrEnum):
@@ -127,7 +126,7 @@ class Fault:
     kind
         What it is.
     channels
-        Names of `vibrissa.sensor.CHANNELS`, or of the pose ("position", "orientation", "time").
+        Names of `vibrissa.sensor.CHANNELS`, and "position", "orientation", "time".
     start, stop
         First and last stamp concerned [s], on the recording's clock.
     count
@@ -137,7 +136,7 @@ class Fault:
     unusable
         Whether the recording cannot be used at all.
     quiet
-        Whether an inspection lists it without a warning.
+        Whether an inspection lists it without a warning, and marks no row.
     """
 
     kind: FaultKind
@@ -152,8 +151,8 @@ class Fault:
     @classmethod
     def over(
         cls,
-        kind: FaultKind,
         channels: tuple[str, ...],
+        kind: FaultKind,
         stamps: Times | Interval,
         text: str,
         count: int | np.integer[Any] | None = None,
@@ -164,11 +163,3 @@ class Fault:
         """
         rows = len(stamps) if count is None else int(count)
         return cls(kind, channels, float(stamps[0]), float(stamps[-1]), rows, text, **flags)
-
-    @classmethod
-    def each(
-        cls, kind: FaultKind, channels: tuple[str, ...], rows: Rows, time: Times, what: str
-    ) -> "Iterator[Fault]":
-        """A finding for each run of rows at their stamps (n,)."""
-        for start, stop in runs(rows):
-            yield cls.over(kind, channels, time[start:stop], f"{stop - start} rows {what}")

@@ -2,11 +2,10 @@
 limit.
 """
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
@@ -24,17 +23,15 @@ from vibrissa.sensor.raw import (
     Fault,
     FaultKind,
     RawRecording,
-    Rows,
     Times,
     Wrench,
     Wrenches,
-    channel_names,
+    names_of,
     runs,
 )
 from vibrissa.sensor.sensor import Sensor
 
-Mask = Bool[np.ndarray, "n 6"]
-
+_COLUMNS = ("time", "position", "orientation", *CHANNELS)
 # Chance that a sound recording is said to stand still.
 _FALSE_ALARM = 1e-6
 # Equal readings in a row that are no finding, however fine the numbers.
@@ -49,167 +46,142 @@ _FLAT_TOP = 10.0
 _ROUNDING = 1e-9
 
 
-def drop_outs(raw: RawRecording, unstamped: Rows) -> tuple[list[Fault], Mask]:
-    """Rows in which numbers or stamps are missing, and rows of zeros from which and to which the
-    readings jump by eight of their deviations.
+def without(raw: RawRecording, faults: Iterable[Fault]) -> RawRecording:
+    """The recording with NaN in the place of the readings that these findings name; quiet ones
+    mark none.
     """
-    missing, zero = ~np.isfinite(raw.wrench), _sudden_zeros(raw.wrench)
-    posed = np.isfinite(np.hstack([raw.position, raw.orientation])).all(axis=1)
-    faults = []
+    wrench = raw.wrench
+    for fault in faults:
+        if not fault.quiet:
+            first, last = np.searchsorted(raw.time, (fault.start, fault.stop))
+            wrench[first : last + 1, np.isin(CHANNELS, fault.channels)] = np.nan
+    return raw.with_wrench(wrench)
+
+
+def drop_outs(logged: RawRecording, time: Times) -> Iterator[Fault]:
+    """Rows in which numbers are missing, and rows of zeros from which and to which the readings
+    jump by eight of their deviations; at these increasing stamps (n,).
+    """
+    wrench, pose = logged.wrench, (logged.position.sum(axis=1), logged.orientation.sum(axis=1))
+    missing = ~np.isfinite(np.column_stack([logged.time, *pose, wrench]))
     for start, stop in runs(missing.any(axis=1)):
-        lost = channel_names(missing[start:stop].any(axis=0))
+        lost = names_of(missing[start:stop].any(axis=0), _COLUMNS)
         text = f"{stop - start} rows without a number in {', '.join(lost)}"
-        faults.append(Fault.over(FaultKind.DROP_OUT, lost, raw.time[start:stop], text))
-    for mask, channels, what in (
-        (zero, CHANNELS, "of zeros in all channels between other readings"),
-        (~posed, ("position", "orientation"), "without a pose"),
-        (unstamped, ("time",), "without a stamp"),
-    ):
-        faults += Fault.each(FaultKind.DROP_OUT, channels, mask, raw.time, what)
-    return faults, missing | zero[:, None]
-
-
-def _sudden_zeros(wrench: Wrenches) -> Rows:
-    zero, sudden = np.all(wrench == 0, axis=1), np.zeros(len(wrench), dtype=bool)
+        yield Fault.over(lost, FaultKind.DROP_OUT, time[start:stop], text)
+    zero = np.all(wrench == 0, axis=1)
     others = np.flatnonzero(np.isfinite(wrench).all(axis=1) & ~zero)
-    if not zero.any() or len(others) < _NEIGHBOURS:
-        return sudden
     deviation = own_noise(wrench[others])
-    for start, stop in runs(zero):
-        place = np.searchsorted(others, start)
-        sides = others[max(0, place - _NEIGHBOURS) : place], others[place : place + _NEIGHBOURS]
+    for start, stop in runs(zero & (len(others) >= _NEIGHBOURS)):
+        before, after = np.split(others, [np.searchsorted(others, start)])
+        sides = (wrench[side] for side in (before[-_NEIGHBOURS:], after[:_NEIGHBOURS]) if len(side))
         # A noiseless simulation begins at zero and leaves it gradually: there the step is no larger
         # than the next ones.
-        sudden[start:stop] = all(
+        if all(
             np.any(np.abs(np.median(near, axis=0)) > _JUMP * deviation + 4 * np.ptp(near, axis=0))
-            for near in (wrench[side] for side in sides if len(side))
-        )
-    return sudden
+            for near in sides
+        ):
+            text = f"{stop - start} rows of zeros in all channels between other readings"
+            yield Fault.over(CHANNELS, FaultKind.DROP_OUT, time[start:stop], text)
 
 
-def longest_repeat(
-    deviation: ArrayLike, step: ArrayLike, count: int, false_alarm: float = _FALSE_ALARM
+def repeat_chance(deviation: ArrayLike, step: ArrayLike) -> Float[np.ndarray, "*channels"]:
+    """Largest chance that a reading equals the one before: erf(step / (√8 deviation)), where the
+    true value lies on a step; 1 without noise.
+    """
+    deviation = np.asarray(deviation, dtype=float)
+    ratio = np.divide(step, deviation, out=np.full_like(deviation, np.inf), where=deviation > 0)
+    return np.asarray(erf(ratio / np.sqrt(8)))
+
+
+def longest_run(
+    chance: ArrayLike, count: int, false_alarm: float = _FALSE_ALARM
 ) -> Float[np.ndarray, "*channels"]:
     """Length that a run of equal readings reaches by chance, somewhere among `count`, with the
-    probability `false_alarm`; at least five.
+    probability `false_alarm`, where one equals that before it with this chance.
 
-    A reading equals the one before with a probability of at most p = erf(step / (√8 deviation)),
-    where the true value lies on a step; a run of r readings needs r − 1 such, and `count` places
-    bound the chance by count p^(r−1).
+    A run of r readings needs r − 1 such, and `count` places bound its chance by count p^(r−1).
     """
-    longest = _longest(_repeats(deviation, step), count, false_alarm)
-    return np.asarray(np.maximum(_SHORTEST, longest))
-
-
-def _repeats(deviation: ArrayLike, step: ArrayLike) -> Float[np.ndarray, "*channels"]:
-    """Largest chance that a reading equals the one before."""
-    known = np.asarray(deviation) > 0
-    return np.where(known, erf(step / (np.sqrt(8) * np.where(known, deviation, 1.0))), 1.0)
-
-
-def _longest(chance: ArrayLike, count: int, false_alarm: float = _FALSE_ALARM) -> Any:
     with np.errstate(divide="ignore"):
-        return 1 + np.ceil(np.log(count / false_alarm) / np.abs(np.log(chance)))
+        return np.asarray(1 + np.ceil(np.log(count / false_alarm) / np.abs(np.log(chance))))
 
 
-def _noise_and_steps(noise: Noise, wrench: Wrenches) -> tuple[Wrench, Wrench]:
-    """White noise (6,), and the steps of the numbers (6,): as stated, or the smallest that they
-    show, if that is larger.
+def _repeat_chances(noise: Noise, wrench: Wrenches) -> tuple[Wrench, Wrench]:
+    """White noise (6,), and the chance (6,) that a reading repeats itself: by the steps of the
+    numbers as stated, or the smallest that they show, if that is larger.
     """
-    stated, shown = noise.resolution, smallest_steps(wrench)
-    steps = np.where(np.isfinite(shown), np.maximum(stated, shown), stated)
-    return believed_noise(noise, wrench), steps
+    shown, deviation = smallest_steps(wrench), believed_noise(noise, wrench)
+    steps = np.maximum(noise.resolution, np.where(np.isfinite(shown), shown, 0))
+    return deviation, repeat_chance(deviation, steps)
 
 
-def held_rows(noise: Noise, raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
+def held_rows(noise: Noise, raw: RawRecording) -> Iterator[Fault]:
     """Rows that repeat the reading above them in all channels more often than chance allows: a lost
     sample, and the last one held in its place.
 
-    Where a third of all rows do so, the sensor is slower than the log; that is one finding, and no
-    row is marked.
+    Where a third of all rows do so, the sensor is slower than the log; that is one finding, a quiet
+    one.
     """
-    wrench, held = np.where(bad, np.nan, raw.wrench), np.zeros_like(bad)
-    same = repeating_rows(wrench)
+    wrench, rows = raw.wrench, len(raw.time)
+    same, what = repeating_rows(wrench), "repeat the reading above them in all channels"
     if not own_rows(wrench).all():
         count = np.count_nonzero(same)
         text = (
-            f"{count} of {len(wrench)} rows repeat the reading above them in all channels, as of a "
-            f"sensor of {(1 - count / len(wrench)) * raw.rate:.4g} readings a second in a log of "
-            f"{raw.rate:.4g}"
+            f"{count} of {rows} rows {what}, as of a sensor of "
+            f"{(1 - count / rows) * raw.rate:.4g} readings a second in a log of {raw.rate:.4g}"
         )
-        return [Fault.over(FaultKind.HELD, CHANNELS, raw.time, text, count)], held
-    chance = np.prod(_repeats(*_noise_and_steps(noise, wrench)))
-    needed = max(2, _longest(chance, len(wrench)))
+        yield Fault.over(CHANNELS, FaultKind.HELD, raw.time, text, count, quiet=True)
+        return
+    needed = float(longest_run(np.prod(_repeat_chances(noise, wrench)[1]), rows))
     for start, stop in runs(same):
-        held[start:stop] = stop - start + 1 >= needed
-    what = "repeat the reading above them in all channels"
-    return list(Fault.each(FaultKind.HELD, CHANNELS, held[:, 0], raw.time, what)), held
+        if stop - start + 1 >= needed:
+            text = f"{stop - start} rows {what}"
+            yield Fault.over(CHANNELS, FaultKind.HELD, raw.time[start:stop], text)
 
 
-def standing_channels(sensor: Sensor, raw: RawRecording, bad: Mask) -> tuple[list[Fault], Mask]:
+def standing_channels(sensor: Sensor, raw: RawRecording) -> Iterator[Fault]:
     """Runs of equal readings longer than chance allows: flat-topped where they are a channel's
-    extreme that it comes to and leaves gradually, else stuck.
+    extreme that it comes to and leaves gradually, as then are all readings of this value, else
+    stuck.
 
     With a known range, readings at it are saturated, however few.
     """
-    wrench = np.where(bad, np.nan, raw.wrench)
-    deviations, steps = _noise_and_steps(sensor.noise, wrench)
-    needed = longest_repeat(deviations, steps, len(wrench))
-    # In world axes no channel is one of the sensor's.
+    deviations, chances = _repeat_chances(sensor.noise, raw.wrench)
+    needed = np.maximum(_SHORTEST, longest_run(chances, len(raw.time)))
     limits = sensor.response.limits(sensor.noise.resolution)
-    limits = np.full(6, np.inf) if sensor.wrench_frame == "world" else limits
-    standing, faults = np.abs(wrench) >= limits * (1 - _ROUNDING), []
-    for channel, name in enumerate(CHANNELS):
-        found = _standing(
-            *(wrench[:, channel], standing[:, channel], deviations[channel], needed[channel]),
-            *(name, CHANNEL_UNITS[channel], limits[channel]),
-        )
-        for kind, start, stop, text in found:
-            standing[start:stop, channel] = True
-            faults.append(Fault.over(kind, (name,), raw.time[start:stop], text))
-    return faults, standing
-
-
-def _standing(
-    values: Times,
-    full: Rows,
-    deviation: float,
-    needed: float,
-    name: str,
-    unit: str,
-    limit: float,
-) -> Iterator[tuple[FaultKind, int, int, str]]:
-    """Kind, rows and text of what stands in a channel, those at its range (n,) first."""
-    marked, tops = full.copy(), []
-    for start, stop in runs(full):
-        text = f"{stop - start} readings of {name} at the range of {limit:g} {unit}"
-        yield FaultKind.SATURATION, start, stop, text
-    for start, last in runs((np.diff(values) == 0) & ~marked[1:] & ~marked[:-1]):
-        stop = last + 1
-        if stop - start >= needed:
-            marked[start:stop] = True
-            flat = _flat_topped(values, start, stop, deviation)
-            tops += [values[start]] * flat
+    if sensor.wrench_frame == "world":
+        # No channel is one of the sensor's.
+        limits = np.full(6, np.inf)
+    for name, unit, values, deviation, least, limit in zip(
+        CHANNELS, CHANNEL_UNITS, raw.wrench.T, deviations, needed, limits, strict=True
+    ):
+        full, tops = np.abs(values) >= limit * (1 - _ROUNDING), []
+        for start, last in runs((np.diff(values) == 0) & ~full[1:]):
+            stop, value = last + 1, values[start]
+            if stop - start < least:
+                continue
+            if _flat_topped(values, start, stop, deviation):
+                tops.append(value)
+                continue
             text = (
-                f"{name} is {'flat-topped' if flat else 'stuck'} at {values[start]:.6g} {unit} for "
-                f"{stop - start} rows; {needed:.0f} in a row come by chance in one of a million "
-                "recordings"
+                f"{name} is stuck at {value:.6g} {unit} for {stop - start} rows; {least:.0f} in a "
+                "row come by chance in one of a million recordings"
             )
-            yield FaultKind.SATURATION if flat else FaultKind.STUCK, start, stop, text
-    for start, stop in runs(np.isin(values, tops) & ~marked):
-        text = (
-            f"{stop - start} more readings of {name} at its flat top of {values[start]:.6g} {unit}"
-        )
-        yield FaultKind.SATURATION, start, stop, text
+            yield Fault.over((name,), FaultKind.STUCK, raw.time[start:stop], text)
+        for start, stop in runs(full | np.isin(values, tops)):
+            how = (
+                f"at the range of {limit:g}"
+                if full[start]
+                else f"flat-topped at {values[start]:.6g}"
+            )
+            text = f"{stop - start} readings of {name} are {how} {unit}"
+            yield Fault.over((name,), FaultKind.SATURATION, raw.time[start:stop], text)
 
 
 def _flat_topped(values: Times, start: int, stop: int, deviation: float) -> bool:
-    value = values[start]
+    value, steps = values[start], np.abs(np.diff(values))
     height = np.abs(value - np.nanmedian(values))
     if value not in (np.nanmax(values), np.nanmin(values)) or height < _FLAT_TOP * deviation:
         return False
-    steps = np.abs(np.diff(values))
-    usual = _FLAT_TOP * max(deviation, np.nanmedian(steps))
     # Next to a row that is missing it is not known how the channel came or left.
     ends = np.concatenate([steps[max(0, start - 1) : start], steps[stop - 1 : stop]])
-    return not np.any(ends > usual)
+    return not np.any(ends > _FLAT_TOP * max(deviation, np.nanmedian(steps)))

@@ -14,14 +14,13 @@ from vibrissa.sensor.deviations import (
     shown_steps,
 )
 from vibrissa.sensor.raw import (
-    Covariances,
     Fault,
     FaultKind,
     Interval,
     RawRecording,
     Wrench,
     Wrenches,
-    channel_names,
+    names_of,
 )
 from vibrissa.sensor.tare import Tare, without_given
 
@@ -37,9 +36,8 @@ _FEWEST_BLOCKS = 4
 _DEVIATIONS = 6.0
 # Share of a rest that is left out next to its change, which may have begun unnoticed.
 _GUARD = 0.1
-# Of the largest deviation from the first level: two rests that differ by more are not both free of
-# contact.
-_ANOTHER_LEVEL = 0.2
+ANOTHER_LEVEL = 0.2
+"""Of the largest load: two rests that differ by more are not both free of contact."""
 # Standard deviations from which on a force is a load, and how many such samples a median needs.
 _LOADED, _FEWEST_LOADED = 10.0, 20
 # Of the sensor's whole way: one that travels more within a rest is not in contact there.
@@ -92,18 +90,17 @@ def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
         if first == 0 or last <= ending:
             stretches.append((first, last))
         first = last
-    found: dict[tuple[int, int], Interval] = {}
+    leading = trailing = None
+    intervals: dict[Interval, None] = {}
     for first, last in [*stretches, (ending, count)]:
         guard = max(1, round(_GUARD * (last - first)))
-        begin, end = first + (guard if first > 0 else 0), last - (guard if last < count else 0)
-        if min(end - begin, last - first) >= _FEWEST_BLOCKS:
-            stop = raw.time[rows[end - 1, -1]] + 0.5 / raw.rate
-            found[first, last] = raw.time[rows[begin, 0]], stop
-    return Rest(
-        tuple(found.values()),
-        next((interval for (first, _), interval in found.items() if first == 0), None),
-        next((interval for (_, last), interval in found.items() if last == count), None),
-    )
+        begin, end = first + guard * (first > 0), last - guard * (last < count)
+        if end - begin >= _FEWEST_BLOCKS:
+            found = raw.time[rows[begin, 0]], raw.time[rows[end - 1, -1]] + 0.5 / raw.rate
+            intervals[found] = None
+            leading = found if first == 0 else leading
+            trailing = found if last == count else trailing
+    return Rest(tuple(intervals), leading, trailing)
 
 
 def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, ...], str]:
@@ -115,18 +112,19 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
         If rest that is given does not fit the recording, or none is given and none can be found,
         because the recording starts in contact or under a changing load.
     """
-    policy, first = sensor.tare_policy, float(raw.time[0])
-    seconds, weighs = policy.tare_seconds, "mount.estimated" in sensor.estimates
+    policy, first, wanted = sensor.tare_policy, float(raw.time[0]), sensor.estimates
+    seconds, leading = policy.tare_seconds, None
+    how, where = "found automatically", "at the start and at the end"
     if policy.rest_intervals:
         given = ((first + start, first + stop) for start, stop in policy.rest_intervals)
         return tuple(given), "given as rest_intervals"
     if seconds == 0:
-        if sensor.estimates:
+        if wanted:
             raise ValueError(
-                f"{sensor.estimates[0]} = True with tare_seconds = 0; allowed are rest_intervals, "
+                f"{wanted[0]} = True with tare_seconds = 0; allowed are rest_intervals, "
                 "a tare_seconds greater than 0, or none to find the rest"
             )
-        return (), ""
+        return (), "none: tare_seconds = 0"
     if seconds is not None:
         count = np.count_nonzero(raw.time - first < seconds)
         if count < 2 or count >= len(raw.time):
@@ -134,29 +132,25 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
                 f"tare_seconds = {seconds}: {count} of {len(raw.time)} samples lie within it; "
                 "allowed are at least 2, and fewer than all"
             )
-        leading, how = (first, first + seconds), "given as tare_seconds"
-        if not sensor.estimates:
-            return (leading,), how
-    rest = find_rest(sensor, raw)
-    if weighs:
+        leading = first, first + seconds
+        how, where = "given as tare_seconds", "and found at the end"
+    rest = Rest() if leading and not wanted else find_rest(sensor, raw)
+    if "mount.estimated" in wanted:
         if not rest.intervals:
             raise ValueError(
                 "no rest is found in the recording; allowed are rest_intervals that are free of "
                 "contact"
             )
         return rest.intervals, "found automatically, in all orientations"
-    if seconds is None:
-        leading, how = _checked_leading(sensor, raw, rest), "found automatically"
-        if not sensor.estimates:
-            return (leading,), how
-    trailing, late = rest.trailing, leading[0 if seconds is None else 1]
-    if trailing is None or trailing[0] <= late:
+    leading = leading or _checked_leading(sensor, raw, rest)
+    if not wanted:
+        return (leading,), how
+    if rest.trailing is None or rest.trailing[0] <= leading[0 if seconds is None else 1]:
         raise ValueError(
             "estimate_drift = True: no rest is found at the end of the recording; allowed are "
             "rest_intervals that name one"
         )
-    where = "at the start and at the end" if seconds is None else "and found at the end"
-    return (leading, trailing), f"{how}, {where}"
+    return (leading, rest.trailing), f"{how}, {where}"
 
 
 def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> Iterator[Fault]:
@@ -174,12 +168,12 @@ def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> Iterator[F
         first = _stays(means, tolerance)
         if first < count:
             off = np.abs(means[first:] - means[:first].mean(axis=0)) > tolerance
-            channels, stamps = channel_names(off.any(axis=0)), raw.time[rows[first:].ravel()]
+            channels, stamps = names_of(off.any(axis=0)), raw.time[rows[first:].ravel()]
             text = (
                 f"the tare, {tare.found}, is not taken at rest: {', '.join(channels)} change from "
                 f"{stamps[0] - raw.time[0]:.3g} s on; a contact, or a drift"
             )
-            yield Fault.over(FaultKind.REST, channels, stamps, text)
+            yield Fault.over(channels, FaultKind.REST, stamps, text)
 
 
 def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interval:
@@ -202,12 +196,8 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
         return rest.leading
     readings = without_given(sensor, raw)
     levels = [np.nanmean(readings[raw.during(interval)], axis=0) for interval in rest.ends]
-    largest = np.nanmax(np.abs(readings - levels[0]), axis=0)
-    moved, most = (
-        np.linalg.norm(part.reshape(2, 3), axis=1) for part in (levels[1] - levels[0], largest)
-    )
-    step = np.max(moved / (most + 1e-300))
-    if step < _ANOTHER_LEVEL:
+    step = share_of_load(levels[1] - levels[0], readings - levels[0])
+    if step < ANOTHER_LEVEL:
         return rest.leading
     between = ~np.any([raw.during(interval) for interval in rest.intervals], axis=0)
     rows = between & np.isfinite(np.hstack([readings, raw.orientation])).all(axis=1)
@@ -237,14 +227,22 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     )
 
 
-def contact_misfits(wrench: Wrenches, covariance: Covariances) -> Float[np.ndarray, "loaded"]:
+def share_of_load(step: Wrench, load: Wrenches) -> float:
+    """What a step of the zero is of the largest load (n, 6): of the force, or of the torque."""
+    most = np.nanmax(np.linalg.norm(load.reshape(-1, 2, 3), axis=2), axis=0)
+    return float(np.max(np.linalg.norm(step.reshape(2, 3), axis=1) / (most + 1e-300)))
+
+
+def contact_misfits(
+    wrench: Wrenches, covariance: Float[np.ndarray, "... 6 6"]
+) -> Float[np.ndarray, "loaded"]:
     """Sizes of m0·f0 in its standard deviations, which is zero for a single contact (mechanics.md,
     "Statics alone"), in rows of more than ten deviations of the force; none of fewer than 20 rows.
     """
+    covariance = np.broadcast_to(covariance, (len(wrench), 6, 6))
     deviation = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
     loaded = np.linalg.norm(wrench[:, :3], axis=1) > _LOADED * deviation
-    if np.count_nonzero(loaded) < _FEWEST_LOADED:
-        return np.zeros(0)
+    loaded &= np.count_nonzero(loaded) >= _FEWEST_LOADED
     wrench, covariance = wrench[loaded], covariance[loaded]
     gradient = np.roll(wrench, 3, axis=1)
     spread = np.sqrt(np.einsum("ni,nij,nj->n", gradient, covariance, gradient))
@@ -263,16 +261,13 @@ def _blocks(
     blocks = chosen[: len(chosen) // size * size].reshape(-1, size)
     variance = np.zeros(6)
     if len(blocks):
-        variance += reading_deviation(sensor.noise, readings[usable]) ** 2 / size
-        variance += (shown_steps(sensor.noise, readings[usable]) / 4) ** 2
-        start, length = raw.time[usable][0], size / raw.rate
-        early = (start, start + length)
+        good = readings[usable]
+        variance += reading_deviation(sensor.noise, good) ** 2 / size
+        variance += (shown_steps(sensor.noise, good) / 4) ** 2
         # The offset wanders between the blocks of a stretch: ten blocks apart on average.
-        late = (start + 10 * length, start + 11 * length)
-        for process, scale in sensor.noise.coloured(raw.time[np.isfinite(raw.time)]):
-            apart = process.between_means(early, early) + process.between_means(late, late)
-            apart -= 2 * process.between_means(early, late)
-            variance += scale**2 * max(apart, 0.0)
+        early, late = raw.time[usable][0] + np.array([[0, 1], [10, 11]]) * size / raw.rate
+        times = raw.time[np.isfinite(raw.time)]
+        variance += sensor.noise.wandered(times, tuple(early), tuple(late))
     return blocks, readings[blocks].mean(axis=1), _DEVIATIONS * np.sqrt(variance)
 
 

@@ -103,26 +103,20 @@ class Sensor:
         tare_policy: TarePolicy = TarePolicy(),  # noqa: B008
         **figures: Any,
     ) -> None:
-        for name, given, kind in (
-            ("wrench", wrench, WrenchSign),
-            ("wrench_frame", wrench_frame, WrenchFrame),
-        ):
-            if given not in get_args(kind):
-                raise ValueError(f"{name} = {given!r}; allowed are {' and '.join(get_args(kind))}")
+        given, fields = locals(), vars(self)
+        for name, kind in (("wrench", WrenchSign), ("wrench_frame", WrenchFrame)):
+            if given[name] not in get_args(kind):
+                allowed = " and ".join(get_args(kind))
+                raise ValueError(f"{name} = {given[name]!r}; allowed are {allowed}")
+            fields[name] = given[name]
         turn = unit_quaternions(clamp_orientation, "clamp_orientation")
+        fields["clamp_position"] = finite_array(clamp_position, "clamp_position", last=3, ndim=1)
+        fields["clamp_orientation"] = finite_array(turn, "clamp_orientation", ndim=1)
         point = finite_array(wrench_point, "wrench_point", last=3, ndim=1)
-        fields: dict[str, Any] = vars(self)
-        fields |= {
-            "clamp_position": finite_array(clamp_position, "clamp_position", last=3, ndim=1),
-            "clamp_orientation": finite_array(turn, "clamp_orientation", ndim=1),
-            "wrench": wrench,
-            "wrench_frame": wrench_frame,
-            "wrench_point": tuple(point.tolist()),
-            "mount": mount,
-        }
-        for (name, kind), part in zip(_PARTS.items(), (noise, response, tare_policy), strict=True):
+        fields |= {"wrench_point": tuple(point.tolist()), "mount": mount}
+        for name, kind in _PARTS.items():
             own = {key: figures.pop(key) for key in kind.__dataclass_fields__ if key in figures}
-            fields[name] = replace(part, **own)  # type: ignore[type-var]
+            fields[name] = replace(given[name], **own)
         if figures:
             raise TypeError(
                 f"Sensor has no {', '.join(figures)}; allowed are its attributes and the fields of "
@@ -222,7 +216,6 @@ class Sensor:
         tare: Tare | None = None,
         *,
         tolerances: Tolerances | SetupErrors | ArrayLike | None = None,
-        velocity: ArrayLike | None = None,
     ) -> Reactions:
         """Support reactions on the rod about the clamp, in world axes, tare removed, with their
         covariance where the noise is known.
@@ -242,8 +235,6 @@ class Sensor:
             15) of `vibrissa.tolerances.PARAMETERS`: contacts state them then beside the noise.
             `Setup.parameter_covariance` gives those of a setup, and `setup_errors` both seen from
             this mount.
-        velocity
-            Of the clamp (n, 6), as for `Reactions`.
 
         Raises
         ------
@@ -254,10 +245,7 @@ class Sensor:
         tare = self.tare(raw) if tare is None else tare
         maps, noise = self.to_reactions(raw.orientation), self.noise
         load = raw.wrench - tare.readings(self, raw.time, raw.orientation)
-        load = np.where(np.isnan(load).any(axis=1, keepdims=True), np.nan, load)
         wrench = np.einsum("nij,nj->ni", maps, load)
-        if not (tolerances is None or isinstance(tolerances, SetupErrors)):
-            tolerances = self.setup_errors(tolerances)
         errors: dict[str, Any] = {}
         if noise.known:
             readings = tare.covariance(self, raw.time, raw.orientation)
@@ -270,18 +258,17 @@ class Sensor:
             raw.position + rotation_matrices(raw.orientation) @ self.clamp_position,
             multiplied(raw.orientation, self.clamp_orientation),
         )
-        return Reactions(
-            clamp,
-            wrench[:, :3],
-            wrench[:, 3:],
-            time=raw.time,
-            setup_errors=tolerances,
-            velocity=None if velocity is None else np.asarray(velocity),
-            **errors,
-        )
+        errors["setup_errors"] = self.setup_errors(tolerances)
+        return Reactions(clamp, wrench[:, :3], wrench[:, 3:], time=raw.time, **errors)
 
-    def setup_errors(self, tolerances: Tolerances | ArrayLike) -> SetupErrors:
-        """Errors of the setup's numbers for `Reactions`, seen from this sensor's mount."""
+    def setup_errors(
+        self, tolerances: Tolerances | SetupErrors | ArrayLike | None
+    ) -> SetupErrors | None:
+        """Errors of the setup's numbers for `Reactions`, seen from this sensor's mount; None
+        without tolerances.
+        """
+        if tolerances is None or isinstance(tolerances, SetupErrors):
+            return tolerances
         stated = tolerances.covariance if isinstance(tolerances, Tolerances) else tolerances
         covariance = np.asarray(stated, dtype=float)
         return SetupErrors(
@@ -292,8 +279,7 @@ class Sensor:
         """Readings (n, 6) of reactions and of the mount's weight at these orientations of the
         sensor, with cross-talk, behind the low-pass filter, without noise.
         """
-        wrench = np.concatenate([reactions.force, reactions.moment], axis=1)
-        shown = np.einsum("nij,nj->ni", self.to_readings(orientation), wrench)
+        shown = np.einsum("nij,nj->ni", self.to_readings(orientation), reactions.wrench)
         if self.mount is not None:
             shown = shown + self.weight_readings(orientation) @ self.mount.moments
         if self.response.low_pass is not None and reactions.time is not None:
@@ -335,11 +321,9 @@ class Sensor:
             raise ValueError(
                 f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …) with time"
             )
-        tare = np.concatenate(
-            [
-                finite_array(force_tare, "force_tare", last=3, ndim=1),
-                finite_array(torque_tare, "torque_tare", last=3, ndim=1),
-            ]
+        offsets = {"force_tare": force_tare, "torque_tare": torque_tare}
+        tare = np.hstack(
+            [finite_array(part, name, last=3, ndim=1) for name, part in offsets.items()]
         )
         pose = self.frame(reactions.trail)
         orientation = pose.orientation

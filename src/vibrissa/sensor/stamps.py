@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
-from vibrissa.sensor.deviations import MEDIAN_TO_DEVIATION
-from vibrissa.sensor.raw import Fault, FaultKind, RawRecording, Rows, Times
+from vibrissa.sensor.raw import Fault, FaultKind, RawRecording, Rows, Times, runs
 
 # Of the median step: half a sample more than usual is a lost one.
 _GAP = 1.5
@@ -16,7 +16,7 @@ _DEVIATIONS = 6.0
 _FEW, _MANY = 10, 0.1
 # Samples a second of force/torque sensors, with a decade to spare on both sides.
 _SLOWEST, _FASTEST = 1.0, 1e5
-_TIME = ("time",)
+_fault = partial(Fault.over, ("time",))
 
 
 def rounded_stamps(raw: RawRecording) -> bool:
@@ -38,11 +38,10 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
     """
     stamps = time[np.isfinite(time)]
     steps = np.diff(stamps)
-    backward = partial(Fault.over, FaultKind.BACKWARD, _TIME, unusable=True)
     if not np.any(steps > 0):
         if len(steps):
             text = "no stamp is later than the one before; allowed are increasing stamps"
-            yield backward(stamps, text, len(steps))
+            yield _fault(FaultKind.BACKWARD, stamps, text, len(steps), unusable=True)
         return
     usual = float(np.median(steps[steps > 0]))
     late = np.append(False, stamps[1:] <= np.maximum.accumulate(stamps)[:-1])
@@ -54,35 +53,34 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
             f"{count} of {len(stamps)} rows repeat an earlier stamp while the readings change: the "
             f"stamps are rounded to {usual:.4g} s; they are spread evenly"
         )
-        yield Fault.over(FaultKind.DUPLICATE, _TIME, stamps, text, count)
-    else:
-        what = "repeat an earlier stamp"
-        yield from Fault.each(FaultKind.DUPLICATE, _TIME, equal, stamps, what)
+        yield _fault(FaultKind.DUPLICATE, stamps, text, count)
+    for start, stop in [] if rounded else runs(equal):
+        text = f"{stop - start} rows repeat an earlier stamp"
+        yield _fault(FaultKind.DUPLICATE, stamps[start:stop], text)
     falling = np.flatnonzero(steps < 0)
     if falling.size:
         before, after = stamps[falling[0]], stamps[falling[0] + 1]
         count = int(np.count_nonzero(late & ~equal)) or len(falling)
         text = f"time = {after} after {before} ({len(falling)} such); allowed are increasing times"
-        yield backward((after, before), text, count)
+        yield _fault(FaultKind.BACKWARD, (after, before), text, count, unusable=True)
     if not _SLOWEST <= 1 / usual <= _FASTEST:
         guess = " (milliseconds, microseconds or nanoseconds?)" if usual > 1 else ""
         text = (
             f"{1 / usual:.3g} samples a second, which no sensor sends{guess}; allowed are seconds"
         )
-        yield Fault.over(FaultKind.UNITS, _TIME, stamps, text, len(time))
+        yield _fault(FaultKind.UNITS, stamps, text, len(time))
 
 
 def _gaps(stamps: Times, usual: float) -> Iterator[Fault]:
     steps = np.diff(stamps)
-    jitter = np.median(np.abs(steps - np.median(steps))) / MEDIAN_TO_DEVIATION
+    jitter = median_abs_deviation(steps, scale="normal")
     long = np.flatnonzero(steps > max(_GAP * usual, usual + _DEVIATIONS * jitter))
-    gap = partial(Fault.over, FaultKind.GAP, _TIME)
     if len(long) > max(_FEW, _MANY * len(steps)):
         text = (
             f"{len(long)} of {len(steps)} steps are longer than {_GAP} times the median step of "
             f"{usual:.4g} s: the stamps come in bursts, as when samples are stamped on arrival"
         )
-        yield gap(stamps, text, len(long))
+        yield _fault(FaultKind.GAP, stamps, text, len(long))
         return
     for row in long:
         relative = steps[row] / usual
@@ -91,7 +89,7 @@ def _gaps(stamps: Times, usual: float) -> Iterator[Fault]:
             f"{missing} samples missing: a step of {steps[row]:.4g} s, {relative:.3g} times the "
             "usual"
         )
-        yield gap(stamps[row : row + 2], text, missing)
+        yield _fault(FaultKind.GAP, stamps[row : row + 2], text, missing)
 
 
 def increasing_stamps(time: Times, *, rounded: bool = False) -> tuple[Times, Rows]:
@@ -109,8 +107,7 @@ def increasing_stamps(time: Times, *, rounded: bool = False) -> tuple[Times, Row
         # A stamp is not spread over a gap behind it.
         steps = np.minimum(np.append(steps, usual), usual)
         fixed += np.repeat(steps / count, count) * (rows - np.repeat(first, count))
-    if np.any(np.diff(fixed) <= 0):
-        for row in rows[1:]:
-            if fixed[row] <= fixed[row - 1]:
-                fixed[row], moved[row] = np.nextafter(fixed[row - 1], np.inf), True
+    for row in rows[1:] if np.any(np.diff(fixed) <= 0) else ():
+        if fixed[row] <= fixed[row - 1]:
+            fixed[row], moved[row] = np.nextafter(fixed[row - 1], np.inf), True
     return fixed, moved

@@ -118,7 +118,7 @@ class Tare:
                 for j, other in enumerate(self.intervals, start=1):
                     moved[i, j] = process.between_means(rest, other)
             total = total + _of_sums(weights * scale, moved)
-        return total[0] if constant else (total + np.swapaxes(total, 1, 2)) / 2
+        return total[0] if constant else total
 
 
 def _of_sums(
@@ -126,25 +126,6 @@ def _of_sums(
 ) -> Covariances:
     """Covariances (n, 6, 6) of weighted sums of k numbers a channel, by their own covariances."""
     return np.einsum("knij,kln,lnmj->nim", weights, between, weights, optimize=True)
-
-
-def no_tare(sensor: "Sensor", time: Times) -> Tare:
-    """Nothing is taken off but a drift and a weight that are given."""
-    found, drift = "none: tare_seconds = 0", sensor.tare_policy.drift
-    return Tare((), (), found, float(time[0]), np.zeros(6), drift, sensor.mount)
-
-
-def planned_tare(
-    sensor: "Sensor", intervals: tuple[Interval, ...], counts: tuple[int, ...]
-) -> Tare:
-    """Return the tare that rest of this length will give, without its values: for its covariance.
-    The mount's weight is taken as known.
-    """
-    terms, middle = sensor.updated(mount=None).estimates, np.mean(intervals, axis=1)
-    epoch, nothing = float(middle[0]), np.zeros(6)
-    designs = _design_rows(sensor, terms, middle - epoch, np.zeros((len(middle), 4)))
-    gains = _fitted_gains(designs, np.array(counts)[:, None] / sensor.noise.variance, terms)
-    return Tare(intervals, counts, "planned", epoch, nothing, nothing, None, terms, gains)
 
 
 def fitted_tare(
@@ -159,9 +140,9 @@ def fitted_tare(
         If an interval holds fewer than two good samples, or the intervals do not determine drift
         or mount, or do not fit a mount.
     """
-    if not intervals:
-        return no_tare(sensor, raw.time)
     policy, terms, first = sensor.tare_policy, sensor.estimates, float(raw.time[0])
+    if not intervals:
+        return Tare((), (), found, first, np.zeros(6), policy.drift, sensor.mount)
     groups = [raw.whole & raw.during((start, stop - _SAME_TIME)) for start, stop in intervals]
     counts = np.count_nonzero(groups, axis=1)
     for (start, stop), count in zip(intervals, counts, strict=True):
@@ -179,22 +160,20 @@ def fitted_tare(
         variance = sensor.noise.variance
     else:
         # As the forces and the torques scatter at rest.
-        within = [readings[group] - mean for group, mean in zip(groups, means, strict=True)]
-        pooled = np.mean(np.concatenate(within).reshape(-1, 2, 3) ** 2, axis=(0, 2))
+        left = np.concatenate([readings[group] - readings[group].mean(axis=0) for group in groups])
+        pooled = np.mean(left.reshape(-1, 2, 3) ** 2, axis=(0, 2))
         variance = np.repeat(np.where(pooled > 0, pooled, 1.0), 3)
     gains = _fitted_gains(designs, counts[:, None] / variance, terms)
-    solution = np.einsum("kpi,ki->p", gains, means)
-    mount = sensor.mount
+    solution, mount = np.einsum("kpi,ki->p", gains, means), sensor.mount
     if mount is not None and mount.estimated:
         misses = (means - designs @ solution) / np.sqrt(variance)
         _check_weight(raw, groups, misses, counts @ misses**2, len(solution))
-        mass = float(solution[-4])
+        mass, (x, y, z) = float(solution[-4]), (solution[-3:] / (solution[-4] or 1.0)).tolist()
         if mass < 0:
             raise ValueError(
                 f"mount.estimated = True gives the mass {mass:.3g} kg; allowed is at least 0: "
                 f"check wrench = {sensor.wrench!r} and mount.gravity"
             )
-        x, y, z = (solution[-3:] / (mass or 1.0)).tolist()
         mount = replace(mount, mass=mass, center=(x, y, z))
     drift = policy.drift + (solution[6:12] if policy.estimate_drift else 0)
     offset = solution[:6] + (epoch - first) * policy.drift

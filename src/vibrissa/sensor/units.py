@@ -66,8 +66,7 @@ class Reading(NamedTuple):
             return False
         if not (stated.noise.known and tare.intervals):
             return True
-        wrench = self.raw.wrench[self.raw.during(tare.intervals[0])]
-        wrench = wrench[np.isfinite(wrench).all(axis=1)]
+        wrench = self.raw.wrench[self.raw.during(tare.intervals[0]) & self.raw.whole]
         ratio = np.std(wrench, axis=0) / np.sqrt(stated.noise.variance)
         # A channel without any noise is of a simulation, in any unit.
         return bool(np.all((ratio == 0) | (ratio > 1 / noise) & (ratio < noise)))
@@ -81,17 +80,14 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
     """Positions in millimetres, orientations that are no unit quaternions, and quaternions that may
     have been written w first.
     """
-    stamps, count = raw.time[np.isfinite(raw.time)], len(raw.time)
-    position = raw.position[np.isfinite(raw.position).all(axis=1)]
-    extent = np.ptp(position, axis=0).max() if len(position) else 0.0
+    extent = np.max(np.fmax.reduce(raw.position) - np.fmin.reduce(raw.position))
     if extent > _LONGEST_SWEEP * rod.length:
         text = (
             f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
         )
-        yield Fault.over(FaultKind.UNITS, ("position",), stamps, text, count, unusable=True)
-    wrong = wrong_norms(raw.orientation) & np.isfinite(raw.time)
-    along_x = raw.orientation[:, 0]
-    turned = partial(Fault.over, FaultKind.UNITS, ("orientation",))
+        yield Fault.over(("position",), FaultKind.UNITS, raw.time, text, unusable=True)
+    wrong, along_x = wrong_norms(raw.orientation), raw.orientation[:, 0]
+    turned = partial(Fault.over, ("orientation",), FaultKind.UNITS)
     if wrong.any():
         first = raw.orientation[wrong][0]
         norm = np.linalg.norm(first)
@@ -106,7 +102,7 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
             "qx = 1 throughout: half a turn about x, or quaternions written w first; "
             "allowed are x, y, z, w"
         )
-        yield turned(stamps, text, count, quiet=True)
+        yield turned(raw.time, text, quiet=True)
 
 
 def wrong_norms(orientation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n"]:
@@ -124,12 +120,8 @@ def wrench_unit_faults(
     load = arm_and_force(reactions, rod)
     if load is None or _within(load, _POSSIBLE):
         return
-    given = Reading("", raw, sensor, rod)
-    likely = [
-        reading
-        for reading in _other_units(given)
-        if reading.is_plausible(tare, sensor, _LIKELY_NOISE)
-    ]
+    readings = _other_units(Reading("", raw, sensor, rod))
+    likely = [each for each in readings if each.is_plausible(tare, sensor, _LIKELY_NOISE)]
     channels = likely[0].channels if len(likely) == 1 else CHANNELS
     guess = f" ({' or '.join(reading.words for reading in likely)}?)" if likely else ""
     what = "wrench, clamp_position or rod" if channels == CHANNELS else ",".join(channels)
@@ -139,8 +131,7 @@ def wrench_unit_faults(
         else f"torque over force is {load[0]:.3g} rod lengths in the median"
     )
     text += f", so {what} are mis-scaled{guess}; allowed are N, N m, m and Pa"
-    count = np.count_nonzero(loaded_rows(reactions))
-    yield Fault.over(FaultKind.UNITS, channels, raw.time, text, count, unusable=True)
+    yield Fault.over(channels, FaultKind.UNITS, raw.time, text, unusable=True)
 
 
 def loaded_rows(reactions: Reactions) -> Rows:
@@ -158,9 +149,7 @@ def arm_and_force(reactions: Reactions, rod: Rod) -> tuple[float, float] | None:
     loaded = loaded_rows(reactions)
     if not loaded.any():
         return None
-    force, moment = (
-        np.linalg.norm(part[loaded], axis=1) for part in (reactions.force, reactions.moment)
-    )
+    force, moment = np.linalg.norm([reactions.force[loaded], reactions.moment[loaded]], axis=2)
     return float(np.median(moment / force)) / rod.length, float(np.median(force)) / rod.force_scale
 
 
@@ -194,11 +183,11 @@ def _other_units(given: Reading) -> Iterator[Reading]:
     from pint import get_application_registry  # noqa: PLC0415, as it takes long to load
 
     raw, sensor, rod = given.raw, given.sensor, given.rod
-    unit = get_application_registry()  # type: ignore[no-untyped-call]
+    quantity = get_application_registry().Quantity  # type: ignore[no-untyped-call]
     for words in _WRENCHES:
         units = dict(part.split(" in ", 1) for part in words.split(" and "))
         force, torque = (
-            unit.Quantity(1.0, units.get(kind, "")).to_base_units().magnitude
+            quantity(1.0, units.get(kind, "")).to_base_units().magnitude
             for kind in ("forces", "torques")
         )
         channels = CHANNELS[:3] * ("forces" in units) + CHANNELS[3:] * ("torques" in units)
@@ -234,11 +223,11 @@ def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
     push = np.median(np.sum(force * axis, axis=1))
     away = np.median(np.linalg.norm(points, axis=1)) / rod.length
     ahead = np.median(np.sum(points * axis, axis=1)) / rod.length
-    work, most = _work(reactions, loaded)
-    found = partial(Fault.over, FaultKind.MOUNT, CHANNELS, reactions.time[loaded])
-    if push < 0 and -work > _NOTICEABLE * most:
+    found = partial(Fault.over, CHANNELS, FaultKind.MOUNT, reactions.time[loaded])
+    done = _work_by_rod(reactions, loaded) if push < 0 else 0.0
+    if done:
         yield found(
-            f"the rod is pulled from its clamp and does work on it, {1e3 * work:.3g} mJ, where one "
+            f"the rod is pulled from its clamp and does work on it, {-1e3 * done:.3g} mJ, where one "
             "that is pushed takes up work: this fits a wrench of the other sign; check wrench in "
             "[sensor]"
         )
@@ -254,26 +243,23 @@ def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
         )
 
 
-def _work(reactions: Reactions, loaded: Rows) -> tuple[float, float]:
-    """Lowest of the clamp's work since the first load [J], 0 unless it is most of all that comes
-    up, and the work that the forces could do along the whole way.
+def _work_by_rod(reactions: Reactions, loaded: Rows) -> float:
+    """Work that the rod has done on its clamp since the first load, at most [J]; 0 where there was
+    as much the other way, or little next to what the forces could do along the whole way.
 
     Nothing is told of a recording that begins under load, or of whose load a part is missing.
     """
-    wrench = np.hstack([reactions.force, reactions.moment])
+    wrench, trail = reactions.wrench, reactions.trail
     finite, rows = np.isfinite(wrench).all(axis=1), np.flatnonzero(loaded)
-    known, within = np.flatnonzero(finite), finite[rows[0] : rows[-1] + 1]
-    if known[0] == rows[0] or np.count_nonzero(~within) > _LOST * len(rows):
-        return 0.0, 0.0
-    wrench, trail = wrench[known], reactions.trail
+    known, lost = np.flatnonzero(finite), np.count_nonzero(~finite[rows[0] : rows[-1]])
+    if known[0] == rows[0] or lost > _LOST * len(rows):
+        return 0.0
     turn = rotation_vectors(trail.orientation[known[:-1]], trail.orientation[known[1:]])
     path = np.hstack([np.diff(trail.position[known], axis=0), turn])
-    either = loaded[known][1:] | loaded[known][:-1]
-    steps = np.sum((wrench[1:] + wrench[:-1]) / 2 * path, axis=1)
-    loads, ways = (
-        np.linalg.norm(part[either].reshape(-1, 2, 3), axis=2) for part in (wrench[1:], path)
-    )
-    work = np.cumsum(np.where(either, steps, 0.0))
-    lowest = work.min()
-    clear = -lowest > _NEGATIVE * np.abs(work).max()
-    return lowest if clear else 0.0, float(np.sum(loads * ways))
+    # Without a load there is noise alone.
+    wrench = np.where(loaded[:, None], wrench, 0.0)[known]
+    work = np.cumsum(np.sum((wrench[1:] + wrench[:-1]) / 2 * path, axis=1))
+    loads, ways = np.linalg.norm(np.reshape([wrench[1:], path], (2, -1, 2, 3)), axis=3)
+    done = -float(work.min())
+    clear = done > max(_NEGATIVE * np.abs(work).max(), _NOTICEABLE * np.sum(loads * ways))
+    return done if clear else 0.0

@@ -1,19 +1,16 @@
 """Objects as level functions g(p), positive outside. The normal follows by differentiation."""
 
 from vibrissa.surfaces.base import ExactSurface, Placed, Surface
+from vibrissa.surfaces.derived import Offset, Union
 from vibrissa.surfaces.functions import HeightField, Implicit
 from vibrissa.surfaces.mesh import Mesh
-from vibrissa.surfaces.offset import Offset
-from vibrissa.surfaces.primitives import Box, Capsule, Cone, Cylinder, Torus
+from vibrissa.surfaces.primitives import Box, Capsule, Cone, Cylinder, Plane, Sphere, Torus
 from vibrissa.surfaces.quadrics import (
     Ellipsoid,
     EllipticCylinder,
     EllipticParaboloid,
-    Plane,
-    Sphere,
+    Superquadric,
 )
-from vibrissa.surfaces.superquadric import Superquadric
-from vibrissa.surfaces.union import Union
 
 __all__ = [
     "Box",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import ClassVar, TypeAlias
+from collections.abc import Callable
+from functools import reduce
+from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -17,14 +17,13 @@ from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import Orientation, rotation_matrices, unit_quaternions
+from vibrissa.numerics.vectors import dot
 from vibrissa.surfaces import closest
 
 Point: TypeAlias = Float[Array, "3"]
 Scalar: TypeAlias = Float[Array, ""]
-Vector3: TypeAlias = ArrayLike
-"""Three numbers, as a list, tuple or array; kept as an array (3,)."""
-Vector2: TypeAlias = ArrayLike
-"""Two numbers, likewise."""
+Function: TypeAlias = Callable[[Point], Scalar]
+"""A method of a surface, whose arrays JAX sees."""
 
 
 class Surface(eqx.Module):
@@ -36,23 +35,14 @@ class Surface(eqx.Module):
     """
 
     may_crease: ClassVar[bool] = True
-    """Whether this kind of solid may have concave edges or narrow gaps; False where it is convex,
-    or round on the scale of its own sizes.
+    """Whether a rod may touch this kind of solid a second time close to a contact, at concave edges
+    or narrow gaps, so that it is looked at closely there; False where it is convex, or round on the
+    scale of its own sizes.
     """
-
-    @property
-    def creased(self) -> bool:
-        """Whether a rod may touch the solid a second time close to a contact, so that it is looked
-        at closely there.
-        """
-        return self.may_crease
-
-    @property
-    def heavy(self) -> bool:
-        """Whether evaluating the level takes so much code that compiled loops should hold it once
-        rather than once for each point.
-        """
-        return False
+    heavy: ClassVar[bool] = False
+    """Whether evaluating the level takes so much code that compiled loops should hold it once
+    rather than once for each point.
+    """
 
     @abstractmethod
     def level(self, point: Point) -> Scalar:
@@ -66,42 +56,37 @@ class Surface(eqx.Module):
         from outside a convex solid of moderate shape also far away. Where it does not arrive,
         g/‖∇g‖.
         """
-        return closest.distance(self, point)
-
-    def part_levels(self, point: Point) -> Float[Array, "parts"]:
-        """Levels of the solids that a union is of, whose least is the level; of any other surface
-        the level alone.
-        """
-        return self.level(point)[None]
-
-    def part_distances(self, point: Point) -> Float[Array, "parts"]:
-        """The same of the distances."""
-        return self.distance(point)[None]
+        return closest.distance(self.level, point)
 
     @property
-    def parts_count(self) -> int:
-        """How many there are."""
-        return 1
+    def solids(self) -> list[Surface]:
+        """Those that it is made of; itself where it is made of none."""
+        parts = jax.tree.leaves(self, is_leaf=_is_solid)
+        return [part for part in parts if _is_solid(part)]
+
+    def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:
+        """Levels of the solids, whose least is the level; `exact` ones are signed distances."""
+        return (self.distance if exact else self.level)(point)[None]
 
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Outward unit normals ∇g/‖∇g‖ at points (…, 3)."""
-        _, gradient = _at(points, self, _slope_of_level)
+        _, gradient = _at(points, _values_and_slopes, self.level)
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def levels(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
         """Values of the level at points (…, 3)."""
-        return _at(points, self, _level)[1]
+        return np.asarray(_at(points, _values, self.level))
 
     def distances(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
         """Signed distances from the surface at points (…, 3)."""
-        return _at(points, self, _distance_and_slope)[1]
+        return np.asarray(_at(points, _values_and_slopes, self.distance)[0])
 
     def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
         """Points p − d ∇d of the surface that are closest to points (…, 3): outside and near the
         surface.
         """
-        array, distance, gradient = _at(points, self, _distance_and_slope)
-        return array - distance[..., None] * gradient
+        distance, gradient = _at(points, _values_and_slopes, self.distance)
+        return np.asarray(points) - distance[..., None] * gradient
 
     def placed(
         self,
@@ -137,27 +122,19 @@ class ExactSurface(Surface):
 
 
 class Derived(Surface):
-    """A surface made of others."""
+    """A surface made of others: the least of `part_levels`."""
 
-    @property
     @abstractmethod
-    def sources(self) -> Sequence[Surface]:
-        """The others."""
+    def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:
+        """Levels of the solids; `exact` ones are signed distances."""
 
-    @property
-    def heavy(self) -> bool:
-        """As of any of them."""
-        return any(surface.heavy for surface in self.sources)
+    def level(self, point: Point) -> Scalar:
+        """The least level of the solids."""
+        return reduce(_smaller, self.part_levels(point))
 
-    @property
-    def creased(self) -> bool:
-        """As of any of them; where they meet, `part_levels` tell."""
-        return any(surface.creased for surface in self.sources)
-
-    @property
-    def parts_count(self) -> int:
-        """Of all of them."""
-        return sum(surface.parts_count for surface in self.sources)
+    def distance(self, point: Point) -> Scalar:
+        """The least distance from the solids."""
+        return reduce(_smaller, self.part_levels(point, exact=True))
 
 
 class Placed(Derived):
@@ -167,58 +144,36 @@ class Placed(Derived):
     rotation: Float[np.ndarray | Array, "3 3"]
     translation: Float[np.ndarray | Array, "3"]
 
-    @property
-    def sources(self) -> Sequence[Surface]:
-        """The surface itself."""
-        return (self.surface,)
-
-    def level(self, point: Point) -> Scalar:
-        """Level of the object at the point seen from the object's own axes."""
-        return self.surface.level(self._own(point))
-
-    def distance(self, point: Point) -> Scalar:
-        """Signed distance from the object at the point seen from the object's own axes."""
-        return self.surface.distance(self._own(point))
-
-    def part_levels(self, point: Point) -> Float[Array, "parts"]:
-        """As of the surface itself."""
-        return self.surface.part_levels(self._own(point))
-
-    def part_distances(self, point: Point) -> Float[Array, "parts"]:
-        """As of the surface itself."""
-        return self.surface.part_distances(self._own(point))
-
-    def _own(self, point: Point) -> Point:
-        x, y, z = point - self.translation
-        return self.rotation[0] * x + self.rotation[1] * y + self.rotation[2] * z
+    def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:
+        """Levels at the point seen from the object's own axes."""
+        own = dot(self.rotation.T, point - self.translation)
+        return self.surface.part_levels(own, exact=exact)
 
 
-def _level(surface: Surface, point: Point) -> tuple[Scalar]:
-    return (surface.level(point),)
+def _is_solid(part: object) -> bool:
+    return isinstance(part, Surface) and not isinstance(part, Derived)
 
 
-def _slope_of_level(surface: Surface, point: Point) -> tuple[Point]:
-    return (jax.grad(surface.level)(point),)
+def _smaller(first: Scalar, second: Scalar) -> Scalar:
+    return jnp.where(second < first, second, first)
 
 
-def _distance_and_slope(surface: Surface, point: Point) -> tuple[Scalar, Point]:
-    return jax.value_and_grad(surface.distance)(point)
+@jax.jit
+def _values(function: Function, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return jax.vmap(function)(points)
 
 
-@partial(jax.jit, static_argnums=0)
-def _over_points(
-    function: Callable[[Surface, Point], tuple[Array, ...]],
-    surface: Surface,
-    points: Float[Array, "n 3"],
-) -> tuple[Array, ...]:
-    return jax.vmap(partial(function, surface))(points)
+@jax.jit
+def _values_and_slopes(
+    function: Function, points: Float[Array, "n 3"]
+) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
+    return jax.vmap(jax.value_and_grad(function))(points)
 
 
-def _at(
-    points: ArrayLike, surface: Surface, function: Callable[[Surface, Point], tuple[Array, ...]]
-) -> tuple[np.ndarray, ...]:
-    """Points checked, and what a function of a surface and a point gives at each."""
+def _at(points: ArrayLike, evaluate: Callable[..., Any], function: Function) -> Any:
+    """What a function gives at points that are checked."""
     array = finite_array(points, "points", last=3)
-    found = _over_points(function, surface, jnp.asarray(array.reshape(-1, 3)))
-    batch = array.shape[:-1]
-    return array, *(np.asarray(part).reshape(batch + part.shape[1:]) for part in found)
+    found = evaluate(function, jnp.asarray(array.reshape(-1, 3)))
+    return jax.tree.map(
+        lambda part: np.asarray(part).reshape(array.shape[:-1] + part.shape[1:]), found
+    )

@@ -6,47 +6,71 @@ outside) from which the nearest point is not unique and no direction is distingu
 is ever NaN.
 """
 
-from __future__ import annotations
+from functools import reduce
 
 import jax.numpy as jnp
+from numpy.typing import ArrayLike
 
+from vibrissa.geometry.checks import finite_array, unit_vector
 from vibrissa.numerics.norms import magnitude, norm, positive_part
-from vibrissa.surfaces import fields
-from vibrissa.surfaces.base import ExactSurface, Point, Scalar, Vector3
+from vibrissa.numerics.vectors import dot
+from vibrissa.surfaces.base import ExactSurface, Point, Scalar
+from vibrissa.surfaces.figures import Direction, Figured, Positive, Positive3, Vector3
 
 
-class Box(ExactSurface):
+class Plane(ExactSurface):
+    """Half space behind the plane through `point` (3,) with the outward `normal` (3,), of any
+    length but zero.
+    """
+
+    may_crease = False
+    point: Vector3
+    outward: Direction
+
+    def __init__(self, point: ArrayLike, normal: ArrayLike) -> None:
+        self.point = finite_array(point, "point", last=3, ndim=1)
+        self.outward = unit_vector(normal, "normal")
+
+    def level(self, point: Point) -> Scalar:
+        """Signed distance."""
+        return dot(self.outward, point - self.point)
+
+
+class Sphere(Figured, ExactSurface):
+    """A ball, given by its centre (3,) and radius."""
+
+    center: Vector3
+    radius: Positive
+
+    def level(self, point: Point) -> Scalar:
+        """Signed distance."""
+        return jnp.sqrt(jnp.sum((point - self.center) ** 2)) - self.radius
+
+
+class Box(Figured, ExactSurface):
     """Rectangular block with its edges along x, y, z; `placed` turns it. Centre (3,) and half of
     its extents (3,).
     """
 
-    may_crease = False
-    center: Vector3 = fields.place("center")
-    half_extents: Vector3 = fields.sizes("half_extents")
+    center: Vector3
+    half_extents: Positive3
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
-        x, y, z = magnitude(point - jnp.asarray(self.center)) - jnp.asarray(self.half_extents)
-        # The largest on its own where a face is nearest: in the length its second derivatives would
-        # cancel only but for rounding.
-        face = _larger(_larger(x, y), z)
-        edge = ((x > 0) & (y > 0)) | ((y > 0) & (z > 0)) | ((z > 0) & (x > 0))
-        return jnp.where(edge, norm(positive_part(x), positive_part(y), positive_part(z)), face)
+        return _within(*(magnitude(point - self.center) - self.half_extents))
 
 
-class _Axial(ExactSurface):
+class _Axial(Figured, ExactSurface):
     """A solid about a point and an axis through it."""
 
-    may_crease = False
-    center: Vector3 = fields.place("center")
-    axis: Vector3 = fields.direction("axis")
+    center: Vector3
+    axis: Direction
 
     def _about(self, point: Point) -> tuple[Scalar, Point]:
         """A point's offset from the centre: part along the axis, and the rest, which is across."""
-        x, y, z = offset = point - jnp.asarray(self.center)
-        axis = jnp.asarray(self.axis)
-        along = axis[0] * x + axis[1] * y + axis[2] * z
-        return along, offset - along * axis
+        offset = point - self.center
+        along = dot(self.axis, offset)
+        return along, offset - along * self.axis
 
 
 class Cylinder(_Axial):
@@ -54,15 +78,13 @@ class Cylinder(_Axial):
     radius, and length from end to end.
     """
 
-    radius: float = fields.size("radius")
-    length: float = fields.size("length")
+    radius: Positive
+    length: Positive
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
         along, across = self._about(point)
-        side, end = norm(*across) - self.radius, magnitude(along) - self.length / 2
-        edge = norm(positive_part(side), positive_part(end))
-        return jnp.where((side > 0) & (end > 0), edge, _larger(side, end))
+        return _within(norm(*across) - self.radius, magnitude(along) - self.length / 2)
 
 
 class Capsule(_Axial):
@@ -70,18 +92,16 @@ class Capsule(_Axial):
     length of the straight part, to which each end adds a radius.
     """
 
-    radius: float = fields.size("radius")
-    length: float = fields.size("length")
+    radius: Positive
+    length: Positive
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
         along, _ = self._about(point)
-        half = self.length / 2
-        foot = jnp.where(along > half, half, jnp.where(along < -half, -half, along))
+        foot = jnp.clip(along, -self.length / 2, self.length / 2)
         # From the nearest point of the axis, in one step: with the parts across and along in one
         # length, second derivatives are right on the axis in front of an end.
-        nearest = jnp.asarray(self.center) + foot * jnp.asarray(self.axis)
-        return norm(*(point - nearest)) - self.radius
+        return norm(*(point - self.center - foot * self.axis)) - self.radius
 
 
 class Cone(_Axial):
@@ -89,22 +109,22 @@ class Cone(_Axial):
     radius of the base, and height.
     """
 
-    radius: float = fields.size("radius")
-    height: float = fields.size("height")
+    radius: Positive
+    height: Positive
 
     def level(self, point: Point) -> Scalar:
         """Signed distance."""
         along, across = self._about(point)
         outwards = norm(*across) - self.radius
-        slant = jnp.sqrt(jnp.asarray(self.radius) ** 2 + jnp.asarray(self.height) ** 2)
+        slant = jnp.sqrt(self.radius**2 + self.height**2)
         side = (self.height * outwards + self.radius * along) / slant
         # Along the side, from the rim (0) to the apex (slant).
         up = (self.height * along - self.radius * outwards) / slant
-        face = _larger(side, -along)
         beyond_rim = jnp.where(side > 0, up < 0, (along < 0) & (outwards > 0))
         rim = norm(jnp.where(beyond_rim, outwards, 1.0), jnp.where(beyond_rim, along, 1.0))
-        apex = norm(*(across + (along - self.height) * jnp.asarray(self.axis)))
-        return jnp.where((side > 0) & (up > slant), apex, jnp.where(beyond_rim, rim, face))
+        apex = norm(*(across + (along - self.height) * self.axis))
+        face = jnp.where(beyond_rim, rim, _larger(side, -along))
+        return jnp.where((side > 0) & (up > slant), apex, face)
 
 
 class Torus(_Axial):
@@ -112,8 +132,8 @@ class Torus(_Axial):
     inside the tube, and radius of the tube, which is less.
     """
 
-    major_radius: float = fields.size("major_radius")
-    minor_radius: float = fields.size("minor_radius")
+    major_radius: Positive
+    minor_radius: Positive
 
     def __check_init__(self) -> None:
         """Refuse a tube that closes the hole."""
@@ -127,6 +147,16 @@ class Torus(_Axial):
         """Signed distance."""
         along, across = self._about(point)
         return norm(norm(*across) - self.major_radius, along) - self.minor_radius
+
+
+def _within(*faces: Scalar) -> Scalar:
+    """Signed distance from what lies behind faces at right angles, by that from each.
+
+    The largest on its own where a face is nearest: in the length its second derivatives would
+    cancel only but for rounding.
+    """
+    edge = sum(face > 0 for face in faces) > 1
+    return jnp.where(edge, norm(*map(positive_part, faces)), reduce(_larger, faces))
 
 
 def _larger(first: Scalar, second: Scalar) -> Scalar:

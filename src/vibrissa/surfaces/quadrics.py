@@ -1,89 +1,90 @@
-"""Surfaces of second degree."""
-
-from __future__ import annotations
+"""Solids of second degree, and superquadrics: blocks with rounded edges, octahedra."""
 
 import jax.numpy as jnp
-from jax import Array
-from jaxtyping import Float
-from numpy.typing import ArrayLike
+from jax import lax
 
-from vibrissa.geometry.checks import finite_array, unit_vector
-from vibrissa.surfaces import fields
-from vibrissa.surfaces.base import ExactSurface, Point, Scalar, Surface, Vector2, Vector3
+from vibrissa.numerics.norms import TINY, magnitude, power
+from vibrissa.surfaces.base import Point, Scalar
+from vibrissa.surfaces.figures import Figured, Number, Positive2, Positive3, Vector3
 
 
-class EllipticParaboloid(Surface):
+class EllipticParaboloid(Figured):
     """The solid z > a x² + b y² + h (paper, section II, with a = 0.5, b = 1, h = 0.4)."""
 
-    may_crease = False
-    a: float = fields.number("a")
-    b: float = fields.number("b")
-    h: float = fields.number("h")
+    a: Number
+    b: Number
+    h: Number
 
     def level(self, point: Point) -> Scalar:
         """C(x, y) − z."""
         return self.a * point[0] ** 2 + self.b * point[1] ** 2 + self.h - point[2]
 
 
-class Sphere(ExactSurface):
-    """A ball, given by its centre (3,) and radius."""
-
-    may_crease = False
-    center: Vector3 = fields.place("center")
-    radius: float = fields.size("radius")
-
-    def level(self, point: Point) -> Scalar:
-        """Signed distance."""
-        return jnp.sqrt(jnp.sum((point - jnp.asarray(self.center)) ** 2)) - self.radius
-
-
-class Ellipsoid(Surface):
+class Ellipsoid(Figured):
     """Ellipsoid with its axes along x, y, z; `placed` turns it. Centre (3,) and semi-axes (3,)."""
 
-    may_crease = False
-    center: Vector3 = fields.place("center")
-    semi_axes: Vector3 = fields.sizes("semi_axes")
+    center: Vector3
+    semi_axes: Positive3
 
     def level(self, point: Point) -> Scalar:
         """(ρ − 1) times the smallest semi-axis, ρ the point's norm in units of the semi-axes."""
-        return _scaled(
-            (point - jnp.asarray(self.center)) / jnp.asarray(self.semi_axes), self.semi_axes
-        )
+        place = (point - self.center) / self.semi_axes
+        return (jnp.sqrt(jnp.sum(place**2)) - 1) * jnp.min(self.semi_axes)
 
 
-class EllipticCylinder(Surface):
+class EllipticCylinder(Figured):
     """Cylinder without ends along the y axis through `center` (3,), with semi-axes (2,) along x and
     z; `placed` turns it.
     """
 
-    may_crease = False
-    center: Vector3 = fields.place("center")
-    semi_axes: Vector2 = fields.sizes("semi_axes", 2)
+    center: Vector3
+    semi_axes: Positive2
 
     def level(self, point: Point) -> Scalar:
         """As for the ellipsoid, in the cross-section."""
-        return _scaled(
-            (point - jnp.asarray(self.center))[::2] / jnp.asarray(self.semi_axes), self.semi_axes
-        )
+        place = (point - self.center)[::2] / self.semi_axes
+        return (jnp.sqrt(jnp.sum(place**2)) - 1) * jnp.min(self.semi_axes)
 
 
-class Plane(ExactSurface):
-    """Half space behind the plane through `point` (3,) with the outward `normal` (3,), of any
-    length but zero.
+class Superquadric(Figured):
+    r"""Superellipsoid about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` turns
+    it.
+
+    The solid is :math:`(|x/a|^{2/ε_2} + |y/b|^{2/ε_2})^{ε_2/ε_1} + |z/c|^{2/ε_1} < 1`.
+
+    The exponents (ε₁, ε₂), each above 0 and at most 2, shape the profile along z and the section
+    across: towards 0 they give flat faces, 1 is round, 2 gives straight bevels. The solid is
+    convex. Above 1 the curvature grows without limit towards the symmetry planes, so that a rod in
+    contact there wants an `Offset`.
+
+    Source: A. H. Barr, Superquadrics and angle-preserving transformations, IEEE Computer Graphics
+    and Applications 1 (1981).
     """
 
-    may_crease = False
-    point: Vector3
-    outward: Vector3
+    center: Vector3
+    semi_axes: Positive3
+    exponents: Positive2
 
-    def __init__(self, point: Vector3, normal: Vector3) -> None:
-        self.point = finite_array(point, "point", last=3, ndim=1)
-        self.outward = unit_vector(normal, "normal")
+    def __check_init__(self) -> None:
+        """Refuse exponents above 2: the solid would not be convex."""
+        if max(self.exponents) > 2:
+            raise ValueError(f"exponents = {self.exponents.tolist()}; allowed are at most 2")
 
     def level(self, point: Point) -> Scalar:
-        """Signed distance."""
-        return jnp.dot(jnp.asarray(self.outward), point - jnp.asarray(self.point))
+        """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the
+        point: convex, and of slope 1 on that axis.
+        """
+        u, v, w = magnitude(point - self.center) / self.semi_axes
+        along, across = 2 / self.exponents
+        # ρ is of first degree in the point: scaled by constants, which take no part in
+        # differentiation, no power over- or underflows.
+        wider = lax.stop_gradient(jnp.maximum(u, v))
+        largest = _or_else(jnp.maximum(wider, lax.stop_gradient(w)), 1.0)
+        widest = _or_else(wider, largest)
+        section = power(power(u / widest, across) + power(v / widest, across), along / across)
+        total = section * jnp.power(widest / largest, along) + power(w / largest, along)
+        return (largest * power(total, 1 / along) - 1) * jnp.min(self.semi_axes)
 
 
-def _scaled(place: Float[Array, "n"], semi_axes: ArrayLike) -> Scalar:
-    return (jnp.sqrt(jnp.sum(place**2)) - 1) * jnp.min(jnp.asarray(semi_axes))
+def _or_else(size: Scalar, other: Scalar | float) -> Scalar:
+    return jnp.where(size > TINY, size, other)

@@ -9,10 +9,10 @@ from scipy.special import chdtri
 from vibrissa.contacts import RecordingWarning, Status
 from vibrissa.inverse.checks.findings import SetupCheck
 from vibrissa.inverse.checks.judgement import judged
-from vibrissa.inverse.checks.passes import carried, contradicts, delay_of
+from vibrissa.inverse.checks.passes import carried, contradicting_delay
 from vibrissa.inverse.checks.wording import delay_told
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.work import still_warnings, work_warnings
+from vibrissa.inverse.work import work_warnings
 
 _OUTSIDE = 0.05
 """Probability outside of the ellipsoids."""
@@ -39,20 +39,17 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     noise, the error of the zero, a model error of 2e-4 L and errors that the setup tolerates
     (mechanics.md, "What the data say of the setup").
     """
-    if found.reactions.covariance is None or found.reactions.time is None:
-        return SetupCheck(friction=found.friction or 0.0, shift=np.zeros_like(found.point))
     if found.kind.ndim == 1:
         return judged(found)
-    parts = [judged(found[j]) for j in range(len(found.kind))]
+    parts = [judged(trail) for trail in found.trails]
     worst = max(parts, key=lambda part: part.causes[0].significance if part.causes else 0.0)
-    lines = [f"trail {j}: {line}" for j, part in enumerate(parts) for line in part.warnings]
-    none = np.zeros(found.kind.shape[1], dtype=bool)
-    apart = np.stack([none if part.apart is None else part.apart for part in parts])
     return replace(
         worst,
-        warnings=tuple(lines),
+        warnings=tuple(
+            f"trail {j}: {line}" for j, part in enumerate(parts) for line in part.warnings
+        ),
         shift=np.stack([part.shift for part in parts]),
-        apart=apart if apart.any() else None,
+        apart=np.stack([part.apart for part in parts]),
     )
 
 
@@ -60,20 +57,10 @@ def checked(found: Reconstruction) -> Reconstruction:
     """The same contacts with what they say against the setup: `setup_check`, `warnings` (each also
     a `RecordingWarning`), and statuses as by `with_contradictions`.
     """
-    said, moves, by_work = check_setup(found), False, dict[str, None]()
-    still: list[str] = []
-    if found.reactions.time is not None:
-        trails = [found] if found.kind.ndim == 1 else [found[j] for j in range(len(found.kind))]
-        by_work = dict.fromkeys(line for trail in trails for line in work_warnings(trail))
-        if len(trails) == 1:
-            still, moves = still_warnings(trails[0])
-    lines = [*said.warnings, *by_work, *still]
-    for line in lines:
-        warnings.warn(line, RecordingWarning, stacklevel=3)
-    said = replace(said, misread=bool(said.misread or by_work or moves or found.reactions.misread))
-    return with_contradictions(
-        with_delay(replace(found, setup_check=said, warnings=[*found.warnings, *lines]))
-    )
+    said, (lines, misread) = check_setup(found), work_warnings(found)
+    misread = misread or said.misread or bool(found.reactions.misread)
+    told = _told(found, replace(said, misread=misread), *said.warnings, *lines)
+    return with_contradictions(with_delay(told))
 
 
 def with_delay(found: Reconstruction) -> Reconstruction:
@@ -83,11 +70,10 @@ def with_delay(found: Reconstruction) -> Reconstruction:
     said = found.setup_check
     if said is None or said.misread or any("pose_delay" in names for names in said.named):
         return found
-    delay = delay_of(found)
-    if delay is None or not contradicts(delay, found):
+    delay = contradicting_delay(found)
+    if delay is None:
         return found
     line = delay_told(found.rod, delay)
-    warnings.warn(line, RecordingWarning, stacklevel=4)
     own = np.nan_to_num(delay.estimate[0] * carried(found))
     sizes = (np.linalg.norm(shift, axis=1, keepdims=True) for shift in (own, said.shift))
     said = replace(
@@ -97,7 +83,13 @@ def with_delay(found: Reconstruction) -> Reconstruction:
         warnings=(*said.warnings, line),
         shift=np.where(np.greater(*sizes), own, said.shift),
     )
-    return replace(found, setup_check=said, warnings=[*found.warnings, line])
+    return _told(found, said, line)
+
+
+def _told(found: Reconstruction, said: SetupCheck, *lines: str) -> Reconstruction:
+    for line in lines:
+        warnings.warn(line, RecordingWarning, stacklevel=4)
+    return replace(found, setup_check=said, warnings=[*found.warnings, *lines])
 
 
 def with_contradictions(found: Reconstruction) -> Reconstruction:
@@ -107,15 +99,12 @@ def with_contradictions(found: Reconstruction) -> Reconstruction:
     said, status = found.setup_check, found.status
     if said is None or not (said.warnings or said.misread) or found.covariance is None:
         return found
-    if said.apart is not None:
-        twice = said.apart & found.in_contact & (status == Status.OK)
-        status = np.where(twice, Status.TOUCHES_TWICE, status)
+    twice = said.apart & found.in_contact & (status == Status.OK)
+    status = np.where(twice, Status.TOUCHES_TWICE, status)
     open_to = np.isin(status, (Status.OK, Status.SETUP_CONTRADICTED))
     known = open_to & found.in_contact & np.isfinite(found.covariance).all(axis=(-1, -2))
     covariance = np.where(known[..., None, None], found.covariance, np.eye(3))
-    distance = np.sum(
-        said.shift * np.linalg.solve(covariance, said.shift[..., None])[..., 0], axis=-1
-    )
-    wrong = known & (said.misread | (distance > chdtri(3, _OUTSIDE)))
+    away = np.linalg.solve(covariance, said.shift[..., None])[..., 0]
+    wrong = known & (said.misread | (np.sum(said.shift * away, axis=-1) > chdtri(3, _OUTSIDE)))
     told = np.where(wrong, Status.SETUP_CONTRADICTED, Status.OK)
     return replace(found, status=np.where(open_to, told, status).astype(np.int8))

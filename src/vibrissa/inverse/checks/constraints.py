@@ -7,15 +7,18 @@ vanishes; the tip's as g (L − s₁), with g = ‖t × n‖ the slope of the mo
 in the noise through first contact.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Bool, Float
 
+from vibrissa.inverse.arrays import Flags
 from vibrissa.inverse.inverse import invert
-from vibrissa.mechanics.imperfect import End, Imperfect, contact_near, rod_end
+from vibrissa.mechanics.imperfect import Imperfect, contact_near, rod_end
 from vibrissa.numerics.lanes import AnyArray, lanes
 
 COUPLE, TORSION, TIP, TANGENT = range(4)
@@ -55,6 +58,12 @@ class Constraints(NamedTuple):
         return Slopes(*(part[..., :6] for part in self.by_rod))
 
 
+def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
+    """The three constraints that hold in each phase: where the tip touches, and where not."""
+    both = np.ones_like(tip)
+    return np.stack([both, both, tip, ~tip], axis=1)
+
+
 @lanes(width=96, blocks=1)
 def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
     """Constraints for rods by their base wrenches, clamp axes, of this length."""
@@ -63,29 +72,22 @@ def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
     off_ideal = jnp.any(rod.load != 0) | jnp.any(rod.curvature != 0) | (rod.taper != 0)
     arc_length = jnp.where(off_ideal, contact_near(rod, ideal), ideal)
 
-    def end(rod: Imperfect) -> tuple[End, End]:
-        value = rod_end(rod, arc_length)
-        return value, value
-
-    slopes, here = jax.jacfwd(end, has_aux=True)(rod)
+    here = rod_end(rod, arc_length)
     t, f = here.tangent, jnp.sqrt(jnp.sum(here.force**2))
-    direction, rate = here.force / f, -jnp.cross(t, here.force)
+    rate = -jnp.cross(t, here.force)
     g = jnp.sqrt(jnp.sum(rate**2))
-    across = rate / g
-    moment, force, tangent, reach = (
-        jnp.concatenate([part.reshape(3, -1) for part in parts], axis=1) for parts in slopes
-    )
-    beyond, turning = across @ moment, (force - jnp.outer(direction, direction @ force)) / f
     # Where the constraints hold, the moment is zero: what turns its axes says nothing, and noise
     # times it would look like a cause.
-    rows = [direction @ moment, t @ moment, beyond, direction @ tangent + t @ turning]
-    couple, torsion, off = (here.moment @ axis for axis in (direction, t, across))
-    return Constraints(
-        jnp.stack([couple, torsion, g * (length - arc_length) + off, t @ direction]),
-        here.reach - t * off / g,
-        t,
-        here.force,
-        arc_length - off / g,
-        g,
-        Slopes(jnp.stack(rows), reach - jnp.outer(t, beyond / g)),
-    )
+    axes = jnp.stack([here.force / f, t, rate / g])
+    flat, unravel = ravel_pytree(rod)
+
+    def seen(numbers: Array) -> Any:
+        end = rod_end(unravel(numbers), arc_length)
+        couple, torsion, off = axes @ end.moment
+        square = end.tangent @ end.force / jnp.sqrt(jnp.sum(end.force**2))
+        value = jnp.stack([couple, torsion, g * (length - arc_length) + off, square])
+        both = value, end.reach - t * off / g
+        return both, (*both, arc_length - off / g)
+
+    slopes, (value, reach, place) = jax.jacfwd(seen, has_aux=True)(flat)
+    return Constraints(value, reach, t, here.force, place, g, Slopes(*slopes))

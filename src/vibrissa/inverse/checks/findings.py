@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from jaxtyping import Bool, Float
+from vibrissa.inverse.arrays import Flags, Vectors
+from vibrissa.rod import Rod
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,9 @@ class SetupCheck:
         Mean square of what the constraints leave, in that of noise; 1 where all is as stated.
     friction
         Coefficient that tangential contacts show if all else is as stated, or the one given.
+    apart
+        (…) whether a row belongs to no single contact while all others agree with the setup, as
+        where the rod touches two places.
     named
         Names of causes that explain about as much as each other, one tuple a warning.
     warnings
@@ -56,16 +59,18 @@ class SetupCheck:
     misread
         Whether the numbers contradict each other as a whole, as with other units, signs or axes, so
         that no contact is to be trusted.
-    apart
-        (…) rows that belong to no single contact while all others agree with the setup, as where
-        the rod touches two places; None where there are none.
     """
 
-    shift: Float[np.ndarray, "*trail n 3"]
+    shift: Vectors
     friction: float
+    apart: Flags
     causes: tuple[Cause, ...] = ()
     reduced_chi_square: float = 1.0
     named: tuple[tuple[str, ...], ...] = ()
     warnings: tuple[str, ...] = ()
     misread: bool = False
-    apart: Bool[np.ndarray, "*trail n"] | None = None
+
+
+def length_text(value: float, rod: Rod) -> str:
+    """A length as said in a sentence, without its sign."""
+    return f"{1e3 * abs(value):.2g} mm" if rod.units == "SI" else f"{abs(value):.2g} L"

@@ -13,10 +13,11 @@ the mean not at all.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from scipy.spatial import cKDTree
 
 from vibrissa.contacts import Status
+from vibrissa.inverse.arrays import Scalars, Vectors
 from vibrissa.inverse.checks.findings import Cause
 from vibrissa.inverse.result import Reconstruction
 
@@ -40,6 +41,10 @@ twelfth, and differ from one to another.
 """
 _FEWEST = 6
 """Pairs in a block, and blocks, below which nothing is told."""
+_ALL_ALIKE = 4e-6
+"""Share of the slopes' square about their mean below which an offset explains as much as a delay: a
+condition of 1e6.
+"""
 _CERTAIN = 5.0
 """Standard deviations: as for the other causes."""
 _MATTERS = 5e-4
@@ -50,12 +55,10 @@ _TOLERATED = 3.0
 """Stated standard deviations up to which a delay is as stated."""
 
 
-Vectors = Float[np.ndarray, "n 3"]
-
-
-def delay_of(found: Reconstruction) -> Cause | None:
+def contradicting_delay(found: Reconstruction) -> Cause | None:
     """Delay [s] of the poses that the contacts of one trail (n, …) tell, positive where they come
-    late; None where there is no time, or no two passes in opposite directions over the same places.
+    late, if it is certain, matters, and is more than the setup tolerates; None where there is no
+    time, or no two passes in opposite directions over the same places.
     """
     if found.reactions.time is None or found.kind.ndim != 1:
         return None
@@ -79,26 +82,17 @@ def delay_of(found: Reconstruction) -> Cause | None:
     if len(first) < _FEWEST * _FEWEST:
         return None
     across = _unit(normal[first] + normal[second])
-    apart = np.sum(across * (place[first] - place[second]), axis=1)
-    slope = -np.sum(across * (velocity[first] - velocity[second]), axis=1)
-    fitted = _by_blocks(slope, apart)
-    if fitted is None:
-        return None
-    seconds, deviation = fitted
+    apart, slope = (
+        np.sum(across * (part[first] - part[second]), axis=1) for part in (place, -velocity)
+    )
+    seconds, deviation = _by_blocks(slope, apart)
     shift = abs(seconds) * float(np.median(np.linalg.norm(velocity, axis=1)))
-    significance = abs(seconds) / deviation
-    return Cause("pose_delay", "s", (seconds,), (deviation,), significance, np.nan, shift)
-
-
-def contradicts(delay: Cause, found: Reconstruction) -> bool:
-    """Whether a delay is certain, matters, and is more than the setup tolerates."""
+    certainty = abs(seconds) / deviation
     errors = found.reactions.setup_errors
     tolerated = 0.0 if errors is None else _TOLERATED * np.sqrt(errors.covariance[-1, -1])
-    return bool(
-        delay.significance >= _CERTAIN
-        and delay.shift >= _MATTERS * found.rod.length
-        and abs(delay.estimate[0]) > tolerated
-    )
+    if certainty < _CERTAIN or shift < _MATTERS * found.rod.length or abs(seconds) <= tolerated:
+        return None
+    return Cause("pose_delay", "s", (seconds,), (deviation,), certainty, np.nan, shift)
 
 
 def carried(found: Reconstruction) -> Vectors:
@@ -119,34 +113,30 @@ def _pairs(
     normal: Vectors,
     velocity: Vectors,
     length: float,
-) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
+) -> Int[np.ndarray, "2 p"]:
     """Each point with the nearest of an opposite pass; each pair once."""
     speed = np.linalg.norm(velocity, axis=1)
     moving = speed > _MOVING * float(np.median(speed))
-    a, b = cKDTree(place).query_pairs(_NEAR * length, output_type="ndarray").T
+    a, b = pairs = cKDTree(place).query_pairs(_NEAR * length, output_type="ndarray").T
     opposed = np.sum(velocity[a] * velocity[b], axis=1) < _OPPOSED * speed[a] * speed[b]
     good = opposed & (np.sum(normal[a] * normal[b], axis=1) > _ALIKE) & moving[a] & moving[b]
-    a, b = a[good], b[good]
+    a, b = pairs = pairs[:, good]
     nearest = np.argsort(np.linalg.norm(place[a] - place[b], axis=1), kind="stable")
-    chosen = np.sort(nearest[np.unique(a[nearest], return_index=True)[1]])
-    return a[chosen], b[chosen]
+    return pairs[:, np.sort(nearest[np.unique(a[nearest], return_index=True)[1]])]
 
 
-def _by_blocks(
-    slope: Float[np.ndarray, "p"], apart: Float[np.ndarray, "p"]
-) -> tuple[float, float] | None:
+def _by_blocks(slope: Scalars, apart: Scalars) -> tuple[float, float]:
     """Delay and its standard deviation: least squares with an offset, as of a zero that drifts, and
-    the scatter between parts of the sweep.
+    the scatter between parts of the sweep; without bound where the offset does as well.
     """
-    design = np.column_stack([slope, np.ones(len(slope))])
-    normal, size = design.T @ design, np.linalg.norm(design, axis=0)
-    if np.linalg.cond(normal / np.outer(size, size)) > 1e6:
-        return None
-    inverse = np.linalg.inv(normal)
-    solution = inverse @ design.T @ apart
-    each = design * (apart - design @ solution)[:, None]
+    own = slope - slope.mean()
+    square = own @ own
+    if square <= _ALL_ALIKE * (slope @ slope):
+        return 0.0, np.inf
+    seconds = own @ apart / square
+    left = apart - apart.mean() - seconds * own
     starts = -(-np.arange(_BLOCKS) * len(slope) // _BLOCKS)
-    scores = np.add.reduceat(each, starts)
+    scores = np.add.reduceat(own * left, starts)
     # Blocks scatter about a fit to themselves: two numbers of twelve are spent.
-    covariance = inverse @ (scores.T @ scores) @ inverse * _BLOCKS / (_BLOCKS - 2)
-    return float(solution[0]), float(np.sqrt(covariance[0, 0]))
+    variance = scores @ scores * _BLOCKS / (_BLOCKS - 2)
+    return float(seconds), float(np.sqrt(variance) / square)

@@ -12,20 +12,21 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from vibrissa.geometry.rotation import cross_matrices, rotation_matrices
-from vibrissa.inverse.checks.constraints import TIP, Constraints, Slopes, constraints_of
+from vibrissa.geometry.rotation import cross_matrices
+from vibrissa.inverse.arrays import Frame, Frames, Scalars, Spread, Vector, Wrench, Wrenches
+from vibrissa.inverse.checks.constraints import TANGENT, TIP, Constraints, Slopes, constraints_of
 from vibrissa.inverse.checks.stretches import Stretches
 from vibrissa.mechanics.imperfect import Imperfect
-from vibrissa.reactions import Reactions
 
-STIFFNESS, LENGTH, TAPER = 0, 1, 14
+STIFFNESS, LENGTH, TAPER, FRICTION = 0, 1, 14, 32
 POSITION, ROTATION, GAIN, CURVATURE, LOAD, DRIFT, ZERO = (
     slice(*pair) for pair in ((2, 5), (5, 8), (8, 14), (15, 17), (17, 20), (20, 26), (26, 32))
 )
 """ln EI; ln L; the clamp's place [L] and turn; gains; share of the radius lost at the tip; rest
-curvature [1/L]; load per length, world axes [EI/L³]; drift; zero.
+curvature [1/L]; load per length, world axes [EI/L³]; drift; zero; and Coulomb's coefficient, which
+is no error.
 """
-ERRORS = 32
+ERRORS = 33
 BenchErrors = Float[np.ndarray, "errors"]
 """One number for each of these."""
 Directions = Float[np.ndarray, "errors p"]
@@ -56,7 +57,8 @@ are named where they explain as much: what is known least comes first.
 """
 TELLING = list(SUSPECTS)[:10]
 """Those that change all stretches alike: all but single channels. By these, phases are told."""
-_SPREADS = np.repeat([0.3, 0.05, 0.04, 0.1, 0.1, 0.3, 0.0], [1, 1, 3, 3, 6, 6, 12])
+RUBBING: Directions = _UNIT[:, [FRICTION]]
+_SPREADS = np.repeat([0.3, 0.05, 0.04, 0.1, 0.1, 0.3], [1, 1, 3, 3, 6, 6])
 """Standard deviations before the data: gross mistakes are three of them. A stiffness by 30 %, a
 length by 5 %, a clamp by 0.04 L and 6°, a gain by 10 %, taper, curvature and load by 0.3.
 """
@@ -64,39 +66,29 @@ _DRIFT_SPREAD, _ZERO_SPREAD = 20.0, 10.0
 """The same in standard deviations of a sample: of what a zero may drift over a contact, and be off
 by.
 """
+_UNKNOWN_FRICTION, _KNOWN_FRICTION = 0.3, 0.2
+"""The same of the coefficient: where none is stated, and of one that is, relative."""
+NOTHING = 1e-6
+"""What leaves a number where it is: a spread, or a step."""
 
 
-def spreads_of(sample: Float[np.ndarray, "6"], duration: float) -> BenchErrors:
-    """Standard deviations before the data, for the noise of a sample (6), model units, and the
-    contact's duration.
+def spreads_of(sample: Wrench, duration: float, friction: float | None) -> BenchErrors:
+    """Standard deviations before the data, for the noise of a sample (6), model units, the
+    contact's duration, and friction as stated, if any.
     """
-    spreads = _SPREADS.copy()
-    spreads[DRIFT], spreads[ZERO] = _DRIFT_SPREAD * sample / duration, _ZERO_SPREAD * sample
-    return spreads
+    rubbing = _UNKNOWN_FRICTION if friction is None else max(_KNOWN_FRICTION * friction, NOTHING)
+    zero = _DRIFT_SPREAD * sample / duration, _ZERO_SPREAD * sample
+    return np.concatenate([_SPREADS, *zero, [rubbing]])
 
 
-class Frame(NamedTuple):
-    """How the sensor sees the clamp: rotation from clamp to sensor axes, and from where torques are
-    read to the clamp, sensor axes [L].
+def sensor_matrix(turn: Frame, arm: Vector) -> Spread:
+    """What takes (f, m) about the clamp in its axes to readings, τ = m + arm × f: from the rotation
+    from clamp to sensor axes, and the arm from where torques are read to the clamp, sensor axes
+    [L].
     """
-
-    turn: Float[np.ndarray, "3 3"]
-    arm: Float[np.ndarray, "3"]
-
-    @property
-    def to_sensor(self) -> Float[np.ndarray, "6 6"]:
-        """(f, m) about the clamp in its axes to readings: τ = m + arm × f."""
-        matrix = np.kron(np.eye(2), self.turn)
-        matrix[3:, :3] = cross_matrices(self.arm) @ self.turn
-        return matrix
-
-
-def frame_of(reactions: Reactions, length: float) -> Frame:
-    """As the reactions say; else that of a sensor at the clamp, in its axes."""
-    errors = reactions.setup_errors
-    if errors is None:
-        return Frame(np.eye(3), np.zeros(3))
-    return Frame(rotation_matrices(errors.clamp_orientation), np.asarray(errors.arm) / length)
+    matrix = np.kron(np.eye(2), turn)
+    matrix[3:, :3] = cross_matrices(arm) @ turn
+    return matrix
 
 
 class Bench(NamedTuple):
@@ -104,42 +96,45 @@ class Bench(NamedTuple):
 
     stretches: Stretches
     """In contact, all of them."""
-    frame: Frame
+    to_sensor: Spread
+    """By `sensor_matrix`."""
     tared: float
     """Time to which the zero belongs."""
-    rest: Float[np.ndarray, "3 3"]
+    rest: Frame
     """From clamp to world axes as the zero was taken."""
+    rubbing: Scalars | float = 0.0
+    """t·n̂ that a coefficient of 1 makes."""
 
-    def taken(self, errors: BenchErrors) -> Float[np.ndarray, "6 6"]:
+    @property
+    def to_clamp(self) -> Spread:
+        """The other way."""
+        return np.linalg.inv(self.to_sensor)
+
+    def taken(self, errors: BenchErrors) -> Spread:
         """What takes measured wrenches, and their noise, to those with the errors taken off, but
         for what is added to them.
         """
-        there, back = self.frame.to_sensor, np.linalg.inv(self.frame.to_sensor)
-        turned = np.kron(
-            np.eye(2), scipy.spatial.transform.Rotation.from_rotvec(errors[ROTATION]).as_matrix().T
-        )
+        turned = scipy.spatial.transform.Rotation.from_rotvec(-errors[ROTATION]).as_matrix()
         moved = np.eye(6)
         moved[3:, :3] = -cross_matrices(errors[POSITION])
-        gained = (back / (1 + errors[GAIN])) @ there
-        return np.asarray(np.exp(-errors[STIFFNESS]) * turned @ moved @ gained)
+        gained = (self.to_clamp / (1 + errors[GAIN])) @ self.to_sensor
+        return np.asarray(np.exp(-errors[STIFFNESS]) * np.kron(np.eye(2), turned) @ moved @ gained)
 
-    def wrench(self, errors: BenchErrors) -> Float[np.ndarray, "k 6"]:
+    def wrench(self, errors: BenchErrors) -> Wrenches:
         """Base wrenches in true clamp axes and in units of the true stiffness and the stated
         length.
         """
-        back = np.linalg.inv(self.frame.to_sensor)
         offset = errors[ZERO] + self._elapsed[:, None] * errors[DRIFT]
-        return (self.stretches.wrench - offset @ back.T) @ self.taken(
-            errors
-        ).T + self.reaction @ errors[LOAD]
+        seen = self.stretches.wrench - offset @ self.to_clamp.T
+        return seen @ self.taken(errors).T + self.reaction @ errors[LOAD]
 
     @property
-    def _elapsed(self) -> Float[np.ndarray, "k"]:
+    def _elapsed(self) -> Scalars:
         """Since the zero was taken."""
         return self.stretches.time - self.tared
 
     @property
-    def _axes(self) -> Float[np.ndarray, "k 3 3"]:
+    def _axes(self) -> Frames:
         """From world to clamp axes."""
         return np.swapaxes(self.stretches.turn, 1, 2)
 
@@ -152,16 +147,17 @@ class Bench(NamedTuple):
     def constraints(self, errors: BenchErrors) -> Constraints:
         """Of the rod with these errors taken off; s₁ and lengths in the stated one's."""
         wrench = self.wrench(errors)
-        count = len(wrench)
-        taper, curvature = min(errors[TAPER], _MOST_TAPER), errors[CURVATURE]
-        rods = Imperfect(
-            wrench, np.full(count, taper), np.tile(curvature, (count, 1)), self._axes @ errors[LOAD]
-        )
-        return constraints_of(np.exp(errors[LENGTH]), rods)
+        count, taper = len(wrench), min(errors[TAPER], _MOST_TAPER)
+        bend = np.tile(errors[CURVATURE], (count, 1))
+        rods = Imperfect(wrench, np.full(count, taper), bend, self._axes @ errors[LOAD])
+        here: Constraints = constraints_of(np.exp(errors[LENGTH]), rods)
+        value = here.value.copy()
+        value[:, TANGENT] -= errors[FRICTION] * self.rubbing
+        return here._replace(value=value)
 
     def slopes(self, here: Constraints, errors: BenchErrors) -> Slopes:
-        """Derivatives of constraints (k, 4, 32) and points (k, 3, 32) by the errors."""
-        wrench, back = self.wrench(errors), np.linalg.inv(self.frame.to_sensor)
+        """Derivatives of constraints (k, 4, 33) and points (k, 3, 33) by the errors."""
+        wrench, back = self.wrench(errors), self.to_clamp
         f, m = cross_matrices(wrench[:, :3]), cross_matrices(wrench[:, 3:])
         # By the least change that leaves neither couple nor torsion. They are proportional to the
         # wrench: their own noise must not look like a stiffness, or like the gain of a channel
@@ -174,12 +170,13 @@ class Bench(NamedTuple):
         step[:, :6, STIFFNESS] = -near
         step[:, 3:6, POSITION] = step[:, :3, ROTATION] = f
         step[:, 3:6, ROTATION] = m
-        step[:, :6, GAIN] = -back * (near @ self.frame.to_sensor.T)[:, None, :]
+        step[:, :6, GAIN] = -back * (near @ self.to_sensor.T)[:, None, :]
         step[:, :6, ZERO], step[:, :6, DRIFT] = -back, -back * self._elapsed[:, None, None]
         step[:, :6, LOAD], step[:, 9:, LOAD] = self.reaction, self._axes
         step[:, 6, TAPER], step[:, 7:9, CURVATURE] = 1.0, np.eye(2)
         constraints, point = (part @ step for part in here.by_rod)
         constraints[:, TIP, LENGTH] += here.steepness * np.exp(errors[LENGTH])
+        constraints[:, TANGENT, FRICTION] = -self.rubbing
         point[:, :, POSITION] += np.eye(3)
         point[:, :, ROTATION] -= cross_matrices(here.reach)
         return Slopes(constraints, point)

@@ -5,15 +5,25 @@ straight line, and its mean that of the middle. The arc length, a ratio of momen
 but linear in a mean's noise where it is not in a sample's.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float, Int
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.arrays import (
+    Codes,
+    Flags,
+    Frames,
+    Scalars,
+    Spreads,
+    Vectors,
+    Wrench,
+    Wrenches,
+)
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import in_clamp_axes
 
@@ -54,22 +64,22 @@ _LEAST_WHITE = 0.05
 class Stretches(NamedTuple):
     """Means over short stretches of one trail, in clamp axes and model units."""
 
-    time: Float[np.ndarray, "k"]
+    time: Scalars
     """[s], or the number of the sample."""
-    wrench: Float[np.ndarray, "k 6"]
+    wrench: Wrenches
     """Support reactions."""
-    noise: Float[np.ndarray, "k 6 6"]
+    noise: Spreads
     """Covariance of what is independent from stretch to stretch."""
-    zero: Float[np.ndarray, "k 6 6"]
+    zero: Spreads
     """Factor of what an error of the zero adds, one for all samples."""
-    position: Float[np.ndarray, "k 3"]
+    position: Vectors
     """Of the clamp, world axes, in rod lengths."""
-    turn: Float[np.ndarray, "k 3 3"]
+    turn: Frames
     """From clamp to world axes."""
-    contact: Bool[np.ndarray, "k"]
+    contact: Flags
     """Whether the rod touches; else it is at rest."""
-    first: Int[np.ndarray, "k"]
-    last: Int[np.ndarray, "k"]
+    first: Codes
+    last: Codes
     """Samples, the last not included."""
 
     def chosen(self, rows: Any) -> "Stretches":
@@ -93,8 +103,8 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
     begin, end = time[touching][[0, -1]]
     margin = _MARGIN * (end - begin)
     resting = sound & ((time < begin - margin) | (time > end + margin))
-    cuts = _spans(touching, _MOST), _spans(resting, _MOST_AT_REST)
-    spans = np.concatenate(cuts)
+    in_contact = _spans(touching, _MOST)
+    spans = in_contact + _spans(resting, _MOST_AT_REST)
     root = np.linalg.cholesky(covariance)
     white = _white(np.linalg.solve(root, wrench[..., None])[..., 0], touching | resting)
     before = np.count_nonzero(resting[: int(np.argmax(touching))])
@@ -102,7 +112,7 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
     means, count, scatter = map(
         np.array, zip(*(_mean(wrench[a:b], time[a:b]) for a, b in spans), strict=True)
     )
-    first, last = spans.T
+    first, last = np.transpose(spans)
     middle = (first + last) // 2
     noise = root[middle] * white @ np.swapaxes(root[middle], 1, 2)
     excess = np.max(scatter / np.einsum("kii->ki", noise), axis=1) - 1
@@ -113,30 +123,28 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
         zero=root[middle] * np.sqrt(lasting),
         position=np.array([trail.position[a:b].mean(axis=0) for a, b in spans]) / found.rod.length,
         turn=rotation_matrices(trail.orientation[middle]),
-        contact=np.arange(len(spans)) < len(cuts[0]),
+        contact=np.arange(len(spans)) < len(in_contact),
         first=first,
         last=last,
     )
     # Without unsteady ones and their neighbours: a jump, or what is left of swinging.
     steady = excess < _UNSTEADY * np.sqrt(2 / np.maximum(count - 2, 1))
     bad = averaged.contact & ~steady
-    return averaged.chosen(~(bad | np.roll(bad, 1) | np.roll(bad, -1)) | ~averaged.contact)
+    return averaged.chosen(~(binary_dilation(bad) & averaged.contact))
 
 
-def _spans(rows: Bool[np.ndarray, "n"], most: int) -> Int[np.ndarray, "k 2"]:
+def _spans(rows: Flags, most: int) -> list[tuple[int, int]]:
     """Runs of rows [first, last), cut into about equal parts, `most` in all."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(int)))
     size = max(1, -(-int(np.count_nonzero(rows)) // most))
-    parts = [np.zeros((0, 2), dtype=int)]
-    for start, stop in edges.reshape(-1, 2):
-        cut = np.linspace(start, stop, max(1, round((stop - start) / size)) + 1).astype(int)
-        parts.append(np.column_stack([cut[:-1], cut[1:]]))
-    return np.concatenate(parts)
+    runs = np.flatnonzero(np.diff(rows, prepend=False, append=False)).reshape(-1, 2)
+    cuts = [
+        np.linspace(start, stop, max(1, round((stop - start) / size)) + 1).astype(int)
+        for start, stop in runs
+    ]
+    return [span for cut in cuts for span in pairwise(cut.tolist())]
 
 
-def _white(
-    whitened: Float[np.ndarray, "n 6"], rows: Bool[np.ndarray, "n"]
-) -> Float[np.ndarray, "6"]:
+def _white(whitened: Wrenches, rows: Flags) -> Wrench:
     """Variance of the noise from sample to sample, in that which is stated, by second differences;
     1 where there are too few.
     """
@@ -149,21 +157,17 @@ def _white(
     )
 
 
-def _mean(
-    values: Float[np.ndarray, "m 6"], time: Float[np.ndarray, "m"]
-) -> tuple[Float[np.ndarray, "6"], int, Float[np.ndarray, "6"]]:
+def _mean(values: Wrenches, time: Scalars) -> tuple[Wrench, int, Wrench]:
     """Middle of a straight line through the rows, how many count, and their variance about it."""
     if len(values) < _LINE:
         return values.mean(axis=0), len(values), np.zeros(6)
     elapsed, good = time - time.mean(), np.ones(len(values), dtype=bool)
     for last in (False, True):
-        center, middle = values[good].mean(axis=0), elapsed[good].mean()
-        own = elapsed[good] - middle
-        slope = own @ (values[good] - center) / (own @ own)
-        off = values - center - (elapsed - middle)[:, None] * slope
+        slope, middle = np.polyfit(elapsed[good], values[good], 1)
+        off = values - middle - np.outer(elapsed, slope)
         if not last:
             spread = scipy.stats.median_abs_deviation(off, axis=0, scale="normal")
             near = np.all(np.abs(off) <= _OUTLYING * np.maximum(spread, 1e-300), axis=1)
             good = near if np.count_nonzero(near) >= _LINE else good
     count = int(np.count_nonzero(good))
-    return center - middle * slope, count, np.sum(off[good] ** 2, axis=0) / (count - 2)
+    return middle, count, np.sum(off[good] ** 2, axis=0) / (count - 2)

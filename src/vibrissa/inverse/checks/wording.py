@@ -1,38 +1,34 @@
 """Findings of a sweep, each as one line."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool
-from scipy.ndimage import label
+from scipy.ndimage import find_objects, label
 
-from vibrissa.inverse.checks.case import Case, Misfit, Numbers, Phases, Tried, picked
+from vibrissa.inverse.arrays import Flags
+from vibrissa.inverse.checks.case import Misfit, Numbers
 from vibrissa.inverse.checks.constraints import TANGENT, TIP
-from vibrissa.inverse.checks.findings import Cause
+from vibrissa.inverse.checks.findings import Cause, length_text
 from vibrissa.inverse.checks.rig import SUSPECTS
+from vibrissa.inverse.checks.weighing import MATTERS, Weighed
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.rod import Rod
 
-MATTERS = 1e-3
-"""Shift of the contacts [L], in a fifth of the sweep, below which a cause does not matter: 50 µm on
-50 mm, as smoothed error bars have it.
-"""
 _SHOWN = 4
 """Causes in a line; more is no help."""
 _CLOSE = 0.3
 """Share of the largest component from which others of a vector are told."""
 _SIGNED = {
-    "bending_stiffness": ("bending stiffness (EI) {share} {way}", "higher", "lower"),
+    "bending_stiffness": ("bending stiffness (EI) {size} {way}", "higher", "lower"),
     "length": ("length {size} {way}", "longer", "shorter"),
-    "taper": ("a taper, the radius {share} {way} at the tip", "lower", "higher"),
-    "pose_delay": ("poses {milliseconds} {way}", "late", "early"),
-    "gain": ("all channels read {share} too {way}", "much", "little"),
-    "force_gain": ("forces read {share} too {way}", "much", "little"),
-    "torque_gain": ("torques read {share} too {way}", "much", "little"),
-    "gain_": ("{channel} reads {share} too {way}", "much", "little"),
-    "drift_": ("the zero of {channel} drifts by {way}{load}/s", "", "-"),
-    "zero_": ("the zero of {channel} is off by {way}{load}", "", "-"),
+    "taper": ("a taper, the radius {size} {way} at the tip", "lower", "higher"),
+    "pose_delay": ("poses {size} {way}", "late", "early"),
+    "gain": ("all channels read {size} too {way}", "much", "little"),
+    "force_gain": ("forces read {size} too {way}", "much", "little"),
+    "torque_gain": ("torques read {size} too {way}", "much", "little"),
+    "gain_": ("{channel} reads {size} too {way}", "much", "little"),
+    "drift_": ("the zero of {channel} drifts by {way}{size}/s", "", "-"),
+    "zero_": ("the zero of {channel} is off by {way}{size}", "", "-"),
 }
 """Causes of one number: the clause, and `way` where it is positive and where it is negative."""
 _VECTORS = {
@@ -60,12 +56,11 @@ def unit_of(rod: Rod, name: str) -> tuple[str, float]:
     }.get(name, ("1", 1.0))
 
 
-def apart_line(found: Reconstruction, misfit: Misfit, rows: Bool[np.ndarray, "n"]) -> str:
+def apart_line(found: Reconstruction, misfit: Misfit, rows: Flags) -> str:
     """On rows that contradict the rest of the sweep."""
     time = found.reactions.time
     assert time is not None
-    runs, count = label(rows)
-    spans = [time[runs == run] for run in range(1, count + 1)]
+    spans = [time[run] for run in find_objects(label(rows)[0])]
     when = " and ".join(f"from {own[0]:.4g} to {own[-1]:.4g} s" for own in spans)
     return (
         f"{when} force and moment are those of no single contact, by up to "
@@ -74,32 +69,34 @@ def apart_line(found: Reconstruction, misfit: Misfit, rows: Bool[np.ndarray, "n"
     )
 
 
-def causes_line(found: Reconstruction, case: Case, tip: Phases, together: Sequence[Tried]) -> str:
+def causes_line(rod: Rod, here: Weighed) -> str:
     """On causes that explain about the same: what is seen, how surely, and by how much each would
     move contacts.
     """
-    best, rod = together[0], found.rod
-    signal = np.abs(case.along(SUSPECTS[best.name]).slope @ best.size) / case.deviations
-    signal[~tip, TIP], signal[tip, TANGENT] = 0.0, 0.0
-    seen = _seen(rod, case, tip, int(np.argmax(np.sum(signal**2, axis=0))))
+    case, best, together = here.case, here.tried[0], here.alike
+    signal = np.abs(case.slopes.constraints @ SUSPECTS[best.name] @ best.size) / case.deviations
+    signal[~here.tip, TIP], signal[here.tip, TANGENT] = 0.0, 0.0
+    seen = _seen(rod, here, int(np.argmax(np.sum(signal**2, axis=0))))
     order = sorted(together, key=lambda one: list(SUSPECTS).index(one.name))[:_SHOWN]
     causes = [_named(rod, one.name, unit_of(rod, one.name)[1] * one.size) for one in order]
-    shift, place = max(one.shift for one in together), "in the median"
-    if shift < MATTERS:
-        shift, place = max(one.largest for one in together), "in a fifth of the sweep"
+    share, place = 0.5, "in the median"
+    if max(one.shift(share) for one in together) < MATTERS:
+        share, place = 0.8, "in a fifth of the sweep"
+    shift = max(one.shift(share) for one in together)
     return (
         f"{seen}, {np.sqrt(best.explained):.0f} standard deviations: likely "
-        f"{', or '.join(causes)}; contacts are then off by {_length(rod, shift * rod.length)} "
+        f"{', or '.join(causes)}; contacts are then off by {length_text(shift * rod.length, rod)} "
         f"{place}"
     )
 
 
-def unexplained_line(found: Reconstruction, case: Case, tip: Phases, misfit: Misfit) -> str:
+def unexplained_line(rod: Rod, here: Weighed) -> str:
     """On a misfit that no cause explains."""
-    value = picked(np.abs(case.here.value) / case.deviations, misfit.pick) * misfit.told
-    row = int(misfit.pick[np.unravel_index(np.argmax(value), value.shape)])
+    case, misfit = here.case, here.misfit
+    value = np.abs(case.here.value) / case.deviations * misfit.told
+    row = int(np.argmax(np.max(value, axis=0)))
     return (
-        f"{_seen(found.rod, case, tip, row)}, {math.sqrt(misfit.square):.0f} standard "
+        f"{_seen(rod, here, row)}, {math.sqrt(misfit.square):.0f} standard "
         "deviations: no single cause explains it; check the units, signs and axes of wrench and "
         "poses, the sensor's calibration, and the rod's length and stiffness"
     )
@@ -110,29 +107,28 @@ def delay_told(rod: Rod, delay: Cause) -> str:
     deviation = f"{delay.deviation[0] * 1e3:.1g} ms"
     late = _named(rod, delay.name, np.array(delay.estimate)).replace(" ms", f" ± {deviation}")
     return (
-        f"passes to and fro over the same places are {_length(rod, 2 * delay.shift)} apart, "
+        f"passes to and fro over the same places are {length_text(2 * delay.shift, rod)} apart, "
         f"{delay.significance:.0f} standard deviations: likely {late}; contacts are then off by "
-        f"{_length(rod, delay.shift)} in the median"
+        f"{length_text(delay.shift, rod)} in the median"
     )
 
 
-def _seen(rod: Rod, case: Case, tip: Phases, row: int) -> str:
-    here = case.here
-    of_row = tip if row == TIP else ~tip if row == TANGENT else np.ones_like(tip)
+def _seen(rod: Rod, weighed: Weighed, row: int) -> str:
+    here, tip = weighed.case.here, weighed.tip
+    of_row = {TIP: tip, TANGENT: ~tip}.get(row, slice(None))
     size = here.value[of_row, row] / (here.steepness[of_row] if row == TIP else 1.0)
     middle = float(np.median(size))
-    off = _length(rod, middle * rod.length)
     return (
         "force and moment belong to no single contact (m0·f0 is not 0)",
         "the moment along the rod is not 0",
-        f"s₁ in tip contact is {off} too {'long' if middle < 0 else 'short'}",
+        f"s₁ in tip contact is {length_text(middle * rod.length, rod)} too "
+        f"{'long' if middle < 0 else 'short'}",
         f"in tangential contact k² is {(1 + middle) / 2:.3f} instead of ½",
     )[row]
 
 
 def _named(rod: Rod, name: str, estimate: Numbers) -> str:
     """A cause as a clause, with its size; lengths in the rod's unit."""
-    first = float(estimate[0])
     if name == "load":
         size = float(np.linalg.norm(estimate))
         unit = "N/m" if rod.units == "SI" else "EI/L³"
@@ -143,31 +139,33 @@ def _named(rod: Rod, name: str, estimate: Numbers) -> str:
         )
     if name in _VECTORS:
         clause, along = _VECTORS[name]
-        texts = [
-            f"{math.degrees(abs(value)):.2g}°"
-            if name == "clamp_orientation"
-            else _length(rod, value * (rod.length**2 / 8 if name == "rest_curvature" else 1.0))
-            for value in estimate
-        ]
         told = " and ".join(
-            f"{text}{along}{'-' if value < 0 else ''}{axis}"
-            for value, text, axis in zip(estimate, texts, "xyz", strict=False)
+            f"{_size(rod, name, value)}{along}{'-' if value < 0 else ''}{axis}"
+            for value, axis in zip(estimate, "xyz", strict=False)
             if abs(value) >= _CLOSE * np.abs(estimate).max()
         )
         return clause.format(told)
     kind, _, channel = name.partition("_")
     clause, more, less = _SIGNED[name if name in _SIGNED else f"{kind}_"]
-    thousandths = f"{abs(first) * 1e3:.2g}"
-    unit = "mN" if channel.startswith("f") else "N mm"
+    (value,) = estimate
     return clause.format(
-        way=more if first > 0 else less,
-        share=f"{100 * abs(first):.2g} %",
-        size=_length(rod, first),
-        milliseconds=f"{thousandths} ms",
-        channel=channel,
-        load=f"{thousandths} {unit}" if rod.units == "SI" else f"{abs(first):.2g}",
+        size=_size(rod, name, value), way=more if value > 0 else less, channel=channel
     )
 
 
-def _length(rod: Rod, value: float) -> str:
-    return f"{abs(value) * 1e3:.2g} mm" if rod.units == "SI" else f"{abs(value):.2g} L"
+def _size(rod: Rod, name: str, value: float) -> str:
+    """One number of a cause without its sign."""
+    kind, size = name.partition("_")[0], abs(value)
+    thousandths = f"{1e3 * size:.2g}"
+    if kind in ("drift", "zero"):
+        unit = "mN" if name.startswith(f"{kind}_f") else "N mm"
+        return f"{thousandths} {unit}" if rod.units == "SI" else f"{size:.2g}"
+    if name == "pose_delay":
+        return f"{thousandths} ms"
+    if name == "clamp_orientation":
+        return f"{math.degrees(size):.2g}°"
+    if name == "rest_curvature":
+        return length_text(size * rod.length**2 / 8, rod)
+    if name in ("length", "clamp_position"):
+        return length_text(size, rod)
+    return f"{100 * size:.2g} %"

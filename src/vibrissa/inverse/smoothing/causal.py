@@ -5,6 +5,7 @@ filter as the fixed-interval smoother's way forward, and they mix by their proba
 (interacting multiple models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,15 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from vibrissa.contacts import Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive
-from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.parameters import COUNT, Rig, changes, prepared, velocities_of
+from vibrissa.inverse.parameters import COUNT, Changes, Rig, changes, prepared, velocities_of
 from vibrissa.inverse.shared import in_clamp_axes
 from vibrissa.inverse.smoothing import kalman
+from vibrissa.inverse.smoothing.estimate import located
 from vibrissa.inverse.smoothing.fit import OUTLIER
 from vibrissa.inverse.smoothing.kalman import (
     DRIFT,
@@ -30,30 +32,33 @@ from vibrissa.inverse.smoothing.kalman import (
     ROWS,
     SIZE,
     WRENCH,
+    Gaussian,
     Step,
 )
 from vibrissa.inverse.smoothing.manifold import (
     ARC_LENGTH,
     AT_REST,
     LOADS,
+    Linear,
     chosen,
+    finite,
     linear_at,
 )
 from vibrissa.inverse.smoothing.model import (
     FREE,
-    GO_ON,
-    KINK,
     TANGENTIAL,
     TARED,
     TILT_SPREAD,
     TINY,
     TIP,
+    Flags,
     Labels,
     entries,
     incidence_spread_of,
     observed,
-    series_of,
+    whitening_of,
 )
+from vibrissa.inverse.smoothing.phases import DETECTION_SAMPLES, load_chi_square
 from vibrissa.inverse.smoothing.result import LiveContact
 from vibrissa.numerics.compiled import compiled
 from vibrissa.reactions import Reactions
@@ -61,8 +66,6 @@ from vibrissa.rod import Rod
 from vibrissa.tolerances import SetupErrors
 from vibrissa.trail import Trail
 
-_MEAN_SAMPLES = 5
-"""Averaged before a load is tested, as offline."""
 _BATCH = 64
 """Samples of a call: they take far longer than the call itself."""
 _SPEED = 0.2
@@ -98,19 +101,16 @@ class _Settings(NamedTuple):
 
 
 class _Hypotheses(NamedTuple):
-    """What the filter carries from sample to sample: a state for each `ContactKind`."""
+    """What the filter carries from sample to sample."""
 
-    mean: Float[Any, "kinds state"]
-    covariance: Float[Any, "kinds state state"]
+    state: Gaussian
+    """Of each `ContactKind`. Further columns of the means are their derivatives by the setup's
+    numbers for given readings: the same filter, with what they change in the wrench in the place
+    of the readings.
+    """
     probability: Float[Any, "kinds"]
-    recent: Float[Any, "samples wrench"]
-    """The last whitened wrenches, the newest first; NaN where there was none."""
     strange: Float[Any, ""]
     """Consecutive outliers."""
-    columns: Float[Any, "kinds state parameters"]
-    """Derivatives of `mean` by the setup's numbers, for given readings: the same filter, with what
-    they change in the wrench in the place of the readings.
-    """
 
 
 class CausalSmoother:
@@ -172,12 +172,8 @@ class CausalSmoother:
             Trail(still),
             still,
             still,
-            covariance=np.asarray(covariance, dtype=float),
-            position_covariance=(
-                None
-                if position_covariance is None
-                else np.asarray(position_covariance, dtype=float)
-            ),
+            covariance=covariance,
+            position_covariance=position_covariance,
             setup_errors=setup_errors,
         )
         self._rod, self._threshold = rod, float(chdtri(WRENCH, false_alarm))
@@ -194,16 +190,18 @@ class CausalSmoother:
             friction = not_negative(friction, "friction")
         spread, rates = incidence_spread_of(friction, setup_errors), _RATES * pace
         before, kind = np.divmod(np.arange(3 * 3), 3)
-        link, one = np.where((before != kind) & (before != FREE), KINK, GO_ON), np.ones(len(kind))
-        x, labels = np.tile(AT_REST, (len(kind), 1)), Labels(kind, link, one, one)
-        entry = entries(before, labels, x, rates, _BEND, _ARC_LENGTH_VARIANCE)
+        x = np.tile(AT_REST, (len(kind), 1))
+        keep, begin, *entry = entries(
+            before, Labels.of(kind), x, rates, _BEND, _ARC_LENGTH_VARIANCE
+        )
+        entry = [keep, _with_columns(begin), *entry]
         jump = np.zeros(SIZE)
         jump[:LOADS], jump[RATE][:LOADS] = _JUMP**2, rates[:LOADS] ** 2
         rig, _, self._errors = prepared(rod, setup_errors)
         settings = _Settings(
-            series_of(rod, given, np.zeros(1, dtype=bool)).whitening[0],
+            whitening_of(in_clamp_axes(given, rod)[1])[0],
             expected,
-            tuple(part.reshape(3, 3, -1) for part in entry),
+            tuple(part.reshape(3, 3, *part.shape[1:]) for part in entry),
             jump,
             np.asarray(np.inf if spread is None else spread**2),
             rig,
@@ -220,13 +218,13 @@ class CausalSmoother:
         """
         start = kalman.at_rest(TARED)
         self._state = _Hypotheses(
-            np.tile(start.mean, (3, 1)),
-            np.tile(start.covariance, (3, 1, 1)),
+            Gaussian(
+                np.tile(_with_columns(start.mean), (3, 1, 1)), np.tile(start.covariance, (3, 1, 1))
+            ),
             np.array([1.0, 0.0, 0.0]),
-            np.full((_MEAN_SAMPLES, WRENCH), np.nan),
             np.zeros(()),
-            np.zeros((3, SIZE, COUNT)),
         )
+        self._recent = np.full((DETECTION_SAMPLES - 1, WRENCH), np.nan)
         self._time: float | None = None
 
     def update(
@@ -249,10 +247,9 @@ class CausalSmoother:
         ValueError
             If the time does not increase, the pose is not finite, or a shape is another one.
         """
+        f, m, t, v = (np.array([part]) for part in (force, moment, time, velocity))
         trail = Trail(np.array([position]), np.array([orientation]))
-        row = {"force": force, "moment": moment, "time": time, "velocity": velocity}
-        given: dict[str, Any] = {name: np.array([value]) for name, value in row.items()}
-        return self.update_all(Reactions(trail, **given))[0]
+        return self.update_all(Reactions(trail, f, m, time=t, velocity=v))[0]
 
     def update_all(self, reactions: Reactions) -> LiveContact:
         """Take several samples of one trail (n, …) with time, in one call: as `update` does one by
@@ -278,152 +275,134 @@ class CausalSmoother:
         since = np.diff(time, prepend=time[0] if self._time is None else self._time)
         samples, told = (wrench, since, velocities_of(rod, reactions)), []
         for first in range(0, len(time), _BATCH):
-            part = [values[first : first + _BATCH] for values in samples]
-            count = np.asarray(len(part[0]))
-            filled = kalman.filled(part, _BATCH)
-            self._state, report = _advanced(self._state, self._settings, filled, count)
-            told.append(
-                jax.tree.map(lambda values, count=count: np.asarray(values)[:count], report)
-            )
+            part = tuple(values[first : first + _BATCH] for values in samples)
+            count, part = np.asarray(len(part[0])), kalman.filled(part, _BATCH)
+            self._state, report = _advanced(self._settings, self._state, part, count)
+            told.append(report)
         self._time = float(time[-1])
-        found = jax.tree.map(lambda *parts: np.concatenate(parts), *told)
-        turn = rotation_matrices(trail.orientation)
-        both = np.kron(np.eye(2), turn)
-        sensitivity = both @ found["sensitivity"]
+        found: _Found = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(time)], *told)
+        rows = located(rod, trail, found.linear, found.errors, found.seen, found.moved)
+        rows["covariance"] = rows["covariance"] + self._floor
+        sensitivity = rows["sensitivity"]
         shared = sensitivity @ self._errors @ np.swapaxes(sensitivity, 1, 2)
-        noise = both @ found["noise"] @ np.swapaxes(both, 1, 2)
-        (of_point, of_normal), (point_noise, normal_noise) = (
-            (part[:, :3, :3] * rod.length**2 + self._floor, part[:, 3:, 3:])
-            for part in (noise + shared, noise)
-        )
-        reach, direction = (turn @ found[name][..., None] for name in ("reach", "direction"))
-        located = {
-            "point": trail.position + rod.length * reach[..., 0],
-            "force_direction": direction[..., 0],
-            "arc_length": rod.length * found["arc_length"],
-            "modulus": found["incidence"],
-            "covariance": of_point,
-            "normal_covariance": of_normal,
-            "covariance_noise": point_noise,
-            "normal_covariance_noise": normal_noise,
-            "sensitivity": sensitivity,
+        rows |= {
+            "covariance_noise": rows["covariance"],
+            "normal_covariance_noise": rows["normal_covariance"],
+            "covariance": rows["covariance"] + rod.length**2 * shared[:, :3, :3],
+            "normal_covariance": rows["normal_covariance"] + shared[:, 3:, 3:],
         }
-        touching = (found["probability"] >= 0.5) & (found["load"] > self._threshold)
-        sound = np.isfinite(wrench).all(axis=1)
+        touching = (found.probability >= 0.5) & self._loaded(wrench, found.zero)
+        sound = finite(wrench)
         return LiveContact(
             time,
-            np.where(touching, found["kind"], FREE).astype(np.int8),
-            **chosen(touching, located, np.nan),
-            probability=found["probability"],
+            np.where(touching, found.kind, FREE).astype(np.int8),
+            **chosen(touching, rows, np.nan),
+            probability=found.probability,
             status=np.where(sound, Status.OK, Status.BAD_DATA).astype(np.int8),
         )
 
+    def _loaded(self, wrench: Float[np.ndarray, "n wrench"], zero: Gaussian) -> Flags:
+        """Whether the mean of the last wrenches is more than noise and drift."""
+        recent = np.concatenate([self._recent, wrench @ np.transpose(self._settings.whitening)])
+        self._recent = recent[len(wrench) :]
+        last = sliding_window_view(recent, DETECTION_SAMPLES, axis=0)
+        load = last - zero.mean[..., None]
+        present = np.isfinite(load).all(axis=1)
+        count = np.maximum(present.sum(axis=1), 1.0)
+        mean = np.where(present[:, None], load, 0.0).sum(axis=2) / count[:, None]
+        return load_chi_square(mean, count, zero) > self._threshold
+
+
+class _Found(NamedTuple):
+    """What the hypotheses in contact say together, and all of them of the zero."""
+
+    linear: Linear
+    errors: Float[Any, "*n coordinates coordinates"]
+    seen: Changes
+    moved: Float[Any, "*n coordinates setup"]
+    """Derivatives of the coordinates by the setup's numbers."""
+    kind: Int[Any, "*n"]
+    probability: Float[Any, "*n"]
+    """Of contact."""
+    zero: Gaussian
+
+
+def _with_columns(mean: Float[np.ndarray, "*n state"]) -> Float[np.ndarray, "*n state columns"]:
+    """With derivatives of zero by the setup's numbers."""
+    return mean[..., None] * np.eye(1, 1 + COUNT)[0]
+
 
 @compiled
-def _advanced(
-    state: _Hypotheses, settings: _Settings, samples: Any, count: Int[Any, ""]
-) -> tuple[_Hypotheses, dict[str, Array]]:
+def _advanced(settings: _Settings, state: _Hypotheses, samples: Any, count: Int[Any, ""]) -> Any:
     """The first `count` samples taken, one after the other: wrenches in clamp axes and model units,
     times since the one before, velocities of the clamp.
     """
-    found: tuple[_Hypotheses, dict[str, Array]] = kalman.scanned(
-        lambda state, sample: _one(state, settings, *sample), state, samples, count
-    )
-    return found
+    return kalman.scanned(partial(_one, settings), state, samples, count)
 
 
 def _one(
-    state: _Hypotheses, settings: _Settings, wrench: Array, duration: Array, velocity: Array
-) -> tuple[_Hypotheses, dict[str, Array]]:
+    settings: _Settings, hypotheses: _Hypotheses, sample: tuple[Array, Array, Array]
+) -> tuple[_Hypotheses, _Found]:
+    wrench, duration, velocity = sample
     sound = jnp.all(jnp.isfinite(wrench))
-    wrench = jnp.where(jnp.isfinite(wrench), wrench, 0.0)
+    wrench = jnp.where(sound, wrench, 0.0)
     switch = jnp.full((3, 3), _SWITCH) + (1 - 3 * _SWITCH) * jnp.eye(3)
-    arrival = state.probability @ switch
-    jumped = state.strange >= _PATIENCE
+    arrival = hypotheses.probability @ switch
+    jumped = hypotheses.strange >= _PATIENCE
 
-    def one(kind: Array) -> tuple[Array, ...]:
+    def one(kind: Array) -> tuple[Gaussian, Array, Array]:
         entry = [part[:, kind] for part in settings.entries]
-        shares = state.probability * switch[:, kind] / jnp.maximum(arrival[kind], TINY)
-        entered = jax.vmap(kalman.entered)(state.mean, state.covariance, *entry[:3])
-        mean, covariance = _mixture(shares, *entered)
-        covariance += jnp.diag(settings.jump) * (jumped & (kind != FREE))
-        columns = jnp.einsum("k,ki,kij->ij", shares, entry[0], state.columns)
+        shares = hypotheses.probability * switch[:, kind] / jnp.maximum(arrival[kind], TINY)
+        state = _mixture(shares, jax.vmap(kalman.entered)(hypotheses.state, *entry[:3]))
+        jump = jnp.diag(settings.jump) * (jumped & (kind != FREE))
         step = Step(*[part[kind] for part in entry] + [duration, 1.0, None, None, None])
-        mean, covariance = kalman.predicted(mean, covariance, step, settings.intensities)
-        mean = mean.at[ARC_LENGTH].set(jnp.clip(mean[ARC_LENGTH], 0.05, 1.0))
+        mean, covariance = kalman.predicted(
+            state._replace(covariance=state.covariance + jump), step, settings.intensities
+        )
+        mean = mean.at[ARC_LENGTH, 0].set(jnp.clip(mean[ARC_LENGTH, 0], 0.05, 1.0))
         # The sample about the prediction, its squared distance from it, and its errors by setup.
-        linear = linear_at(mean[PLACE])
+        linear = linear_at(mean[PLACE, 0])
         residual, slope = observed(linear, wrench, settings.whitening, jnp)
-        slope = slope * (kind != FREE)
-        of_wrench = slope[:WRENCH]
-        spread = of_wrench @ covariance[PLACE, PLACE] @ of_wrench.T
-        across = of_wrench @ covariance[PLACE, DRIFT]
-        spread += across + across.T + covariance[DRIFT, DRIFT] + jnp.eye(WRENCH)
-        away = residual[:WRENCH] - mean[DRIFT]
-        distance = away @ jnp.linalg.solve(spread, away)
-        value = linear.value
+        value, slope = linear.value, slope * (kind != FREE)
         by_setup = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
         seen = settings.whitening @ by_setup.wrench * (kind != FREE)
-        variance = jnp.full(ROWS, jnp.inf).at[:WRENCH].set(jnp.maximum(1.0, distance / OUTLIER))
-        variance = variance.at[-1].set(
-            jnp.where(kind == TANGENTIAL, settings.incidence_variance, jnp.inf)
-        )
-        step = step._replace(
-            target=jnp.column_stack(
-                [residual + slope @ linear.x, jnp.zeros((ROWS, COUNT)).at[:WRENCH].set(-seen)]
-            ),
-            slope=slope,
-            variance=jnp.where(sound | (jnp.arange(ROWS) >= WRENCH), variance, jnp.inf),
-        )
-        both = jnp.column_stack([mean, kalman.moved(step, columns)])
-        both, covariance, told = kalman.updated(both, covariance, step)
-        likelihood = kalman.log_likelihood(step, told)[0]
-        return both[:, 0], covariance, both[:, 1:], likelihood, jnp.where(sound, distance, 0.0)
+        columns = jnp.zeros((ROWS, COUNT)).at[:WRENCH].set(-seen)
+        target = jnp.column_stack([residual + slope @ linear.x, columns])
+        step = step._replace(target=target, slope=slope)
+        design = kalman.design(step)[:WRENCH]
+        away = target[:WRENCH, 0] - design @ mean[:, 0]
+        spread = design @ covariance @ design.T + jnp.eye(WRENCH)
+        distance = away @ jnp.linalg.solve(spread, away)
+        noise = jnp.where(sound, jnp.maximum(1.0, distance / OUTLIER), jnp.inf)
+        square = jnp.where(kind == TANGENTIAL, settings.incidence_variance, jnp.inf)
+        variance = jnp.append(jnp.full(ROWS - 1, noise), square).at[WRENCH].set(jnp.inf)
+        step = step._replace(variance=variance)
+        state, told = kalman.updated(Gaussian(mean, covariance), step)
+        return state, kalman.log_likelihood(step, told)[0], jnp.where(sound, distance, 0.0)
 
-    means, covariances, columns, likelihoods, excess = jax.vmap(one)(jnp.arange(3))
+    states, likelihoods, excess = jax.vmap(one)(jnp.arange(3))
     weight = arrival * jnp.exp(likelihoods - jnp.max(likelihoods))
     probability = jnp.where(sound, weight / jnp.sum(weight), arrival)
-    newest = jnp.where(sound, settings.whitening @ wrench, jnp.nan)
-    recent = jnp.concatenate([newest[None], state.recent[:-1]])
-    strange = jnp.where(jumped, 0.0, state.strange + 1) * (jnp.min(excess) > OUTLIER)
-    after = _Hypotheses(means, covariances, probability, recent, strange, columns)
-    shares = probability[1:] / jnp.maximum(jnp.sum(probability[1:]), TINY)
-    mean, covariance = _mixture(shares, means[1:], covariances[1:])
-    linear = linear_at(mean[PLACE])
-    slope = jnp.concatenate([linear.slope.reach, linear.slope.direction])
+    strange = jnp.where(jumped, 0.0, hypotheses.strange + 1) * (jnp.min(excess) > OUTLIER)
+    shares = probability.at[FREE].set(0.0) / jnp.maximum(jnp.sum(probability[1:]), TINY)
+    mean, covariance = _mixture(shares, states)
+    linear = linear_at(mean[PLACE, 0])
     value = linear.value
-    seen = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
-    moved = slope @ jnp.einsum("k,kij->ij", shares, columns[1:, PLACE])
-    return after, {
-        "reach": value.reach,
-        "direction": value.direction,
-        "arc_length": mean[ARC_LENGTH],
-        "incidence": value.incidence,
-        "noise": slope @ covariance[PLACE, PLACE] @ slope.T,
-        "sensitivity": moved + jnp.concatenate([seen.reach, seen.direction]),
-        "kind": jnp.where(probability[TANGENTIAL] > probability[TIP], TANGENTIAL, TIP),
-        "probability": 1 - probability[FREE],
-        "load": _load(after),
-    }
+    zero = probability @ states.mean[:, DRIFT, 0], states.covariance[FREE, DRIFT, DRIFT]
+    return _Hypotheses(states, probability, strange), _Found(
+        linear,
+        covariance[PLACE, PLACE],
+        changes(settings.rig, value.wrench, value.reach, value.direction, velocity),
+        mean[PLACE, 1:],
+        jnp.where(probability[TANGENTIAL] > probability[TIP], TANGENTIAL, TIP),
+        1 - probability[FREE],
+        Gaussian(*zero),
+    )
 
 
-def _mixture(
-    shares: Float[Array, "k"], means: Float[Array, "k state"], covariances: Array
-) -> tuple[Float[Array, "state"], Float[Array, "state state"]]:
+def _mixture(shares: Float[Array, "k"], states: Gaussian) -> Gaussian:
     """Mean and covariance of a mixture."""
-    mean = shares @ means
-    away = means - mean
-    within = jnp.einsum("k,kij->ij", shares, covariances)
-    return mean, within + jnp.einsum("k,ki,kj->ij", shares, away, away)
-
-
-def _load(state: _Hypotheses) -> Float[Array, ""]:
-    """Of the mean of the last wrenches being noise and drift: chi-square with six degrees of
-    freedom.
-    """
-    present = jnp.all(jnp.isfinite(state.recent), axis=1)
-    count = jnp.maximum(jnp.sum(present), 1)
-    drift = state.probability @ state.mean[:, DRIFT]
-    average = jnp.sum(jnp.where(present[:, None], state.recent - drift, 0.0), axis=0) / count
-    spread = jnp.eye(WRENCH) / count + state.covariance[FREE, DRIFT, DRIFT]
-    return average @ jnp.linalg.solve(spread, average)
+    mean = jnp.tensordot(shares, states.mean, 1)
+    away = (states.mean - mean)[..., 0]
+    within = jnp.einsum("k,kij->ij", shares, states.covariance)
+    return Gaussian(mean, within + jnp.einsum("k,ki,kj->ij", shares, away, away))

@@ -16,7 +16,6 @@ from vibrissa.inverse.smoothing.model import (
     FREE,
     GO_ON,
     JUMP,
-    KINK,
     TANGENTIAL,
     TINY,
     TIP,
@@ -81,20 +80,20 @@ def log_likelihoods(
     fit: Fit,
     candidates: list[Labels],
     first: int,
-    last: int,
+    stop: int,
     together: int = TOGETHER,
     bends: tuple[float, ...] = (1.0,),
 ) -> Samples:
-    """Log-likelihoods of the rows from `first` to `last` by candidates for the labels; the drift
-    before them is what the samples before tell.
+    """Log-likelihoods of the rows from `first` to before `stop` by candidates for the labels; the
+    drift before them is what the samples before tell.
 
     With several `bends`, factors of the unknown rates, those of all candidates for the first one
     come first.
     """
     first = max(first, 0)
-    rows = slice(first, min(last + 1, first + _MOST_ROWS * together // TOGETHER))
+    rows = slice(first, min(stop, first + _MOST_ROWS * together // TOGETHER))
     cut = fit.rows(rows)
-    parts = [Labels(*(field[rows] for field in labels)).copy() for labels in candidates]
+    parts = [Labels(*(field[rows].copy() for field in labels)) for labels in candidates]
     starts = group_starts(parts, together=together)
     steps = []
     for labels in parts:
@@ -138,14 +137,6 @@ class Places(NamedTuple):
         return float(np.sqrt(variance + spacing**2 / 12))
 
 
-def moved(labels: Labels, change: int, place: int) -> Labels:
-    """Labels with the change of phase at sample `change` moved to `place`; links go with it."""
-    moving, kind = labels.copy(), labels.link[change]
-    moving.phase[place:change], moving.phase[change:place] = labels.phase[[change, change - 1]]
-    moving.link[change], moving.link[place] = GO_ON, max(kind, KINK)
-    return moving
-
-
 def with_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
     """The fit with the phases that are most probable, each change between tip and tangential
     contact at the median of its likelihood; and where else each may be, given the others.
@@ -157,7 +148,7 @@ def with_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
         for change in before:
             found = _places_of(fit, change)
             median = found.quantile(0.5)
-            fit, places[median] = fit._replace(labels=moved(fit.labels, change, median)), found
+            fit, places[median] = fit._replace(labels=fit.labels.moved(change, median)), found
         # Only a change near to another depends on where that is.
         if len(before) < 2 or np.diff(before).min() > _REACH + _MARGIN:
             break
@@ -173,10 +164,9 @@ def _places_of(fit: Fit, change: int) -> Places:
     def tried(first: int, last: int, spacing: int, best: int) -> tuple[Codes, Samples]:
         first, last = max(low, first), min(high, last)
         places = np.unique([*range(first, last + 1, spacing), best, last])
-        other = [moved(fit.labels, change, place) for place in places.tolist()]
-        around = min(change, int(places[0])), max(change, int(places[-1]))
-        begin, end = around[0] - _MARGIN // 2, around[1] + _MARGIN // 2
-        return places, log_likelihoods(fit, other, begin, end)
+        other = [fit.labels.moved(change, place) for place in places.tolist()]
+        begin, stop = min(change, int(places[0])), max(change, int(places[-1])) + 1
+        return places, log_likelihoods(fit, other, begin - _MARGIN // 2, stop + _MARGIN // 2)
 
     best = change
     for _ in range(_REACHES):
@@ -188,8 +178,7 @@ def _places_of(fit: Fit, change: int) -> Places:
     first, last = max(low, int(likely[0]) - _SPACING), min(high, int(likely[-1]) + _SPACING)
     fine, values = tried(first, last, -(-(last - first + 1) // _FINE), best)
     width = np.diff(np.concatenate([fine[:1], (fine[:-1] + fine[1:]) / 2, fine[-1:]]))
-    probability = np.exp(values - values.max()) * (width + 1e-9)
-    return Places(fine, probability / probability.sum())
+    return Places(fine, softmax(values + np.log(width + 1e-9)))
 
 
 def _room(labels: Labels, change: int) -> tuple[int, int]:
@@ -204,19 +193,17 @@ def _with_fewer_phases(fit: Fit) -> Fit:
     """Short phases that the likelihood does not ask for are taken into the other phase; and tip
     contact is tried where a contact begins or ends tangentially.
     """
-    phase = fit.labels.phase
-    for first, last in [run for kind in (TIP, TANGENTIAL) for run in runs_of(phase == kind)]:
-        other = fit.labels.copy()
-        other.phase[first : last + 1] = TIP + TANGENTIAL - fit.labels.phase[first]
-        beside = {*other.phase[:first][-1:], *other.phase[last + 1 :][:1]} - {FREE}
-        if last - first >= _SHORT_RUN or beside - {other.phase[first]}:
-            continue
-        for row in (first, last + 1):
-            if 0 < row < len(phase) and other.phase[row - 1] != FREE and other.link[row] == KINK:
-                other.link[row] = GO_ON
-        values = log_likelihoods(fit, [fit.labels, other], first - _MARGIN, last + _MARGIN)
-        if values[1] > values[0] - _LEAST_GAIN * bool(beside):
-            fit = fit._replace(labels=other)
+    given = fit.labels.phase
+    for kind, other_kind in ((TIP, TANGENTIAL), (TANGENTIAL, TIP)):
+        for rows in runs_of(given == kind):
+            first, stop, phase = rows.start, rows.stop, fit.labels.phase
+            beside = {*phase[:first][-1:], *phase[stop:][:1]} - {FREE}
+            if stop - first > _SHORT_RUN or beside - {other_kind}:
+                continue
+            other = fit.labels.in_phase(other_kind, rows)
+            values = log_likelihoods(fit, [fit.labels, other], first - _MARGIN, stop + _MARGIN)
+            if values[1] > values[0] - _LEAST_GAIN * bool(beside):
+                fit = fit._replace(labels=other)
     return fit
 
 
@@ -225,19 +212,14 @@ def _with_tangential_phases(fit: Fit) -> Fit:
     themselves put the contact most clearly before the tip.
     """
     value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
-    for first, last in runs_of(fit.labels.phase == TIP):
-        inside = slice(first, last + 1)
-        edges = first + _clearly_short(value[inside], deviation[inside] ** -2)
+    for rows in runs_of(fit.labels.phase == TIP):
+        edges = rows.start + _clearly_short(value[rows], deviation[rows] ** -2)
         if not edges.size:
             continue
-        tried = [fit.labels]
-        for low, high in edges.tolist():
-            labels = fit.labels.copy()
-            labels.phase[low:high] = TANGENTIAL
-            labels.link[[low, high]] = np.maximum(labels.link[[low, high]], KINK)
-            tried.append(labels)
-        begin, end = int(edges.min()) - _MARGIN // 2, int(edges.max()) - 1 + _MARGIN // 2
-        values = log_likelihoods(fit, tried, min(begin, first - 1), end)
+        parts = (slice(*edge) for edge in edges.tolist())
+        tried = [fit.labels, *(fit.labels.in_phase(TANGENTIAL, part) for part in parts)]
+        begin, stop = int(edges.min()) - _MARGIN // 2, int(edges.max()) + _MARGIN // 2
+        values = log_likelihoods(fit, tried, min(begin, rows.start - 1), stop)
         # Tip contact all along and tangential contact in the middle are equally usual.
         fit = fit._replace(labels=tried[int(np.argmax(values))])
     return fit
@@ -279,11 +261,9 @@ def reversed_fit(fit: Fit) -> Fit:
 def onset_at(labels: Labels, first: int, place: float) -> Labels:
     """Labels with the contact that begins at sample `first` beginning at `place` instead."""
     begins = int(np.floor(place)) + 1
-    phase, link, share, pace = placed = labels.copy()
+    phase, _, share, pace = placed = labels.copy()
     phase[begins:first], pace[begins:first] = phase[first], pace[first]
-    phase[first:begins] = FREE
-    link[min(first, begins) : max(first, begins) + 1] = GO_ON
-    link[begins], share[first] = KINK, 1.0
+    phase[first:begins], share[first] = FREE, 1.0
     share[begins] = max(begins - place, _LEAST_SHARE)
     return placed
 
@@ -300,9 +280,9 @@ def with_onset(fit: Fit, first: int) -> tuple[Fit, int, Samples]:
     for offsets in (_ABOUT_GUESS, _ABOUT_BEST, _ABOUT_BEST):
         tried = np.clip(place + offsets, min(low, first - 0.5), max(high, first - 0.5))
         places = np.unique(tried)
-        begin, end = int(places[0]) - _BEFORE, max(int(places[-1]), first) + _AFTER
+        stop = max(int(places[-1]), first) + _AFTER + 1
         candidates = [onset_at(labels, first, part) for part in places.tolist()]
-        values = log_likelihoods(fit, candidates, begin, end)
+        values = log_likelihoods(fit, candidates, int(places[0]) - _BEFORE, stop)
         found, place = Places(places, softmax(values)), float(places[int(np.argmax(values))])
         if offsets is _ABOUT_BEST and found.probability[[0, -1]].max() < _OUTERMOST:
             break
@@ -331,7 +311,8 @@ def drawn(fit: Fit, places: dict[int, Places]) -> list[Labels]:
     """Equally probable labels: for each contact one of its rivals, each change at one quantile of
     its places; those of different contacts and changes unrelated.
     """
-    rivals = [_rivals_of(fit, *run) for run in runs_of(fit.labels.phase != FREE)]
+    contacts = fit.labels.contacts
+    rivals = [_rivals_of(fit, rows) for rows in contacts]
     changes = [change for change in fit.labels.changes if change in places]
     found = []
     for k in range(_DRAWN):
@@ -339,28 +320,32 @@ def drawn(fit: Fit, places: dict[int, Places]) -> list[Labels]:
         other = fit.labels.copy()
         for change, share in zip(changes, shares, strict=False):
             place = int(np.clip(places[change].quantile(share), *_room(other, change)))
-            other = moved(other, change, place)
-        for (rows, labels, probability), share in zip(rivals, shares[len(changes) :], strict=True):
+            other = other.moved(change, place)
+        each = zip(contacts, rivals, shares[len(changes) :], strict=True)
+        for rows, (labels, probability), share in each:
             number = int(np.searchsorted(np.cumsum(probability), share))
             if 0 < number < len(labels):
-                other.phase[rows] = labels[number].phase[rows]
-                other.link[rows] = labels[number].link[rows]
+                for part, rival in zip(other[:2], labels[number], strict=False):
+                    part[rows] = rival[rows]
         found.append(other)
     return found
 
 
-def _rivals_of(fit: Fit, first: int, last: int) -> tuple[slice, list[Labels], Samples]:
-    """Rows of a contact, labels and their probabilities, the given ones first: beside them, tip
-    contact throughout and one tangential phase, long or short, early or late; all are as usual.
+def _rivals_of(fit: Fit, rows: slice) -> tuple[list[Labels], Samples]:
+    """Labels of a contact and their probabilities, the given ones first: beside them, tip contact
+    throughout and one tangential phase, long or short, early or late; all are as usual.
     """
-    count, rows = last - first + 1, slice(first, last + 1)
-    alone = rows, [fit.labels], np.ones(1)
+    first, count = rows.start, rows.stop - rows.start
+    alone = [fit.labels], np.ones(1)
     if count < _LEAST_ROWS:
         return alone
     places = np.unique(first + np.round(_EDGES * count).astype(int)).tolist()
-    pairs = [(first, first), *combinations(places, 2)]
-    candidates = [fit.labels, *(_with_tangential(fit.labels, rows, *pair) for pair in pairs)]
-    around = first - _MARGIN // 2, last + _MARGIN // 2
+    tip = fit.labels.in_phase(TIP, rows)
+    # Jumps stay.
+    tip.link[rows] *= tip.link[rows] == JUMP
+    pairs = (slice(*pair) for pair in combinations(places, 2))
+    candidates = [fit.labels, tip, *(tip.in_phase(TANGENTIAL, pair) for pair in pairs)]
+    around = first - _MARGIN // 2, rows.stop + _MARGIN // 2
     rough = log_likelihoods(fit, candidates, *around, max(TOGETHER, -(-count // _ROUGH_GROUPS)))
     likely = rough > rough.max() - _HOPELESS
     if not likely[1:].any():
@@ -374,14 +359,4 @@ def _rivals_of(fit: Fit, first: int, last: int) -> tuple[slice, list[Labels], Sa
     values = logsumexp(each - each[:, 1:2], axis=0)
     if not np.isfinite(values[0]):
         return alone
-    values[~np.isfinite(values)] = -np.inf
-    return rows, candidates, np.exp(values - logsumexp(values))
-
-
-def _with_tangential(labels: Labels, rows: slice, low: int, high: int) -> Labels:
-    """Tangential from `low` to before `high`, at the tip in the rest of the contact. Jumps stay."""
-    other, inside = labels.copy(), slice(rows.start + 1, rows.stop)
-    other.phase[rows], other.phase[low:high] = TIP, TANGENTIAL
-    jumps = np.where(labels.link[inside] == JUMP, JUMP, 0)
-    other.link[inside] = np.maximum(jumps, KINK * other.begins[inside])
-    return other
+    return candidates, softmax(np.where(np.isfinite(values), values, -np.inf))

@@ -9,31 +9,35 @@ columns take the place of the readings (the augmented Kalman filter: de Jong, *A
 into account, and what is known exactly, such as the arc length at the tip, stays known.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
-from vibrissa.inverse.parameters import changes_of_rows, prepared, velocities_of
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.parameters import COUNT, Changes, changes_of_rows, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.shared import sensitivities
+from vibrissa.inverse.shared import pose_errors, sensitivities
 from vibrissa.inverse.smoothing.fit import OUTLIER, squared_residuals, stretches
 from vibrissa.inverse.smoothing.kalman import PLACE, WRENCH
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, chosen
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, Linear, chosen, finite
 from vibrissa.inverse.smoothing.model import (
-    FREE,
     JUMP,
     TARED,
+    TINY,
     Codes,
     Fit,
     Flags,
+    Samples,
     smoothed_states,
     steps_of,
 )
 from vibrissa.inverse.smoothing.phases import raw_arc_lengths
-from vibrissa.reactions import turned_covariance
+from vibrissa.rod import Rod
+from vibrissa.trail import Trail
 
 _FLAGGED_STRETCH, _FLAGGED_CONTACT = 0.3, 0.15
 """Shares of flagged samples from which on noise is no explanation: it flags less than one in fifty.
@@ -64,31 +68,56 @@ _FIELDS = (
     "force_direction",
     "arc_length",
     "modulus",
-    "covariance",
-    "normal_covariance",
     "arc_length_deviation",
-    "sensitivity",
     "kind",
     "energy",
-    "status",
 )
-"""Of a reconstruction: those that smoothing gives anew."""
+"""Of a reconstruction: those that smoothing gives anew, beside covariances and what goes with them.
+"""
 
 
 def by_itself(found: Reconstruction) -> dict[str, Any]:
     """What samples by themselves say, where smoothing says nothing: covariances without what the
     sweep shares.
     """
-    itself = replace(
-        found,
-        covariance=found.covariance_noise,
-        normal_covariance=found.normal_covariance_noise,
-        sensitivity=sensitivities(found),
-        status=np.where(
-            found.in_contact & (found.status == Status.OK), Status.AMBIGUOUS, found.status
-        ),
+    fine = found.in_contact & (found.status == Status.OK)
+    return {name: getattr(found, name) for name in _FIELDS} | {
+        "covariance": found.covariance_noise,
+        "normal_covariance": found.normal_covariance_noise,
+        "sensitivity": sensitivities(found),
+        "status": np.where(fine, Status.AMBIGUOUS, found.status),
+    }
+
+
+def located(
+    rod: Rod,
+    trail: Trail,
+    linear: Linear,
+    errors: Float[np.ndarray, "n coordinates coordinates"],
+    seen: Changes,
+    moved: Float[np.ndarray, "n coordinates setup"],
+) -> dict[str, np.ndarray]:
+    """Contacts at coordinates with these errors, world axes and units of the rod: fields of a
+    reconstruction. An error of the setup changes what is `seen` at given coordinates, and moves
+    the coordinates; covariances are without what the sweep shares.
+    """
+    value, slope = linear.value, linear.slope
+    turn = rotation_matrices(trail.orientation)
+    both = np.kron(np.eye(2), turn)
+    by_coordinates, by_setup = (
+        both @ np.concatenate([part.reach, part.direction], axis=1) for part in (slope, seen)
     )
-    return {name: getattr(itself, name) for name in _FIELDS}
+    covariance = by_coordinates @ errors @ np.swapaxes(by_coordinates, 1, 2)
+    reach, direction = ((turn @ part[..., None])[..., 0] for part in (value.reach, value.direction))
+    return {
+        "point": trail.position + rod.length * reach,
+        "force_direction": direction,
+        "arc_length": rod.length * linear.x[:, ARC_LENGTH],
+        "modulus": value.incidence,
+        "covariance": rod.length**2 * covariance[:, :3, :3],
+        "normal_covariance": covariance[:, 3:, 3:],
+        "sensitivity": by_coordinates @ moved + by_setup,
+    }
 
 
 def contacts_of(
@@ -97,105 +126,84 @@ def contacts_of(
     """Fields of the smoothed reconstruction: the contacts of a fit where that before averaging is
     to be trusted. Covariances are without what the sweep shares.
     """
-    series, value, slope, x = fit.series, fit.linear.value, fit.linear.slope, fit.linear.x
-    reactions, length = found.reactions, found.rod.length
-    errors = fit.states.covariance[:, PLACE, PLACE]
-    point = reactions.trail.position + length * np.einsum("nij,nj->ni", series.turn, value.reach)
-    direction = np.einsum("nij,nj->ni", series.turn, value.direction)
-    of_point, of_normal = length * series.turn @ slope.reach, series.turn @ slope.direction
-    covariance, normal_covariance = (
-        part @ errors @ np.swapaxes(part, 1, 2) for part in (of_point, of_normal)
-    )
+    rod, reactions, series, linear = found.rod, found.reactions, fit.series, fit.linear
+    value, errors = linear.value, fit.states.covariance[:, PLACE, PLACE]
+    touching = fit.labels.touching & series.sound
+    rig, velocity = prepared(rod, reactions.setup_errors).rig, velocities_of(rod, reactions)
+    seen = changes_of_rows(rig, value.wrench, value.reach, value.direction, velocity)
+    rows = located(rod, reactions.trail, linear, errors, seen, _moved(fit, seen))
+    known = finite((linear, errors, rows["sensitivity"]))
+    status, raw = _judged(found, smoothest, known)
     # Errors of the robot's pose are not taken to be others in each sample: they stay in full.
-    covariance = covariance + np.eye(3) * (model_error * length) ** 2
-    by_pose, turned = reactions.pose_covariance(point), reactions.rotation_covariance
-    if by_pose is not None:
-        covariance = covariance + by_pose
-    if turned is not None:
-        normal_covariance = normal_covariance + turned_covariance(turned, direction)
-    deviation = np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0))
-    touching = (fit.labels.phase != FREE) & series.sound
-    sensitivity = _sensitivity(found, fit)
-    finite = [np.isfinite(part).all(axis=(1, 2)) for part in (errors, sensitivity)]
-    status, raw = _judged(found, smoothest, np.all([fit.linear.exists, *finite], axis=0))
-    given = (
-        point,
-        direction,
-        length * x[:, ARC_LENGTH],
-        value.incidence,
-        covariance,
-        normal_covariance,
-        length * deviation,
-        sensitivity,
-    )
-    rows = chosen(touching, dict(zip(_FIELDS, given, strict=False)), np.nan) | {
-        "kind": fit.labels.phase.astype(np.int8) * series.sound,
-        "energy": np.where(touching, found.rod.moment_scale * value.energy, 0.0),
+    of_pose = pose_errors(reactions, rows["point"], rows["force_direction"])
+    of_model = np.eye(3) * (model_error * rod.length) ** 2
+    rows |= {
+        "covariance": rows["covariance"] + of_model + of_pose.point,
+        "normal_covariance": rows["normal_covariance"] + of_pose.direction,
+        "arc_length_deviation": rod.length
+        * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0)),
     }
-    rows["status"] = status
+    rows = chosen(touching, rows, np.nan) | {
+        "kind": fit.labels.phase.astype(np.int8) * series.sound,
+        "energy": np.where(touching, rod.moment_scale * value.energy, 0.0),
+        "status": status,
+    }
     if raw.any():
         rows = chosen(raw, by_itself(found), rows) | {"status": status}
     # Beside the contacts: drift of the zero, weights and tilts.
     drift = np.linalg.solve(series.whitening, fit.states.zero.mean[..., None])[..., 0]
     return rows | {
-        "drift": drift * np.repeat([found.rod.force_scale, found.rod.moment_scale], 3),
+        "drift": drift * np.repeat([rod.force_scale, rod.moment_scale], 3),
         "weight": np.where(series.sound, fit.weight, 1.0),
-        "tilt": np.where(touching, x[:, TILT], np.nan),
+        "tilt": np.where(touching, linear.x[:, TILT], np.nan),
     }
 
 
-def _sensitivity(found: Reconstruction, fit: Fit) -> Float[np.ndarray, "n 6 parameters"]:
-    """Derivatives of points and normals, world axes, by `vibrissa.tolerances.PARAMETERS` for given
-    readings, lengths in units of the rod's.
-    """
-    series, value, slope = fit.series, fit.linear.value, fit.linear.slope
-    rig = prepared(found.rod, found.reactions.setup_errors).rig
-    velocity = velocities_of(found.rod, found.reactions)
-    seen = changes_of_rows(rig, value.wrench, value.reach, value.direction, velocity)
-    touching = fit.labels.phase != FREE
+def _moved(fit: Fit, seen: Changes) -> Float[np.ndarray, "n coordinates setup"]:
+    """Derivatives of the coordinates by `vibrissa.tolerances.PARAMETERS` for given readings."""
     # A larger wrench for the same contact makes of the same readings a smaller one; samples for
     # which there is no rod are not seen.
-    steps, shows = steps_of(fit), touching & fit.linear.exists
-    target = np.zeros((*steps.target.shape, seen.wrench.shape[-1]))
-    target[:, :WRENCH] = chosen(shows, -series.whitening @ seen.wrench, 0.0)
+    steps, shows = steps_of(fit), fit.labels.touching & finite(fit.linear)
+    target = np.zeros((*steps.target.shape, COUNT))
+    target[:, :WRENCH] = chosen(shows, -fit.series.whitening @ seen.wrench, 0.0)
     columns = steps._replace(begin=np.zeros_like(steps.begin), target=target)
     # As if the series began after a tare: what earlier segments tell of its zero has errors of the
     # setup, too.
-    moved = smoothed_states(fit._replace(zero=TARED), columns).mean[:, PLACE]
-    reach = series.turn @ (slope.reach @ moved + seen.reach)
-    direction = series.turn @ (slope.direction @ moved + seen.direction)
-    return chosen(touching, np.concatenate([reach, direction], axis=1), np.nan)
+    return smoothed_states(fit._replace(zero=TARED), columns).mean[:, PLACE]
 
 
 def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags]:
     """Statuses of the smoothed rows, and which of them keep the contact of the sample by itself, as
     do those in contact that are not known.
     """
-    phase, given = fit.labels.phase, found.status
-    touching, kept = (phase != FREE) & fit.series.sound, np.isin(given, _KEPT)
+    labels, given = fit.labels, found.status
+    touching, kept = labels.touching & fit.series.sound, np.isin(given, _KEPT)
     # What tells against the setup is judged anew, in terms of the smoothed errors.
     flagged = ~np.isin(given, (Status.OK, Status.SETUP_CONTRADICTED, *_KEPT))
     status = np.where(kept | (touching & flagged & (fit.weight < 1)), given, Status.OK)
-    excess = np.minimum(squared_residuals(fit), OUTLIER) / WRENCH
+    rows = touching & ~kept
+    total = _sums(stretches(labels), rows)
+    count = np.maximum(total(1), 1)
+    excess = total(np.minimum(squared_residuals(fit), OUTLIER)) / (WRENCH * count)
     couple = np.minimum(np.abs(np.nan_to_num(found.single_contact_residual)), 2 * _COUPLE)
-    for rows in _parts(stretches(fit.labels), touching & ~kept):
-        limit = max(_EXCESS, 1 + _LEVEL * np.sqrt(2 / (WRENCH * len(rows))))
-        if flagged[rows].mean() > _FLAGGED_STRETCH or excess[rows].mean() > limit:
-            single = couple[rows].mean() <= _COUPLE
-            cause = Status.SETUP_CONTRADICTED if single else Status.NOT_SINGLE_CONTACT
-            status[rows] = np.where(flagged[rows], given[rows], cause)
-    for rows in _parts(fit.labels.contact, touching):
-        if flagged[rows].mean() > _FLAGGED_CONTACT:
-            contradicted = np.maximum(status[rows], Status.SETUP_CONTRADICTED)
-            status[rows] = np.where(flagged[rows], given[rows], contradicted)
-    status[_elsewhere(found, fit, touching) & (status == Status.OK)] = Status.SETUP_CONTRADICTED
+    limit = np.maximum(_EXCESS, 1 + _LEVEL * np.sqrt(2 / (WRENCH * count)))
+    single = total(couple) <= _COUPLE * count
+    cause = np.where(single, Status.SETUP_CONTRADICTED, Status.NOT_SINGLE_CONTACT)
+    wrong = rows & ((total(flagged) > _FLAGGED_STRETCH * count) | (excess > limit))
+    status = np.where(wrong, np.where(flagged, given, cause), status)
+    total = _sums(labels.contact, touching)
+    wrong = touching & (total(flagged) > _FLAGGED_CONTACT * total(1))
+    worse = np.maximum(status, Status.SETUP_CONTRADICTED)
+    status = np.where(wrong, np.where(flagged, given, worse), status)
+    elsewhere = _elsewhere(found, fit, touching) & (status == Status.OK)
+    status = np.where(elsewhere, Status.SETUP_CONTRADICTED, status)
     # Contacts and their parts between jumps, of which each may be too weak or too short.
-    part = np.cumsum(np.diff(phase != FREE, prepend=False) | (fit.labels.link == JUMP))
+    total = _sums(np.cumsum(labels.link == JUMP) + labels.contact, labels.touching)
     wrench = np.nan_to_num(fit.linear.value.wrench)
     force = np.einsum("nij,nj->ni", fit.series.whitening, wrench)[:, :3]
-    weak = np.bincount(part, np.sum(force**2, axis=1))[part] < _LITTLE
-    status[weak & touching & (status == Status.OK)] = Status.AMBIGUOUS
-    raw = touching & ((np.bincount(part)[part] < _LEAST_ROWS) | ~known)
+    weak = touching & (total(np.sum(force**2, axis=1)) < _LITTLE)
+    status = np.where(weak & (status == Status.OK), Status.AMBIGUOUS, status)
+    raw = touching & ((total(1) < _LEAST_ROWS) | ~known)
     status = np.where(raw & ~kept, np.where(flagged, given, Status.AMBIGUOUS), status)
     return status, raw | (given == Status.TOUCHES_TWICE)
 
@@ -205,24 +213,21 @@ def _elsewhere(found: Reconstruction, fit: Fit, touching: Flags) -> Flags:
     on the rod than smoothing does.
     """
     value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
-    weight = np.where(touching & (fit.weight == 1), deviation**-2.0, 0.0)
-    away = value - fit.linear.x[:, ARC_LENGTH]
+    weight = np.where(fit.weight == 1, deviation**-2.0, 0.0)
     assert found.covariance is not None
     # What errors of the setup do to the points, they may do to the arc lengths.
     shared = np.trace(found.covariance - found.covariance_noise, axis1=1, axis2=2)
     stated = fit.states.covariance[:, ARC_LENGTH, ARC_LENGTH]
     stated = stated + np.nan_to_num(shared) / found.rod.length**2
-    rows = np.zeros(len(value), dtype=bool)
-    for part in _parts(stretches(fit.labels), touching):
-        total, known = weight[part].sum(), max(float(np.mean(stated[part])), 0.0)
-        if total > 0:
-            least = max(_ELSEWHERE / np.sqrt(total), _FARTHER * np.sqrt(known), _SMALLEST)
-            rows[part] = abs(weight[part] @ away[part]) / total > least
-    return rows
+    total = _sums(stretches(fit.labels), touching)
+    known = np.maximum(total(stated), 0.0) / np.maximum(total(1), 1)
+    sure = np.maximum(total(weight), TINY)
+    away = total(weight * (value - fit.linear.x[:, ARC_LENGTH])) / sure
+    least = np.maximum(_ELSEWHERE / np.sqrt(sure), _FARTHER * np.sqrt(known))
+    return touching & (np.abs(away) > np.maximum(least, _SMALLEST))
 
 
-def _parts(number: Codes, rows: Flags) -> list[Codes]:
-    """Rows of each number, without those of negative ones."""
-    inside = np.flatnonzero(rows & (number >= 0))
-    parts = np.split(inside, np.flatnonzero(np.diff(number[inside])) + 1)
-    return [part for part in parts if part.size]
+def _sums(number: Codes, rows: Flags) -> Callable[[ArrayLike], Samples]:
+    """Sums of values over these rows, of each the sum over all that have its number."""
+    _, place = np.unique(number, return_inverse=True)
+    return lambda values: np.bincount(place, np.where(rows, values, 0.0))[place]

@@ -11,14 +11,19 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import ndtri
 
 from vibrissa.inverse.smoothing import kalman
-from vibrissa.inverse.smoothing.kalman import DRIFT, INTENSITIES, PLACE, Gaussian, States, Step
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, AT_REST, LOADS, chosen, linearised
+from vibrissa.inverse.smoothing.kalman import DRIFT, INTENSITIES, PLACE, Gaussian, States
+from vibrissa.inverse.smoothing.manifold import (
+    ARC_LENGTH,
+    AT_REST,
+    LOADS,
+    chosen,
+    finite,
+    linearised,
+)
 from vibrissa.inverse.smoothing.model import (
     ARC_LENGTH_SPREAD,
-    FREE,
     GO_ON,
     JUMP,
-    KINK,
     TANGENTIAL,
     TILT_SPREAD,
     TIP,
@@ -32,7 +37,6 @@ from vibrissa.inverse.smoothing.model import (
     Series,
     group_starts,
     merged,
-    runs_of,
     smoothed_states,
     steps_of,
     together_for,
@@ -77,12 +81,11 @@ def first_guess(
     steady = median_filter(series.wrench, (_MEDIAN, 1), mode="nearest")
     size = max(1, round(_AVERAGE / series.step))
     load = uniform_filter1d(steady, size, axis=0, mode="nearest")
-    touching, one = phase != FREE, np.ones(len(phase))
-    link = np.where(np.diff(phase, prepend=FREE) != 0, KINK, GO_ON)
+    labels = Labels.of(phase)
+    touching = labels.touching
     # A series that begins in contact begins with any load.
-    link[:1] = np.where(touching[:1], JUMP, GO_ON)
-    labels = Labels(phase, link, one, one)
-    x = np.column_stack([load[:, 3:5], -load[:, 2], arc_length, 0 * one])
+    labels.link[0] = JUMP if touching[0] else GO_ON
+    x = np.column_stack([load[:, 3:5], -load[:, 2], arc_length, np.zeros(len(phase))])
     linear = linearised(np.where(touching[:, None], x, AT_REST))
     # Unknown rates: thirty times the range over the longest contact.
     longest = max(_longest_of(series.time, labels) or 1.0, series.step)
@@ -101,13 +104,11 @@ def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> F
     """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
     close, rough = _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY, True
     for iteration in range(most_steps):
-        steps = steps_of(fit)
         if iteration == _NEAR:
-            fit = most_probable(fit, steps, local=local)
-            steps = steps._replace(pace=fit.labels.pace)
+            fit = most_probable(fit, local=local)
         rough = rough and iteration < most_steps - 1
-        fit = fit._replace(states=smoothed_states(fit, steps, rough=rough))
-        new = _coordinates(fit.labels, fit.states)
+        fit = fit._replace(states=smoothed_states(fit, steps_of(fit), rough=rough))
+        new = _coordinates(fit.states)
         change = float(np.abs(new - fit.linear.x).max())
         if not np.isfinite(change):
             raise NoMotionError
@@ -119,9 +120,9 @@ def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> F
     return fit.about(fit.linear)
 
 
-def _coordinates(labels: Labels, states: States) -> Coordinates:
+def _coordinates(states: States) -> Coordinates:
     """About which to linearise."""
-    values = np.where((labels.phase == FREE)[:, None], AT_REST, states.mean[:, PLACE])
+    values = states.mean[:, PLACE].copy()
     values[:, ARC_LENGTH] = np.clip(values[:, ARC_LENGTH], 0.02, 1.2)
     return values
 
@@ -129,7 +130,7 @@ def _coordinates(labels: Labels, states: States) -> Coordinates:
 def _stepped(fit: Fit, new: Coordinates) -> Fit:
     """About the new coordinates; about the old ones where there is no rod with the new."""
     there = linearised(new)
-    return fit._replace(linear=chosen(there.exists, there, fit.linear))
+    return fit._replace(linear=chosen(finite(there), there, fit.linear))
 
 
 def squared_residuals(fit: Fit) -> Samples:
@@ -137,8 +138,8 @@ def squared_residuals(fit: Fit) -> Samples:
     motion follows the noise.
     """
     series = fit.series
-    expected = np.where((fit.labels.phase == FREE)[:, None], 0.0, fit.linear.value.wrench)
-    whitened = np.einsum("nij,nj->ni", series.whitening, series.wrench - expected)
+    away = series.wrench - fit.linear.value.wrench
+    whitened = np.einsum("nij,nj->ni", series.whitening, away)
     squared = np.sum((whitened - fit.states.mean[:, DRIFT]) ** 2, axis=1)
     return np.where(np.isfinite(squared), squared, 0.0)
 
@@ -150,7 +151,7 @@ def _robust(squared: Samples) -> Samples:
     return np.minimum(1.0, OUTLIER / np.maximum(squared, OUTLIER))
 
 
-def most_probable(fit: Fit, steps: Step, *, local: bool) -> Fit:
+def most_probable(fit: Fit, *, local: bool) -> Fit:
     """The fit with intensities, and the pace of each sample, that maximise the marginal likelihood.
 
     The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk
@@ -159,12 +160,13 @@ def most_probable(fit: Fit, steps: Step, *, local: bool) -> Fit:
     s₁ crosses its range in the time of a contact. Without `local`, all paces are 1.
     """
     labels, start, stretch = fit.labels, kalman.at_rest(fit.zero), stretches(fit.labels)
+    steps = steps_of(fit)
     starts = group_starts([labels], stretch, together_for(labels))
     if not local:
         stretch[:] = -1
     grouped, number = merged(steps, starts), stretch[starts]
-    first = np.unique(stretch, return_index=True)[1][int((stretch < 0).any()) :]
-    linked, inside = np.diff(labels.contact[first]) == 0, number >= 0
+    first = np.flatnonzero(np.diff(stretch, prepend=-1) > 0)
+    linked = np.diff(labels.contact[first]) == 0
     time = np.cumsum(steps.duration)
     longest = max(_longest_of(time, labels), 1e-3 * (time[-1] - time[0]), 1e-9)
     # That of an integrated Wiener process of this deviation at the end of the longest contact.
@@ -178,7 +180,7 @@ def most_probable(fit: Fit, steps: Step, *, local: bool) -> Fit:
         logarithms, walk = np.split(values, [INTENSITIES])
         now = grouped._replace(pace=paces(walk, number))
         states = kalman.smoothed(now, np.exp(logarithms), start)
-        of_walk = np.bincount(number[inside], states.score[inside, :2].sum(axis=1), len(walk))
+        of_walk = np.bincount(number + 1, states.score[:, :2].sum(axis=1), len(walk) + 1)[1:]
         step = np.where(linked, np.diff(walk), 0.0)
         pull = np.diff(step, prepend=0.0, append=0.0)[: len(walk)]
         away = (logarithms[_OF_LENGTH] - expected) / _USUALLY
@@ -208,18 +210,17 @@ def stretches(labels: Labels) -> Codes:
     """Number of the stretch that each sample belongs to; -1 without contact."""
     number, stretch = 0, np.full(len(labels.phase), -1)
     size = _STRETCH * together_for(labels) / TOGETHER
-    for first, last in runs_of(labels.phase != FREE):
-        rows = last - first + 1
-        count = max(1, round(rows / size))
-        stretch[first : last + 1] = number + np.arange(rows) * count // rows
+    for rows in labels.contacts:
+        total = rows.stop - rows.start
+        count = max(1, round(total / size))
+        stretch[rows] = number + np.arange(total) * count // total
         number += count
     return stretch
 
 
 def _longest_of(time: Samples, labels: Labels) -> float:
     """Time [s] that the longest contact takes; 0 without contact."""
-    spans = [time[last] - time[first] for first, last in runs_of(labels.phase != FREE)]
-    return float(max(spans, default=0.0))
+    return float(max((np.ptp(time[rows]) for rows in labels.contacts), default=0.0))
 
 
 def as_flank(fit: Fit) -> Fit:
@@ -229,13 +230,12 @@ def as_flank(fit: Fit) -> Fit:
     labels, tip = fit.labels, fit.labels.phase == TIP
     if not tip.any():
         return fit
-    goes_on = (labels.link == KINK) & (np.diff(labels.phase != FREE, prepend=False) == 0)
     phase = np.where(tip, TANGENTIAL, labels.phase)
-    link = np.where(goes_on, GO_ON, labels.link)
+    link = np.where(labels.link == JUMP, JUMP, GO_ON)
     flank = fit._replace(labels=labels._replace(phase=phase, link=link))
     for _ in range(_FLANK_STEPS):
         states = smoothed_states(flank, steps_of(flank))
-        flank = _stepped(flank, _coordinates(flank.labels, states))
+        flank = _stepped(flank, _coordinates(states))
     return fit.about(chosen(tip, flank.linear, fit.linear))
 
 
@@ -251,7 +251,7 @@ def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
     for labels, factor in zip(candidates, factors, strict=True):
         other = fit.with_phases(labels)._replace(intensities=_with_drift(fit, factor))
         states = smoothed_states(other, steps_of(other), rough=False)
-        means.append(_coordinates(labels, states))
+        means.append(_coordinates(states))
         squares.append(states.covariance[:, PLACE, PLACE])
     mean = np.mean(means, axis=0)
     away = np.stack(means) - mean
@@ -271,11 +271,10 @@ def _drift_deviation(fit: Fit) -> float:
     likelihood.
     """
     steps = merged(steps_of(fit), group_starts([fit.labels], together=together_for(fit.labels)))
+    start = kalman.at_rest(fit.zero)
     less, more = (
-        kalman.smoothed(steps, _with_drift(fit, np.exp(half)), kalman.at_rest(fit.zero)).score[
-            :, -1
-        ]
-        for half in (-0.5, 0.5)
+        kalman.smoothed(steps, _with_drift(fit, factor), start).score[:, -1].sum()
+        for factor in np.exp([-0.5, 0.5])
     )
     # At least that of an e-fold: the likelihood tells nothing of a drift that is not there.
-    return float(1 / np.sqrt(max(less.sum() - more.sum(), 1.0)))
+    return float(1 / np.sqrt(max(less - more, 1.0)))

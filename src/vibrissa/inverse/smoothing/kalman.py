@@ -11,6 +11,7 @@ process) and d by white noise:
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -51,8 +52,8 @@ Vector = Float[Array, "state"]
 State = Float[Array, "state *k"]
 Square = Float[Array, "state state"]
 Seen = tuple[Array, ...]
-"""What the observations of a sample did, one a row: innovation (observed, *k), its variance
-(observed), infinite where nothing was observed, and gain (observed, state)."""
+"""What the observations of a sample did, one a row: innovation (observed, *k) and its variance
+(observed), infinite where nothing was observed."""
 
 
 class Gaussian(NamedTuple):
@@ -122,18 +123,18 @@ def at_rest(zero: Gaussian) -> Gaussian:
 
 
 def entered(
-    mean: State, covariance: Square, keep: Vector, begin: Vector, spread: Vector
-) -> tuple[State, Square]:
-    """State as it enters a sample."""
-    return (keep * mean.T + begin).T, keep[:, None] * covariance * keep + jnp.diag(spread)
+    state: Gaussian, keep: Vector, begin: Float[Array, "state *columns"], spread: Vector
+) -> Gaussian:
+    """State as it enters a sample; several columns, if they begin anew with other values."""
+    mean, covariance = state
+    covariance = keep[:, None] * covariance * keep + jnp.diag(spread)
+    return Gaussian((keep * mean.T + begin.T).T, covariance)
 
 
-def predicted(
-    mean: State, covariance: Square, step: Step, intensities: Intensities
-) -> tuple[State, Square]:
+def predicted(state: Gaussian, step: Step, intensities: Intensities) -> Gaussian:
     """State before the sample is seen, from that which entered it."""
-    spread = moved(step, moved(step, covariance).T)
-    return moved(step, mean), spread + _process_noise(step, intensities)
+    spread = moved(step, moved(step, state.covariance).T)
+    return Gaussian(moved(step, state.mean), spread + _process_noise(step, intensities))
 
 
 def moved(step: Step, rows: State) -> State:
@@ -141,27 +142,23 @@ def moved(step: Step, rows: State) -> State:
     return rows.at[PLACE].add((step.active * step.duration * rows[RATE].T).T)
 
 
-def _moved_back(step: Step, rows: State) -> State:
-    """The transpose of entering and moving."""
-    rows = rows.at[RATE].add((step.active * step.duration * rows[PLACE].T).T)
-    return (step.keep * rows.T).T
-
-
-def updated(mean: State, covariance: Square, step: Step) -> tuple[State, Square, Seen]:
+def updated(state: Gaussian, step: Step) -> tuple[Gaussian, Seen]:
     """State after the sample is seen, and what its observations did, one after the other."""
-    told = []
-    for z, target, variance in zip(_design(step), step.target, step.variance, strict=True):
-        seen, direction = jnp.isfinite(variance), covariance @ z
-        spread = z @ direction + jnp.where(seen, variance, 1.0)
-        innovation = jnp.where(seen, target - z @ mean, 0.0)
-        gain = jnp.where(seen, direction / spread, 0.0)
+    (mean, covariance), told = state, []
+    for z, target, variance in zip(design(step), step.target, step.variance, strict=True):
+        known, direction = jnp.isfinite(variance), covariance @ z
+        spread = z @ direction + jnp.where(known, variance, 1.0)
+        innovation = jnp.where(known, target - z @ mean, 0.0)
+        gain = jnp.where(known, direction / spread, 0.0)
         mean = mean + jnp.tensordot(gain, innovation, 0)
         covariance = covariance - jnp.outer(gain, direction)
-        told.append((innovation, jnp.where(seen, spread, jnp.inf), gain))
-    return mean, (covariance + covariance.T) / 2, tuple(map(jnp.stack, zip(*told, strict=True)))
+        told.append((innovation, jnp.where(known, spread, jnp.inf)))
+    seen = tuple(map(jnp.stack, zip(*told, strict=True)))
+    return Gaussian(mean, (covariance + covariance.T) / 2), seen
 
 
-def _design(step: Step) -> Float[Array, "observed state"]:
+def design(step: Step) -> Float[Array, "observed state"]:
+    """What the observations show of the state."""
     drift = jnp.eye(ROWS, WRENCH)
     return jnp.concatenate([step.slope, jnp.zeros((ROWS, COORDINATES)), drift], axis=1)
 
@@ -175,17 +172,15 @@ def log_likelihood(step: Step, seen: Seen) -> Float[Array, "*k"]:
 
 
 def _log_density(seen: Seen, size: Float[Array, "observed"]) -> Float[Array, "*k"]:
-    innovation, spread, _ = seen
+    innovation, spread = seen
     size, spread = (jnp.where(jnp.isfinite(spread), part, 1.0) for part in (size, spread))
     return -0.5 * jnp.sum(jnp.log(size) + innovation.T**2 / spread, axis=-1)
 
 
 def filled(rows: Tree, size: int = _BUCKET) -> Tree:
-    """With rows of zeros, which loops leave out, up to a multiple of a size."""
-    missing = -len(jax.tree.leaves(rows)[0]) % size
-    return jax.tree.map(
-        lambda part: np.concatenate([part, np.zeros((missing, *part.shape[1:]))]), rows
-    )
+    """With rows, which loops leave out, up to a multiple of a size."""
+    whole = -(-len(jax.tree.leaves(rows)[0]) // size) * size
+    return jax.tree.map(lambda part: np.resize(part, (whole, *part.shape[1:])), rows)
 
 
 def scanned(
@@ -195,74 +190,60 @@ def scanned(
     any number of rows up to those that there are.
     """
 
-    def row(index: Any) -> Any:
-        return jax.tree.map(
-            lambda part: lax.dynamic_index_in_dim(part, index, keepdims=False), rows
-        )
-
     def step(number: Array, state: Any) -> Any:
         index = count - 1 - number if back else number
-        after, told = one(state[0], row(index))
-        return after, jax.tree.map(
-            lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, index, 0),
-            state[1],
-            told,
-        )
+        row = jax.tree.map(lambda part: lax.dynamic_index_in_dim(part, index, keepdims=False), rows)
+        after, told = one(state[0], row)
+        put = partial(lax.dynamic_update_index_in_dim, index=index, axis=0)
+        return after, jax.tree.map(put, state[1], told)
 
-    length = len(jax.tree.leaves(rows)[0])
-    told = jax.tree.map(
-        lambda part: jnp.zeros((length, *part.shape), part.dtype),
-        jax.eval_shape(one, carry, row(0))[1],
-    )
-    return lax.fori_loop(0, count, step, (carry, told))
+    _, told = jax.eval_shape(jax.vmap(one, (None, 0)), carry, rows)
+    return lax.fori_loop(0, count, step, (carry, jax.tree.map(jnp.zeros_like, told)))
 
 
 @compiled
 def _smoothed(
     steps: Step, count: Int[Any, ""], intensities: Intensities, start: Gaussian
 ) -> States:
-    def forward(carry: Gaussian, step: Step) -> tuple[Gaussian, Any]:
-        before = predicted(*entered(*carry, *step[:3]), step, intensities)
-        mean, covariance, seen = updated(*before, step)
-        return Gaussian(mean, covariance), (*before, seen, log_likelihood(step, seen))
+    def arriving(state: Gaussian, step: Step, q: Intensities) -> Gaussian:
+        return predicted(entered(state, *step[:3]), step, q)
 
-    def backward(carry: tuple[State, Square], row: Any) -> tuple[tuple[State, Square], States]:
-        step, (mean, covariance, seen, likelihood) = row
-        pull, information = _pulled(*carry, step, seen)
+    def seeing(state: Gaussian, step: Step) -> tuple[Gaussian, Array]:
+        after, seen = updated(state, step)
+        return after, log_likelihood(step, seen)
+
+    def forward(state: Gaussian, step: Step) -> tuple[Gaussian, Any]:
+        before = arriving(state, step, intensities)
+        after, likelihood = seeing(before, step)
+        return after, (before, likelihood)
+
+    def backward(slope: Gaussian, row: Any) -> tuple[Gaussian, States]:
+        step, (before, likelihood) = row
+        mean, covariance = before
+        # Derivatives of the log-likelihood by the prediction: r, and half of r rᵀ − N.
+        _, to_prediction = jax.vjp(lambda state: seeing(state, step), before)
+        (slope,) = to_prediction((slope, jnp.ones_like(likelihood)))
+        pulls = slope.mean.reshape(SIZE, -1)
+        surprise = slope.covariance + slope.covariance.T
+        information = (pulls @ pulls.T - surprise) / pulls.shape[1]
         spread = covariance - covariance @ information @ covariance
-        pulls = pull.reshape(SIZE, -1)
-        surprise = pulls @ pulls.T - information
-        slope = jax.grad(lambda q: jnp.sum(surprise * _process_noise(step, q)) / 2)
+        _, to_sample_before = jax.vjp(lambda state, q: arriving(state, step, q), start, intensities)
+        earlier, of_intensities = to_sample_before(slope)
         told = States(
-            mean + covariance @ pull,
+            mean + covariance @ slope.mean,
             (spread + spread.T) / 2,
-            pull,
+            slope.mean,
             information,
-            intensities * slope(intensities),
+            intensities * of_intensities,
             likelihood,
             Gaussian(mean[DRIFT], covariance[DRIFT, DRIFT]),
         )
-        return (_moved_back(step, pull), _moved_back(step, _moved_back(step, information).T)), told
+        return earlier, told
 
     there = scanned(forward, start, steps, count)[1]
-    nothing = jnp.zeros_like(start.mean), jnp.zeros((SIZE, SIZE))
+    nothing = jax.tree.map(jnp.zeros_like, start)
     states: States = scanned(backward, nothing, (steps, there), count, back=True)[1]
     return states
-
-
-def _pulled(r: State, information: Square, step: Step, seen: Seen) -> tuple[State, Square]:
-    """What a sample and those after it say against the prediction of it."""
-    each = (part[::-1] for part in (_design(step), *seen))
-    for z, innovation, spread, gain in zip(*each, strict=True):
-        along = information @ gain
-        r = r + jnp.tensordot(z, innovation / spread - gain @ r, 0)
-        information = (
-            information
-            - jnp.outer(z, along)
-            - jnp.outer(along, z)
-            + jnp.outer(z, z) * (1 / spread + gain @ along)
-        )
-    return r, information
 
 
 def smoothed(steps: Step, intensities: Intensities, start: Gaussian) -> States:
@@ -292,17 +273,16 @@ def _log_likelihoods(
 ) -> Float[Array, ""]:
     count, intensities, start = shared
 
-    def one(carry: tuple[State, Square, Array], step: Step) -> tuple[Any, None]:
-        mean, covariance, total = carry
-        before = predicted(*entered(mean, covariance, *step[:3]), step, intensities)
-        mean, covariance, seen = updated(*before, step)
+    def one(carry: tuple[Gaussian, Array], step: Step) -> tuple[Any, None]:
+        state, total = carry
+        state, seen = updated(predicted(entered(state, *step[:3]), step, intensities), step)
         # s₁ and k² lie between 0 and 1: however vague, their densities are not below 1.
         size = (2 * jnp.pi * seen[1]).at[WRENCH:].min(1.0)
-        return (mean, covariance, total + _log_density(seen, size)), None
+        return (state, total + _log_density(seen, size)), None
 
     def joint(variance: Float[Array, "n observed"]) -> Float[Array, ""]:
         rows = steps._replace(variance=variance)
-        return scanned(one, (*start, jnp.zeros(())), rows, count)[0][2]
+        return scanned(one, (start, jnp.zeros(())), rows, count)[0][1]
 
     unseen = steps.variance.at[:, :WRENCH].set(jnp.inf)
     wrenches, constraints = jax.vmap(joint)(jnp.stack([steps.variance, unseen]))

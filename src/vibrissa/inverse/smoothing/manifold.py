@@ -64,20 +64,14 @@ class Bent(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """The manifold to first order about coordinates, one row a sample."""
+    """The manifold to first order about coordinates, one row a sample; not finite where there is no
+    rod with these: a curvature without a zero (k² ≥ 1) has no contact.
+    """
 
     x: Float[Any, "*n coordinates"]
     value: Bent
     slope: Bent
     """Derivatives by the coordinates."""
-
-    @property
-    def exists(self) -> Bool[np.ndarray, "n"]:
-        """Whether there is a rod with these coordinates: a curvature without a zero (k² ≥ 1) has no
-        contact.
-        """
-        finite = jax.tree.map(lambda part: np.isfinite(part).reshape(len(part), -1).all(1), self)
-        return np.all(jax.tree.leaves(finite), axis=0)
 
 
 def linear_at(x: Float[Array, "coordinates"]) -> Linear:
@@ -91,22 +85,24 @@ _LINEAR = lanes()(lambda _, x: linear_at(x))
 
 def linearised(x: Float[np.ndarray, "n coordinates"]) -> Linear:
     """The manifold about the coordinates of many samples."""
-    bent_rows = np.flatnonzero(np.any(x != AT_REST, axis=1))
+    loaded = np.any(x != AT_REST, axis=1)
     # Rods at rest are all alike: the first row is one.
-    number = np.zeros(len(x), dtype=int)
-    number[bent_rows] = 1 + np.arange(len(bent_rows))
-    found: Linear = _LINEAR(None, np.concatenate([[AT_REST], x[bent_rows]]))
-    return jax.tree.map(lambda part: part[number], found)
+    found: Linear = _LINEAR(None, np.concatenate([[AT_REST], x[loaded]]))
+    return jax.tree.map(lambda part: part[loaded * np.cumsum(loaded)], found)
+
+
+def finite(rows: Any) -> Bool[np.ndarray, "n"]:
+    """Rows of a tree of arrays that hold finite numbers alone."""
+    parts = (np.isfinite(part).reshape(len(part), -1) for part in jax.tree.leaves(rows))
+    return np.all([part.all(axis=1) for part in parts], axis=0)
 
 
 def chosen(rows: Bool[np.ndarray, "n"], first: Tree, second: Tree | float) -> Tree:
     """The first tree of arrays in these rows; in the others the second, or a number."""
-    if isinstance(second, float):
-        second = jax.tree.map(lambda _: second, first)
     return jax.tree.map(
-        lambda one, other: np.where(rows.reshape(-1, *[1] * (one.ndim - 1)), one, other),
+        lambda one, other: np.where(rows, one.T, np.transpose(other)).T,
         first,
-        second,
+        jax.tree.broadcast(second, first),
     )
 
 

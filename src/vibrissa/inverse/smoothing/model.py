@@ -4,16 +4,16 @@ Stated once for offline and live smoothing.
 """
 
 import math
-from collections.abc import Iterator
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import binary_dilation, find_objects, label
 
-from vibrissa.contacts import ContactKind
-from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.contacts import ContactKind, Status
+from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import in_clamp_axes
 from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.kalman import (
@@ -35,10 +35,9 @@ from vibrissa.inverse.smoothing.manifold import (
     TILT,
     Linear,
     chosen,
+    finite,
     linearised,
 )
-from vibrissa.reactions import Reactions
-from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
 Samples = Float[np.ndarray, "_"]
@@ -93,8 +92,6 @@ class Series(NamedTuple):
     """One recording in clamp axes and model units."""
 
     time: Samples
-    turn: Float[np.ndarray, "n 3 3"]
-    """From clamp to world axes."""
     wrench: Float[np.ndarray, "n wrench"]
     """(f0, m0); zero where the sample is bad."""
     whitening: Float[np.ndarray, "n wrench wrench"]
@@ -107,8 +104,7 @@ class Series(NamedTuple):
     def step(self) -> float:
         """Usual time from one sample to the next, without stamps that repeat or nearly so."""
         steps = np.diff(self.time)
-        apart = steps[steps > 0.01 * np.mean(steps)] if steps.size else steps
-        return float(np.median(apart)) if apart.size else 1.0
+        return float(np.median(steps[steps > 0.01 * steps.mean()])) if steps.size else 1.0
 
     @property
     def whitened(self) -> Float[np.ndarray, "n wrench"]:
@@ -116,21 +112,25 @@ class Series(NamedTuple):
         return np.einsum("nij,nj->ni", self.whitening, self.wrench)
 
 
-def series_of(rod: Rod, reactions: Reactions, ringing: Flags) -> Series:
+def series_of(found: Reconstruction, time: Samples) -> Series:
     """Rows of one trail with known noise. Those at which the free rod swings show no load, and
     little of the zero's drift.
     """
-    wrench, covariance = in_clamp_axes(reactions, rod)
-    sound, count = np.isfinite(wrench).all(axis=1), len(wrench)
+    wrench, covariance = in_clamp_axes(found.reactions, found.rod)
+    sound, ringing = finite(wrench), found.status == Status.RINGING
     weight = np.where(ringing, _FAINT, 1.0)[:, None, None]
     return Series(
-        np.arange(count, dtype=float) if reactions.time is None else reactions.time,
-        rotation_matrices(reactions.trail.orientation),
+        time,
         np.where((sound & ~ringing)[:, None], wrench, 0.0),
-        weight * np.linalg.inv(np.linalg.cholesky(np.asarray(covariance))),
-        sound,
+        weight * whitening_of(covariance),
+        sound & (found.status != Status.TOUCHES_TWICE),
         ringing,
     )
+
+
+def whitening_of(covariance: Float[np.ndarray, "n 6 6"] | None) -> Float[np.ndarray, "n 6 6"]:
+    """W with W Σ Wᵀ = 1."""
+    return np.linalg.inv(np.linalg.cholesky(np.asarray(covariance)))
 
 
 class Labels(NamedTuple):
@@ -139,7 +139,7 @@ class Labels(NamedTuple):
     phase: Codes
     """Values of `ContactKind`."""
     link: Codes
-    """GO_ON, KINK or JUMP."""
+    """GO_ON, KINK or JUMP; at a change of phase other rates need no KINK."""
     share: Samples
     """Of the time since the sample before in which the contact moved; less than 1 where it began on
     the way.
@@ -147,9 +147,38 @@ class Labels(NamedTuple):
     pace: Samples
     """Factor of the intensities of moment and axial force."""
 
+    @classmethod
+    def of(cls, phase: Codes) -> "Labels":
+        """These phases, and nothing else that happens."""
+        one = np.ones(len(phase))
+        return cls(phase, np.full(len(phase), GO_ON), one, one)
+
     def copy(self) -> "Labels":
         """Labels to write into."""
         return Labels(*(part.copy() for part in self))
+
+    def in_phase(self, phase: int, rows: slice) -> "Labels":
+        """Labels with these rows in this phase."""
+        other = self.copy()
+        other.phase[rows] = phase
+        return other
+
+    def moved(self, change: int, place: int) -> "Labels":
+        """Labels with the change of phase at sample `change` at `place` instead, with its link."""
+        other = self.copy()
+        other.phase[place:change], other.phase[change:place] = self.phase[[change, change - 1]]
+        other.link[change], other.link[place] = GO_ON, self.link[change]
+        return other
+
+    @property
+    def touching(self) -> Flags:
+        """Samples in contact."""
+        return np.not_equal(self.phase, FREE)
+
+    @property
+    def contacts(self) -> list[slice]:
+        """Rows of each contact."""
+        return runs_of(self.touching)
 
     @property
     def begins(self) -> Flags:
@@ -164,21 +193,19 @@ class Labels(NamedTuple):
     @property
     def changes(self) -> list[int]:
         """First samples of a new phase within contacts."""
-        before, phase = self.phase[:-1], self.phase[1:]
-        within: list[int] = (np.flatnonzero((phase != before) & (phase * before > 0)) + 1).tolist()
-        return within
+        within = self.begins[1:] & (self.phase[1:] != FREE) & (self.phase[:-1] != FREE)
+        changes: list[int] = (np.flatnonzero(within) + 1).tolist()
+        return changes
 
     @property
     def contact(self) -> Codes:
         """Number of the contact, or of the stretch without, that each sample belongs to."""
-        return np.cumsum(np.diff(self.phase != FREE, prepend=False))
+        return np.cumsum(np.diff(self.touching, prepend=False))
 
 
-def runs_of(flags: Flags) -> Iterator[tuple[int, int]]:
-    """First and last index of each run of true flags."""
-    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
-    for first, stop in edges.reshape(-1, 2).tolist():
-        yield first, stop - 1
+def runs_of(flags: Flags) -> list[slice]:
+    """Rows of each run of true flags."""
+    return [rows for (rows,) in find_objects(label(flags)[0])]
 
 
 class Fit(NamedTuple):
@@ -204,8 +231,7 @@ class Fit(NamedTuple):
 
     def rows(self, rows: slice) -> "Fit":
         """Some of the samples."""
-        each: list[Any] = jax.tree.map(lambda part: part[rows], list(self)[:6])
-        return Fit(*(each + list(self)[6:]))
+        return Fit._make([*jax.tree.map(lambda part: part[rows], self[:6]), *self[6:]])
 
     def about(self, linear: Linear) -> "Fit":
         """About other coordinates."""
@@ -268,9 +294,9 @@ def entries(
     of `Step`.
     """
     phase, link, share, _ = labels
-    tip, touching = phase == TIP, phase != FREE
+    tip, touching = phase == TIP, labels.touching
     onset, anew = touching & (before == FREE), touching & (link == JUMP)
-    changed = touching & ~onset & (phase != before) & (link == KINK)
+    changed = touching & ~onset & ~anew & (phase != before)
     new_rates = onset | (touching & (link > GO_ON) & ~changed)
     # A contact that begins with the flank begins anywhere on the rod.
     flank = (onset | anew) & ~tip
@@ -294,8 +320,8 @@ def steps_of(fit: Fit) -> Step:
     series, labels, x = fit.series, fit.labels, fit.linear.x
     phase, contact, tangential = labels.phase, labels.contact, labels.phase == TANGENTIAL
     # Without contact, or without a rod of such coordinates, nothing depends on them.
-    shows = series.sound & fit.linear.exists
-    linear = chosen(shows & (phase != FREE), fit.linear, 0.0)
+    shows = series.sound & finite(fit.linear)
+    linear = chosen(shows & labels.touching, fit.linear, 0.0)
     residual, slope = observed(linear, series.wrench, series.whitening)
     variance = np.full((len(phase), ROWS), np.inf)
     variance[shows, :WRENCH] = 1 / fit.weight[shows, None]
@@ -322,7 +348,7 @@ def together_for(labels: Labels, *, rough: bool = True) -> int:
     """How many samples of a contact to take together: 4 where it is rough, else 1, and more in long
     contacts, which have so many groups at most.
     """
-    longest = int(np.bincount(np.cumsum(labels.phase == FREE), labels.phase != FREE).max(initial=0))
+    longest = max((rows.stop - rows.start for rows in labels.contacts), default=0)
     return max(TOGETHER, -(-longest // _ROUGH_GROUPS)) if rough else max(1, -(-longest // _GROUPS))
 
 
@@ -332,15 +358,13 @@ def group_starts(
     """First samples of groups of 4, or of 32 without contact; in none of the candidates something
     changes within a group or where one begins, nor does the number `also`.
     """
-    count = len(candidates[0].phase)
-    place, size = np.arange(count), np.full(count, _TOGETHER_FREE)
-    begins = np.diff(np.zeros(count) if also is None else also, prepend=-1, append=0) != 0
-    for labels in candidates:
-        changed = np.diff(labels.phase, prepend=labels.phase[0]) != 0
-        changes = np.flatnonzero(changed | (labels.link > GO_ON))
-        begins[np.concatenate([np.maximum(changes - 1, 0), changes, changes + 1])] = True
-        size[labels.phase != FREE] = together
-    begins = begins[:-1] | (np.diff(size, prepend=size[0]) != 0)
+    phase, link = (np.stack(rows) for rows in list(zip(*candidates, strict=True))[:2])
+    changes = (np.diff(phase, prepend=phase[:, :1]) != 0) | (link > GO_ON)
+    size = np.where(np.any(phase != FREE, axis=0), together, _TOGETHER_FREE)
+    begins = binary_dilation(changes.any(axis=0)) | (np.diff(size, prepend=0) != 0)
+    if also is not None:
+        begins |= np.diff(also, prepend=also[0]) != 0
+    place = np.arange(len(size))
     first = np.maximum.accumulate(np.where(begins, place, 0))
     return np.flatnonzero((place - first) % size == 0)
 
@@ -350,39 +374,34 @@ def merged(steps: Step, starts: Codes) -> Step:
     by its precision. They say as much of a motion that is slow against them, in fewer steps.
     """
     precision = 1 / steps.variance
-    total = np.add.reduceat(precision, starts)
-    sizes = np.diff(starts, append=len(precision))
-    weight = precision / np.repeat(np.maximum(total, TINY), sizes, axis=0)
-    target = weight.reshape(*weight.shape, *[1] * (steps.target.ndim - 2)) * steps.target
+
+    def averaged(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        sums, total = (np.add.reduceat(part, starts) for part in ((values.T * weight.T).T, weight))
+        return np.asarray((sums.T / np.maximum(total, TINY).T).T)
+
     with np.errstate(divide="ignore"):
-        variance = 1 / total
+        variance = 1 / np.add.reduceat(precision, starts)
+    # Groups without observations have a middle, too.
+    middle = averaged(np.cumsum(steps.duration), precision[:, 0] + 1e-12)
     first: Step = jax.tree.map(lambda part: part[starts], steps)
     return first._replace(
-        duration=np.diff(_middle(steps, starts), prepend=0.0),
-        target=np.add.reduceat(target, starts),
-        slope=np.add.reduceat(weight[..., None] * steps.slope, starts),
+        duration=np.diff(middle, prepend=0.0),
+        target=averaged(steps.target, precision),
+        slope=averaged(steps.slope, precision),
         variance=variance,
     )
 
 
-def spread_out(states: States, steps: Step, starts: Codes) -> States:
+def spread_out(states: States, groups: Step, steps: Step, starts: Codes) -> States:
     """States of groups, for each of their samples: coordinates go on at their rates, all else is
     the same.
     """
-    time = np.cumsum(steps.duration)
-    number = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(time)))
+    number = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(steps.duration)))
     parts = jax.tree.map(lambda part: part[number], states)
-    since = steps.active * (time - _middle(steps, starts)[number])[:, None]
-    parts.mean[:, PLACE] += (since.T * parts.mean[:, RATE].T).T
+    since = np.cumsum(steps.duration) - np.cumsum(groups.duration)[number]
+    parts.mean[:, PLACE] += (steps.active.T * since * parts.mean[:, RATE].T).T
     parts.log_likelihood[np.diff(number, prepend=-1) == 0] = 0
     return parts
-
-
-def _middle(steps: Step, starts: Codes) -> Float[np.ndarray, "groups"]:
-    # Groups without observations have a middle, too.
-    share = 1 / steps.variance[:, 0] + 1e-12
-    sums = (np.add.reduceat(part, starts) for part in (share * np.cumsum(steps.duration), share))
-    return np.asarray(np.divide(*sums))
 
 
 def smoothed_states(fit: Fit, steps: Step, *, rough: bool = True) -> States:
@@ -393,5 +412,5 @@ def smoothed_states(fit: Fit, steps: Step, *, rough: bool = True) -> States:
     start = kalman.at_rest(fit.zero)
     if steps.target.ndim > 2:  # several series that begin at zero
         start = start._replace(mean=np.zeros((SIZE, steps.target.shape[2])))
-    states = kalman.smoothed(merged(steps, starts), fit.intensities, start)
-    return spread_out(states, steps, starts)
+    groups = merged(steps, starts)
+    return spread_out(kalman.smoothed(groups, fit.intensities, start), groups, steps, starts)

@@ -1,5 +1,6 @@
-"""Where a recording is in contact, and where with the tip: a first division into phases, which the
-likelihood then refines.
+"""What the samples themselves show: where a recording is in contact, and where with the tip, a first
+division into phases, which the likelihood then refines; and where the motion of a contact breaks:
+steps of the wrench, shocks that are no noise.
 """
 
 from itertools import accumulate
@@ -8,26 +9,38 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
-from scipy.ndimage import binary_closing, binary_opening, uniform_filter1d
+from jaxtyping import Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import (
+    binary_closing,
+    binary_opening,
+    maximum_filter1d,
+    median_filter,
+    uniform_filter1d,
+)
 from scipy.special import chdtri
 
 from vibrissa.inverse.inverse import invert, single_contact
-from vibrissa.inverse.smoothing.kalman import WRENCH, Gaussian
+from vibrissa.inverse.smoothing.kalman import RATE, WRENCH, Gaussian, States
+from vibrissa.inverse.smoothing.manifold import LOADS
 from vibrissa.inverse.smoothing.model import (
     FREE,
+    JUMP,
+    KINK,
     TANGENTIAL,
     TINY,
     TIP,
     Codes,
+    Fit,
     Flags,
+    Labels,
     Samples,
     Series,
     runs_of,
 )
 from vibrissa.numerics.lanes import lanes
 
-_DETECTION_SAMPLES = 5
+DETECTION_SAMPLES = 5
 """Averaged before a load is tested, so that one outlier in a thousand is no contact."""
 _LEAST_SAMPLES, _LONGEST_GAP = 8, 8
 _FIT_SAMPLES = 51
@@ -38,6 +51,16 @@ _CHANGE_COST = 6.0
 _FREEDOM_COST = 0.1
 _MOST_DEVIATION = 0.05
 """Rod lengths: of arc lengths that tell a phase."""
+_FALSE_JUMPS = 1e-3
+"""Expected number of jumps found in a recording that has none."""
+_APART = 12
+"""Least samples between two breaks: closer ones are one."""
+_SIDE, _HALF = 3, 25
+"""Samples to either side of a step, and of its neighbourhood."""
+_STEP, _UNUSUAL = 12.0, 6.0
+"""Standard deviations of a step, and its size over the usual difference: a contact that slides on,
+also through a change of phase, is far from both.
+"""
 
 
 def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
@@ -50,18 +73,25 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     between loaded ones.
     """
     load = (series.whitened - zero.mean) * series.sound[:, None]
-    count = _running_sum(series.sound.astype(float), _DETECTION_SAMPLES)
-    seen = np.maximum(count, 1)[:, None]
-    mean = _running_sum(load, _DETECTION_SAMPLES) / seen
-    covariance = np.eye(WRENCH) / seen[..., None] + zero.covariance
-    distance = np.einsum("ni,ni->n", mean, np.linalg.solve(covariance, mean[..., None])[..., 0])
-    loaded = (count > 0) & (distance > chdtri(WRENCH, false_alarm))
+    count = _running_sum(series.sound.astype(float), DETECTION_SAMPLES)
+    seen = np.maximum(count, 1)
+    mean = _running_sum(load, DETECTION_SAMPLES) / seen[:, None]
+    loaded = (count > 0) & (load_chi_square(mean, seen, zero) > chdtri(WRENCH, false_alarm))
     around = np.pad(loaded, 1)
-    for first, last in runs_of(~series.sound):
-        loaded[first : last + 1] = around[first] & around[last + 2]
+    for rows in runs_of(~series.sound):
+        loaded[rows] = around[rows.start] & around[rows.stop + 1]
     size = _LONGEST_GAP + 1
     closed = binary_closing(np.pad(loaded, size, mode="edge"), np.ones(size))[size:-size]
     return binary_opening(closed, np.ones(_LEAST_SAMPLES)) & ~series.ringing
+
+
+def load_chi_square(mean: Float[np.ndarray, "n wrench"], count: Samples, zero: Gaussian) -> Samples:
+    """Of means of so many whitened wrenches, less the drift of the zero, being noise and that
+    drift's error alone: six degrees of freedom.
+    """
+    covariance = np.eye(WRENCH) / count[:, None, None] + zero.covariance
+    solved = np.linalg.solve(covariance, mean[..., None])[..., 0]
+    return np.asarray(np.einsum("ni,ni->n", mean, solved))
 
 
 def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
@@ -98,8 +128,7 @@ def first_labels(series: Series, zero: Gaussian, false_alarm: float) -> tuple[Co
     """Phase and rough arc length (model units) of each sample, for what is known of the zero."""
     phase, arc_length = np.full(len(series.time), FREE), np.ones(len(series.time))
     value, deviation = raw_arc_lengths(series, zero.mean)
-    for first, last in runs_of(detected(series, zero, false_alarm)):
-        rows = slice(first, last + 1)
+    for rows in runs_of(detected(series, zero, false_alarm)):
         phase[rows], average = _phases_of(value[rows], deviation[rows])
         arc_length[rows] = np.where(phase[rows] == TANGENTIAL, np.clip(average, 0.05, 1.0), 1.0)
     return phase, arc_length
@@ -141,3 +170,61 @@ def _running_line(value: Samples, weight: Samples) -> Samples:
     sound = determinant > 1e-9 * np.maximum(w * wxx, TINY)
     slope = np.where(sound, (w * wxy - wx * wy) / np.where(sound, determinant, 1.0), 0.0)
     return np.where(w > 0, (wy - slope * wx) / np.maximum(w, TINY) + slope * place, 1.0)
+
+
+def with_snaps(fit: Fit) -> Labels:
+    """Jumps where the wrench steps from one sample to the next, far from its noise and from its
+    course before and after; a change of phase beside one is moved there.
+    """
+    labels, sound, count = fit.labels, fit.series.sound, len(fit.labels.phase)
+    if count < 2 * _HALF or not sound.any():
+        return labels
+    known, touching = np.flatnonzero(sound), labels.touching & sound
+    parts = fit.series.whitened[known].T
+    load = np.column_stack([np.interp(np.arange(count), known, part) for part in parts])
+    # Medians of some samples to either side: a spike is no step.
+    around = np.median(sliding_window_view(load, _SIDE, axis=0), axis=-1)
+    step = np.linalg.norm(around[_SIDE:] - around[:-_SIDE], axis=1)
+    step = np.pad(step, (_SIDE, _SIDE - 1))
+    usual = median_filter(step, 2 * _HALF + 1, mode="nearest")
+    largest = step == maximum_filter1d(step, 2 * _APART + 1, mode="nearest")
+    single = np.linalg.norm(np.diff(load, axis=0, prepend=load[:1]), axis=1)
+    inside = touching & np.append(False, touching[:-1])
+    for place in np.flatnonzero(inside & largest & (step > _STEP) & (step > _UNUSUAL * usual)):
+        row = int(place - 1 + np.argmax(single[place - 1 : place + 2]))
+        for change in labels.changes:
+            if abs(change - row) <= _APART:
+                labels = labels.moved(change, row)
+        labels = labels.copy()
+        labels.link[row] = JUMP
+    return labels
+
+
+def with_jumps(fit: Fit) -> Labels:
+    """With JUMP or KINK where the motion of the contact breaks: at shocks to its state that noise
+    does not explain (de Jong & Penzer, *JASA* 93, 1998).
+    """
+    labels = fit.labels.copy()
+    touching = labels.touching
+    rows = np.setdiff1d(np.flatnonzero(touching[1:] & touching[:-1]) + 1, labels.breaks)
+    rates = RATE.start + np.arange(LOADS)
+    turn = _shock(fit.states, rows, rates)
+    shock = _shock(fit.states, rows, np.append(np.arange(LOADS), rates))
+    level = _FALSE_JUMPS / max(len(rows), 1)
+    limit, value_limit = chdtri(2 * LOADS, level), chdtri(LOADS, level)
+    for k in np.argsort(-shock):
+        if shock[k] < limit:
+            break
+        if np.abs(labels.breaks - rows[k]).min(initial=_APART) >= _APART:
+            labels.link[rows[k]] = KINK if shock[k] - turn[k] < value_limit else JUMP
+    return labels
+
+
+def _shock(states: States, rows: Codes, entries: Int[np.ndarray, "k"]) -> Samples:
+    """Chi-square of a shock to these entries of the state on the way to a sample."""
+    information = states.information[rows][:, entries][:, :, entries]
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), TINY))
+    relative = information / scale[:, :, None] / scale[:, None, :]
+    inverse = np.linalg.pinv(relative, rcond=1e-10, hermitian=True)
+    pull = states.pull[rows][:, entries] / scale
+    return np.einsum("ni,nij,nj->n", pull, inverse, pull)

@@ -8,6 +8,10 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Contacts, Status
 
+Numbers = Float[np.ndarray, "*rows"] | float
+Vectors = Float[np.ndarray, "*rows 3"]
+Matrices = Float[np.ndarray, "*rows 3 3"]
+
 
 @dataclass(frozen=True)
 class Touch:
@@ -112,22 +116,22 @@ class LiveContact:
         contact is then that predicted from the samples before.
     """
 
-    time: Float[np.ndarray, "*rows"] | float
+    time: Numbers
     kind: Int[np.ndarray, "*rows"] | ContactKind
-    point: Float[np.ndarray, "*rows 3"]
-    force_direction: Float[np.ndarray, "*rows 3"]
-    arc_length: Float[np.ndarray, "*rows"] | float
-    modulus: Float[np.ndarray, "*rows"] | float
-    covariance: Float[np.ndarray, "*rows 3 3"]
-    normal_covariance: Float[np.ndarray, "*rows 3 3"]
-    covariance_noise: Float[np.ndarray, "*rows 3 3"]
-    normal_covariance_noise: Float[np.ndarray, "*rows 3 3"]
+    point: Vectors
+    force_direction: Vectors
+    arc_length: Numbers
+    modulus: Numbers
+    covariance: Matrices
+    normal_covariance: Matrices
+    covariance_noise: Matrices
+    normal_covariance_noise: Matrices
     sensitivity: Float[np.ndarray, "*rows 6 15"]
-    probability: Float[np.ndarray, "*rows"] | float
+    probability: Numbers
     status: Int[np.ndarray, "*rows"] | Status
 
     @property
-    def normal(self) -> Float[np.ndarray, "*rows 3"]:
+    def normal(self) -> Vectors:
         """(…, 3) outward unit normal of the object as far as it is known: the force direction,
         within atan μ of it where there is friction.
         """

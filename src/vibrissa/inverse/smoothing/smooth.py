@@ -15,7 +15,6 @@ from vibrissa.geometry.checks import not_negative
 from vibrissa.inverse.checks.check import with_contradictions, with_delay
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
-from vibrissa.inverse.smoothing.breaks import with_jumps, with_snaps
 from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
 from vibrissa.inverse.smoothing.estimate import by_itself, contacts_of
 from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
@@ -25,12 +24,15 @@ from vibrissa.inverse.smoothing.model import (
     GO_ON,
     JUMP,
     TARED,
+    Fit,
     Flags,
     NoMotionError,
+    Samples,
     incidence_spread_of,
     runs_of,
     series_of,
 )
+from vibrissa.inverse.smoothing.phases import with_jumps, with_snaps
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
 
 _ROUNDS = 4
@@ -97,20 +99,20 @@ def smooth(
             "give the sensor force_noise and torque_noise"
         )
     alone = found.kind.ndim == 1
-    each = [
-        _smoothed(trail, false_alarm, model_error, progress)
-        for trail in ([found] if alone else map(found.__getitem__, range(len(found.kind))))
-    ]
-    rows: dict[str, Any] = {name: np.stack([part[name] for part, _ in each]) for name in each[0][0]}
-    if alone:
-        rows = {name: value[0] for name, value in rows.items()}
-    smoothing: Any = tuple(told for _, told in each)
-    smoothed = with_shared(replace(found, **rows, smoothing=smoothing))
+    parts, told = zip(
+        *(_smoothed(trail, false_alarm, model_error, progress) for trail in found.trails),
+        strict=True,
+    )
+    rows: dict[str, Any] = {
+        name: parts[0][name] if alone else np.stack([part[name] for part in parts])
+        for name in parts[0]
+    }
+    smoothed = with_shared(replace(found, **rows, smoothing=told))
     smoothed = with_delay(smoothed) if alone else smoothed
     # What the check of the setup says of these errors, beside what smoothing found.
-    told, ours = with_contradictions(smoothed), smoothed.status == Status.SETUP_CONTRADICTED
-    status = np.where(ours, Status.SETUP_CONTRADICTED, told.status).astype(np.int8)
-    return replace(told, status=status)
+    checked, ours = with_contradictions(smoothed), smoothed.status == Status.SETUP_CONTRADICTED
+    status = np.where(ours, Status.SETUP_CONTRADICTED, checked.status).astype(np.int8)
+    return replace(checked, status=status)
 
 
 def _smoothed(
@@ -120,73 +122,66 @@ def _smoothed(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[str, Any], Smoothing]:
     """Contacts of one trail, segment by segment, and what is said beside them."""
-    segments, zero = _segments_of(found.kind == ContactKind.NONE), TARED
-    pieces, intensities, likelihood = [], [], 0.0
-    for segment, after in zip(segments, [*segments[1:], segments[-1][1:]], strict=True):
-        first, stop, kept, cut = segment
-        part, row = found[first:stop], min(after[0], stop - 1) - first
+    count, zero, likelihood = len(found.kind), TARED, 0.0
+    time = np.arange(count, dtype=float) if found.reactions.time is None else found.reactions.time
+    segments, pieces, intensities = _segments_of(found.kind == ContactKind.NONE), [], []
+    for number, (segment, kept) in enumerate(segments):
         try:
-            piece, zero, intensity, told = _smoothed_segment(
-                part, zero, row, false_alarm, model_error
+            piece, fit = _smoothed_segment(
+                found[segment], time[segment], zero, false_alarm, model_error
             )
         except (NoMotionError, np.linalg.LinAlgError):
-            count = stop - first
-            piece = by_itself(part) | {
-                "drift": np.zeros((count, WRENCH)),
-                "weight": np.ones(count),
-                "tilt": np.full(count, np.nan),
-                "labels": np.zeros((count, 2), dtype=int),
-                "marks": np.full((count, 7), np.nan),
+            size = segment.stop - segment.start
+            piece = by_itself(found[segment]) | {
+                "drift": np.zeros((size, WRENCH)),
+                "weight": np.ones(size),
+                "tilt": np.full(size, np.nan),
+                "labels": np.zeros((size, 2), dtype=int),
+                "edges": np.full((size, 2, 3), np.nan),
+                "change_deviation": np.full(size, np.nan),
             }
-            intensity, told = np.zeros(INTENSITIES), -np.inf
-        if found.reactions.time is None:
-            piece["marks"][:, [0, 3]] += first
+            intensities.append(np.zeros(INTENSITIES))
+            likelihood = -np.inf
+        else:
+            intensities.append(fit.intensities)
+            likelihood += float(np.sum(fit.states.log_likelihood))
+            if number + 1 < len(segments):
+                after = min(segments[number + 1][0].start, segment.stop - 1) - segment.start
+                zero = Gaussian(*(part[after] for part in fit.states.expected_zero))
+        inside = slice(kept.start - segment.start, kept.stop - segment.start)
         # Copied, so that the rows of the overlap are freed.
-        pieces.append(
-            {name: value[kept - first : cut - first].copy() for name, value in piece.items()}
-        )
-        intensities.append(intensity)
-        likelihood += told
+        pieces.append({name: value[inside].copy() for name, value in piece.items()})
         if progress is not None and len(segments) > 1:
-            progress(cut, len(found.kind))
-    rows: dict[str, Any] = {
-        name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]
-    }
-    return rows, Smoothing(
-        _touches(rows.pop("labels"), rows.pop("marks")),
-        np.median(intensities, axis=0),
-        rows.pop("drift"),
-        rows.pop("weight"),
-        rows.pop("tilt"),
-        model_error,
-        likelihood,
-    )
+            progress(kept.stop, count)
+    rows = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+    touches = _touches(*map(rows.pop, ("labels", "edges", "change_deviation")))
+    drift, weight, tilt = map(rows.pop, ("drift", "weight", "tilt"))
+    intensity = np.median(intensities, axis=0)
+    return rows, Smoothing(touches, intensity, drift, weight, tilt, model_error, likelihood)
 
 
-def _segments_of(resting: Flags) -> list[tuple[int, int, int, int]]:
-    """First row of each segment and that after its last; the same of the rows that are kept."""
+def _segments_of(resting: Flags) -> list[tuple[slice, slice]]:
+    """Rows of each segment, and those of them that are kept."""
     count, low, kept, segments = len(resting), 0, 0, []
     while count - low > _LONGEST:
         high, middle = low + _LONGEST, low + _LONGEST // 2
         stop, cut, following = high, high - _OVERLAP // 2, high - _OVERLAP
-        rests = [run for run in runs_of(resting[middle:high]) if run[1] - run[0] >= _REST]
-        if rests:
-            longest = max(rests, key=lambda run: (run[1] - run[0], run[0]))
-            stop = cut = following = middle + sum(longest) // 2
-        segments.append((low, stop, kept, cut))
+        rests = ((run.stop - run.start, run.start) for run in runs_of(resting[middle:high]))
+        size, start = max(rests, default=(0, 0))
+        if size > _REST:
+            stop = cut = following = middle + start + (size - 1) // 2
+        segments.append((slice(low, stop), slice(kept, cut)))
         low, kept = following, cut
-    return [*segments, (low, count, kept, count)]
+    return [*segments, (slice(low, count), slice(kept, count))]
 
 
 def _smoothed_segment(
-    found: Reconstruction, zero: Gaussian, row: int, false_alarm: float, model_error: float
-) -> tuple[dict[str, Any], Gaussian, np.ndarray, float]:
+    found: Reconstruction, time: Samples, zero: Gaussian, false_alarm: float, model_error: float
+) -> tuple[dict[str, Any], Fit]:
     """One series: phases guessed, motion fitted, jumps and phases found in it, starts and ends
-    placed, the rest judged. Also the zero at `row`, given the samples before, the intensities and
-    the log-likelihood.
+    placed, the rest judged.
     """
-    series = series_of(found.rod, found.reactions, found.status == Status.RINGING)
-    series = series._replace(sound=series.sound & (found.status != Status.TOUCHES_TWICE))
+    series = series_of(found, time)
     spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
     fit = fitted(first_guess(series, zero, false_alarm, spread), local=False)
     # Once more, now that the drift of the zero is known.
@@ -206,39 +201,42 @@ def _smoothed_segment(
     if jumped:
         fit, places = with_phases(fit)
     # Time, deviation and limit of starts and of ends; deviations of changes of phase [s].
-    marks, after = np.full((len(series.time), 7), np.nan), len(series.time) - 1
-    marks[:, 6] = series.step
+    edges = np.full((len(time), 2, 3), np.nan)
+    change_deviation = np.full(len(time), series.step)
     for change, place in places.items():
-        marks[change, 6] *= place.deviation
-    for first, last in runs_of(fit.labels.phase != FREE):
+        change_deviation[change] *= place.deviation
+    for rows in fit.labels.contacts:
         # The end is looked for after the beginning is placed, so that they cannot pass each other.
-        if first > 0:
-            fit, begin, told = with_onset(fit, first)
-            marks[begin, :3] = told
-        if last < after:
-            back, begin, told = with_onset(reversed_fit(fit), after - last)
+        if rows.start > 0:
+            fit, begin, told = with_onset(fit, rows.start)
+            edges[begin, 0] = told
+        if rows.stop < len(time):
+            back, begin, told = with_onset(reversed_fit(fit), len(time) - rows.stop)
             fit = fit._replace(labels=reversed_fit(back).labels)
-            marks[after - begin, 3:6] = series.time[-1] - told[0], *told[1:]
+            edges[-1 - begin, 1] = time[-1] - told[0], *told[1:]
     smoothest = fit = fitted(fit, most_steps=MOST_STEPS)
-    if (fit.labels.phase != FREE).any():
+    if fit.labels.touching.any():
         flank = as_flank(fit)
         fit = averaged(flank, drawn(flank, places))
-    rows = contacts_of(found, fit, smoothest, model_error)
-    rows |= {"labels": np.stack(fit.labels[:2], axis=1), "marks": marks}
-    zero = Gaussian(*(part[row] for part in smoothest.states.expected_zero))
-    return rows, zero, fit.intensities, float(np.sum(fit.states.log_likelihood))
+    return contacts_of(found, fit, smoothest, model_error) | {
+        "labels": np.stack(fit.labels[:2], axis=1),
+        "edges": edges,
+        "change_deviation": change_deviation,
+    }, fit
 
 
-def _touches(labels: np.ndarray, marks: np.ndarray) -> tuple[Touch, ...]:
+def _touches(labels: np.ndarray, edges: np.ndarray, deviation: Samples) -> tuple[Touch, ...]:
     phase, link = labels.T
     begins = np.diff(phase, prepend=FREE) != 0
     broken = (link == JUMP) | (link > GO_ON) & ~begins
     touches = []
-    for first, last in runs_of(phase != FREE):
-        edges = np.stack([marks[first, :3], marks[last, 3:6]], axis=1).ravel().tolist()
-        inside = slice(first + 1, last + 1)
-        changes, jumps = (first + 1 + np.flatnonzero(part[inside]) for part in (begins, broken))
-        told = (tuple(part.tolist()) for part in (changes, jumps, marks[changes, 6]))
-        each: list[Any] = [None if np.isnan(edge) else edge for edge in edges]
-        touches.append(Touch(first, last, *(each + [*told])))
+    for rows in runs_of(phase != FREE):
+        first, last = rows.start, rows.stop - 1
+        changes, jumps = (
+            first + 1 + np.flatnonzero(part[first + 1 : rows.stop]) for part in (begins, broken)
+        )
+        places = np.stack([edges[first, 0], edges[last, 1]], axis=1).ravel().tolist()
+        told: list[Any] = [None if np.isnan(place) else place for place in places]
+        told += [tuple(part.tolist()) for part in (changes, jumps, deviation[changes])]
+        touches.append(Touch(first, last, *told))
     return tuple(touches)

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
 
 from vibrissa.files import InputError
 from vibrissa.io.recordings.clock import ClockOffset, estimated_offset
 from vibrissa.io.recordings.streams import Poses, Streams, in_gap, interpolated, usable, within
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.sensor import RawRecording
+from vibrissa.sensor.raw import Rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Recording:
     """
 
     raw: RawRecording
-    missing: Bool[np.ndarray, "n"]
+    missing: Rows
     offset: ClockOffset
     notes: tuple[str, ...] = ()
     poses: Poses | None = None
@@ -72,7 +72,9 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
         If no wrench has a pose, or the offset is to be estimated and the data do not determine it.
     """
     wrench, pose, notes = streams.wrench, streams.pose, list(streams.notes)
-    if table.time_offset == "estimate":
+    if table.time_offset != "estimate":
+        offset = ClockOffset(table.time_offset, None)
+    else:
         try:
             offset = estimated_offset(wrench, usable(pose), table.largest_offset, length)
         except ValueError as error:
@@ -81,8 +83,6 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
             f"time offset of the poses estimated: {offset.seconds:.4f} ± "
             f"{offset.standard_error:.4f} s"
         )
-    else:
-        offset = ClockOffset(table.time_offset, None)
     recorded, missing = None, np.zeros(len(wrench.time), bool)
     if not streams.together or offset.seconds != 0:
         shifted = replace(pose, time=pose.time + offset.seconds)
@@ -91,9 +91,9 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
             raise InputError(f"{file}: no usable pose; allowed are finite numbers with a rotation")
         inside = np.isnan(wrench.time) | within(pose, wrench.time)
         if not inside.any():
-            stamps = (wrench.time.min(initial=np.inf), wrench.time.max(initial=-np.inf))
+            first, last = wrench.time.min(initial=np.inf), wrench.time.max(initial=-np.inf)
             raise InputError(
-                f"{file}: wrenches from {stamps[0]:.9g} to {stamps[1]:.9g} s, poses from "
+                f"{file}: wrenches from {first:.9g} to {last:.9g} s, poses from "
                 f"{pose.time[0]:.9g} to {pose.time[-1]:.9g} s; "
                 "allowed are stamps that overlap, by time_offset in [recording]"
             )
@@ -108,7 +108,7 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
         if missing.any():
             notes.append(
                 f"{np.count_nonzero(missing)} of {len(missing)} rows, first at "
-                f"{wrench.time[np.argmax(missing)]:.9g} s, lie in gaps of the poses longer than "
+                f"{wrench.time[missing][0]:.9g} s, lie in gaps of the poses longer than "
                 f"longest_gap = {table.longest_gap:g} s and have no reactions"
             )
     raw = RawRecording(wrench.time, pose.position, pose.orientation, wrench.force, wrench.torque)

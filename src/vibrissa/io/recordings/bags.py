@@ -2,6 +2,7 @@
 /tf, from MCAP or SQLite.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,11 +20,12 @@ from vibrissa.io.recordings.containers import (
     TRANSFORM,
     WRENCH,
     Bag,
-    Message,
     bag_of,
     library,
 )
-from vibrissa.io.recordings.streams import Poses, Streams, Wrenches, interpolated, usable
+from vibrissa.io.recordings.formats import Columns
+from vibrissa.io.recordings.layout import pose_stream
+from vibrissa.io.recordings.streams import Poses, Streams, Wrenches, interpolated, usable, within
 from vibrissa.io.recordings.table import RecordingTable
 
 Stream = TypeVar("Stream", Wrenches, Poses)
@@ -38,11 +40,13 @@ def _getter(vector: str, other: str, axes: str) -> Callable[[Any], tuple[float, 
 _NUMBERS = {
     WRENCH: _getter("wrench.force", "wrench.torque", "xyz"),
     POSE: _getter("pose.position", "pose.orientation", "xyzw"),
-    TRANSFORM: _getter("transform.translation", "transform.rotation", "xyzw"),
+    **dict.fromkeys(
+        (TRANSFORM, FRAMES), _getter("transform.translation", "transform.rotation", "xyzw")
+    ),
 }
 
 
-def streams(path: Path, table: RecordingTable, poses: Poses | None = None) -> Streams:
+def streams(path: Path, table: RecordingTable, poses: Columns | None = None) -> Streams:
     """Both streams of a bag: a folder of rosbag2, or one of its files, also without its metadata;
     or its wrenches alone, where the poses are given.
 
@@ -54,7 +58,8 @@ def streams(path: Path, table: RecordingTable, poses: Poses | None = None) -> St
     bag = _Bag(path, bag_of(path), table)
     topic = bag.topic("wrench_topic", WRENCH)
     wrench = _stream(Wrenches, bag.rows(topic))
-    return Streams(wrench, bag.poses(topic) if poses is None else poses, notes=tuple(bag.bag.notes))
+    pose = bag.poses(topic) if poses is None else pose_stream(poses, table)
+    return Streams(wrench, pose, notes=tuple(bag.bag.notes))
 
 
 def _stream(kind: type[Stream], rows: list[tuple[float, ...]]) -> Stream:
@@ -80,32 +85,27 @@ class _Bag:
     bag: Bag
     table: RecordingTable
 
-    def contents(self, topic: str) -> Iterator[tuple[Message, Any]]:
-        """Messages of a topic, packed and unpacked."""
+    def parts(self, topic: str) -> Iterator[tuple[Any, tuple[float, ...]]]:
+        """Wrenches, poses or frames on a topic, each with its stamp [s] and numbers."""
         kind, types = self.bag.topics[topic], _types()
-        for message in self.bag.messages:
-            if message.topic == topic:
-                try:
-                    content = types.deserialize_cdr(message.data, kind)
-                # The generated code of a message meets damage wherever it is.
-                except Exception as error:
-                    raise InputError(
-                        f"{self.path}: a message on {topic!r} at {message.log_time} ns is no "
-                        f"{kind} ({str(error)[:80]}); allowed are whole messages"
-                    ) from error
-                yield message, content
-
-    def row(self, message: Message, content: Any, kind: str) -> tuple[float, ...]:
-        """Stamp [s] and numbers of a message."""
-        moment = content.header.stamp
-        logged = self.table.stamps == "log"
-        stamp = message.log_time if logged else moment.sec * 1_000_000_000 + moment.nanosec
-        return (stamp * 1e-9, *_NUMBERS[kind](content))
+        for _, log_time, data in (one for one in self.bag.messages if one.topic == topic):
+            try:
+                content = types.deserialize_cdr(data, kind)
+            # The generated code of a message meets damage wherever it is.
+            except Exception as error:
+                raise InputError(
+                    f"{self.path}: a message on {topic!r} at {log_time} ns is no "
+                    f"{kind} ({str(error)[:80]}); allowed are whole messages"
+                ) from error
+            for part in content.transforms if kind == FRAMES else [content]:
+                moment = part.header.stamp
+                stamp = moment.sec * 1_000_000_000 + moment.nanosec
+                time = 1e-9 * (log_time if self.table.stamps == "log" else stamp)
+                yield part, (time, *_NUMBERS[kind](part))
 
     def rows(self, topic: str) -> list[tuple[float, ...]]:
         """Stamps [s] and numbers of the messages on a topic."""
-        kind = self.bag.topics[topic]
-        found = [self.row(message, content, kind) for message, content in self.contents(topic)]
+        found = [row for _, row in self.parts(topic)]
         if not found:
             raise InputError(
                 f"{self.path}: no messages on {topic!r} in CDR, the encoding of ROS 2; "
@@ -126,20 +126,18 @@ class _Bag:
         by_frames = table.fixed_frame is not None or not self.bag.of(POSE, TRANSFORM)
         if table.pose_topic is not None or not by_frames or not self.bag.of(FRAMES):
             return _stream(Poses, self.rows(self.topic("pose_topic", POSE, TRANSFORM)))
-        frames = (content.header.frame_id for _, content in self.contents(wrench_topic))
+        frames = (part.header.frame_id for part, _ in self.parts(wrench_topic))
         return self.chained(table.sensor_frame or next(filter(None, frames), ""))
 
     def links(self) -> dict[str, tuple[str, Poses]]:
         """Parent of each frame, and its poses there; a frame that no topic moves has the last pose
         of those whose name ends in "static", which holds for all times.
         """
-        found: dict[tuple[bool, str, str], list[tuple[float, ...]]] = {}
+        found = defaultdict[tuple[bool, str, str], list[tuple[float, ...]]](list)
         for topic in self.bag.of(FRAMES):
-            for message, content in self.contents(topic):
-                for part in content.transforms:
-                    pair = part.child_frame_id.lstrip("/"), part.header.frame_id.lstrip("/")
-                    row = self.row(message, part, TRANSFORM)
-                    found.setdefault((not topic.endswith("static"), *pair), []).append(row)
+            for part, row in self.parts(topic):
+                pair = part.child_frame_id.lstrip("/"), part.header.frame_id.lstrip("/")
+                found[not topic.endswith("static"), *pair].append(row)
         links = {}
         for (moves, child, parent), rows in sorted(found.items()):
             # Several nodes may publish one frame: each stamp counts once.
@@ -157,7 +155,7 @@ class _Bag:
         links, here = self.links(), sensor_frame.lstrip("/")
         chain: list[Poses] = []
         fixed_frame = self.table.fixed_frame
-        top = None if fixed_frame is None else fixed_frame.lstrip("/")
+        top = fixed_frame and fixed_frame.lstrip("/")
         while here != top and here in links and len(chain) <= len(links):
             here, poses = links[here]
             chain.insert(0, poses)
@@ -168,14 +166,13 @@ class _Bag:
                 f"sensor_frame = {sensor_frame!r}; the bag holds {', '.join(known)[:300]}"
             )
         ends = f"between {here!r} and {sensor_frame!r}"
-        moving = [poses.time for poses in chain if np.isfinite(poses.time).any()]
+        moving = [poses for poses in chain if np.isfinite(poses.time).any()]
         if not moving:
             raise InputError(
                 f"{self.path}: no frame {ends} is on /tf, all are static; allowed is a moving sensor"
             )
-        time = np.unique(np.concatenate(moving))
-        for stamps in moving:
-            time = time[(time >= stamps[0]) & (time <= stamps[-1])]
+        time = np.unique(np.concatenate([poses.time for poses in moving]))
+        time = time[np.all([within(poses, time) for poses in moving], axis=0)]
         if not len(time):
             raise InputError(
                 f"{self.path}: the frames {ends} have no time in common; "
@@ -183,7 +180,7 @@ class _Bag:
             )
         position, turn = np.zeros(3), Rotation.identity(len(time))
         for poses in chain:
-            link = interpolated(poses, time) if np.isfinite(poses.time).all() else poses
+            link = interpolated(poses, time) if poses in moving else poses
             position = position + turn.apply(link.position)
             turn = turn * Rotation.from_quat(link.orientation)
         return Poses(time, position, turn.as_quat())

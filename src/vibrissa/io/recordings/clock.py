@@ -21,6 +21,10 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from vibrissa.io.recordings.streams import Poses, Wrenches
+from vibrissa.sensor.raw import Times
+
+Channels = Float[np.ndarray, "n 6"]
+Columns = Float[np.ndarray, "n k"]
 
 # Turns count as the way of a point at this distance [m], some lengths of a rod.
 _LEVER = 0.1
@@ -119,8 +123,8 @@ def estimated_offset(wrench: Wrenches, pose: Poses, largest: float, scale: float
 
 def _lowest(
     cost: Callable[[float], float],
-    offsets: Float[np.ndarray, "t"],
-    misfit: Float[np.ndarray, "t"],
+    offsets: Times,
+    misfit: Times,
     step: float,
 ) -> list[tuple[float, float]]:
     """The deepest minima, lowest first: misfit and offset of each."""
@@ -138,11 +142,11 @@ def _standard_error(cost: Callable[[float], float], at: float, largest: float) -
     """Half the distance at which the misfit has risen by 2, two standard deviations of a normal
     error, on the side where that is further; infinite beyond the largest offset.
     """
-    middle, reaches = cost(at), []
+    least, reaches = cost(at), []
     for side in (-1, 1):
 
         def rise(distance: float, side: int = side) -> float:
-            return cost(at + side * distance) - middle - 2
+            return cost(at + side * distance) - least - 2
 
         outside = _FINEST * largest
         while rise(outside) < 0:
@@ -158,10 +162,10 @@ class _Window(NamedTuple):
     there, with stamps of its own.
     """
 
-    time: Float[np.ndarray, "n"]
-    values: Float[np.ndarray, "n 6"]
-    way_time: Float[np.ndarray, "m"]
-    way: Float[np.ndarray, "m"]
+    time: Times
+    values: Channels
+    way_time: Times
+    way: Times
     floor: Float[np.ndarray, "6"]
     pitch: float
     still: float
@@ -206,14 +210,14 @@ def _windows(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> lis
     return [found[index] for index in chosen]
 
 
-def _noise(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
+def _noise(values: Columns) -> Float[np.ndarray, "k"]:
     """Standard deviation of white noise (k,), by second differences, which a smooth motion hardly
     enters.
     """
     return np.sqrt(np.mean(np.diff(values, 2, axis=0) ** 2, axis=0) / 6)
 
 
-def _features(pose: Poses) -> Float[np.ndarray, "n 6"]:
+def _features(pose: Poses) -> Channels:
     """Positions, and turns seen from a lever of 0.1 m: twice the quaternion's vector part, of one
     sign, relative to the first pose. Both as parabolas through nine neighbours each: an encoder's
     noise else moves the least residual from stamp to stamp.
@@ -224,15 +228,13 @@ def _features(pose: Poses) -> Float[np.ndarray, "n 6"]:
     return savgol_filter(features, 9, 2, axis=0) if len(features) >= 9 else features
 
 
-def _speeds(
-    time: Float[np.ndarray, "m"], features: Float[np.ndarray, "m k"]
-) -> Float[np.ndarray, "l k"]:
+def _speeds(time: Times, features: Columns) -> Columns:
     """Mean velocities over a twentieth of a second, or four steps."""
     lag = min(max(_FEWEST_STEPS, round(_MOMENT / float(np.median(np.diff(time))))), len(time) - 1)
     return (features[lag:] - features[:-lag]) / (time[lag:] - time[:-lag])[:, None]
 
 
-def _comes_back(time: Float[np.ndarray, "m"], way: Float[np.ndarray, "m"], fast: float) -> bool:
+def _comes_back(time: Times, way: Times, fast: float) -> bool:
     """Whether the clamp moves, and is at one place more than once: it stands for a while, or goes
     back by some of its way.
     """
@@ -242,9 +244,7 @@ def _comes_back(time: Float[np.ndarray, "m"], way: Float[np.ndarray, "m"], fast:
     return bool(0.02 < standing < 0.98 or min(forth, back) > 0.1 * max(forth, back))
 
 
-def _fits(
-    windows: list[_Window], offset: float
-) -> tuple[Float[np.ndarray, "w 6"], Float[np.ndarray, "w 6"]]:
+def _fits(windows: list[_Window], offset: float) -> tuple[Channels, Channels]:
     """By window and channel, of what a function of the pose leaves of the reactions: half the
     logarithm of its variance, and the number of independent samples, which are fewer than there are
     where neighbouring residuals are alike.
@@ -265,7 +265,7 @@ def _fits(
     return np.array(spreads), np.array(weights)
 
 
-def _pieces(along: Float[np.ndarray, "n"], pitch: float, still: float) -> csr_array:
+def _pieces(along: Times, pitch: float, still: float) -> csr_array:
     """Cubic B-splines (n, k) over the range of the motion, of equal pitch; a constant where the
     clamp stands.
 

@@ -6,8 +6,10 @@ neither index nor end, and the readers of `mcap` stop at the first damage.
 """
 
 import mmap
+import sqlite3
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from io import BytesIO
@@ -25,8 +27,8 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 FRAMES = "tf2_msgs/msg/TFMessage"
-_KINDS = {WRENCH, POSE, TRANSFORM, FRAMES}
-_MAGIC = b"\x89MCAP0\r\n"
+_KINDS = (WRENCH, POSE, TRANSFORM, FRAMES)
+MAGIC = b"\x89MCAP0\r\n"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _SQLITE = b"SQLite format 3\0"
 # Of an MCAP record: opcode and length, and the opcodes that matter here (the specification).
@@ -73,13 +75,12 @@ def bag_of(path: Path) -> Bag:
     InputError
         If the bag has no files, or one is damaged from its start.
     """
-    bag, metadata, files = Bag(), {}, [path]
+    bag, files = Bag(), [path]
     if path.is_dir():
-        metadata = _metadata(path, bag)
-        names = metadata.get("relative_file_paths") or ()
-        listed = [path / PurePath(str(name)).name for name in names]
-        files = [file for file in listed if file.is_file()] or _storage(path)
-        if missing := [file.name for file in listed if not file.is_file()]:
+        listed, files = _listed(path, bag), _storage(path)
+        missing = [name for name in listed if not (path / name).is_file()]
+        files = [file for file in files if file.name in listed] or files
+        if missing:
             bag.notes.append(
                 f"{path.name}: {len(missing)} of the {len(listed)} files of the bag are missing, "
                 f"first {missing[0]!r}"
@@ -88,11 +89,11 @@ def bag_of(path: Path) -> Bag:
         raise InputError(f"{path}: a bag without its .mcap or .db3 files; allowed is a whole bag")
     for file in files:
         _read(file, file, bag)
-    if str(metadata.get("compression_mode", "")).lower() == "message":
-        with reading(path, "Zstandard"):
-            bag.messages = [
-                message._replace(data=_unpacked("zstd", message.data)) for message in bag.messages
-            ]
+    # rosbag2 may pack each message, which then says so itself.
+    with reading(path, "Zstandard"):
+        bag.messages = [
+            message._replace(data=_unpacked(message.data, "")) for message in bag.messages
+        ]
     return bag
 
 
@@ -108,113 +109,128 @@ def _storage(folder: Path) -> list[Path]:
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 
-def _metadata(path: Path, bag: Bag) -> dict[str, Any]:
+def _listed(path: Path, bag: Bag) -> list[str]:
+    """Names of the bag's files, as its metadata give them."""
     yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
     try:
-        return dict(yaml.load(path / "metadata.yaml")["rosbag2_bagfile_information"])
+        content = yaml.load(path / "metadata.yaml")["rosbag2_bagfile_information"]
+        return [PurePath(str(name)).name for name in content.get("relative_file_paths") or ()]
     # No file, YAML of any kind, or none: the files beside it still say what they hold.
     except Exception:
         bag.notes.append(
             f"{path.name}: metadata.yaml is missing, as where a recorder was killed, or damaged; "
             "the bag's files are read as they are"
         )
-        return {}
+        return []
 
 
 def _read(file: Path, plain: Path, bag: Bag) -> None:
     """Add the messages of a file; `plain` is where it lies unpacked."""
     with plain.open("rb") as opened:
         start = opened.read(len(_SQLITE))
-    before = len(bag.messages)
-    if start.startswith(_MAGIC):
-        with reading(file, "MCAP"):
-            _read_mcap(plain, bag)
-    elif start == _SQLITE:
-        try:
-            with reading(file, "SQLite"):
-                _read_sqlite(plain, bag)
-        # SQLite finds damage where it comes to it: what was read before it counts.
-        except InputError as error:
-            count = len(bag.messages) - before
-            if not count:
-                raise
-            bag.notes.append(f"{error}; recovered are {count} messages of wrenches and poses")
-    elif start.startswith(_ZSTD) and file == plain:
+    if start.startswith(_ZSTD) and file == plain:
         with tempfile.TemporaryDirectory() as folder:
             unpacked = Path(folder) / file.stem
             codec = library("zstandard").ZstdDecompressor()
             with reading(file, "Zstandard"), file.open("rb") as packed, unpacked.open("wb") as out:
                 codec.copy_stream(packed, out)
-            _read(file, unpacked, bag)
-    else:
-        raise InputError(f"{file}: begins with {start[:8]!r}; allowed are bags of MCAP or SQLite")
+            return _read(file, unpacked, bag)
+    messages, notes = len(bag.messages), len(bag.notes)
+    try:
+        if start.startswith(MAGIC):
+            with reading(file, "MCAP"):
+                _read_mcap(plain, bag)
+        elif start == _SQLITE:
+            with reading(file, "SQLite"):
+                _read_sqlite(plain, bag)
+        else:
+            raise InputError(
+                f"{file}: begins with {start[:8]!r}; allowed are bags of MCAP or SQLite"
+            )
+    # What was read before the damage counts.
+    except InputError as error:
+        if len(bag.messages) == messages:
+            raise
+        bag.notes.append(str(error))
+    if len(bag.notes) > notes:
+        count = len(bag.messages) - messages
+        bag.notes[-1] += f"; recovered are {count} messages of wrenches and poses"
+    return None
 
 
 def _read_sqlite(file: Path, bag: Bag) -> None:
-    reader = library("rosbags.rosbag2").Reader.STORAGE_PLUGINS[".db3"](file)
-    reader.open()
-    bag.topics.update((one.topic, one.msgtype) for one in reader.connections)
-    chosen = [one for one in reader.connections if one.msgtype in _KINDS]
-    for one, time, data in reader.messages(chosen) if chosen else ():
-        bag.messages.append(Message(one.topic, int(time), bytes(data)))
-    reader.close()
+    with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as opened:
+        bag.topics.update(opened.execute("SELECT name, type FROM topics"))
+        found = opened.execute(
+            "SELECT name, timestamp, data FROM messages JOIN topics ON topics.id = topic_id "
+            "WHERE type IN (?, ?, ?, ?) ORDER BY timestamp",
+            _KINDS,
+        )
+        bag.messages.extend(map(Message._make, found))
 
 
 def _read_mcap(file: Path, bag: Bag) -> None:
-    """Add the messages of an MCAP file; what is damaged or cut off is left out, and noted."""
-    records, streams = library("mcap.records"), library("mcap.data_stream")
+    records = library("mcap.records")
     types: dict[int, str] = {}
     topics: dict[int, str] = {}
+    for one in mcap_records(file, bag.notes):
+        match one:
+            case records.Schema():
+                types[one.id] = one.name
+            case records.Channel():
+                kind = types.get(one.schema_id, "")
+                bag.topics.setdefault(one.topic, kind)
+                if one.message_encoding == "cdr" and kind in _KINDS:
+                    topics[one.id] = one.topic
+            case records.Message() if one.channel_id in topics:
+                bag.messages.append(Message(topics[one.channel_id], one.log_time, one.data))
 
-    def take(code: int, body: bytes, *, is_whole: bool) -> None:
-        """Add what a record holds; of a chunk that is cut off, what can be unpacked."""
+
+def mcap_records(file: Path, notes: list[str]) -> Iterator[Any]:
+    """Schemas, channels and messages of an MCAP file, in its order; what is damaged or cut off is
+    left out, and a sentence of it added to the notes.
+    """
+    records, streams = library("mcap.records"), library("mcap.data_stream")
+
+    def parsed(code: int, body: bytes) -> Any:
         stream = streams.ReadDataStream(BytesIO(body))
-        if code == _CHUNK:
-            chunk = records.Chunk.read(stream)
-            content, checksum = _unpacked(chunk.compression, chunk.data), chunk.uncompressed_crc
-            if is_whole and checksum and crc32(content) != checksum:
-                raise ValueError("its checksum is wrong")
-            for inner, part, end in _records(content):
-                if inner != _CHUNK and end <= len(content):
-                    take(inner, part, is_whole=True)
-        elif code == _MESSAGE and is_whole:
-            message = records.Message.read(stream, len(body))
-            if message.channel_id in topics:
-                found = Message(topics[message.channel_id], message.log_time, message.data)
-                bag.messages.append(found)
-        elif code == _SCHEMA and is_whole:
-            schema = records.Schema.read(stream)
-            types[schema.id] = schema.name
-        elif code == _CHANNEL and is_whole:
-            channel = records.Channel.read(stream)
-            kind = types.get(channel.schema_id, "")
-            bag.topics.setdefault(channel.topic, kind)
-            if channel.message_encoding == "cdr" and kind in _KINDS:
-                topics[channel.id] = channel.topic
+        if code == _MESSAGE:
+            return records.Message.read(stream, len(body))
+        kinds = {_SCHEMA: records.Schema, _CHANNEL: records.Channel, _CHUNK: records.Chunk}
+        return kinds[code].read(stream)
 
     with (
         file.open("rb") as opened,
         mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content,
     ):
-        before, whole, size = len(bag.messages), len(_MAGIC), len(content)
+        whole, size = len(MAGIC), len(content)
         for code, body, end in _records(content, whole):
             is_whole = end <= size
             if is_whole and code in {_DATA_END, _FOOTER}:
                 return
             try:
-                take(code, body, is_whole=is_whole)
+                parts, room = iter([(code, body, end)]), size
+                if code == _CHUNK:
+                    chunk = parsed(code, body)
+                    unpacked = _unpacked(chunk.data, chunk.compression)
+                    if is_whole and chunk.uncompressed_crc not in {0, crc32(unpacked)}:
+                        raise ValueError("its checksum is wrong")
+                    parts, room = _records(unpacked), len(unpacked)
+                for inner, part, stop in parts:
+                    if inner in {_SCHEMA, _CHANNEL, _MESSAGE} and stop <= room:
+                        yield parsed(inner, part)
             except ImportError:
                 raise
             # Each codec and parser has errors of its own for damage.
             except Exception as error:
                 if is_whole:
-                    bag.notes.append(
+                    notes.append(
                         f"{file.name}: the record at byte {whole} is damaged ({error}) and left out"
                     )
             whole = end if is_whole else whole
-    bag.notes.append(
+    notes.append(
         f"{file.name}: cut off; whole are {whole} of {size} bytes and what could be unpacked of "
-        f"the record after them, {len(bag.messages) - before} messages of wrenches and poses in all"
+        "the record after them"
     )
 
 
@@ -226,15 +242,12 @@ def _records(content: mmap.mmap | bytes, at: int = 0) -> Iterator[tuple[int, byt
         yield code, content[begin:at] if _SCHEMA <= code <= _CHUNK else b"", at
 
 
-def _unpacked(compression: str, data: bytes) -> bytes:
+def _unpacked(data: bytes, compression: str) -> bytes:
     """Content of a chunk or of one Zstandard frame; of a truncated one, what can be unpacked."""
-    match compression:
-        case "":
-            return data
-        case "zstd":
-            codec = library("zstandard").ZstdDecompressor().decompressobj()
-        case "lz4":
-            codec = library("lz4.frame").LZ4FrameDecompressor()
-        case other:
-            raise ValueError(f"compression {other!r} is not known")
-    return bytes(codec.decompress(data))
+    if compression == "zstd" or data.startswith(_ZSTD):
+        return bytes(library("zstandard").ZstdDecompressor().decompressobj().decompress(data))
+    if compression == "lz4":
+        return bytes(library("lz4.frame").LZ4FrameDecompressor().decompress(data))
+    if compression:
+        raise ValueError(f"compression {compression!r} is not known")
+    return data

@@ -5,7 +5,6 @@ NetCDF and MATLAB.
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,36 +14,27 @@ from jaxtyping import Float, Int
 
 from vibrissa.files import InputError, readable, reading
 from vibrissa.io.recordings.containers import is_bag, library
-from vibrissa.io.recordings.units import factor
 
 Array = Float[np.ndarray, "n"] | Float[np.ndarray, "n k"]
 Held = dict[str, tuple[Callable[[], Any], Mapping[str, Any]]]
 """By name, what reads an array and its attributes."""
 
 
-class Kind(Enum):
-    """Formats of recordings."""
-
-    TEXT = "CSV"
-    PARQUET = "Parquet"
-    HDF5 = "HDF5 or NetCDF 4"
-    CLASSIC = "NetCDF 3"
-    MATLAB = ".mat"
-    MATLAB_HDF5 = ".mat of MATLAB 7.3"
-    BAG = "rosbag2 or MCAP"
-
-
-# What files begin with; formats named by a text are recognized, and not read.
-_SIGNS: dict[bytes, Kind | str] = {
-    b"PAR1": Kind.PARQUET,
-    b"\x89HDF\r\n\x1a\n": Kind.HDF5,
-    b"CDF\x01": Kind.CLASSIC,
-    b"CDF\x02": Kind.CLASSIC,
-    b"MATLAB 5.0": Kind.MATLAB,
-    b"MATLAB 7.3": Kind.MATLAB_HDF5,
-    b"\x89MCAP0\r\n": Kind.BAG,
-    b"SQLite format 3\0": Kind.BAG,
-    b"\x28\xb5\x2f\xfd": Kind.BAG,
+# Formats, as messages name them.
+TEXT, BAG = "CSV", "rosbag2 or MCAP"
+_PARQUET, _HDF5, _CLASSIC = "Parquet", "HDF5 or NetCDF 4", "NetCDF 3"
+_MATLAB, _MATLAB_HDF5 = ".mat", ".mat of MATLAB 7.3"
+# What files begin with; the last ones are recognized, and not read.
+_SIGNS = {
+    b"PAR1": _PARQUET,
+    b"\x89HDF\r\n\x1a\n": _HDF5,
+    b"CDF\x01": _CLASSIC,
+    b"CDF\x02": _CLASSIC,
+    b"MATLAB 5.0": _MATLAB,
+    b"MATLAB 7.3": _MATLAB_HDF5,
+    b"\x89MCAP0\r\n": BAG,
+    b"SQLite format 3\0": BAG,
+    b"\x28\xb5\x2f\xfd": BAG,
     b"#ROSBAG V": "a bag of ROS 1",
     b"ARROW1": "Arrow IPC (Feather)",
     b"PK\x03\x04": "a ZIP archive, as XLSX and NPZ are",
@@ -52,15 +42,15 @@ _SIGNS: dict[bytes, Kind | str] = {
     b"\x93NUMPY": "a NumPy array",
 }
 _SUFFIXES = {
-    **dict.fromkeys((".parquet", ".pq"), Kind.PARQUET),
-    **dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), Kind.HDF5),
-    **dict.fromkeys((".mcap", ".db3"), Kind.BAG),
-    ".mat": Kind.MATLAB,
+    **dict.fromkeys((".parquet", ".pq"), _PARQUET),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), _HDF5),
+    **dict.fromkeys((".mcap", ".db3"), BAG),
+    ".mat": _MATLAB,
 }
 _FORMATS = "CSV, Parquet, HDF5, NetCDF, MATLAB .mat, rosbag2 and MCAP"
 
 
-def kind_of(path: Path) -> Kind:
+def kind_of(path: Path) -> str:
     """Format of a recording: by what it begins with, then by its suffix.
 
     Raises
@@ -70,17 +60,17 @@ def kind_of(path: Path) -> Kind:
         suffix says.
     """
     if path.is_dir() and is_bag(path):
-        return Kind.BAG
+        return BAG
     with readable(path).open("rb") as opened:
         start = opened.read(max(map(len, _SIGNS)))
     found = next((kind for sign, kind in _SIGNS.items() if start.startswith(sign)), None)
-    if isinstance(found, str):
+    if found not in {None, BAG, *_READERS}:
         raise InputError(f"{path}: is {found}; allowed are {_FORMATS}")
-    said = _SUFFIXES.get(path.suffix.lower(), Kind.TEXT)
+    said = _SUFFIXES.get(path.suffix.lower(), TEXT)
     # MATLAB 4 has no signature of its own.
-    if found is None and said not in {Kind.TEXT, Kind.MATLAB}:
+    if found is None and said not in {TEXT, _MATLAB}:
         raise InputError(
-            f"{path}: begins with {start[:8]!r}, which is no {said.value}; allowed are {_FORMATS}"
+            f"{path}: begins with {start[:8]!r}, which is no {said}; allowed are {_FORMATS}"
         )
     return found or said
 
@@ -125,7 +115,7 @@ def matched(wanted: Iterable[str], names: Iterable[str]) -> dict[str, str]:
     }
 
 
-def columns(file: Path, kind: Kind, wanted: Sequence[str]) -> Columns:
+def columns(file: Path, kind: str, wanted: Sequence[str]) -> Columns:
     """Arrays of a binary file.
 
     Parameters
@@ -144,23 +134,25 @@ def columns(file: Path, kind: Kind, wanted: Sequence[str]) -> Columns:
     InputError
         If the file is damaged, or an array holds no real numbers or has more than two axes.
     """
-    with reading(file, kind.value), _READERS[kind](file) as held:
+    with reading(file, kind), _READERS[kind](file) as held:
         arrays: dict[str, Array] = {}
         units: dict[str, str | None] = {}
         for name, own in matched(wanted, held).items():
             read, attributes = held[own]
             stored = np.asarray(read())
             # MATLAB stores arrays column by column.
-            stored = stored.T if kind is Kind.MATLAB_HDF5 else stored
+            stored = stored.T if kind == _MATLAB_HDF5 else stored
             arrays[name] = _numbers(file, name, stored, attributes)
             units[name] = _unit(attributes)
         return Columns(file, list(held), arrays, units)
 
 
 def _numbers(file: Path, name: str, stored: np.ndarray, attributes: Mapping[str, Any]) -> Array:
-    """Floats of what is stored, rows first; a matrix of one row or column is a vector. Packing and
-    missing values of the CF conventions are undone by xarray.
+    """Floats of what is stored, rows first; a matrix of one row or column is a vector, and dates are
+    seconds since 1970. Packing and missing values of the CF conventions are undone by xarray.
     """
+    if stored.dtype.kind in "mM":
+        stored = (stored - np.zeros(1, stored.dtype)) / np.timedelta64(1, "s")
     if stored.dtype.kind not in "iuf" or stored.ndim > 2:
         raise InputError(
             f"{file}: {name!r} of shape {stored.shape} holds {stored.ravel()[:1].tolist()}; "
@@ -181,11 +173,11 @@ def _numbers(file: Path, name: str, stored: np.ndarray, attributes: Mapping[str,
 
 def _unit(attributes: Mapping[str, Any]) -> str | None:
     """Text of the attribute `units`, or `unit`."""
-    value = np.ravel(attributes.get("units", attributes.get("unit", [])))
-    text = value[0] if value.size == 1 else None
+    values = np.ravel(attributes.get("units", attributes.get("unit", []))).tolist()
+    text = values[0] if len(values) == 1 else None
     if isinstance(text, bytes):
-        text = text.decode(errors="replace")
-    return str(text) if isinstance(text, str) else None
+        return text.decode(errors="replace")
+    return text if isinstance(text, str) else None
 
 
 @contextmanager
@@ -238,13 +230,11 @@ def _matlab(file: Path) -> Iterator[Held]:
 
 @contextmanager
 def _parquet(file: Path) -> Iterator[Held]:
-    """Parquet: one column, or one list of fixed length, a quantity; nulls are NaN, dates seconds
-    since 1970.
-    """
-    arrow = library("pyarrow")
+    """Parquet: one column, or one list of fixed length, a quantity; nulls are NaN."""
+    types = library("pyarrow").types
 
     def flattened(table: Any) -> Any:
-        while any(arrow.types.is_struct(kind) for kind in table.schema.types):
+        while any(map(types.is_struct, table.schema.types)):
             table = table.flatten()
         return table
 
@@ -256,7 +246,10 @@ def _parquet(file: Path) -> Iterator[Held]:
         }
 
         def read(name: str) -> Any:
-            return _unpacked(arrow, flattened(opened.read(columns=[name]))[name])
+            column = flattened(opened.read(columns=[name]))[name]
+            if types.is_nested(column.type):
+                return np.stack(column.to_numpy())
+            return (column.cast("double") if types.is_decimal(column.type) else column).to_numpy()
 
         yield {
             name: (partial(read, name), said.get(name, {}))
@@ -264,26 +257,10 @@ def _parquet(file: Path) -> Iterator[Held]:
         }
 
 
-def _unpacked(arrow: Any, column: Any) -> Any:
-    """Numbers (n,), or (n, k) of lists of one length; other types as they are."""
-    kind, types = column.type, arrow.types
-    if hasattr(kind, "value_type"):
-        compute = library("pyarrow.compute")
-        lengths = compute.unique(compute.list_value_length(column)).to_pylist()
-        if len(lengths) > 1:
-            raise ValueError(f"lists of {lengths} numbers in one column")
-        return _unpacked(arrow, compute.list_flatten(column)).reshape(len(column), -1)
-    if types.is_timestamp(kind) or types.is_duration(kind):
-        return column.cast(arrow.int64()).to_numpy() * factor(kind.unit)
-    if types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind):
-        column = column.cast(arrow.float64(), safe=False)
-    return column.to_numpy()
-
-
-_READERS: dict[Kind, Callable[..., Any]] = {
-    Kind.PARQUET: _parquet,
-    Kind.HDF5: _hdf5,
-    Kind.MATLAB_HDF5: partial(_hdf5, separator="."),
-    Kind.CLASSIC: _classic,
-    Kind.MATLAB: _matlab,
+_READERS: dict[str, Callable[..., Any]] = {
+    _PARQUET: _parquet,
+    _HDF5: _hdf5,
+    _MATLAB_HDF5: partial(_hdf5, separator="."),
+    _CLASSIC: _classic,
+    _MATLAB: _matlab,
 }

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from re import fullmatch
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vibrissa.files import InputError
 from vibrissa.io.recordings import units
 from vibrissa.io.recordings.formats import Array, Columns
-from vibrissa.io.recordings.streams import Poses, Streams, Wrenches
+from vibrissa.io.recordings.streams import Poses, Streams, Vectors, Wrenches
 from vibrissa.io.recordings.table import RecordingTable
+from vibrissa.sensor.raw import Quaternions, Times
 
 # Share of rows without a wrench or without a pose: drop-outs are fewer, streams of two rates more.
 _OTHER_RATE = 0.3
@@ -35,9 +35,8 @@ def streams(columns: Columns, table: RecordingTable, poses: Columns | None = Non
         differ in length.
     """
     layout = _Layout(columns, table)
-    time = layout.time(table.time, table.time_unit)
-    force = layout.vectors("force", time, table.force_unit, units.FORCE)
-    torque = layout.vectors("torque", time, table.torque_unit, units.TORQUE)
+    time = layout.time()
+    force, torque = (layout.vectors(key, time) for key in ("force", "torque"))
     wrench = Wrenches(time, force, torque, line=columns.lines)
     if poses is not None or table.pose_time is not None:
         return Streams(wrench, pose_stream(poses or columns, table))
@@ -61,9 +60,8 @@ def pose_stream(columns: Columns, table: RecordingTable) -> Poses:
     InputError
         As `streams` does.
     """
-    layout = _Layout(columns, table)
-    unit = table.pose_time_unit or table.time_unit
-    return layout.poses(layout.time(table.pose_time or table.time, unit))
+    layout = _Layout(columns, table.of_poses)
+    return layout.poses(layout.time())
 
 
 @dataclass(frozen=True)
@@ -77,79 +75,69 @@ class _Layout:
         """What is said of the names under a key."""
         return InputError(f"{self.columns.file}: {key} = {names!r} {finding}; allowed {allowed}")
 
-    def time(self, name: str | tuple[str, str], unit: str | None) -> Float[np.ndarray, "n"]:
+    def time(self) -> Times:
         """Stamps [s]; of two names, whole seconds and nanoseconds."""
-        if not isinstance(name, str):
-            return self.time(name[0], "s") + self.time(name[1], "ns")
-        time = self.array("time", name)
-        if time.ndim != 1 or not len(time):
-            raise self.wrong("time", name, f"has shape {time.shape}", "is one number a row")
-        return time if unit == "stamp" else self.scaled("time", [name], time, unit, units.TIME)
+        names, parts = self.table.time, []
+        in_units = ("s", "ns") if len(names) > 1 else (self.table.time_unit,)
+        for name, unit in zip(names, in_units, strict=True):
+            part = self.array("time", name)
+            if part.ndim != 1 or not len(part):
+                raise self.wrong("time", name, f"has shape {part.shape}", "is one number a row")
+            parts.append(part if unit == "stamp" else self.scaled("time", (name,), part, unit))
+        return np.sum(parts, axis=0)
 
-    def poses(self, time: Float[np.ndarray, "n"]) -> Poses:
+    def poses(self, time: Times) -> Poses:
         """Poses with these stamps."""
-        position = self.vectors("position", time, self.table.position_unit, units.LENGTH)
-        return Poses(time, position, self.orientation(time), line=self.columns.lines)
+        position, orientation = self.vectors("position", time), self.orientation(time)
+        return Poses(time, position, orientation, line=self.columns.lines)
 
-    def vectors(
-        self, key: str, time: Float[np.ndarray, "n"], unit: str | None, allowed: Sequence[str]
-    ) -> Float[np.ndarray, "n 3"]:
+    def vectors(self, key: str, time: Times) -> Vectors:
         """Force, torque or position in SI."""
-        names = self.names(key)
-        return self.scaled(key, names, self.together(key, names, time, 3), unit, allowed)
-
-    def names(self, key: str) -> tuple[str, ...]:
-        """Names that the setup gives; where it gives none, those of the CSV header, or an array
-        that is called what it is.
-        """
-        names: tuple[str, ...] = getattr(self.table, key)
-        held = self.columns.arrays
-        stated = key in self.table.model_fields_set or names[0] in held or key not in held
-        return names if stated else (key,)
+        names, numbers = self.block(key, time, 3)
+        return self.scaled(key, names, numbers, getattr(self.table, f"{key}_unit"))
 
     def array(self, key: str, name: str) -> Array:
         """One array, or the column of one."""
-        held = self.columns.arrays
-        indexed = None if name in held else fullmatch(r"(.+)\[(\d+)\]", name)
-        plain = indexed[1] if indexed else name
-        if plain not in held:
+        held, indexed = self.columns.arrays, fullmatch(r"(.+)\[(\d+)\]", name)
+        if name in held:
+            return held[name]
+        if indexed is None or indexed[1] not in held:
             shown = ", ".join(self.columns.names)[:300] or "nothing"
             raise InputError(
                 f"{self.columns.file}: {key} = {name!r} is not in the file; it holds {shown}"
             )
-        array = held[plain]
-        if indexed is None:
-            return array
-        column = int(indexed[2])
+        array, column = held[indexed[1]], int(indexed[2])
         if array.ndim == 1 or column >= array.shape[1]:
-            finding = f"is beyond the shape {array.shape} of {plain!r}"
+            finding = f"is beyond the shape {array.shape} of {indexed[1]!r}"
             raise self.wrong(key, name, finding, "are columns that count from 0")
         return array[:, column]
 
-    def together(
-        self, key: str, names: Sequence[str], time: Float[np.ndarray, "n"], count: int
-    ) -> Float[np.ndarray, "n k"]:
-        """Columns beside each other, or one array of them, which may hold a column a sample as
-        MATLAB's often do; a row for each stamp.
+    def block(self, key: str, time: Times, count: int) -> tuple[tuple[str, ...], Array]:
+        """Names that the setup gives, or where it gives none, those of the CSV header or an array
+        that is called what it is; and their numbers, a row for each stamp. An array may hold a
+        column a sample, as MATLAB's often do.
         """
+        names: tuple[str, ...] = getattr(self.table, key)
+        held = self.columns.arrays
+        if key in held and names[0] not in held and key not in self.table.model_fields_set:
+            names = (key,)
         arrays = [self.array(key, name) for name in names]
-        if len(arrays) == 1 and arrays[0].shape == (count, len(time)):
-            arrays = [arrays[0].T] if count != len(time) else arrays
-        lengths = {len(array) for array in arrays}
-        if lengths != {len(time)}:
-            finding = f"has {sorted(lengths)} rows, its time {len(time)}"
+        if len(time) != count and arrays[0].shape == (count, len(time)):
+            arrays[0] = arrays[0].T
+        lengths = sorted({len(array) for array in arrays})
+        if lengths != [len(time)]:
+            finding = f"has {lengths} rows, its time {len(time)}"
             raise self.wrong(key, names, finding, "is one row a stamp, or poses with a pose_time")
         block = np.column_stack(arrays)
         if block.shape[1] != count:
             raise self.wrong(key, names, f"has {block.shape[1]} columns", f"are {count}")
-        return block
+        return names, block
 
-    def scaled(
-        self, key: str, names: Sequence[str], array: Array, unit: str | None, allowed: Sequence[str]
-    ) -> Array:
+    def scaled(self, key: str, names: Sequence[str], array: Array, unit: str | None) -> Array:
         """In SI, by the unit of the setup, or by what the file itself says; where both speak they
         have to agree.
         """
+        allowed = units.ALLOWED[key]
         said = {units.in_brackets(name, allowed) for name in names}
         try:
             said |= {units.known(self.columns.units.get(name), allowed) for name in names}
@@ -166,18 +154,16 @@ class _Layout:
                 f"{self.columns.file}: {key}_unit = {unit!r}, but the file says "
                 f"{', '.join(map(repr, sorted(factors.values())))}; allowed is the unit that it has"
             )
-        return array if factor == 1 else array * factor
+        return array * factor
 
-    def orientation(self, time: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 4"]:
+    def orientation(self, time: Times) -> Quaternions:
         """Quaternions x, y, z, w, as they are: their norms are judged later."""
-        names, form = self.names("orientation"), self.table.orientation_form
+        form, unit = self.table.orientation_form, self.table.angle_unit
+        names, numbers = self.block("orientation", time, 4 if form in {"xyzw", "wxyz"} else 3)
         if form in {"xyzw", "wxyz"}:
             self.check_order(names, form)
-            numbers = self.together("orientation", names, time, 4)
             return numbers if form == "xyzw" else np.roll(numbers, -1, axis=1)
-        unit = self.table.angle_unit
-        numbers = self.together("orientation", names, time, 3)
-        angles = self.scaled("angle", names, numbers, unit, units.ANGLE)
+        angles = self.scaled("angle", names, numbers, unit)
         largest = np.abs(angles[np.isfinite(angles)]).max(initial=0.0)
         if unit is None and largest > _LARGEST_ANGLE:
             finding = f"reaches {largest:.4g} rad, as of degrees"
@@ -193,13 +179,14 @@ class _Layout:
         """
         ends = [fullmatch(r"(.*?)[\[(_]?(\w)[\])]?", name.strip().lower()) for name in names]
         stems, order = {end and end[1] for end in ends}, "".join(end[2] for end in ends if end)
+        stated = "orientation_form" in self.table.model_fields_set
         if sorted(order) == sorted(form) and order != form:
             other = f", or the form {order!r}" if order in {"xyzw", "wxyz"} else ""
             finding = f"with orientation_form = {form!r}"
             allowed = f"are names in the order of the form{other}"
-            raise self.wrong("orientation", names, finding, allowed)
-        stated = "orientation_form" in self.table.model_fields_set
-        if not stated and len(stems) == 1 and order in {"0123", "1234"}:
+        elif not stated and len(stems) == 1 and order in {"0123", "1234"}:
             finding = "does not say whether the scalar part w comes first or last"
             allowed = "are such names with orientation_form = 'wxyz' or 'xyzw' in [recording]"
-            raise self.wrong("orientation", names, finding, allowed)
+        else:
+            return
+        raise self.wrong("orientation", names, finding, allowed)

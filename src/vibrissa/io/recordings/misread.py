@@ -7,18 +7,18 @@ a mistake is named if undoing it reconciles the two, keeps the contacts on the r
 noise at rest as stated.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vibrissa.geometry.rotation import rotation_matrices, rotation_vectors
 from vibrissa.inverse.work import ClampWork, clamp_work
 from vibrissa.io.recordings.table import RecordingTable
-from vibrissa.io.recordings.units import FORCE, LENGTH, TORQUE, factor
+from vibrissa.io.recordings.units import ALLOWED, factor
 from vibrissa.rod import Rod
 from vibrissa.sensor import Fault, FaultKind, Inspection, RawRecording, Sensor
 from vibrissa.sensor.raw import CHANNELS
@@ -83,13 +83,6 @@ def misread_faults(
     return [Fault(FaultKind.UNITS, CHANNELS, first, last, len(found.usable), text)]
 
 
-def _is_sound(work: ClampWork, allowed: tuple[float, float]) -> bool:
-    low, high = allowed
-    slack = _DEVIATIONS * work.ratio_deviation
-    returned = work.gained < _SOUND + _DEVIATIONS * work.deviation
-    return returned and low - slack < work.ratio < high + slack
-
-
 @dataclass(frozen=True, eq=False)
 class _Recording:
     """A recording as it was read, and the other ways to read it."""
@@ -106,6 +99,18 @@ class _Recording:
         """
         reactions = reading.reactions(self.tare)
         return [] if reactions is None else clamp_work(reading.rod, reactions)
+
+    def sound(self, reading: Reading, allowed: tuple[float, float]) -> list[ClampWork]:
+        """The same where all of them agree, else none."""
+        works = self.works(reading)
+        for work in works:
+            slack = _DEVIATIONS * work.ratio_deviation
+            if not (
+                work.gained < _SOUND + _DEVIATIONS * work.deviation
+                and allowed[0] - slack < work.ratio < allowed[1] + slack
+            ):
+                return []
+        return works
 
     def by_work(self) -> str | None:
         """What brings the clamp's work and the rod's energy together where they disagree; of
@@ -132,13 +137,13 @@ class _Recording:
 
     def likely(self, allowed: tuple[float, float]) -> list[Reading]:
         """Other readings in which work and energy agree, the best first."""
-        scored = []
-        for reading in self.readings():
-            if reading.is_plausible(self.tare, self.stated, _NOISE):
-                works = self.works(reading)
-                if works and all(_is_sound(work, allowed) for work in works):
-                    scored.append((max(work.misfit for work in works), reading))
-        scored.sort(key=lambda pair: pair[0])
+        scored = [
+            (max(work.misfit for work in works), reading)
+            for reading in self.readings()
+            if reading.is_plausible(self.tare, self.stated, _NOISE)
+            and (works := self.sound(reading, allowed))
+        ]
+        scored.sort(key=itemgetter(0))
         good = [reading for misfit, reading in scored if misfit < 2 * scored[0][0] + _SOUND / 2]
         return good[:_MOST_NAMED]
 
@@ -150,8 +155,8 @@ class _Recording:
         stated = "orientation_form" in self.table.model_fields_set
         if stated or np.abs(orientation[:, 0]).min() < _HALF_TURN:
             return None
-        works = self.works(self.changed("", orientation=np.roll(orientation, -1, axis=1)))
-        if not works or not all(_is_sound(work, _WITH_FRICTION) for work in works):
+        w_first = self.changed("", orientation=np.roll(orientation, -1, axis=1))
+        if not self.sound(w_first, _WITH_FRICTION):
             return None
         return (
             "qx = 1 throughout: half a turn about x, or quaternions written w first? The sweep "
@@ -184,15 +189,13 @@ class _Recording:
         diameter and a radius mistaken for each other.
         """
         given, raw, sensor, table = self.given, self.given.raw, self.given.sensor, self.table
-        for words, scale in _other_units("positions", LENGTH, table.position_unit or "m"):
+        for words, scale in _units("position", table):
             if words:
                 yield self.changed(words, position=raw.position * scale)
         for (forces, force), (torques, torque) in product(
-            _other_units("forces", FORCE, table.force_unit or "N"),
-            _other_units("torques", (*TORQUE, "lbf ft"), table.torque_unit or "N m"),
+            _units("force", table), _units("torque", table)
         ):
-            if (force, torque) != (1.0, 1.0):
-                words = " and ".join(filter(None, (forces, torques)))
+            if words := " and ".join(filter(None, (forces, torques))):
                 yield self.changed(words, force=raw.force * force, torque=raw.torque * torque)
         sign: WrenchSign = "on_rod" if sensor.wrench == "on_sensor" else "on_sensor"
         words = f"a wrench of the other sign (wrench = {sign!r} in [sensor])"
@@ -236,20 +239,22 @@ class _Recording:
             turned["angles in radians, taken for degrees"] = again
         else:
             again = self.degrees().orientation
-            again = np.where(np.isfinite(again).all(axis=1, keepdims=True), again, read)
             words = "angles in degrees, taken for radians (angle_unit = 'deg' in [recording])"
-            turned[words] = again
+            turned[words] = np.where(np.isfinite(again).all(axis=1, keepdims=True), again, read)
         for words, orientation in turned.items():
-            if np.linalg.norm(rotation_vectors(read, orientation), axis=1).max() > _SAME:
+            between = Rotation.from_quat(read).inv() * Rotation.from_quat(orientation)
+            if between.magnitude().max() > _SAME:
                 yield self.changed(words, orientation=orientation)
 
 
-def _other_units(what: str, units: Sequence[str], now: str) -> Iterator[tuple[str, float]]:
+def _units(key: str, table: RecordingTable) -> Iterator[tuple[str, float]]:
     """Words for each unit that numbers may be in, none for that which they were read in, and its
     factor.
     """
-    for unit in units:
-        words = f"{what} in {unit}, taken for {now}" * (unit != now)
+    allowed = ALLOWED[key]
+    now = getattr(table, f"{key}_unit") or allowed[0]
+    for unit in (*allowed, "lbf ft") if key == "torque" else allowed:
+        words = f"{key}s in {unit}, taken for {now}" * (unit != now)
         yield words, factor(unit) / factor(now)
 
 
@@ -258,12 +263,10 @@ def _about_a_point(raw: RawRecording) -> tuple[float, float, float]:
     and by how much it turns [rad].
     """
     rows = np.linspace(0, len(raw.time) - 1, min(len(raw.time), _ROWS)).astype(int)
-    position, orientation = raw.position[rows], raw.orientation[rows]
-    turns = rotation_vectors(np.broadcast_to(orientation[:1], orientation.shape), orientation)
-    design = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(rows), 3, 3)), rotation_matrices(orientation)], axis=2
-    ).reshape(-1, 6)
-    flat = position.reshape(-1)
-    left = flat - design @ np.linalg.lstsq(design, flat, rcond=None)[0]
-    extent = float(np.sqrt(np.mean((position - position.mean(axis=0)) ** 2)))
-    return float(np.sqrt(np.mean(left**2))), extent, float(np.linalg.norm(turns, axis=1).max())
+    position, turns = raw.position[rows], Rotation.from_quat(raw.orientation[rows])
+    matrices, turned = turns.as_matrix(), (turns[0].inv() * turns).magnitude()
+    # The means of both sides, which c takes up, are taken off.
+    way = (position - position.mean(axis=0)).ravel()
+    design = (matrices - matrices.mean(axis=0)).reshape(-1, 3)
+    left = way - design @ np.linalg.lstsq(design, way, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2))), float(way.std()), float(turned.max())

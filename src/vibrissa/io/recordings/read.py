@@ -1,7 +1,7 @@
 """Recordings of any format to support reactions: read, align, judge, take off tare and mount."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from vibrissa.contacts import RecordingNote, RecordingWarning
 from vibrissa.files import InputError
 from vibrissa.io.recordings import bags, formats, layout, text
 from vibrissa.io.recordings.align import Recording, aligned
-from vibrissa.io.recordings.formats import Columns, Kind, kind_of
+from vibrissa.io.recordings.formats import BAG, TEXT, Columns, kind_of
 from vibrissa.io.recordings.misread import misread_faults
 from vibrissa.io.recordings.streams import Poses, Streams
 from vibrissa.io.recordings.table import RecordingTable
@@ -52,12 +52,12 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
         rest is found, clocks do not overlap, or the numbers cannot be in metres, newtons and newton
         metres.
     """
-    inspection = _judged(Path(path), setup)
-    reactions = inspection.sensor.reactions(
-        inspection.cleaned, inspection.tare, tolerances=setup.parameter_covariance
+    found = _judged(Path(path), setup)
+    reactions = found.sensor.reactions(
+        found.cleaned, found.tare, tolerances=setup.parameter_covariance
     )
     kinds = {FaultKind.UNITS, FaultKind.MOUNT}
-    misread = tuple(fault.text for fault in inspection.faults if fault.kind in kinds)
+    misread = tuple(fault.text for fault in found.faults if fault.kind in kinds)
     return replace(reactions, misread=misread)
 
 
@@ -80,19 +80,17 @@ def _judged(file: Path, setup: Setup) -> Inspection:
     recording = aligned(file, streams, setup.recording or RecordingTable(), setup.rod.length)
     for note in recording.notes:
         warnings.warn(f"{file}: {note}", RecordingNote, stacklevel=3)
-    inspection = _inspected(file, recording, setup)
-    if inspection.unusable:
+    found = _inspected(file, recording, setup)
+    if found.unusable:
         # What cannot be used may follow from a unit that alone would not forbid it: stamps in
         # milliseconds leave no rest.
-        units = (
-            fault.text
-            for fault in inspection.faults
-            if fault.kind is FaultKind.UNITS and not fault.unusable
-        )
-        raise InputError(f"{file}: " + "; besides: ".join([inspection.unusable[0].text, *units]))
-    for line in inspection.warnings:
+        units = [fault for fault in found.faults if fault.kind is FaultKind.UNITS]
+        besides = [fault for fault in units if not fault.unusable]
+        texts = [fault.text for fault in (found.unusable[0], *besides)]
+        raise InputError(f"{file}: " + "; besides: ".join(texts))
+    for line in found.warnings:
         warnings.warn(f"{file}: {line}", RecordingWarning, stacklevel=3)
-    return inspection
+    return found
 
 
 def _check(file: Path, streams: Streams) -> None:
@@ -154,30 +152,22 @@ def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
     return replace(found, faults=tuple(faults), notes=recording.notes)
 
 
-def pose_faults(pose: Poses) -> list[Fault]:
+def pose_faults(pose: Poses) -> Iterator[Fault]:
     """Faults of poses with stamps of their own, on the clock of the wrenches, which bringing them
     to the stamps of the wrenches would hide.
     """
-    known = np.isfinite(pose.time)
-    if not known.any():
-        return []
-    channels, wrong = ("position", "orientation"), wrong_norms(pose.orientation)
-    norms = f"of {len(wrong)} quaternions of the poses have another norm than 1; allowed is 1"
-    found = [
-        replace(fault, channels=channels, text=f"stamps of the poses: {fault.text}")
-        for fault in stamp_faults(pose.time)
-    ]
-    for rows, kind, concerned, words in (
-        (wrong, FaultKind.UNITS, channels[1:], norms),
-        (~pose.finite, FaultKind.DROP_OUT, channels, "poses without a number, which are skipped"),
-    ):
-        count = int(np.count_nonzero(rows))
-        if count:
-            stamps = pose.time[rows & known] if np.any(rows & known) else pose.time[known]
-            span = float(stamps.min()), float(stamps.max())
-            unusable = kind is FaultKind.UNITS
-            found.append(Fault(kind, concerned, *span, count, f"{count} {words}", unusable))
-    return found
+    channels, known = ("position", "orientation"), pose.rows(np.isfinite(pose.time))
+    for fault in stamp_faults(known.time):
+        yield replace(fault, channels=channels, text=f"stamps of the poses: {fault.text}")
+    wrong = known.time[wrong_norms(known.orientation)]
+    if len(wrong):
+        text = f"{len(wrong)} quaternions of the poses have another norm than 1; allowed is 1"
+        yield Fault.over(channels[1:], FaultKind.UNITS, wrong, text, unusable=True)
+    lost = pose.time[~pose.finite]
+    if len(lost) and len(known.time):
+        stamps = lost[np.isfinite(lost)] if np.isfinite(lost).any() else known.time
+        text = f"{len(lost)} poses without a number, which are skipped"
+        yield Fault.over(channels, FaultKind.DROP_OUT, stamps, text, len(lost))
 
 
 def read_raw(path: str | Path, setup: Setup) -> Recording:
@@ -199,28 +189,24 @@ def _streams(file: Path, stated: RecordingTable | None) -> Streams:
     try:
         kind, poses = kind_of(file), None
         if table.pose_file:
-            own = {"decimal": table.pose_decimal, "skip_lines": table.pose_skip_lines}
-            update = {key: value for key, value in own.items() if value is not None}
             beside = file.parent / table.pose_file.replace("{name}", file.stem)
-            poses = _columns(beside, kind_of(beside), table.model_copy(update=update))
-        if kind is Kind.BAG:
-            given = None if poses is None else layout.pose_stream(poses, table)
-            return bags.streams(file, table, given)
+            poses = _columns(beside, kind_of(beside), table.of_poses)
+        if kind == BAG:
+            return bags.streams(file, table, poses)
         exactly = COLUMNS if stated is None else ()
         return layout.streams(_columns(file, kind, table, exactly), table, poses)
     except ImportError as error:
         raise InputError(f"{file}: {error}") from error
 
 
-def _columns(file: Path, kind: Kind, table: RecordingTable, exactly: Sequence[str] = ()) -> Columns:
+def _columns(file: Path, kind: str, table: RecordingTable, exactly: Sequence[str] = ()) -> Columns:
     """Columns whose names may be asked for; `name[k]` also without its index."""
-    if kind is Kind.BAG:
+    if kind == BAG:
         raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
-    names = [*table.force, *table.torque, *table.position, *table.orientation]
-    for time in (table.time, table.pose_time or ()):
-        names += [time] if isinstance(time, str) else time
-    whole = [name.rpartition("[")[0] for name in names if name.endswith("]")]
-    wanted = [*names, *whole, "force", "torque", "position", "orientation"]
-    if kind is Kind.TEXT:
+    quantities = ("time", "force", "torque", "position", "orientation")
+    layouts = table, table.of_poses
+    names = [name for one in layouts for key in quantities for name in getattr(one, key)]
+    wanted = [*names, *(name.rsplit("[", 1)[0] for name in names), *quantities]
+    if kind == TEXT:
         return text.columns(file, table, exactly or wanted, exactly)
     return formats.columns(file, kind, wanted)

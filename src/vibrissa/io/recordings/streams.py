@@ -6,10 +6,14 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation, Slerp
 
-Rows = TypeVar("Rows", bound="Stamped")
+from vibrissa.sensor.raw import Quaternions, Rows, Times
+
+Vectors = Float[np.ndarray, "n 3"]
+Lines = Int[np.ndarray, "n"]
+Kind = TypeVar("Kind", bound="Stamped")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,19 +28,18 @@ class Stamped:
         (n,) lines of the text that the rows stand in, from 1; None for other formats.
     """
 
-    time: Float[np.ndarray, "n"]
-    line: Int[np.ndarray, "n"] | None = field(default=None, kw_only=True)
+    time: Times
+    line: Lines | None = field(default=None, kw_only=True)
 
     def place(self, row: int) -> str:
         """Say where a row is in its file."""
         return f"row {row}" if self.line is None else f"line {self.line[row]}"
 
-    def rows(self: Rows, chosen: Any) -> Rows:
+    def rows(self: Kind, chosen: Any) -> Kind:
         """Some of the rows, by a mask, numbers or a slice."""
         parts = {part.name: getattr(self, part.name) for part in fields(self)}
-        return replace(
-            self, **{name: part[chosen] for name, part in parts.items() if part is not None}
-        )
+        known = {name: part[chosen] for name, part in parts.items() if part is not None}
+        return replace(self, **known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +52,8 @@ class Wrenches(Stamped):
         (n, 3) [N], [N m].
     """
 
-    force: Float[np.ndarray, "n 3"]
-    torque: Float[np.ndarray, "n 3"]
+    force: Vectors
+    torque: Vectors
 
     @property
     def channels(self) -> Float[np.ndarray, "n 6"]:
@@ -70,11 +73,11 @@ class Poses(Stamped):
         (n, 4) quaternions x, y, z, w.
     """
 
-    position: Float[np.ndarray, "n 3"]
-    orientation: Float[np.ndarray, "n 4"]
+    position: Vectors
+    orientation: Quaternions
 
     @property
-    def finite(self) -> Bool[np.ndarray, "n"]:
+    def finite(self) -> Rows:
         """Whether all numbers of a row are there."""
         numbers = np.column_stack([self.time, self.position, self.orientation])
         return np.isfinite(numbers).all(axis=1)
@@ -109,31 +112,26 @@ def usable(pose: Poses) -> Poses:
     return rows.rows(np.unique(rows.time, return_index=True)[1])
 
 
-def within(pose: Poses, time: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+def within(pose: Poses, time: Times) -> Rows:
     """Whether stamps lie between the first and the last of at least one pose."""
     return (time >= pose.time[0]) & (time <= pose.time[-1])
 
 
-def interpolated(pose: Poses, time: Float[np.ndarray, "n"]) -> Poses:
+def interpolated(pose: Poses, time: Times) -> Poses:
     """Poses at the stamps `time` [s], in any order, also NaN: positions linearly, orientations along
     the shortest rotation; NaN before the first and after the last pose. There is at least one pose,
     and their stamps increase.
     """
-    inside = within(pose, time)
-    position, orientation = np.full((len(time), 3), np.nan), np.full((len(time), 4), np.nan)
+    inside, orientation = within(pose, time), np.full((len(time), 4), np.nan)
     # The last one twice, so that a single pose can be interpolated.
-    stamps, twice = (
-        np.append(pose.time, np.inf),
-        np.append(pose.orientation, pose.orientation[-1:], 0),
-    )
-    turns = Slerp(stamps, Rotation.from_quat(twice))
-    orientation[inside] = turns(time[inside]).as_quat()
-    for axis, values in enumerate(pose.position.T):
-        position[inside, axis] = np.interp(time[inside], pose.time, values)
-    return Poses(time, position, orientation)
+    turns = Rotation.from_quat(np.append(pose.orientation, pose.orientation[-1:], 0))
+    orientation[inside] = Slerp(np.append(pose.time, np.inf), turns)(time[inside]).as_quat()
+    ends = {"left": np.nan, "right": np.nan}
+    axes = [np.interp(time, pose.time, values, **ends) for values in pose.position.T]
+    return Poses(time, np.column_stack(axes), orientation)
 
 
-def in_gap(pose: Poses, time: Float[np.ndarray, "n"], longest: float) -> Bool[np.ndarray, "n"]:
+def in_gap(pose: Poses, time: Times, longest: float) -> Rows:
     """Whether stamps lie between two poses that are further apart than `longest` [s]; at the ends
     of a gap the pose is known.
     """

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field, StringConstraints
 
-from vibrissa.io.config import IN_ONE, Finite, Positive, Table
+from vibrissa.io.config import IN_ONE, Finite, Positive, Table, several
 from vibrissa.io.recordings import units
 
 Name = Annotated[
@@ -24,21 +24,15 @@ def _one_or(count: str) -> str:
     return f"one name, of an array with a column for each, or a list of {count} names"
 
 
-Names3 = Annotated[
-    tuple[Name, ...],
-    BeforeValidator(_listed),
-    Field(min_length=1, max_length=3, description=_one_or("three")),
-]
-Names4 = Annotated[
-    tuple[Name, ...],
-    BeforeValidator(_listed),
-    Field(min_length=1, max_length=4, description=_one_or("three or four")),
-]
+Names = Annotated[tuple[Name, ...], BeforeValidator(_listed)]
+Names3 = Annotated[Names, several(3, _one_or("three"), least=1)]
+Names4 = Annotated[Names, several(4, _one_or("three or four"), least=1)]
 TimeNames = Annotated[
-    Name | tuple[Name, Name],
-    Field(
-        description="the name of a column or array, "
-        "or a list of two, of whole seconds and of nanoseconds"
+    Names,
+    several(
+        2,
+        "the name of a column or array, or a list of two, of whole seconds and of nanoseconds",
+        least=1,
     ),
 ]
 TimeUnit = Annotated[
@@ -87,7 +81,7 @@ class RecordingTable(Table):
         Longest time between two poses over which they are interpolated [s].
     """
 
-    time: TimeNames = "time"
+    time: TimeNames = ("time",)
     time_unit: TimeUnit | None = None
     force: Names3 = ("fx", "fy", "fz")
     force_unit: Annotated[units.Force, _one_of(units.Force)] | None = None
@@ -134,3 +128,11 @@ class RecordingTable(Table):
     ] = 0.0
     largest_offset: Positive = 1.0
     longest_gap: Positive = 0.2
+
+    @property
+    def of_poses(self) -> "RecordingTable":
+        """The layout of poses that have stamps or a file of their own."""
+        names = ("time", "time_unit", "decimal", "skip_lines")
+        given = {name: getattr(self, f"pose_{name}") for name in names}
+        own = {name: value for name, value in given.items() if value is not None}
+        return self.model_copy(update=own)

@@ -55,29 +55,22 @@ def columns(
     with reading(file, "text"):
         line, names, delimiter = _header(file, lines, table, wanted, exactly)
     chosen = matched(wanted, names)
-    twice = next((own for own in chosen.values() if names.count(own) > 1), None)
+    twice = [own for own in chosen.values() if names.count(own) > 1]
     if exactly:
         found = [name.lower() for name in names]
         hint = "; for another layout add a table [recording] to the setup"
         check_header(file, found, exactly, line=line + 1, hint=hint)
-    elif twice is not None:
+    elif twice:
         raise InputError(
-            f"{file}, line {line + 1}: column {twice!r} is there {names.count(twice)} times; "
+            f"{file}, line {line + 1}: column {twice[0]!r} is there {names.count(twice[0])} times; "
             "allowed is once"
         )
     places = {name: names.index(own) for name, own in chosen.items()}
-    units = {} if exactly else _units(lines[line + 1 : line + 2], names, delimiter, places)
     with reading(file, "text"):
-        cells = cells_of(
-            file,
-            text,
-            names,
-            delimiter=delimiter,
-            decimal=table.decimal,
-            skip=line + 1 + bool(units),
-            comments=None if exactly else _COMMENTS,
-        )
-    times = {table.time: table.time_unit, table.pose_time: table.pose_time_unit or table.time_unit}
+        units = {} if exactly else _units(lines[line + 1 : line + 2], names, delimiter, places)
+        skip, comments = line + 1 + bool(units), None if exactly else _COMMENTS
+        cells = cells_of(file, text, names, delimiter=delimiter, skip=skip, comments=comments)
+    times = {one.time[0]: one.time_unit for one in (table, table.of_poses)}
     german = ", with decimal = ',' in [recording] where a comma is meant"
     arrays = {
         name: numbers_of(
@@ -105,28 +98,30 @@ def _header(
     the names that are asked for, by the delimiter that gives most; a comment, as NumPy writes it,
     only where it holds more of them than any other line.
     """
-    delimiters = table.delimiter or _DELIMITERS.replace(table.decimal, "")
+    delimiters, skip = table.delimiter or _DELIMITERS.replace(table.decimal, ""), table.skip_lines
     if exactly:
-        stated = match(r'"?sep=(.)', lines[0]) if lines else None
+        stated = match(r'"?sep=(.)', "".join(lines[:1]))
         delimiters = stated[1] if stated else ","
-    best: tuple[int, list[str], str] | None = None
-    most, skip = (-1, False), table.skip_lines
-    for number, line in enumerate(lines[skip : skip + _LONGEST_PREAMBLE], skip):
-        is_plain = not line.lstrip().startswith(_COMMENTS)
-        names_only = line.lstrip("#% \t")
-        for delimiter in delimiters if names_only else ():
-            names = [name.strip() for name in split(names_only, delimiter)]
-            while len(names) > 1 and not names[-1]:
-                names.pop()
-            score = len(matched(wanted, names)), is_plain
-            if score > most:
-                best, most = (number, names, delimiter), score
-    if best is None:
+    found = [
+        (number, [name.strip() for name in split(line.lstrip("#% \t"), delimiter)], delimiter)
+        for number, line in enumerate(lines[skip : skip + _LONGEST_PREAMBLE], skip)
+        for delimiter in delimiters
+        if line.strip("#% \t")
+    ]
+    if not found:
         raise InputError(
             f"{file}: {f'{len(lines)} lines' if lines else 'empty'}; allowed is CSV with the "
             f"columns {','.join(exactly or wanted[:1])} after skip_lines = {skip}"
         )
-    return best
+
+    def score(header: tuple[int, list[str], str]) -> tuple[int, bool]:
+        is_plain = not lines[header[0]].lstrip().startswith(_COMMENTS)
+        return len(matched(wanted, header[1])), is_plain
+
+    number, names, delimiter = max(found, key=score)
+    while len(names) > 1 and not names[-1]:
+        names.pop()
+    return number, names, delimiter
 
 
 def _units(
@@ -136,7 +131,8 @@ def _units(
     unit in one at least.
     """
     cells = [cell.strip(" []()") for line in below for cell in split(line, delimiter)]
-    if len(cells) < len(names) or any(cells[place][:1].isdigit() for place in places.values()):
+    if len(cells) < len(names):
         return {}
-    said = {name: cells[place] for name, place in places.items() if cells[place]}
-    return said if any(map(is_unit, said.values())) else {}
+    said = {name: cells[place] for name, place in places.items()}
+    is_row = any(cell[:1].isdigit() for cell in said.values())
+    return said if not is_row and any(map(is_unit, said.values())) else {}

@@ -13,6 +13,7 @@ Angle = Literal["rad", "deg"]
 Time = Literal["s", "ms", "us", "ns", "min", "h"]
 
 FORCE, TORQUE, LENGTH, ANGLE, TIME = map(get_args, (Force, Torque, Length, Angle, Time))
+ALLOWED = {"force": FORCE, "torque": TORQUE, "position": LENGTH, "angle": ANGLE, "time": TIME}
 # "newton millimeters" has 18 letters: what is longer is a note or damage.
 _LONGEST = 30
 
@@ -83,7 +84,7 @@ def known_or_none(text: str, allowed: Sequence[str]) -> str | None:
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of anything that is read."""
-    return any(known_or_none(text, units) for units in (FORCE, TORQUE, LENGTH, ANGLE, TIME))
+    return any(known_or_none(text, units) for units in ALLOWED.values())
 
 
 def in_brackets(name: str, allowed: Sequence[str]) -> str | None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vibrissa.io.errors import writable
+from vibrissa.files import writable
 from vibrissa.sensor import RawRecording
 
 COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "tx", "ty", "tz")

@@ -4,13 +4,15 @@ Importing it raises ImportError, with the command that installs them, where `mca
 missing.
 """
 
-from vibrissa.io.rosbag.library import library
+from functools import partial
 
+from vibrissa.libraries import extra_library
+
+library = partial(extra_library, extra="live", need="MCAP needs it")
 for _name in ("mcap.records", "rosbags.typesys"):
     library(_name)
 
-from vibrissa.io.rosbag.growing import Channel, GrowingFile, Messages  # noqa: E402
 from vibrissa.io.rosbag.mend import mend  # noqa: E402
 from vibrissa.io.rosbag.sink import McapSink, Rosbag2Sink  # noqa: E402
 
-__all__ = ["Channel", "GrowingFile", "McapSink", "Messages", "Rosbag2Sink", "mend"]
+__all__ = ["McapSink", "Rosbag2Sink", "mend"]

@@ -16,6 +16,7 @@ that loses power: nothing waits for the disk.
 """
 
 import struct
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -36,6 +37,9 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of every record: opcode and length
 _PRIVATE = 0x80  # opcode: from here on, readers skip records
 _FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
+
+
+Stamps = Int[np.ndarray, "n"]
 
 
 class Channel(NamedTuple):
@@ -64,8 +68,8 @@ class Messages(NamedTuple):
     """
 
     channel: int
-    log_time: Int[np.ndarray, "n"]
-    offset: Int[np.ndarray, "n"]
+    log_time: Stamps
+    offset: Stamps
     data: bytes
 
 
@@ -125,17 +129,16 @@ class GrowingFile:
         """Add a chunk; log times must not be before those of the last one. Raise OSError where the
         disk does.
         """
-        content, times = bytearray(), [np.empty(0, int), *(block.log_time for block in blocks)]
-        rows: dict[int, list[tuple[int, int]]] = {}
+        content, rows = b"", defaultdict[int, list[tuple[int, int]]](list)
         for block in blocks:
-            own = rows.setdefault(block.channel, [])
-            own += zip(block.log_time.tolist(), (block.offset + len(content)).tolist(), strict=True)
+            offsets = (block.offset + len(content)).tolist()
+            rows[block.channel] += zip(block.log_time.tolist(), offsets, strict=True)
             content += block.data
         if not content:
             return
-        data, whole = bytes(content), np.concatenate(times)
-        first, last = int(whole.min()), int(whole.max())
-        written = packed(records.Chunk("", data, last, first, crc32(data), len(data)))
+        times = [time for own in rows.values() for time, _ in own]
+        first, last, size = min(times), max(times), len(content)
+        written = packed(records.Chunk("", content, last, first, crc32(content), size))
         length, places = len(written), {}
         for channel, own in sorted(rows.items()):
             places[channel + 1] = self._room + len(written)
@@ -146,8 +149,8 @@ class GrowingFile:
                 chunk_length=length,
                 chunk_start_offset=self._room,
                 compression="",
-                compressed_size=len(data),
-                uncompressed_size=len(data),
+                compressed_size=size,
+                uncompressed_size=size,
                 message_start_time=first,
                 message_end_time=last,
                 message_index_length=len(written) - length,

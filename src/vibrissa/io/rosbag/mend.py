@@ -2,16 +2,14 @@
 a copy made while it grew.
 """
 
-from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 
 from mcap import records
-from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from vibrissa.files import InputError, readable
-from vibrissa.io.errors import writable
-from vibrissa.io.rosbag.growing import MAGIC
+from vibrissa.files import InputError, readable, writable
+from vibrissa.io.recordings.containers import MAGIC, mcap_records
 
 
 def mend(path: str | Path, target: str | Path) -> int:
@@ -27,39 +25,28 @@ def mend(path: str | Path, target: str | Path) -> int:
     source, out = readable(Path(path)), Path(target)
     if out.exists():
         raise InputError(f"{out}: is there already; allowed is a new file")
-    schemas, channels, count = {0: 0}, {}, 0
     with source.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             raise InputError(
                 f"{source}: does not begin as MCAP does; allowed is an MCAP file, cut or not"
             )
-        # No record is longer than the file.
-        reader = StreamReader(
-            stream, skip_magic=True, validate_crcs=True, record_size_limit=source.stat().st_size
-        )
-        with writable(out).open("wb") as copy:
-            writer = Writer(copy, compression=CompressionType.NONE)
-            writer.start("ros2", "vibrissa")
-            # Whatever `mcap` raises where bytes are damaged, which ends it.
-            with suppress(Exception):
-                for one in reader.records:
-                    match one:
-                        case records.Schema() if one.id not in schemas:
-                            schemas[one.id] = writer.register_schema(
-                                one.name, one.encoding, one.data
-                            )
-                        case records.Channel() if one.id not in channels:
-                            channels[one.id] = writer.register_channel(
-                                one.topic,
-                                one.message_encoding,
-                                schemas[one.schema_id],
-                                one.metadata,
-                            )
-                        case records.Message():
-                            channel = channels[one.channel_id]
-                            writer.add_message(
-                                channel, one.log_time, one.data, one.publish_time, one.sequence
-                            )
-                            count += 1
-            writer.finish()  # type: ignore[no-untyped-call]
+    schemas, channels, count, damage = {0: 0}, {}, 0, list[str]()
+    with writable(out).open("wb") as copy:
+        writer = Writer(copy, compression=CompressionType.NONE)
+        writer.start("ros2", "vibrissa")
+        for one in takewhile(lambda _: not damage, mcap_records(source, damage)):
+            match one:
+                case records.Schema() if one.id not in schemas:
+                    schemas[one.id] = writer.register_schema(one.name, one.encoding, one.data)
+                case records.Channel() if one.id not in channels and one.schema_id in schemas:
+                    channels[one.id] = writer.register_channel(
+                        one.topic, one.message_encoding, schemas[one.schema_id], one.metadata
+                    )
+                case records.Message() if one.channel_id in channels:
+                    channel = channels[one.channel_id]
+                    writer.add_message(
+                        channel, one.log_time, one.data, one.publish_time, one.sequence
+                    )
+                    count += 1
+        writer.finish()  # type: ignore[no-untyped-call]
     return count

@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from mcap.records import Message
 from rosbags.typesys import Stores, get_typestore
 
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.contacts import deviations, structured
-from vibrissa.io.rosbag.growing import Channel, Messages, packed
+from vibrissa.io.contacts import DEVIATIONS, columns, structured
+from vibrissa.io.rosbag.growing import Channel, Messages, Stamps, packed
 
 WRENCH, POSE, CONTACTS = range(3)
 TYPES = (
@@ -37,10 +37,10 @@ QOS = """\
 """
 """Of all topics: keep the last 100, reliable, volatile."""
 
-_AXES = [f"{vector}{axis}" for vector in ("", "normal_", "deviation_") for axis in "xyz"]
+_NORMAL = [f"normal_{axis}" for axis in "xyz"]
 POINT = np.dtype(
     {
-        "names": [*_AXES, "arc_length", "kind", "status", "time"],
+        "names": ["x", "y", "z", *_NORMAL, *DEVIATIONS, "arc_length", "kind", "status", "time"],
         "formats": ["<f4"] * 10 + ["u1", "u1", "<f8"],
     },
     align=True,
@@ -66,8 +66,8 @@ _DATATYPES = {"<f4": 7, "<f8": 8, "|u1": 2}  # of sensor_msgs/msg/PointField
 class MessageWriter:
     """Message records for MCAP, channel by channel.
 
-    Wrenches and poses have a fixed length: a message that `rosbags` serialised is the pattern, into
-    which stamps and numbers are put, many messages at once.
+    Wrenches and poses have a fixed length, a header that `rosbags` serialised and their numbers:
+    stamps and numbers are put into copies of it, many messages at once.
 
     Parameters
     ----------
@@ -78,16 +78,9 @@ class MessageWriter:
     def __init__(self, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._world, self._counts = world_frame, [0] * len(TOPICS)
-        vector = self._new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-        pose = self._new(
-            "geometry_msgs/msg/Pose",
-            self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0),
-            self._new("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0),
-        )
-        wrench = self._new("geometry_msgs/msg/Wrench", vector, vector)
         self._patterns = {
-            WRENCH: self._pattern(WRENCH, 6, wrench_frame, wrench),
-            POSE: self._pattern(POSE, 7, world_frame, pose),
+            WRENCH: self._pattern(WRENCH, 6, wrench_frame),
+            POSE: self._pattern(POSE, 7, world_frame),
         }
         self._fields = [
             self._new("sensor_msgs/msg/PointField", name, offset, _DATATYPES[kind.str], 1)
@@ -106,15 +99,17 @@ class MessageWriter:
     def _new(self, message_type: str, *values: Any) -> Any:
         return self._store.types[message_type](*values)
 
-    def _data(self, channel: int, frame: str, stamp: int, *values: Any) -> bytes:
+    def _header(self, frame: str, stamp: int) -> Any:
         moment = self._new("builtin_interfaces/msg/Time", *divmod(stamp, _SECOND))
-        header = self._new("std_msgs/msg/Header", moment, frame)
-        message = self._new(TYPES[channel], header, *values)
-        return bytes(self._store.serialize_cdr(message, TYPES[channel]))
+        return self._new("std_msgs/msg/Header", moment, frame)
 
-    def _pattern(self, channel: int, count: int, frame: str, value: Any) -> np.ndarray:
-        """One record (1,) of a message that ends with `count` numbers."""
-        record = packed(Message(channel + 1, 0, self._data(channel, frame, 0, value), 0, 0))
+    def _pattern(self, channel: int, count: int, frame: str) -> np.ndarray:
+        """One record (1,) of a message that is a header and `count` numbers."""
+        header = self._store.serialize_cdr(self._header(frame, 0), "std_msgs/msg/Header")
+        # Numbers lie at multiples of their size from the end of the encapsulation.
+        padding = -(len(header) - 4) % 8
+        data = bytes(header) + bytes(padding + 8 * count)
+        record = packed(Message(channel + 1, 0, data, 0, 0))
         head = list(_HEAD.items())
         between = len(record) - np.dtype(head).itemsize - 8 * count
         kind = [*head, ("frame", f"V{between}"), ("numbers", "<f8", (count,))]
@@ -123,10 +118,10 @@ class MessageWriter:
     def stamped(
         self,
         channel: int,
-        stamp: Int[np.ndarray, "n"],
-        log_time: Int[np.ndarray, "n"],
+        stamp: Stamps,
+        log_time: Stamps,
         numbers: Float[np.ndarray, "n k"],
-        sequence: Int[np.ndarray, "n"] | None = None,
+        sequence: Stamps | None = None,
     ) -> Messages:
         """Wrenches (n, 6), under the sensor's own numbers, or poses (n, 7) of the sensor frame."""
         records = np.repeat(self._patterns[channel], len(stamp))
@@ -141,26 +136,17 @@ class MessageWriter:
         offset = np.arange(len(stamp)) * records.itemsize
         return Messages(channel, log_time, offset, records.tobytes())
 
-    def cloud(self, stamp: Int[np.ndarray, "n"], found: Reconstruction, log_time: int) -> Messages:
+    def cloud(self, stamp: Stamps, found: Reconstruction, log_time: int) -> Messages:
         """One cloud of the rows with a contact, stamped as the first of them; nothing where there
         is none.
         """
-        rows = np.flatnonzero(found.in_contact)
-        if not len(rows):
-            return Messages(CONTACTS, rows, rows, b"")
-        first = int(stamp[rows[0]])
-        points = structured(
-            POINT,
-            (
-                *found.point[rows].T,
-                *found.normal[rows].T,
-                *deviations(found)[rows].T,
-                found.arc_length[rows],
-                found.kind[rows],
-                found.status[rows],
-                (stamp[rows] - first) * 1e-9,
-            ),
-        )
+        rows, nothing = found.in_contact, np.empty(0, dtype=np.int64)
+        if not rows.any():
+            return Messages(CONTACTS, nothing, nothing, b"")
+        first = int(stamp[rows][0])
+        named = columns(found) | {"time": (stamp - first) * 1e-9}
+        named |= {f"normal_{axis}": named[f"n{axis}"] for axis in "xyz"}
+        points = structured(POINT, named, rows)
         data = self._cloud_data(points, first, is_dense=found.covariance is not None)
         sequence = self._counts[CONTACTS]
         self._counts[CONTACTS] += 1
@@ -168,6 +154,7 @@ class MessageWriter:
         return Messages(CONTACTS, np.array([log_time]), np.array([0]), record)
 
     def _cloud_data(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
-        step, data = points.itemsize, points.view(np.uint8)
-        shape = 1, len(points), self._fields, False, step, points.nbytes
-        return self._data(CONTACTS, self._world, stamp, *shape, data, is_dense)
+        header, size, step = self._header(self._world, stamp), len(points), points.itemsize
+        shape = 1, size, self._fields, False, step, points.nbytes
+        cloud = self._new(TYPES[CONTACTS], header, *shape, points.view(np.uint8), is_dense)
+        return bytes(self._store.serialize_cdr(cloud, TYPES[CONTACTS]))

@@ -5,11 +5,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from vibrissa.inverse import Reconstruction
+from vibrissa.io.recordings.streams import Vectors
 from vibrissa.io.rosbag.disk import whole_file
-from vibrissa.io.rosbag.growing import GrowingFile, Messages
+from vibrissa.io.rosbag.growing import GrowingFile, Messages, Stamps
 from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
 from vibrissa.sensor import RawRecording
 
@@ -50,10 +50,10 @@ class McapSink:
 
     def wrench(
         self,
-        stamp: Int[np.ndarray, "n"],
-        sequence: Int[np.ndarray, "n"],
-        force: Float[np.ndarray, "n 3"],
-        torque: Float[np.ndarray, "n 3"],
+        stamp: Stamps,
+        sequence: Stamps,
+        force: Vectors,
+        torque: Vectors,
     ) -> None:
         """Keep raw samples for the next chunk."""
         log_time = np.maximum.accumulate(np.maximum(stamp, self._log_time))
@@ -61,9 +61,7 @@ class McapSink:
         wrench = np.hstack([force, torque])
         self._keep(self._writer.stamped(WRENCH, stamp, log_time, wrench, sequence))
 
-    def contacts(
-        self, stamp: Int[np.ndarray, "n"], raw: RawRecording, found: Reconstruction
-    ) -> None:
+    def contacts(self, stamp: Stamps, raw: RawRecording, found: Reconstruction) -> None:
         """Keep poses and contacts for the next chunk."""
         known = np.isfinite(raw.position[:, 0])
         log_time = np.full(int(np.count_nonzero(known)), self._log_time)
@@ -91,7 +89,7 @@ class McapSink:
             self._disk.close()
 
 
-class Rosbag2Sink:
+class Rosbag2Sink(McapSink):
     """Raw wrenches, poses and contacts as a rosbag2 folder: `NAME_0.mcap` as `McapSink` writes it,
     and `metadata.yaml`.
 
@@ -116,14 +114,12 @@ class Rosbag2Sink:
         folder.mkdir(exist_ok=True)
         self._metadata = folder / "metadata.yaml"
         self._name = f"{folder.resolve().name}_0.mcap"
-        self._mcap = McapSink(folder / self._name, **frames)
-        # Raw samples and contacts go to the file as they are.
-        self.wrench, self.contacts = self._mcap.wrench, self._mcap.contacts
+        super().__init__(folder / self._name, **frames)
         self._described()
 
     def _described(self) -> None:
         """Replace the metadata."""
-        file = self._mcap.file
+        file = self.file
         first, last = file.time_range
         size = {
             "starting_time": {"nanoseconds_since_epoch": first},
@@ -161,11 +157,11 @@ class Rosbag2Sink:
 
     def flush(self) -> None:
         """Write a chunk of what is held and, now and then, the metadata."""
-        self._mcap.flush()
+        super().flush()
         if time.monotonic() - self._when >= _EVERY:
             self._described()
 
     def close(self) -> None:
         """Write the rest, the index and the metadata."""
-        self._mcap.close()
+        super().close()
         self._described()

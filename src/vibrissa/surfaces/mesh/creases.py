@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 from vibrissa.surfaces.mesh.patches import Patch
@@ -72,10 +72,10 @@ def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
     apex = vertices[faces[across, opposite]]
     height = np.einsum("fi,fki->fk", flat, apex - vertices[np.roll(faces, -1, axis=1)])
     creases = np.where(turn > crease_angle, np.where(height < 0, 1, -1), 0)
-    # The two ends of each edge, as corners of the triangle here and of the one across.
-    here = (np.arange(3)[:, None] + [1, 2]) % 3
-    there = (opposite[..., None] + [2, 1]) % 3
-    fans = _fans(here, across, there, creases == 0)
+    # By edge and corner, that of the triangle across which lies at the same end of the edge.
+    corner = np.arange(3)
+    there = (opposite[..., None] + corner[:, None] - corner) % 3
+    fans = _fans(across, there, creases == 0)
     vertex = np.empty(fans.max() + 1, dtype=np.int64)
     vertex[fans] = faces
     normals = _fitted(vertices, faces, fans, vertex, flat)
@@ -94,23 +94,14 @@ def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
 
 
 def _fans(
-    here: Int[np.ndarray, "3 2"],
-    across: Faces,
-    there: Int[np.ndarray, "f 3 2"],
-    smooth: np.ndarray,
+    across: Faces, there: Int[np.ndarray, "f 3 3"], smooth: Bool[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, "f 3"]:
-    """Number of the fan of each corner."""
-    row, k = np.nonzero(smooth)
-    first, second = 3 * row[:, None] + here[k], 3 * across[row, k, None] + there[row, k]
-    size = across.size
-    graph = scipy.sparse.coo_array(
-        (np.ones(first.size), (first.ravel(), second.ravel())), shape=(size, size)
-    )
-    return (
-        scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
-        .reshape(-1, 3)
-        .astype(np.int64)
-    )
+    """Number of the fan of each corner: those at the ends of smooth edges belong together."""
+    at_end = smooth[..., None] & ~np.eye(3, dtype=bool)
+    here = np.arange(across.size).reshape(-1, 1, 3)
+    pairs = np.stack(np.broadcast_arrays(here, 3 * across[..., None] + there), axis=-1)[at_end]
+    labels = library("trimesh.graph").connected_component_labels(pairs, node_count=across.size)
+    return np.asarray(labels, dtype=np.int64).reshape(-1, 3)
 
 
 def _fitted(
@@ -137,15 +128,12 @@ def _fitted(
     agreement = np.ones(count)
     np.minimum.at(agreement, fans, np.sum(flat[:, None] * rough[fans], axis=-1))
     # Which fans lie within two edges of each other.
-    i, j = fans.ravel(), np.roll(fans, 1, axis=1).ravel()
-    ring = scipy.sparse.csr_array((np.ones(i.size), (i, j)), shape=(count, count))
-    ring = ring + ring.T
-    rings = scipy.sparse.csr_array(ring @ ring)
+    ring = scipy.sparse.csr_array(library("igl").adjacency_matrix(fans))
+    rings = ring @ ring
     rings.setdiag(0)
     rings.eliminate_zeros()
     normals = rough.copy()
-    for start in range(0, count, _CHUNK):
-        rows = np.arange(start, min(start + _CHUNK, count))
+    for rows in np.array_split(np.arange(count), -(-count // _CHUNK)):
         # Evenly thinned out where there are more neighbours than are used.
         first, size = rings.indptr[rows, None], np.diff(rings.indptr)[rows, None]
         step = np.maximum(size, _NEIGHBOURS) / _NEIGHBOURS
@@ -169,31 +157,21 @@ def _jets(
     """
     across = np.cross(rough, np.eye(3)[np.argmin(np.abs(rough), axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    along = np.cross(rough, across)
+    frame = np.stack([np.cross(rough, across), across, rough], axis=-1)
     distance = np.where(valid, np.linalg.norm(offset, axis=-1), 0.0)
     size = distance.max(axis=1, keepdims=True)
-    u, v, w = (
-        np.einsum("nki,ni->nk", offset, direction) / size for direction in (along, across, rough)
-    )
+    u, v, w = np.moveaxis(offset @ frame, -1, 0) / size
     count = valid.sum(axis=1, keepdims=True)
-    cubic, quadratic = count >= _CUBIC_FROM, count >= _QUADRATIC_FROM
-    terms = np.stack(
-        [
-            u,
-            v,
-            *(part * quadratic for part in (u * u, u * v, v * v)),
-            *(part * cubic for part in (u**3, u * u * v, u * v * v, v**3)),
-        ],
-        axis=-1,
-    )
+    degree = np.where(count >= _CUBIC_FROM, 3, np.where(count >= _QUADRATIC_FROM, 2, 1))
+    powers = [(n - j, j) for n in (1, 2, 3) for j in range(n + 1)]
+    terms = np.stack([u**i * v**j * (i + j <= degree) for i, j in powers], axis=-1)
     # By the inverse square of the distance, but for vertices that nearly coincide.
     weight = np.where(valid, 1 / np.maximum((distance / size) ** 2, 1e-6), 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
-    weighted = terms * weight[..., None]
-    matrix = np.swapaxes(weighted, 1, 2) @ terms + _RIDGE * np.eye(terms.shape[-1])
-    right = np.einsum("nkt,nk->nt", weighted, w)
-    slope = np.linalg.solve(matrix, right[..., None])[:, :2, 0] * quadratic
-    normal = rough - slope[:, :1] * along - slope[:, 1:] * across
+    weighted = np.swapaxes(terms * weight[..., None], 1, 2)
+    matrix = weighted @ terms + _RIDGE * np.eye(len(powers))
+    slope = np.linalg.solve(matrix, weighted @ w[..., None])[:, :2] * (degree > 1)[..., None]
+    normal = rough - (frame[..., :2] @ slope)[..., 0]
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
@@ -211,21 +189,18 @@ def _corners(
     along = vertices[stop] - vertices[start]
     # Each crease is met from either side, in either direction: a vertex is its start once.
     count = len(vertices)
-    number = np.bincount(start, minlength=count)
     sense = np.bincount(start, weights=creases[row, k], minlength=count)
     direction = np.zeros((count, 3))
     np.add.at(direction, start, along / np.linalg.norm(along, axis=1, keepdims=True))
     fans = np.bincount(vertex, minlength=count)
     # Two creases of the same sense that leave in about opposite directions.
     passing = (
-        (number == 2)
-        & (fans == 2)
+        (fans == 2)
         & (np.abs(sense) == 2)
         & (np.linalg.norm(direction, axis=1) < 2 * (1 - np.cos(_STRAIGHT)))
     )
     code = np.where(fans <= 1, 0.0, np.where(passing, np.sign(sense), 2.0))
-    order = np.argsort(vertex, kind="stable")
-    pairs = order[fans[vertex[order]] == 2].reshape(-1, 2)
-    other = np.arange(len(vertex))
-    other[pairs] = pairs[:, ::-1]
-    return code, other
+    # Of two fans, the other one is their sum less this one.
+    fan = np.arange(len(vertex))
+    both = np.bincount(vertex, weights=fan).astype(np.int64)[vertex]
+    return code, np.where(fans[vertex] == 2, both - fan, fan)

@@ -9,14 +9,17 @@ that Newton's method pays for what it asks.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from vibrissa.numerics.norms import norm
+from vibrissa.numerics.vectors import dot
 from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_level
 
 Vector = Float[Array, "3"]
@@ -25,17 +28,18 @@ Held = TypeVar("Held")
 Jet = tuple[Array, ...]
 """Value (), gradient (3,) and Hessian (3, 3), as far as asked for."""
 
+CORNERS = np.array(list(np.ndindex(2, 2, 2)))
+"""Of a cell."""
+
 
 class Triangles(NamedTuple):
     """Which triangles may be nearest, cell by cell."""
 
-    rows: Int[AnyArray, "nodes"]
-    """Where the cell stands in the three arrays below; 0 where the spline is all."""
-    sharp: Int[AnyArray, "rows"]
-    """Which corners are sharp, a bit each."""
-    first: Int[AnyArray, "rows"]
-    number: Int[AnyArray, "rows"]
-    """First entry in `nearby`, and number of entries."""
+    sharp: Bool[AnyArray, "nodes"]
+    first: Int[AnyArray, "nodes"]
+    """First entry in `nearby` of the cell whose lowest corner the node is; the next node's is the
+    end.
+    """
     nearby: Int[AnyArray, "entries"]
     """Numbers of patches."""
     patches: Patch
@@ -58,66 +62,51 @@ class Field(NamedTuple):
 # Coefficients of 1, t, t², t³ of the four cubic B-splines that meet in a cell (de Boor, A Practical
 # Guide to Splines, 1978), and of their first and second derivatives.
 _SPLINES = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6
-_SPLINE_JET = np.stack(
-    [
-        _SPLINES,
-        np.pad(_SPLINES[:, 1:] * [1, 2, 3], ((0, 0), (0, 1))),
-        np.pad(_SPLINES[:, 2:] * [2, 6], ((0, 0), (0, 2))),
-    ]
-)
-# The step 3t² − 2t³ from one corner to the next, and what is left of it there.
-_STEP_JET = np.array(
-    [
-        [[1, 0, -3, 2], [0, 0, 3, -2]],
-        [[0, -6, 6, 0], [0, 6, -6, 0]],
-        [[-6, 12, 0, 0], [6, -12, 0, 0]],
-    ],
-    dtype=float,
-)
+_DERIVATIVE = np.diag([1, 2, 3], -1)
+_SPLINE_JET = np.stack([_SPLINES, _SPLINES @ _DERIVATIVE, _SPLINES @ _DERIVATIVE @ _DERIVATIVE])
 _UNIT = np.eye(3, dtype=int)
-_SECOND = _UNIT[:, None] + _UNIT
+_ORDERS = np.zeros(3, dtype=int), _UNIT, _UNIT[:, None] + _UNIT
+"""How often each entry of a jet is differentiated along each axis."""
 
 
-@jax.custom_jvp
 def field_level(field: Field, point: Vector) -> Scalar:
-    """Level at a point; differentiable twice."""
-    return _jet(field, point, 0)[0]
-
-
-@jax.custom_jvp
-def _level_and_gradient(field: Field, point: Vector) -> Jet:
-    return _jet(field, point, 1)
-
-
-@field_level.defjvp
-def _level_jvp(
-    primals: tuple[Field, Vector], tangents: tuple[Field, Vector]
-) -> tuple[Scalar, Scalar]:
-    value, gradient = _level_and_gradient(*primals)
-    return value, jnp.sum(gradient * tangents[1])
-
-
-@_level_and_gradient.defjvp
-def _gradient_jvp(primals: tuple[Field, Vector], tangents: tuple[Field, Vector]) -> tuple[Jet, Jet]:
-    value, gradient, hessian = _jet(*primals, 2)
-    moved = tangents[1]
-    return (value, gradient), (jnp.sum(gradient * moved), jnp.sum(hessian * moved, axis=1))
-
-
-def _jet(field: Field, point: Vector, order: int) -> Jet:
-    """The level inside the grid; outside, that of the nearest point of the grid, and the distance
-    from there.
+    """Level at a point, differentiable twice; outside the grid, that of its nearest point, and the
+    distance from there.
     """
     low = field.origin + field.spacing
     held = jnp.clip(point, low, field.origin + field.spacing * (field.size - 2))
-    place = (held - field.origin) / field.spacing
+    return _jet(field, held, 0)[0] + norm(*(point - held))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _jet(field: Field, point: Vector, order: int) -> Jet:
+    """Level inside the grid, and its derivatives up to an order."""
+    place = (point - field.origin) / field.spacing
     cell = jnp.clip(jnp.floor(place).astype(int), 1, field.size - 3)
     strides = jnp.stack([field.size[1] * field.size[2], field.size[2], jnp.ones_like(cell[0])])
-    inner = _spline(field, jnp.sum((cell - 1) * strides), strides, place - cell, order)
-    if field.triangles is not None:
-        node = jnp.sum(cell * strides)
-        inner = _with_triangles(field, field.triangles, node, cell, held, inner, order)
-    return _extended(inner, point - held)
+    node = jnp.sum(cell * strides)
+    smooth = _spline(field, node - jnp.sum(strides), strides, place - cell, order)
+    if field.triangles is None:
+        return smooth
+    marks = field.triangles.sharp[node + jnp.sum(CORNERS * strides, axis=1)].reshape(2, 2, 2)
+
+    def weight(q: Vector) -> Scalar:
+        """From 0 at plain corners to 1 at sharp ones by the step 3t² − 2t³ along each axis."""
+        share = (q - field.origin) / field.spacing - cell
+        found = marks.astype(float)
+        for step in share * share * (3 - 2 * share):
+            found = found[0] + step * (found[1] - found[0])
+        return found
+
+    return _with_triangles(field.triangles, node, weight, point, smooth)
+
+
+@_jet.defjvp
+def _jet_jvp(
+    order: int, primals: tuple[Field, Vector], tangents: tuple[Field, Vector]
+) -> tuple[Jet, Jet]:
+    jet = _jet(*primals, order + 1)
+    return jet[:-1], tuple(dot(derivative, tangents[1]) for derivative in jet[1:])
 
 
 def _spline(field: Field, first: Array, strides: Array, share: Vector, order: int) -> Jet:
@@ -128,41 +117,25 @@ def _spline(field: Field, first: Array, strides: Array, share: Vector, order: in
     def cut(row: Array) -> Array:
         return lax.dynamic_slice(field.coefficients, (row,), (4,))
 
-    block = jax.vmap(jax.vmap(cut))(rows)
-    return _product(block, _SPLINE_JET, share, field.spacing, order)
-
-
-def _product(
-    block: Float[Array, "n n n"],
-    basis: Float[np.ndarray, "orders n 4"],
-    share: Vector,
-    spacing: Scalar | np.ndarray,
-    order: int,
-) -> Jet:
-    """Value and derivatives of a sum of products of one function of each coordinate, cubics in the
-    share of a cell.
-    """
-    c = basis[: order + 1, ..., None]
+    sums: Any = jax.vmap(jax.vmap(cut))(rows)
+    c = _SPLINE_JET[: order + 1, ..., None]
     functions = ((c[:, :, 3] * share + c[:, :, 2]) * share + c[:, :, 1]) * share + c[:, :, 0]
-    sums = block
     for axis in (2, 1, 0):
         # Term by term: a third of the time of the library's contractions, whose lanes lie outside.
         function = functions[..., axis, None, None]
-        sums = sum(function[:, k] * sums[..., k] for k in range(len(block)))
-    indices = (np.zeros(3, dtype=int), _UNIT, _SECOND)[: order + 1]
+        sums = sum(function[:, k] * sums[..., k] for k in range(4))
     return tuple(
-        sums[tuple(np.moveaxis(index, -1, 0))] / spacing**n for n, index in enumerate(indices)
+        sums[tuple(np.moveaxis(orders, -1, 0))] / field.spacing**n
+        for n, orders in enumerate(_ORDERS[: order + 1])
     )
 
 
 def _with_triangles(
-    field: Field,
     triangles: Triangles,
     node: Array,
-    cell: Int[Array, "3"],
+    weight: Callable[[Vector], Scalar],
     point: Vector,
     smooth: Jet,
-    order: int,
 ) -> Jet:
     """Blend in the triangles where a corner of the cell is sharp.
 
@@ -170,81 +143,53 @@ def _with_triangles(
     which a condition would not let them do. The point is turned about on the way, lest XLA find
     that the work is the same in every turn and move it out of the loop.
     """
-    row = triangles.rows[node]
-    corner = field.origin + field.spacing * cell
-    marks = (triangles.sharp[row] >> np.arange(8).reshape(2, 2, 2) & 1).astype(float)
 
     def unfinished(state: tuple[Array, Vector, Jet]) -> Array:
         return state[0]
 
     def blend(state: tuple[Array, Vector, Jet]) -> tuple[Array, Vector, Jet]:
         needed, point, smooth = state
-        share = (point - corner) / field.spacing
-        weight = _product(marks, _STEP_JET, share, field.spacing, order)
-        chosen = _nearest_patch(triangles, row, point)
+        chosen = _nearest_patch(triangles, node, point)
         # Barriers, lest XLA work out the whole again for each of its parts.
         patch = _apart(jax.tree.map(lambda part: part[chosen], triangles.patches))
         near = _apart(frozen(point, patch))
-        exact = _apart(_derivatives(lambda q: patch_level(q, patch, near), point, order))
-        blended = _weighted(weight, tuple(e - s for e, s in zip(exact, smooth, strict=True)))
-        found = tuple(jnp.where(needed, s + b, s) for s, b in zip(smooth, blended, strict=True))
-        return jnp.zeros_like(needed), -point, found
 
-    return lax.while_loop(unfinished, blend, (triangles.number[row] > 0, point, smooth))[2]
+        def blended(q: Vector) -> Scalar:
+            plain = _expanded(smooth, q - point)
+            return plain + weight(q) * (patch_level(q, patch, near) - plain)
 
+        return jnp.zeros_like(needed), -point, _derivatives(blended, point, len(smooth))
 
-def _weighted(weight: Jet, gap: Jet) -> Jet:
-    """Product of two functions, and its derivatives."""
-    products = [weight[0] * gap[0]]
-    if len(gap) > 1:
-        products.append(weight[0] * gap[1] + weight[1] * gap[0])
-    if len(gap) > 2:
-        both = weight[1][:, None] * gap[1]
-        products.append(weight[0] * gap[2] + both + both.T + weight[2] * gap[0])
-    return tuple(products)
+    needed = triangles.first[node] < triangles.first[node + 1]
+    return lax.while_loop(unfinished, blend, (needed, point, smooth))[2]
 
 
-def _derivatives(function: Callable[[Vector], Scalar], point: Vector, order: int) -> Jet:
-    if order == 0:
-        return (function(point),)
-    jet = jax.value_and_grad(function)(point)
-    if order == 1:
-        return jet
-    # One direction after the other: a third of the code.
-    slope = jax.grad(function)
-    return *jet, lax.map(lambda along: jax.jvp(slope, (point,), (along,))[1], jnp.eye(3))
+def _expanded(jet: Jet, step: Vector) -> Scalar:
+    """Taylor's polynomial."""
+    value, *derivatives = jet
+    for derivative, power in zip(derivatives, (step, step[:, None] * step / 2), strict=False):
+        value += jnp.sum(derivative * power)
+    return value
 
 
-def _nearest_patch(triangles: Triangles, row: Array, point: Vector) -> Array:
-    first, count = triangles.first[row], triangles.number[row]
+def _derivatives(function: Callable[[Vector], Scalar], point: Vector, count: int) -> Jet:
+    def hessian(q: Vector) -> Float[Array, "3 3"]:
+        # One direction after the other: a third of the code.
+        return lax.map(lambda along: jax.jvp(jax.grad(function), (q,), (along,))[1], jnp.eye(3))
 
-    def unfinished(state: tuple[Array, Array, Array]) -> Array:
-        return state[0] < count
+    return tuple(derive(point) for derive in (function, jax.grad(function), hessian)[:count])
 
-    def look(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        index, best, chosen = state
-        candidate = triangles.nearby[first + index]
+
+def _nearest_patch(triangles: Triangles, node: Array, point: Vector) -> Array:
+    def look(index: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        best, chosen = state
+        candidate = triangles.nearby[index]
         squared = nearest(point, triangles.patches.vertices[candidate]).squared
         closer = squared < best
-        return index + 1, jnp.where(closer, squared, best), jnp.where(closer, candidate, chosen)
+        return jnp.where(closer, squared, best), jnp.where(closer, candidate, chosen)
 
-    start = (jnp.zeros_like(count), jnp.asarray(jnp.inf), jnp.zeros_like(triangles.nearby[0]))
-    return lax.while_loop(unfinished, look, start)[2]
-
-
-def _extended(inner: Jet, outside: Vector) -> Jet:
-    """Add the distance from the grid, along which the inner level is constant."""
-    squared = jnp.sum(outside * outside)
-    beyond = squared > 0
-    distance = jnp.sqrt(jnp.where(beyond, squared, 1.0))
-    free, away = (outside == 0).astype(float), outside / distance
-    extended = [inner[0] + jnp.where(beyond, distance, 0.0)]
-    if len(inner) > 1:
-        extended.append(free * inner[1] + away)
-    if len(inner) > 2:
-        curved = (jnp.diag(1 - free) - away[:, None] * away) / distance
-        extended.append(free[:, None] * free * inner[2] + jnp.where(beyond, curved, 0.0))
-    return tuple(extended)
+    start = jnp.asarray(jnp.inf), jnp.zeros_like(triangles.nearby[0])
+    return lax.fori_loop(triangles.first[node], triangles.first[node + 1], look, start)[1]
 
 
 def _apart(values: Held) -> Held:

@@ -19,18 +19,18 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Int
 
+from vibrissa.numerics.linear import solve_3x3
+from vibrissa.numerics.norms import norm
+from vibrissa.numerics.vectors import dot
+
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
 AnyArray = Array | np.ndarray
 Triangle = Float[AnyArray, "3 3"]
 
-INTERIOR, EDGE, CORNER = 0, 1, 4
-"""Nearest feature of a triangle: 0 its interior, 1 to 3 the edge opposite that corner, 4 to 6 the
-corner.
-"""
-
-# Squared lengths below it, and their roots' derivatives, would leave the range of the numbers.
-_TINY = 1e-300
+# Corners at which the edge opposite each corner starts and ends.
+_START, _STOP = np.array([1, 2, 0]), np.array([2, 0, 1])
+_CORNERS = np.eye(3)
 # Newton's method for the line of sight squares its error at each step: from a tenth to 1e-16.
 _REFINEMENTS = 4
 # Barycentric coordinates further than this from the nearest point's are not near the triangle.
@@ -45,9 +45,9 @@ class Patch(NamedTuple):
     vertices: Float[AnyArray, "*f 3 3"]
     normals: Float[AnyArray, "*f 3 3"]
     """Of the corners, each on this triangle's side of a crease."""
-    beyond: Float[AnyArray, "*f 3 2 3"]
-    """Normals on the other side of each crease edge, at its two ends: edge k runs from corner k + 1
-    to corner k + 2.
+    beyond: Float[AnyArray, "*f 3 3 3"]
+    """Normals on the other side of each crease edge, by corner; that of the corner opposite the
+    edge has no weight.
     """
     around: Float[AnyArray, "*f 3 3"]
     """Normals on the other side of the crease through each corner."""
@@ -70,55 +70,44 @@ class Nearest(NamedTuple):
     """Squared distance."""
     weights: Vector
     """Barycentric coordinates."""
-    feature: Int[Array, ""]
+    edge: Int[Array, ""]
+    """Number of the corner opposite the edge that it lies on; −1 within the triangle."""
 
 
-def dot(a: Float[AnyArray, "*n 3"], b: Float[AnyArray, "... 3"]) -> Float[Array, "*n"]:
-    """Along the last axis, written out: sums run over lanes, not over three numbers each."""
-    product = jnp.asarray(a) * b
-    return product[..., 0] + product[..., 1] + product[..., 2]
-
-
-def mixed(weights: Vector, rows: Triangle) -> Vector:
+def mixed(weights: Float[Array, "*n 3"], rows: Triangle) -> Float[Array, "*n 3"]:
     """Rows weighted by barycentric coordinates."""
-    return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
+    return jnp.sum(weights[..., None] * rows, axis=-2)
 
 
 def nearest(point: Vector, vertices: Triangle) -> Nearest:
     """Nearest point of a triangle that is not degenerate: the one below, or the nearest of those on
     the three edges.
     """
-    weights = _planar(vertices, point)
-    inside = jnp.all(weights >= 0)
-    start, stop = jnp.roll(vertices, -1, axis=0), jnp.roll(vertices, -2, axis=0)
-    along = stop - start
-    share = jnp.clip(dot(along, point - start) / dot(along, along), 0.0, 1.0)
-    offset = point - start - share[:, None] * along
+    along = _along(vertices)
+    share = jnp.clip(dot(along, point - vertices[_START]) / dot(along, along), 0, 1)[:, None]
+    on_edges = (1 - share) * _CORNERS[_START] + share * _CORNERS[_STOP]
+    weights = jnp.concatenate([on_edges, _planar(vertices, point)[None]])
+    offset = point - mixed(weights, vertices)
     squared = dot(offset, offset)
-    edge = jnp.argmin(squared)
-    t, first, last = share[edge], (edge + 1) % 3, (edge + 2) % 3
-    index = jnp.arange(3)
-    on_edge = jnp.where(index == first, 1 - t, jnp.where(index == last, t, 0.0))
-    feature = jnp.where(t <= 0, CORNER + first, jnp.where(t >= 1, CORNER + last, EDGE + edge))
-    below = point - mixed(weights, vertices)
-    return Nearest(
-        jnp.where(inside, dot(below, below), squared[edge]),
-        jnp.where(inside, weights, on_edge),
-        jnp.where(inside, INTERIOR, feature),
-    )
+    edge = jnp.where(jnp.all(weights[-1] >= 0), -1, jnp.argmin(squared[:3]))
+    return Nearest(squared[edge], weights[edge], edge)
+
+
+def _along(vertices: Triangle) -> Triangle:
+    """Vectors along the edges, each opposite its corner."""
+    return vertices[_STOP] - vertices[_START]
 
 
 def _slopes(vertices: Triangle) -> Triangle:
     """Gradients of the barycentric coordinates in the triangle's plane, one a row."""
-    ab, ac = vertices[1] - vertices[0], vertices[2] - vertices[0]
-    normal = jnp.cross(ab, ac)
-    b, c = jnp.cross(ac, normal) / dot(normal, normal), jnp.cross(normal, ab) / dot(normal, normal)
-    return jnp.stack([-b - c, b, c])
+    along = _along(vertices)
+    normal = jnp.cross(along[0], along[1])
+    return jnp.cross(normal, along) / dot(normal, normal)
 
 
 def _planar(vertices: Triangle, point: Vector) -> Vector:
     """Barycentric coordinates of the point below in the triangle's plane."""
-    return dot(_slopes(vertices), point - vertices[0]) + jnp.array([1.0, 0.0, 0.0])
+    return dot(_slopes(vertices), point - vertices[0]) + _CORNERS[0]
 
 
 class Frozen(NamedTuple):
@@ -140,26 +129,23 @@ class Frozen(NamedTuple):
 
 def frozen(point: Vector, patch: Patch) -> Frozen:
     """Hold fast what is nearest to a point over the triangle."""
-    _, weights, feature = nearest(point, patch.vertices)
-    at_corner, at_edge = feature >= CORNER, (feature >= EDGE) & (feature < CORNER)
-    edge, corner = jnp.clip(feature - EDGE, 0, 2), jnp.clip(feature - CORNER, 0, 2)
-    code = jnp.where(at_corner, patch.corners[corner], jnp.where(at_edge, patch.edges[edge], 0.0))
-    index = jnp.arange(3)[:, None]
-    first, last = index == (edge + 1) % 3, index == (edge + 2) % 3
-    ends = patch.beyond[edge]
-    across = jnp.where(first, ends[0], jnp.where(last, ends[1], patch.normals))
+    _, weights, edge = nearest(point, patch.vertices)
+    corner = jnp.argmax(weights)
+    within, at_corner = edge < 0, (edge >= 0) & (weights[corner] == 1)
+    along = _along(patch.vertices)[edge]
+    turn = jnp.asarray(_CORNERS[_STOP] - _CORNERS[_START])[edge]
+    on_edge = turn[:, None] * along / dot(along, along)
+    slopes = jnp.where(within, _slopes(patch.vertices), on_edge)
+    code = jnp.where(at_corner, patch.corners[corner], patch.edges[edge])
     apex = patch.vertices[corner]
-    along = patch.vertices[(edge + 2) % 3] - patch.vertices[(edge + 1) % 3]
-    along = along / dot(along, along)
-    on_edge = jnp.where(last, along, jnp.where(first, -along, 0.0))
     return Frozen(
         point,
         weights,
-        slopes=jnp.where(at_corner, 0.0, jnp.where(at_edge, on_edge, _slopes(patch.vertices))),
-        code=code,
+        slopes=jnp.where(at_corner, 0.0, slopes),
+        code=jnp.where(within, 0.0, code),
         corner=apex,
         sign=jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0),
-        beyond=jnp.where(at_corner, patch.around, across),
+        beyond=jnp.where(at_corner, patch.around, patch.beyond[edge]),
     )
 
 
@@ -173,7 +159,7 @@ def patch_level(point: Vector, patch: Patch, nearby: Frozen) -> Scalar:
         point, patch.vertices, sides, weights
     )
     ridge = nearby.code * _outside_both(nearby.code * level, dot(normal[0], normal[1]))
-    tip = nearby.sign * _length(point - nearby.corner)
+    tip = nearby.sign * norm(*(point - nearby.corner))
     return jnp.where(nearby.code == 0, level[0], jnp.where(nearby.code == 2, tip, ridge))
 
 
@@ -210,36 +196,30 @@ def _outside_both(distances: Float[Array, "2"], cosine: Scalar) -> Scalar:
     """Distance from the corner between two half spaces, given the distances from both and the
     cosine between their normals.
     """
-    along = (distances - cosine * distances[::-1]) / jnp.maximum(1 - cosine * cosine, _FLATTEST)
-    squared = along[0] * distances[0] + along[1] * distances[1]
-    radius = jnp.sqrt(jnp.where(squared > _TINY, squared, _TINY))
-    outside = jnp.where(along[0] <= 0, distances[1], jnp.where(along[1] <= 0, distances[0], radius))
-    return jnp.where(jnp.all(distances <= 0), jnp.maximum(distances[0], distances[1]), outside)
-
-
-def _length(vector: Vector) -> Scalar:
-    """Kept from zero, so that the derivative stays finite."""
-    squared = dot(vector, vector)
-    return jnp.sqrt(jnp.where(squared > _TINY, squared, _TINY))
+    first, second = distances
+    sine = jnp.sqrt(jnp.maximum(1 - cosine * cosine, _FLATTEST))
+    outside = norm(first, (second - cosine * first) / sine)
+    outside = jnp.where(second <= cosine * first, first, outside)
+    outside = jnp.where(first <= cosine * second, second, outside)
+    return jnp.where((first <= 0) & (second <= 0), jnp.maximum(first, second), outside)
 
 
 def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector, Array]:
     """Barycentric coordinates b at which p − Σ b_i v_i is parallel to Σ b_i n_i, by Newton's
     method, and whether it arrived near the triangle.
     """
+
+    def coordinates(unknown: Vector) -> Vector:
+        return jnp.append(1 - unknown[0] - unknown[1], unknown[:2])
+
+    def missed(unknown: Vector) -> Vector:
+        """By the point with the last two coordinates given, and the height."""
+        return point - mixed(coordinates(unknown), patch.vertices + unknown[2] * patch.normals)
+
+    def refine(_: int | Array, unknown: Vector) -> Vector:
+        return unknown - solve_3x3(jax.jacfwd(missed)(unknown), missed(unknown))
+
     m = mixed(weights, patch.normals)
-    height = dot(point - mixed(weights, patch.vertices), m) / jnp.maximum(dot(m, m), _TINY)
-
-    def refine(_: int | Array, state: tuple[Vector, Scalar]) -> tuple[Vector, Scalar]:
-        b, height = state
-        q = patch.vertices + height * patch.normals
-        m, rest, x, y = mixed(b, patch.normals), point - mixed(b, q), q[1] - q[0], q[2] - q[0]
-        across = jnp.cross(x, y)
-        volume = dot(across, m)
-        safe = jnp.where(jnp.abs(volume) > _TINY, volume, 1.0)
-        b1, b2 = dot(jnp.cross(rest, y), m) / safe, dot(jnp.cross(x, rest), m) / safe
-        return b + jnp.stack([-b1 - b2, b1, b2]), height + dot(across, rest) / safe
-
-    seen, _ = lax.fori_loop(0, _REFINEMENTS, refine, (weights, height))
-    trusted = jnp.all(jnp.isfinite(seen)) & jnp.all(jnp.abs(seen - weights) < _LEAVES)
-    return seen, trusted
+    height = dot(point - mixed(weights, patch.vertices), m) / dot(m, m)
+    seen = coordinates(lax.fori_loop(0, _REFINEMENTS, refine, jnp.append(weights[1:], height)))
+    return seen, jnp.all(jnp.isfinite(seen)) & jnp.all(jnp.abs(seen - weights) < _LEAVES)

@@ -11,9 +11,6 @@ _UNITLESS = (".stl", ".obj", ".ply")
 FORMATS = (*_UNITLESS, ".gltf", ".glb")
 """Suffixes of files that can be read; glTF is in metres, the others have no unit."""
 
-# STL in binary: a header of 80 bytes and a count of 4, then 50 bytes a triangle.
-_HEADER, _COUNT, _TRIANGLE = 80, 4, 50
-
 
 def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
     """Vertices, times `scale`, and faces of a file.
@@ -40,8 +37,6 @@ def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
     if not file.is_file():
         raise ValueError(f"{file}: cannot be read; allowed is a file")
     trimesh = library("trimesh")
-    if suffix == ".stl":
-        _refuse_part_of_stl(file)
     try:
         mesh = trimesh.load_mesh(file, file_type=suffix[1:], process=False, skip_materials=True)
         vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
@@ -50,26 +45,5 @@ def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
         reason = " ".join(str(error).splitlines()) or type(error).__name__
         raise ValueError(f"{file}: not a readable {kind} file, or cut short ({reason})") from error
     if not len(faces):
-        raise ValueError(f"{file}: no triangles; allowed is a closed mesh")
+        raise ValueError(f"{file}: no triangles, or cut short; allowed is a closed mesh")
     return vertices * factor, faces
-
-
-def _refuse_part_of_stl(file: Path) -> None:
-    """Raise ValueError for a file that is cut short, which trimesh would take for a whole one: in
-    binary it says how many triangles it holds, in ASCII how it ends.
-    """
-    content = file.read_bytes()
-    if content.lstrip()[:5].lower() == b"solid" and b"facet" in content[:1000]:
-        if b"endsolid" not in content[-1000:].lower():
-            raise ValueError(
-                f"{file}: cut short (no endsolid at its end); allowed is a whole STL file"
-            )
-        return
-    start = _HEADER + _COUNT
-    count = int.from_bytes(content[_HEADER:start], "little")
-    expected = start + _TRIANGLE * count
-    if len(content) != expected:
-        raise ValueError(
-            f"{file}: {len(content)} bytes where {expected} belong to the {count} triangles it "
-            "says; it is cut short or no STL file"
-        )

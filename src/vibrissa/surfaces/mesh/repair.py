@@ -5,9 +5,10 @@ defects otherwise.
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Shaped
 from numpy.typing import ArrayLike
 
+from vibrissa.geometry.checks import finite_array
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 
 MOST_HOLE_EDGES = 8
@@ -68,8 +69,14 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
     ImportError
         If libigl is not installed.
     """
-    v, given = _checked(vertices, faces)
-    f = _merged(v, given)
+    igl = library("igl")
+    v = finite_array(vertices, "vertices", last=3, ndim=2)
+    given = _indices(faces, len(v))
+    # The first of all vertices at about the same place.
+    rounding = max(_SAME * np.linalg.norm(np.ptp(v, axis=0)), np.finfo(float).tiny)
+    place = np.round((v - v.min(axis=0)) / rounding)
+    _, first, same = np.unique(place, axis=0, return_index=True, return_inverse=True)
+    f = first[same][given]
     merged = len(np.unique(given)) - len(np.unique(f))
     proper = f[(f != np.roll(f, 1, axis=1)).all(axis=1)]
     if not len(proper):
@@ -77,7 +84,7 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
     distinct = np.unique(np.sort(proper, axis=1), axis=0, return_index=True)[1]
     f = proper[np.sort(distinct)]
     _refuse_open(f, closable=True)
-    wound = np.asarray(library("igl").bfs_orient(f)[0], dtype=np.int64)
+    wound = np.asarray(igl.bfs_orient(f)[0], dtype=np.int64)
     turned = (wound != f).any(axis=1)
     v, f, filled = _filled(v, wound)
     _refuse_open(f, closable=False)
@@ -106,71 +113,37 @@ def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repa
     )
 
 
-def _checked(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces]:
-    try:
-        v, f = np.array(vertices, dtype=np.float64), np.asarray(faces)
-    except (TypeError, ValueError) as error:
+def _indices(faces: ArrayLike, count: int) -> Faces:
+    f = finite_array(faces, "faces", last=3, ndim=2)
+    beyond = np.sum((f < 0) | (f >= count) | (f % 1 != 0))
+    if beyond or not len(f):
         raise ValueError(
-            f"vertices, faces: {error}; allowed are arrays (v, 3) of numbers and (f, 3) of indices"
-        ) from error
-    if v.ndim != 2 or v.shape[1] != 3:
-        raise ValueError(f"vertices has shape {v.shape}; allowed is (v, 3)")
-    if f.ndim != 2 or f.shape[1] != 3:
-        raise ValueError(f"faces has shape {f.shape}; allowed is (f, 3): triangles")
-    if not len(v) or not len(f):
-        raise ValueError(
-            f"mesh: {len(v)} vertices and {len(f)} faces; allowed is a closed mesh, of at least 4 "
-            "each"
+            f"faces: {count} vertices and {len(f)} faces, of which {beyond} indices lie outside "
+            f"0 … {count - 1}; allowed is a closed mesh"
         )
-    if not np.issubdtype(f.dtype, np.integer):
-        raise ValueError(f"faces has entries of type {f.dtype}; allowed are whole numbers")
-    broken = np.sum(~np.isfinite(v).all(axis=1))
-    if broken:
-        raise ValueError(
-            f"vertices: {broken} of {len(v)} have coordinates that are not finite; allowed are "
-            "finite numbers"
-        )
-    beyond = np.sum((f < 0) | (f >= len(v)))
-    if beyond:
-        raise ValueError(
-            f"faces: {beyond} indices lie outside 0 … {len(v) - 1}; allowed are indices of vertices"
-        )
-    return v, np.ascontiguousarray(f, dtype=np.int64)
+    return f.astype(np.int64)
 
 
-def _merged(v: Vertices, f: Faces) -> Faces:
-    """Faces on the first of all vertices at about the same place."""
-    diagonal = np.linalg.norm(np.ptp(v, axis=0))
-    if diagonal == 0:
-        raise ValueError("vertices: all lie in one point; allowed is a closed mesh")
-    place = np.round((v - v.min(axis=0)) / (_SAME * diagonal))
-    _, first, same = np.unique(place, axis=0, return_index=True, return_inverse=True)
-    return first[same][f]
-
-
-def _edges(f: Faces) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "e"]]:
-    """Edges of each triangle in turn, in its sense, and by how many triangles they are shared."""
-    edges = f[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, which, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    return edges, count[which]
+def _boundary(f: Faces) -> tuple[Shaped[np.ndarray, "e 2"], np.integer]:
+    """Edges of one triangle, in its sense, and how many belong to more than two."""
+    edges, _, number, *_ = library("igl").unique_edge_map(f)
+    count = np.bincount(number)
+    return edges[count[number] == 1], np.sum(count > 2)
 
 
 def _refuse_open(f: Faces, *, closable: bool) -> None:
     """Raise ValueError for edges with more than two triangles and, unless they may still be closed,
     for open ones.
     """
-    edges, count = _edges(f)
-    many = len(np.unique(np.sort(edges[count > 2], axis=1), axis=0))
-    if not many and (closable or (count == 2).all()):
+    boundary, many = _boundary(f)
+    if not many and (closable or not len(boundary)):
         return
     parts = [f"{many} edges with more than two triangles"] if many else []
-    rims = sorted(_rims(edges[count == 1]), key=len)
-    if rims:
-        sizes = ", ".join(str(len(rim)) for rim in rims[:5])
+    if len(boundary):
+        rims = sorted(map(len, _rims(boundary)))
+        sizes = ", ".join(map(str, rims[:5]))
         parts.append(
-            f"{np.sum(count == 1)} open edges in {len(rims)} holes (edges of the smallest: {sizes})"
+            f"{len(boundary)} open edges in {len(rims)} holes (edges of the smallest: {sizes})"
         )
     raise ValueError(
         f"mesh: {'; '.join(parts)}; allowed is a closed surface (holes of at most "
@@ -178,7 +151,7 @@ def _refuse_open(f: Faces, *, closable: bool) -> None:
     )
 
 
-def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
+def _rims(boundary: Shaped[np.ndarray, "e 2"]) -> list[list[int]]:
     """Closed rims of the holes, vertices in order; those that meet in a vertex are told apart,
     which libigl's `boundary_loop_all` does not.
     """
@@ -205,8 +178,7 @@ def _rims(boundary: Int[np.ndarray, "e 2"]) -> list[list[int]]:
 
 def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
     """Close small holes: one triangle for three edges, else one an edge about their middle."""
-    edges, count = _edges(f)
-    rims = [rim for rim in _rims(edges[count == 1]) if 3 <= len(rim) <= MOST_HOLE_EDGES]
+    rims = [rim for rim in _rims(_boundary(f)[0]) if 3 <= len(rim) <= MOST_HOLE_EDGES]
     for rim in rims:
         if len(rim) == 3:
             new = [rim[::-1]]
@@ -219,15 +191,14 @@ def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
 
 def _without_flat(v: Vertices, f: Faces) -> tuple[Faces, int]:
     """Flip the longest edge of triangles whose corners lie on a line; how many were flipped."""
-    flipped = 0
+    igl, flipped = library("igl"), 0
     for _ in range(_MOST_PASSES):
-        sides = v[np.roll(f, -1, axis=1)] - v[f]
-        squared = np.sum(sides**2, axis=2)
-        area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-        flat = np.flatnonzero(area <= _FLAT * squared.max(axis=1))
+        # By the corner where each edge starts.
+        squared = np.roll(igl.squared_edge_lengths(v, f), 1, axis=1)
+        flat = np.flatnonzero(igl.doublearea(v, f) <= _FLAT * squared.max(axis=1))
         if not len(flat):
             return f, flipped
-        neighbours, edges = library("igl").triangle_triangle_adjacency(f)
+        neighbours, edges = igl.triangle_triangle_adjacency(f)
         touched: set[np.integer] = set()
         f = f.copy()
         for row, k in zip(flat, np.argmax(squared[flat], axis=1), strict=True):
@@ -244,21 +215,17 @@ def _without_flat(v: Vertices, f: Faces) -> tuple[Faces, int]:
     )
 
 
-def _inside_out(v: Vertices, f: Faces) -> np.ndarray:
+def _inside_out(v: Vertices, f: Faces) -> Bool[np.ndarray, "f"]:
     """Whether each triangle belongs to a part whose inside is outside. A part inside another one is
     a cavity.
     """
     igl = library("igl")
-    count, part = igl.facet_components(f)
-    wrong = np.zeros(count, dtype=bool)
-    shells = [f[part == number] for number in range(count)]
-    corners = v[[shell[0, 0] for shell in shells]]
-    low = np.array([v[shell].min(axis=(0, 1)) for shell in shells])
-    high = np.array([v[shell].max(axis=(0, 1)) for shell in shells])
-    for number, shell in enumerate(shells):
-        a, b, c = np.moveaxis(v[shell] - v.mean(axis=0), 1, 0)
-        wrong[number] ^= np.sum(a * np.cross(b, c)) < 0
-        within = np.flatnonzero(((low > low[number]) & (high < high[number])).all(axis=1))
-        if len(within):
-            wrong[within] ^= np.abs(igl.winding_number(v, shell, corners[within])) > 0.5
-    return wrong[part]
+    _, part = igl.facet_components(f)
+    outward, turned = igl.orient_outward(v, f, part[:, None])
+    lowest = np.lexsort((v[f, 2].min(axis=1), part))
+    _, first = np.unique(part[lowest], return_index=True)
+    corners = f[lowest[first]]
+    corner = corners[np.arange(len(corners)), np.argmin(v[corners, 2], axis=1)]
+    # The lowest corner of a part lies within the part itself by at most one half.
+    around = np.floor(igl.winding_number(v, outward, v[corner]) + 0.25)
+    return (turned.astype(bool) ^ (around % 2 == 1))[part]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite
@@ -15,27 +15,22 @@ from vibrissa.surfaces.base import ExactSurface, Point, Scalar
 from vibrissa.surfaces.mesh.build import build
 from vibrissa.surfaces.mesh.creases import sheets
 from vibrissa.surfaces.mesh.field import Field, field_level
+from vibrissa.surfaces.mesh.libraries import Faces, Vertices
 from vibrissa.surfaces.mesh.reading import read
 from vibrissa.surfaces.mesh.repair import Repairs, mended
 
 _LOG = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True)
 class _Source:
     """Triangles and repairs; alike for all meshes where JAX compares them, since no compiled code
     looks at them.
     """
 
-    def __init__(
-        self, vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], repairs: Repairs
-    ) -> None:
-        self.vertices, self.faces, self.repairs = vertices, faces, repairs
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Source)
-
-    def __hash__(self) -> int:
-        return 0
+    vertices: Vertices = field(compare=False)
+    faces: Faces = field(compare=False)
+    repairs: Repairs = field(compare=False)
 
 
 class Mesh(ExactSurface):
@@ -71,6 +66,7 @@ class Mesh(ExactSurface):
     warns of it.
     """
 
+    heavy = True
     field: Field
     source: _Source = eqx.field(static=True)
 
@@ -87,18 +83,17 @@ class Mesh(ExactSurface):
             raise ValueError(
                 f"crease_angle = {crease_angle!r}; allowed is an angle between 0 and π [rad]"
             )
-        clean_vertices, clean_faces, repairs = mended(vertices, faces)
-        diagonal = float(np.linalg.norm(np.ptp(clean_vertices, axis=0)))
+        self.source = _Source(*mended(vertices, faces))
+        diagonal = float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
         distance = 0.02 * diagonal if reach is None else finite(reach, "reach")
         if not 0 <= distance <= diagonal:
             raise ValueError(
                 f"reach = {reach!r}; allowed is a distance from 0 to the mesh's diagonal, "
                 f"{diagonal:.6g}"
             )
-        if repairs:
-            _LOG.warning("mesh mended: %s", repairs)
-        self.source = _Source(clean_vertices, clean_faces, repairs)
-        self.field = build(sheets(clean_vertices, clean_faces, angle), distance)
+        if self.repairs:
+            _LOG.warning("mesh mended: %s", self.repairs)
+        self.field = build(sheets(self.vertices, self.faces, angle), distance)
 
     @classmethod
     def load(
@@ -136,12 +131,12 @@ class Mesh(ExactSurface):
             raise ValueError(f"{path}: {error}") from error
 
     @property
-    def vertices(self) -> Float[np.ndarray, "v 3"]:
+    def vertices(self) -> Vertices:
         """Vertices after repair (v, 3), in units of the rod."""
         return self.source.vertices
 
     @property
-    def faces(self) -> Int[np.ndarray, "f 3"]:
+    def faces(self) -> Faces:
         """Faces after repair (f, 3), anticlockwise seen from outside."""
         return self.source.faces
 
@@ -149,11 +144,6 @@ class Mesh(ExactSurface):
     def repairs(self) -> Repairs:
         """What was mended."""
         return self.source.repairs
-
-    @property
-    def heavy(self) -> bool:
-        """Yes: a spline of 64 terms."""
-        return True
 
     def level(self, point: Point) -> Scalar:
         """Signed distance; away from the surface by more than `reach`, to about a grid cell's

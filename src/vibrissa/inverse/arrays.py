@@ -1,0 +1,24 @@
+"""Shapes of arrays that are spoken of again and again: of one row, and of rows (…)."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+Flag = Bool[Any, ""]
+Scalar = Float[Any, ""]
+Vector = Float[Any, "3"]
+Frame = Float[Any, "3 3"]
+Wrench = Float[Any, "6"]
+"""Force and moment, or a derivative by these."""
+Spread = Float[Any, "6 6"]
+"""Covariance of a wrench, or what takes wrenches to others."""
+
+Flags = Bool[np.ndarray, "*trail n"]
+Codes = Int[np.ndarray, "*trail n"]
+Scalars = Float[np.ndarray, "*trail n"]
+Vectors = Float[np.ndarray, "*trail n 3"]
+Frames = Float[np.ndarray, "*trail n 3 3"]
+Covariances = Frames
+Wrenches = Float[np.ndarray, "*trail n 6"]
+Spreads = Float[np.ndarray, "*trail n 6 6"]

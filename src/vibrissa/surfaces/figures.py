@@ -1,0 +1,31 @@
+"""Solids given by a few figures, which are checked and converted when the solid is built."""
+
+from dataclasses import fields
+from functools import partial
+from typing import Annotated, Any, TypeAlias, get_args
+
+from vibrissa.geometry.checks import finite, finite_array, positive, positive_array, unit_vector
+from vibrissa.surfaces.base import Surface
+
+Number: TypeAlias = Annotated[float, finite]
+Positive: TypeAlias = Annotated[float, positive]
+Vector3: TypeAlias = Annotated[Any, partial(finite_array, last=3, ndim=1)]
+"""Three numbers, as a list, tuple or array; kept as an array (3,)."""
+Direction: TypeAlias = Annotated[Any, unit_vector]
+"""Three numbers that are not all zero; kept as an array (3,) of length 1."""
+Positive3: TypeAlias = Annotated[Any, partial(positive_array, last=3)]
+"""Three numbers above zero, and two."""
+Positive2: TypeAlias = Annotated[Any, partial(positive_array, last=2)]
+
+
+class Figured(Surface):
+    """A solid that is convex, or round on the scale of its own sizes; its fields are of the types
+    above, each of which holds its check.
+    """
+
+    may_crease = False
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            _, check = get_args(field.type)
+            setattr(self, field.name, check(getattr(self, field.name), field.name))

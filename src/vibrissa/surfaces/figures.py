@@ -1,8 +1,7 @@
 """Solids given by a few figures, which are checked and converted when the solid is built."""
 
-from dataclasses import fields
 from functools import partial
-from typing import Annotated, Any, TypeAlias, get_args
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 from vibrissa.geometry.checks import finite, finite_array, positive, positive_array, unit_vector
 from vibrissa.surfaces.base import Surface
@@ -26,6 +25,6 @@ class Figured(Surface):
     may_crease = False
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            _, check = get_args(field.type)
-            setattr(self, field.name, check(getattr(self, field.name), field.name))
+        for name, kind in get_type_hints(type(self), include_extras=True).items():
+            if get_origin(kind) is Annotated:
+                setattr(self, name, get_args(kind)[1](getattr(self, name), name))

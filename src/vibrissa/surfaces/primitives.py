@@ -6,6 +6,8 @@ outside) from which the nearest point is not unique and no direction is distingu
 is ever NaN.
 """
 
+from __future__ import annotations
+
 from functools import reduce
 
 import jax.numpy as jnp

@@ -1,5 +1,7 @@
 """Solids of second degree, and superquadrics: blocks with rounded edges, octahedra."""
 
+from __future__ import annotations
+
 import jax.numpy as jnp
 from jax import lax
 

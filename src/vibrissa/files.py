@@ -4,6 +4,7 @@ import csv
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -137,10 +138,12 @@ def cells_of(
     names: Sequence[str],
     *,
     delimiter: str = ",",
+    decimal: str = ".",
     skip: int = 1,
     comments: tuple[str, ...] | None = None,
 ) -> "pandas.DataFrame":
-    """Cells of a text; columns are counted from 0, rows named by their lines, from 1.
+    """Cells of a text, by pandas: numbers where all of a column are, else texts. Columns are counted
+    from 0, rows named by their lines, from 1.
 
     Parameters
     ----------
@@ -148,8 +151,8 @@ def cells_of(
         For messages, and its content.
     names
         Of the columns.
-    delimiter
-        What separates cells. Delimiters behind the last cell and empty rows
+    delimiter, decimal
+        What separates cells, and the decimal sign. Delimiters behind the last cell and empty rows
         at the end are ignored.
     skip
         Lines before the first row.
@@ -166,33 +169,46 @@ def cells_of(
     import pandas as pd  # noqa: PLC0415
 
     lines, count = text.splitlines(), len(names)
-    while len(lines) > skip and not lines[-1].strip(f'{delimiter}" \t'):
-        lines.pop()
-    kept = {
-        number: line
-        for number, line in enumerate(lines[skip:], skip + 1)
-        if comments is None or (line.strip() and not line.lstrip().startswith(comments))
-    }
-    if not kept:
-        raise InputError(f"{file}: no rows; allowed is at least one sample")
-    rows = list(csv.reader(kept.values(), delimiter=delimiter, skipinitialspace=True))
-    if len(rows) != len(kept):
-        raise ValueError("a quote is not closed")
-    for number, cells in zip(kept, rows, strict=True):
-        if not any(cell.strip() for cell in cells[count:]):
-            del cells[count:]
-        if len(cells) != count:
+    rows: dict[int, str] = {}
+    stop = len(lines)
+    while stop > skip and not lines[stop - 1].strip(f'{delimiter}" \t'):
+        stop -= 1
+    for number, whole in enumerate(lines[skip:stop], skip + 1):
+        line = whole.rstrip(" ")
+        if comments is not None and (not line.strip() or line.lstrip().startswith(comments)):
+            continue
+        quoted = '"' in line or delimiter == " "
+        cells = len(split(line, delimiter)) if quoted else line.count(delimiter) + 1
+        while cells > count and line.endswith(delimiter):
+            line, cells = line.removesuffix(delimiter).rstrip(" "), cells - 1
+        if cells != count:
             raise InputError(
-                f"{file}, line {number}: {len(cells)} of {count} columns, the line is truncated or "
+                f"{file}, line {number}: {cells} of {count} columns, the line is truncated or "
                 f"damaged; allowed are {count} numbers a line"
             )
-    ends = [cells[-1].strip().lstrip("-") for cells in [[""], *rows[-2:]][-2:]]
-    if not text.endswith(("\n", "\r")) and len(lines) in kept and len(ends[1]) < len(ends[0]):
+        rows[number] = line
+    if not rows:
+        raise InputError(f"{file}: no rows; allowed is at least one sample")
+    last, above = [*reversed(rows.values()), ""][:2]
+    ends = [line.rpartition(delimiter)[2].strip().lstrip("-") for line in (last, above)]
+    if not text.endswith(("\n", "\r")) and stop in rows and len(ends[0]) < len(ends[1]):
         raise InputError(
-            f"{file}, line {len(lines)}: {names[-1]} = {ends[1]!r}, the last line is truncated: no "
-            "line end, and fewer digits than above; allowed are complete lines"
+            f"{file}, line {stop}: {names[-1]} = {ends[0]!r}, the last line is truncated: no line "
+            "end, and fewer digits than above; allowed are complete lines"
         )
-    return pd.DataFrame(rows, index=list(kept), dtype=object)
+    frame = pd.read_csv(
+        StringIO("\n".join(rows.values())),
+        sep=r"\s+" if delimiter == " " else delimiter,
+        decimal=decimal,
+        header=None,
+        na_filter=False,
+        skipinitialspace=True,
+        skip_blank_lines=False,
+        low_memory=False,
+    )
+    if len(frame) != len(rows):
+        raise ValueError("a quote is not closed")
+    return frame.set_axis(list(rows))
 
 
 def numbers_of(
@@ -212,7 +228,7 @@ def numbers_of(
     file, name
         For messages.
     cells
-        Texts by line.
+        Numbers or texts by line.
     missing
         Words in small letters for numbers that are missing, which become NaN.
     decimal
@@ -229,7 +245,9 @@ def numbers_of(
     """
     import pandas as pd  # noqa: PLC0415
 
-    texts = cells.str.strip()
+    if cells.dtype.kind in "iuf" and not dates:
+        return cells.to_numpy(np.float64)
+    texts = cells.astype(str).str.strip()
     if dates:
         moments = pd.to_datetime(texts, format="ISO8601", utc=True, errors="coerce")
         numbers = (moments - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)

@@ -125,7 +125,7 @@ DAMAGE: dict[str, tuple[str | bytes, list[str]]] = {
     "empty": ("", ["empty", f"allowed is CSV with the columns {HEADER}"]),
     "a gap": (
         "\n".join([*LINES[:9], "", *LINES[9:]]) + "\n",
-        ["line 10", "0 of 14 columns", "allowed are 14 numbers"],
+        ["line 10", "1 of 14 columns", "allowed are 14 numbers"],
     ),
     "one number more": (
         RECORDING.replace("\n0.0500,", "\n0.0500,0,", 1),

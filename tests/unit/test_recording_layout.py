@@ -332,7 +332,7 @@ WRONG: dict[str, tuple[str, Callable[[str], str], list[str]]] = {
     "no date": (
         'time_unit = "stamp"',
         str,
-        ["line 2", "time = '0.0500'", "allowed is a date of ISO 8601"],
+        ["line 2", "time = '0.05'", "allowed is a date of ISO 8601"],
     ),
     "cut off": (
         'force_unit = "N"',

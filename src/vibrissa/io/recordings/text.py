@@ -69,7 +69,15 @@ def columns(
     with reading(file, "text"):
         units = {} if exactly else _units(lines[line + 1 : line + 2], names, delimiter, places)
         skip, comments = line + 1 + bool(units), None if exactly else _COMMENTS
-        cells = cells_of(file, text, names, delimiter=delimiter, skip=skip, comments=comments)
+        cells = cells_of(
+            file,
+            text,
+            names,
+            delimiter=delimiter,
+            decimal=table.decimal,
+            skip=skip,
+            comments=comments,
+        )
     times = {one.time[0]: one.time_unit for one in (table, table.of_poses)}
     german = ", with decimal = ',' in [recording] where a comma is meant"
     arrays = {

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from vibrissa.contacts import Status
 from vibrissa.inverse import Reconstruction
 from vibrissa.live.samples import Flags, Quaternions, Vectors, Wrenches, joined, rows_of
 from vibrissa.sensor import RawRecording
+from vibrissa.sensor.raw import Times, Wrench
 
 RESTLESS = 3.0
 """Standard deviations of the noise beyond which readings are not at rest."""
@@ -33,7 +33,7 @@ class _Rows(NamedTuple):
     or in one that explains it.
     """
 
-    time: Float[np.ndarray, "n"]
+    time: Times
     position: Vectors
     orientation: Quaternions
     force: Vectors
@@ -65,8 +65,8 @@ class ZeroWatch:
         Whether the zero is not known since a restart.
     """
 
-    noise: Float[np.ndarray, "6"]
-    resolution: Float[np.ndarray, "6"]
+    noise: Wrench
+    resolution: Wrench
     length: float
     seconds: float
     pending: bool = False

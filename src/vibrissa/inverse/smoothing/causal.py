@@ -303,7 +303,7 @@ class CausalSmoother:
 
     def _loaded(self, wrench: Float[np.ndarray, "n wrench"], zero: Gaussian) -> Flags:
         """Whether the mean of the last wrenches is more than noise and drift."""
-        recent = np.concatenate([self._recent, wrench @ np.transpose(self._settings.whitening)])
+        recent = np.concatenate([self._recent, wrench @ np.asarray(self._settings.whitening).T])
         self._recent = recent[len(wrench) :]
         last = sliding_window_view(recent, DETECTION_SAMPLES, axis=0)
         load = last - zero.mean[..., None]

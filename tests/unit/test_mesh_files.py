@@ -60,6 +60,20 @@ def test_a_file_cut_short_is_told_apart(tmp_path: Path) -> None:
             assert "\n" not in str(caught.value)
 
 
+def test_a_text_of_two_solids_cut_in_the_second_is_told_apart(tmp_path: Path) -> None:
+    vertices, faces = octahedron()
+    first, second = (
+        trimesh.Trimesh(vertices + shift, faces).export(file_type="stl_ascii") for shift in (0, 9)
+    )
+    file = tmp_path / "two.stl"
+    file.write_text(f"{first}\n{second}")
+    assert len(Mesh.load(file, scale=1.0).source.faces) == 2 * len(faces)
+    for share in (0.3, 0.6, 0.9):
+        file.write_text(f"{first}\n{second[: int(share * len(second))]}")
+        with pytest.raises(ValueError, match=r"two\.stl: .*cut short"):
+            Mesh.load(file, scale=1.0)
+
+
 def twice(v: np.ndarray, f: np.ndarray) -> Arrays:
     """Vertices of their own for each triangle, as in STL."""
     return v[f].reshape(-1, 3), np.arange(3 * len(f)).reshape(-1, 3)

@@ -235,6 +235,8 @@ class SensorTable(Table):
         """Return the sensor."""
         given = {"tare_seconds": None} | PRESETS.get(self.preset, {}) | self.arguments(folder)
         given.pop("preset", None)
+        if given.get("cross_talk") is not None:
+            given["cross_talk"] = np.array(given["cross_talk"])
         return Sensor(**given)
 
 

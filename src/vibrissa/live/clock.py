@@ -59,7 +59,7 @@ class RateWatch:
         if window == self._window + 1:
             self._seen.append(self._least)
         else:  # a pause, or the beginning: the windows before it tell nothing
-            self._begun, window = now, 0
+            self._begun, window = int(arrival[0]), 0
             self._seen.clear()
         self._window, self._least = window, delay
         for span, tolerance in _RATE_SPANS:

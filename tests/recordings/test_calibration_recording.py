@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -44,12 +45,19 @@ def _check(found: vb.Calibration[vb.Setup], truth: vb.Setup) -> None:
     assert np.degrees(np.arccos(axes[0] @ axes[1])) < 0.3
 
 
-@pytest.mark.parametrize(("stiffness", "length"), [(0.8, 1.03), (1.2, 1.03)])
+@cache
+def _of_two_trails(folder: Path, stiffness: float, length: float) -> vb.Calibration[vb.Setup]:
+    start = _start(vb.load_setup(folder / "setup.toml"), stiffness, length)
+    paths = [folder / "frictionless" / f"trail_y{name}.csv" for name in ("+0.10", "-0.20")]
+    return vb.calibrate([vb.read_recording(path, start) for path in paths], start)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "length"), [(0.8, 1.03), pytest.param(1.2, 1.03, marks=pytest.mark.slow)]
+)
 def test_two_trails_give_wire_and_mount(sphere_60mm: Path, stiffness: float, length: float) -> None:
     truth = vb.load_setup(sphere_60mm / "setup.toml")
-    start = _start(truth, stiffness, length)
-    paths = [sphere_60mm / "frictionless" / f"trail_y{name}.csv" for name in ("+0.10", "-0.20")]
-    found = vb.calibrate([vb.read_recording(path, start) for path in paths], start)
+    found = _of_two_trails(sphere_60mm, stiffness, length)
     _check(found, truth)
     # The engine's wire is a chain of straight links: it does not touch just where a curve would,
     # and the intervals allow for it and hold the truth.
@@ -65,6 +73,7 @@ def test_two_trails_give_wire_and_mount(sphere_60mm: Path, stiffness: float, len
         assert low < value < high, name
 
 
+@pytest.mark.slow
 def test_two_trails_that_tell_little_give_them_too(sphere_60mm: Path) -> None:
     """Far from the ball's middle on both sides. The engine's wire is a polygon with a skin: it
     touches some 10 µm off the ball, which is found and taken into account.
@@ -100,7 +109,9 @@ def test_a_trail_with_friction_and_one_without_give_them_too(sphere_60mm: Path) 
 
 
 @pytest.mark.filterwarnings("ignore::vibrissa.contacts.RecordingWarning")
-@pytest.mark.parametrize("move", [(0.0, 1e-3, 0.0), (-6e-4, 5e-4, 6e-4)])
+@pytest.mark.parametrize(
+    "move", [pytest.param((0.0, 1e-3, 0.0), marks=pytest.mark.slow), (-6e-4, 5e-4, 6e-4)]
+)
 def test_a_ball_that_lies_elsewhere_is_named_with_its_place(
     sphere_60mm: Path, move: tuple[float, float, float]
 ) -> None:
@@ -130,10 +141,7 @@ def test_contacts_reconstructed_with_the_calibrated_setup_lie_on_the_ball(
     truth = vb.load_setup(sphere_60mm / "setup.toml")
     start = _start(truth, 0.8, 1.03)
     folder = sphere_60mm / "frictionless"
-    found = vb.calibrate(
-        [vb.read_recording(folder / f"trail_y{name}.csv", start) for name in ("+0.10", "-0.20")],
-        start,
-    )
+    found = _of_two_trails(sphere_60mm, 0.8, 1.03)
     off = []
     for setup in (start, found.setup, truth):
         contacts = vb.reconstruct(

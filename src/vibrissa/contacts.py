@@ -2,6 +2,8 @@
 trusted.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any

@@ -1,5 +1,7 @@
 """Support reactions: the only thing that forward, sensor and inverse share."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np

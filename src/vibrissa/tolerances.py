@@ -2,6 +2,8 @@
 that all samples of a sweep share.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

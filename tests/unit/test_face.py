@@ -1,6 +1,7 @@
 """The names of the public face."""
 
 import importlib
+import inspect
 
 import pytest
 
@@ -23,3 +24,20 @@ def test_functions_keep_their_names_when_their_rooms_are_imported() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="whisker"):
         _ = vb.whisker
+
+
+@pytest.mark.parametrize(
+    "public",
+    [
+        *(getattr(vb, name) for name in vb.__all__ if not name.endswith(("Error", "Warning"))),
+        *(getattr(vb.surfaces, name) for name in dir(vb.surfaces)),
+    ],
+    ids=str,
+)
+def test_signatures_read_as_they_are_written(public: object) -> None:
+    if callable(public):
+        signature = str(inspect.signature(public))
+        for spelt_out in ("Annotated", "_array_like", "functools", " at 0x"):
+            assert spelt_out not in signature
+        longest = max(map(len, signature.split(", ")))
+        assert longest < 160

@@ -212,8 +212,8 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
 
 
 def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
-    """Newton's method from states (k, …) at one clamp pose: each a first contact on a lane that
-    goes on as if it had not been.
+    """Newton's method from states (k, …) at one clamp pose, to steps (k, …) in the same order: each
+    a first contact on a lane that goes on as if it had not been.
     """
     count, room = len(seeds.force), _SHORTEST_TRAIL - 1
     rows = -(-count // room)

@@ -129,7 +129,9 @@ def touched_surface(rod: Rod, surface: Surface) -> Offset:
 def _fields(
     rod: Rod, scene: Scene, law: Law, clamps: Clamp, stride: int, found: Sweep
 ) -> dict[str, np.ndarray]:
-    """Fields of `Scan` at all positions of some trails (k, …), and force and moment."""
+    """Fields of `Scan`, force and moment by name, at all positions of some trails, one trail after
+    the other: each of shape (trails * positions, …).
+    """
     clamps, steps, status = jax.tree.map(
         lambda rows: np.concatenate(rows[:, ::stride]),
         (clamps, found.steps, found.status),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -95,10 +95,7 @@ class CasePoseTable(Table):
     pause: Positive = 0.5
 
 
-PoseTable = Annotated[
-    ConstantPoseTable | UdpPoseTable | TrailPoseTable | CasePoseTable,
-    Field(discriminator="kind", description="constant, udp, trail or case"),
-]
+PoseTable: TypeAlias = ConstantPoseTable | UdpPoseTable | TrailPoseTable | CasePoseTable
 
 
 @dataclass(frozen=True)
@@ -248,7 +245,9 @@ class SetupFile(Table):
     object: ObjectTable | None = None  # type: ignore[valid-type]
     recording: RecordingTable | None = None
     rdt: RdtTable | None = None
-    pose: PoseTable | None = None
+    pose: PoseTable | None = Field(
+        default=None, discriminator="kind", description="constant, udp, trail or case"
+    )
     calibration: CalibrationTable | None = None
     tolerances: TolerancesTable | None = None  # type: ignore[valid-type]
 

@@ -2,6 +2,8 @@
 UDP.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import socket

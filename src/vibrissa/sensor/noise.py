@@ -6,6 +6,8 @@ noise", Proc. IEEE 70 (1982) 212-218). Each of them is sampled exactly on any st
 random walk.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

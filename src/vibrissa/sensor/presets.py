@@ -23,6 +23,8 @@ Robotiq FT 300-S
     figure of tx and ty is taken for tz too.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 from numpy.typing import ArrayLike

@@ -13,8 +13,9 @@ Vector3: TypeAlias = Annotated[Any, partial(finite_array, last=3, ndim=1)]
 Direction: TypeAlias = Annotated[Any, unit_vector]
 """Three numbers that are not all zero; kept as an array (3,) of length 1."""
 Positive3: TypeAlias = Annotated[Any, partial(positive_array, last=3)]
-"""Three numbers above zero, and two."""
+"""Three numbers above zero."""
 Positive2: TypeAlias = Annotated[Any, partial(positive_array, last=2)]
+"""Two numbers above zero."""
 
 
 class Figured(Surface):

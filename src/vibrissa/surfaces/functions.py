@@ -1,5 +1,7 @@
 """Surfaces given by a function of the user's."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 

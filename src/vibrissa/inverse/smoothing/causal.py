@@ -5,6 +5,8 @@ filter as the fixed-interval smoother's way forward, and they mix by their proba
 (interacting multiple models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
 """
 
+from __future__ import annotations
+
 from functools import partial
 from typing import Any, NamedTuple
 

@@ -45,7 +45,7 @@ def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
         reason = " ".join(str(error).splitlines()) or type(error).__name__
         raise ValueError(f"{file}: not a readable {kind} file, or cut short ({reason})") from error
     # Of several solids in one text, trimesh takes those that are whole.
-    in_text = file.read_bytes().count(b"facet normal") if suffix == ".stl" else 0
+    in_text = file.read_bytes().lower().count(b"facet normal") if suffix == ".stl" else 0
     if not len(faces) or len(faces) < in_text:
         raise ValueError(f"{file}: no triangles, or cut short; allowed is a closed mesh")
     return vertices * factor, faces

@@ -119,7 +119,7 @@ def _indices(faces: ArrayLike, count: int) -> Faces:
     if beyond or not len(f):
         raise ValueError(
             f"faces: {count} vertices and {len(f)} faces, of which {beyond} indices lie outside "
-            f"0 … {count - 1}; allowed is a closed mesh"
+            f"0 … {count - 1} or are no whole numbers; allowed is a closed mesh"
         )
     return f.astype(np.int64)
 

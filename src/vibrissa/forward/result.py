@@ -166,13 +166,16 @@ class Scan:
     @cached_property
     def friction_work(self) -> Float[np.ndarray, "*trail n"]:
         """Work (…) [J] that friction turns into heat on the way from the position before: by the
-        trapezoidal rule.
+        trapezoidal rule for the tangential force, so that a normal that turns within the step, as
+        at an edge, does no work.
 
         NaN where either has no contact, and across a snap, of which statics knows both ends but not
         the way.
         """
-        force = _mean_of_ends(-self.reactions.force)
-        heat = led(-np.einsum("...i,...i->...", force, self.slip.sliding[..., 1:, :]))
+        force = -self.reactions.force
+        push = np.einsum("...i,...i->...", force, self.normal)
+        friction = _mean_of_ends(force - push[..., None] * self.normal)
+        heat = led(-np.einsum("...i,...i->...", friction, self.slip.sliding[..., 1:, :]))
         heat[self._behind_a_snap] = np.nan
         return heat
 

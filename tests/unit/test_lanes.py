@@ -1,5 +1,6 @@
 """Rows come out of the lanes as they went in, however many there are, on any number of threads."""
 
+import threading
 from typing import NamedTuple
 
 import jax
@@ -54,3 +55,36 @@ def test_what_fails_in_a_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setenv("VIBRISSA_THREADS", "2")
     with pytest.raises(ZeroDivisionError):
         in_threads(lambda part: 1 / part, [1, 0])
+
+
+def test_what_is_compiled_ahead_is_traced_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VIBRISSA_THREADS", "2")
+    traced, before = [], set(threading.enumerate())
+
+    @lanes(width=8, blocks=4)
+    def twice(_: None, x: jax.Array) -> jax.Array:
+        traced.append(threading.current_thread())
+        return 2 * x
+
+    for _ in range(2):
+        twice.ahead(None, np.zeros(1))
+    for thread in set(threading.enumerate()) - before:
+        thread.join()
+    np.testing.assert_array_equal(twice(None, np.arange(40.0)), 2 * np.arange(40.0))
+    assert len(traced) == 1
+    assert traced[0] is not threading.current_thread()
+
+
+def test_what_fails_ahead_is_raised_where_it_is_wanted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("VIBRISSA_THREADS", "2")
+
+    @lanes()
+    def bad(_: None, x: jax.Array) -> jax.Array:
+        raise ZeroDivisionError
+
+    bad.ahead(None, np.zeros(1))
+    with pytest.raises(ZeroDivisionError):
+        bad(None, np.zeros(1))
+    assert not capsys.readouterr().err

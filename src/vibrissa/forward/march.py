@@ -20,7 +20,7 @@ from vibrissa.contact import Law, Reached, Scene, State, step_from, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.bracket import POINTS
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import Lanes, lanes
 from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
@@ -109,7 +109,7 @@ STABLE = -1.0
 """Sign of the Jacobian's determinant on a stable branch."""
 _FAN, _SHORTEST_TRAIL = 1 + POINTS, 256
 """Positions of lanes that only locate an event, and room for those of a trail."""
-_SINGLE = 8
+SINGLE = 8
 """Lanes that are walked one after the other: more are quicker side by side."""
 
 
@@ -195,9 +195,22 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
     """Walk lanes through all of their positions: legs and steps of k lanes and n positions
     (k, n, …), in model units.
     """
+    walk, padded = _sized(legs)
+    steps: Steps = walk((scene, law, np.asarray(legs.clear.shape[1])), padded)
+    return chosen(steps, np.s_[:, : legs.clear.shape[1]])
+
+
+def march_ahead(scene: Scene, law: Law, clamps: Clamp) -> None:
+    """Compile, while other work is done, what the march through clamps (k, n, 3) needs."""
+    walk, padded = _sized(entering(law, clamps))
+    walk.ahead((scene, law, np.asarray(0)), padded)
+
+
+def _sized(legs: Legs) -> tuple[Lanes[Any, Any], Legs]:
+    """The kernel that walks such lanes, and legs padded to its size."""
     count, n = legs.clear.shape
     # Each size is compiled for itself: a few short lanes share that of a trail.
-    short = n <= _FAN and count > _SINGLE
+    short = n <= _FAN and count > SINGLE
     size = _FAN if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
 
     def padded(rows: np.ndarray) -> np.ndarray:
@@ -207,8 +220,7 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
 
     clamp, clear, met, meeting = jax.tree.map(padded, legs[:4])
     legs = legs._replace(clamp=clamp, clear=clear, met=met, meeting=meeting)
-    steps: Steps = (_fans if short else _trails)((scene, law, np.asarray(n)), legs)
-    return chosen(steps, np.s_[:, :n])
+    return (_fans if short else _trails), legs
 
 
 def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
@@ -228,8 +240,8 @@ def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
         fanned=np.ones(rows, dtype=bool),
     )
     parts = [
-        march(scene, law, chosen(legs, np.s_[first : first + _SINGLE]))
-        for first in range(0, rows, _SINGLE)
+        march(scene, law, chosen(legs, np.s_[first : first + SINGLE]))
+        for first in range(0, rows, SINGLE)
     ]
     found: Steps = jax.tree.map(
         lambda *parts: np.concatenate([row[1:] for part in parts for row in part])[:count], *parts
@@ -260,7 +272,7 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     return walked[1]
 
 
-_trails, _fans = lanes(blocks=1, alone=_SINGLE)(_walk), lanes()(_walk)
+_trails, _fans = lanes(blocks=1, alone=SINGLE)(_walk), lanes()(_walk)
 
 
 def _advance(

@@ -6,9 +6,9 @@ from jaxtyping import Float, Int
 
 from vibrissa.contact import COULOMB, FRICTIONLESS, Law, Scene
 from vibrissa.contacts import ContactKind, Motion, Status
-from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assessed
+from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assess, assessed
 from vibrissa.forward.events import Event, Happening
-from vibrissa.forward.march import Mode
+from vibrissa.forward.march import SINGLE, Mode, march_ahead, nowhere
 from vibrissa.forward.path import chosen, path_of
 from vibrissa.forward.result import Scan
 from vibrissa.forward.search import caught
@@ -84,6 +84,11 @@ def scan(
     law = COULOMB if friction > 0 else FRICTIONLESS
     path = path_of(trail, rod.length)
     count = len(path.point)
+
+    # What every scan needs is compiled side by side.
+    few = chosen(path.clamps, np.s_[: SINGLE + 1])
+    march_ahead(scene, law, few)
+    assess.ahead(scene, nowhere(law, 1).state, chosen(few, np.s_[:1, 0]), law)
 
     # Whole blocks of lanes, and work for every thread.
     share = min(_TRAILS, WIDTH * -(-count // (WIDTH * threads())))

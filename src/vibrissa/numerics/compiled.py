@@ -26,6 +26,7 @@ _LARGEST_CACHE = 512 * 2**20
 """[bytes] about a thousand kernels; the least recently used go first."""
 _PATIENCE = 1.0
 """[s] of compiling after which a terminal is told."""
+_told = threading.Lock()
 
 
 def set_up_cache() -> None:
@@ -93,8 +94,10 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
 
 @contextmanager
 def telling() -> Iterator[None]:
-    """Say on a terminal that kernels are being compiled, if what is done within takes long."""
-    if not sys.stderr.isatty():
+    """Say on a terminal that kernels are being compiled, if what is done within takes long; once,
+    however many threads wait.
+    """
+    if not sys.stderr.isatty() or not _told.acquire(blocking=False):
         yield
         return
     message = "vibrissa: compiling for this kind of object, once per machine …\n"
@@ -105,6 +108,7 @@ def telling() -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+        _told.release()
 
 
 def operation_count(function: Callable[[Array], Array], argument: Array) -> int:

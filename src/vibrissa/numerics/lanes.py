@@ -10,6 +10,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext, suppress
 from functools import cached_property, partial
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -78,6 +79,7 @@ class Lanes(Generic[Shared, Row]):
         self._one, self._width, self._blocks = one, width, blocks
         self._alone = alone
         self._known: set[object] = set()
+        self._begun: set[object] = set()
         self._shapes: dict[object, Any] = {}
         self._compiling = threading.Lock()
 
@@ -86,9 +88,7 @@ class Lanes(Generic[Shared, Row]):
         count = len(jax.tree.leaves(rows)[0])
         if count == 0:
             return self._nothing(shared, rows)
-        alone = count <= self._alone
-        width, size = (1, self._alone) if alone else (self._width, self._width * self._blocks)
-        kernel = self._one_by_one if alone else self._side_by_side
+        kernel, width, size = self._kernel(count)
 
         def call(first: int) -> Row:
             last = min(first + size, count)
@@ -103,12 +103,34 @@ class Lanes(Generic[Shared, Row]):
             lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
         )
 
+    def ahead(self, shared: Shared, *rows: Any) -> None:
+        """Compile in a thread of its own what a call with such rows will need: XLA leaves the other
+        cores to whoever else compiles or works.
+        """
+        known = (self._kernel(len(jax.tree.leaves(rows)[0]))[0], jax.tree.structure((shared, rows)))
+        if known not in self._begun and threads() > 1:
+            self._begun.add(known)
+            threading.Thread(target=self._quietly, args=(shared, *rows)).start()
+
+    def _quietly(self, *arguments: Any) -> None:
+        """Call; what fails will fail again where the result is wanted."""
+        _within.ahead = True
+        with suppress(Exception):
+            self(*arguments)
+
+    def _kernel(self, count: int) -> tuple[Callable[..., Any], int, int]:
+        """What takes so many rows, how many of them side by side, and how many in one call."""
+        if count <= self._alone:
+            return self._one_by_one, 1, self._alone
+        return self._side_by_side, self._width, self._width * self._blocks
+
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
         """Call a kernel; while one thread compiles it, others wait."""
         known = (kernel, jax.tree.structure(arguments))
         if known in self._known:
             return kernel(*arguments)
-        with self._compiling, telling():
+        told = nullcontext() if getattr(_within, "ahead", False) else telling()
+        with told, self._compiling:
             found = kernel(*arguments)
             self._known.add(known)
         return found

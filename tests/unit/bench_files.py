@@ -58,11 +58,13 @@ orientation = [[0.0, 0.6, 0.0, 0.8]]
 
 HEADER = "time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
 ROWS, TARE_ROWS = 40, 10
+PAUSE = slice(25, 30)
 
 
-def recording_table(rows: int = ROWS) -> np.ndarray:
+def recording_table(rows: int = ROWS, pause: slice = PAUSE) -> np.ndarray:
     """Ten rows a second, free of contact for the first, then pushed with up to 1 N at the wire's
-    tip; columns as HEADER.
+    tip, with a pause so that neither push is long enough for the clamp's work to be held against
+    the rod's energy; columns as HEADER.
     """
     table = np.zeros((rows, 14))
     table[:, 0] = 0.05 + 0.1 * np.arange(rows)
@@ -70,6 +72,7 @@ def recording_table(rows: int = ROWS) -> np.ndarray:
     table[:, 2] = 0.005
     table[:, 6:8] = 0.6, 0.8
     load = np.clip(np.arange(rows) - TARE_ROWS + 1, 0, None) / (rows - TARE_ROWS)
+    load[pause] = 0
     force = load[:, None] * [0.3, -0.2, -0.8]
     table[:, 8:11] = [0.3125, -0.125, 1.9375] + force
     table[:, 11:14] = [2.0e-3, -4.0e-3, 7.0e-4] + np.cross([0.012, 0.004, 0.065], force)
@@ -87,3 +90,4 @@ def recording_text(table: np.ndarray) -> str:
 
 
 RECORDING = recording_text(recording_table())
+ONE_PUSH = recording_text(recording_table(pause=slice(0)))

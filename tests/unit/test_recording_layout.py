@@ -36,10 +36,11 @@ def text(table: np.ndarray, names: list[str] = NAMES, delimiter: str = ",") -> s
     )
 
 
-@pytest.fixture
-def expected(tmp_path: Path) -> vb.Reactions:
-    (tmp_path / "expected.csv").write_text(RECORDING)
-    return vb.read_recording(tmp_path / "expected.csv", load(tmp_path))
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> vb.Reactions:
+    folder = tmp_path_factory.mktemp("expected")
+    (folder / "expected.csv").write_text(RECORDING)
+    return vb.read_recording(folder / "expected.csv", load(folder))
 
 
 def same(found: vb.Reactions, expected: vb.Reactions) -> None:

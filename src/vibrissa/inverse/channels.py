@@ -6,8 +6,8 @@ touches tangentially without friction. So three independent reactions are needed
 friction makes the incidence unknown.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse.arrays import Flag, Scalar, Wrench
 from vibrissa.inverse.kernels import Errors, Found, Sample, Setting
 from vibrissa.inverse.shared import samples_of, setting_of
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, bent, chosen
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, Linear, chosen, linear_at
 from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.linear import cholesky, solve_lower
 from vibrissa.numerics.rotation import rotation_matrix
@@ -29,7 +29,8 @@ from vibrissa.rod import Rod
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 _TIP_LAW, _TANGENTIAL_LAW, _NO_LAW = 0, 1, 2
-_STEPS = 40
+_STEPS, _DAMPING = 40, 1e-2
+"""Of Levenberg and Marquardt's method: the damping falls tenfold with each step that gains."""
 _SQUARE = 0.5
 """Incidence in tangential contact without friction."""
 _SINGULAR = 1e-5
@@ -153,41 +154,27 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     scale = jnp.max(jnp.abs(root))
     measured = jnp.where(selected, wrench, 0.0)
 
-    def equations(x: Array) -> tuple[Array, Array]:
-        value = bent(x)
-        seen = root @ (jnp.where(selected, value.wrench, 0.0) - measured)
-        laws = [x[ARC_LENGTH] - 1, value.incidence - _SQUARE, jnp.zeros(())]
-        left = jnp.concatenate([seen, jnp.stack([jnp.stack(laws)[problem.law], x[TILT]]) * scale])
-        return left, left
+    def equations(at: Linear) -> tuple[Array, Array]:
+        """What is left of them, and its derivatives."""
+        seen = root @ (jnp.where(selected, at.value.wrench, 0.0) - measured)
+        laws = [at.x[ARC_LENGTH] - 1, at.value.incidence - _SQUARE, jnp.zeros(())]
+        axes = jnp.eye(len(at.x))
+        law_slopes = [axes[ARC_LENGTH], at.slope.incidence, jnp.zeros(len(at.x))]
+        ends = jnp.stack([jnp.stack(laws)[problem.law], at.x[TILT]])
+        end_slopes = jnp.stack([jnp.stack(law_slopes)[problem.law], axes[TILT]])
+        left = jnp.concatenate([seen, ends * scale])
+        slopes = root @ jnp.where(selected[:, None], at.slope.wrench, 0.0)
+        return left, jnp.concatenate([slopes, end_slopes * scale])
 
-    slopes = jax.jacfwd(equations, has_aux=True)
-
-    def step(_: Array | int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        x, damping, best = state
-        jacobian, left = slopes(x)
-        normal = jacobian.T @ jacobian
-        damped = normal + damping * jnp.diag(jnp.diag(normal) + 1e-12 * scale**2)
-        change = -jnp.linalg.solve(damped, jacobian.T @ left)
-        arc_length = jnp.clip((x + change)[ARC_LENGTH], 0.05, 1.5)
-        tried = (x + jnp.clip(change, -0.5, 0.5)).at[ARC_LENGTH].set(arc_length)
-        error = jnp.sum(equations(tried)[0] ** 2)
-        better = jnp.isfinite(error) & (error <= best)
-        return (
-            jnp.where(better, tried, x),
-            jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-15, 1e6),
-            jnp.where(better, error, best),
-        )
-
-    start = _start(measured, selected)
-    first = jnp.sum(equations(start)[0] ** 2)
-    x, _, _ = lax.fori_loop(0, _STEPS, step, (start, jnp.asarray(1e-3), first))
-    jacobian, left = slopes(x)
+    at = _least_squares(equations, _start(measured, selected), scale)
+    x, value, slope = at
+    left, jacobian = equations(at)
     # Relative to the loads, so that a light touch is no less unique than a strong one.
     load = jnp.maximum(jnp.sqrt(jnp.sum(x[:3] ** 2)), 1e-9)
     size = jnp.where(jnp.arange(len(x)) < ARC_LENGTH, load, 1.0)
     values = jnp.linalg.svd((jacobian / scale * size).at[:6].divide(load), compute_uv=False)
     errors = jnp.linalg.pinv(jacobian.T @ jacobian)
-    value, slope, length = bent(x), jax.jacfwd(bent)(x), setting.length
+    length = setting.length
     across = jnp.eye(3) - jnp.outer(value.direction, value.direction)
     of_direction = across @ slope.wrench[:3] / jnp.sqrt(jnp.sum(value.wrench[:3] ** 2))
     of_errors = (turn @ part for part in (length * slope.reach, -of_direction))
@@ -209,6 +196,33 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
         )
     bad = jnp.any(selected & ~jnp.isfinite(wrench))
     return Branch(x, jnp.sqrt(jnp.sum(left**2)), values[-1] / values[0], bad, found)
+
+
+def _least_squares(
+    equations: Callable[[Linear], tuple[Array, Array]], start: Float[Array, "5"], scale: Scalar
+) -> Linear:
+    """The manifold where Levenberg and Marquardt's method ends, from equations of about a size."""
+
+    def step(_: Array | int, state: tuple[Array, Linear, Array, Array]) -> tuple[Any, ...]:
+        tried, last, damping, best = state
+        new = linear_at(tried)
+        error = jnp.sum(equations(new)[0] ** 2)
+        better = jnp.isfinite(error) & (error <= best)
+        at = jax.tree.map(lambda new, last: jnp.where(better, new, last), new, last)
+        damping = jnp.clip(jnp.where(better, damping / 10, damping * 10), 1e-15, 1e6)
+        left, jacobian = equations(at)
+        normal = jacobian.T @ jacobian
+        damped = normal + damping * jnp.diag(jnp.diag(normal) + 1e-12 * scale**2)
+        change = -jnp.linalg.solve(damped, jacobian.T @ left)
+        arc_length = jnp.clip((at.x + change)[ARC_LENGTH], 0.05, 1.5)
+        tried = (at.x + jnp.clip(change, -0.5, 0.5)).at[ARC_LENGTH].set(arc_length)
+        return tried, at, damping, jnp.where(better, error, best)
+
+    shapes = jax.eval_shape(linear_at, start)
+    nowhere = jax.tree.map(lambda part: jnp.full(part.shape, jnp.nan), shapes)
+    first = (start, nowhere, jnp.asarray(_DAMPING), jnp.asarray(jnp.inf))
+    found: Linear = lax.fori_loop(0, 1 + _STEPS, step, first)[1]
+    return found
 
 
 def _start(measured: Wrench, selected: Bool[Array, "6"]) -> Float[Array, "5"]:

@@ -239,6 +239,17 @@ def test_equal_readings_come_in_a_row_as_seldom_as_stated(deviation: float, step
     assert longest_run(repeat_chance(1.0, 0.0), count) == 1
 
 
+@pytest.mark.parametrize(("equal", "stuck"), [(4, 0), (5, 1)])
+def test_four_equal_readings_are_no_finding_however_fine_the_numbers(
+    equal: int, stuck: int
+) -> None:
+    """Chance alone would allow no two: white noise without steps never repeats itself."""
+    fine = {"force_resolution": 0.0, "torque_resolution": 0.0}
+    raw = logged(sensor(**fine), pushed(turning=0.5), seed=1)
+    same = changed(raw, slice(600, 600 + equal), 5, raw.torque[600, 2])
+    assert found(same, **fine) == [("stuck channel", ("tz",), equal)] * stuck
+
+
 UNITS = {
     "millimetres": (
         lambda: replace(GOOD, position=1e3 * GOOD.position),

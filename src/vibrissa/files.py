@@ -270,8 +270,6 @@ def read_table(
     columns: Sequence[str],
     *,
     optional: Sequence[str] = (),
-    any_order: bool = False,
-    missing: Sequence[str] = (),
 ) -> dict[str, np.ndarray]:
     """Numbers (rows,) by column from a CSV file whose first line names the columns.
 
@@ -280,13 +278,9 @@ def read_table(
     file
         UTF-8 text, cells separated by commas.
     columns
-        Names that must be there.
+        Names that must be there, in any order.
     optional
         Names that may be there besides.
-    any_order
-        Whether the columns may come in another order than that of `columns`.
-    missing
-        Words for numbers that are missing, which become NaN.
 
     Raises
     ------
@@ -299,15 +293,12 @@ def read_table(
     if not first:
         raise InputError(f"{file}: empty; allowed is CSV with the columns {','.join(columns)}")
     names = [name.strip() for name in first.split(",")]
-    check_header(file, names, columns, optional, any_order=any_order)
+    check_header(file, names, columns, optional, any_order=True)
     with reading(file, "text"):
         cells = cells_of(file, text, names)
-    table = {
-        name: numbers_of(file, name, cells[place], missing=missing)
-        for place, name in enumerate(names)
-    }
+    table = {name: numbers_of(file, name, cells[place]) for place, name in enumerate(names)}
     for name, numbers in table.items():
-        bad = np.flatnonzero(~(np.abs(numbers) <= LARGEST) & ~(np.isnan(numbers) & bool(missing)))
+        bad = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
         if len(bad):
             raise InputError(
                 f"{file}, line {cells.index[bad[0]]}: {name} = {numbers[bad[0]]:g} "

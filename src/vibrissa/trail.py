@@ -314,7 +314,7 @@ class Trail:
             number is not finite, time does not increase, or a quaternion has zero norm: one line
             that names file, line and column.
         """
-        table = read_table(Path(path), COLUMNS, optional=("time",), any_order=True)
+        table = read_table(Path(path), COLUMNS, optional=("time",))
         if "time" in table:
             check_increasing(Path(path), table["time"])
         pose = np.column_stack([table[name] for name in COLUMNS])

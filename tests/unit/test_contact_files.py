@@ -226,12 +226,12 @@ DAMAGE = {
     "cut csv": (".csv", lambda content: content[:-9] if content.endswith(b",,\r\n") else content[: content.rindex(b",")], "truncated"),
     "cut csv at a line": (".csv", lambda content: content[: content.rindex(b",", 0, -9)], "truncated"),
     "csv of words": (".csv", lambda content: content.replace(b"0.1", b"one", 1), "'one"),
-    "another table": (".csv", lambda content: content.replace(b"arc_length", b"length", 1), "columns: missing arc_length, unknown length"),
+    "another table": (".csv", lambda content: content.replace(b"arc_length", b"length", 1), "columns: missing arc_length; allowed are x,y,z"),
     "cut ply": (".ply", lambda content: content[:-5], "damaged"),
     "no ply": (".ply", lambda _: b"x,y,z\n1,2,3\n", "damaged"),
     "another cloud": (".ply", lambda content: content.replace(b" nx", b" qx", 1), "nx: missing"),
     "cut nc": (".nc", lambda content: content[: len(content) // 2], "damaged"),
-    "another dataset": (".nc", None, "contact_point: missing"),
+    "another dataset": (".nc", None, "arc_length, contact_point, kind, normal, status: missing"),
 }  # fmt: skip
 
 
@@ -248,6 +248,22 @@ def test_damaged_contacts_are_one_line_that_names_the_file(
     message = refusal(lambda: vb.read_contacts(file))
     assert message.startswith((f"{file}: ", f"{file}, line "))
     assert words in message
+
+
+def test_columns_of_others_are_ignored_and_large_numbers_read(
+    found: vb.Reconstruction, tmp_path: Path
+) -> None:
+    file = vb.write_contacts(tmp_path / "contacts.csv", found)
+    expected = vb.read_contacts(file)
+    heading, *rows = file.read_text().splitlines()
+    largest = [row.replace(row.split(",")[0], "1.6e18", 1) for row in rows]
+    file.write_text("\n".join([f"note,{heading},note", *(f"a,{row},b" for row in largest), ""]))
+    got = vb.read_contacts(file)
+    np.testing.assert_array_equal(got.point, expected.point)
+    assert got.time is not None
+    assert set(got.time) == {1.6e18}
+    file.write_text("\n".join([f"{heading},cxx", *(f"{row},0" for row in rows), ""]))
+    assert "line 1: columns: twice cxx" in refusal(lambda: vb.read_contacts(file))
 
 
 def test_contacts_that_are_not_there(tmp_path: Path) -> None:

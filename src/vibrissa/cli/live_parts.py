@@ -86,7 +86,7 @@ def poses_of(loaded: vb.Setup, folder: Path, *, needed: bool) -> vb.live.PoseSou
                 return vb.live.StreamedPoses(*host_and_port(table.listen), patience=table.patience)
             case tables.TrailPoseTable():
                 file = folder / table.path
-                time = read_table(file, ("time", *COLUMNS), any_order=True)["time"]
+                time = read_table(file, ("time", *COLUMNS))["time"]
                 time, poses = time - time[0], vb.Trail.from_csv(file)
             case tables.CasePoseTable():
                 trail = vb.load_case(folder / table.path).trail

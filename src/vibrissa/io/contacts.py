@@ -9,7 +9,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from vibrissa.contacts import ContactKind, Contacts, Status
-from vibrissa.files import InputError, read_table, readable, reading, writable
+from vibrissa.files import (
+    InputError,
+    cells_of,
+    check_header,
+    numbers_of,
+    readable,
+    reading,
+    text_of,
+    writable,
+)
 from vibrissa.forward.result import Scan
 from vibrissa.inverse import Reconstruction
 
@@ -23,6 +32,9 @@ DEVIATIONS = tuple(f"deviation_{axis}" for axis in "xyz")
 COVARIANCE = ("cxx", "cxy", "cxz", "cyy", "cyz", "czz")
 """Upper triangle, row by row."""
 COLUMNS = ("time", *PLACE, "kind", "status", *COVARIANCE)
+_NEEDED = (*PLACE, "kind", "status")
+_VARIABLES = ("contact_point", "normal", "arc_length", "kind", "status")
+"""Of a dataset, in the place of columns."""
 VERTEX = np.dtype(
     {
         "names": (*PLACE, "standard_deviation", "kind", "status"),
@@ -213,16 +225,24 @@ def read_contacts(path: str | Path) -> Contacts:
     file = Path(path)
     suffix = _suffix(file)
     with reading(readable(file), "contacts"):
-        try:
-            return _of_dataset(file) if suffix == ".nc" else _of_table(_columns(file, suffix))
-        except KeyError as error:
+        columns, is_dataset = _columns(file, suffix), suffix == ".nc"
+        needed = _VARIABLES if is_dataset else COLUMNS if "cxx" in columns else _NEEDED
+        missing = sorted(set(needed) - columns.keys())
+        if missing:
             raise InputError(
-                f"{file}: {error.args[0]}: missing; allowed is a file that `write_contacts` wrote"
-            ) from error
+                f"{file}: {', '.join(missing)}: missing; "
+                "allowed is a file that `write_contacts` wrote"
+            )
+        return _of_dataset(columns) if is_dataset else _of_table(columns)
 
 
 def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
-    """Values by name, as written."""
+    """Values by name, as written; of CSV those that are known."""
+    if suffix == ".nc":
+        import xarray  # noqa: PLC0415
+
+        with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
+            return {str(name): part.to_numpy() for name, part in data.variables.items()}
     if suffix == ".ply":
         from plyfile import PlyData  # noqa: PLC0415
 
@@ -232,8 +252,12 @@ def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
         import pandas  # noqa: PLC0415
 
         return {name: part.to_numpy() for name, part in pandas.read_parquet(file).items()}
-    needed = (*PLACE, "kind", "status")
-    return read_table(file, needed, optional=COLUMNS, any_order=True, missing=("",))
+    text = text_of(file)
+    names = [name.strip() for name in text.partition("\n")[0].split(",")]
+    known = [name for name in names if name in COLUMNS]
+    check_header(file, known, _NEEDED, ("time", *COVARIANCE), any_order=True)
+    cells = cells_of(file, text, names)
+    return {name: numbers_of(file, name, cells[names.index(name)], missing=("",)) for name in known}
 
 
 def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
@@ -249,16 +273,10 @@ def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
     return Contacts(vectors(*PLACE[:3]), vectors(*PLACE[3:6]), **given)
 
 
-def _of_dataset(file: Path) -> Contacts:
-    import xarray  # noqa: PLC0415
-
-    own = {"point": "contact_point", "covariance": "contact_point_covariance"}
-    needed, given = ("point", "normal", "arc_length", "kind", "status"), {}
-    with xarray.open_dataset(file, engine="h5netcdf", decode_times=False) as data:
-        for name in (field.name for field in fields(Contacts)):
-            written = own.get(name, name)
-            if written in data or name in needed:
-                given[name] = data.variables[written].to_numpy()
+def _of_dataset(columns: Mapping[str, np.ndarray]) -> Contacts:
+    own = {"contact_point": "point", "contact_point_covariance": "covariance"}
+    named = {own.get(name, name): values for name, values in columns.items()}
+    given = {field.name: named[field.name] for field in fields(Contacts) if field.name in named}
     if given["kind"].ndim > 1:
         given["sweep"] = np.indices(given["kind"].shape)[0]
     return Contacts(**given)

@@ -17,6 +17,7 @@ from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts
 from vibrissa.geometry.rotation import (
     Orientation,
     Turn,
+    rotation_vectors,
     third_axis,
     turning_axis_to,
     unit_quaternions,
@@ -385,6 +386,28 @@ class Trail:
         steps = np.where(np.all(steps > 0, axis=-1, keepdims=True), steps, 1.0)
         gone = np.cumsum(np.insert(steps, 0, 0.0, axis=-1), axis=-1)
         return gone / np.where(self.count > 1, gone[..., -1:], 1.0)
+
+
+def between(time: Float[np.ndarray, "k"], motion: Trail, moment: Float[np.ndarray, "n"]) -> Trail:
+    """Poses at these times of a motion with poses (k, …) at `time`: straight and evenly turned
+    between their neighbours, the outermost beyond the ends.
+    """
+    row = np.interp(moment, time, np.arange(len(time)))
+    before, after = (motion.orientation[end(row).astype(int)] for end in (np.floor, np.ceil))
+    turn = scipy.spatial.transform.Rotation.from_rotvec(
+        (row % 1)[:, None] * rotation_vectors(before, after)
+    )
+    return Trail(
+        linear(time, motion.position, moment),
+        turn * scipy.spatial.transform.Rotation.from_quat(before),
+    )
+
+
+def linear(
+    time: Float[np.ndarray, "k"], values: Float[np.ndarray, "k c"], moment: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n c"]:
+    """Values at these times: straight between their neighbours, the outermost beyond the ends."""
+    return np.stack([np.interp(moment, time, column) for column in values.T], axis=1)
 
 
 def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:

@@ -15,10 +15,9 @@ from vibrissa.live.poses import (
     PoseMessage,
     StreamedPoses,
     TimedPoses,
-    between,
     pose_bytes,
 )
-from vibrissa.trail import Trail
+from vibrissa.trail import Trail, between
 
 MS = 1_000_000
 SECOND = 1_000_000_000

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import vibrissa as vb
-from vibrissa.live.poses import between, linear
 from vibrissa.live.scene import measured, motion, swept
 from vibrissa.sensor import RawRecording
+from vibrissa.trail import between, linear
 
 TRAIL = vb.Trail.line(start=(1.0, 0.2, 0), stop=(-1.0, 0.2, 0), count=11)
 

@@ -20,16 +20,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
-from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.live.address import listening
 from vibrissa.live.samples import Flags, Nanoseconds, Quaternions, Vectors
-from vibrissa.trail import Trail
-
-Times = Float[np.ndarray, "k"]
-Moments = Float[np.ndarray, "n"]
+from vibrissa.trail import Trail, between
 
 _NORM = 1e-3  # by which a unit quaternion's may be off: it is printed with four digits or more
 _LONGEST = 65536  # bytes: no datagram is longer
@@ -124,23 +119,6 @@ class ConstantPose(PoseSource):
     def at(self, stamp: Nanoseconds) -> Poses:
         """The pose."""
         return self._poses.at(stamp)
-
-
-def between(time: Times, motion: Trail, moment: Moments) -> Trail:
-    """Poses at these times of a motion with poses (k, …) at `time`: straight and evenly turned
-    between their neighbours, the outermost beyond the ends.
-    """
-    row = np.interp(moment, time, np.arange(len(time)))
-    before, after = (motion.orientation[end(row).astype(int)] for end in (np.floor, np.ceil))
-    turn = Rotation.from_rotvec((row % 1)[:, None] * rotation_vectors(before, after))
-    return Trail(linear(time, motion.position, moment), turn * Rotation.from_quat(before))
-
-
-def linear(
-    time: Times, values: Float[np.ndarray, "k c"], moment: Moments
-) -> Float[np.ndarray, "n c"]:
-    """Values at these times: straight between their neighbours, the outermost beyond the ends."""
-    return np.stack([np.interp(moment, time, column) for column in values.T], axis=1)
 
 
 def with_unit_norm(quaternion: tuple[float, ...]) -> tuple[float, ...]:

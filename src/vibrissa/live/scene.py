@@ -8,12 +8,11 @@ from jaxtyping import Float
 
 from vibrissa.forward import scan
 from vibrissa.geometry.checks import not_negative, positive
-from vibrissa.live.poses import between, linear
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.surfaces import Surface
-from vibrissa.trail import Trail
+from vibrissa.trail import Trail, between, linear
 
 _MOST_POSITIONS = 4001  # of a scan: steps of 10 µm over 40 mm, between which reactions are linear
 

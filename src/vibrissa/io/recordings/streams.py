@@ -7,13 +7,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation, Slerp
 
 from vibrissa.sensor.raw import Quaternions, Rows, Times
+from vibrissa.trail import Trail, between
 
 Vectors = Float[np.ndarray, "n 3"]
 Lines = Int[np.ndarray, "n"]
 Kind = TypeVar("Kind", bound="Stamped")
+
+# The largest entry of a quaternion with a rotation lies between the inverse and this.
+_DAMAGED = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +111,8 @@ def usable(pose: Poses) -> Poses:
     """Poses that can be interpolated: finite, with a rotation, in the order of their stamps, the
     first where several share one.
     """
-    rows = pose.rows(pose.finite & np.any(pose.orientation != 0, axis=1))
+    size = np.abs(pose.orientation).max(axis=1)
+    rows = pose.rows(pose.finite & (size > 1 / _DAMAGED) & (size < _DAMAGED))
     return rows.rows(np.unique(rows.time, return_index=True)[1])
 
 
@@ -118,17 +122,16 @@ def within(pose: Poses, time: Times) -> Rows:
 
 
 def interpolated(pose: Poses, time: Times) -> Poses:
-    """Poses at the stamps `time` [s], in any order, also NaN: positions linearly, orientations along
-    the shortest rotation; NaN before the first and after the last pose. There is at least one pose,
-    and their stamps increase.
+    """Poses at the stamps `time` [s], in any order, also NaN: straight and evenly turned between
+    their neighbours; NaN before the first and after the last pose. There is at least one pose, and
+    their stamps increase.
     """
-    inside, orientation = within(pose, time), np.full((len(time), 4), np.nan)
-    # The last one twice, so that a single pose can be interpolated.
-    turns = Rotation.from_quat(np.append(pose.orientation, pose.orientation[-1:], 0))
-    orientation[inside] = Slerp(np.append(pose.time, np.inf), turns)(time[inside]).as_quat()
-    ends = {"left": np.nan, "right": np.nan}
-    axes = [np.interp(time, pose.time, values, **ends) for values in pose.position.T]
-    return Poses(time, np.column_stack(axes), orientation)
+    known = between(pose.time, Trail(pose.position, pose.orientation), np.nan_to_num(time))
+    inside = within(pose, time)[:, None]
+    position, orientation = (
+        np.where(inside, part, np.nan) for part in (known.position, known.orientation)
+    )
+    return Poses(time, position, orientation)
 
 
 def in_gap(pose: Poses, time: Times, longest: float) -> Rows:

@@ -14,6 +14,7 @@ from vibrissa.calibration.bench import Bench, SetupLike, SetupType, bench_of
 from vibrissa.calibration.held_out import HeldOut
 from vibrissa.calibration.parameters import Parameter
 from vibrissa.calibration.statistics import Fitness, Identifiability
+from vibrissa.geometry.checks import share
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 
@@ -56,8 +57,7 @@ class Estimate:
         ValueError
             If the level is not between 0 and 1.
         """
-        if not 0 < level < 1:
-            raise ValueError(f"level = {level!r}; allowed is a number between 0 and 1")
+        share(level, "level")
         half = float(norm.isf((1 - level) / 2)) * self.deviation
         return self.value - half, self.value + half
 

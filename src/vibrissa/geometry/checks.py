@@ -19,6 +19,11 @@ def not_negative(value: float, name: str) -> float:
     return _number(value, name, "a finite number of at least 0", lambda number: number >= 0)
 
 
+def share(value: float, name: str) -> float:
+    """Return `value` as a float; raise ValueError unless it lies between 0 and 1."""
+    return _number(value, name, "a number between 0 and 1", lambda number: 0 < number < 1)
+
+
 def finite(value: float, name: str) -> float:
     """Return `value` as a float; raise ValueError unless it is finite."""
     return _number(value, name, "a finite number")

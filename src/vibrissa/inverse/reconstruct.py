@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from vibrissa.contacts import ContactKind
-from vibrissa.geometry.checks import not_negative
+from vibrissa.geometry.checks import not_negative, share
 from vibrissa.inverse.channels import found_by_channels
 from vibrissa.inverse.checks.check import checked
 from vibrissa.inverse.kernels import (
@@ -94,8 +94,7 @@ def reconstruct(
     which lies within atan μ of it. `estimate_friction` finds normals and μ from the
     contacts of a sweep.
     """
-    if not 0 < false_alarm < 1:
-        raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
+    share(false_alarm, "false_alarm")
     if friction is not None:
         friction = not_negative(friction, "friction")
     if channels is not None:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from vibrissa.contacts import Status
-from vibrissa.geometry.checks import finite_array, not_negative, positive
+from vibrissa.geometry.checks import finite_array, not_negative, positive, share
 from vibrissa.inverse.parameters import COUNT, Changes, Rig, changes, prepared, velocities_of
 from vibrissa.inverse.shared import in_clamp_axes
 from vibrissa.inverse.smoothing import kalman
@@ -167,8 +167,7 @@ class CausalSmoother:
         model_error: float = 2e-4,
         setup_errors: SetupErrors | None = None,
     ) -> None:
-        if not 0 < false_alarm < 1:
-            raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
+        share(false_alarm, "false_alarm")
         still = np.zeros((1, 3))
         given = Reactions(
             Trail(still),

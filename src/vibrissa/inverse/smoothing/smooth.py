@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.geometry.checks import not_negative
+from vibrissa.geometry.checks import not_negative, share
 from vibrissa.inverse.checks.check import with_contradictions, with_delay
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
@@ -90,8 +90,7 @@ def smooth(
     of the sample by itself, AMBIGUOUS. Recordings of more than 16384 samples are smoothed in
     segments: time grows with the samples, memory hardly.
     """
-    if not 0 < false_alarm < 1:
-        raise ValueError(f"false_alarm = {false_alarm!r}; allowed is a number between 0 and 1")
+    share(false_alarm, "false_alarm")
     model_error = not_negative(model_error, "model_error")
     if found.reactions.covariance is None:
         raise ValueError(

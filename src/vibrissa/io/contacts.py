@@ -125,10 +125,8 @@ def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
     """A row a sample, trails one after the other; NaN for what is not known."""
     import pandas  # noqa: PLC0415
 
-    there, covariance, time = known(found).reshape(-1), _covariance(found), found.reactions.time
-    upper = covariance[..., *np.triu_indices(3)].reshape(-1, len(COVARIANCE))
+    there, time = known(found).reshape(-1), found.reactions.time
     own = {"time": np.nan if time is None else time.reshape(-1)}
-    own |= dict(zip(COVARIANCE, upper.T, strict=True))
     table = pandas.DataFrame(columns(found) | own)[list(COLUMNS)]
     numbers = table[[*PLACE, *COVARIANCE]]
     table[numbers.columns] = numbers.where(there[:, None] & np.isfinite(numbers.to_numpy()))
@@ -157,12 +155,13 @@ def deviations(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3"]:
 
 def columns(found: Reconstruction | Scan) -> dict[str, Shaped[np.ndarray, "rows"]]:
     """What is found in each row, trails one after the other."""
-    spread = deviations(found)
+    spread, upper = deviations(found), _covariance(found)[..., *np.triu_indices(3)]
     whole, arc_length = np.linalg.norm(spread, axis=-1, keepdims=True), found.arc_length[..., None]
-    numbers = np.concatenate([found.point, found.normal, arc_length, spread, whole], axis=-1)
-    flat = numbers.reshape(-1, numbers.shape[-1]).T
+    parts = [found.point, found.normal, arc_length, spread, whole, upper]
+    names = (*PLACE, *DEVIATIONS, "standard_deviation", *COVARIANCE)
+    numbers = np.concatenate(parts, axis=-1).reshape(-1, len(names))
     return {
-        **dict(zip((*PLACE, *DEVIATIONS, "standard_deviation"), flat, strict=True)),
+        **dict(zip(names, numbers.T, strict=True)),
         "kind": found.kind.reshape(-1),
         "status": found.status.reshape(-1),
     }

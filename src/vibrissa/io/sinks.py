@@ -13,7 +13,6 @@ from jaxtyping import Float
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse import Reconstruction
 from vibrissa.io.contacts import VERTEX, cloud, columns, deviations, structured
-from vibrissa.io.recordings.streams import Vectors
 from vibrissa.io.rosbag.disk import naming_file, whole_file
 from vibrissa.io.rosbag.growing import Stamps
 from vibrissa.sensor import RawRecording
@@ -26,13 +25,7 @@ _FOUND = ("point", "normal", "arc_length")
 class _ContactsAlone:
     """What takes raw samples and leaves them."""
 
-    def wrench(
-        self,
-        stamp: Stamps,
-        sequence: Stamps,
-        force: Vectors,
-        torque: Vectors,
-    ) -> None:
+    def wrench(self, *samples: object) -> None:
         """Raw samples are not written."""
 
 

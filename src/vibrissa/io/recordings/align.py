@@ -9,6 +9,7 @@ from vibrissa.files import InputError
 from vibrissa.io.recordings.clock import ClockOffset, estimated_offset
 from vibrissa.io.recordings.streams import Poses, Streams, in_gap, interpolated, usable, within
 from vibrissa.io.recordings.table import RecordingTable
+from vibrissa.io.setup import Setup
 from vibrissa.sensor import RawRecording
 from vibrissa.sensor.raw import Rows
 
@@ -50,7 +51,7 @@ class Recording:
         )
 
 
-def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) -> Recording:
+def aligned(file: Path, streams: Streams, setup: Setup) -> Recording:
     """Poses at the stamps of the wrenches; wrenches before the first and after the last pose are
     left out.
 
@@ -60,11 +61,9 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
         For messages.
     streams
         As read; bad rows of the poses are skipped, those of the wrenches stay.
-    table
-        Offset of the clocks, and the longest gap.
-    length
-        Of the rod [m]: reactions change over a small part of it, which an estimate of the offset
-        uses.
+    setup
+        Offset of the clocks, and the longest gap; the rod's length, over a small part of which
+        reactions change: an estimate of the offset uses it.
 
     Raises
     ------
@@ -72,6 +71,7 @@ def aligned(file: Path, streams: Streams, table: RecordingTable, length: float) 
         If no wrench has a pose, or the offset is to be estimated and the data do not determine it.
     """
     wrench, pose, notes = streams.wrench, streams.pose, list(streams.notes)
+    table, length = setup.recording or RecordingTable(), setup.rod.length
     if table.time_offset != "estimate":
         offset = ClockOffset(table.time_offset, None)
     else:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from vibrissa.inverse.work import ClampWork, clamp_work
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.units import ALLOWED, factor
-from vibrissa.rod import Rod
+from vibrissa.io.setup import Setup
 from vibrissa.sensor import Fault, FaultKind, Inspection, RawRecording, Sensor
 from vibrissa.sensor.raw import CHANNELS
 from vibrissa.sensor.sensor import WrenchFrame, WrenchSign
@@ -52,11 +52,7 @@ _SPOILT, _TRUE = 0.1, 0.05
 
 
 def misread_faults(
-    found: Inspection,
-    rod: Rod,
-    stated: Sensor,
-    table: RecordingTable,
-    degrees: Callable[[], RawRecording],
+    found: Inspection, setup: Setup, degrees: Callable[[], RawRecording]
 ) -> list[Fault]:
     """A finding that names the likeliest mistakes, where the recording as read contradicts itself
     and with one of them undone it does not.
@@ -65,17 +61,15 @@ def misread_faults(
     ----------
     found
         Of the recording as read.
-    rod, stated
-        Rod and sensor as stated.
-    table
-        How the file was read.
+    setup
+        Rod and sensor as stated, and how the file was read.
     degrees
         Reads it again with its angles in degrees, row for row.
     """
     if found.unusable or found.tare is None or not found.usable.any():
         return []
-    given = Reading("", found.cleaned, found.sensor, rod)
-    recording = _Recording(given, found.tare, stated, table, degrees)
+    given, table = Reading("", found.cleaned, found.sensor, setup.rod), setup.recording
+    recording = _Recording(given, found.tare, setup.sensor, table or RecordingTable(), degrees)
     text = recording.turned_about() or recording.by_work()
     if text is None:
         return []

@@ -77,7 +77,7 @@ def _judged(file: Path, setup: Setup) -> Inspection:
     """What is found in a recording: said as warnings, or raised where that makes it unusable."""
     streams = _streams(file, setup.recording)
     _check(file, streams)
-    recording = aligned(file, streams, setup.recording or RecordingTable(), setup.rod.length)
+    recording = aligned(file, streams, setup)
     for note in recording.notes:
         warnings.warn(f"{file}: {note}", RecordingNote, stacklevel=3)
     found = _inspected(file, recording, setup)
@@ -130,22 +130,21 @@ def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
 
 
 def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
-    poses, table = recording.poses, setup.recording or RecordingTable()
-    own = None
-    if poses is not None:
-        own = poses.time, np.hstack([poses.position, poses.orientation])
+    poses = recording.poses
+    own = None if poses is None else (poses.time, np.hstack([poses.position, poses.orientation]))
     try:
         found = inspect_raw(recording.marked, setup.sensor, setup.rod, poses=own)
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
 
     def in_degrees() -> RawRecording:
+        table = setup.recording or RecordingTable()
         degrees = table.model_copy(update={"angle_unit": "deg"})
         return read_raw(file, replace(setup, recording=degrees)).raw
 
     faults = [
         *found.faults,
-        *misread_faults(found, setup.rod, setup.sensor, table, in_degrees),
+        *misread_faults(found, setup, in_degrees),
         *(pose_faults(poses) if poses else ()),
     ]
     faults.sort(key=lambda fault: (fault.start, fault.stop))
@@ -179,8 +178,8 @@ def read_raw(path: str | Path, setup: Setup) -> Recording:
         If the file cannot be read as what it is, names or topics are missing, or no wrench has a
         pose.
     """
-    file, table = Path(path), setup.recording
-    return aligned(file, _streams(file, table), table or RecordingTable(), setup.rod.length)
+    file = Path(path)
+    return aligned(file, _streams(file, setup.recording), setup)
 
 
 def _streams(file: Path, stated: RecordingTable | None) -> Streams:

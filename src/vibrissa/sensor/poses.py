@@ -9,10 +9,8 @@ from scipy import ndimage
 from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.rod import Rod
 from vibrissa.sensor.deviations import MEDIAN_TO_DEVIATION, deviation_by_differences
-from vibrissa.sensor.raw import Fault, FaultKind, Quaternions, RawRecording, Rows, Times
+from vibrissa.sensor.raw import Fault, FaultKind, Quaternions, RawRecording, Rows, Times, Vectors
 from vibrissa.sensor.sensor import Sensor
-
-Positions = Float[np.ndarray, "n 3"]
 
 # A jump stands out by so many deviations of the steps, and is so many times the step that 95 % of
 # them stay below; of the rod's length, or in radians, smaller ones move no contact noticeably.
@@ -58,7 +56,7 @@ def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> Iterator[Fault]:
 
 
 def _steps(
-    position: Positions, orientation: Quaternions, rod: Rod
+    position: Vectors, orientation: Quaternions, rod: Rod
 ) -> list[tuple[str, Float[np.ndarray, "m 3"], float, str]]:
     """Name, steps from row to row, what their size is compared with, and unit."""
     turns = rotation_vectors(orientation[:-1], orientation[1:])
@@ -66,8 +64,8 @@ def _steps(
     return [("position", moves, rod.length, "m"), ("orientation", turns, 1.0, "rad")]
 
 
-def filled_poses(raw: RawRecording) -> tuple[Positions, Quaternions, Rows]:
-    """Positions and unit quaternions with the missing ones taken from the nearest row that has one,
+def filled_poses(raw: RawRecording) -> tuple[Vectors, Quaternions, Rows]:
+    """Vectors and unit quaternions with the missing ones taken from the nearest row that has one,
     and which they are.
 
     Raises
@@ -110,7 +108,7 @@ def _rounding_step(steps: Times) -> float:
 
 
 def pose_noise_faults(
-    sensor: Sensor, rod: Rod, time: Times, position: Positions, orientation: Quaternions
+    sensor: Sensor, rod: Rod, time: Times, position: Vectors, orientation: Quaternions
 ) -> tuple[list[Fault], Sensor]:
     """Findings on noise of the poses (n, …) that is larger than stated, and the sensor with that
     noise.

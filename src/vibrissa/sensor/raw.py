@@ -18,8 +18,11 @@ Interval = tuple[float, float]
 Wrench = Float[np.ndarray, "6"]
 Wrenches = Float[np.ndarray, "n 6"]
 Covariances = Float[np.ndarray, "n 6 6"]
+Covariance = Float[np.ndarray, "... 6 6"]
+"""One for all rows (6, 6), or one for each (n, 6, 6)."""
 Times = Float[np.ndarray, "n"]
 Rows = Bool[np.ndarray, "n"]
+Vectors = Float[np.ndarray, "n 3"]
 Quaternions = Float[np.ndarray, "n 4"]
 
 # Steps below a nanosecond are those of no clock; a rate of zero steps stays finite.
@@ -43,10 +46,10 @@ class RawRecording:
     """
 
     time: Times
-    position: Float[np.ndarray, "n 3"]
+    position: Vectors
     orientation: Quaternions
-    force: Float[np.ndarray, "n 3"]
-    torque: Float[np.ndarray, "n 3"]
+    force: Vectors
+    torque: Vectors
 
     @property
     def wrench(self) -> Wrenches:

@@ -14,6 +14,7 @@ from vibrissa.sensor.deviations import (
     shown_steps,
 )
 from vibrissa.sensor.raw import (
+    Covariance,
     Fault,
     FaultKind,
     Interval,
@@ -233,9 +234,7 @@ def share_of_load(step: Wrench, load: Wrenches) -> float:
     return float(np.max(np.linalg.norm(step.reshape(2, 3), axis=1) / (most + 1e-300)))
 
 
-def contact_misfits(
-    wrench: Wrenches, covariance: Float[np.ndarray, "... 6 6"]
-) -> Float[np.ndarray, "loaded"]:
+def contact_misfits(wrench: Wrenches, covariance: Covariance) -> Float[np.ndarray, "loaded"]:
     """Sizes of m0·f0 in its standard deviations, which is zero for a single contact (mechanics.md,
     "Statics alone"), in rows of more than ten deviations of the force; none of fewer than 20 rows.
     """

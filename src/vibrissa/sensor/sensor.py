@@ -23,7 +23,7 @@ from vibrissa.geometry.rotation import (
 from vibrissa.reactions import Reactions
 from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy, Vector
 from vibrissa.sensor.noise import NO_STEP
-from vibrissa.sensor.raw import Covariances, Quaternions, RawRecording, Wrench, Wrenches
+from vibrissa.sensor.raw import Covariance, Covariances, Quaternions, RawRecording, Wrench, Wrenches
 from vibrissa.sensor.rest import rest_for_tare
 from vibrissa.sensor.tare import Tare, fitted_tare
 from vibrissa.tolerances import SetupErrors, Tolerances
@@ -347,9 +347,7 @@ class Sensor:
         return RawRecording(time, position, orientation, read[:, :3], read[:, 3:])
 
 
-def carried(
-    maps: Covariances, covariance: Float[np.ndarray, "... 6 6"]
-) -> Float[np.ndarray, "... 6 6"]:
+def carried(maps: Covariances, covariance: Covariance) -> Covariance:
     """Covariance of readings taken to that of reactions, one for all rows where they agree."""
     carried = maps @ covariance @ np.swapaxes(maps, 1, 2)
     carried = (carried + np.swapaxes(carried, 1, 2)) / 2

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from vibrissa.sensor.figures import Mount
 from vibrissa.sensor.noise import Coloured, quantisation_of_mean
 from vibrissa.sensor.raw import (
+    Covariance,
     Covariances,
     Interval,
     Quaternions,
@@ -86,9 +87,7 @@ class Tare:
             shown = shown + sensor.weight_readings(orientation) @ self.mount.moments
         return shown
 
-    def covariance(
-        self, sensor: "Sensor", time: Times, orientation: Quaternions
-    ) -> Float[np.ndarray, "... 6 6"]:
+    def covariance(self, sensor: "Sensor", time: Times, orientation: Quaternions) -> Covariance:
         """Of readings after the tare is taken off, (6, 6) where it is the same for all rows, else
         (n, 6, 6): their own noise and the tare's error.
 

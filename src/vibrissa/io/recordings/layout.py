@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from vibrissa.files import InputError
 from vibrissa.io.recordings import units
 from vibrissa.io.recordings.formats import Array, Columns
-from vibrissa.io.recordings.streams import Poses, Streams, Vectors, Wrenches
+from vibrissa.io.recordings.streams import Poses, Streams, Wrenches
 from vibrissa.io.recordings.table import RecordingTable
-from vibrissa.sensor.raw import Quaternions, Times
+from vibrissa.sensor.raw import Quaternions, Times, Vectors
 
 # Share of rows without a wrench or without a pose: drop-outs are fewer, streams of two rates more.
 _OTHER_RATE = 0.3

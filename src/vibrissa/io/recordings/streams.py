@@ -8,10 +8,9 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from vibrissa.sensor.raw import Quaternions, Rows, Times
+from vibrissa.sensor.raw import Quaternions, Rows, Times, Vectors
 from vibrissa.trail import Trail, between
 
-Vectors = Float[np.ndarray, "n 3"]
 Lines = Int[np.ndarray, "n"]
 Kind = TypeVar("Kind", bound="Stamped")
 

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.recordings.streams import Vectors
 from vibrissa.io.rosbag.disk import whole_file
 from vibrissa.io.rosbag.growing import GrowingFile, Messages, Stamps
 from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
-from vibrissa.sensor import RawRecording
+from vibrissa.sensor.raw import RawRecording, Vectors
 
 _MOST_HELD = 1 << 20  # bytes in memory: what a file grows by
 _VERSION = 5  # of the metadata: that of ROS 2 Humble

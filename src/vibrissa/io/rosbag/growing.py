@@ -35,6 +35,7 @@ ROOM = 1 << 20
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of every record: opcode and length
+_ALIGNMENT = 16  # of heads that are overwritten: a divisor of a page, and longer than a head
 _PRIVATE = 0x80  # opcode: from here on, readers skip records
 _FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
 
@@ -107,8 +108,8 @@ class GrowingFile:
         declarations, self._data_end = packed(*schemas, *topics), packed(records.DataEnd(0))
         self._index = self._data_end + declarations
         head = MAGIC + packed(records.Header("ros2", "vibrissa")) + declarations
-        self._room = _head_place(len(head))
-        self._size = _whole_pages(self._room + ROOM)
+        self._room = _behind(len(head))
+        self._size = _rounded_up(self._room + ROOM, PAGE)
         self._disk.write(head + _filler(self._room - len(head)) + self._room_head(self._room), 0)
         self._disk.write(self._index + _footer(self._index_start), self._index_place)
 
@@ -139,15 +140,15 @@ class GrowingFile:
         times = [time for own in rows.values() for time, _ in own]
         first, last, size = min(times), max(times), len(content)
         written = packed(records.Chunk("", content, last, first, crc32(content), size))
-        length, places = len(written), {}
+        start, length, places = self._room, len(written), {}
         for channel, own in sorted(rows.items()):
-            places[channel + 1] = self._room + len(written)
+            places[channel + 1] = start + len(written)
             written += packed(records.MessageIndex(channel + 1, own))
         self._put(written)
         self._chunks.append(
             records.ChunkIndex(
                 chunk_length=length,
-                chunk_start_offset=self._room,
+                chunk_start_offset=start,
                 compression="",
                 compressed_size=size,
                 uncompressed_size=size,
@@ -159,25 +160,27 @@ class GrowingFile:
         )
         for channel, own in rows.items():
             self.message_counts[channel] += len(own)
-        self._room = _head_place(self._room + len(written))
 
     def _put(self, written: bytes) -> None:
         """Records in place of the room, and the rest of the room behind them; their first head is
         what makes them count, and comes last.
         """
         end = self._room + len(written)
-        rest = _head_place(end)
+        rest = _behind(end)
         self._reserve(rest + _HEAD.size)
         behind = written[_HEAD.size :] + _filler(rest - end) + self._room_head(rest)
         self._disk.write(behind, self._room + _HEAD.size)
         self._disk.write(written[: _HEAD.size], self._room)
+        self._room = rest
 
     def _reserve(self, data_end: int) -> None:
         """Make the file longer, if need be, so that the data may reach to this place."""
         if data_end <= self._index_place:
             return
         start, size = self._index_start, self._size
-        self._size = max(_whole_pages(data_end + len(self._index) + _FOOTER_BYTES), size + ROOM)
+        self._size = max(
+            _rounded_up(data_end + len(self._index) + _FOOTER_BYTES, PAGE), size + ROOM
+        )
         footer = self._size - _FOOTER_BYTES
         try:
             self._disk.write(_footer(start), footer)
@@ -233,19 +236,17 @@ def _footer(index_start: int) -> bytes:
     return packed(records.Footer(index_start, 0, 0)) + MAGIC
 
 
-def _whole_pages(size: int) -> int:
-    return -(-size // PAGE) * PAGE
+def _rounded_up(size: int, unit: int) -> int:
+    return -(-size // unit) * unit
 
 
-def _head_place(place: int) -> int:
-    """First place from here on at which the head of a record lies within a page; it is here, or far
-    enough for a filler in front of it.
+def _behind(place: int) -> int:
+    """Next place, with room for a filler before it, at which the head of a record lies within a
+    page.
     """
-    while (place % PAGE) > PAGE - _HEAD.size:
-        place += _HEAD.size
-    return place
+    return _rounded_up(place + _HEAD.size, _ALIGNMENT)
 
 
 def _filler(size: int) -> bytes:
-    """Nothing, or an empty record that readers skip."""
-    return _HEAD.pack(_PRIVATE, size - _HEAD.size) + bytes(size - _HEAD.size) if size else b""
+    """An empty record that readers skip."""
+    return _HEAD.pack(_PRIVATE, size - _HEAD.size) + bytes(size - _HEAD.size)

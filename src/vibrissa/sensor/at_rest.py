@@ -85,9 +85,8 @@ class Stretch(NamedTuple):
         if len(time) < 3:
             return cls(interval, time, values, *np.full((3, 6), np.nan))
         elapsed = time - time.mean()
-        slope = elapsed @ values / (elapsed @ elapsed)
-        left = values - values.mean(axis=0) - np.outer(elapsed, slope)
-        noise = np.sqrt(np.sum(left**2, axis=0) / (len(time) - 2))
+        (slope, _), squares, *_ = np.polyfit(elapsed, values, 1, full=True)
+        noise = np.sqrt(squares / (len(time) - 2))
         scatter = np.maximum(noise, _DIGITS * np.abs(values).max(axis=0)) + _TINY
         return cls(interval, time, values, slope, scatter / np.linalg.norm(elapsed), noise)
 

@@ -8,12 +8,19 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from vibrissa.geometry.rotation import rotation_vectors, third_axis
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
-from vibrissa.sensor.raw import CHANNELS, Fault, FaultKind, RawRecording, Rows
+from vibrissa.sensor.raw import (
+    CHANNELS,
+    Fault,
+    FaultKind,
+    Quaternions,
+    RawRecording,
+    Rows,
+    Times,
+)
 from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.tare import Tare, fitted_tare
 
@@ -86,29 +93,34 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
             f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
         )
         yield Fault.over(("position",), FaultKind.UNITS, raw.time, text, unusable=True)
-    wrong, along_x = wrong_norms(raw.orientation), raw.orientation[:, 0]
-    turned = partial(Fault.over, ("orientation",), FaultKind.UNITS)
-    if wrong.any():
-        first = raw.orientation[wrong][0]
-        norm = np.linalg.norm(first)
+    yield from norm_faults(raw.time, raw.orientation)
+    along_x = raw.orientation[:, 0]
+    if np.all((along_x == 1) | np.isnan(along_x)) and not wrong_norms(raw.orientation).any():
+        text = (
+            "qx = 1 throughout: half a turn about x, or quaternions written w first; "
+            "allowed are x, y, z, w"
+        )
+        yield Fault.over(("orientation",), FaultKind.UNITS, raw.time, text, quiet=True)
+
+
+def wrong_norms(orientation: Quaternions) -> Rows:
+    """Rows whose quaternion is there, and differs from the norm 1 by more than a thousandth."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.abs(np.linalg.norm(orientation, axis=1) - 1) > _QUATERNION_TOLERANCE)
+
+
+def norm_faults(time: Times, orientation: Quaternions) -> Iterator[Fault]:
+    """The same as a finding, where there are such."""
+    wrong = wrong_norms(orientation)
+    for first in orientation[wrong][:1]:
+        with np.errstate(over="ignore"):
+            norm = np.linalg.norm(first)
         guess = ", as of angles in degrees" if norm > 2 else ""
         text = (
             f"qx,qy,qz,qw = {first.tolist()} has the norm {norm:.3g} ({wrong.sum()} such){guess}; "
             "allowed is 1"
         )
-        yield turned(raw.time[wrong], text, unusable=True)
-    elif np.all((along_x == 1) | np.isnan(along_x)):
-        text = (
-            "qx = 1 throughout: half a turn about x, or quaternions written w first; "
-            "allowed are x, y, z, w"
-        )
-        yield turned(raw.time, text, quiet=True)
-
-
-def wrong_norms(orientation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n"]:
-    """Rows whose quaternion is there, and differs from the norm 1 by more than a thousandth."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(np.abs(np.linalg.norm(orientation, axis=1) - 1) > _QUATERNION_TOLERANCE)
+        yield Fault.over(("orientation",), FaultKind.UNITS, time[wrong], text, unusable=True)
 
 
 def wrench_unit_faults(

@@ -20,7 +20,7 @@ from vibrissa.io.setup import Setup
 from vibrissa.reactions import Reactions
 from vibrissa.sensor import Fault, FaultKind, Inspection, RawRecording, inspect_raw
 from vibrissa.sensor.stamps import stamp_faults
-from vibrissa.sensor.units import wrong_norms
+from vibrissa.sensor.units import norm_faults, wrong_norms
 
 
 def read_recording(path: str | Path, setup: Setup) -> Reactions:
@@ -98,15 +98,9 @@ def _check(file: Path, streams: Streams) -> None:
     that are no rotations.
     """
     pose = streams.pose
-    wrong = np.flatnonzero(wrong_norms(pose.orientation)).tolist()
-    if wrong:
-        quaternion = pose.orientation[wrong[0]]
-        with np.errstate(over="ignore"):
-            norm = np.linalg.norm(quaternion)
-        raise InputError(
-            f"{file}, {pose.place(wrong[0])}: qx,qy,qz,qw = {quaternion.tolist()} has the norm "
-            f"{norm:.3g} ({len(wrong)} such); allowed is 1"
-        )
+    for fault in norm_faults(pose.time, pose.orientation):
+        row = int(np.argmax(wrong_norms(pose.orientation)))
+        raise InputError(f"{file}, {pose.place(row)}: {fault.text}")
     for stream in (streams.wrench, pose):
         falling = np.flatnonzero(np.diff(stream.time) < 0).tolist()
         if falling:
@@ -158,10 +152,7 @@ def pose_faults(pose: Poses) -> Iterator[Fault]:
     channels, known = ("position", "orientation"), pose.rows(np.isfinite(pose.time))
     for fault in stamp_faults(known.time):
         yield replace(fault, channels=channels, text=f"stamps of the poses: {fault.text}")
-    wrong = known.time[wrong_norms(known.orientation)]
-    if len(wrong):
-        text = f"{len(wrong)} quaternions of the poses have another norm than 1; allowed is 1"
-        yield Fault.over(channels[1:], FaultKind.UNITS, wrong, text, unusable=True)
+    yield from norm_faults(known.time, known.orientation)
     lost = pose.time[~pose.finite]
     if len(lost) and len(known.time):
         stamps = lost[np.isfinite(lost)] if np.isfinite(lost).any() else known.time

@@ -8,6 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from vibrissa.geometry.rotation import rotation_vectors, third_axis
 from vibrissa.reactions import Reactions
@@ -54,6 +55,10 @@ class Reading(NamedTuple):
     sensor: Sensor
     rod: Rod
     channels: tuple[str, ...] = CHANNELS
+
+    def changed(self, words: str, **parts: Float[np.ndarray, "n k"]) -> "Reading":
+        """The recording with other numbers."""
+        return self._replace(words=words, raw=replace(self.raw, **parts))
 
     def reactions(self, tare: Tare) -> Reactions | None:
         """Reactions, its tare taken in the same intervals; None where these hold no tare."""
@@ -203,10 +208,9 @@ def _other_units(given: Reading) -> Iterator[Reading]:
             for kind in ("forces", "torques")
         )
         channels = CHANNELS[:3] * ("forces" in units) + CHANNELS[3:] * ("torques" in units)
-        scaled = replace(raw, force=force * raw.force, torque=torque * raw.torque)
-        yield given._replace(words=words, raw=scaled, channels=channels)
-    swapped = replace(raw, force=raw.torque, torque=raw.force)
-    yield given._replace(words="forces and torques swapped", raw=swapped)
+        scaled = given.changed(words, force=force * raw.force, torque=torque * raw.torque)
+        yield scaled._replace(channels=channels)
+    yield given.changed("forces and torques swapped", force=raw.torque, torque=raw.force)
     for name in ("clamp_position", "wrench_point"):
         nearer = sensor.updated(**{name: 1e-3 * np.asarray(getattr(sensor, name))})
         yield given._replace(words=f"{name} in mm", sensor=nearer)

@@ -13,7 +13,6 @@ from itertools import product
 from operator import itemgetter
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from vibrissa.inverse.work import ClampWork, clamp_work
@@ -71,10 +70,7 @@ def misread_faults(
     given, table = Reading("", found.cleaned, found.sensor, setup.rod), setup.recording
     recording = _Recording(given, found.tare, setup.sensor, table or RecordingTable(), degrees)
     text = recording.turned_about() or recording.by_work()
-    if text is None:
-        return []
-    first, last = float(given.raw.time[0]), float(given.raw.time[-1])
-    return [Fault(FaultKind.UNITS, CHANNELS, first, last, len(found.usable), text)]
+    return [Fault.over(CHANNELS, FaultKind.UNITS, given.raw.time, text)] if text else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +145,7 @@ class _Recording:
         stated = "orientation_form" in self.table.model_fields_set
         if stated or np.abs(orientation[:, 0]).min() < _HALF_TURN:
             return None
-        w_first = self.changed("", orientation=np.roll(orientation, -1, axis=1))
+        w_first = self.given.changed("", orientation=np.roll(orientation, -1, axis=1))
         if not self.sound(w_first, _WITH_FRICTION):
             return None
         return (
@@ -174,10 +170,6 @@ class _Recording:
                 )
         return None
 
-    def changed(self, words: str, **parts: Float[np.ndarray, "n k"]) -> Reading:
-        """The recording with other numbers."""
-        return self.given._replace(words=words, raw=replace(self.given.raw, **parts))
-
     def readings(self) -> Iterator[Reading]:
         """The recording with each known mistake undone: units and sign, orientations, axes, and a
         diameter and a radius mistaken for each other.
@@ -185,12 +177,12 @@ class _Recording:
         given, raw, sensor, table = self.given, self.given.raw, self.given.sensor, self.table
         for words, scale in _units("position", table):
             if words:
-                yield self.changed(words, position=raw.position * scale)
+                yield given.changed(words, position=raw.position * scale)
         for (forces, force), (torques, torque) in product(
             _units("force", table), _units("torque", table)
         ):
             if words := " and ".join(filter(None, (forces, torques))):
-                yield self.changed(words, force=raw.force * force, torque=raw.torque * torque)
+                yield given.changed(words, force=raw.force * force, torque=raw.torque * torque)
         sign: WrenchSign = "on_rod" if sensor.wrench == "on_sensor" else "on_sensor"
         words = f"a wrench of the other sign (wrench = {sign!r} in [sensor])"
         yield given._replace(words=words, sensor=replace(sensor, wrench=sign))
@@ -199,7 +191,7 @@ class _Recording:
             for axis, angle in product("xyz", (180, 90, -90)):
                 turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix().T
                 words = f"a sensor turned by {angle}° about its {axis} axis"
-                yield self.changed(words, force=raw.force @ turn, torque=raw.torque @ turn)
+                yield given.changed(words, force=raw.force @ turn, torque=raw.torque @ turn)
         frame: WrenchFrame = "world" if sensor.wrench_frame == "sensor" else "sensor"
         if Rotation.from_quat(raw.orientation).magnitude().max() > _SAME:
             words = f"a wrench in the axes of the {frame} (wrench_frame in [sensor])"
@@ -238,7 +230,7 @@ class _Recording:
         for words, orientation in turned.items():
             between = Rotation.from_quat(read).inv() * Rotation.from_quat(orientation)
             if between.magnitude().max() > _SAME:
-                yield self.changed(words, orientation=orientation)
+                yield self.given.changed(words, orientation=orientation)
 
 
 def _units(key: str, table: RecordingTable) -> Iterator[tuple[str, float]]:

@@ -3,7 +3,6 @@
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from vibrissa.rod import Rod
 from vibrissa.sensor.at_rest import (
@@ -21,9 +20,11 @@ from vibrissa.sensor.raw import (
     Fault,
     FaultKind,
     Interval,
+    Quaternions,
     RawRecording,
     Rows,
     Times,
+    Vectors,
     Wrench,
 )
 from vibrissa.sensor.readings import drop_outs, held_rows, standing_channels, without
@@ -130,7 +131,7 @@ def inspect_raw(
     sensor: Sensor,
     rod: Rod,
     *,
-    poses: tuple[Times, Float[np.ndarray, "n 7"]] | None = None,
+    poses: tuple[Times, Vectors, Quaternions] | None = None,
 ) -> Inspection:
     """Look for faults in a recording, and say what its rest tells of the sensor.
 
@@ -143,8 +144,8 @@ def inspect_raw(
     rod
         For the check of units: contacts lie on it.
     poses
-        Stamps (m,) and poses (m, 7) as recorded, where those of the rows were interpolated between
-        them: for their noise.
+        Stamps (m,), positions (m, 3) and orientations (m, 4) as recorded, where those of the rows
+        were interpolated between them: for their noise.
 
     Raises
     ------
@@ -176,8 +177,8 @@ def inspect_raw(
     if not usable.any():
         text = f"none of {len(usable)} rows is usable; allowed is at least one"
         faults.append(Fault.over(CHANNELS, FaultKind.DROP_OUT, time, text, unusable=True))
-    stamps, logged = poses or (time, np.hstack([given.position, given.orientation]))
-    scattered, sensor = pose_noise_faults(sensor, rod, stamps, logged[:, :3], logged[:, 3:])
+    logged = poses or (time, given.position, given.orientation)
+    scattered, sensor = pose_noise_faults(sensor, rod, *logged)
     found = _loaded(_at_rest(raw, cleaned, sensor, faults + scattered), sensor, rod)
     return replace(found, faults=tuple(sorted(found.faults, key=lambda f: (f.start, f.stop))))
 

@@ -125,7 +125,7 @@ def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
 
 def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
     poses = recording.poses
-    own = None if poses is None else (poses.time, np.hstack([poses.position, poses.orientation]))
+    own = (poses.time, poses.position, poses.orientation) if poses else None
     try:
         found = inspect_raw(recording.marked, setup.sensor, setup.rod, poses=own)
     except ValueError as error:

@@ -65,7 +65,7 @@ def _steps(
 
 
 def filled_poses(raw: RawRecording) -> tuple[Vectors, Quaternions, Rows]:
-    """Vectors and unit quaternions with the missing ones taken from the nearest row that has one,
+    """Positions and unit quaternions with the missing ones taken from the nearest row that has one,
     and which they are.
 
     Raises

@@ -5,7 +5,7 @@ and what is concluded from them.
 from operator import attrgetter
 
 import numpy as np
-from scipy.ndimage import find_objects, label, uniform_filter1d
+from scipy.ndimage import binary_propagation, uniform_filter1d
 
 from vibrissa.inverse.arrays import Flags, Vectors
 from vibrissa.inverse.checks.case import GROSS, Case, case_of, solved
@@ -23,6 +23,7 @@ from vibrissa.inverse.checks.weighing import Tried, Weighed, weighed
 from vibrissa.inverse.checks.wording import apart_line, causes_line, unexplained_line, unit_of
 from vibrissa.inverse.parameters import prepared
 from vibrissa.inverse.result import Reconstruction
+from vibrissa.numerics.runs import runs
 from vibrissa.rod import Rod
 
 _HOPELESS = 0.5
@@ -164,15 +165,15 @@ def _apart(found: Reconstruction, first: Weighed, *, contradicted: bool) -> Flag
     if contradicted and (excess < rows or first.tried[0].explained > _NEARLY_ALL * excess):
         return samples
     square = uniform_filter1d(np.sum(misfit.alone**2, axis=1), _WINDOW, mode="nearest")
-    runs, _ = label(square > _PERHAPS)
-    apart = np.isin(runs, runs[square > (_SURELY if contradicted else _GROSSLY)])
+    least = _SURELY if contradicted else _GROSSLY
+    apart = binary_propagation(square > least, mask=square > _PERHAPS)
     if 0 < np.mean(apart) < _MOST_APART:
         stretches, to_sensor = case.bench.stretches, case.bench.to_sensor
         rest = case_of(stretches.chosen(~apart), to_sensor, found.friction, case.tolerated)
         if rest and not _of_case(found, rest).warnings:
-            for (run,) in find_objects(label(apart)[0]):
+            for start, stop in runs(apart):
                 # Those between neighbours, too.
-                samples[stretches.first[run][0] : stretches.last[run][-1]] = True
+                samples[stretches.first[start] : stretches.last[stop - 1]] = True
     return samples
 
 

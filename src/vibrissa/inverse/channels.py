@@ -28,7 +28,8 @@ from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
-_TIP_LAW, _TANGENTIAL_LAW, _NO_LAW = 0, 1, 2
+_TIP_LAW, _TANGENTIAL_LAW, _NO_LAW = np.eye(3, 2)
+"""Which of two laws holds: s₁ = L, or the incidence of `_SQUARE`."""
 _STEPS, _DAMPING = 40, 1e-2
 """Of Levenberg and Marquardt's method: the damping falls tenfold with each step that gains."""
 _SQUARE = 0.5
@@ -52,7 +53,7 @@ class Problem(NamedTuple):
 
     setting: Setting
     selected: Bool[np.ndarray, "6"]
-    law: int
+    law: Float[np.ndarray, "2"]
 
 
 class Branch(NamedTuple):
@@ -157,11 +158,11 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     def equations(at: Linear) -> tuple[Array, Array]:
         """What is left of them, and its derivatives."""
         seen = root @ (jnp.where(selected, at.value.wrench, 0.0) - measured)
-        laws = [at.x[ARC_LENGTH] - 1, at.value.incidence - _SQUARE, jnp.zeros(())]
+        laws = jnp.stack([at.x[ARC_LENGTH] - 1, at.value.incidence - _SQUARE])
         axes = jnp.eye(len(at.x))
-        law_slopes = [axes[ARC_LENGTH], at.slope.incidence, jnp.zeros(len(at.x))]
-        ends = jnp.stack([jnp.stack(laws)[problem.law], at.x[TILT]])
-        end_slopes = jnp.stack([jnp.stack(law_slopes)[problem.law], axes[TILT]])
+        law_slopes = jnp.stack([axes[ARC_LENGTH], at.slope.incidence])
+        ends = jnp.stack([problem.law @ laws, at.x[TILT]])
+        end_slopes = jnp.stack([problem.law @ law_slopes, axes[TILT]])
         left = jnp.concatenate([seen, ends * scale])
         slopes = root @ jnp.where(selected[:, None], at.slope.wrench, 0.0)
         return left, jnp.concatenate([slopes, end_slopes * scale])
@@ -175,9 +176,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     values = jnp.linalg.svd((jacobian / scale * size).at[:6].divide(load), compute_uv=False)
     errors = jnp.linalg.pinv(jacobian.T @ jacobian)
     length = setting.length
-    across = jnp.eye(3) - jnp.outer(value.direction, value.direction)
-    of_direction = across @ slope.wrench[:3] / jnp.sqrt(jnp.sum(value.wrench[:3] ** 2))
-    of_errors = (turn @ part for part in (length * slope.reach, -of_direction))
+    of_errors = (turn @ part for part in (length * slope.reach, slope.direction))
     found = Found(
         jnp.zeros(()),
         jnp.zeros(()),

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.inverse.arrays import Codes, Covariances, Flags, Scalars, Vectors
 from vibrissa.inverse.checks.findings import SetupCheck
+from vibrissa.inverse.parameters import prepared
 from vibrissa.mechanics.elastic_line import force_of, sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -205,9 +206,12 @@ class Reconstruction:
 
     @cached_property
     def _shared(self) -> Float[np.ndarray, "*trail n 6 p"]:
-        from vibrissa.inverse.shared import shared_of  # noqa: PLC0415
+        """Of points in units of the rod's length, and of normals."""
+        from vibrissa.inverse.shared import sensitivities  # noqa: PLC0415
 
-        return shared_of(self)
+        if not self.shared_names:
+            return np.zeros((*self.kind.shape, 6, 0))
+        return sensitivities(self) @ prepared(self.rod, self.reactions.setup_errors).factor
 
     @property
     def in_contact(self) -> Flags:

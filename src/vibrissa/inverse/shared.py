@@ -62,14 +62,19 @@ def _squares(rod: Rod) -> Spread:
 
 def pose_errors(reactions: Reactions, point: Vectors, direction: Vectors) -> Errors:
     """What errors of the robot's pose add to the covariances of points and directions that are
-    known from the clamp.
+    known from the clamp. An error δθ of the orientation moves a point at d from the centre by
+    δθ × d.
     """
-    by_pose, turning = reactions.pose_covariance(point), reactions.rotation_covariance
-    none = np.zeros((3, 3))
-    return Errors(
-        none if by_pose is None else by_pose,
-        none if turning is None else turned_covariance(turning, direction),
+    none, fixed, turning = (
+        np.zeros((3, 3)),
+        reactions.position_covariance,
+        reactions.rotation_covariance,
     )
+    moved = none if fixed is None else fixed
+    if turning is None:
+        return Errors(moved, none)
+    arm = point - reactions.rotation_center
+    return Errors(moved + turned_covariance(turning, arm), turned_covariance(turning, direction))
 
 
 def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"]:
@@ -85,15 +90,6 @@ def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"
     return np.where(
         found.in_contact[..., None, None], rows.reshape(*found.kind.shape, *rows.shape[1:]), np.nan
     )
-
-
-def shared_of(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 p"]:
-    """What the sweep shares, points in units of the rod's length; without columns where no
-    tolerances are stated, or no noise.
-    """
-    if not found.shared_names:
-        return np.zeros((*found.kind.shape, 6, 0))
-    return sensitivities(found) @ prepared(found.rod, found.reactions.setup_errors).factor
 
 
 def with_shared(found: Reconstruction) -> Reconstruction:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 import scipy
-from scipy.ndimage import correlate1d, maximum_filter1d, minimum_filter1d
+from scipy.ndimage import morphological_gradient
+from scipy.signal import savgol_filter
 
 from vibrissa.contacts import Status
 from vibrissa.inverse.arrays import Vectors
@@ -94,20 +95,15 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
     # it, nor reach beyond the sweep.
     kind = np.where(usable, found.kind, 0)
-    least, most = (
-        extreme(kind, window, axis=1, mode="constant", cval=-1)
-        for extreme in (minimum_filter1d, maximum_filter1d)
-    )
-    whole = (least > 0) & (least == most)
+    differs = morphological_gradient(kind, (1, window), mode="constant", cval=-1)
+    whole = usable & (differs == 0)
     if not whole.any():
         raise ValueError(
             f"window = {window}: no contact lasts that many samples; allowed is a smaller window "
             "or a denser recording"
         )
     way = np.concatenate([point, arc_length], axis=2)
-    # Of a parabola by least squares, at the middle.
-    steps = np.arange(window) - window // 2
-    rates = correlate1d(way, steps / (steps @ steps), axis=1)
+    rates = savgol_filter(way, window, 2, deriv=1, axis=1, mode="nearest")
     motion = np.where(whole[..., None], rates[..., :3] - tangent * rates[..., 3:], np.nan)
     speed = np.linalg.norm(motion, axis=-1)
     slides = whole & (speed > _AT_REST * np.median(speed[whole]))

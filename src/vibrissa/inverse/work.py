@@ -267,7 +267,7 @@ def _load(reactions: Reactions) -> _Load:
         loaded = size > _LEAST_LOAD * size.max()
     else:
         weight = np.linalg.inv(given.covariance[..., :3, :3])
-        square = np.sum((given.force[:, None, :] @ weight)[:, 0] * given.force, axis=1)
+        square = np.einsum("...i,...ij,...j", given.force, weight, given.force)
         loaded = square > chdtri(3, _FALSE_ALARM)
     places = np.flatnonzero(loaded)
     runs = np.split(places, np.flatnonzero(np.diff(places) > _FREE_ROWS) + 1)

@@ -137,6 +137,13 @@ class Reactions:
         """Force and moment side by side."""
         return np.concatenate([self.force, self.moment], axis=-1)
 
+    @property
+    def clamp_work(self) -> Float[np.ndarray, "*trail steps"]:
+        """Work (…) [J] of the clamp on the rod from each row to the next, by the trapezoidal rule."""
+        wrench = self.wrench
+        mean = (wrench[..., 1:, :] + wrench[..., :-1, :]) / 2
+        return np.asarray(np.sum(mean * self.trail.steps, axis=-1))
+
     def clamp_velocity(self) -> Float[np.ndarray, "*trail n 6"]:
         """As given, or over 50 ms about each row, at least from the row before to the one after;
         zero where there is no time to go by.

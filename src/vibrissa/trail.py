@@ -17,6 +17,7 @@ from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts
 from vibrissa.geometry.rotation import (
     Orientation,
     Turn,
+    rotation_vectors,
     third_axis,
     turning_axis_to,
     unit_quaternions,
@@ -375,6 +376,13 @@ class Trail:
     def axis(self) -> Float[np.ndarray, "*trail n 3"]:
         """Unit vectors along which the rod leaves the clamp."""
         return third_axis(self.orientation)
+
+    @property
+    def steps(self) -> Float[np.ndarray, "*trail steps 6"]:
+        """Way, and turn as a rotation vector [rad], of the clamp from each position to the next."""
+        before, after = self.orientation[..., :-1, :], self.orientation[..., 1:, :]
+        ways = np.diff(self.position, axis=-2)
+        return np.concatenate([ways, rotation_vectors(before, after)], axis=-1)
 
     @property
     def parameter(self) -> Float[np.ndarray, "*trail n"]:

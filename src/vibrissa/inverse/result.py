@@ -106,19 +106,7 @@ class Reconstruction:
     @property
     def contacts(self) -> Contacts:
         """Where the rod touches, one row a sample (…)."""
-        several = self.kind.ndim > 1
-        return Contacts(
-            self.point,
-            self.normal,
-            self.covariance,
-            self.normal_covariance,
-            sweep=np.indices(self.kind.shape)[0] if several else None,
-            time=self.reactions.time,
-            kind=self.kind,
-            force_direction=self.force_direction,
-            arc_length=self.arc_length,
-            status=self.status,
-        )
+        return Contacts.of(self, self.reactions.time)
 
     @property
     def normal(self) -> Vectors:

@@ -72,17 +72,6 @@ class Branch(NamedTuple):
     """
 
 
-def _selected(channels: Sequence[str]) -> Bool[np.ndarray, "6"]:
-    """Which are named; raise ValueError unless they are known, different, and at least three."""
-    selected = np.isin(CHANNELS, channels)
-    if isinstance(channels, str) or not 3 <= len(channels) == selected.sum():
-        raise ValueError(
-            f"channels = {channels!r}; allowed are at least 3 different ones of "
-            f"{', '.join(CHANNELS)}, forces and moments in clamp axes"
-        )
-    return selected
-
-
 def found_by_channels(
     rod: Rod,
     reactions: Reactions,
@@ -99,7 +88,12 @@ def found_by_channels(
     With friction the incidence of a tangential contact is not known, and the channels have to do
     without a law.
     """
-    selected = _selected(channels)
+    selected = np.isin(CHANNELS, channels)
+    if isinstance(channels, str) or not 3 <= len(channels) == selected.sum():
+        raise ValueError(
+            f"channels = {channels!r}; allowed are at least 3 different ones of "
+            f"{', '.join(CHANNELS)}, forces and moments in clamp axes"
+        )
     known, rough = reactions.covariance is not None, bool(friction)
     tolerance, slack = (_DEVIATIONS, _KNOWN_SLACK) if known else (_FITS, _SLACK)
     setting, samples = setting_of(rod, reactions), samples_of(rod, reactions)

@@ -5,7 +5,6 @@ All is in model units but what `Setting` and `Found` say; vectors are in world a
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -251,14 +250,16 @@ def _judged(
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
         (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
-        (True, Status.OK),
     )
+    conditions, codes = zip(*findings, strict=True)
     tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation
-    kinds = ((none, ContactKind.NONE), (tip, ContactKind.TIP), (True, ContactKind.TANGENTIAL))
+    kind = jnp.where(
+        none, ContactKind.NONE, jnp.where(tip, ContactKind.TIP, ContactKind.TANGENTIAL)
+    )
     unit = jnp.where(none, jnp.nan, 1.0)
     return Found(
-        kind=_first(kinds),
-        status=_first(findings),
+        kind=kind.astype(jnp.int8),
+        status=jnp.select(conditions, codes, Status.OK).astype(jnp.int8),
         point=sample.position + contact.reach * (unit * setting.length),
         force_direction=contact.direction * unit,
         arc_length=s1 * (unit * setting.length),
@@ -266,12 +267,6 @@ def _judged(
         modulus=incidence * unit,
         single_contact_residual=single,
     )
-
-
-def _first(cases: Sequence[tuple[Flag | bool, int]]) -> Int[Array, ""]:
-    """Of codes, each with its condition, the first that holds."""
-    conditions, codes = zip(*cases, strict=True)
-    return jnp.select([jnp.asarray(one) for one in conditions], [jnp.int8(one) for one in codes])
 
 
 def _probable(setting: Setting, sample: Sample) -> _Probable:

@@ -46,8 +46,8 @@ def in_clamp_axes(
 ) -> tuple[Wrenches, Float[np.ndarray, "n 6 6"] | None]:
     """Wrenches of one trail in clamp axes and model units, and their covariances if known."""
     turn = rotation_matrices(reactions.trail.orientation)
-    wrench = np.stack([reactions.force, reactions.moment], axis=1) @ turn
-    scaled = wrench.reshape(-1, 6) / np.sqrt(np.diag(_squares(rod)))
+    wrench = (reactions.wrench.reshape(-1, 2, 3) @ turn).reshape(-1, 6)
+    scaled = wrench / np.sqrt(np.diag(_squares(rod)))
     if reactions.covariance is None:
         return scaled, None
     both = np.kron(np.eye(2), turn)

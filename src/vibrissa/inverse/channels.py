@@ -20,10 +20,11 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse.arrays import Flag, Scalar, Wrench
 from vibrissa.inverse.kernels import Errors, Found, Sample, Setting
 from vibrissa.inverse.shared import samples_of, setting_of
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, Linear, chosen, linear_at
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, AT_REST, TILT, Linear, chosen, linear_at
 from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.linear import cholesky, solve_lower
 from vibrissa.numerics.rotation import rotation_matrix
+from vibrissa.numerics.vectors import joined
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
@@ -136,9 +137,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     """Levenberg-Marquardt on the selected channels and a law, without tilt."""
     setting, selected = problem.setting, jnp.asarray(problem.selected)
     turn = rotation_matrix(sample.orientation)
-    wrench = jnp.concatenate(
-        [sample.force @ turn / setting.force, sample.moment @ turn / setting.moment]
-    )
+    wrench = joined(sample.force @ turn / setting.force, sample.moment @ turn / setting.moment)
     root = jnp.diag(selected.astype(float))
     if sample.covariance is not None:
         both = jnp.kron(jnp.eye(2), turn)
@@ -149,17 +148,17 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     scale = jnp.max(jnp.abs(root))
     measured = jnp.where(selected, wrench, 0.0)
 
+    def seen(wrench: Array, incidence: Array, x: Array) -> Array:
+        """What channels and law see of a rod, or of its derivatives."""
+        law = problem.law @ jnp.stack([x[ARC_LENGTH], incidence])
+        return jnp.concatenate([root @ wrench, jnp.stack([law, x[TILT]]) * scale])
+
+    due = seen(measured, jnp.asarray(_SQUARE), jnp.asarray(AT_REST))
+
     def equations(at: Linear) -> tuple[Array, Array]:
         """What is left of them, and its derivatives."""
-        seen = root @ (jnp.where(selected, at.value.wrench, 0.0) - measured)
-        laws = jnp.stack([at.x[ARC_LENGTH] - 1, at.value.incidence - _SQUARE])
-        axes = jnp.eye(len(at.x))
-        law_slopes = jnp.stack([axes[ARC_LENGTH], at.slope.incidence])
-        ends = jnp.stack([problem.law @ laws, at.x[TILT]])
-        end_slopes = jnp.stack([problem.law @ law_slopes, axes[TILT]])
-        left = jnp.concatenate([seen, ends * scale])
-        slopes = root @ jnp.where(selected[:, None], at.slope.wrench, 0.0)
-        return left, jnp.concatenate([slopes, end_slopes * scale])
+        left = seen(*at.value[:2], at.x) - due
+        return left, seen(*at.slope[:2], jnp.eye(len(at.x)))
 
     at = _least_squares(equations, _start(measured, selected), scale)
     x, value, slope = at

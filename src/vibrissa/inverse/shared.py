@@ -2,7 +2,7 @@
 its numbers, and covariances that hold them.
 """
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -92,15 +92,19 @@ def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"
     )
 
 
-def with_shared(found: Reconstruction) -> Reconstruction:
-    """Contacts whose covariances hold what varies from sample to sample alone, with all of it."""
-    noise, of_normal = found.covariance, found.normal_covariance
-    whole = replace(found, covariance_noise=noise, normal_covariance_noise=of_normal)
-    if noise is None or of_normal is None or not whole.shared_names:
-        return whole
-    shared, shared_normal = whole.shared, whole.shared_normal
-    return replace(
-        whole,
-        covariance=noise + shared @ np.swapaxes(shared, -1, -2),
-        normal_covariance=of_normal + shared_normal @ np.swapaxes(shared_normal, -1, -2),
-    )
+def with_shared(
+    rows: dict[str, Any], length: float, errors: Float[np.ndarray, "setup setup"]
+) -> dict[str, Any]:
+    """Fields of contacts whose covariances hold what varies from sample to sample alone, with what
+    errors of the setup of this covariance add by their `sensitivity`.
+    """
+    slopes, added = rows["sensitivity"], np.zeros((6, 6))
+    if errors.any():
+        added = slopes @ errors @ np.swapaxes(slopes, -1, -2)
+    of_point, of_normal = rows["covariance"], rows["normal_covariance"]
+    return rows | {
+        "covariance_noise": of_point,
+        "normal_covariance_noise": of_normal,
+        "covariance": of_point + length**2 * added[..., :3, :3],
+        "normal_covariance": of_normal + added[..., 3:, 3:],
+    }

@@ -13,6 +13,7 @@ import numpy as np
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative
 from vibrissa.inverse.checks.check import with_contradictions, with_delay
+from vibrissa.inverse.parameters import prepared
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
 from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
@@ -107,7 +108,8 @@ def smooth(
         name: parts[0][name] if alone else np.stack([part[name] for part in parts])
         for name in parts[0]
     }
-    smoothed = with_shared(replace(found, **rows, smoothing=told))
+    errors = prepared(found.rod, found.reactions.setup_errors).covariance
+    smoothed = replace(found, **with_shared(rows, found.rod.length, errors), smoothing=told)
     smoothed = with_delay(smoothed) if alone else smoothed
     # What the check of the setup says of these errors, beside what smoothing found.
     checked, ours = with_contradictions(smoothed), smoothed.status == Status.SETUP_CONTRADICTED

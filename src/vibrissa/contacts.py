@@ -93,6 +93,15 @@ class Contacts:
             row = tuple(map(int, np.argwhere(wrong)[0]))
             raise ValueError(f"normal{list(row)} has length {length[row]:.6g}; allowed is 1")
 
+    @classmethod
+    def of(cls, result: Any, time: ArrayLike | None) -> "Contacts":
+        """Those of a result, by the names of its fields: each of several trails is a sweep."""
+        rows = np.shape(result.kind)
+        return cls(
+            **{each.name: getattr(result, each.name, None) for each in fields(cls)}
+            | {"time": time, "sweep": np.indices(rows)[0] if len(rows) > 1 else None}
+        )
+
     def __getitem__(self, rows: Any) -> "Contacts":
         """Return the chosen rows, all fields together."""
         return Contacts(

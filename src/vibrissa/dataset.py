@@ -1,54 +1,89 @@
 """Results as `xarray.Dataset`, with CF-style units and flag meanings."""
 
+from collections.abc import Iterable
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Shaped
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.rod.rod import Quantity
 
 if TYPE_CHECKING:
     import xarray
 
-AXES = ("x", "y", "z")
-QUATERNION = ("x", "y", "z", "w")
+_LABELS = {"axis": [*"xyz"], "other_axis": [*"xyz"], "quaternion": [*"xyzw"]}
 
 
 class Variable(NamedTuple):
-    """Values (trail…, position, extra…), the names of the extra axes, unit and long name."""
+    """What a dataset says of one field of a result."""
 
-    values: Shaped[np.ndarray, "..."]
-    extra: tuple[str, ...]
-    unit: str
+    name: str
+    field: str
+    extra: str
+    """Axes besides those of the rows."""
+    quantity: Quantity
     long_name: str
 
 
-def dataset_of(
-    shape: tuple[int, ...],
-    variables: dict[str, Variable],
-    kind: Shaped[np.ndarray, "..."],
-    status: Shaped[np.ndarray, "..."],
-) -> "xarray.Dataset":
-    """Return a dataset over positions (n,) or trails and positions (m, n), with the flags that
-    every result has.
+_COMMON = (
+    Variable("clamp_position", "reactions.trail.position", "axis", "length", "clamp point"),
+    Variable(
+        "clamp_orientation",
+        "reactions.trail.orientation",
+        "quaternion",
+        "number",
+        "rotation from clamp to world axes",
+    ),
+    Variable(
+        "support_force",
+        "reactions.force",
+        "axis",
+        "force",
+        "force of the clamp on the rod, world axes",
+    ),
+    Variable(
+        "support_moment",
+        "reactions.moment",
+        "axis",
+        "moment",
+        "moment of the clamp on the rod about the clamp point, world axes",
+    ),
+    Variable("contact_point", "point", "axis", "length", "contact point"),
+    Variable("arc_length", "arc_length", "", "length", "arc length from clamp to contact"),
+    Variable("bending_energy", "energy", "", "energy", "bending energy"),
+)
+
+
+def dataset_of(title: str, result: Any, variables: Iterable[Variable]) -> "xarray.Dataset":
+    """Return a dataset of a scan or a reconstruction over positions (n,) or trails and positions
+    (m, n): what both have, these fields of it where they are known, and the flags.
     """
     import xarray  # noqa: PLC0415
 
-    rows = ("position",) if len(shape) == 1 else ("trail", "position")
+    rod, rows = result.rod, ("trail", "position")[-result.kind.ndim :]
     data: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, object]]] = {
-        name: (rows + part.extra, part.values, {"units": part.unit, "long_name": part.long_name})
-        for name, part in variables.items()
+        "kind": (rows, result.kind, flags(ContactKind, "kind of contact")),
+        "status": (rows, result.status, flags(Status, "whether the row can be trusted")),
     }
-    data["kind"] = (rows, kind, flags(ContactKind, "kind of contact"))
-    data["status"] = (rows, status, flags(Status, "whether the row can be trusted"))
-    labels = {"axis": list(AXES), "other_axis": list(AXES), "quaternion": list(QUATERNION)}
-    used = {name for part in variables.values() for name in part.extra}
-    return xarray.Dataset(
-        data,
-        coords={name: values for name, values in labels.items() if name in used},
-        attrs={"Conventions": "CF-1.11"},
-    )
+    for name, field, extra, quantity, long_name in (*_COMMON, *variables):
+        values = attrgetter(field)(result)
+        # Nothing is shared without tolerances.
+        if values is not None and values.size:
+            about = {"units": rod.unit_of(quantity), "long_name": long_name}
+            data[name] = (*rows, *extra.split()), values, about
+    used = {axis for axes, _, _ in data.values() for axis in axes}
+    attributes = {
+        "Conventions": "CF-1.11",
+        "title": title,
+        "rod_length": rod.length,
+        "rod_bending_stiffness": rod.bending_stiffness,
+    }
+    if result.friction is not None:
+        attributes["friction"] = result.friction
+    coordinates = {axis: labels for axis, labels in _LABELS.items() if axis in used}
+    return xarray.Dataset(data, coordinates, attributes)
 
 
 def flags(enumeration: type[IntEnum], long_name: str) -> dict[str, object]:

@@ -137,22 +137,12 @@ class Reactions:
         """Force and moment side by side."""
         return np.concatenate([self.force, self.moment], axis=-1)
 
-    def pose_covariance(
-        self, point: Float[np.ndarray, "*trail n 3"]
-    ) -> Float[np.ndarray, "*trail n 3 3"] | None:
-        """What errors of the robot's pose add to the covariance of points (…, 3) that are known
-        from the clamp; None where they are not known.
-
-        An error δθ of the orientation moves a point at d from the centre by δθ × d.
-        """
-        if self.position_covariance is None and self.rotation_covariance is None:
-            return None
-        moved = np.zeros((*point.shape, 3))
-        if self.position_covariance is not None:
-            moved += self.position_covariance
-        if self.rotation_covariance is not None:
-            moved += turned_covariance(self.rotation_covariance, point - self.rotation_center)
-        return moved
+    @property
+    def clamp_work(self) -> Float[np.ndarray, "*trail steps"]:
+        """Work (…) [J] of the clamp on the rod from each row to the next, by the trapezoidal rule."""
+        wrench = self.wrench
+        mean = (wrench[..., 1:, :] + wrench[..., :-1, :]) / 2
+        return np.asarray(np.sum(mean * self.trail.steps, axis=-1))
 
     def clamp_velocity(self) -> Float[np.ndarray, "*trail n 6"]:
         """As given, or over 50 ms about each row, at least from the row before to the one after;

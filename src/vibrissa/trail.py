@@ -378,6 +378,13 @@ class Trail:
         return third_axis(self.orientation)
 
     @property
+    def steps(self) -> Float[np.ndarray, "*trail steps 6"]:
+        """Way, and turn as a rotation vector [rad], of the clamp from each position to the next."""
+        before, after = self.orientation[..., :-1, :], self.orientation[..., 1:, :]
+        ways = np.diff(self.position, axis=-2)
+        return np.concatenate([ways, rotation_vectors(before, after)], axis=-1)
+
+    @property
     def parameter(self) -> Float[np.ndarray, "*trail n"]:
         """0 to 1 along each trail: the share of the clamp's path length, or of the steps where on
         one of them the clamp stands or only turns.

@@ -11,7 +11,6 @@ from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.forward.events import Event, EventKind
 from vibrissa.forward.slip import Slip, led, slip_along
 from vibrissa.forward.validity import QuasiStatic, quasi_static
-from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.mechanics.elastic_line import sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -20,10 +19,6 @@ from vibrissa.trail import Trail
 
 if TYPE_CHECKING:
     import xarray
-
-
-def _mean_of_ends(values: Float[np.ndarray, "*trail n 3"]) -> Float[np.ndarray, "*trail steps 3"]:
-    return (values[..., 1:, :] + values[..., :-1, :]) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,18 +95,7 @@ class Scan:
     @property
     def contacts(self) -> Contacts:
         """Where the rod touches, one row a position (…)."""
-        several = self.kind.ndim > 1
-        sweep = np.indices(self.kind.shape)[0] if several else None
-        return Contacts(
-            self.point,
-            self.normal,
-            sweep=sweep,
-            time=self.reactions.time,
-            kind=self.kind,
-            force_direction=self.force_direction,
-            arc_length=self.arc_length,
-            status=self.status,
-        )
+        return Contacts.of(self, self.reactions.time)
 
     @property
     def in_contact(self) -> Bool[np.ndarray, "*trail n"]:
@@ -153,15 +137,7 @@ class Scan:
         """Work (…) [J] of the clamp on the rod on the way from the position before: by the
         trapezoidal rule; NaN on the first and next to unsolved rows.
         """
-        moved = np.diff(self.trail.position, axis=-2)
-        before, after = self.trail.orientation[..., :-1, :], self.trail.orientation[..., 1:, :]
-        force, moment = (
-            _mean_of_ends(part) for part in (self.reactions.force, self.reactions.moment)
-        )
-        return led(
-            np.einsum("...i,...i->...", force, moved)
-            + np.einsum("...i,...i->...", moment, rotation_vectors(before, after))
-        )
+        return led(self.reactions.clamp_work)
 
     @cached_property
     def friction_work(self) -> Float[np.ndarray, "*trail n"]:
@@ -174,7 +150,8 @@ class Scan:
         """
         force = -self.reactions.force
         push = np.einsum("...i,...i->...", force, self.normal)
-        friction = _mean_of_ends(force - push[..., None] * self.normal)
+        friction = force - push[..., None] * self.normal
+        friction = (friction[..., 1:, :] + friction[..., :-1, :]) / 2
         heat = led(-np.einsum("...i,...i->...", friction, self.slip.sliding[..., 1:, :]))
         heat[self._behind_a_snap] = np.nan
         return heat

@@ -20,15 +20,17 @@ from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse.arrays import Flag, Scalar, Wrench
 from vibrissa.inverse.kernels import Errors, Found, Sample, Setting
 from vibrissa.inverse.shared import samples_of, setting_of
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, TILT, Linear, chosen, linear_at
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, AT_REST, TILT, Linear, chosen, linear_at
 from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.linear import cholesky, solve_lower
 from vibrissa.numerics.rotation import rotation_matrix
+from vibrissa.numerics.vectors import joined
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
-_TIP_LAW, _TANGENTIAL_LAW, _NO_LAW = 0, 1, 2
+_TIP_LAW, _TANGENTIAL_LAW, _NO_LAW = np.eye(3, 2)
+"""Which of two laws holds: s₁ = L, or the incidence of `_SQUARE`."""
 _STEPS, _DAMPING = 40, 1e-2
 """Of Levenberg and Marquardt's method: the damping falls tenfold with each step that gains."""
 _SQUARE = 0.5
@@ -52,7 +54,7 @@ class Problem(NamedTuple):
 
     setting: Setting
     selected: Bool[np.ndarray, "6"]
-    law: int
+    law: Float[np.ndarray, "2"]
 
 
 class Branch(NamedTuple):
@@ -71,17 +73,6 @@ class Branch(NamedTuple):
     """
 
 
-def _selected(channels: Sequence[str]) -> Bool[np.ndarray, "6"]:
-    """Which are named; raise ValueError unless they are known, different, and at least three."""
-    selected = np.isin(CHANNELS, channels)
-    if isinstance(channels, str) or not 3 <= len(channels) == selected.sum():
-        raise ValueError(
-            f"channels = {channels!r}; allowed are at least 3 different ones of "
-            f"{', '.join(CHANNELS)}, forces and moments in clamp axes"
-        )
-    return selected
-
-
 def found_by_channels(
     rod: Rod,
     reactions: Reactions,
@@ -98,7 +89,12 @@ def found_by_channels(
     With friction the incidence of a tangential contact is not known, and the channels have to do
     without a law.
     """
-    selected = _selected(channels)
+    selected = np.isin(CHANNELS, channels)
+    if isinstance(channels, str) or not 3 <= len(channels) == selected.sum():
+        raise ValueError(
+            f"channels = {channels!r}; allowed are at least 3 different ones of "
+            f"{', '.join(CHANNELS)}, forces and moments in clamp axes"
+        )
     known, rough = reactions.covariance is not None, bool(friction)
     tolerance, slack = (_DEVIATIONS, _KNOWN_SLACK) if known else (_FITS, _SLACK)
     setting, samples = setting_of(rod, reactions), samples_of(rod, reactions)
@@ -141,9 +137,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     """Levenberg-Marquardt on the selected channels and a law, without tilt."""
     setting, selected = problem.setting, jnp.asarray(problem.selected)
     turn = rotation_matrix(sample.orientation)
-    wrench = jnp.concatenate(
-        [sample.force @ turn / setting.force, sample.moment @ turn / setting.moment]
-    )
+    wrench = joined(sample.force @ turn / setting.force, sample.moment @ turn / setting.moment)
     root = jnp.diag(selected.astype(float))
     if sample.covariance is not None:
         both = jnp.kron(jnp.eye(2), turn)
@@ -154,17 +148,17 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     scale = jnp.max(jnp.abs(root))
     measured = jnp.where(selected, wrench, 0.0)
 
+    def seen(wrench: Array, incidence: Array, x: Array) -> Array:
+        """What channels and law see of a rod, or of its derivatives."""
+        law = problem.law @ jnp.stack([x[ARC_LENGTH], incidence])
+        return jnp.concatenate([root @ wrench, jnp.stack([law, x[TILT]]) * scale])
+
+    due = seen(measured, jnp.asarray(_SQUARE), jnp.asarray(AT_REST))
+
     def equations(at: Linear) -> tuple[Array, Array]:
         """What is left of them, and its derivatives."""
-        seen = root @ (jnp.where(selected, at.value.wrench, 0.0) - measured)
-        laws = [at.x[ARC_LENGTH] - 1, at.value.incidence - _SQUARE, jnp.zeros(())]
-        axes = jnp.eye(len(at.x))
-        law_slopes = [axes[ARC_LENGTH], at.slope.incidence, jnp.zeros(len(at.x))]
-        ends = jnp.stack([jnp.stack(laws)[problem.law], at.x[TILT]])
-        end_slopes = jnp.stack([jnp.stack(law_slopes)[problem.law], axes[TILT]])
-        left = jnp.concatenate([seen, ends * scale])
-        slopes = root @ jnp.where(selected[:, None], at.slope.wrench, 0.0)
-        return left, jnp.concatenate([slopes, end_slopes * scale])
+        left = seen(*at.value[:2], at.x) - due
+        return left, seen(*at.slope[:2], jnp.eye(len(at.x)))
 
     at = _least_squares(equations, _start(measured, selected), scale)
     x, value, slope = at
@@ -175,9 +169,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     values = jnp.linalg.svd((jacobian / scale * size).at[:6].divide(load), compute_uv=False)
     errors = jnp.linalg.pinv(jacobian.T @ jacobian)
     length = setting.length
-    across = jnp.eye(3) - jnp.outer(value.direction, value.direction)
-    of_direction = across @ slope.wrench[:3] / jnp.sqrt(jnp.sum(value.wrench[:3] ** 2))
-    of_errors = (turn @ part for part in (length * slope.reach, -of_direction))
+    of_errors = (turn @ part for part in (length * slope.reach, slope.direction))
     found = Found(
         jnp.zeros(()),
         jnp.zeros(()),

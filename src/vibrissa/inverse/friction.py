@@ -9,10 +9,11 @@ rod's material point moves over the object, along the unit vector ŵ of dP₁ �
 
 from dataclasses import dataclass
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
-from scipy.ndimage import correlate1d, maximum_filter1d, minimum_filter1d
+from scipy.ndimage import morphological_gradient
+from scipy.signal import savgol_filter
 
 from vibrissa.contacts import Status
 from vibrissa.inverse.arrays import Vectors
@@ -85,30 +86,22 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
         raise ValueError(
             f"window = {window!r}; allowed is an odd number of at least {_LEAST_WINDOW}"
         )
-    usable = np.atleast_2d(found.in_contact & (found.status == Status.OK))
-    several = (*usable.shape, -1)
-    tangent, point, direction, arc_length = (
-        part.reshape(several)
-        for part in (contact_tangents(found), found.point, found.force_direction, found.arc_length)
-    )
+    usable, direction = found.in_contact & (found.status == Status.OK), found.force_direction
     # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
     # it, nor reach beyond the sweep.
     kind = np.where(usable, found.kind, 0)
-    least, most = (
-        extreme(kind, window, axis=1, mode="constant", cval=-1)
-        for extreme in (minimum_filter1d, maximum_filter1d)
-    )
-    whole = (least > 0) & (least == most)
+    size = (1, window)[-kind.ndim :]
+    differs = morphological_gradient(kind, size, mode="constant", cval=-1)
+    whole = usable & (differs == 0)
     if not whole.any():
         raise ValueError(
             f"window = {window}: no contact lasts that many samples; allowed is a smaller window "
             "or a denser recording"
         )
-    way = np.concatenate([point, arc_length], axis=2)
-    # Of a parabola by least squares, at the middle.
-    steps = np.arange(window) - window // 2
-    rates = correlate1d(way, steps / (steps @ steps), axis=1)
-    motion = np.where(whole[..., None], rates[..., :3] - tangent * rates[..., 3:], np.nan)
+    way = np.concatenate([found.point, found.arc_length[..., None]], axis=-1)
+    rates = savgol_filter(way, window, 2, deriv=1, axis=-2, mode="nearest")
+    moved = rates[..., :3] - contact_tangents(found) * rates[..., 3:]
+    motion = np.where(whole[..., None], moved, np.nan)
     speed = np.linalg.norm(motion, axis=-1)
     slides = whole & (speed > _AT_REST * np.median(speed[whole]))
     sliding = motion / np.where(slides, speed, np.nan)[..., None]
@@ -125,8 +118,8 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     return FrictionEstimate(
         friction,
         float(np.sqrt(np.pi / 2) * spread / np.sqrt(independent)),
-        normal.reshape(found.point.shape),
-        sliding.reshape(found.point.shape),
+        normal,
+        sliding,
         window,
     )
 
@@ -137,8 +130,8 @@ def contact_tangents(found: Reconstruction) -> Vectors:
     side = reach - np.sum(reach * direction, axis=-1, keepdims=True) * direction
     with np.errstate(invalid="ignore", divide="ignore"):
         side = side / np.linalg.norm(side, axis=-1, keepdims=True)
-    rows = direction.reshape(-1, 3), side.reshape(-1, 3), found.modulus.ravel()
-    return np.asarray(jax.vmap(contact_tangent)(*rows)).reshape(direction.shape)
+    tangents = jnp.vectorize(contact_tangent, signature="(k),(k),()->(k)")
+    return np.asarray(tangents(direction, side, found.modulus))
 
 
 def _window(found: Reconstruction) -> int:

@@ -5,7 +5,6 @@ All is in model units but what `Setting` and `Found` say; vectors are in world a
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -149,26 +148,7 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
     """Contact of the most probable wrench of a single contact on this rod, its errors to first
     order.
     """
-    return _noisy(setting, sample, _probable(setting, sample))
-
-
-@lanes(alone=True)
-def weak_contacts(setting: Setting, sample: Sample) -> Errors:
-    """Errors of the same contact, by second moments of the noise."""
-    return _second_moments(setting, sample, _probable(setting, sample))
-
-
-@lanes()
-def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
-    """Derivatives of a contact by `vibrissa.tolerances.PARAMETERS` for given readings."""
-    return _by_setup(_probable(setting, sample), sample, setting.rig)
-
-
-def _wrench(setting: Setting, sample: Sample) -> Wrench:
-    return jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
-
-
-def _noisy(setting: Setting, sample: Sample, probable: _Probable) -> Found:
+    probable = _probable(setting, sample)
     covariance = jnp.asarray(sample.covariance)
     whitened = solve_lower(cholesky(covariance), _wrench(setting, sample))
     chi_square = jnp.sum(whitened**2)
@@ -193,7 +173,7 @@ def _noisy(setting: Setting, sample: Sample, probable: _Probable) -> Found:
         None if part is None else Errors(part.reach * scale**2, part.direction + 0 * scale)
         for part in (noise, setup)
     )
-    variance = (covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3
+    variance = jnp.trace(covariance[:3, :3]) / 3
     return found._replace(
         noise=of_noise,
         setup=of_setup,
@@ -201,6 +181,46 @@ def _noisy(setting: Setting, sample: Sample, probable: _Probable) -> Found:
         chi_square=chi_square,
         weak=jnp.sum(probable.wrench[:3] ** 2) <= _FIRST_ORDER**2 * variance,
     )
+
+
+@lanes(alone=True)
+def weak_contacts(setting: Setting, sample: Sample) -> Errors:
+    """Errors of the same contact by second moments: mean squares of the errors of r and n̂ under
+    noise, by the points √6 deviations to either side along each axis of its ellipsoid.
+
+    They match the noise's mean and covariance, and two moments more along each axis (S. J. Julier,
+    J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): where the force is a few deviations, the contact
+    is far from linear in them.
+    """
+    probable = _probable(setting, sample)
+    tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
+    # In the clamp's axes, so that the points turn with it.
+    both, contact = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation)), probable.contact
+    root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
+    steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
+    found = jax.vmap(_observed, in_axes=(0, None, None))(
+        probable.wrench + steps, tangent, covariance
+    )
+    reach = jax.vmap(_within_reach)(found.reach) - contact.reach
+    # Square to n̂: a unit vector can only turn.
+    along = jnp.sum(found.direction * contact.direction, axis=1, keepdims=True)
+    direction = found.direction - along * contact.direction
+    of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
+    # A contact that says flank may be one at the tip of a rod that is still straight, as likely as
+    # noise makes of one the other.
+    towards = tangent - contact.reach
+    of_reach += jnp.exp(-(probable.off_straight**2) / 2) * jnp.outer(towards, towards)
+    return Errors(of_reach * setting.length**2, of_direction)
+
+
+@lanes()
+def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
+    """Derivatives of a contact by `vibrissa.tolerances.PARAMETERS` for given readings."""
+    return _by_setup(_probable(setting, sample), sample, setting.rig)
+
+
+def _wrench(setting: Setting, sample: Sample) -> Wrench:
+    return jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
 
 
 def _judged(
@@ -230,14 +250,16 @@ def _judged(
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
         (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
-        (True, Status.OK),
     )
+    conditions, codes = zip(*findings, strict=True)
     tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation
-    kinds = ((none, ContactKind.NONE), (tip, ContactKind.TIP), (True, ContactKind.TANGENTIAL))
+    kind = jnp.where(
+        none, ContactKind.NONE, jnp.where(tip, ContactKind.TIP, ContactKind.TANGENTIAL)
+    )
     unit = jnp.where(none, jnp.nan, 1.0)
     return Found(
-        kind=_first(kinds),
-        status=_first(findings),
+        kind=kind.astype(jnp.int8),
+        status=jnp.select(conditions, codes, Status.OK).astype(jnp.int8),
         point=sample.position + contact.reach * (unit * setting.length),
         force_direction=contact.direction * unit,
         arc_length=s1 * (unit * setting.length),
@@ -245,12 +267,6 @@ def _judged(
         modulus=incidence * unit,
         single_contact_residual=single,
     )
-
-
-def _first(cases: Sequence[tuple[Flag | bool, int]]) -> Int[Array, ""]:
-    """Of codes, each with its condition, the first that holds."""
-    conditions, codes = zip(*cases, strict=True)
-    return jnp.select([jnp.asarray(one) for one in conditions], [jnp.int8(one) for one in codes])
 
 
 def _probable(setting: Setting, sample: Sample) -> _Probable:
@@ -289,34 +305,6 @@ def _carried(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Observed:
         return jnp.sum(half * slope) if slope.ndim == 1 else _product(half, slope.T)
 
     return jax.tree.map(of, slopes)
-
-
-def _second_moments(setting: Setting, sample: Sample, probable: _Probable) -> Errors:
-    """Mean squares of the errors of r and n̂ under noise, by the points √6 deviations to either
-    side along each axis of its ellipsoid.
-
-    They match the noise's mean and covariance, and two moments more along each axis (S. J. Julier,
-    J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): where the force is a few deviations, the contact
-    is far from linear in them.
-    """
-    tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
-    # In the clamp's axes, so that the points turn with it.
-    both, contact = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation)), probable.contact
-    root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
-    steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
-    found = jax.vmap(_observed, in_axes=(0, None, None))(
-        probable.wrench + steps, tangent, covariance
-    )
-    reach = jax.vmap(_within_reach)(found.reach) - contact.reach
-    # Square to n̂: a unit vector can only turn.
-    along = jnp.sum(found.direction * contact.direction, axis=1, keepdims=True)
-    direction = found.direction - along * contact.direction
-    of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
-    # A contact that says flank may be one at the tip of a rod that is still straight, as likely as
-    # noise makes of one the other.
-    towards = tangent - contact.reach
-    of_reach += jnp.exp(-(probable.off_straight**2) / 2) * jnp.outer(towards, towards)
-    return Errors(of_reach * setting.length**2, of_direction)
 
 
 def _within_reach(reach: Vector) -> Vector:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.inverse.arrays import Codes, Covariances, Flags, Scalars, Vectors
 from vibrissa.inverse.checks.findings import SetupCheck
+from vibrissa.inverse.parameters import prepared
 from vibrissa.mechanics.elastic_line import force_of, sampled_line
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -105,19 +106,7 @@ class Reconstruction:
     @property
     def contacts(self) -> Contacts:
         """Where the rod touches, one row a sample (…)."""
-        several = self.kind.ndim > 1
-        return Contacts(
-            self.point,
-            self.normal,
-            self.covariance,
-            self.normal_covariance,
-            sweep=np.indices(self.kind.shape)[0] if several else None,
-            time=self.reactions.time,
-            kind=self.kind,
-            force_direction=self.force_direction,
-            arc_length=self.arc_length,
-            status=self.status,
-        )
+        return Contacts.of(self, self.reactions.time)
 
     @property
     def normal(self) -> Vectors:
@@ -205,9 +194,12 @@ class Reconstruction:
 
     @cached_property
     def _shared(self) -> Float[np.ndarray, "*trail n 6 p"]:
-        from vibrissa.inverse.shared import shared_of  # noqa: PLC0415
+        """Of points in units of the rod's length, and of normals."""
+        from vibrissa.inverse.shared import sensitivities  # noqa: PLC0415
 
-        return shared_of(self)
+        if not self.shared_names:
+            return np.zeros((*self.kind.shape, 6, 0))
+        return sensitivities(self) @ prepared(self.rod, self.reactions.setup_errors).factor
 
     @property
     def in_contact(self) -> Flags:

@@ -2,7 +2,7 @@
 its numbers, and covariances that hold them.
 """
 
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -46,8 +46,8 @@ def in_clamp_axes(
 ) -> tuple[Wrenches, Float[np.ndarray, "n 6 6"] | None]:
     """Wrenches of one trail in clamp axes and model units, and their covariances if known."""
     turn = rotation_matrices(reactions.trail.orientation)
-    wrench = np.stack([reactions.force, reactions.moment], axis=1) @ turn
-    scaled = wrench.reshape(-1, 6) / np.sqrt(np.diag(_squares(rod)))
+    wrench = (reactions.wrench.reshape(-1, 2, 3) @ turn).reshape(-1, 6)
+    scaled = wrench / np.sqrt(np.diag(_squares(rod)))
     if reactions.covariance is None:
         return scaled, None
     both = np.kron(np.eye(2), turn)
@@ -62,14 +62,19 @@ def _squares(rod: Rod) -> Spread:
 
 def pose_errors(reactions: Reactions, point: Vectors, direction: Vectors) -> Errors:
     """What errors of the robot's pose add to the covariances of points and directions that are
-    known from the clamp.
+    known from the clamp. An error δθ of the orientation moves a point at d from the centre by
+    δθ × d.
     """
-    by_pose, turning = reactions.pose_covariance(point), reactions.rotation_covariance
-    none = np.zeros((3, 3))
-    return Errors(
-        none if by_pose is None else by_pose,
-        none if turning is None else turned_covariance(turning, direction),
+    none, fixed, turning = (
+        np.zeros((3, 3)),
+        reactions.position_covariance,
+        reactions.rotation_covariance,
     )
+    moved = none if fixed is None else fixed
+    if turning is None:
+        return Errors(moved, none)
+    arm = point - reactions.rotation_center
+    return Errors(moved + turned_covariance(turning, arm), turned_covariance(turning, direction))
 
 
 def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"]:
@@ -87,24 +92,19 @@ def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"
     )
 
 
-def shared_of(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 p"]:
-    """What the sweep shares, points in units of the rod's length; without columns where no
-    tolerances are stated, or no noise.
+def with_shared(
+    rows: dict[str, Any], length: float, errors: Float[np.ndarray, "setup setup"]
+) -> dict[str, Any]:
+    """Fields of contacts whose covariances hold what varies from sample to sample alone, with what
+    errors of the setup of this covariance add by their `sensitivity`.
     """
-    if not found.shared_names:
-        return np.zeros((*found.kind.shape, 6, 0))
-    return sensitivities(found) @ prepared(found.rod, found.reactions.setup_errors).factor
-
-
-def with_shared(found: Reconstruction) -> Reconstruction:
-    """Contacts whose covariances hold what varies from sample to sample alone, with all of it."""
-    noise, of_normal = found.covariance, found.normal_covariance
-    whole = replace(found, covariance_noise=noise, normal_covariance_noise=of_normal)
-    if noise is None or of_normal is None or not whole.shared_names:
-        return whole
-    shared, shared_normal = whole.shared, whole.shared_normal
-    return replace(
-        whole,
-        covariance=noise + shared @ np.swapaxes(shared, -1, -2),
-        normal_covariance=of_normal + shared_normal @ np.swapaxes(shared_normal, -1, -2),
-    )
+    slopes, added = rows["sensitivity"], np.zeros((6, 6))
+    if errors.any():
+        added = slopes @ errors @ np.swapaxes(slopes, -1, -2)
+    of_point, of_normal = rows["covariance"], rows["normal_covariance"]
+    return rows | {
+        "covariance_noise": of_point,
+        "normal_covariance_noise": of_normal,
+        "covariance": of_point + length**2 * added[..., :3, :3],
+        "normal_covariance": of_normal + added[..., 3:, 3:],
+    }

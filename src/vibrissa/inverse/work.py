@@ -28,7 +28,6 @@ from vibrissa.inverse.shared import setting_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
-from vibrissa.trail import Trail
 
 _FALSE_ALARM = 1e-9
 """Of a row that is loaded: less than one in any recording."""
@@ -152,21 +151,16 @@ class _Load:
     """
 
     @cached_property
-    def moved(self) -> Float[np.ndarray, "2 steps 3"]:
-        """Way and turn of the clamp from each row to the next."""
-        return _moved(self.reactions.trail[:-1], self.reactions.trail[1:])
-
-    @cached_property
     def work(self) -> Scalars:
         """Of the clamp since the row before."""
-        wrench = np.stack([self.reactions.force, self.reactions.moment])
-        twice = np.sum((wrench[:, 1:] + wrench[:, :-1]) * self.moved, axis=(0, 2))
-        return np.append(0.0, twice / 2)
+        return np.append(0.0, self.reactions.clamp_work)
 
     def farthest(self, start: int, stop: int) -> Float[np.ndarray, "2"]:
         """How far the clamp goes from where it is at first, and by how much it turns."""
         trail = self.reactions.trail[start:stop]
-        return np.linalg.norm(_moved(trail[:1], trail), axis=2).max(axis=1)
+        first = np.broadcast_to(trail.orientation[0], trail.orientation.shape)
+        moved = trail.position - trail.position[0], rotation_vectors(first, trail.orientation)
+        return np.linalg.norm(moved, axis=2).max(axis=1)
 
     def way(self, rod: Rod, span: tuple[int, int]) -> float:
         """How far the clamp goes, and the tip by its turning."""
@@ -267,18 +261,12 @@ def _load(reactions: Reactions) -> _Load:
         loaded = size > _LEAST_LOAD * size.max()
     else:
         weight = np.linalg.inv(given.covariance[..., :3, :3])
-        square = np.sum((given.force[:, None, :] @ weight)[:, 0] * given.force, axis=1)
+        square = np.einsum("...i,...ij,...j", given.force, weight, given.force)
         loaded = square > chdtri(3, _FALSE_ALARM)
     places = np.flatnonzero(loaded)
     runs = np.split(places, np.flatnonzero(np.diff(places) > _FREE_ROWS) + 1)
     spans = [(int(run[0]), int(run[-1]) + 1) for run in runs if len(run)]
     return _Load(rows, given, loaded, [one for one in spans if one[1] - one[0] >= _FEWEST])
-
-
-def _moved(first: Trail, last: Trail) -> Float[np.ndarray, "2 n 3"]:
-    """Ways and turns from poses to others."""
-    turned = np.broadcast_to(first.orientation, last.orientation.shape)
-    return np.stack([last.position - first.position, rotation_vectors(turned, last.orientation)])
 
 
 def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> ClampWork:
@@ -336,6 +324,7 @@ def _deviation(load: _Load, begin: int, start: int, stop: int) -> float:
         return 0.0
     first = np.broadcast_to(load.reactions.covariance, (len(load.rows), 6, 6))[begin]
     variance = np.diag(first).reshape(2, 3).mean(axis=1)
-    squares = np.sum(load.moved[:, begin : stop - 1] ** 2, axis=(1, 2))
+    steps = load.reactions.trail[begin:stop].steps.reshape(-1, 2, 3)
+    squares = np.sum(steps**2, axis=(0, 2))
     by_tare = load.farthest(begin, stop) ** 2 / max(1, start)
     return float(np.sqrt(variance @ (squares + 4 * by_tare)))

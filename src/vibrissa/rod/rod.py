@@ -25,7 +25,16 @@ is lower.
 """
 _GRAVITY = 9.80665
 """Standard acceleration [m/s²]."""
-_SI_UNITS = {"length": "m", "force": "N", "moment": "N m", "energy": "J", "curvature": "m-1"}
+Quantity: TypeAlias = Literal["length", "area", "force", "moment", "energy", "curvature", "number"]
+_SI_UNITS: dict[Quantity, str] = {
+    "length": "m",
+    "area": "m2",
+    "force": "N",
+    "moment": "N m",
+    "energy": "J",
+    "curvature": "m-1",
+    "number": "1",
+}
 
 
 @dataclass(frozen=True)
@@ -121,7 +130,7 @@ class Rod:
         """EI/L [N m], also the scale of energy [J]."""
         return self.bending_stiffness / self.length
 
-    def unit_of(self, quantity: Literal["length", "force", "moment", "energy", "curvature"]) -> str:
+    def unit_of(self, quantity: Quantity) -> str:
         """Unit of a quantity as files write it: SI, or "1" in the model's units."""
         return _SI_UNITS[quantity] if self.units == "SI" else "1"
 

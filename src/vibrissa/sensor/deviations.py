@@ -5,8 +5,9 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.numerics.runs import runs
 from vibrissa.sensor.figures import Noise
-from vibrissa.sensor.raw import Rows, Wrench, Wrenches, runs
+from vibrissa.sensor.raw import Rows, Wrench, Wrenches
 
 MEDIAN_TO_DEVIATION = 0.6745
 """Median size of normal numbers of unit variance."""

@@ -77,11 +77,6 @@ class RawRecording:
         return replace(self, force=wrench[:, :3], torque=wrench[:, 3:])
 
 
-def runs(mask: Rows) -> list[list[int]]:
-    """Stretches [start, stop) in which a mask holds."""
-    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
-
-
 def names_of(mask: Bool[np.ndarray, "k"], names: tuple[str, ...] = CHANNELS) -> tuple[str, ...]:
     """Those of the names (k,) that a mask picks."""
     return tuple(np.array(names)[mask].tolist())

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
+from vibrissa.numerics.runs import runs
 from vibrissa.sensor.deviations import (
     believed_noise,
     own_noise,
@@ -29,7 +30,6 @@ from vibrissa.sensor.raw import (
     Wrench,
     Wrenches,
     names_of,
-    runs,
 )
 from vibrissa.sensor.sensor import Sensor
 

@@ -6,7 +6,8 @@ from functools import partial
 import numpy as np
 from scipy.stats import median_abs_deviation
 
-from vibrissa.sensor.raw import Fault, FaultKind, RawRecording, Rows, Times, runs
+from vibrissa.numerics.runs import runs
+from vibrissa.sensor.raw import Fault, FaultKind, RawRecording, Rows, Times
 
 # Of the median step: half a sample more than usual is a lost one.
 _GAP = 1.5

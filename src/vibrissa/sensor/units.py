@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.geometry.rotation import rotation_vectors, third_axis
+from vibrissa.geometry.rotation import third_axis
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor.raw import (
@@ -270,8 +270,7 @@ def _work_by_rod(reactions: Reactions, loaded: Rows) -> float:
     known, lost = np.flatnonzero(finite), np.count_nonzero(~finite[rows[0] : rows[-1]])
     if known[0] == rows[0] or lost > _LOST * len(rows):
         return 0.0
-    turn = rotation_vectors(trail.orientation[known[:-1]], trail.orientation[known[1:]])
-    path = np.hstack([np.diff(trail.position[known], axis=0), turn])
+    path = trail[known].steps
     # Without a load there is noise alone.
     wrench = np.where(loaded[:, None], wrench, 0.0)[known]
     work = np.cumsum(np.sum((wrench[1:] + wrench[:-1]) / 2 * path, axis=1))

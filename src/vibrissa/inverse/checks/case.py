@@ -35,7 +35,7 @@ from vibrissa.inverse.checks.rig import (
     spreads_of,
 )
 from vibrissa.inverse.checks.stretches import Stretches
-from vibrissa.inverse.smoothing.manifold import chosen
+from vibrissa.inverse.smoothing.manifold import chosen, finite
 
 _FEWEST = 12
 """Stretches in contact below which a sweep is not judged."""
@@ -156,8 +156,7 @@ class Case:
         """
         here = self.bench.constraints(errors)
         slopes = self.bench.slopes(here, errors)
-        both = np.concatenate([here.value[:, :, None], slopes.constraints], axis=2)
-        lost = ~np.isfinite(both).all(axis=(1, 2))
+        lost = ~finite((here.value, slopes.constraints))
         slopes.constraints[lost] = 0.0
         return replace(self, errors=errors, here=chosen(lost, self.here, here), slopes=slopes)
 
@@ -215,11 +214,10 @@ class Case:
             holds = holding(tip)
             shown = left[holds]
             weight = np.sqrt(_BELIEVED / np.maximum(np.abs(shown), _BELIEVED))
-            design = (slope / size[:, :, None])[holds] * weight[:, None]
+            design = (slope * spread / size[:, :, None])[holds] * weight[:, None]
             target = (self.here.value / size)[holds] * weight
-            whole = np.concatenate([design * spread, np.eye(count)])
-            solved = np.linalg.lstsq(whole, np.append(target, np.zeros(count)), rcond=None)
-            unknown = -spread * solved[0]
+            normal = design.T @ design + np.eye(count)
+            unknown = -spread * np.linalg.solve(normal, design.T @ target)
         score = np.sum(np.log1p(shown**2)) + np.sum((last / spread) ** 2) + _PRICE * count
         return float(score), tip
 
@@ -238,8 +236,7 @@ class Case:
         stretches, here, count = self.stretches, self.here, len(tip)
         holds = holding(tip)
         # A stretch next to a change of phase may hold some of both.
-        change = tip[1:] != tip[:-1]
-        silent = self.silent | np.append(change, False) | np.append(False, change)
+        silent = self.silent | np.diff(tip, append=tip[-1:]) | np.diff(tip, prepend=tip[:1])
         told = holds.copy()
         told[silent, TIP:] = False
 
@@ -249,17 +246,15 @@ class Case:
         slope = seen(here.by_wrench.constraints)
         of_force = MODEL_ERROR * np.linalg.norm(here.force, axis=1)
         of_tangent = np.full(count, np.hypot(_TANGENT_ERROR, _FRICTION_UNEVEN * friction))
+        floor = np.array([of_force, of_force, MODEL_ERROR * here.steepness, of_tangent])
         elapsed = np.abs(stretches.time[:, None] - stretches.time)
         alike = np.exp(-elapsed / (_CORRELATED * np.ptp(stretches.time)))
-        covariance = np.zeros((count, 4, count, 4))
+        covariance = np.einsum("ik,jl,kl,ij->kilj", floor, floor, alike, np.eye(4))
         own = np.arange(count)
-        covariance[own, :, own, :] = inflation * slope @ stretches.noise @ np.swapaxes(slope, 1, 2)
-        floors = of_force, of_force, MODEL_ERROR * here.steepness, of_tangent
-        for row, floor in enumerate(floors):
-            covariance[:, row, :, row] += np.outer(floor, floor) * alike
-        whole = covariance.reshape(4 * count, -1)[holds.ravel()][:, holds.ravel()]
-        for columns in (slope @ stretches.zero, seen(self.slopes.constraints @ tolerated)):
-            whole = whole + columns[holds] @ columns[holds].T
+        covariance[own, :, own] += inflation * slope @ stretches.noise @ np.swapaxes(slope, 1, 2)
+        lasting = [slope @ stretches.zero, seen(self.slopes.constraints @ tolerated)]
+        columns = np.concatenate(lasting, axis=2)[holds]
+        whole = covariance[holds][:, holds] + columns @ columns.T
         root = np.linalg.cholesky(whole)
         value = np.where(told, here.value, 0.0)[holds]
         alone = (value / np.sqrt(np.diag(whole))).reshape(count, 3)
@@ -300,8 +295,7 @@ def case_of(
     case = Case(bench, none, here, here.by_rod, spread, tolerated)
     with np.errstate(invalid="ignore", divide="ignore"):
         vague = case.deviations[:, TIP] / here.steepness
-    usable = np.isfinite(here.value).all(axis=1) & (vague < _VAGUE)
-    usable &= np.abs(here.arc_length) < _FARTHEST
+    usable = finite(here.value) & (vague < _VAGUE) & (np.abs(here.arc_length) < _FARTHEST)
     if np.count_nonzero(usable) < _FEWEST:
         return None
     strong, here = jax.tree.map(lambda part: part[usable], (contact, here))

@@ -5,7 +5,7 @@ and what is concluded from them.
 from operator import attrgetter
 
 import numpy as np
-from scipy.ndimage import find_objects, label, uniform_filter1d
+from scipy.ndimage import binary_propagation, uniform_filter1d
 
 from vibrissa.inverse.arrays import Flags, Vectors
 from vibrissa.inverse.checks.case import GROSS, Case, case_of, solved
@@ -23,6 +23,7 @@ from vibrissa.inverse.checks.weighing import Tried, Weighed, weighed
 from vibrissa.inverse.checks.wording import apart_line, causes_line, unexplained_line, unit_of
 from vibrissa.inverse.parameters import prepared
 from vibrissa.inverse.result import Reconstruction
+from vibrissa.numerics.runs import runs
 from vibrissa.rod import Rod
 
 _HOPELESS = 0.5
@@ -71,45 +72,43 @@ def judged(found: Reconstruction) -> SetupCheck:
 
 
 def _of_case(found: Reconstruction, case: Case) -> SetupCheck:
-    first, groups, lines = weighed(case, case.phases()), list[list[Tried]](), list[str]()
+    first, told, lines = weighed(case, case.phases()), list[Weighed](), list[str]()
     contradicted = first.matters and not _tolerable(case)
     apart = _apart(found, first, contradicted=contradicted)
     if apart.any():
         lines = [apart_line(found, first.misfit, apart)]
     elif contradicted:
         first = _solved_if_gross(first)
-        groups, lines = _explained(found.rod, first)
+        told = _explained(first)
+        lines = [causes_line(found.rod, here) for here in told]
     misread = contradicted and not lines
     if misread:
         lines = [unexplained_line(found.rod, first)]
     square, rows = first.misfit.square, len(first.misfit.value)
     return SetupCheck(
-        shift=_shift_of_rows(found, case, groups),
+        shift=_shift_of_rows(found, case, told),
         friction=first.friction,
         causes=tuple(_cause(found.rod, one, max(square - rows, 1.0)) for one in first.tried),
         reduced_chi_square=square / rows,
-        named=tuple(tuple(one.name for one in group) for group in groups),
+        named=tuple(tuple(one.name for one in here.alike) for here in told),
         warnings=tuple(lines),
         misread=misread,
         apart=apart,
     )
 
 
-def _explained(rod: Rod, first: Weighed) -> tuple[list[list[Tried]], list[str]]:
-    """Up to three groups of causes, one after the other, each with the likeliest before taken off,
-    and a line on each.
+def _explained(first: Weighed) -> list[Weighed]:
+    """Up to three groups of causes, one after the other, each with the likeliest before taken
+    off.
     """
-    groups: list[list[Tried]] = []
-    lines: list[str] = []
-    least, here = _FURTHER * first.tried[0].score, first
-    while len(groups) < _MOST and here.explains(least):
-        groups.append(here.alike)
-        lines.append(causes_line(rod, here))
+    told, least, here = list[Weighed](), _FURTHER * first.tried[0].score, first
+    while len(told) < _MOST and here.explains(least):
+        told.append(here)
         case, likeliest = here.case, here.tried[0]
         step, most = SUSPECTS[likeliest.name] @ likeliest.size, GROSS * case.spread
         case = case.about(case.errors + np.clip(step, -most, most))
         here = weighed(case, case.phases(started=False))
-    return groups, lines
+    return told
 
 
 def _solved_if_gross(first: Weighed) -> Weighed:
@@ -164,15 +163,15 @@ def _apart(found: Reconstruction, first: Weighed, *, contradicted: bool) -> Flag
     if contradicted and (excess < rows or first.tried[0].explained > _NEARLY_ALL * excess):
         return samples
     square = uniform_filter1d(np.sum(misfit.alone**2, axis=1), _WINDOW, mode="nearest")
-    runs, _ = label(square > _PERHAPS)
-    apart = np.isin(runs, runs[square > (_SURELY if contradicted else _GROSSLY)])
+    least = _SURELY if contradicted else _GROSSLY
+    apart = binary_propagation(square > least, mask=square > _PERHAPS)
     if 0 < np.mean(apart) < _MOST_APART:
         stretches, to_sensor = case.bench.stretches, case.bench.to_sensor
         rest = case_of(stretches.chosen(~apart), to_sensor, found.friction, case.tolerated)
         if rest and not _of_case(found, rest).warnings:
-            for (run,) in find_objects(label(apart)[0]):
+            for start, stop in runs(apart):
                 # Those between neighbours, too.
-                samples[stretches.first[run][0] : stretches.last[run][-1]] = True
+                samples[stretches.first[start] : stretches.last[stop - 1]] = True
     return samples
 
 
@@ -189,13 +188,13 @@ def _cause(rod: Rod, one: Tried, total: float) -> Cause:
     )
 
 
-def _shift_of_rows(found: Reconstruction, case: Case, groups: list[list[Tried]]) -> Vectors:
+def _shift_of_rows(found: Reconstruction, case: Case, told: list[Weighed]) -> Vectors:
     """World axes and units of the rod: of each group the largest, all together."""
     stretches, time = case.bench.stretches, found.reactions.time
     assert time is not None
     total = np.zeros((len(stretches.time), 3))
-    for group in groups:
-        each = np.stack([one.moved for one in group])
+    for here in told:
+        each = np.stack([one.moved for one in here.alike])
         largest = np.argmax(np.linalg.norm(each, axis=2), axis=0)
         total += each[largest, np.arange(len(total))]
     world = np.einsum("kij,kj->ki", stretches.turn, total) * found.rod.length

@@ -115,10 +115,9 @@ class Bench(NamedTuple):
         for what is added to them.
         """
         turned = scipy.spatial.transform.Rotation.from_rotvec(-errors[ROTATION]).as_matrix()
-        moved = np.eye(6)
-        moved[3:, :3] = -cross_matrices(errors[POSITION])
+        moved = sensor_matrix(turned, -turned @ errors[POSITION])
         gained = (self.to_clamp / (1 + errors[GAIN])) @ self.to_sensor
-        return np.asarray(np.exp(-errors[STIFFNESS]) * np.kron(np.eye(2), turned) @ moved @ gained)
+        return np.asarray(np.exp(-errors[STIFFNESS]) * moved @ gained)
 
     def wrench(self, errors: BenchErrors) -> Wrenches:
         """Base wrenches in true clamp axes and in units of the true stiffness and the stated
@@ -141,8 +140,7 @@ class Bench(NamedTuple):
     @property
     def reaction(self) -> Float[np.ndarray, "6 3"]:
         """By load: what the straight rod's load made of the zero."""
-        axes = self.rest.T
-        return np.concatenate([-axes, -0.5 * cross_matrices(np.array([0.0, 0.0, 1.0])) @ axes])
+        return -sensor_matrix(self.rest.T, np.array([0.0, 0.0, 0.5]))[:, :3]
 
     def constraints(self, errors: BenchErrors) -> Constraints:
         """Of the rod with these errors taken off; s₁ and lengths in the stated one's."""

@@ -26,6 +26,7 @@ from vibrissa.inverse.arrays import (
 )
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import in_clamp_axes
+from vibrissa.numerics.runs import runs
 
 _MOST = 96
 """Stretches in contact: an elastica's curves through so many are straight to 3e-5 of their range,
@@ -136,10 +137,9 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
 def _spans(rows: Flags, most: int) -> list[tuple[int, int]]:
     """Runs of rows [first, last), cut into about equal parts, `most` in all."""
     size = max(1, -(-int(np.count_nonzero(rows)) // most))
-    runs = np.flatnonzero(np.diff(rows, prepend=False, append=False)).reshape(-1, 2)
     cuts = [
         np.linspace(start, stop, max(1, round((stop - start) / size)) + 1).astype(int)
-        for start, stop in runs
+        for start, stop in runs(rows)
     ]
     return [span for cut in cuts for span in pairwise(cut.tolist())]
 

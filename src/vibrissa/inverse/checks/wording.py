@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.ndimage import find_objects, label
 
 from vibrissa.inverse.arrays import Flags
 from vibrissa.inverse.checks.case import Misfit, Numbers
@@ -12,6 +11,7 @@ from vibrissa.inverse.checks.findings import Cause, length_text
 from vibrissa.inverse.checks.rig import SUSPECTS
 from vibrissa.inverse.checks.weighing import MATTERS, Weighed
 from vibrissa.inverse.result import Reconstruction
+from vibrissa.numerics.runs import runs
 from vibrissa.rod import Rod
 
 _SHOWN = 4
@@ -60,8 +60,9 @@ def apart_line(found: Reconstruction, misfit: Misfit, rows: Flags) -> str:
     """On rows that contradict the rest of the sweep."""
     time = found.reactions.time
     assert time is not None
-    spans = [time[run] for run in find_objects(label(rows)[0])]
-    when = " and ".join(f"from {own[0]:.4g} to {own[-1]:.4g} s" for own in spans)
+    when = " and ".join(
+        f"from {time[start]:.4g} to {time[stop - 1]:.4g} s" for start, stop in runs(rows)
+    )
     return (
         f"{when} force and moment are those of no single contact, by up to "
         f"{np.abs(misfit.alone).max():.0f} standard deviations, while the rest agrees with the "

@@ -22,7 +22,7 @@ from scipy.special import chdtri
 from vibrissa.contacts import Status
 from vibrissa.geometry.checks import finite_array, not_negative, positive, share
 from vibrissa.inverse.parameters import COUNT, Changes, Rig, changes, prepared, velocities_of
-from vibrissa.inverse.shared import in_clamp_axes
+from vibrissa.inverse.shared import in_clamp_axes, with_shared
 from vibrissa.inverse.smoothing import kalman
 from vibrissa.inverse.smoothing.estimate import located
 from vibrissa.inverse.smoothing.fit import OUTLIER
@@ -284,14 +284,7 @@ class CausalSmoother:
         found: _Found = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(time)], *told)
         rows = located(rod, trail, found.linear, found.errors, found.seen, found.moved)
         rows["covariance"] = rows["covariance"] + self._floor
-        sensitivity = rows["sensitivity"]
-        shared = sensitivity @ self._errors @ np.swapaxes(sensitivity, 1, 2)
-        rows |= {
-            "covariance_noise": rows["covariance"],
-            "normal_covariance_noise": rows["normal_covariance"],
-            "covariance": rows["covariance"] + rod.length**2 * shared[:, :3, :3],
-            "normal_covariance": rows["normal_covariance"] + shared[:, 3:, 3:],
-        }
+        rows = with_shared(rows, rod.length, self._errors)
         touching = (found.probability >= 0.5) & self._loaded(wrench, found.zero)
         sound = finite(wrench)
         return LiveContact(

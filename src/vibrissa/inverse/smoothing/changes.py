@@ -27,10 +27,10 @@ from vibrissa.inverse.smoothing.model import (
     Samples,
     group_starts,
     merged,
-    runs_of,
     steps_of,
 )
 from vibrissa.inverse.smoothing.phases import raw_arc_lengths
+from vibrissa.numerics.runs import runs
 
 _MARGIN = 96
 """Samples about a place within which others of it are told from each other."""
@@ -195,12 +195,12 @@ def _with_fewer_phases(fit: Fit) -> Fit:
     """
     given = fit.labels.phase
     for kind, other_kind in ((TIP, TANGENTIAL), (TANGENTIAL, TIP)):
-        for rows in runs_of(given == kind):
-            first, stop, phase = rows.start, rows.stop, fit.labels.phase
+        for first, stop in runs(given == kind):
+            phase = fit.labels.phase
             beside = {*phase[:first][-1:], *phase[stop:][:1]} - {FREE}
             if stop - first > _SHORT_RUN or beside - {other_kind}:
                 continue
-            other = fit.labels.in_phase(other_kind, rows)
+            other = fit.labels.in_phase(other_kind, slice(first, stop))
             values = log_likelihoods(fit, [fit.labels, other], first - _MARGIN, stop + _MARGIN)
             if values[1] > values[0] - _LEAST_GAIN * bool(beside):
                 fit = fit._replace(labels=other)
@@ -212,7 +212,8 @@ def _with_tangential_phases(fit: Fit) -> Fit:
     themselves put the contact most clearly before the tip.
     """
     value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
-    for rows in runs_of(fit.labels.phase == TIP):
+    for run in runs(fit.labels.phase == TIP):
+        rows = slice(*run)
         edges = rows.start + _clearly_short(value[rows], deviation[rows] ** -2)
         if not edges.size:
             continue

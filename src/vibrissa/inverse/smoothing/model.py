@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.ndimage import binary_dilation
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse.result import Reconstruction
@@ -38,6 +38,7 @@ from vibrissa.inverse.smoothing.manifold import (
     finite,
     linearised,
 )
+from vibrissa.numerics.runs import runs
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
 Samples = Float[np.ndarray, "_"]
@@ -178,7 +179,7 @@ class Labels(NamedTuple):
     @property
     def contacts(self) -> list[slice]:
         """Rows of each contact."""
-        return runs_of(self.touching)
+        return [slice(*run) for run in runs(self.touching)]
 
     @property
     def begins(self) -> Flags:
@@ -201,11 +202,6 @@ class Labels(NamedTuple):
     def contact(self) -> Codes:
         """Number of the contact, or of the stretch without, that each sample belongs to."""
         return np.cumsum(np.diff(self.touching, prepend=False))
-
-
-def runs_of(flags: Flags) -> list[slice]:
-    """Rows of each run of true flags."""
-    return [rows for (rows,) in find_objects(label(flags)[0])]
 
 
 class Fit(NamedTuple):

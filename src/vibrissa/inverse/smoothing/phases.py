@@ -36,9 +36,9 @@ from vibrissa.inverse.smoothing.model import (
     Labels,
     Samples,
     Series,
-    runs_of,
 )
 from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.runs import runs
 
 DETECTION_SAMPLES = 5
 """Averaged before a load is tested, so that one outlier in a thousand is no contact."""
@@ -78,8 +78,8 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     mean = _running_sum(load, DETECTION_SAMPLES) / seen[:, None]
     loaded = (count > 0) & (load_chi_square(mean, seen, zero) > chdtri(WRENCH, false_alarm))
     around = np.pad(loaded, 1)
-    for rows in runs_of(~series.sound):
-        loaded[rows] = around[rows.start] & around[rows.stop + 1]
+    for start, stop in runs(~series.sound):
+        loaded[start:stop] = around[start] & around[stop + 1]
     size = _LONGEST_GAP + 1
     closed = binary_closing(np.pad(loaded, size, mode="edge"), np.ones(size))[size:-size]
     return binary_opening(closed, np.ones(_LEAST_SAMPLES)) & ~series.ringing
@@ -128,7 +128,8 @@ def first_labels(series: Series, zero: Gaussian, false_alarm: float) -> tuple[Co
     """Phase and rough arc length (model units) of each sample, for what is known of the zero."""
     phase, arc_length = np.full(len(series.time), FREE), np.ones(len(series.time))
     value, deviation = raw_arc_lengths(series, zero.mean)
-    for rows in runs_of(detected(series, zero, false_alarm)):
+    for run in runs(detected(series, zero, false_alarm)):
+        rows = slice(*run)
         phase[rows], average = _phases_of(value[rows], deviation[rows])
         arc_length[rows] = np.where(phase[rows] == TANGENTIAL, np.clip(average, 0.05, 1.0), 1.0)
     return phase, arc_length

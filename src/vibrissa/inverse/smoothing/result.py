@@ -140,8 +140,7 @@ class LiveContact:
     @property
     def contacts(self) -> Contacts:
         """The same as scans and reconstructions hand them out."""
-        shared = {field.name for field in fields(Contacts)} - {"sweep"}
-        return Contacts(**{name: getattr(self, name) for name in shared})
+        return Contacts.of(self, self.time)
 
     def __getitem__(self, rows: Any) -> "LiveContact":
         """Return one sample's contact, or some."""

@@ -13,6 +13,7 @@ import numpy as np
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative, share
 from vibrissa.inverse.checks.check import with_contradictions, with_delay
+from vibrissa.inverse.parameters import prepared
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
 from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
@@ -29,11 +30,11 @@ from vibrissa.inverse.smoothing.model import (
     NoMotionError,
     Samples,
     incidence_spread_of,
-    runs_of,
     series_of,
 )
 from vibrissa.inverse.smoothing.phases import with_jumps, with_snaps
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
+from vibrissa.numerics.runs import runs
 
 _ROUNDS = 4
 """Of looking for jumps: each finds all that are not close to others."""
@@ -106,7 +107,8 @@ def smooth(
         name: parts[0][name] if alone else np.stack([part[name] for part in parts])
         for name in parts[0]
     }
-    smoothed = with_shared(replace(found, **rows, smoothing=told))
+    errors = prepared(found.rod, found.reactions.setup_errors).covariance
+    smoothed = replace(found, **with_shared(rows, found.rod.length, errors), smoothing=told)
     smoothed = with_delay(smoothed) if alone else smoothed
     # What the check of the setup says of these errors, beside what smoothing found.
     checked, ours = with_contradictions(smoothed), smoothed.status == Status.SETUP_CONTRADICTED
@@ -165,7 +167,7 @@ def _segments_of(resting: Flags) -> list[tuple[slice, slice]]:
     while count - low > _LONGEST:
         high, middle = low + _LONGEST, low + _LONGEST // 2
         stop, cut, following = high, high - _OVERLAP // 2, high - _OVERLAP
-        rests = ((run.stop - run.start, run.start) for run in runs_of(resting[middle:high]))
+        rests = ((last - first, first) for first, last in runs(resting[middle:high]))
         size, start = max(rests, default=(0, 0))
         if size > _REST:
             stop = cut = following = middle + start + (size - 1) // 2
@@ -229,10 +231,10 @@ def _touches(labels: np.ndarray, edges: np.ndarray, deviation: Samples) -> tuple
     begins = np.diff(phase, prepend=FREE) != 0
     broken = (link == JUMP) | (link > GO_ON) & ~begins
     touches = []
-    for rows in runs_of(phase != FREE):
-        first, last = rows.start, rows.stop - 1
+    for first, stop in runs(phase != FREE):
+        last = stop - 1
         changes, jumps = (
-            first + 1 + np.flatnonzero(part[first + 1 : rows.stop]) for part in (begins, broken)
+            first + 1 + np.flatnonzero(part[first + 1 : stop]) for part in (begins, broken)
         )
         places = np.stack([edges[first, 0], edges[last, 1]], axis=1).ravel().tolist()
         told: list[Any] = [None if np.isnan(place) else place for place in places]

@@ -358,16 +358,17 @@ def _within_the_rod(
         return value, value
 
     def step(last: Any) -> Any:
-        done, at = last[0] + 1, last[1]
+        done, at, _, _, beyond, _ = last
         slope, value = jax.jacfwd(log_arc_length, has_aux=True)(at)
+        beyond = jnp.where(done == 0, value > 0, beyond)
         moved, deviations = towards(wrench, at, value, slope, covariance)
         change = jnp.max(jnp.abs(moved - at)) > _SETTLED * jnp.max(jnp.abs(wrench))
-        return done, moved, deviations, value, change & (done < _TIP_STEPS)
+        go_on = beyond & change & (done + 1 < _TIP_STEPS)
+        return done + 1, moved, deviations, value, beyond, go_on
 
-    beyond = log_arc_length(wrench)[0] > 0
-    none = jnp.zeros(())
-    start = jnp.zeros((), int), wrench, none, none, beyond
-    _, limited, deviations, value, _ = lax.while_loop(lambda last: last[-1], step, start)
+    none, yes = jnp.zeros(()), jnp.ones((), dtype=bool)
+    start = jnp.zeros((), dtype=int), wrench, none, none, yes, yes
+    _, limited, deviations, value, beyond, _ = lax.while_loop(lambda last: last[-1], step, start)
     near = (jnp.abs(value) < TIP) & (jnp.abs(deviations) < _TIP_DEVIATIONS)
     chosen = jnp.where(near, limited, jnp.where(off_straight < _TIP_DEVIATIONS, straight, wrench))
     return jnp.where(beyond, chosen, wrench)

@@ -205,6 +205,7 @@ def cells_of(
         skipinitialspace=True,
         skip_blank_lines=False,
         low_memory=False,
+        float_precision="round_trip",
     )
     if len(frame) != len(rows):
         raise ValueError("a quote is not closed")

@@ -255,6 +255,8 @@ def numbers_of(
     else:
         points = texts if decimal == "." else texts.replace({r"\.": "?", ",": "."}, regex=True)
         numbers = pd.to_numeric(points, errors="coerce").astype(float)
+        # Before pandas 3.1 these are wrong in the last digit.
+        numbers[numbers.notna()] = points[numbers.notna()].astype(float)
     lost = texts[numbers.isna()]
     bad = lost[~lost.str.lower().isin(("nan", "-nan", *missing))]
     if len(bad):

@@ -43,8 +43,8 @@ from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
 """Median residual, in that of noise, beyond which nothing that is fitted explains the data."""
-_MOST_ROUNDS = 5
-"""Of leaving rows out and of the unevenness's size, which settle in two or three."""
+_MOST_ROUNDS = 10
+"""Of leaving rows out and of the unevenness's size, which settle in two to five."""
 _ALIKE = 0.1
 """Relative change of the unevenness that is not worth another fit: less than a grid's step."""
 _GOOD_SPREAD = 1.1
@@ -177,7 +177,7 @@ def calibrate(
 def _calibrated(
     problem: Problem, setup: SetupType, names: tuple[str, ...], known: Tolerances | None
 ) -> Calibration[SetupType]:
-    """Fit; hold what the solution shows to be open, and fit anew without it."""
+    """Fit; hold what the solution shows to be open, and fit on without it."""
     allowed, rod = known or Tolerances(), setup.rod
     states = _states(problem, problem.start, np.zeros((problem.rows.recordings, 1, WRENCH)), rod)
     pivot = _pivot(problem.surface, np.asarray(states.point))
@@ -193,17 +193,23 @@ def _calibrated(
     spreads, scales = np.append(problem.prior, list(more.values())), problem.scales
     problem = replace(problem, prior=np.clip(spreads, _EXACT * scales, _UNKNOWN * scales))
     chosen, held = problem.free, dict[str, tuple[str, ...]]()
-    while problem.free:
-        linear = _refined(_best(problem, states, rod))
+    linear = _best(problem, states, rod)
+    while True:
+        # What is open before all is refined stays so: another fit of it would be in vain.
         opened = undetermined(linear)
+        if not opened:
+            linear = _refined(linear)
+            opened = undetermined(linear)
         if not opened:
             _check_explained(linear)
             groups = tuple(dict.fromkeys([*names, *(one.group for one in chosen)]))
             return _result(setup, groups, chosen, held, linear, known, within)
-        problem, held = linear.problem.without(opened), held | opened
-    raise CalibrationError(
-        f"these recordings determine none of the free parameters: {', '.join(held)}"
-    )
+        held |= opened
+        if len(opened) == len(linear.problem.free):
+            raise CalibrationError(
+                f"these recordings determine none of the free parameters: {', '.join(held)}"
+            )
+        linear = fitted(*linear.without(opened))
 
 
 def _refined(linear: Linear) -> Linear:

@@ -65,7 +65,7 @@ class Reading(NamedTuple):
         return self.by_step.turn - self.by_step.shift @ cross_matrices(arm)
 
 
-@lanes(blocks=4)
+@lanes(width=16)
 def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
     """Readings of rows in contact, each equilibrium sought from a state, under its tangential
     force.

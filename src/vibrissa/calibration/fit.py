@@ -26,9 +26,9 @@ _MANY = 1e3
 """Standard deviations of offsets that are worth such a step: they follow the parameters."""
 _MOST_STEPS, _MOST_SCALES = 60, 8
 _DONE = 0.03
-"""Step to the minimum, in standard deviations of it, that is not worth taking."""
-_MOST_TRIALS = 8
-"""Of ever shorter steps that all fail: the cost has a kink where a row changes its phase."""
+"""Step to the minimum, in standard deviations of it, that is not worth taking; nor is a shorter one
+after it has failed: the cost jumps where a row changes its phase.
+"""
 _SETTLED = 0.02
 """Relative change of the rows' scale that does not change the fit."""
 _LEAST_SHARE = 0.5
@@ -84,15 +84,15 @@ def _descended(start: Linear, scale: float) -> Linear:
     limit = scale * problem.outlying
     offsets = np.diag(start.information(start.weights(scale)))[len(problem.free) :]
     units = np.append(_LONGEST_STEP * problem.scales, _MANY / np.sqrt(offsets))
-    here, tried, failed = start, start, 0
+    here = tried = start
 
     def at(x: Unknowns) -> Linear:
-        nonlocal tried, failed
+        nonlocal tried
         values = start.point.values + units * x
         for known in (here, tried):
             if np.array_equal(values, known.point.values):
                 return known
-        tried, failed = linearised(problem, here.nearby(values)), failed + 1
+        tried = linearised(problem, here.nearby(values))
         return tried
 
     def cost(x: Unknowns) -> float:
@@ -103,9 +103,8 @@ def _descended(start: Linear, scale: float) -> Linear:
         return float(np.sum(huber(limit, near)[~problem.disturbed]) + prior @ prior / 2)
 
     def slope(x: Unknowns) -> Unknowns:
-        nonlocal here, failed
-        if at(x) is not here:
-            here, failed = at(x), 0
+        nonlocal here
+        here = at(x)
         return -units * here.downhill(here.weights(scale))
 
     @lru_cache(maxsize=1)
@@ -113,9 +112,10 @@ def _descended(start: Linear, scale: float) -> Linear:
         return there.information(there.weights(scale)) * np.outer(units, units)
 
     def stop(x: Unknowns) -> None:
-        pull = slope(x)
-        close = pull @ np.linalg.solve(curved(here), pull) < _DONE**2
-        if close or failed == _MOST_TRIALS or here.spread < scale / 2:
+        pull, matrix = slope(x), curved(here)
+        failed = (tried.point.values - here.point.values) / units
+        lengths = pull @ np.linalg.solve(matrix, pull), failed @ matrix @ failed or math.inf
+        if min(lengths) < _DONE**2 or here.spread < scale / 2:
             raise StopIteration
 
     minimize(

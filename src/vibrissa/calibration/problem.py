@@ -129,13 +129,6 @@ class Problem:
         shape = (self.rows.recordings, self.trends.shape[1], WRENCH)
         return values[len(self.free) :][: np.prod(shape)].reshape(shape)
 
-    def without(self, names: "dict[str, tuple[str, ...]]") -> "Problem":
-        """With some parameters held, and an even object."""
-        keep = [one.name not in names for one in self.free]
-        return replace(
-            self, free=list(compress(self.free, keep)), prior=self.prior[keep], unevenness=0.0
-        )
-
 
 class Point(NamedTuple):
     """Where the iteration is."""
@@ -258,6 +251,19 @@ class Linear:
         own = contact[good[np.round(nearest).astype(int)]]
         state = self.reading.state._replace(leaning=forces)
         return Point(values, jax.tree.map(lambda part: part[own], state))
+
+    def without(self, names: "dict[str, tuple[str, ...]]") -> tuple[Problem, Point]:
+        """The problem with some parameters held, and an even object, and where to go on from."""
+        problem, (values, states) = self.problem, self.point
+        keep = [one.name not in names for one in problem.free]
+        left = replace(
+            problem,
+            free=list(compress(problem.free, keep)),
+            prior=problem.prior[keep],
+            unevenness=0.0,
+        )
+        steps, others = np.split(values, [len(keep)])
+        return left, Point(np.append(steps[keep], others), states)
 
 
 def by_rows(matrix: Float[np.ndarray, "n i j"], vector: Float[np.ndarray, "n j"]) -> np.ndarray:

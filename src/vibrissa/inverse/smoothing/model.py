@@ -48,6 +48,8 @@ Rates = Float[np.ndarray, "coordinates"]
 Coordinates = Float[np.ndarray, "n coordinates"]
 
 FREE, TIP, TANGENTIAL = (int(kind) for kind in ContactKind)
+UNSEEN = -1
+"""The phase before a series: one that begins in contact begins with any load."""
 GO_ON, KINK, JUMP = 0, 1, 2
 """How a sample continues the one before: evenly, with other rates, or not at all."""
 TARED = Gaussian(np.zeros(WRENCH), 0.02 * np.eye(WRENCH))
@@ -183,8 +185,8 @@ class Labels(NamedTuple):
 
     @property
     def begins(self) -> Flags:
-        """Where the phase is another one than before, contact or not."""
-        return np.diff(self.phase, prepend=FREE) != 0
+        """Where the phase is another one than that before, contact or not."""
+        return np.diff(self.phase, prepend=self.phase[:1]) != 0
 
     @property
     def breaks(self) -> Codes:
@@ -226,8 +228,9 @@ class Fit(NamedTuple):
     """
 
     def rows(self, rows: slice) -> "Fit":
-        """Some of the samples."""
-        return Fit._make([*jax.tree.map(lambda part: part[rows], self[:6]), *self[6:]])
+        """Some of the samples; of the zero, what the samples before these tell."""
+        part = Fit._make([*jax.tree.map(lambda part: part[rows], self[:6]), *self[6:]])
+        return part._replace(zero=Gaussian(*(each[0] for each in part.states.expected_zero)))
 
     def about(self, linear: Linear) -> "Fit":
         """About other coordinates."""
@@ -291,15 +294,16 @@ def entries(
     """
     phase, link, share, _ = labels
     tip, touching = phase == TIP, labels.touching
-    onset, anew = touching & (before == FREE), touching & (link == JUMP)
-    changed = touching & ~onset & ~anew & (phase != before)
-    new_rates = onset | (touching & (link > GO_ON) & ~changed)
+    anew = touching & ((link == JUMP) | (before == UNSEEN))
+    begins = anew | touching & (before == FREE)
+    changed = touching & ~begins & (phase != before)
+    new_rates = begins | (touching & (link > GO_ON) & ~changed)
     # A contact that begins with the flank begins anywhere on the rod.
-    flank = (onset | anew) & ~tip
+    flank = begins & ~tip
     keep, (begin, spread) = np.ones((len(x), SIZE)), np.zeros((2, len(x), SIZE))
     keep[anew, PLACE], spread[anew, :LOADS] = 0, _LOAD_SPREAD**2
     begin[anew, :TILT] = x[anew, :TILT]
-    spread[onset | anew, TILT] = TILT_SPREAD**2
+    spread[begins, TILT] = TILT_SPREAD**2
     keep[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, arc_length_variance
     begin[flank, ARC_LENGTH] = x[flank, ARC_LENGTH]
     keep[new_rates, RATE], spread[new_rates, RATE] = 0, rates**2
@@ -331,7 +335,7 @@ def steps_of(fit: Fit) -> Step:
     )
     variance[:, WRENCH + 1] = np.where(tangential & shows, within, np.inf)
     return Step(
-        *entries(np.append(FREE, phase[:-1]), labels, x, fit.rates),
+        *entries(np.append(UNSEEN, phase[:-1]), labels, x, fit.rates),
         np.diff(series.time, prepend=series.time[0]),
         labels.pace,
         residual + np.einsum("nij,nj->ni", slope, linear.x),
@@ -349,18 +353,17 @@ def together_for(labels: Labels, *, rough: bool = True) -> int:
 
 
 def group_starts(
-    candidates: list[Labels], also: Codes | None = None, together: int = TOGETHER
+    candidates: list[Labels], *also: Codes, together: int = TOGETHER
 ) -> Int[np.ndarray, "groups"]:
     """First samples of groups of 4, or of 32 without contact; in none of the candidates something
     changes within a group or where one begins, nor does the number `also`.
     """
-    phase, link = (np.stack(rows) for rows in list(zip(*candidates, strict=True))[:2])
-    changes = (np.diff(phase, prepend=phase[:, :1]) != 0) | (link > GO_ON)
-    size = np.where(np.any(phase != FREE, axis=0), together, _TOGETHER_FREE)
-    begins = binary_dilation(changes.any(axis=0)) | (np.diff(size, prepend=0) != 0)
-    if also is not None:
-        begins |= np.diff(also, prepend=also[0]) != 0
-    place = np.arange(len(size))
+    touching = np.any([labels.touching for labels in candidates], axis=0)
+    size, place = np.where(touching, together, _TOGETHER_FREE), np.arange(len(touching))
+    breaks = np.concatenate([labels.breaks for labels in candidates])
+    begins = binary_dilation(np.isin(place, breaks))
+    for number in (size, *also):
+        begins |= np.diff(number, prepend=0) != 0
     first = np.maximum.accumulate(np.where(begins, place, 0))
     return np.flatnonzero((place - first) % size == 0)
 
@@ -396,7 +399,8 @@ def spread_out(states: States, groups: Step, steps: Step, starts: Codes) -> Stat
     parts = jax.tree.map(lambda part: part[number], states)
     since = np.cumsum(steps.duration) - np.cumsum(groups.duration)[number]
     parts.mean[:, PLACE] += (steps.active.T * since * parts.mean[:, RATE].T).T
-    parts.log_likelihood[np.diff(number, prepend=-1) == 0] = 0
+    for told in (parts.log_likelihood, parts.score):
+        told[np.diff(number, prepend=-1) == 0] = 0
     return parts
 
 

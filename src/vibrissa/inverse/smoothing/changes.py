@@ -27,7 +27,6 @@ from vibrissa.inverse.smoothing.model import (
     Samples,
     group_starts,
     merged,
-    smoothed_states,
     steps_of,
 )
 from vibrissa.inverse.smoothing.phases import raw_arc_lengths
@@ -295,10 +294,11 @@ def _limit(fit: Fit, first: int) -> float:
     which what follows tells the loads there [s].
     """
     cut = fit.rows(slice(first, None))
-    zero = Gaussian(*(part[0] for part in cut.states.zero))
-    cut = cut._replace(labels=cut.labels.copy(), zero=zero)
+    cut = cut._replace(labels=cut.labels.copy())
     cut.labels.link[0] = JUMP
-    states = smoothed_states(cut, steps_of(cut))
+    before = Gaussian(*(part[0] for part in cut.states.zero))
+    steps = merged(steps_of(cut), group_starts([cut.labels]))
+    states = kalman.smoothed(steps, fit.intensities, kalman.at_rest(before))
     rates, told = states.mean[0, RATE][:LOADS], states.covariance[0, :LOADS, :LOADS]
     return float(max(rates @ np.linalg.solve(told, rates), TINY)) ** -0.5
 

@@ -344,12 +344,12 @@ def _one(
         mean = mean.at[ARC_LENGTH, 0].set(jnp.clip(mean[ARC_LENGTH, 0], 0.05, 1.0))
         # The sample about the prediction, its squared distance from it, and its errors by setup.
         linear = linear_at(mean[PLACE, 0])
-        residual, slope = observed(linear, wrench, settings.whitening, jnp)
+        target, slope = observed(linear, wrench, settings.whitening, jnp)
         value, slope = linear.value, slope * (kind != FREE)
         by_setup = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
         seen = settings.whitening @ by_setup.wrench * (kind != FREE)
         columns = jnp.zeros((ROWS, COUNT)).at[:WRENCH].set(-seen)
-        target = jnp.column_stack([residual + slope @ linear.x, columns])
+        target = jnp.column_stack([target, columns])
         step = step._replace(target=target, slope=slope)
         design = kalman.design(step)[:WRENCH]
         away = target[:WRENCH, 0] - design @ mean[:, 0]

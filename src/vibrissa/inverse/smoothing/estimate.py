@@ -17,7 +17,6 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
-from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.parameters import COUNT, Changes, changes_of_rows, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import pose_errors, sensitivities
@@ -105,7 +104,7 @@ def located(
     the coordinates. Covariances are without what the sweep shares; they hold the model's error, and
     errors of the robot's pose as `given`: not taken to be others in each sample, they stay in full.
     """
-    value, turn = linear.value, rotation_matrices(trail.orientation)
+    value, turn = linear.value, trail.rotation
     reach, direction = ((turn @ part[..., None])[..., 0] for part in (value.reach, value.direction))
     point = trail.position + rod.length * reach
     by_coordinates, by_setup = (
@@ -197,8 +196,7 @@ def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags
     status = np.where(elsewhere, Status.SETUP_CONTRADICTED, status)
     # Contacts and their parts between jumps, of which each may be too weak or too short.
     total = _sums(np.cumsum(labels.link == JUMP) + labels.contact, labels.touching)
-    wrench = np.nan_to_num(fit.linear.value.wrench)
-    force = np.einsum("nij,nj->ni", fit.series.whitening, wrench)[:, :3]
+    force = fit.series.whiten(np.nan_to_num(fit.linear.value.wrench))[:, :3]
     weak = touching & (total(np.sum(force**2, axis=1)) < _LITTLE)
     status = np.where(weak & (status == Status.OK), Status.AMBIGUOUS, status)
     raw = touching & ((total(1) < _LEAST_ROWS) | ~known)

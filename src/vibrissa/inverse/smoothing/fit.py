@@ -137,9 +137,8 @@ def squared_residuals(fit: Fit) -> Samples:
     motion follows the noise.
     """
     series = fit.series
-    away = series.wrench - fit.linear.value.wrench
-    whitened = np.einsum("nij,nj->ni", series.whitening, away)
-    squared = np.sum((whitened - fit.states.mean[:, DRIFT]) ** 2, axis=1)
+    away = series.whiten(series.wrench - fit.linear.value.wrench)
+    squared = np.sum((away - fit.states.mean[:, DRIFT]) ** 2, axis=1)
     return np.where(np.isfinite(squared), squared, 0.0)
 
 

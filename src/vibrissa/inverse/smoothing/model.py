@@ -109,10 +109,14 @@ class Series(NamedTuple):
         steps = np.diff(self.time)
         return float(np.median(steps[steps > 0.01 * steps.mean()])) if steps.size else 1.0
 
+    def whiten(self, wrench: Float[np.ndarray, "n wrench"]) -> Float[np.ndarray, "n wrench"]:
+        """Wrenches in standard deviations, independent of each other."""
+        return np.einsum("nij,nj->ni", self.whitening, wrench)
+
     @property
     def whitened(self) -> Float[np.ndarray, "n wrench"]:
-        """Wrench in standard deviations, independent of each other."""
-        return np.einsum("nij,nj->ni", self.whitening, self.wrench)
+        """What was measured, in standard deviations."""
+        return self.whiten(self.wrench)
 
 
 def series_of(found: Reconstruction, time: Samples) -> Series:
@@ -158,7 +162,7 @@ class Labels(NamedTuple):
 
     def copy(self) -> "Labels":
         """Labels to write into."""
-        return Labels(*(part.copy() for part in self))
+        return jax.tree.map(np.copy, self)
 
     def in_phase(self, phase: int, rows: slice) -> "Labels":
         """Labels with these rows in this phase."""
@@ -266,18 +270,17 @@ def incidence_spread_of(friction: float | None, errors: SetupErrors | None) -> f
 
 
 def observed(linear: Linear, wrench: Any, whitening: Any, xp: ModuleType = np) -> tuple[Any, Any]:
-    """What a contact shows, less what is expected of it, and the derivatives of that by the
-    coordinates: the whitened wrench, s₁ = 1 and k² = ½. `xp` is NumPy or its JAX counterpart.
+    """What a contact shows, linear in its coordinates, and the derivatives by them: the whitened
+    wrench, s₁ = 1 and k² = ½. `xp` is NumPy or its JAX counterpart.
     """
-    value, slope = linear.value, linear.slope
+    x, value, slope = linear
     residual = (whitening @ (wrench - value.wrench)[..., None])[..., 0]
-    short = 1 - linear.x[..., ARC_LENGTH, None]
+    short = 1 - x[..., ARC_LENGTH, None]
     of_short = xp.zeros_like(slope.incidence) + np.eye(COORDINATES)[ARC_LENGTH]
     rows = whitening @ slope.wrench, of_short[..., None, :], slope.incidence[..., None, :]
-    return (
-        xp.concatenate([residual, short, 0.5 - value.incidence[..., None]], axis=-1),
-        xp.concatenate(rows, axis=-2),
-    )
+    away = xp.concatenate([residual, short, 0.5 - value.incidence[..., None]], axis=-1)
+    slopes = xp.concatenate(rows, axis=-2)
+    return away + xp.einsum("...ij,...j->...i", slopes, x), slopes
 
 
 def entries(
@@ -322,7 +325,7 @@ def steps_of(fit: Fit) -> Step:
     # Without contact, or without a rod of such coordinates, nothing depends on them.
     shows = series.sound & finite(fit.linear)
     linear = chosen(shows & labels.touching, fit.linear, 0.0)
-    residual, slope = observed(linear, series.wrench, series.whitening)
+    target, slope = observed(linear, series.wrench, series.whitening)
     variance = np.full((len(phase), ROWS), np.inf)
     variance[shows, :WRENCH] = 1 / fit.weight[shows, None]
     # Where tangential contact passes over into tip contact, the arc length is the rod's.
@@ -338,7 +341,7 @@ def steps_of(fit: Fit) -> Step:
         *entries(np.append(UNSEEN, phase[:-1]), labels, x, fit.rates),
         np.diff(series.time, prepend=series.time[0]),
         labels.pace,
-        residual + np.einsum("nij,nj->ni", slope, linear.x),
+        target,
         slope,
         variance,
     )

@@ -105,10 +105,7 @@ def smooth(
         *(_smoothed(trail, false_alarm, model_error, progress) for trail in found.trails),
         strict=True,
     )
-    rows: dict[str, Any] = {
-        name: parts[0][name] if alone else np.stack([part[name] for part in parts])
-        for name in parts[0]
-    }
+    rows: dict[str, Any] = jax.tree.map(lambda *of: of[0] if alone else np.stack(of), *parts)
     errors = prepared(found.rod, found.reactions.setup_errors).covariance
     smoothed = replace(found, **with_shared(rows, found.rod.length, errors), smoothing=told)
     smoothed = with_delay(smoothed) if alone else smoothed

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from vibrissa.contacts import Status
-from vibrissa.geometry.checks import finite_array, not_negative, positive, share
+from vibrissa.geometry.checks import not_negative, positive, positive_array, share
 from vibrissa.inverse.parameters import COUNT, Changes, Rig, changes, prepared, velocities_of
 from vibrissa.inverse.shared import in_clamp_axes, with_shared
 from vibrissa.inverse.smoothing import kalman
@@ -182,11 +182,7 @@ class CausalSmoother:
         # Of a sweep: accelerations are of the order of the speed squared, and last for its inverse.
         expected = np.array([100.0, 100.0, 1.0, 1e-4, 0.0]) * pace**3 + [0, 0, 0, 0, 1e-4]
         if intensities is not None:
-            expected = finite_array(intensities, "intensities", last=INTENSITIES, ndim=1)
-            if not np.all(expected > 0):
-                raise ValueError(
-                    f"intensities = {expected.tolist()}; allowed are numbers greater than 0"
-                )
+            expected = positive_array(intensities, "intensities", last=INTENSITIES)
         if friction is not None:
             friction = not_negative(friction, "friction")
         spread, rates = incidence_spread_of(friction, setup_errors), _RATES * pace

@@ -227,9 +227,9 @@ def with_jumps(fit: Fit) -> Labels:
 
 def _shock(states: States, rows: Codes, entries: Int[np.ndarray, "k"]) -> Samples:
     """Chi-square of a shock to these entries of the state on the way to a sample."""
-    information = states.information[rows][:, entries][:, :, entries]
+    information = states.information[np.ix_(rows, entries, entries)]
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), TINY))
     relative = information / scale[:, :, None] / scale[:, None, :]
     inverse = np.linalg.pinv(relative, rcond=1e-10, hermitian=True)
-    pull = states.pull[rows][:, entries] / scale
+    pull = states.pull[np.ix_(rows, entries)] / scale
     return np.einsum("ni,nij,nj->n", pull, inverse, pull)

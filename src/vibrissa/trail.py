@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,8 @@ from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts
 from vibrissa.geometry.rotation import (
     Orientation,
     Turn,
+    rotation_matrices,
     rotation_vectors,
-    third_axis,
     turning_axis_to,
     unit_quaternions,
 )
@@ -372,10 +373,15 @@ class Trail:
         """Batch shape: (n,) or (m, n)."""
         return self.position.shape[:-1]
 
+    @cached_property
+    def rotation(self) -> Float[np.ndarray, "*trail n 3 3"]:
+        """Matrices that take clamp axes to world axes."""
+        return rotation_matrices(self.orientation)
+
     @property
     def axis(self) -> Float[np.ndarray, "*trail n 3"]:
         """Unit vectors along which the rod leaves the clamp."""
-        return third_axis(self.orientation)
+        return self.rotation[..., 2]
 
     @property
     def steps(self) -> Float[np.ndarray, "*trail steps 6"]:

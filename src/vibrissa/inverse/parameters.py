@@ -115,5 +115,5 @@ def prepared(rod: Rod, errors: SetupErrors | None) -> Known:
 def velocities_of(rod: Rod, reactions: Reactions) -> Wrenches:
     """Of the clamp, clamp axes, rod lengths and radians a second."""
     parts = reactions.clamp_velocity().reshape(*reactions.trail.shape, 2, 3)
-    turn = rotation_matrices(reactions.trail.orientation)
-    return (parts / [[rod.length], [1.0]] @ turn).reshape(*reactions.trail.shape, 6)
+    parts = parts / [[rod.length], [1.0]] @ reactions.trail.rotation
+    return parts.reshape(*reactions.trail.shape, 6)

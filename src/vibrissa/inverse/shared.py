@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.arrays import Spread, Vectors, Wrenches
 from vibrissa.inverse.kernels import Errors, Sample, Setting, sensitivities_of
 from vibrissa.inverse.parameters import prepared, velocities_of
@@ -45,7 +44,7 @@ def in_clamp_axes(
     reactions: Reactions, rod: Rod
 ) -> tuple[Wrenches, Float[np.ndarray, "n 6 6"] | None]:
     """Wrenches of one trail in clamp axes and model units, and their covariances if known."""
-    turn = rotation_matrices(reactions.trail.orientation)
+    turn = reactions.trail.rotation
     wrench = (reactions.wrench.reshape(-1, 2, 3) @ turn).reshape(-1, 6)
     scaled = wrench / np.sqrt(np.diag(_squares(rod)))
     if reactions.covariance is None:

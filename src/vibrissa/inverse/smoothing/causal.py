@@ -15,12 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from vibrissa.contacts import Status
-from vibrissa.geometry.checks import finite_array, not_negative, positive, share
+from vibrissa.geometry.checks import not_negative, positive, positive_array, share
 from vibrissa.inverse.parameters import COUNT, Changes, Rig, changes, prepared, velocities_of
 from vibrissa.inverse.shared import in_clamp_axes, with_shared
 from vibrissa.inverse.smoothing import kalman
@@ -53,7 +52,6 @@ from vibrissa.inverse.smoothing.model import (
     TILT_SPREAD,
     TINY,
     TIP,
-    Flags,
     Labels,
     entries,
     incidence_spread_of,
@@ -113,6 +111,8 @@ class _Hypotheses(NamedTuple):
     probability: Float[Any, "kinds"]
     strange: Float[Any, ""]
     """Consecutive outliers."""
+    recent: Float[Any, "samples wrench"]
+    """Last wrenches, whitened; NaN where there was none."""
 
 
 class CausalSmoother:
@@ -182,11 +182,7 @@ class CausalSmoother:
         # Of a sweep: accelerations are of the order of the speed squared, and last for its inverse.
         expected = np.array([100.0, 100.0, 1.0, 1e-4, 0.0]) * pace**3 + [0, 0, 0, 0, 1e-4]
         if intensities is not None:
-            expected = finite_array(intensities, "intensities", last=INTENSITIES, ndim=1)
-            if not np.all(expected > 0):
-                raise ValueError(
-                    f"intensities = {expected.tolist()}; allowed are numbers greater than 0"
-                )
+            expected = positive_array(intensities, "intensities", last=INTENSITIES)
         if friction is not None:
             friction = not_negative(friction, "friction")
         spread, rates = incidence_spread_of(friction, setup_errors), _RATES * pace
@@ -208,9 +204,7 @@ class CausalSmoother:
             rig,
         )
         self._settings = jax.tree.map(jnp.asarray, settings)
-        floor = np.eye(3) * (not_negative(model_error, "model_error") * rod.length) ** 2
-        clamp = given.position_covariance
-        self._floor = floor if clamp is None else floor + clamp
+        self._given, self._model_error = given, not_negative(model_error, "model_error")
         self.reset()
 
     def reset(self) -> None:
@@ -224,8 +218,8 @@ class CausalSmoother:
             ),
             np.array([1.0, 0.0, 0.0]),
             np.zeros(()),
+            np.full((DETECTION_SAMPLES, WRENCH), np.nan),
         )
-        self._recent = np.full((DETECTION_SAMPLES - 1, WRENCH), np.nan)
         self._time: float | None = None
 
     def update(
@@ -282,10 +276,9 @@ class CausalSmoother:
             told.append(report)
         self._time = float(time[-1])
         found: _Found = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(time)], *told)
-        rows = located(rod, trail, found.linear, found.errors, found.seen, found.moved)
-        rows["covariance"] = rows["covariance"] + self._floor
+        rows = located(rod, trail, *found[:4], self._given, self._model_error)
         rows = with_shared(rows, rod.length, self._errors)
-        touching = (found.probability >= 0.5) & self._loaded(wrench, found.zero)
+        touching = (found.probability >= 0.5) & (found.load > self._threshold)
         sound = finite(wrench)
         return LiveContact(
             time,
@@ -295,20 +288,9 @@ class CausalSmoother:
             status=np.where(sound, Status.OK, Status.BAD_DATA).astype(np.int8),
         )
 
-    def _loaded(self, wrench: Float[np.ndarray, "n wrench"], zero: Gaussian) -> Flags:
-        """Whether the mean of the last wrenches is more than noise and drift."""
-        recent = np.concatenate([self._recent, wrench @ np.asarray(self._settings.whitening).T])
-        self._recent = recent[len(wrench) :]
-        last = sliding_window_view(recent, DETECTION_SAMPLES, axis=0)
-        load = last - zero.mean[..., None]
-        present = np.isfinite(load).all(axis=1)
-        count = np.maximum(present.sum(axis=1), 1.0)
-        mean = np.where(present[:, None], load, 0.0).sum(axis=2) / count[:, None]
-        return load_chi_square(mean, count, zero) > self._threshold
-
 
 class _Found(NamedTuple):
-    """What the hypotheses in contact say together, and all of them of the zero."""
+    """What the hypotheses in contact say together, and whether the rod is loaded at all."""
 
     linear: Linear
     errors: Float[Any, "*n coordinates coordinates"]
@@ -318,7 +300,8 @@ class _Found(NamedTuple):
     kind: Int[Any, "*n"]
     probability: Float[Any, "*n"]
     """Of contact."""
-    zero: Gaussian
+    load: Float[Any, "*n"]
+    """Chi-square of the last wrenches' mean."""
 
 
 def _with_columns(mean: Float[np.ndarray, "*n state"]) -> Float[np.ndarray, "*n state columns"]:
@@ -339,6 +322,7 @@ def _one(
 ) -> tuple[_Hypotheses, _Found]:
     wrench, duration, velocity = sample
     sound = jnp.all(jnp.isfinite(wrench))
+    recent = jnp.vstack([hypotheses.recent[1:], settings.whitening @ wrench])
     wrench = jnp.where(sound, wrench, 0.0)
     switch = jnp.full((3, 3), _SWITCH) + (1 - 3 * _SWITCH) * jnp.eye(3)
     arrival = hypotheses.probability @ switch
@@ -356,12 +340,12 @@ def _one(
         mean = mean.at[ARC_LENGTH, 0].set(jnp.clip(mean[ARC_LENGTH, 0], 0.05, 1.0))
         # The sample about the prediction, its squared distance from it, and its errors by setup.
         linear = linear_at(mean[PLACE, 0])
-        residual, slope = observed(linear, wrench, settings.whitening, jnp)
+        target, slope = observed(linear, wrench, settings.whitening, jnp)
         value, slope = linear.value, slope * (kind != FREE)
         by_setup = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
         seen = settings.whitening @ by_setup.wrench * (kind != FREE)
         columns = jnp.zeros((ROWS, COUNT)).at[:WRENCH].set(-seen)
-        target = jnp.column_stack([residual + slope @ linear.x, columns])
+        target = jnp.column_stack([target, columns])
         step = step._replace(target=target, slope=slope)
         design = kalman.design(step)[:WRENCH]
         away = target[:WRENCH, 0] - design @ mean[:, 0]
@@ -382,15 +366,18 @@ def _one(
     mean, covariance = _mixture(shares, states)
     linear = linear_at(mean[PLACE, 0])
     value = linear.value
-    zero = probability @ states.mean[:, DRIFT, 0], states.covariance[FREE, DRIFT, DRIFT]
-    return _Hypotheses(states, probability, strange), _Found(
+    zero = Gaussian(probability @ states.mean[:, DRIFT, 0], states.covariance[FREE, DRIFT, DRIFT])
+    seen = jnp.isfinite(recent).all(axis=1)
+    count = jnp.maximum(jnp.sum(seen), 1.0)
+    load = jnp.sum(jnp.where(seen[:, None], recent - zero.mean, 0.0), axis=0) / count
+    return _Hypotheses(states, probability, strange, recent), _Found(
         linear,
         covariance[PLACE, PLACE],
         changes(settings.rig, value.wrench, value.reach, value.direction, velocity),
         mean[PLACE, 1:],
         jnp.where(probability[TANGENTIAL] > probability[TIP], TANGENTIAL, TIP),
         1 - probability[FREE],
-        Gaussian(*zero),
+        load_chi_square(load, count, zero, jnp),
     )
 
 

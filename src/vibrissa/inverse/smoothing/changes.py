@@ -93,19 +93,15 @@ def log_likelihoods(
     first = max(first, 0)
     rows = slice(first, min(stop, first + _MOST_ROWS * together // TOGETHER))
     cut = fit.rows(rows)
-    parts = [Labels(*(field[rows].copy() for field in labels)) for labels in candidates]
+    parts = [Labels(*(field[rows] for field in labels)) for labels in candidates]
     starts = group_starts(parts, together=together)
-    steps = []
-    for labels in parts:
-        labels.link[0] = JUMP if labels.phase[0] != FREE else GO_ON
-        steps.append(merged(steps_of(cut.with_phases(labels)), starts))
+    steps = [merged(steps_of(cut.with_phases(labels)), starts) for labels in parts]
     scales = np.ones((len(bends), SIZE))
     scales[:, RATE] = np.square(bends)[:, None]
-    before = Gaussian(*(part[0] for part in cut.states.expected_zero))
     values = kalman.log_likelihoods(
         [step._replace(spread=step.spread * scale) for scale in scales for step in steps],
         fit.intensities,
-        kalman.at_rest(before),
+        kalman.at_rest(cut.zero),
     )
     if not np.isfinite(values).any():
         raise NoMotionError
@@ -262,10 +258,9 @@ def reversed_fit(fit: Fit) -> Fit:
 def onset_at(labels: Labels, first: int, place: float) -> Labels:
     """Labels with the contact that begins at sample `first` beginning at `place` instead."""
     begins = int(np.floor(place)) + 1
-    phase, _, share, pace = placed = labels.copy()
-    phase[begins:first], pace[begins:first] = phase[first], pace[first]
-    phase[first:begins], share[first] = FREE, 1.0
-    share[begins] = max(begins - place, _LEAST_SHARE)
+    placed = labels.moved(first, begins)
+    placed.pace[begins:first] = labels.pace[first]
+    placed.share[first], placed.share[begins] = 1.0, max(begins - place, _LEAST_SHARE)
     return placed
 
 
@@ -299,8 +294,8 @@ def _limit(fit: Fit, first: int) -> float:
     which what follows tells the loads there [s].
     """
     cut = fit.rows(slice(first, None))
-    link = np.append(JUMP, cut.labels.link[1:])
-    cut = cut._replace(labels=cut.labels._replace(link=link, share=np.ones(len(link))))
+    cut = cut._replace(labels=cut.labels.copy())
+    cut.labels.link[0] = JUMP
     before = Gaussian(*(part[0] for part in cut.states.zero))
     steps = merged(steps_of(cut), group_starts([cut.labels]))
     states = kalman.smoothed(steps, fit.intensities, kalman.at_rest(before))

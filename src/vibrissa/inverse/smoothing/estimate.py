@@ -17,7 +17,6 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
-from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse.parameters import COUNT, Changes, changes_of_rows, prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import pose_errors, sensitivities
@@ -36,6 +35,7 @@ from vibrissa.inverse.smoothing.model import (
     steps_of,
 )
 from vibrissa.inverse.smoothing.phases import raw_arc_lengths
+from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.trail import Trail
 
@@ -96,26 +96,30 @@ def located(
     errors: Float[np.ndarray, "n coordinates coordinates"],
     seen: Changes,
     moved: Float[np.ndarray, "n coordinates setup"],
+    given: Reactions,
+    model_error: float,
 ) -> dict[str, np.ndarray]:
     """Contacts at coordinates with these errors, world axes and units of the rod: fields of a
     reconstruction. An error of the setup changes what is `seen` at given coordinates, and moves
-    the coordinates; covariances are without what the sweep shares.
+    the coordinates. Covariances are without what the sweep shares; they hold the model's error, and
+    errors of the robot's pose as `given`: not taken to be others in each sample, they stay in full.
     """
-    value, slope = linear.value, linear.slope
-    turn = rotation_matrices(trail.orientation)
-    both = np.kron(np.eye(2), turn)
+    value, turn = linear.value, trail.rotation
+    reach, direction = ((turn @ part[..., None])[..., 0] for part in (value.reach, value.direction))
+    point = trail.position + rod.length * reach
     by_coordinates, by_setup = (
-        both @ np.concatenate([part.reach, part.direction], axis=1) for part in (slope, seen)
+        np.concatenate([turn @ part.reach, turn @ part.direction], axis=1)
+        for part in (linear.slope, seen)
     )
     covariance = by_coordinates @ errors @ np.swapaxes(by_coordinates, 1, 2)
-    reach, direction = ((turn @ part[..., None])[..., 0] for part in (value.reach, value.direction))
+    of_pose, of_model = pose_errors(given, point, direction), np.eye(3) * model_error**2
     return {
-        "point": trail.position + rod.length * reach,
+        "point": point,
         "force_direction": direction,
         "arc_length": rod.length * linear.x[:, ARC_LENGTH],
         "modulus": value.incidence,
-        "covariance": rod.length**2 * covariance[:, :3, :3],
-        "normal_covariance": covariance[:, 3:, 3:],
+        "covariance": rod.length**2 * (covariance[:, :3, :3] + of_model) + of_pose.point,
+        "normal_covariance": covariance[:, 3:, 3:] + of_pose.direction,
         "sensitivity": by_coordinates @ moved + by_setup,
     }
 
@@ -131,18 +135,11 @@ def contacts_of(
     touching = fit.labels.touching & series.sound
     rig, velocity = prepared(rod, reactions.setup_errors).rig, velocities_of(rod, reactions)
     seen = changes_of_rows(rig, value.wrench, value.reach, value.direction, velocity)
-    rows = located(rod, reactions.trail, linear, errors, seen, _moved(fit, seen))
-    known = finite((linear, errors, rows["sensitivity"]))
-    status, raw = _judged(found, smoothest, known)
-    # Errors of the robot's pose are not taken to be others in each sample: they stay in full.
-    of_pose = pose_errors(reactions, rows["point"], rows["force_direction"])
-    of_model = np.eye(3) * (model_error * rod.length) ** 2
-    rows |= {
-        "covariance": rows["covariance"] + of_model + of_pose.point,
-        "normal_covariance": rows["normal_covariance"] + of_pose.direction,
-        "arc_length_deviation": rod.length
-        * np.sqrt(np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0)),
-    }
+    moved = _moved(fit, seen)
+    rows = located(rod, reactions.trail, linear, errors, seen, moved, reactions, model_error)
+    status, raw = _judged(found, smoothest, finite((linear, errors, rows["sensitivity"])))
+    variance = np.maximum(errors[:, ARC_LENGTH, ARC_LENGTH], 0.0)
+    rows["arc_length_deviation"] = rod.length * np.sqrt(variance)
     rows = chosen(touching, rows, np.nan) | {
         "kind": fit.labels.phase.astype(np.int8) * series.sound,
         "energy": np.where(touching, rod.moment_scale * value.energy, 0.0),
@@ -199,8 +196,7 @@ def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags
     status = np.where(elsewhere, Status.SETUP_CONTRADICTED, status)
     # Contacts and their parts between jumps, of which each may be too weak or too short.
     total = _sums(np.cumsum(labels.link == JUMP) + labels.contact, labels.touching)
-    wrench = np.nan_to_num(fit.linear.value.wrench)
-    force = np.einsum("nij,nj->ni", fit.series.whitening, wrench)[:, :3]
+    force = fit.series.whiten(np.nan_to_num(fit.linear.value.wrench))[:, :3]
     weak = touching & (total(np.sum(force**2, axis=1)) < _LITTLE)
     status = np.where(weak & (status == Status.OK), Status.AMBIGUOUS, status)
     raw = touching & ((total(1) < _LEAST_ROWS) | ~known)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from jaxtyping import Float
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import ndtri
 
@@ -138,9 +137,8 @@ def squared_residuals(fit: Fit) -> Samples:
     motion follows the noise.
     """
     series = fit.series
-    away = series.wrench - fit.linear.value.wrench
-    whitened = np.einsum("nij,nj->ni", series.whitening, away)
-    squared = np.sum((whitened - fit.states.mean[:, DRIFT]) ** 2, axis=1)
+    away = series.whiten(series.wrench - fit.linear.value.wrench)
+    squared = np.sum((away - fit.states.mean[:, DRIFT]) ** 2, axis=1)
     return np.where(np.isfinite(squared), squared, 0.0)
 
 
@@ -161,7 +159,7 @@ def most_probable(fit: Fit, *, local: bool) -> Fit:
     """
     labels, start, stretch = fit.labels, kalman.at_rest(fit.zero), stretches(fit.labels)
     steps = steps_of(fit)
-    starts = group_starts([labels], stretch, together_for(labels))
+    starts = group_starts([labels], stretch, together=together_for(labels))
     if not local:
         stretch[:] = -1
     grouped, number = merged(steps, starts), stretch[starts]
@@ -249,7 +247,7 @@ def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
     order = np.arange(count).reshape(2, -1).T.ravel()
     factors = np.exp(_drift_deviation(fit) * ndtri((order + 0.5) / count))
     for labels, factor in zip(candidates, factors, strict=True):
-        other = fit.with_phases(labels)._replace(intensities=_with_drift(fit, factor))
+        other = _with_drift(fit.with_phases(labels), factor)
         states = smoothed_states(other, steps_of(other), rough=False)
         means.append(_coordinates(states))
         squares.append(states.covariance[:, PLACE, PLACE])
@@ -261,19 +259,18 @@ def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
     return fit._replace(linear=linearised(mean), states=fit.states._replace(covariance=covariance))
 
 
-def _with_drift(fit: Fit, factor: float) -> Float[np.ndarray, "intensities"]:
-    """Intensities with that of the drift times a factor."""
-    return np.append(fit.intensities[:-1], factor * fit.intensities[-1])
+def _with_drift(fit: Fit, factor: float) -> Fit:
+    """With the intensity of the drift times a factor."""
+    intensities = np.append(fit.intensities[:-1], factor * fit.intensities[-1])
+    return fit._replace(intensities=intensities)
 
 
 def _drift_deviation(fit: Fit) -> float:
     """Standard deviation of the logarithm of the drift's intensity, by the curvature of the
     likelihood.
     """
-    steps = merged(steps_of(fit), group_starts([fit.labels], together=together_for(fit.labels)))
-    start = kalman.at_rest(fit.zero)
     less, more = (
-        kalman.smoothed(steps, _with_drift(fit, factor), start).score[:, -1].sum()
+        smoothed_states(_with_drift(fit, factor), steps_of(fit)).score[:, -1].sum()
         for factor in np.exp([-0.5, 0.5])
     )
     # At least that of an e-fold: the likelihood tells nothing of a drift that is not there.

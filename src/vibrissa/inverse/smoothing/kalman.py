@@ -137,6 +137,11 @@ def predicted(state: Gaussian, step: Step, intensities: Intensities) -> Gaussian
     return Gaussian(moved(step, state.mean), spread + _process_noise(step, intensities))
 
 
+def arriving(state: Gaussian, step: Step, intensities: Intensities) -> Gaussian:
+    """State before the sample is seen, from that after the sample before."""
+    return predicted(entered(state, *step[:3]), step, intensities)
+
+
 def moved(step: Step, rows: State) -> State:
     """From the sample before to this one: x + v dt, for each column."""
     return rows.at[PLACE].add((step.active * step.duration * rows[RATE].T).T)
@@ -205,9 +210,6 @@ def scanned(
 def _smoothed(
     steps: Step, count: Int[Any, ""], intensities: Intensities, start: Gaussian
 ) -> States:
-    def arriving(state: Gaussian, step: Step, q: Intensities) -> Gaussian:
-        return predicted(entered(state, *step[:3]), step, q)
-
     def seeing(state: Gaussian, step: Step) -> tuple[Gaussian, Array]:
         after, seen = updated(state, step)
         return after, log_likelihood(step, seen)
@@ -275,7 +277,7 @@ def _log_likelihoods(
 
     def one(carry: tuple[Gaussian, Array], step: Step) -> tuple[Any, None]:
         state, total = carry
-        state, seen = updated(predicted(entered(state, *step[:3]), step, intensities), step)
+        state, seen = updated(arriving(state, step, intensities), step)
         # s₁ and k² lie between 0 and 1: however vague, their densities are not below 1.
         size = (2 * jnp.pi * seen[1]).at[WRENCH:].min(1.0)
         return (state, total + _log_density(seen, size)), None

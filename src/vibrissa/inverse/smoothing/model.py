@@ -48,6 +48,8 @@ Rates = Float[np.ndarray, "coordinates"]
 Coordinates = Float[np.ndarray, "n coordinates"]
 
 FREE, TIP, TANGENTIAL = (int(kind) for kind in ContactKind)
+UNSEEN = -1
+"""The phase before a series: one that begins in contact begins with any load."""
 GO_ON, KINK, JUMP = 0, 1, 2
 """How a sample continues the one before: evenly, with other rates, or not at all."""
 TARED = Gaussian(np.zeros(WRENCH), 0.02 * np.eye(WRENCH))
@@ -107,10 +109,14 @@ class Series(NamedTuple):
         steps = np.diff(self.time)
         return float(np.median(steps[steps > 0.01 * steps.mean()])) if steps.size else 1.0
 
+    def whiten(self, wrench: Float[np.ndarray, "n wrench"]) -> Float[np.ndarray, "n wrench"]:
+        """Wrenches in standard deviations, independent of each other."""
+        return np.einsum("nij,nj->ni", self.whitening, wrench)
+
     @property
     def whitened(self) -> Float[np.ndarray, "n wrench"]:
-        """Wrench in standard deviations, independent of each other."""
-        return np.einsum("nij,nj->ni", self.whitening, self.wrench)
+        """What was measured, in standard deviations."""
+        return self.whiten(self.wrench)
 
 
 def series_of(found: Reconstruction, time: Samples) -> Series:
@@ -156,7 +162,7 @@ class Labels(NamedTuple):
 
     def copy(self) -> "Labels":
         """Labels to write into."""
-        return Labels(*(part.copy() for part in self))
+        return jax.tree.map(np.copy, self)
 
     def in_phase(self, phase: int, rows: slice) -> "Labels":
         """Labels with these rows in this phase."""
@@ -183,8 +189,8 @@ class Labels(NamedTuple):
 
     @property
     def begins(self) -> Flags:
-        """Where the phase is another one than before, contact or not."""
-        return np.diff(self.phase, prepend=FREE) != 0
+        """Where the phase is another one than that before, contact or not."""
+        return np.diff(self.phase, prepend=self.phase[:1]) != 0
 
     @property
     def breaks(self) -> Codes:
@@ -226,8 +232,9 @@ class Fit(NamedTuple):
     """
 
     def rows(self, rows: slice) -> "Fit":
-        """Some of the samples."""
-        return Fit._make([*jax.tree.map(lambda part: part[rows], self[:6]), *self[6:]])
+        """Some of the samples; of the zero, what the samples before these tell."""
+        part = Fit._make([*jax.tree.map(lambda part: part[rows], self[:6]), *self[6:]])
+        return part._replace(zero=Gaussian(*(each[0] for each in part.states.expected_zero)))
 
     def about(self, linear: Linear) -> "Fit":
         """About other coordinates."""
@@ -263,18 +270,17 @@ def incidence_spread_of(friction: float | None, errors: SetupErrors | None) -> f
 
 
 def observed(linear: Linear, wrench: Any, whitening: Any, xp: ModuleType = np) -> tuple[Any, Any]:
-    """What a contact shows, less what is expected of it, and the derivatives of that by the
-    coordinates: the whitened wrench, s₁ = 1 and k² = ½. `xp` is NumPy or its JAX counterpart.
+    """What a contact shows, linear in its coordinates, and the derivatives by them: the whitened
+    wrench, s₁ = 1 and k² = ½. `xp` is NumPy or its JAX counterpart.
     """
-    value, slope = linear.value, linear.slope
+    x, value, slope = linear
     residual = (whitening @ (wrench - value.wrench)[..., None])[..., 0]
-    short = 1 - linear.x[..., ARC_LENGTH, None]
+    short = 1 - x[..., ARC_LENGTH, None]
     of_short = xp.zeros_like(slope.incidence) + np.eye(COORDINATES)[ARC_LENGTH]
     rows = whitening @ slope.wrench, of_short[..., None, :], slope.incidence[..., None, :]
-    return (
-        xp.concatenate([residual, short, 0.5 - value.incidence[..., None]], axis=-1),
-        xp.concatenate(rows, axis=-2),
-    )
+    away = xp.concatenate([residual, short, 0.5 - value.incidence[..., None]], axis=-1)
+    slopes = xp.concatenate(rows, axis=-2)
+    return away + xp.einsum("...ij,...j->...i", slopes, x), slopes
 
 
 def entries(
@@ -291,15 +297,16 @@ def entries(
     """
     phase, link, share, _ = labels
     tip, touching = phase == TIP, labels.touching
-    onset, anew = touching & (before == FREE), touching & (link == JUMP)
-    changed = touching & ~onset & ~anew & (phase != before)
-    new_rates = onset | (touching & (link > GO_ON) & ~changed)
+    anew = touching & ((link == JUMP) | (before == UNSEEN))
+    begins = anew | touching & (before == FREE)
+    changed = touching & ~begins & (phase != before)
+    new_rates = begins | (touching & (link > GO_ON) & ~changed)
     # A contact that begins with the flank begins anywhere on the rod.
-    flank = (onset | anew) & ~tip
+    flank = begins & ~tip
     keep, (begin, spread) = np.ones((len(x), SIZE)), np.zeros((2, len(x), SIZE))
     keep[anew, PLACE], spread[anew, :LOADS] = 0, _LOAD_SPREAD**2
     begin[anew, :TILT] = x[anew, :TILT]
-    spread[onset | anew, TILT] = TILT_SPREAD**2
+    spread[begins, TILT] = TILT_SPREAD**2
     keep[flank, ARC_LENGTH], spread[flank, ARC_LENGTH] = 0, arc_length_variance
     begin[flank, ARC_LENGTH] = x[flank, ARC_LENGTH]
     keep[new_rates, RATE], spread[new_rates, RATE] = 0, rates**2
@@ -318,7 +325,7 @@ def steps_of(fit: Fit) -> Step:
     # Without contact, or without a rod of such coordinates, nothing depends on them.
     shows = series.sound & finite(fit.linear)
     linear = chosen(shows & labels.touching, fit.linear, 0.0)
-    residual, slope = observed(linear, series.wrench, series.whitening)
+    target, slope = observed(linear, series.wrench, series.whitening)
     variance = np.full((len(phase), ROWS), np.inf)
     variance[shows, :WRENCH] = 1 / fit.weight[shows, None]
     # Where tangential contact passes over into tip contact, the arc length is the rod's.
@@ -331,10 +338,10 @@ def steps_of(fit: Fit) -> Step:
     )
     variance[:, WRENCH + 1] = np.where(tangential & shows, within, np.inf)
     return Step(
-        *entries(np.append(FREE, phase[:-1]), labels, x, fit.rates),
+        *entries(np.append(UNSEEN, phase[:-1]), labels, x, fit.rates),
         np.diff(series.time, prepend=series.time[0]),
         labels.pace,
-        residual + np.einsum("nij,nj->ni", slope, linear.x),
+        target,
         slope,
         variance,
     )
@@ -349,18 +356,17 @@ def together_for(labels: Labels, *, rough: bool = True) -> int:
 
 
 def group_starts(
-    candidates: list[Labels], also: Codes | None = None, together: int = TOGETHER
+    candidates: list[Labels], *also: Codes, together: int = TOGETHER
 ) -> Int[np.ndarray, "groups"]:
     """First samples of groups of 4, or of 32 without contact; in none of the candidates something
     changes within a group or where one begins, nor does the number `also`.
     """
-    phase, link = (np.stack(rows) for rows in list(zip(*candidates, strict=True))[:2])
-    changes = (np.diff(phase, prepend=phase[:, :1]) != 0) | (link > GO_ON)
-    size = np.where(np.any(phase != FREE, axis=0), together, _TOGETHER_FREE)
-    begins = binary_dilation(changes.any(axis=0)) | (np.diff(size, prepend=0) != 0)
-    if also is not None:
-        begins |= np.diff(also, prepend=also[0]) != 0
-    place = np.arange(len(size))
+    touching = np.any([labels.touching for labels in candidates], axis=0)
+    size, place = np.where(touching, together, _TOGETHER_FREE), np.arange(len(touching))
+    breaks = np.concatenate([labels.breaks for labels in candidates])
+    begins = binary_dilation(np.isin(place, breaks))
+    for number in (size, *also):
+        begins |= np.diff(number, prepend=0) != 0
     first = np.maximum.accumulate(np.where(begins, place, 0))
     return np.flatnonzero((place - first) % size == 0)
 
@@ -396,7 +402,8 @@ def spread_out(states: States, groups: Step, steps: Step, starts: Codes) -> Stat
     parts = jax.tree.map(lambda part: part[number], states)
     since = np.cumsum(steps.duration) - np.cumsum(groups.duration)[number]
     parts.mean[:, PLACE] += (steps.active.T * since * parts.mean[:, RATE].T).T
-    parts.log_likelihood[np.diff(number, prepend=-1) == 0] = 0
+    for told in (parts.log_likelihood, parts.score):
+        told[np.diff(number, prepend=-1) == 0] = 0
     return parts
 
 

@@ -4,6 +4,8 @@ steps of the wrench, shocks that are no noise.
 """
 
 from itertools import accumulate
+from types import ModuleType
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -85,13 +87,15 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     return binary_opening(closed, np.ones(_LEAST_SAMPLES)) & ~series.ringing
 
 
-def load_chi_square(mean: Float[np.ndarray, "n wrench"], count: Samples, zero: Gaussian) -> Samples:
+def load_chi_square(
+    mean: Float[Any, "*n wrench"], count: Float[Any, "*n"], zero: Gaussian, xp: ModuleType = np
+) -> Any:
     """Of means of so many whitened wrenches, less the drift of the zero, being noise and that
-    drift's error alone: six degrees of freedom.
+    drift's error alone: six degrees of freedom. `xp` is NumPy or its JAX counterpart.
     """
-    covariance = np.eye(WRENCH) / count[:, None, None] + zero.covariance
-    solved = np.linalg.solve(covariance, mean[..., None])[..., 0]
-    return np.asarray(np.einsum("ni,ni->n", mean, solved))
+    covariance = xp.eye(WRENCH) / count[..., None, None] + zero.covariance
+    solved = xp.linalg.solve(covariance, mean[..., None])[..., 0]
+    return (mean * solved).sum(axis=-1)
 
 
 def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
@@ -223,9 +227,9 @@ def with_jumps(fit: Fit) -> Labels:
 
 def _shock(states: States, rows: Codes, entries: Int[np.ndarray, "k"]) -> Samples:
     """Chi-square of a shock to these entries of the state on the way to a sample."""
-    information = states.information[rows][:, entries][:, :, entries]
+    information = states.information[np.ix_(rows, entries, entries)]
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", information), TINY))
     relative = information / scale[:, :, None] / scale[:, None, :]
     inverse = np.linalg.pinv(relative, rcond=1e-10, hermitian=True)
-    pull = states.pull[rows][:, entries] / scale
+    pull = states.pull[np.ix_(rows, entries)] / scale
     return np.einsum("ni,nij,nj->n", pull, inverse, pull)

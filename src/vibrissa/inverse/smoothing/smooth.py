@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import jax
 import numpy as np
 
 from vibrissa.contacts import ContactKind, Status
@@ -27,6 +28,7 @@ from vibrissa.inverse.smoothing.model import (
     TARED,
     Fit,
     Flags,
+    Labels,
     NoMotionError,
     Samples,
     incidence_spread_of,
@@ -103,10 +105,7 @@ def smooth(
         *(_smoothed(trail, false_alarm, model_error, progress) for trail in found.trails),
         strict=True,
     )
-    rows: dict[str, Any] = {
-        name: parts[0][name] if alone else np.stack([part[name] for part in parts])
-        for name in parts[0]
-    }
+    rows: dict[str, Any] = jax.tree.map(lambda *of: of[0] if alone else np.stack(of), *parts)
     errors = prepared(found.rod, found.reactions.setup_errors).covariance
     smoothed = replace(found, **with_shared(rows, found.rod.length, errors), smoothing=told)
     smoothed = with_delay(smoothed) if alone else smoothed
@@ -137,7 +136,7 @@ def _smoothed(
                 "drift": np.zeros((size, WRENCH)),
                 "weight": np.ones(size),
                 "tilt": np.full(size, np.nan),
-                "labels": np.zeros((size, 2), dtype=int),
+                "labels": Labels.of(np.full(size, FREE)),
                 "edges": np.full((size, 2, 3), np.nan),
                 "change_deviation": np.full(size, np.nan),
             }
@@ -148,13 +147,13 @@ def _smoothed(
             likelihood += float(np.sum(fit.states.log_likelihood))
             if number + 1 < len(segments):
                 after = min(segments[number + 1][0].start, segment.stop - 1) - segment.start
-                zero = Gaussian(*(part[after] for part in fit.states.expected_zero))
+                zero = fit.rows(slice(after, None)).zero
         inside = slice(kept.start - segment.start, kept.stop - segment.start)
         # Copied, so that the rows of the overlap are freed.
-        pieces.append({name: value[inside].copy() for name, value in piece.items()})
+        pieces.append(jax.tree.map(lambda part, inside=inside: part[inside].copy(), piece))
         if progress is not None and len(segments) > 1:
             progress(kept.stop, count)
-    rows = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+    rows = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
     touches = _touches(*map(rows.pop, ("labels", "edges", "change_deviation")))
     drift, weight, tilt = map(rows.pop, ("drift", "weight", "tilt"))
     intensity = np.median(intensities, axis=0)
@@ -220,22 +219,19 @@ def _smoothed_segment(
         flank = as_flank(fit)
         fit = averaged(flank, drawn(flank, places))
     return contacts_of(found, fit, smoothest, model_error) | {
-        "labels": np.stack(fit.labels[:2], axis=1),
+        "labels": fit.labels,
         "edges": edges,
         "change_deviation": change_deviation,
     }, fit
 
 
-def _touches(labels: np.ndarray, edges: np.ndarray, deviation: Samples) -> tuple[Touch, ...]:
-    phase, link = labels.T
-    begins = np.diff(phase, prepend=FREE) != 0
-    broken = (link == JUMP) | (link > GO_ON) & ~begins
+def _touches(labels: Labels, edges: np.ndarray, deviation: Samples) -> tuple[Touch, ...]:
+    broken = (labels.link == JUMP) | (labels.link > GO_ON) & ~labels.begins
     touches = []
-    for first, stop in runs(phase != FREE):
-        last = stop - 1
-        changes, jumps = (
-            first + 1 + np.flatnonzero(part[first + 1 : stop]) for part in (begins, broken)
-        )
+    for rows in labels.contacts:
+        first, last = rows.start, rows.stop - 1
+        after = np.arange(first + 1, rows.stop)
+        changes, jumps = (after[part[after]] for part in (labels.begins, broken))
         places = np.stack([edges[first, 0], edges[last, 1]], axis=1).ravel().tolist()
         told: list[Any] = [None if np.isnan(place) else place for place in places]
         told += [tuple(part.tolist()) for part in (changes, jumps, deviation[changes])]

@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State
-from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assessed
+from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assessed, levels
 from vibrissa.forward.march import from_seeds
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import NEUTRAL, Clamp
@@ -172,11 +172,11 @@ def seeds_around(
     round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
     rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
-    values = _levels(scene, point + distance[None, :, None] * rays[:, None, :])
+    values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
     ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
     meets = point + _crossing(values, ray, sample, distance)[:, None] * rays[ray]
     along = point + distance[:, None] * tangent
-    own = _levels(scene, along[None])[0]
+    own = levels(scene, along[None])[0]
     inside = along[own < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
@@ -221,7 +221,7 @@ def _entered(
     share, rows = np.linspace(0, 1, _FINER), np.arange(len(low))
     for _ in range(2):
         samples = low[:, None] + (high - low)[:, None] * share
-        inside = _levels(scene, clamp.point + samples[..., None] * clamp.tangent) < 0
+        inside = levels(scene, clamp.point + samples[..., None] * clamp.tangent) < 0
         first = np.argmax(inside, axis=1)
         low, high = samples[rows, np.maximum(first, 1) - 1], samples[rows, np.maximum(first, 1)]
     return high
@@ -233,21 +233,10 @@ def _way_out(
     """Where rays from points inside the object leave it, within half a rod length."""
     distance = np.arange(_RAY_SAMPLES // 2 + 1) / _RAY_SAMPLES
     starts, directions = np.repeat(bases, len(sideways), axis=0), np.tile(sideways, (len(bases), 1))
-    values = _levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None])
+    values = levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None])
     ray, sample = np.nonzero((values[:, :-1] < 0) & (values[:, 1:] >= 0))
     along = _crossing(values, ray, sample, distance)[:, None]
     return np.asarray(starts[ray] + along * directions[ray])
-
-
-def _levels(
-    scene: Scene, points: Float[np.ndarray, "rays samples 3"]
-) -> Float[np.ndarray, "rays samples"]:
-    return np.asarray(_level(scene, points.reshape(-1, 3))).reshape(points.shape[:2])
-
-
-@lanes(width=1024, blocks=8)
-def _level(scene: Scene, point: Float[Array, "3"]) -> Float[Array, ""]:
-    return scene.level(point)
 
 
 @lanes()

@@ -1,5 +1,6 @@
 """What an equilibrium means: reactions, energy, and the checks of the state that is returned."""
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -101,9 +102,7 @@ def assessment(
 
 
 @lanes(blocks=64)
-def assess(
-    scene: Scene, state: State, clamp: Clamp, law: Law
-) -> tuple[Assessment, Bent, Scalar]:
+def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessment, Bent, Scalar]:
     """The same of states at clamp poses, with the depth."""
     values, bent, steepness = assessment(scene, state, clamp, law)
     # Lest XLA evaluate the whole state again for each of the points.
@@ -125,25 +124,26 @@ def _line(
 def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scalar:
     """At most how deep the rod lies in the object, as far as few of its points tell."""
     s1, rest = bent.arc_length, jnp.maximum(1 - bent.arc_length, 0.0)
-    parts = _line(scene.rod, bent, tangent, _BEND, _TAIL)
+    lines = [_line(scene.rod, bent, tangent, _BEND, _TAIL)]
     # Between points the object may come nearer by half of their distance, which along the bend
     # varies by up to √2.
-    near = steepness * s1 * _BEND[1] / np.sqrt(2), steepness * rest * _TAIL[1] / 2
-    count = len(_BEND)
-    levels = scene.each(scene.level, jnp.concatenate(parts))
-    least = jnp.minimum(_least(levels[:count], near[0]), _least(levels[count:], near[1]))
-    if any(solid.may_crease for solid in scene.surface.solids):
-        close = jnp.concatenate(_line(scene.rod, bent, tangent, _NEAR_BEND, _NEAR_TAIL))
-        found, few = scene.each(scene.level, close), len(_NEAR_BEND)
-        of_bend = _least(found[:few], steepness * s1 * _FINE_BEND[1] * np.sqrt(2))
-        of_tail = _least(found[few:], steepness * rest * _NEAR_TAIL[1] / 2)
-        least = jnp.minimum(least, jnp.minimum(of_bend, of_tail))
-    if len(scene.surface.solids) > 1:
-        touched = jnp.argmin(scene.part_levels(bent.point))
-        levels = scene.each(scene.part_levels, jnp.concatenate(parts))
-        others = jnp.min(jnp.where(jnp.arange(levels.shape[1]) == touched, jnp.inf, levels), axis=1)
-        for part, by in ((others[:count], near[0]), (others[count:], near[1])):
-            least = jnp.minimum(least, jnp.min((part[1:] + part[:-1]) / 2) - by)
+    near = [(steepness * s1 * _BEND[1] / np.sqrt(2), steepness * rest * _TAIL[1] / 2)]
+    solids = scene.surface.solids
+    if any(solid.may_crease for solid in solids):
+        lines.append(_line(scene.rod, bent, tangent, _NEAR_BEND, _NEAR_TAIL))
+        closer = _FINE_BEND[1] * np.sqrt(2), _NEAR_TAIL[1] / 2
+        near.append((steepness * s1 * closer[0], steepness * rest * closer[1]))
+    parts = [part for line in lines for part in line]
+    ends = np.cumsum([len(part) for part in parts])
+    found = jnp.split(scene.each(scene.part_levels, jnp.concatenate(parts)), ends[:-1])
+    bounds = [by for pair in near for by in pair]
+    least = reduce(jnp.minimum, map(_least, (jnp.min(part, axis=1) for part in found), bounds))
+    if len(solids) > 1:
+        # The tail begins at the contact.
+        touched = np.arange(len(solids)) == jnp.argmin(found[1][0])
+        for part, by in zip(found[:2], bounds[:2], strict=True):
+            others = jnp.min(jnp.where(touched, jnp.inf, part), axis=1)
+            least = jnp.minimum(least, jnp.min((others[1:] + others[:-1]) / 2) - by)
     return -least / steepness
 
 

@@ -153,7 +153,7 @@ def _correct(
     return found
 
 
-_corrected = compiled(_correct)
+_corrected = compiled(_correct, alone=True)
 
 
 class Branch(Way):

@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, UInt
 
 from vibrissa.numerics.norms import norm
 from vibrissa.numerics.vectors import dot
-from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_level
+from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_level, row
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
@@ -36,11 +36,11 @@ class Triangles(NamedTuple):
     """Which triangles may be nearest, cell by cell."""
 
     sharp: Bool[AnyArray, "nodes"]
-    first: Int[AnyArray, "nodes"]
+    first: UInt[AnyArray, "nodes"]
     """First entry in `nearby` of the cell whose lowest corner the node is; the next node's is the
     end.
     """
-    nearby: Int[AnyArray, "entries"]
+    nearby: UInt[AnyArray, "entries"]
     """Numbers of patches."""
     patches: Patch
 
@@ -52,8 +52,8 @@ class Field(NamedTuple):
 
     origin: Float[AnyArray, "3"]
     spacing: Float[AnyArray, ""]
-    size: Int[AnyArray, "3"]
-    """Nodes along each axis; the node (i, j, k) lies at `origin` + `spacing` (i, j, k)."""
+    size: UInt[AnyArray, "3"]
+    """Nodes along each axis, unsigned; the node (i, j, k) lies at `origin` + `spacing` (i, j, k)."""
     coefficients: Float[AnyArray, "nodes"]
     triangles: Triangles | None
     """None where the spline is all: the code for the triangles is then left out."""
@@ -82,13 +82,15 @@ def field_level(field: Field, point: Vector) -> Scalar:
 def _jet(field: Field, point: Vector, order: int) -> Jet:
     """Level inside the grid, and its derivatives up to an order."""
     place = (point - field.origin) / field.spacing
-    cell = jnp.clip(jnp.floor(place).astype(int), 1, field.size - 3)
+    cell = jnp.clip(jnp.floor(place), 1.0, field.size - 3.0).astype(field.size.dtype)
     strides = jnp.stack([field.size[1] * field.size[2], field.size[2], jnp.ones_like(cell[0])])
     node = jnp.sum(cell * strides)
     smooth = _spline(field, node - jnp.sum(strides), strides, place - cell, order)
     if field.triangles is None:
         return smooth
-    marks = field.triangles.sharp[node + jnp.sum(CORNERS * strides, axis=1)].reshape(2, 2, 2)
+    corners = node + jnp.sum(CORNERS.astype(strides.dtype) * strides, axis=1)
+    sharp = field.triangles.sharp.at[corners].get(mode="promise_in_bounds")
+    marks = sharp.reshape(2, 2, 2)
 
     def weight(q: Vector) -> Scalar:
         """From 0 at plain corners to 1 at sharp ones by the step 3t² − 2t³ along each axis."""
@@ -111,7 +113,7 @@ def _jet_jvp(
 
 def _spline(field: Field, first: Array, strides: Array, share: Vector, order: int) -> Jet:
     """Value and derivatives of Σ cᵢⱼₖ Bᵢ(x) Bⱼ(y) Bₖ(z) over the 4³ nodes from `first` on."""
-    steps = jnp.arange(4)
+    steps = np.arange(4, dtype=strides.dtype)
     rows = first + steps[:, None] * strides[0] + steps * strides[1]
 
     def cut(row: Array) -> Array:
@@ -151,7 +153,7 @@ def _with_triangles(
         needed, point, smooth = state
         chosen = _nearest_patch(triangles, node, point)
         # Barriers, lest XLA work out the whole again for each of its parts.
-        patch = _apart(jax.tree.map(lambda part: part[chosen], triangles.patches))
+        patch = _apart(jax.tree.map(lambda part: row(part, chosen), triangles.patches))
         near = _apart(frozen(point, patch))
 
         def blended(q: Vector) -> Scalar:
@@ -160,7 +162,7 @@ def _with_triangles(
 
         return jnp.zeros_like(needed), -point, _derivatives(blended, point, len(smooth))
 
-    needed = triangles.first[node] < triangles.first[node + 1]
+    needed = row(triangles.first, node) < row(triangles.first, node + 1)
     return lax.while_loop(unfinished, blend, (needed, point, smooth))[2]
 
 
@@ -173,23 +175,31 @@ def _expanded(jet: Jet, step: Vector) -> Scalar:
 
 
 def _derivatives(function: Callable[[Vector], Scalar], point: Vector, count: int) -> Jet:
-    def hessian(q: Vector) -> Float[Array, "3 3"]:
-        # One direction after the other: a third of the code.
-        return lax.map(lambda along: jax.jvp(jax.grad(function), (q,), (along,))[1], jnp.eye(3))
-
-    return tuple(derive(point) for derive in (function, jax.grad(function), hessian)[:count])
+    if count == 1:
+        return (function(point),)
+    sloped = jax.value_and_grad(function)
+    if count == 2:
+        return tuple(sloped(point))
+    # One direction after the other, each with value and gradient: a fifth of the code.
+    (value, gradient), (_, hessian) = lax.map(
+        lambda along: jax.jvp(sloped, (point,), (along,)), jnp.eye(3)
+    )
+    return value[0], gradient[0], hessian
 
 
 def _nearest_patch(triangles: Triangles, node: Array, point: Vector) -> Array:
+    vertices, slopes = triangles.patches.vertices, triangles.patches.slopes
+
     def look(index: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         best, chosen = state
-        candidate = triangles.nearby[index]
-        squared = nearest(point, triangles.patches.vertices[candidate]).squared
+        candidate = row(triangles.nearby, index)
+        squared = nearest(point, row(vertices, candidate), row(slopes, candidate)).squared
         closer = squared < best
         return jnp.where(closer, squared, best), jnp.where(closer, candidate, chosen)
 
     start = jnp.asarray(jnp.inf), jnp.zeros_like(triangles.nearby[0])
-    return lax.fori_loop(triangles.first[node], triangles.first[node + 1], look, start)[1]
+    first, stop = (row(triangles.first, at) for at in (node, node + 1))
+    return lax.fori_loop(first, stop, look, start)[1]
 
 
 def _apart(values: Held) -> Held:

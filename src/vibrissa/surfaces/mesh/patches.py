@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, UInt
 
 from vibrissa.numerics.linear import solve_3x3
 from vibrissa.numerics.norms import norm
@@ -28,9 +28,10 @@ Scalar = Float[Array, ""]
 AnyArray = Array | np.ndarray
 Triangle = Float[AnyArray, "3 3"]
 
-# Corners at which the edge opposite each corner starts and ends.
-_START, _STOP = np.array([1, 2, 0]), np.array([2, 0, 1])
 _CORNERS = np.eye(3)
+# Barycentric coordinates where the edge opposite each corner starts, and from there to its end.
+_START = np.roll(_CORNERS, -1, axis=0)
+_ONWARD = np.roll(_CORNERS, -2, axis=0) - _START
 # Newton's method for the line of sight squares its error at each step: from a tenth to 1e-16.
 _REFINEMENTS = 4
 # Barycentric coordinates further than this from the nearest point's are not near the triangle.
@@ -43,6 +44,8 @@ class Patch(NamedTuple):
     """What the level over one triangle depends on; with an axis in front, over many."""
 
     vertices: Float[AnyArray, "*f 3 3"]
+    slopes: Float[AnyArray, "*f 3 3"]
+    """Gradients of the barycentric coordinates in the triangle's plane, one a row."""
     normals: Float[AnyArray, "*f 3 3"]
     """Of the corners, each on this triangle's side of a crease."""
     beyond: Float[AnyArray, "*f 3 3 3"]
@@ -70,44 +73,44 @@ class Nearest(NamedTuple):
     """Squared distance."""
     weights: Vector
     """Barycentric coordinates."""
-    edge: Int[Array, ""]
-    """Number of the corner opposite the edge that it lies on; −1 within the triangle."""
+    within: Bool[Array, ""]
+    """Whether it lies within the triangle, not on an edge."""
+    edge: UInt[Array, ""]
+    """Else: number of the corner opposite that edge."""
 
 
-def mixed(weights: Float[Array, "*n 3"], rows: Triangle) -> Float[Array, "*n 3"]:
+def mixed(weights: Float[AnyArray, "*n 3"], rows: Triangle) -> Float[Array, "*n 3"]:
     """Rows weighted by barycentric coordinates."""
     return jnp.sum(weights[..., None] * rows, axis=-2)
 
 
-def nearest(point: Vector, vertices: Triangle) -> Nearest:
+def slopes(vertices: Float[np.ndarray, "*f 3 3"]) -> Float[np.ndarray, "*f 3 3"]:
+    """Gradients of the barycentric coordinates of triangles, as in `Patch`."""
+    along = _ONWARD @ vertices
+    normal = np.cross(along[..., [0], :], along[..., [1], :])
+    return np.asarray(np.cross(normal, along) / np.sum(normal**2, axis=-1, keepdims=True))
+
+
+def nearest(point: Vector, vertices: Triangle, slopes: Triangle) -> Nearest:
     """Nearest point of a triangle that is not degenerate: the one below, or the nearest of those on
     the three edges.
     """
-    along = _along(vertices)
-    share = jnp.clip(dot(along, point - vertices[_START]) / dot(along, along), 0, 1)[:, None]
-    on_edges = (1 - share) * _CORNERS[_START] + share * _CORNERS[_STOP]
-    weights = jnp.concatenate([on_edges, _planar(vertices, point)[None]])
-    offset = point - mixed(weights, vertices)
-    squared = dot(offset, offset)
-    edge = jnp.where(jnp.all(weights[-1] >= 0), -1, jnp.argmin(squared[:3]))
-    return Nearest(squared[edge], weights[edge], edge)
+    offset = point - vertices
+    below = dot(slopes, offset[0]) + _CORNERS[0]
+    along, start = mixed(_ONWARD, vertices), mixed(_START, offset)
+    share = jnp.clip(dot(along, start) / dot(along, along), 0, 1)[:, None]
+    aside = start - share * along
+    squared = dot(aside, aside)
+    edge = lax.argmin(squared, 0, jnp.uint32)
+    within = jnp.all(below >= 0)
+    weights = jnp.where(within, below, row(_START + share * _ONWARD, edge))
+    height = mixed(below, offset)
+    return Nearest(jnp.where(within, dot(height, height), jnp.min(squared)), weights, within, edge)
 
 
-def _along(vertices: Triangle) -> Triangle:
-    """Vectors along the edges, each opposite its corner."""
-    return vertices[_STOP] - vertices[_START]
-
-
-def _slopes(vertices: Triangle) -> Triangle:
-    """Gradients of the barycentric coordinates in the triangle's plane, one a row."""
-    along = _along(vertices)
-    normal = jnp.cross(along[0], along[1])
-    return jnp.cross(normal, along) / dot(normal, normal)
-
-
-def _planar(vertices: Triangle, point: Vector) -> Vector:
-    """Barycentric coordinates of the point below in the triangle's plane."""
-    return dot(_slopes(vertices), point - vertices[0]) + _CORNERS[0]
+def row(rows: AnyArray, index: UInt[Array, ""]) -> Array:
+    """One row, by an index that is unsigned and within bounds: the least code."""
+    return lax.dynamic_index_in_dim(jnp.asarray(rows), index, keepdims=False)
 
 
 class Frozen(NamedTuple):
@@ -129,23 +132,24 @@ class Frozen(NamedTuple):
 
 def frozen(point: Vector, patch: Patch) -> Frozen:
     """Hold fast what is nearest to a point over the triangle."""
-    _, weights, edge = nearest(point, patch.vertices)
-    corner = jnp.argmax(weights)
-    within, at_corner = edge < 0, (edge >= 0) & (weights[corner] == 1)
-    along = _along(patch.vertices)[edge]
-    turn = jnp.asarray(_CORNERS[_STOP] - _CORNERS[_START])[edge]
+    _, weights, within, edge = nearest(point, patch.vertices, patch.slopes)
+    corner = lax.argmax(weights, 0, jnp.uint32)
+    at_corner = ~within & (row(weights, corner) == 1)
+    turn = row(_ONWARD, edge)
+    along = mixed(turn, patch.vertices)
     on_edge = turn[:, None] * along / dot(along, along)
-    slopes = jnp.where(within, _slopes(patch.vertices), on_edge)
-    code = jnp.where(at_corner, patch.corners[corner], patch.edges[edge])
-    apex = patch.vertices[corner]
+    kept = jnp.where(within, patch.slopes, jnp.where(at_corner, 0.0, on_edge))
+    code = jnp.where(at_corner, row(patch.corners, corner), row(patch.edges, edge))
+    apex = row(patch.vertices, corner)
+    outside = dot(point - apex, row(patch.pseudo, corner)) >= 0
     return Frozen(
         point,
         weights,
-        slopes=jnp.where(at_corner, 0.0, slopes),
+        slopes=kept,
         code=jnp.where(within, 0.0, code),
         corner=apex,
-        sign=jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0),
-        beyond=jnp.where(at_corner, patch.around, patch.beyond[edge]),
+        sign=jnp.where(outside, 1.0, -1.0),
+        beyond=jnp.where(at_corner, patch.around, row(patch.beyond, edge)),
     )
 
 
@@ -172,7 +176,8 @@ def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
     near = frozen(point, patch)
     seen, trusted = _line_of_sight(point, patch, near.weights)
     # Far away, the direction over the triangle's plane is all that is asked for.
-    seen = jnp.where(trusted, seen, _planar(patch.vertices, point))
+    below = dot(patch.slopes, point - patch.vertices[0]) + _CORNERS[0]
+    seen = jnp.where(trusted, seen, below)
     # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
     stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
     weights = jnp.where(stopped, near.weights, seen)

@@ -20,8 +20,18 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, UInt
 
 from vibrissa.numerics.linear import solve_3x3
-from vibrissa.numerics.norms import norm
 from vibrissa.numerics.vectors import dot
+from vibrissa.surfaces.mesh.jets import (
+    Jet,
+    added,
+    mixed,
+    over,
+    picked,
+    product,
+    root,
+    scaled,
+    times,
+)
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
@@ -77,11 +87,6 @@ class Nearest(NamedTuple):
     """Whether it lies within the triangle, not on an edge."""
     edge: UInt[Array, ""]
     """Else: number of the corner opposite that edge."""
-
-
-def mixed(weights: Float[AnyArray, "*n 3"], rows: Triangle) -> Float[Array, "*n 3"]:
-    """Rows weighted by barycentric coordinates."""
-    return jnp.sum(weights[..., None] * rows, axis=-2)
 
 
 def slopes(vertices: Float[np.ndarray, "*f 3 3"]) -> Float[np.ndarray, "*f 3 3"]:
@@ -153,18 +158,24 @@ def frozen(point: Vector, patch: Patch) -> Frozen:
     )
 
 
-def patch_level(point: Vector, patch: Patch, nearby: Frozen) -> Scalar:
-    """Signed distance from the surface over the triangle, given what is nearest to about this
-    point.
+def patch_jet(point: Vector, patch: Patch, nearby: Frozen, order: int) -> Jet:
+    """Signed distance from the surface over the triangle, given what is nearest to the point, and
+    its derivatives up to an order.
     """
     weights = nearby.weights + dot(nearby.slopes, point - nearby.point)
-    sides = jnp.stack([patch.normals, nearby.beyond])
-    level, normal = jax.vmap(_sheet, in_axes=(None, None, 0, None))(
-        point, patch.vertices, sides, weights
-    )
-    ridge = nearby.code * _outside_both(nearby.code * level, dot(normal[0], normal[1]))
-    tip = nearby.sign * norm(*(point - nearby.corner))
-    return jnp.where(nearby.code == 0, level[0], jnp.where(nearby.code == 2, tip, ridge))
+
+    def side(normals: Triangle) -> _Sheet:
+        return _sheet(point, patch.vertices, normals, weights, nearby.slopes, order)
+
+    both = jax.vmap(side)(jnp.stack([patch.normals, nearby.beyond]))
+    first, second = (jax.tree.map(lambda part, k=k: part[k], both) for k in (0, 1))
+    turned = product(*first.total, *second.total, order)
+    cosine = over(turned, times(first.length, second.length))
+    code = nearby.code
+    outside = _outside_both(scaled(code, first.level), scaled(code, second.level), cosine)
+    offset = point - nearby.corner, jnp.eye(3)
+    tip = scaled(nearby.sign, root(product(*offset, *offset, order)))
+    return picked(code == 0, first.level, picked(code == 2, tip, scaled(code, outside)))
 
 
 def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
@@ -182,31 +193,50 @@ def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
     stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
     weights = jnp.where(stopped, near.weights, seen)
     here = jnp.where(trusted, weights, near.weights)
-    return patch_level(point, patch, near._replace(weights=here)), weights
+    near = near._replace(weights=here)
+    return patch_jet(point, patch, near, 0)[0], weights
+
+
+class _Sheet(NamedTuple):
+    level: Jet
+    total: tuple[Vector, Triangle]
+    """N and its Jacobian."""
+    length: Jet
+    """‖N‖."""
 
 
 def _sheet(
-    point: Vector, vertices: Triangle, normals: Triangle, weights: Vector
-) -> tuple[Scalar, Vector]:
-    """Level over a triangle at given barycentric coordinates, and the normal there."""
-    total = mixed(weights, normals)
-    length = jnp.sqrt(dot(total, total))
-    m = total / length
-    lever = dot(normals, vertices)
-    value = dot(total, point) - dot(weights, lever) + dot(m, point - mixed(weights, vertices))
-    return value / (1 + length), m
+    point: Vector,
+    vertices: Triangle,
+    normals: Triangle,
+    weights: Vector,
+    slopes: Triangle,
+    order: int,
+) -> _Sheet:
+    """Level over a triangle at given barycentric coordinates, of which gradients are given, too."""
+    total = mixed(weights, normals), mixed(normals.T, slopes)
+    offset = point - mixed(weights, vertices), jnp.eye(3) - mixed(vertices.T, slopes)
+    heights = product(weights, slopes, dot(normals, point - vertices), normals, order)
+    length = root(product(*total, *total, order))
+    along = over(product(*total, *offset, order), length)
+    beside = (1 + length[0], *length[1:])
+    return _Sheet(over(added(heights, along), beside), total, length)
 
 
-def _outside_both(distances: Float[Array, "2"], cosine: Scalar) -> Scalar:
+def _outside_both(first: Jet, second: Jet, cosine: Jet) -> Jet:
     """Distance from the corner between two half spaces, given the distances from both and the
     cosine between their normals.
     """
-    first, second = distances
-    sine = jnp.sqrt(jnp.maximum(1 - cosine * cosine, _FLATTEST))
-    outside = norm(first, (second - cosine * first) / sine)
-    outside = jnp.where(second <= cosine * first, first, outside)
-    outside = jnp.where(first <= cosine * second, second, outside)
-    return jnp.where((first <= 0) & (second <= 0), jnp.maximum(first, second), outside)
+    squared, *bends = scaled(-1.0, times(cosine, cosine))
+    steep = 1 + squared > _FLATTEST
+    flattest = jnp.asarray(_FLATTEST), *(jnp.zeros_like(part) for part in bends)
+    sine = root(picked(steep, (1 + squared, *bends), flattest))
+    aside = over(added(second, scaled(-1.0, times(cosine, first))), sine)
+    outside = root(added(times(first, first), times(aside, aside)))
+    outside = picked(second[0] <= cosine[0] * first[0], first, outside)
+    outside = picked(first[0] <= cosine[0] * second[0], second, outside)
+    larger = picked(first[0] < second[0], second, first)
+    return picked((first[0] <= 0) & (second[0] <= 0), larger, outside)
 
 
 def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector, Array]:

@@ -173,14 +173,14 @@ def deepest(
     The depth is from below, by up to h²/(8R) for points h ≈ L/6000 apart at the deepest place and
     an object that is round with radius R there, and by h/2 where it is sharp.
     """
-    points = _fine_line(scene.rod, bent, tangent)
+    points = np.asarray(_fine_line(scene.rod, bent, tangent))
     coarse = levels(scene, points)
     padded = np.pad(coarse, ((0, 0), (1, 1)), constant_values=np.inf)
     lower = (coarse < padded[:, :-2]) & (coarse <= padded[:, 2:])
     lowest = np.argsort(np.where(lower, coarse, np.inf), axis=1, kind="stable")[:, :_LOWEST]
     places = np.clip(lowest, 1, points.shape[1] - 2)[..., None]
     between = parabolas(*(np.take_along_axis(points, places + k, axis=1) for k in (-1, 0, 1)))
-    between = np.moveaxis(between, 0, 1).reshape(len(points), -1, 3)
+    between = np.moveaxis(between, 0, 1).reshape(len(points), _BETWEEN * _LOWEST, 3)
     everywhere = np.concatenate([points, between], axis=1)
     found = np.concatenate([coarse, levels(scene, between)], axis=1)
     rows, place = np.arange(len(found)), np.argmin(found, axis=1)

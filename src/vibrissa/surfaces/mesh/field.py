@@ -87,7 +87,8 @@ def _jet(field: Field, point: Vector, order: int) -> Jet:
     if field.triangles is None:
         return smooth
     corners = node + jnp.sum(CORNERS.astype(strides.dtype) * strides, axis=1)
-    sharp = field.triangles.sharp.at[corners].get(mode="promise_in_bounds")
+    marked = jnp.asarray(field.triangles.sharp)
+    sharp = marked.at[corners].get(mode="promise_in_bounds")
     weight = _weight(sharp.reshape(2, 2, 2).astype(float), place - cell, field.spacing, order)
     return _with_triangles(field.triangles, node, weight, point, smooth)
 
@@ -124,7 +125,7 @@ def _spline(field: Field, first: Array, strides: Array, share: Vector, order: in
 
 
 def _summed(
-    functions: Float[Array, "orders k 3"],
+    functions: Float[AnyArray, "orders k 3"],
     values: Float[Array, "k k k"],
     spacing: Float[AnyArray, ""],
 ) -> Jet:
@@ -132,7 +133,8 @@ def _summed(
     for axis in (2, 1, 0):
         # Term by term: a third of the time of the library's contractions, whose lanes lie outside.
         function = functions[..., axis, None, None]
-        values = sum(function[:, k] * values[..., k] for k in range(functions.shape[1]))
+        terms = (function[:, k] * values[..., k] for k in range(functions.shape[1]))
+        values = jnp.asarray(sum(terms))
     return tuple(
         values[tuple(np.moveaxis(orders, -1, 0))] / spacing**n
         for n, orders in enumerate(_ORDERS[: functions.shape[0]])

@@ -14,8 +14,8 @@ from vibrissa.numerics.vectors import dot
 
 Jet: TypeAlias = tuple[Array, ...]
 """Value (), gradient (3,) and Hessian (3, 3), or the first one or two of them."""
-Vector = Float[Array, "k"]
-Jacobian = Float[Array, "k 3"]
+Linear: TypeAlias = tuple[Float[AnyArray, "k"], Float[AnyArray, "k 3"]]
+"""A linear function of the point, and its Jacobian."""
 
 
 def added(first: Jet, second: Jet) -> Jet:
@@ -63,8 +63,9 @@ def root(jet: Jet) -> Jet:
     return tuple(jnp.where(away, part, 0.0) for part in found)
 
 
-def product(a: Vector, da: Jacobian, b: Vector, db: Jacobian, order: int) -> Jet:
-    """Scalar product of two linear functions of the point, given with their Jacobians."""
+def product(first: Linear, second: Linear, order: int) -> Jet:
+    """Scalar product, up to an order."""
+    (a, da), (b, db) = first, second
     jet = [dot(a, b)]
     if order > 0:
         jet.append(mixed(b, da) + mixed(a, db))

@@ -23,6 +23,7 @@ from vibrissa.numerics.linear import solve_3x3
 from vibrissa.numerics.vectors import dot
 from vibrissa.surfaces.mesh.jets import (
     Jet,
+    Linear,
     added,
     mixed,
     over,
@@ -169,12 +170,12 @@ def patch_jet(point: Vector, patch: Patch, nearby: Frozen, order: int) -> Jet:
 
     both = jax.vmap(side)(jnp.stack([patch.normals, nearby.beyond]))
     first, second = (jax.tree.map(lambda part, k=k: part[k], both) for k in (0, 1))
-    turned = product(*first.total, *second.total, order)
+    turned = product(first.total, second.total, order)
     cosine = over(turned, times(first.length, second.length))
     code = nearby.code
     outside = _outside_both(scaled(code, first.level), scaled(code, second.level), cosine)
     offset = point - nearby.corner, jnp.eye(3)
-    tip = scaled(nearby.sign, root(product(*offset, *offset, order)))
+    tip = scaled(nearby.sign, root(product(offset, offset, order)))
     return picked(code == 0, first.level, picked(code == 2, tip, scaled(code, outside)))
 
 
@@ -199,7 +200,7 @@ def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
 
 class _Sheet(NamedTuple):
     level: Jet
-    total: tuple[Vector, Triangle]
+    total: Linear
     """N and its Jacobian."""
     length: Jet
     """‖N‖."""
@@ -216,9 +217,9 @@ def _sheet(
     """Level over a triangle at given barycentric coordinates, of which gradients are given, too."""
     total = mixed(weights, normals), mixed(normals.T, slopes)
     offset = point - mixed(weights, vertices), jnp.eye(3) - mixed(vertices.T, slopes)
-    heights = product(weights, slopes, dot(normals, point - vertices), normals, order)
-    length = root(product(*total, *total, order))
-    along = over(product(*total, *offset, order), length)
+    heights = product((weights, slopes), (dot(normals, point - vertices), normals), order)
+    length = root(product(total, total, order))
+    along = over(product(total, offset, order), length)
     beside = (1 + length[0], *length[1:])
     return _Sheet(over(added(heights, along), beside), total, length)
 

@@ -35,6 +35,11 @@ class Scene(NamedTuple):
         """Level functions of the object's parts in model units."""
         return self.surface.part_levels(point * self.length) / self.length
 
+    @property
+    def branching(self) -> bool:
+        """Whether poses are better taken one after the other than side by side."""
+        return any(solid.branching for solid in self.surface.solids)
+
     def each(self, function: Callable[[Vector], Any], points: Float[Array, "n 3"]) -> Any:
         """The function of several points: side by side, or one by one where that would take long to
         compile.

@@ -3,6 +3,7 @@
 The tip may touch first, or the flank, where the rod meets the object tangentially.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -47,41 +48,47 @@ class Clearance(NamedTuple):
     """Between the object's normal there and the rod: −1 is head-on."""
 
 
+class _Looked(NamedTuple):
+    """What a look at the straight rod shows at an arc length: level, and its gradient."""
+
+    arc_length: Scalar
+    value: Scalar
+    gradient: Float[Array, "3"]
+
+
 def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     """Clearance of the straight rod.
 
     The level function is sampled at 17 points; the lowest is refined by Newton's method on its
     derivative along the rod.
     """
-
-    def along(s: Scalar) -> Scalar:
-        return scene.level(clamp.point + s * clamp.tangent)
-
+    base, tangent = clamp
     samples = np.linspace(0, 1, _SAMPLES + 1)
-    sampled = scene.each(scene.level, clamp.point + samples[:, None] * clamp.tangent)
-    s = jnp.argmin(sampled) / _SAMPLES
-    slope = jax.grad(along)
+    sampled = scene.each(scene.level, base + samples[:, None] * tangent)
+    start = jnp.argmin(sampled) / _SAMPLES
+    sloped = jax.value_and_grad(scene.level)
 
     def refine(
-        _: Array | int, state: tuple[Scalar, Scalar, Scalar]
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        s, low, high = state
-        first, second = jax.jvp(slope, (s,), (jnp.ones_like(s),))
+        index: Array | int, state: tuple[Scalar, Scalar, Scalar, _Looked, _Looked]
+    ) -> tuple[Scalar, Scalar, Scalar, _Looked, _Looked]:
+        s, low, high, begin, _ = state
+        (value, gradient), (first, bend) = jax.jvp(sloped, (base + s * tangent,), (tangent,))
+        here = _Looked(s, value, gradient)
+        begin = jax.tree.map(partial(jnp.where, index == 0), here, begin)
+        second = dot(bend, tangent)
         low, high = jnp.where(first < 0, s, low), jnp.where(first < 0, high, s)
         target = s - first / jnp.where(second > 0, second, 1.0)
         inside = (second > 0) & (target > low) & (target < high)
-        return jnp.where(inside, target, (low + high) / 2), low, high
+        return jnp.where(inside, target, (low + high) / 2), low, high, begin, here
 
-    ends = jnp.maximum(s - 1 / _SAMPLES, 0.0), jnp.minimum(s + 1 / _SAMPLES, 1.0)
-    refined, _, _ = lax.fori_loop(0, _REFINEMENTS, refine, (s, *ends))
-    candidates = jnp.stack([refined, s])
-    places = clamp.point + candidates[:, None] * clamp.tangent
-    values, gradients = scene.each(jax.value_and_grad(scene.level), places)
-    better = jnp.where(values[0] <= values[1], 0, 1)
-    value, gradient = values[better], gradients[better]
-    steepness = jnp.sqrt(jnp.sum(gradient * gradient))
-    cosine = dot(gradient, clamp.tangent) / steepness
-    return Clearance(value / steepness, candidates[better], sampled[0], cosine)
+    ends = jnp.maximum(start - 1 / _SAMPLES, 0.0), jnp.minimum(start + 1 / _SAMPLES, 1.0)
+    unknown = _Looked(start, sampled[0], tangent)
+    # What the last step leads to is looked at once more.
+    *_, begin, end = lax.fori_loop(0, _REFINEMENTS + 1, refine, (start, *ends, unknown, unknown))
+    found = jax.tree.map(partial(jnp.where, end.value <= begin.value), end, begin)
+    steepness = jnp.sqrt(jnp.sum(found.gradient * found.gradient))
+    cosine = dot(found.gradient, tangent) / steepness
+    return Clearance(found.value / steepness, found.arc_length, sampled[0], cosine)
 
 
 @lanes()

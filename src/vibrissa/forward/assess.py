@@ -1,5 +1,6 @@
 """What an equilibrium means: reactions, energy, and the checks of the state that is returned."""
 
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -9,8 +10,8 @@ from jaxtyping import Float
 
 from vibrissa.contact import Law, Reached, Scene, State, touching
 from vibrissa.forward.path import chosen
-from vibrissa.mechanics.model import Bent, Clamp, is_neutral
-from vibrissa.numerics.lanes import AnyArray, lanes
+from vibrissa.mechanics.model import Bent, Clamp, RodModel, is_neutral
+from vibrissa.numerics.lanes import lanes
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -65,6 +66,8 @@ _LEAST_GROWTH, _MOST_GROWTH = 1.6, 5.0
 point to the second.
 """
 _ROUNDING = 1e-9
+_AT_ONCE = 512
+"""Rods that `deepest` looks at together: their points take 10 MB."""
 
 
 def assessment(
@@ -99,46 +102,48 @@ def assessment(
 
 
 @lanes(blocks=64)
-def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> Assessment:
-    """Assessments of states at clamp poses."""
+def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessment, Bent, Scalar]:
+    """The same of states at clamp poses, with the depth."""
     values, bent, steepness = assessment(scene, state, clamp, law)
     # Lest XLA evaluate the whole state again for each of the points.
     bent, tangent, steepness = lax.optimization_barrier(  # type: ignore[no-untyped-call]
         (bent, values.tangent, steepness)
     )
-    return values._replace(depth=_depth(scene, bent, tangent, steepness))
+    depth = _depth(scene, bent, tangent, steepness)
+    return values._replace(depth=depth), bent, steepness
 
 
 def _line(
-    scene: Scene, bent: Bent, tangent: Vector, bend: Float[np.ndarray, "b"], tail: np.ndarray
+    rod: RodModel, bent: Bent, tangent: Vector, bend: Float[np.ndarray, "b"], tail: np.ndarray
 ) -> tuple[Float[Array, "b 3"], Float[Array, "t 3"]]:
     """Points at shares of the bent part, from the contact back, and of the straight rest."""
     rest = jnp.maximum(1 - bent.arc_length, 0.0) * tail[:, None]
-    return scene.rod.points(bent, bend), bent.point + rest * tangent
+    return rod.points(bent, bend), bent.point + rest * tangent
 
 
 def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scalar:
     """At most how deep the rod lies in the object, as far as few of its points tell."""
     s1, rest = bent.arc_length, jnp.maximum(1 - bent.arc_length, 0.0)
-    parts = _line(scene, bent, tangent, _BEND, _TAIL)
+    lines = [_line(scene.rod, bent, tangent, _BEND, _TAIL)]
     # Between points the object may come nearer by half of their distance, which along the bend
     # varies by up to √2.
-    near = steepness * s1 * _BEND[1] / np.sqrt(2), steepness * rest * _TAIL[1] / 2
-    count = len(_BEND)
-    levels = scene.each(scene.level, jnp.concatenate(parts))
-    least = jnp.minimum(_least(levels[:count], near[0]), _least(levels[count:], near[1]))
-    if any(solid.may_crease for solid in scene.surface.solids):
-        close = jnp.concatenate(_line(scene, bent, tangent, _NEAR_BEND, _NEAR_TAIL))
-        found, few = scene.each(scene.level, close), len(_NEAR_BEND)
-        of_bend = _least(found[:few], steepness * s1 * _FINE_BEND[1] * np.sqrt(2))
-        of_tail = _least(found[few:], steepness * rest * _NEAR_TAIL[1] / 2)
-        least = jnp.minimum(least, jnp.minimum(of_bend, of_tail))
-    if len(scene.surface.solids) > 1:
-        touched = jnp.argmin(scene.part_levels(bent.point))
-        levels = scene.each(scene.part_levels, jnp.concatenate(parts))
-        others = jnp.min(jnp.where(jnp.arange(levels.shape[1]) == touched, jnp.inf, levels), axis=1)
-        for part, by in ((others[:count], near[0]), (others[count:], near[1])):
-            least = jnp.minimum(least, jnp.min((part[1:] + part[:-1]) / 2) - by)
+    near = [(steepness * s1 * _BEND[1] / np.sqrt(2), steepness * rest * _TAIL[1] / 2)]
+    solids = scene.surface.solids
+    if any(solid.may_crease for solid in solids):
+        lines.append(_line(scene.rod, bent, tangent, _NEAR_BEND, _NEAR_TAIL))
+        closer = _FINE_BEND[1] * np.sqrt(2), _NEAR_TAIL[1] / 2
+        near.append((steepness * s1 * closer[0], steepness * rest * closer[1]))
+    parts = [part for line in lines for part in line]
+    ends = np.cumsum([len(part) for part in parts])
+    found = jnp.split(scene.each(scene.part_levels, jnp.concatenate(parts)), ends[:-1])
+    bounds = [by for pair in near for by in pair]
+    least = reduce(jnp.minimum, map(_least, (jnp.min(part, axis=1) for part in found), bounds))
+    if len(solids) > 1:
+        # The tail begins at the contact.
+        touched = np.arange(len(solids)) == jnp.argmin(found[1][0])
+        for part, by in zip(found[:2], bounds[:2], strict=True):
+            others = jnp.min(jnp.where(touched, jnp.inf, part), axis=1)
+            least = jnp.minimum(least, jnp.min((others[1:] + others[:-1]) / 2) - by)
     return -least / steepness
 
 
@@ -157,45 +162,64 @@ def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
     return jnp.minimum(jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near)), beyond)
 
 
-@lanes(width=16, blocks=16)
-def deepest(scene: Scene, state: State, clamp: Clamp, law: Law) -> Deepest:
-    """Deepest of many points of the rod: the second contact that is missing, if there is one.
+def deepest(
+    scene: Scene,
+    bent: Bent,
+    tangent: Float[np.ndarray, "k 3"],
+    steepness: Float[np.ndarray, "k"],
+) -> Deepest:
+    """Deepest of many points of each rod: the second contact that is missing, if there is one.
 
     The depth is from below, by up to h²/(8R) for points h ≈ L/6000 apart at the deepest place and
     an object that is round with radius R there, and by h/2 where it is sharp.
     """
-    values, bent, steepness = assessment(scene, state, clamp, law)
-    bend, tail = _line(scene, bent, values.tangent, _FINE_BEND, _FINE_TAIL)
-    # From tip to clamp, with the contact once.
-    points = jnp.concatenate([tail[:0:-1], bend])
-    coarse = scene.each(scene.level, points)
-    padded = jnp.pad(coarse, 1, constant_values=jnp.inf)
-    lower = (coarse < padded[:-2]) & (coarse <= padded[2:])
-    lowest = lax.top_k(jnp.where(lower, -coarse, -jnp.inf), _LOWEST)[1]
-    places = jnp.clip(lowest, 1, len(points) - 2)
-    before, here, after = points[places - 1], points[places], points[places + 1]
-    between = parabolas(before, here, after).reshape(-1, 3)
-    everywhere = jnp.concatenate([points, between])
-    levels = jnp.concatenate([coarse, scene.each(scene.level, between)])
-    place = jnp.argmin(levels)
-    return Deepest(everywhere[place], -levels[place] / steepness)
+    points = np.asarray(_fine_line(scene.rod, bent, tangent))
+    coarse = levels(scene, points)
+    padded = np.pad(coarse, ((0, 0), (1, 1)), constant_values=np.inf)
+    lower = (coarse < padded[:, :-2]) & (coarse <= padded[:, 2:])
+    lowest = np.argsort(np.where(lower, coarse, np.inf), axis=1, kind="stable")[:, :_LOWEST]
+    places = np.clip(lowest, 1, points.shape[1] - 2)[..., None]
+    between = parabolas(*(np.take_along_axis(points, places + k, axis=1) for k in (-1, 0, 1)))
+    between = np.moveaxis(between, 0, 1).reshape(len(points), _BETWEEN * _LOWEST, 3)
+    everywhere = np.concatenate([points, between], axis=1)
+    found = np.concatenate([coarse, levels(scene, between)], axis=1)
+    rows, place = np.arange(len(found)), np.argmin(found, axis=1)
+    return Deepest(everywhere[rows, place], -found[rows, place] / steepness)
+
+
+@lanes(width=16, blocks=_AT_ONCE // 16)
+def _fine_line(rod: RodModel, bent: Bent, tangent: Vector) -> Float[Array, "n 3"]:
+    """Many points of a rod from tip to clamp, with the contact once."""
+    bend, tail = _line(rod, bent, tangent, _FINE_BEND, _FINE_TAIL)
+    return jnp.concatenate([tail[:0:-1], bend])
+
+
+def levels(scene: Scene, points: Float[np.ndarray, "k n 3"]) -> Float[np.ndarray, "k n"]:
+    """Levels of the object."""
+    return np.asarray(_level(scene, points.reshape(-1, 3))).reshape(points.shape[:2])
+
+
+@lanes(width=1024, blocks=8)
+def _level(scene: Scene, point: Float[Array, "3"]) -> Scalar:
+    return scene.level(point)
 
 
 def parabolas(
-    before: Float[AnyArray, "k 3"], here: Float[AnyArray, "k 3"], after: Float[AnyArray, "k 3"]
-) -> Float[Array, "n k 3"]:
+    before: Float[np.ndarray, "*k 3"],
+    here: Float[np.ndarray, "*k 3"],
+    after: Float[np.ndarray, "*k 3"],
+) -> Float[np.ndarray, "n *k 3"]:
     """Points of parabolas through three points each, by their distances: those of the bent part and
     of the straight rest lie differently close.
     """
     back, onward = here - before, after - here
     behind, ahead = (
-        jnp.maximum(jnp.linalg.norm(step, axis=1, keepdims=True), _APART) for step in (back, onward)
+        np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), _APART) for step in (back, onward)
     )
-    share = jnp.linspace(-1.0, 1.0, _BETWEEN)[:, None, None]
-    t = share * jnp.where(share < 0, behind, ahead)
+    share = np.linspace(-1.0, 1.0, _BETWEEN).reshape(-1, *(1,) * here.ndim)
+    t = share * np.where(share < 0, behind, ahead)
     slope = (onward / ahead * (t + behind) + back / behind * (ahead - t)) / (behind + ahead)
-    curve: Array = here + t * slope
-    return curve
+    return np.asarray(here + t * slope)
 
 
 def assessed(
@@ -204,15 +228,14 @@ def assessed(
     """Assessments of states (k, …), their depths looked at closely; and the deepest points [L] of
     those that are deep or nearly so, NaN of the others. A law holds a row a state, if anything.
     """
-    values = assess(scene, state, clamp, law)
-    places = np.full(state.point.shape, np.nan)
-    left_open = np.flatnonzero(values.depth > DEPTH_TOLERANCE)
-    if left_open.size:
-        found = deepest(scene, *chosen((state, clamp, law), left_open))
-        depth = values.depth.copy()
-        depth[left_open], places[left_open] = found.depth, found.point
-        values = values._replace(depth=depth)
-    return values, places
+    values, bent, steepness = assess(scene, state, clamp, law)
+    places, depth = np.full(state.point.shape, np.nan), values.depth.copy()
+    left_open = np.flatnonzero(depth > DEPTH_TOLERANCE)
+    for first in range(0, len(left_open), _AT_ONCE):
+        rows = left_open[first : first + _AT_ONCE]
+        found = deepest(scene, *chosen((bent, values.tangent, steepness), rows))
+        depth[rows], places[rows] = found.depth, found.point
+    return values._replace(depth=depth), places
 
 
 def reached_by(values: Assessment, state: State) -> Reached:

@@ -91,7 +91,7 @@ TOLERANCE = {True: 1e-9, False: 1e-11}
 """Largest residual from which one more quadratic step is taken, and no other: on a branch; and with
 friction, where what is handed on, of before that step, adds up.
 """
-_SHARP = 1e-13
+SHARP = 1e-13
 """The same of an event, whose figure is of before the last step: what rounding leaves."""
 JUMP, JUMP_FLOOR = 8.0, 0.02
 """A contact that moves farther [L] than this many times the clamp's motion, and a bit, has jumped:
@@ -294,7 +294,7 @@ def _advance(
     back = [jnp.where(legs.fanned, legs.start, jnp.maximum(index - k, 0)) for k in (1, 2, 3)]
     come_from = [jax.tree.map(lambda part, k=k: part[k], legs.clamp) for k in back]
     side = before.state.point - come_from[0].point
-    tolerance = jnp.where(legs.fanned, _SHARP, TOLERANCE[law.branch])
+    tolerance = jnp.where(legs.fanned, SHARP, TOLERANCE[law.branch])
     found = solved(scene, law, guess, clamp, before, side, active, tolerance)
 
     converged = found.residual <= TOLERANCE[law.branch]

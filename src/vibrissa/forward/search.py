@@ -2,9 +2,10 @@
 after a snap, for trails that begin in contact, and for tips caught between two parts.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +14,18 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State
-from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assessed
-from vibrissa.forward.march import from_seeds
+from vibrissa.forward.assess import (
+    DEPTH_TOLERANCE,
+    Assessment,
+    assessed,
+    assessment,
+    deepest,
+    levels,
+)
+from vibrissa.forward.march import SHARP, from_seeds, solved
 from vibrissa.forward.path import chosen
-from vibrissa.mechanics.model import NEUTRAL, Clamp
-from vibrissa.numerics.lanes import lanes
+from vibrissa.mechanics.model import NEUTRAL, Bent, Clamp
+from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
 
 _DIRECTIONS, _RAY_SAMPLES = 96, 48
@@ -75,6 +83,15 @@ class Settled:
     def energy(self) -> float:
         """[EI/L]."""
         return float(self.values.energy)
+
+
+class Solutions(NamedTuple):
+    """Where Newton's method ended (k, …)."""
+
+    state: State
+    determinant: Float[AnyArray, "*k"]
+    residual: Float[AnyArray, "*k"]
+    """Before the last step."""
 
 
 def stable_equilibria(
@@ -139,17 +156,40 @@ def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "
     for pair in np.unique(pairs[near], axis=0):
         own = near & (pairs == pair).all(axis=1)
         starts = State(seeds.point[own], seeds.force[own], np.full((int(own.sum()), 1), 0.5))
-        state = solutions(scene, clamp, Held(pair), starts).state
+        held = partial(_held_by, scene, clamp, pair)
+        state = _distinct(held, clamp, starts).state
         state = chosen(state, (state.lean[:, 0] > 0) & (state.lean[:, 0] < 1))
-        count = len(state.force)
-        law = Held(np.broadcast_to(pair, (count, 2)))
-        values, _ = assessed(scene, law, state, _repeated(clamp, count))
-        values = chosen(values, values.depth < DEPTH_TOLERANCE)
+        _, (values, bent, steepness) = held(state)
+        depth = deepest(scene, bent, values.tangent, steepness).depth
+        values = chosen(values._replace(depth=depth), depth < DEPTH_TOLERANCE)
         for row in np.argsort(values.energy)[:1]:
             if best is None or values.energy[row] < best[0].energy:
                 found = chosen(values, row)
                 best = found, np.asarray(Held(pair).second_normal(scene, jnp.asarray(found.point)))
     return best
+
+
+_Assessed: TypeAlias = tuple[Assessment, Bent, Float[AnyArray, "*k"]]
+"""As of `assessment`."""
+
+
+def _held_by(
+    scene: Scene, clamp: Clamp, pair: Int[np.ndarray, "two"], seeds: State
+) -> tuple[Solutions, _Assessed]:
+    """Where Newton's method leads from seeds (k, …) of tips that two parts hold."""
+    count = len(seeds.force)
+    law = Held(np.broadcast_to(pair, (count, 2)))
+    found: tuple[Solutions, _Assessed] = _held(scene, seeds, _repeated(clamp, count), law)
+    return found
+
+
+@lanes(width=1, blocks=256)
+def _held(scene: Scene, seed: State, clamp: Clamp, law: Held) -> tuple[Solutions, _Assessed]:
+    always = jnp.ones((), dtype=bool)
+    found = solved(scene, law, seed, clamp, None, None, always, jnp.asarray(SHARP))
+    state = found.reached.state
+    solutions = Solutions(state, found.figure, found.residual)
+    return solutions, assessment(scene, state, clamp, law)
 
 
 def _repeated(clamp: Clamp, count: int) -> Clamp:
@@ -172,11 +212,11 @@ def seeds_around(
     round_it = np.cos(azimuth)[:, None] * first + np.sin(azimuth)[:, None] * second
     rays = cosine[:, None] * tangent + np.sqrt(1 - cosine**2)[:, None] * round_it
     distance = np.arange(1, _RAY_SAMPLES + 1) / _RAY_SAMPLES
-    values = _levels(scene, point + distance[None, :, None] * rays[:, None, :])
+    values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
     ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
     meets = point + _crossing(values, ray, sample, distance)[:, None] * rays[ray]
     along = point + distance[:, None] * tangent
-    own = _levels(scene, along[None])[0]
+    own = levels(scene, along[None])[0]
     inside = along[own < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
@@ -221,7 +261,7 @@ def _entered(
     share, rows = np.linspace(0, 1, _FINER), np.arange(len(low))
     for _ in range(2):
         samples = low[:, None] + (high - low)[:, None] * share
-        inside = _levels(scene, clamp.point + samples[..., None] * clamp.tangent) < 0
+        inside = levels(scene, clamp.point + samples[..., None] * clamp.tangent) < 0
         first = np.argmax(inside, axis=1)
         low, high = samples[rows, np.maximum(first, 1) - 1], samples[rows, np.maximum(first, 1)]
     return high
@@ -233,21 +273,10 @@ def _way_out(
     """Where rays from points inside the object leave it, within half a rod length."""
     distance = np.arange(_RAY_SAMPLES // 2 + 1) / _RAY_SAMPLES
     starts, directions = np.repeat(bases, len(sideways), axis=0), np.tile(sideways, (len(bases), 1))
-    values = _levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None])
+    values = levels(scene, starts[:, None] + distance[None, :, None] * directions[:, None])
     ray, sample = np.nonzero((values[:, :-1] < 0) & (values[:, 1:] >= 0))
     along = _crossing(values, ray, sample, distance)[:, None]
     return np.asarray(starts[ray] + along * directions[ray])
-
-
-def _levels(
-    scene: Scene, points: Float[np.ndarray, "rays samples 3"]
-) -> Float[np.ndarray, "rays samples"]:
-    return np.asarray(_level(scene, points.reshape(-1, 3))).reshape(points.shape[:2])
-
-
-@lanes(width=1024, blocks=8)
-def _level(scene: Scene, point: Float[Array, "3"]) -> Float[Array, ""]:
-    return scene.level(point)
 
 
 @lanes()
@@ -255,26 +284,26 @@ def _part_levels(scene: Scene, point: Float[Array, "3"]) -> Float[Array, "parts"
     return scene.part_levels(point)
 
 
-class Solutions(NamedTuple):
-    """Where Newton's method ended (k, …)."""
-
-    state: State
-    determinant: Float[np.ndarray, "k"]
-    residual: Float[np.ndarray, "k"]
-    """Before the last step."""
-
-
 def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
-    """Converged contacts that push and lie near the clamp, each once, from each seed (k, …); those
-    that have not converged are given as many steps again.
-    """
+    """Converged contacts that push and lie near the clamp, each once, from each seed (k, …)."""
+
+    def newton(seeds: State) -> tuple[Solutions, None]:
+        steps = from_seeds(scene, law, clamp, seeds)
+        return Solutions(steps.reached.state, steps.figure, steps.residual), None
+
+    return _distinct(newton, clamp, seeds)
+
+
+def _distinct(
+    newton: Callable[[State], tuple[Solutions, Any]], clamp: Clamp, seeds: State
+) -> Solutions:
+    """The same by any way of Newton's; what has not converged is given as many steps again."""
     count = len(seeds.force)
     found = Solutions(seeds, np.full(count, np.nan), np.full(count, np.inf))
     for _ in range(_ROUNDS):
         left = np.flatnonzero(~(found.residual < _SETTLED))
         if left.size:
-            steps = from_seeds(scene, law, clamp, chosen(found.state, left))
-            again = Solutions(steps.reached.state, steps.figure, steps.residual)
+            again, _ = newton(chosen(found.state, left))
             found = jax.tree.map(partial(_put, left), found, again)
     near = np.abs(found.state.point - clamp.point).max(axis=1, initial=0.0) < _REACH
     sound = (found.residual < _SETTLED) & (found.state.force > 0) & near

@@ -74,7 +74,7 @@ class Way(ABC):
     def _assessed(self, state: State, fraction: float) -> Assessment:
         clamp = self._stretch.clamps(np.array([fraction]))
         one = jax.tree.map(lambda part: np.asarray(part)[None], (state, clamp))
-        values: Assessment = chosen(assess(self._scene, *one, self._law), 0)
+        values: Assessment = chosen(assess(self._scene, *one, self._law)[0], 0)
         return values
 
 
@@ -153,7 +153,7 @@ def _correct(
     return found
 
 
-_corrected = compiled(_correct)
+_corrected = compiled(_correct, alone=True)
 
 
 class Branch(Way):

@@ -3,6 +3,7 @@
 Environment variables: `VIBRISSA_CACHE` names the cache's folder, or switches it off (`off`).
 """
 
+import gc
 import hashlib
 import os
 import platform
@@ -60,30 +61,37 @@ def _processor() -> str:
     return f"{platform.machine()}-{hashlib.sha256(repr(told).encode()).hexdigest()[:12]}"
 
 
-@lru_cache(maxsize=1)
-def _options() -> dict[str, bool]:
+@lru_cache(maxsize=2)
+def _options(*, alone: bool) -> dict[str, bool | int]:
     """XLA's older loop emitter keeps Newton's method in one vectorised loop: measured twice as fast
-    here, and quicker to compile.
+    here, and quicker to compile. Code in one piece takes less work to compile than in many.
 
-    Compiling without optimisation would take half the time, but jaxlib 0.10.2 then makes NaN of
-    some lanes of a block of 64.
+    Code of scalars runs no slower with few optimisations. Compiling without any would take half the
+    time, but jaxlib 0.10.2 then makes NaN of some lanes of a block of 64.
     """
-    options = {"xla_cpu_use_fusion_emitters": False}
+    options: dict[str, bool | int] = {
+        "xla_cpu_use_fusion_emitters": False,
+        "xla_cpu_parallel_codegen_split_count": 1,
+    }
+    if alone:
+        options["xla_backend_optimization_level"] = 1
     try:
         jax.jit(lambda x: x + 1, compiler_options=options)(0.0)
-    except Exception:  # a release of XLA without the option, whatever it raises
+    except Exception:  # a release of XLA without the options, whatever it raises
         return {}
     return options
 
 
-def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+def compiled(
+    function: Callable[Parameters, Result], *, alone: bool = False
+) -> Callable[Parameters, Result]:
     """`jax.jit` with the options above, set up at the first call so that importing a module does
-    not start a backend.
+    not start a backend; `alone` says that there are no lanes side by side.
     """
 
     @lru_cache(maxsize=1)
     def build() -> Callable[Parameters, Result]:
-        return jax.jit(function, compiler_options=_options())
+        return jax.jit(function, compiler_options=_options(alone=alone))
 
     @wraps(function)
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
@@ -109,6 +117,20 @@ def telling() -> Iterator[None]:
     finally:
         timer.cancel()
         _told.release()
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Leave garbage alone, of which tracing makes little, but for which it is searched very often:
+    a tenth of a compilation's time.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def operation_count(function: Callable[[Array], Array], argument: Array) -> int:

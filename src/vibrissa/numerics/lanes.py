@@ -4,6 +4,10 @@ Inside a kernel the last axis is the lane, one trail or one sample each, so that
 plain vector arithmetic; a block of 64 lanes keeps its intermediates in the core's nearest cache. A
 kernel takes a fixed number of blocks, so that it is compiled once for any number of rows. Many rows
 are shared out over threads; `VIBRISSA_THREADS=1` keeps to one.
+
+A few rows are quicker one after the other, and so are all where each goes its own way through much
+code: side by side every lane waits for the others, and code of lanes takes twice as long to compile.
+What is shared may say that of itself, by a property `branching`.
 """
 
 import os
@@ -19,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from vibrissa.numerics.compiled import compiled, telling
+from vibrissa.numerics.compiled import compiled, telling, uncollected
 
 Shared = TypeVar("Shared")
 Row = TypeVar("Row")
@@ -88,7 +92,7 @@ class Lanes(Generic[Shared, Row]):
         count = len(jax.tree.leaves(rows)[0])
         if count == 0:
             return self._nothing(shared, rows)
-        kernel, width, size = self._kernel(count)
+        kernel, width, size = self._kernel(shared, count)
 
         def call(first: int) -> Row:
             last = min(first + size, count)
@@ -107,7 +111,8 @@ class Lanes(Generic[Shared, Row]):
         """Compile in a thread of its own what a call with such rows will need: XLA leaves the other
         cores to whoever else compiles or works.
         """
-        known = (self._kernel(len(jax.tree.leaves(rows)[0]))[0], jax.tree.structure((shared, rows)))
+        kernel, *_ = self._kernel(shared, len(jax.tree.leaves(rows)[0]))
+        known = (kernel, jax.tree.structure((shared, rows)))
         if known not in self._begun and threads() > 1:
             self._begun.add(known)
             threading.Thread(target=self._quietly, args=(shared, *rows)).start()
@@ -118,10 +123,10 @@ class Lanes(Generic[Shared, Row]):
         with suppress(Exception):
             self(*arguments)
 
-    def _kernel(self, count: int) -> tuple[Callable[..., Any], int, int]:
+    def _kernel(self, shared: Shared, count: int) -> tuple[Callable[..., Any], int, int]:
         """What takes so many rows, how many of them side by side, and how many in one call."""
-        if count <= self._alone:
-            return self._one_by_one, 1, self._alone
+        if count <= self._alone or self._width == 1 or _branching(shared):
+            return self._one_by_one, 1, self._size_alone
         return self._side_by_side, self._width, self._width * self._blocks
 
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
@@ -130,7 +135,7 @@ class Lanes(Generic[Shared, Row]):
         if known in self._known:
             return kernel(*arguments)
         told = nullcontext() if getattr(_within, "ahead", False) else telling()
-        with told, self._compiling:
+        with told, self._compiling, uncollected():
             found = kernel(*arguments)
             self._known.add(known)
         return found
@@ -145,15 +150,19 @@ class Lanes(Generic[Shared, Row]):
             lambda shape: np.zeros((0, *shape.shape), shape.dtype), self._shapes[known]
         )
 
+    @property
+    def _size_alone(self) -> int:
+        return self._alone or self._width * self._blocks
+
     @cached_property
     def _one_by_one(self) -> Callable[..., Any]:
-        """The kernel of a few rows: quickest for those."""
+        """The kernel of a few rows, or of a branching function."""
 
         def one(shared: Shared, *row: Any) -> Any:
             only = jax.tree.map(lambda leaf: leaf[..., 0], row)
             return jax.tree.map(lambda leaf: leaf[..., None], self._one(shared, *only))
 
-        return self._compiled(one, 1, self._alone)
+        return self._compiled(one, 1, self._size_alone)
 
     @cached_property
     def _side_by_side(self) -> Callable[..., Any]:
@@ -193,7 +202,7 @@ class Lanes(Generic[Shared, Row]):
 
         # As profiles and logs of compilation show it.
         kernel.__name__ = self._one.__name__
-        return compiled(kernel)
+        return compiled(kernel, alone=width == 1)
 
 
 def lanes(
@@ -204,11 +213,18 @@ def lanes(
     Parameters
     ----------
     width, blocks
-        Lanes of a block, and blocks of a call.
+        Lanes of a block, and blocks of a call; a width of 1 takes rows one after the other.
     alone
         Up to how many rows are taken one after the other, by a kernel of scalars.
     """
     return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone)
+
+
+def _branching(shared: Any) -> bool:
+    def tells(part: object) -> bool:
+        return hasattr(part, "branching")
+
+    return any(part.branching for part in jax.tree.leaves(shared, is_leaf=tells) if tells(part))
 
 
 def _filled(rows: AnyArray, size: int) -> AnyArray:

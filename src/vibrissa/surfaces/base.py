@@ -43,6 +43,10 @@ class Surface(eqx.Module):
     """Whether evaluating the level takes so much code that compiled loops should hold it once
     rather than once for each point.
     """
+    branching: ClassVar[bool] = False
+    """Whether points go such different ways through that code that one by one is quicker than side
+    by side.
+    """
 
     @abstractmethod
     def level(self, point: Point) -> Scalar:

@@ -42,7 +42,7 @@ def build(sheet: Sheets, reach: float) -> Field:
     plain = Field(
         jnp.asarray(grid.origin),
         jnp.asarray(grid.spacing),
-        jnp.asarray(grid.size),
+        jnp.asarray(grid.size, dtype=np.uint32),
         padded(coefficients.ravel(), 1 << 18),
         None,
     )
@@ -66,7 +66,7 @@ def build(sheet: Sheets, reach: float) -> Field:
     return plain._replace(triangles=_triangles(grid, sheet, cells, blurred))
 
 
-@lanes(blocks=512)
+@lanes(width=1, blocks=1 << 15)
 def _levels(field: Field, point: Float[Array, "3"]) -> Float[Array, ""]:
     return field_level(field, point)
 
@@ -107,7 +107,7 @@ def _triangles(
     chosen, nearby = np.unique(triangle, return_inverse=True)
     return Triangles(
         padded(sharp, 1 << 18),
-        padded(first.astype(np.int32), 1 << 18),
-        padded(nearby.astype(np.int32), 1 << 14),
+        padded(first.astype(np.uint32), 1 << 18),
+        padded(nearby.astype(np.uint32), 1 << 14),
         jax.tree.map(lambda part: padded(part[chosen], 1 << 10), sheet.patches),
     )

@@ -11,7 +11,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
-from vibrissa.surfaces.mesh.patches import Patch
+from vibrissa.surfaces.mesh.patches import Patch, slopes
 
 # A cubic without constant has 9 coefficients, a quadratic 5; one or two points more than that.
 _CUBIC_FROM, _QUADRATIC_FROM = 11, 6
@@ -83,6 +83,7 @@ def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
     weighting = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
     patches = Patch(
         vertices=vertices[faces],
+        slopes=slopes(vertices[faces]),
         normals=normals[fans],
         beyond=normals[fans[across[..., None], there]],
         around=normals[other[fans]],

@@ -8,7 +8,6 @@ continuously differentiable over the cells. Value, gradient and Hessian are one 
 that Newton's method pays for what it asks.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -16,17 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, UInt
 
 from vibrissa.numerics.norms import norm
 from vibrissa.numerics.vectors import dot
-from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_level
+from vibrissa.surfaces.mesh.jets import Jet, added, scaled, times
+from vibrissa.surfaces.mesh.patches import AnyArray, Patch, frozen, nearest, patch_jet, row
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
 Held = TypeVar("Held")
-Jet = tuple[Array, ...]
-"""Value (), gradient (3,) and Hessian (3, 3), as far as asked for."""
 
 CORNERS = np.array(list(np.ndindex(2, 2, 2)))
 """Of a cell."""
@@ -36,11 +34,11 @@ class Triangles(NamedTuple):
     """Which triangles may be nearest, cell by cell."""
 
     sharp: Bool[AnyArray, "nodes"]
-    first: Int[AnyArray, "nodes"]
+    first: UInt[AnyArray, "nodes"]
     """First entry in `nearby` of the cell whose lowest corner the node is; the next node's is the
     end.
     """
-    nearby: Int[AnyArray, "entries"]
+    nearby: UInt[AnyArray, "entries"]
     """Numbers of patches."""
     patches: Patch
 
@@ -52,8 +50,8 @@ class Field(NamedTuple):
 
     origin: Float[AnyArray, "3"]
     spacing: Float[AnyArray, ""]
-    size: Int[AnyArray, "3"]
-    """Nodes along each axis; the node (i, j, k) lies at `origin` + `spacing` (i, j, k)."""
+    size: UInt[AnyArray, "3"]
+    """Nodes along each axis, unsigned; the node (i, j, k) lies at `origin` + `spacing` (i, j, k)."""
     coefficients: Float[AnyArray, "nodes"]
     triangles: Triangles | None
     """None where the spline is all: the code for the triangles is then left out."""
@@ -82,23 +80,26 @@ def field_level(field: Field, point: Vector) -> Scalar:
 def _jet(field: Field, point: Vector, order: int) -> Jet:
     """Level inside the grid, and its derivatives up to an order."""
     place = (point - field.origin) / field.spacing
-    cell = jnp.clip(jnp.floor(place).astype(int), 1, field.size - 3)
+    cell = jnp.clip(jnp.floor(place), 1.0, field.size - 3.0).astype(field.size.dtype)
     strides = jnp.stack([field.size[1] * field.size[2], field.size[2], jnp.ones_like(cell[0])])
     node = jnp.sum(cell * strides)
     smooth = _spline(field, node - jnp.sum(strides), strides, place - cell, order)
     if field.triangles is None:
         return smooth
-    marks = field.triangles.sharp[node + jnp.sum(CORNERS * strides, axis=1)].reshape(2, 2, 2)
-
-    def weight(q: Vector) -> Scalar:
-        """From 0 at plain corners to 1 at sharp ones by the step 3t² − 2t³ along each axis."""
-        share = (q - field.origin) / field.spacing - cell
-        found = marks.astype(float)
-        for step in share * share * (3 - 2 * share):
-            found = found[0] + step * (found[1] - found[0])
-        return found
-
+    corners = node + jnp.sum(CORNERS.astype(strides.dtype) * strides, axis=1)
+    marked = jnp.asarray(field.triangles.sharp)
+    sharp = marked.at[corners].get(mode="promise_in_bounds")
+    weight = _weight(sharp.reshape(2, 2, 2).astype(float), place - cell, field.spacing, order)
     return _with_triangles(field.triangles, node, weight, point, smooth)
+
+
+def _weight(
+    marks: Float[Array, "2 2 2"], share: Vector, spacing: Float[AnyArray, ""], order: int
+) -> Jet:
+    """From 0 at plain corners to 1 at sharp ones by the step 3t² − 2t³ along each axis."""
+    step = (3 - 2 * share) * share * share, 6 * share * (1 - share), 6 - 12 * share
+    functions = [jnp.stack([float(n == 0) - part, part]) for n, part in enumerate(step)]
+    return _summed(jnp.stack(functions[: order + 1]), marks, spacing)
 
 
 @_jet.defjvp
@@ -111,7 +112,7 @@ def _jet_jvp(
 
 def _spline(field: Field, first: Array, strides: Array, share: Vector, order: int) -> Jet:
     """Value and derivatives of Σ cᵢⱼₖ Bᵢ(x) Bⱼ(y) Bₖ(z) over the 4³ nodes from `first` on."""
-    steps = jnp.arange(4)
+    steps = np.arange(4, dtype=strides.dtype)
     rows = first + steps[:, None] * strides[0] + steps * strides[1]
 
     def cut(row: Array) -> Array:
@@ -120,20 +121,30 @@ def _spline(field: Field, first: Array, strides: Array, share: Vector, order: in
     sums: Any = jax.vmap(jax.vmap(cut))(rows)
     c = _SPLINE_JET[: order + 1, ..., None]
     functions = ((c[:, :, 3] * share + c[:, :, 2]) * share + c[:, :, 1]) * share + c[:, :, 0]
+    return _summed(functions, sums, field.spacing)
+
+
+def _summed(
+    functions: Float[AnyArray, "orders k 3"],
+    values: Float[Array, "k k k"],
+    spacing: Float[AnyArray, ""],
+) -> Jet:
+    """Jet of Σ vᵢⱼₖ fᵢ(x) fⱼ(y) fₖ(z), by the functions and their derivatives along each axis."""
     for axis in (2, 1, 0):
         # Term by term: a third of the time of the library's contractions, whose lanes lie outside.
         function = functions[..., axis, None, None]
-        sums = sum(function[:, k] * sums[..., k] for k in range(4))
+        terms = (function[:, k] * values[..., k] for k in range(functions.shape[1]))
+        values = jnp.asarray(sum(terms))
     return tuple(
-        sums[tuple(np.moveaxis(orders, -1, 0))] / field.spacing**n
-        for n, orders in enumerate(_ORDERS[: order + 1])
+        values[tuple(np.moveaxis(orders, -1, 0))] / spacing**n
+        for n, orders in enumerate(_ORDERS[: functions.shape[0]])
     )
 
 
 def _with_triangles(
     triangles: Triangles,
     node: Array,
-    weight: Callable[[Vector], Scalar],
+    weight: Jet,
     point: Vector,
     smooth: Jet,
 ) -> Jet:
@@ -151,45 +162,29 @@ def _with_triangles(
         needed, point, smooth = state
         chosen = _nearest_patch(triangles, node, point)
         # Barriers, lest XLA work out the whole again for each of its parts.
-        patch = _apart(jax.tree.map(lambda part: part[chosen], triangles.patches))
+        patch = _apart(jax.tree.map(lambda part: row(part, chosen), triangles.patches))
         near = _apart(frozen(point, patch))
 
-        def blended(q: Vector) -> Scalar:
-            plain = _expanded(smooth, q - point)
-            return plain + weight(q) * (patch_level(q, patch, near) - plain)
+        beside = added(patch_jet(point, patch, near, len(smooth) - 1), scaled(-1.0, smooth))
+        return jnp.zeros_like(needed), -point, added(smooth, times(weight, beside))
 
-        return jnp.zeros_like(needed), -point, _derivatives(blended, point, len(smooth))
-
-    needed = triangles.first[node] < triangles.first[node + 1]
+    needed = row(triangles.first, node) < row(triangles.first, node + 1)
     return lax.while_loop(unfinished, blend, (needed, point, smooth))[2]
 
 
-def _expanded(jet: Jet, step: Vector) -> Scalar:
-    """Taylor's polynomial."""
-    value, *derivatives = jet
-    for derivative, power in zip(derivatives, (step, step[:, None] * step / 2), strict=False):
-        value += jnp.sum(derivative * power)
-    return value
-
-
-def _derivatives(function: Callable[[Vector], Scalar], point: Vector, count: int) -> Jet:
-    def hessian(q: Vector) -> Float[Array, "3 3"]:
-        # One direction after the other: a third of the code.
-        return lax.map(lambda along: jax.jvp(jax.grad(function), (q,), (along,))[1], jnp.eye(3))
-
-    return tuple(derive(point) for derive in (function, jax.grad(function), hessian)[:count])
-
-
 def _nearest_patch(triangles: Triangles, node: Array, point: Vector) -> Array:
+    vertices, slopes = triangles.patches.vertices, triangles.patches.slopes
+
     def look(index: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         best, chosen = state
-        candidate = triangles.nearby[index]
-        squared = nearest(point, triangles.patches.vertices[candidate]).squared
+        candidate = row(triangles.nearby, index)
+        squared = nearest(point, row(vertices, candidate), row(slopes, candidate)).squared
         closer = squared < best
         return jnp.where(closer, squared, best), jnp.where(closer, candidate, chosen)
 
     start = jnp.asarray(jnp.inf), jnp.zeros_like(triangles.nearby[0])
-    return lax.fori_loop(triangles.first[node], triangles.first[node + 1], look, start)[1]
+    first, stop = (row(triangles.first, at) for at in (node, node + 1))
+    return lax.fori_loop(first, stop, look, start)[1]
 
 
 def _apart(values: Held) -> Held:

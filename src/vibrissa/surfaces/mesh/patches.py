@@ -17,20 +17,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, UInt
 
 from vibrissa.numerics.linear import solve_3x3
-from vibrissa.numerics.norms import norm
 from vibrissa.numerics.vectors import dot
+from vibrissa.surfaces.mesh.jets import (
+    Jet,
+    Linear,
+    added,
+    mixed,
+    over,
+    picked,
+    product,
+    root,
+    scaled,
+    times,
+)
 
 Vector = Float[Array, "3"]
 Scalar = Float[Array, ""]
 AnyArray = Array | np.ndarray
 Triangle = Float[AnyArray, "3 3"]
 
-# Corners at which the edge opposite each corner starts and ends.
-_START, _STOP = np.array([1, 2, 0]), np.array([2, 0, 1])
 _CORNERS = np.eye(3)
+# Barycentric coordinates where the edge opposite each corner starts, and from there to its end.
+_START = np.roll(_CORNERS, -1, axis=0)
+_ONWARD = np.roll(_CORNERS, -2, axis=0) - _START
 # Newton's method for the line of sight squares its error at each step: from a tenth to 1e-16.
 _REFINEMENTS = 4
 # Barycentric coordinates further than this from the nearest point's are not near the triangle.
@@ -43,6 +55,8 @@ class Patch(NamedTuple):
     """What the level over one triangle depends on; with an axis in front, over many."""
 
     vertices: Float[AnyArray, "*f 3 3"]
+    slopes: Float[AnyArray, "*f 3 3"]
+    """Gradients of the barycentric coordinates in the triangle's plane, one a row."""
     normals: Float[AnyArray, "*f 3 3"]
     """Of the corners, each on this triangle's side of a crease."""
     beyond: Float[AnyArray, "*f 3 3 3"]
@@ -70,44 +84,39 @@ class Nearest(NamedTuple):
     """Squared distance."""
     weights: Vector
     """Barycentric coordinates."""
-    edge: Int[Array, ""]
-    """Number of the corner opposite the edge that it lies on; −1 within the triangle."""
+    within: Bool[Array, ""]
+    """Whether it lies within the triangle, not on an edge."""
+    edge: UInt[Array, ""]
+    """Else: number of the corner opposite that edge."""
 
 
-def mixed(weights: Float[Array, "*n 3"], rows: Triangle) -> Float[Array, "*n 3"]:
-    """Rows weighted by barycentric coordinates."""
-    return jnp.sum(weights[..., None] * rows, axis=-2)
+def slopes(vertices: Float[np.ndarray, "*f 3 3"]) -> Float[np.ndarray, "*f 3 3"]:
+    """Gradients of the barycentric coordinates of triangles, as in `Patch`."""
+    along = _ONWARD @ vertices
+    normal = np.cross(along[..., [0], :], along[..., [1], :])
+    return np.asarray(np.cross(normal, along) / np.sum(normal**2, axis=-1, keepdims=True))
 
 
-def nearest(point: Vector, vertices: Triangle) -> Nearest:
+def nearest(point: Vector, vertices: Triangle, slopes: Triangle) -> Nearest:
     """Nearest point of a triangle that is not degenerate: the one below, or the nearest of those on
     the three edges.
     """
-    along = _along(vertices)
-    share = jnp.clip(dot(along, point - vertices[_START]) / dot(along, along), 0, 1)[:, None]
-    on_edges = (1 - share) * _CORNERS[_START] + share * _CORNERS[_STOP]
-    weights = jnp.concatenate([on_edges, _planar(vertices, point)[None]])
-    offset = point - mixed(weights, vertices)
-    squared = dot(offset, offset)
-    edge = jnp.where(jnp.all(weights[-1] >= 0), -1, jnp.argmin(squared[:3]))
-    return Nearest(squared[edge], weights[edge], edge)
+    offset = point - vertices
+    below = dot(slopes, offset[0]) + _CORNERS[0]
+    along, start = mixed(_ONWARD, vertices), mixed(_START, offset)
+    share = jnp.clip(dot(along, start) / dot(along, along), 0, 1)[:, None]
+    aside = start - share * along
+    squared = dot(aside, aside)
+    edge = lax.argmin(squared, 0, jnp.uint32)
+    within = jnp.all(below >= 0)
+    weights = jnp.where(within, below, row(_START + share * _ONWARD, edge))
+    height = mixed(below, offset)
+    return Nearest(jnp.where(within, dot(height, height), jnp.min(squared)), weights, within, edge)
 
 
-def _along(vertices: Triangle) -> Triangle:
-    """Vectors along the edges, each opposite its corner."""
-    return vertices[_STOP] - vertices[_START]
-
-
-def _slopes(vertices: Triangle) -> Triangle:
-    """Gradients of the barycentric coordinates in the triangle's plane, one a row."""
-    along = _along(vertices)
-    normal = jnp.cross(along[0], along[1])
-    return jnp.cross(normal, along) / dot(normal, normal)
-
-
-def _planar(vertices: Triangle, point: Vector) -> Vector:
-    """Barycentric coordinates of the point below in the triangle's plane."""
-    return dot(_slopes(vertices), point - vertices[0]) + _CORNERS[0]
+def row(rows: AnyArray, index: UInt[Array, ""]) -> Array:
+    """One row, by an index that is unsigned and within bounds: the least code."""
+    return lax.dynamic_index_in_dim(jnp.asarray(rows), index, keepdims=False)
 
 
 class Frozen(NamedTuple):
@@ -129,38 +138,45 @@ class Frozen(NamedTuple):
 
 def frozen(point: Vector, patch: Patch) -> Frozen:
     """Hold fast what is nearest to a point over the triangle."""
-    _, weights, edge = nearest(point, patch.vertices)
-    corner = jnp.argmax(weights)
-    within, at_corner = edge < 0, (edge >= 0) & (weights[corner] == 1)
-    along = _along(patch.vertices)[edge]
-    turn = jnp.asarray(_CORNERS[_STOP] - _CORNERS[_START])[edge]
+    _, weights, within, edge = nearest(point, patch.vertices, patch.slopes)
+    corner = lax.argmax(weights, 0, jnp.uint32)
+    at_corner = ~within & (row(weights, corner) == 1)
+    turn = row(_ONWARD, edge)
+    along = mixed(turn, patch.vertices)
     on_edge = turn[:, None] * along / dot(along, along)
-    slopes = jnp.where(within, _slopes(patch.vertices), on_edge)
-    code = jnp.where(at_corner, patch.corners[corner], patch.edges[edge])
-    apex = patch.vertices[corner]
+    kept = jnp.where(within, patch.slopes, jnp.where(at_corner, 0.0, on_edge))
+    code = jnp.where(at_corner, row(patch.corners, corner), row(patch.edges, edge))
+    apex = row(patch.vertices, corner)
+    outside = dot(point - apex, row(patch.pseudo, corner)) >= 0
     return Frozen(
         point,
         weights,
-        slopes=jnp.where(at_corner, 0.0, slopes),
+        slopes=kept,
         code=jnp.where(within, 0.0, code),
         corner=apex,
-        sign=jnp.where(dot(point - apex, patch.pseudo[corner]) >= 0, 1.0, -1.0),
-        beyond=jnp.where(at_corner, patch.around, patch.beyond[edge]),
+        sign=jnp.where(outside, 1.0, -1.0),
+        beyond=jnp.where(at_corner, patch.around, row(patch.beyond, edge)),
     )
 
 
-def patch_level(point: Vector, patch: Patch, nearby: Frozen) -> Scalar:
-    """Signed distance from the surface over the triangle, given what is nearest to about this
-    point.
+def patch_jet(point: Vector, patch: Patch, nearby: Frozen, order: int) -> Jet:
+    """Signed distance from the surface over the triangle, given what is nearest to the point, and
+    its derivatives up to an order.
     """
     weights = nearby.weights + dot(nearby.slopes, point - nearby.point)
-    sides = jnp.stack([patch.normals, nearby.beyond])
-    level, normal = jax.vmap(_sheet, in_axes=(None, None, 0, None))(
-        point, patch.vertices, sides, weights
-    )
-    ridge = nearby.code * _outside_both(nearby.code * level, dot(normal[0], normal[1]))
-    tip = nearby.sign * norm(*(point - nearby.corner))
-    return jnp.where(nearby.code == 0, level[0], jnp.where(nearby.code == 2, tip, ridge))
+
+    def side(normals: Triangle) -> _Sheet:
+        return _sheet(point, patch.vertices, normals, weights, nearby.slopes, order)
+
+    both = jax.vmap(side)(jnp.stack([patch.normals, nearby.beyond]))
+    first, second = (jax.tree.map(lambda part, k=k: part[k], both) for k in (0, 1))
+    turned = product(first.total, second.total, order)
+    cosine = over(turned, times(first.length, second.length))
+    code = nearby.code
+    outside = _outside_both(scaled(code, first.level), scaled(code, second.level), cosine)
+    offset = point - nearby.corner, jnp.eye(3)
+    tip = scaled(nearby.sign, root(product(offset, offset, order)))
+    return picked(code == 0, first.level, picked(code == 2, tip, scaled(code, outside)))
 
 
 def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
@@ -172,36 +188,56 @@ def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
     near = frozen(point, patch)
     seen, trusted = _line_of_sight(point, patch, near.weights)
     # Far away, the direction over the triangle's plane is all that is asked for.
-    seen = jnp.where(trusted, seen, _planar(patch.vertices, point))
+    below = dot(patch.slopes, point - patch.vertices[0]) + _CORNERS[0]
+    seen = jnp.where(trusted, seen, below)
     # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
     stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
     weights = jnp.where(stopped, near.weights, seen)
     here = jnp.where(trusted, weights, near.weights)
-    return patch_level(point, patch, near._replace(weights=here)), weights
+    near = near._replace(weights=here)
+    return patch_jet(point, patch, near, 0)[0], weights
+
+
+class _Sheet(NamedTuple):
+    level: Jet
+    total: Linear
+    """N and its Jacobian."""
+    length: Jet
+    """‖N‖."""
 
 
 def _sheet(
-    point: Vector, vertices: Triangle, normals: Triangle, weights: Vector
-) -> tuple[Scalar, Vector]:
-    """Level over a triangle at given barycentric coordinates, and the normal there."""
-    total = mixed(weights, normals)
-    length = jnp.sqrt(dot(total, total))
-    m = total / length
-    lever = dot(normals, vertices)
-    value = dot(total, point) - dot(weights, lever) + dot(m, point - mixed(weights, vertices))
-    return value / (1 + length), m
+    point: Vector,
+    vertices: Triangle,
+    normals: Triangle,
+    weights: Vector,
+    slopes: Triangle,
+    order: int,
+) -> _Sheet:
+    """Level over a triangle at given barycentric coordinates, of which gradients are given, too."""
+    total = mixed(weights, normals), mixed(normals.T, slopes)
+    offset = point - mixed(weights, vertices), jnp.eye(3) - mixed(vertices.T, slopes)
+    heights = product((weights, slopes), (dot(normals, point - vertices), normals), order)
+    length = root(product(total, total, order))
+    along = over(product(total, offset, order), length)
+    beside = (1 + length[0], *length[1:])
+    return _Sheet(over(added(heights, along), beside), total, length)
 
 
-def _outside_both(distances: Float[Array, "2"], cosine: Scalar) -> Scalar:
+def _outside_both(first: Jet, second: Jet, cosine: Jet) -> Jet:
     """Distance from the corner between two half spaces, given the distances from both and the
     cosine between their normals.
     """
-    first, second = distances
-    sine = jnp.sqrt(jnp.maximum(1 - cosine * cosine, _FLATTEST))
-    outside = norm(first, (second - cosine * first) / sine)
-    outside = jnp.where(second <= cosine * first, first, outside)
-    outside = jnp.where(first <= cosine * second, second, outside)
-    return jnp.where((first <= 0) & (second <= 0), jnp.maximum(first, second), outside)
+    squared, *bends = scaled(-1.0, times(cosine, cosine))
+    steep = 1 + squared > _FLATTEST
+    flattest = jnp.asarray(_FLATTEST), *(jnp.zeros_like(part) for part in bends)
+    sine = root(picked(steep, (1 + squared, *bends), flattest))
+    aside = over(added(second, scaled(-1.0, times(cosine, first))), sine)
+    outside = root(added(times(first, first), times(aside, aside)))
+    outside = picked(second[0] <= cosine[0] * first[0], first, outside)
+    outside = picked(first[0] <= cosine[0] * second[0], second, outside)
+    larger = picked(first[0] < second[0], second, first)
+    return picked((first[0] <= 0) & (second[0] <= 0), larger, outside)
 
 
 def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector, Array]:

@@ -13,7 +13,7 @@ from vibrissa.numerics.lanes import lanes
 from vibrissa.surfaces.mesh.creases import Sheets
 from vibrissa.surfaces.mesh.field import CORNERS
 from vibrissa.surfaces.mesh.libraries import library
-from vibrissa.surfaces.mesh.patches import Patch, nearest, refined_level
+from vibrissa.surfaces.mesh.patches import Patch, nearest, refined_level, slopes
 
 # Distance from the surface [spacings] up to which the sign is that of the smooth surface, not that
 # of the triangles.
@@ -62,7 +62,7 @@ def mesh_levels(
     return np.asarray(_walked(mesh, points, triangles))
 
 
-@lanes(blocks=512)
+@lanes(width=1, blocks=1 << 15)
 def _walked(
     mesh: tuple[Patch, Int[Array, "f 3"]], point: Float[Array, "3"], triangle: Int[Array, ""]
 ) -> Float[Array, ""]:
@@ -97,7 +97,7 @@ def node_levels(grid: Grid, sheet: Sheets, reach: float) -> Float[np.ndarray, "n
     )
     seed = np.ravel_multi_index(tuple(seed), grid.size).ravel()[far]
     corners = sheet.vertices[sheet.faces[triangle[seed]]]
-    level[far] = np.copysign(_distances(None, corners, points[far, None])[:, 0], level[seed])
+    level[far] = np.copysign(_distances(corners, points[far, None])[:, 0], level[seed])
     walked = mesh_levels(sheet, points[~far], triangle[~far])
     outer = np.abs(level[~far]) > _NEAR * grid.spacing
     level[~far] = np.where(outer, np.copysign(walked, level[~far]), walked)
@@ -135,15 +135,21 @@ def candidates(
         cell = np.concatenate(found).astype(np.int64)
         near = np.linalg.norm(middles[cell] - center[piece], axis=1) <= size[piece] + bound[cell]
         piece, cell = piece[near], cell[near]
-        distance = _distances(None, corners[piece], eighths[cell])
+        distance = _distances(corners[piece], eighths[cell])
         close = (distance <= reach[cell]).any(axis=1)
         pairs.append(cell[close] * len(sheet.faces) + owner[piece[close]])
     return np.divmod(np.unique(np.concatenate(pairs)), len(sheet.faces))
 
 
-@lanes(blocks=512)
 def _distances(
-    _: None, corners: Float[Array, "3 3"], points: Float[Array, "k 3"]
+    corners: Float[np.ndarray, "n 3 3"], points: Float[np.ndarray, "n k 3"]
+) -> Float[np.ndarray, "n k"]:
+    """Distances of points from flat triangles."""
+    return np.sqrt(_squared(None, corners, slopes(corners), points))
+
+
+@lanes(width=1, blocks=1 << 15)
+def _squared(
+    _: None, corners: Float[Array, "3 3"], slope: Float[Array, "3 3"], points: Float[Array, "k 3"]
 ) -> Float[Array, "k"]:
-    """Distances of points from one flat triangle."""
-    return jnp.sqrt(jax.vmap(lambda point: nearest(point, corners).squared)(points))
+    return jax.vmap(lambda point: nearest(point, corners, slope).squared)(points)

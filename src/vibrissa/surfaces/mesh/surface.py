@@ -131,6 +131,11 @@ class Mesh(ExactSurface):
             raise ValueError(f"{path}: {error}") from error
 
     @property
+    def branching(self) -> bool:  # type: ignore[override]
+        """Whether triangles are looked at, which differ from point to point."""
+        return self.field.triangles is not None
+
+    @property
     def vertices(self) -> Vertices:
         """Vertices after repair (v, 3), in units of the rod."""
         return self.source.vertices

@@ -205,7 +205,6 @@ def cells_of(
         skipinitialspace=True,
         skip_blank_lines=False,
         low_memory=False,
-        float_precision="round_trip",
     )
     if len(frame) != len(rows):
         raise ValueError("a quote is not closed")
@@ -255,8 +254,6 @@ def numbers_of(
     else:
         points = texts if decimal == "." else texts.replace({r"\.": "?", ",": "."}, regex=True)
         numbers = pd.to_numeric(points, errors="coerce").astype(float)
-        # Before pandas 3.1 these are wrong in the last digit.
-        numbers[numbers.notna()] = points[numbers.notna()].astype(float)
     lost = texts[numbers.isna()]
     bad = lost[~lost.str.lower().isin(("nan", "-nan", *missing))]
     if len(bad):

@@ -205,11 +205,6 @@ class Linear:
         """Squared length of each row's whitened channels; NaN where there is no equilibrium."""
         return np.where(self.sound, np.sum(self.whitened**2, axis=1), np.nan)
 
-    @property
-    def equilibria(self) -> float:
-        """Share of the rows in contact that have an equilibrium."""
-        return float(np.mean(self.sound[self.problem.rows.contact]))
-
     @cached_property
     def spread(self) -> float:
         """Median length of the residuals of rows in contact over that of noise alone, at least

@@ -181,6 +181,20 @@ def test_a_recording_cut_off_in_contact_is_smoothed(scan: vb.Scan) -> None:
     assert np.isfinite(found.covariance[ok]).all()
 
 
+def test_a_recording_that_begins_in_contact_begins_with_any_load(scan: vb.Scan) -> None:
+    """Also where it ends without: its first samples are no outliers, and say where the rod is."""
+    first = REST + int(np.flatnonzero(scan.in_contact)[100])
+    found = vb.smooth(vb.reconstruct(WIRE, readings(scan, 100.0)[first:]))
+    assert found.smoothing is not None
+    (touch,) = found.smoothing[0].touches
+    assert (touch.first, touch.start) == (0, None)
+    assert touch.end is not None
+    assert not found.smoothing[0].outlier[:20].any()
+    off = np.linalg.norm(found.point[:20] - scan.point[first - REST :][:20], axis=1)
+    assert found.covariance is not None
+    assert np.all(off < 4 * np.sqrt(np.trace(found.covariance[:20], axis1=1, axis2=2)))
+
+
 def test_of_a_weak_contact_that_noise_parts_no_work_is_missed() -> None:
     """What follows a part that does not rise out of the noise begins loaded: the clamp's work
     before it is not known, and no contradiction.

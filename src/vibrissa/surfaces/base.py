@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import Orientation, rotation_matrices, unit_quaternions
+from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.vectors import dot
 from vibrissa.surfaces import closest
 
@@ -162,22 +163,20 @@ def _smaller(first: Scalar, second: Scalar) -> Scalar:
     return jnp.where(second < first, second, first)
 
 
-@jax.jit
-def _values(function: Function, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return jax.vmap(function)(points)
+@lanes()
+def _values(function: Function, point: Point) -> Scalar:
+    return function(point)
 
 
-@jax.jit
-def _values_and_slopes(
-    function: Function, points: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n"], Float[Array, "n 3"]]:
-    return jax.vmap(jax.value_and_grad(function))(points)
+@lanes()
+def _values_and_slopes(function: Function, point: Point) -> tuple[Scalar, Float[Array, "3"]]:
+    return jax.value_and_grad(function)(point)
 
 
 def _at(points: ArrayLike, evaluate: Callable[..., Any], function: Function) -> Any:
     """What a function gives at points that are checked."""
     array = finite_array(points, "points", last=3)
-    found = evaluate(function, jnp.asarray(array.reshape(-1, 3)))
+    found = evaluate(function, array.reshape(-1, 3))
     return jax.tree.map(
         lambda part: np.asarray(part).reshape(array.shape[:-1] + part.shape[1:]), found
     )

@@ -36,6 +36,8 @@ wrench = "on_rod"
 """What a table needs around it to be part of a setup."""
 _LONG = ("demo", "live", "simulate-sensor")
 """Commands that take more than seconds; they need no block before them."""
+_MANY_KINDS = ("README.md", "docs/guide.md")
+"""Pages whose objects take a minute to compile for."""
 
 
 def _blocks(page: str) -> list[tuple[str, str]]:
@@ -106,7 +108,10 @@ def beside_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     return tmp_path
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] if page in _MANY_KINDS else []) for page in PAGES],
+)
 @pytest.mark.usefixtures("beside_the_examples")
 def test_what_a_page_prints(page: str) -> None:
     assert _differences(page) == []

@@ -184,8 +184,14 @@ def test_the_force_pushes_within_the_cone_and_friction_takes_work(
     slips = scan.motion[rows] == vb.Motion.SLIP
     if case.friction > 0:
         np.testing.assert_allclose(rubbed[slips], case.friction, rtol=0, atol=1e-7)
-        heat = scan.friction_work[np.isfinite(scan.friction_work)]
-        assert heat.min(initial=0) > -1e-6
+        # At the end of a step the tangential force opposes the sliding; the trapezoidal rule errs
+        # by up to half of the force's change times the way.
+        steps = np.flatnonzero(np.isfinite(scan.friction_work))
+        contact = -scan.reactions.force
+        along = contact - np.sum(contact * scan.normal, axis=1)[:, None] * scan.normal
+        change = np.linalg.norm(along[steps] - along[steps - 1], axis=1)
+        errs = change * np.linalg.norm(scan.slip.sliding[steps], axis=1) / 2
+        assert np.all(scan.friction_work[steps] > -errs - 1e-6)
 
 
 @KINDS

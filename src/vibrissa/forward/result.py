@@ -143,7 +143,8 @@ class Scan:
     def friction_work(self) -> Float[np.ndarray, "*trail n"]:
         """Work (…) [J] that friction turns into heat on the way from the position before: by the
         trapezoidal rule for the tangential force, so that a normal that turns within the step, as
-        at an edge, does no work.
+        at an edge, does no work. The rule errs by up to half of the tangential force's change times
+        the way that the rod slides.
 
         NaN where either has no contact, and across a snap, of which statics knows both ends but not
         the way.

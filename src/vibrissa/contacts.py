@@ -94,7 +94,7 @@ class Contacts:
             raise ValueError(f"normal{list(row)} has length {length[row]:.6g}; allowed is 1")
 
     @classmethod
-    def of(cls, result: Any, time: ArrayLike | None) -> "Contacts":
+    def of(cls, result: Any, time: ArrayLike | None) -> Contacts:
         """Those of a result, by the names of its fields: each of several trails is a sweep."""
         rows = np.shape(result.kind)
         return cls(

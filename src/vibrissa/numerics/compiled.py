@@ -28,6 +28,20 @@ _LARGEST_CACHE = 512 * 2**20
 _PATIENCE = 1.0
 """[s] of compiling after which a terminal is told."""
 _told = threading.Lock()
+_LARGEST_LOOP = 2**30
+"""[bytes] up to which XLA makes one function of a loop: all of ours. Of the usual 1024 it calls a
+function for each operation of each turn, which takes longer than the operation on a few numbers.
+"""
+
+
+def set_up_loops() -> None:
+    """Have XLA compile each loop in one piece, if JAX has not started and nothing else is wanted of
+    XLA; there is no other way to say it than the environment.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "xla_backend_extra_options" not in flags:
+        ours = f"xla_cpu_small_while_loop_byte_threshold={_LARGEST_LOOP}"
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={ours}".strip()
 
 
 def set_up_cache() -> None:

@@ -17,7 +17,7 @@ from vibrissa.forward.path import Path, Stretch, chosen
 from vibrissa.geometry.rotation import lengths
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.bracket import roots
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import FEW, lanes
 from vibrissa.numerics.vectors import dot
 
 Scalar = Float[Any, ""]
@@ -31,6 +31,8 @@ rounding of a normal.
 _SAMPLES = 16
 _REFINEMENTS = 16
 """Newton's steps, held in a bracket: bisection alone would come to 1e-6 of the spacing."""
+_STILL = 1e-12
+"""[L] of a step that changes the level by no more than rounding, at its minimum."""
 _LOOKS = 16
 """Poses looked at between two positions near the object, lest something thin be passed through."""
 
@@ -56,6 +58,19 @@ class _Looked(NamedTuple):
     gradient: Float[Array, "3"]
 
 
+class _Refined(NamedTuple):
+    """The search for the lowest level along the rod: where it looks next, between which ends, and
+    what it has seen first and last.
+    """
+
+    following: Scalar
+    low: Scalar
+    high: Scalar
+    begin: _Looked
+    here: _Looked
+    looks: Array
+
+
 def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     """Clearance of the straight rod.
 
@@ -68,30 +83,34 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     start = jnp.argmin(sampled) / _SAMPLES
     sloped = jax.value_and_grad(scene.level)
 
-    def refine(
-        index: Array | int, state: tuple[Scalar, Scalar, Scalar, _Looked, _Looked]
-    ) -> tuple[Scalar, Scalar, Scalar, _Looked, _Looked]:
-        s, low, high, begin, _ = state
+    def refine(state: _Refined) -> _Refined:
+        s = state.following
         (value, gradient), (first, bend) = jax.jvp(sloped, (base + s * tangent,), (tangent,))
         here = _Looked(s, value, gradient)
-        begin = jax.tree.map(partial(jnp.where, index == 0), here, begin)
+        begin = jax.tree.map(partial(jnp.where, state.looks == 0), here, state.begin)
         second = dot(bend, tangent)
-        low, high = jnp.where(first < 0, s, low), jnp.where(first < 0, high, s)
+        low, high = jnp.where(first < 0, s, state.low), jnp.where(first < 0, state.high, s)
         target = s - first / jnp.where(second > 0, second, 1.0)
         inside = (second > 0) & (target > low) & (target < high)
-        return jnp.where(inside, target, (low + high) / 2), low, high, begin, here
+        following = jnp.where(inside, target, (low + high) / 2)
+        return _Refined(following, low, high, begin, here, state.looks + 1)
+
+    def moving(state: _Refined) -> Array:
+        # What the last step leads to is looked at once more.
+        moves = abs(state.following - state.here.arc_length) > _STILL
+        return (state.looks == 0) | (moves & (state.looks <= _REFINEMENTS))
 
     ends = jnp.maximum(start - 1 / _SAMPLES, 0.0), jnp.minimum(start + 1 / _SAMPLES, 1.0)
     unknown = _Looked(start, sampled[0], tangent)
-    # What the last step leads to is looked at once more.
-    *_, begin, end = lax.fori_loop(0, _REFINEMENTS + 1, refine, (start, *ends, unknown, unknown))
+    first = _Refined(start, *ends, unknown, unknown, jnp.zeros((), dtype=int))
+    *_, begin, end, _ = lax.while_loop(moving, refine, first)
     found = jax.tree.map(partial(jnp.where, end.value <= begin.value), end, begin)
     steepness = jnp.sqrt(jnp.sum(found.gradient * found.gradient))
     cosine = dot(found.gradient, tangent) / steepness
     return Clearance(found.value / steepness, found.arc_length, sampled[0], cosine)
 
 
-@lanes()
+@lanes(blocks=8, alone=FEW)
 def clearances(scene: Scene, clamp: Clamp) -> Clearance:
     """Clearance of the straight rod at clamp poses."""
     return clearance(scene, clamp)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from vibrissa.contact import Law, Reached, Scene, State, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Bent, Clamp, RodModel, is_neutral
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import FEW, lanes
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -101,7 +101,7 @@ def assessment(
     return values, bent, push.steepness
 
 
-@lanes(blocks=64)
+@lanes(blocks=64, alone=FEW)
 def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessment, Bent, Scalar]:
     """The same of states at clamp poses, with the depth."""
     values, bent, steepness = assessment(scene, state, clamp, law)

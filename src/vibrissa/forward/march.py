@@ -7,6 +7,7 @@ Jacobian, or finds the straight rod in the object without having met it, it stop
 """
 
 from enum import IntEnum
+from functools import partial
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -261,12 +262,12 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     )
     steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
     waiting = jnp.asarray(int(Mode.WAITING))
+    begin = jax.tree.map(lambda part: part[legs.start], legs.clamp)
     carry = _Carry(legs.reached, [jnp.zeros(4)] * _ORDERS, jnp.zeros((), dtype=int), waiting)
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
-        carry, row = _advance(scene, law, legs, index, state[0])
-        steps = jax.tree.map(lambda whole, part: whole.at[index].set(part), state[1], row)
-        return carry, steps
+        carry, row = _advance(scene, law, legs, begin, index, state[0])
+        return carry, jax.tree.map(partial(_put, index), state[1], row)
 
     walked: tuple[_Carry, Steps] = lax.fori_loop(0, count, advance, (carry, steps))
     return walked[1]
@@ -275,8 +276,13 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
 _trails, _fans = lanes(blocks=1, alone=SINGLE)(_walk), lanes()(_walk)
 
 
+def _put(index: Array, whole: Array, row: Array) -> Array:
+    # As an update, not as the scatter that `at[index].set` is.
+    return lax.dynamic_update_index_in_dim(whole, row, index, 0)
+
+
 def _advance(
-    scene: Scene, law: Law, legs: Legs, index: Array, carry: _Carry
+    scene: Scene, law: Law, legs: Legs, begin: Clamp, index: Array, carry: _Carry
 ) -> tuple[_Carry, Steps]:
     clamp = Clamp(legs.clamp.point[index], legs.clamp.tangent[index])
     clear = legs.clear[index]
@@ -291,8 +297,14 @@ def _advance(
     meeting = jax.tree.map(lambda part: part[index], legs.meeting)
     guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
     before = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting, last)
-    back = [jnp.where(legs.fanned, legs.start, jnp.maximum(index - k, 0)) for k in (1, 2, 3)]
-    come_from = [jax.tree.map(lambda part, k=k: part[k], legs.clamp) for k in back]
+    come_from = [
+        jax.tree.map(
+            lambda first, part, k=k: jnp.where(legs.fanned, first, part[jnp.maximum(index - k, 0)]),
+            begin,
+            legs.clamp,
+        )
+        for k in (1, 2, 3)
+    ]
     side = before.state.point - come_from[0].point
     tolerance = jnp.where(legs.fanned, SHARP, TOLERANCE[law.branch])
     found = solved(scene, law, guess, clamp, before, side, active, tolerance)

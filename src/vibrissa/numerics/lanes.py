@@ -35,6 +35,8 @@ AnyArray: TypeAlias = Any
 WIDTH = 64
 BLOCKS = 16
 """Of a call: 1024 rows, which take far longer than the call itself."""
+FEW = 512
+"""Rows, such as those of one trail, that take less time one by one than lanes take to compile."""
 
 _within = threading.local()
 

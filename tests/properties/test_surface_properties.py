@@ -3,14 +3,17 @@ two points, and move and scale with the object.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
+from jax import lax
 from scenes import motions, numbers, vectors
 
+from vibrissa.numerics.compiled import compiled
 from vibrissa.surfaces import (
     Box,
     Capsule,
@@ -107,8 +110,7 @@ def test_slope_one_and_flat_along_the_normal(
         assert np.linalg.eigvalsh(hessian).min() > -1e-6
 
 
-@jax.jit
+@partial(compiled, alone=True)
 def jets(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jax.vmap(jax.grad(surface.distance))(points), jax.vmap(
-        jax.jacfwd(jax.grad(surface.distance))
-    )(points)
+    gradient = jax.grad(surface.distance)
+    return lax.map(gradient, points), lax.map(jax.jacfwd(gradient), points)

@@ -4,15 +4,18 @@ by it.
 
 import re
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from vibrissa import surfaces
+from vibrissa.numerics.compiled import compiled
 from vibrissa.surfaces import Surface
 
 CENTER = np.array([0.1, -0.2, 0.9])
@@ -21,7 +24,7 @@ DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 TURN, SHIFT = Rotation.from_rotvec([0.4, -0.7, 1.1]), np.array([0.3, 0.1, -0.2])
 
 
-@jax.jit
+@partial(compiled, alone=True)
 def jets(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distance, gradient and Hessian, as the solver takes them."""
 
@@ -30,15 +33,15 @@ def jets(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array, jax
         (slope, hessian) = jax.jacfwd(jax.value_and_grad(surface.distance))(point)
         return value, gradient, jnp.concatenate([slope[None], hessian])
 
-    return jax.vmap(one)(points)
+    return lax.map(one, points)
 
 
-@jax.jit
+@partial(compiled, alone=True)
 def bends(surface: Surface, points: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Gradient and Hessian of the level function."""
     return (
-        jax.vmap(jax.grad(surface.level))(points),
-        jax.vmap(jax.hessian(surface.level))(points),
+        lax.map(jax.grad(surface.level), points),
+        lax.map(jax.hessian(surface.level), points),
     )
 
 
@@ -205,7 +208,10 @@ def test_forward_and_reverse_differentiation_agree() -> None:
     expected = jets(surface, points)[2][:, 1:]
     for mode in (jax.jacfwd, jax.jacrev):
         np.testing.assert_allclose(
-            jax.jit(jax.vmap(mode(mode(surface.distance))))(points), expected, rtol=0, atol=1e-13
+            compiled(partial(lax.map, mode(mode(surface.distance))), alone=True)(points),
+            expected,
+            rtol=0,
+            atol=1e-13,
         )
 
 
@@ -216,7 +222,7 @@ def test_derivatives_by_the_objects_own_figures() -> None:
     points = jnp.array(CENTER + 0.7 * DIRECTIONS[:20])
 
     def squares(surface: Surface) -> jax.Array:
-        return jnp.sum(jax.vmap(surface.distance)(points) ** 2)
+        return jnp.sum(lax.map(surface.distance, points) ** 2)
 
     def of_ellipsoid(figures: jax.Array) -> jax.Array:
         ball = surfaces.Ellipsoid(CENTER, (1, 1, 1))
@@ -228,12 +234,12 @@ def test_derivatives_by_the_objects_own_figures() -> None:
 
     figures = jnp.array([*CENTER, 0.5])
     np.testing.assert_allclose(
-        jax.jit(jax.grad(of_ellipsoid))(figures),
+        compiled(jax.grad(of_ellipsoid), alone=True)(figures),
         jax.jit(jax.grad(of_sphere))(figures),
         rtol=1e-12,
     )
     np.testing.assert_allclose(
-        jax.jit(jax.hessian(of_ellipsoid))(figures),
+        compiled(jax.hessian(of_ellipsoid), alone=True)(figures),
         jax.jit(jax.hessian(of_sphere))(figures),
         rtol=0,
         atol=1e-11,

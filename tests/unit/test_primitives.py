@@ -2,29 +2,32 @@
 
 import re
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 from scipy.spatial.transform import Rotation
 from solids import AXIS, CENTER, HALF, MAJOR, MINOR, SOLIDS, L, R, around
 
 from vibrissa import surfaces
+from vibrissa.numerics.compiled import compiled
 
 ALL = pytest.mark.parametrize("name", SOLIDS)
 POINTS = CENTER + np.random.default_rng(8).uniform(-1.0, 1.0, (4000, 3))
 
 
-@jax.jit
+@partial(compiled, alone=True)
 def derivatives(
     surface: surfaces.Surface, points: jax.Array
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """Gradients and Hessians as the solver takes them, and Hessians the other way round."""
-    gradient = jax.vmap(jax.grad(surface.level))(points)
+    gradient = lax.map(jax.grad(surface.level), points)
     return gradient, (
-        jax.vmap(jax.jacfwd(jax.grad(surface.level)))(points),
-        jax.vmap(jax.jacrev(jax.jacfwd(surface.level)))(points),
+        lax.map(jax.jacfwd(jax.grad(surface.level)), points),
+        lax.map(jax.jacrev(jax.jacfwd(surface.level)), points),
     )
 
 

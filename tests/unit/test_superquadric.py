@@ -4,13 +4,16 @@ axes of symmetry.
 
 import re
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 from vibrissa import surfaces
+from vibrissa.numerics.compiled import compiled
 
 CENTER = np.array([0.1, -0.2, 0.9])
 AXES = np.array([0.5, 0.3, 0.4])
@@ -31,11 +34,10 @@ SMOOTH = pytest.mark.parametrize("exponents", [pair for pair in EXPONENTS if max
 POINTS = CENTER + np.random.default_rng(2).normal(0, 0.4, (300, 3))
 
 
-@jax.jit
+@partial(compiled, alone=True)
 def derivatives(surface: surfaces.Surface, points: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jax.vmap(jax.grad(surface.level))(points), jax.vmap(jax.jacfwd(jax.grad(surface.level)))(
-        points
-    )
+    gradient = jax.grad(surface.level)
+    return lax.map(gradient, points), lax.map(jax.jacfwd(gradient), points)
 
 
 def inside_outside(points: np.ndarray, exponents: tuple[float, float]) -> np.ndarray:

@@ -110,10 +110,8 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
     white = _white(np.linalg.solve(root, wrench[..., None])[..., 0], touching | resting)
     before = np.count_nonzero(resting[: int(np.argmax(touching))])
     lasting = np.maximum(1 - white - _WHITE, 0) + (1 / before if before else _UNKNOWN_ZERO)
-    means, count, scatter = map(
-        np.array, zip(*(_mean(wrench[a:b], time[a:b]) for a, b in spans), strict=True)
-    )
     first, last = np.transpose(spans)
+    means, count, scatter = _means(wrench, time, first, last)
     middle = (first + last) // 2
     noise = root[middle] * white @ np.swapaxes(root[middle], 1, 2)
     excess = np.max(scatter / np.einsum("kii->ki", noise), axis=1) - 1
@@ -157,17 +155,32 @@ def _white(whitened: Wrenches, rows: Flags) -> Wrench:
     )
 
 
-def _mean(values: Wrenches, time: Scalars) -> tuple[Wrench, int, Wrench]:
-    """Middle of a straight line through the rows, how many count, and their variance about it."""
-    if len(values) < _LINE:
-        return values.mean(axis=0), len(values), np.zeros(6)
-    elapsed, good = time - time.mean(), np.ones(len(values), dtype=bool)
-    for last in (False, True):
-        slope, middle = np.polyfit(elapsed[good], values[good], 1)
-        off = values - middle - np.outer(elapsed, slope)
-        if not last:
-            spread = scipy.stats.median_abs_deviation(off, axis=0, scale="normal")
-            near = np.all(np.abs(off) <= _OUTLYING * np.maximum(spread, 1e-300), axis=1)
-            good = near if np.count_nonzero(near) >= _LINE else good
-    count = int(np.count_nonzero(good))
-    return middle, count, np.sum(off[good] ** 2, axis=0) / (count - 2)
+def _means(
+    values: Wrenches, time: Scalars, first: Codes, last: Codes
+) -> tuple[Wrenches, Scalars, Wrenches]:
+    """Middles of straight lines through the rows of each span, how many of them count, and their
+    variance about the line.
+    """
+    place = first[:, None] + np.arange((last - first).max())
+    good = inside = place < last[:, None]
+    place = np.minimum(place, last[:, None] - 1)
+    rows, enough = values[place], (last - first >= _LINE)[:, None]
+    elapsed = time[place] - np.mean(time[place], axis=1, where=inside, keepdims=True)
+    for final in (False, True):
+        count = np.count_nonzero(good, axis=1)
+        centre = np.mean(elapsed, axis=1, where=good, keepdims=True)
+        along = np.where(good & enough, elapsed - centre, 0.0)
+        square = np.maximum(np.sum(along**2, axis=1, keepdims=True), np.finfo(float).tiny)
+        slope = np.einsum("kl,klc->kc", along, rows) / square
+        mean = np.mean(rows, axis=1, where=good[..., None])
+        off = rows - mean[:, None] - (elapsed - centre)[..., None] * slope[:, None]
+        if not final:
+            known = np.where(inside[..., None], off, np.nan)
+            apart = np.abs(known - np.nanmedian(known, axis=1, keepdims=True))
+            spread = np.nanmedian(apart, axis=1, keepdims=True) / scipy.stats.norm.ppf(0.75)
+            near = inside & np.all(np.abs(off) <= _OUTLYING * np.maximum(spread, 1e-300), axis=2)
+            kept = enough & (np.count_nonzero(near, axis=1, keepdims=True) >= _LINE)
+            good = np.where(kept, near, good)
+    left = np.sum(off**2, axis=1, where=good[..., None])
+    scatter = np.where(enough, left / np.maximum(count - 2, 1)[:, None], 0.0)
+    return mean - centre * slope, count, scatter

@@ -40,14 +40,12 @@ def sensor(noise: float = 1.0, **options: object) -> vb.Sensor:
     )
 
 
-@cache
-def swept(y: float, friction: float = 0.0) -> vb.Reactions:
+def swept(y: float) -> vb.Reactions:
     """Reactions of a sweep under the ball along x, at first at rest and free of contact."""
-    if friction:
-        return swept_under(BALL, (0.04, y, 0.0), (-0.04, y, 0.0), friction)
     return independent(f"ball {y:+.3f}")
 
 
+@cache
 def independent(name: str) -> vb.Reactions:
     """The same by shooting, without the package."""
     resting = ((REST, 0), (0, 0))
@@ -57,22 +55,6 @@ def independent(name: str) -> vb.Reactions:
         np.pad(force, resting),
         np.pad(moment, resting),
         time=np.arange(REST + COUNT) / RATE,
-    )
-
-
-def swept_under(
-    surface: vb.surfaces.Surface, start: tuple, stop: tuple, friction: float = 0.0
-) -> vb.Reactions:
-    """The same under any object, from one place to another."""
-    position = np.vstack(
-        [np.repeat(np.array([start]), REST, axis=0), np.linspace(start, stop, COUNT)]
-    )
-    scan = vb.scan(WIRE, surface, vb.Trail(position), friction=friction)
-    return vb.Reactions(
-        scan.trail,
-        scan.reactions.force,
-        scan.reactions.moment,
-        time=np.arange(len(position)) / RATE,
     )
 
 

@@ -17,12 +17,16 @@ import numpy as np
 LENGTH, RADIUS, MODULUS = 0.05, 0.25e-3, 206e9
 CENTER, BALL_RADIUS = (0.0, 0.0, 0.0575), 0.03
 PLANE = (0.0, 0.0, 0.045), (0.3, 0.2, -1.0)
+EGG = (0.033, 0.027, 0.03)
+"""Semi-axes of an ellipsoid in the ball's place."""
 COUNT = 260
 PATHS = {
     "ball +0.005": ((0.04, 0.005, 0.0), (-0.04, 0.005, 0.0)),
     "ball -0.010": ((0.04, -0.01, 0.0), (-0.04, -0.01, 0.0)),
     "plane +0.005": ((0.06, 0.005, 0.0), (-0.04, 0.005, 0.0)),
     "plane -0.010": ((0.06, -0.01, 0.0), (-0.04, -0.03, 0.0)),
+    "egg +0.005": ((0.045, 0.005, 0.0), (-0.04, 0.005, 0.0)),
+    "egg -0.010": ((0.045, -0.01, 0.0), (-0.04, 0.0, 0.0)),
 }
 """Start and stop of the clamp's way."""
 _FILE = Path(__file__).with_suffix(".npz")
@@ -40,11 +44,11 @@ def _solved(name: str) -> np.ndarray:
     from shooting import Equilibrium, Level, follow, quadric
 
     normal = np.array(PLANE[1]) / np.linalg.norm(PLANE[1])
-    solid = (
-        quadric(CENTER, np.full(3, BALL_RADIUS))
-        if name.startswith("ball")
-        else Level(lambda p: float((p - PLANE[0]) @ normal), lambda _p: normal)
-    ).scaled(LENGTH)
+    solid = {
+        "ball": quadric(CENTER, np.full(3, BALL_RADIUS)),
+        "plane": Level(lambda p: float((p - PLANE[0]) @ normal), lambda _p: normal),
+        "egg": quadric(CENTER, EGG),
+    }[name.split(maxsplit=1)[0]].scaled(LENGTH)
     clamps = np.linspace(*PATHS[name], COUNT)
     tangents = np.tile([0.0, 0.0, 1.0], (COUNT, 1))
     stiffness = MODULUS * np.pi / 4 * RADIUS**4

@@ -2,6 +2,7 @@
 then the events.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -59,7 +60,7 @@ def sweep(scene: Scene, path: Path, law: Law) -> Sweep:
 def _in_order(happenings: list[Happening]) -> list[Happening]:
     """By place, each once."""
     lasting = (EventKind.FIRST_CONTACT, EventKind.DETACH)
-    finite = [at for at in happenings if np.isfinite(at.fraction + at.point.sum())]
+    finite = [at for at in happenings if math.isfinite(sum(at.point, start=at.fraction))]
     # The beginning and the end of a contact, in their own order, come before a change of phase at
     # the same place, whichever way rounding has it.
     finite.sort(key=lambda at: (at.lane, at.index, round(at.fraction, 12), at.kind not in lasting))

@@ -78,7 +78,8 @@ def _processor() -> str:
 @lru_cache(maxsize=2)
 def _options(*, alone: bool) -> dict[str, bool | int]:
     """XLA's older loop emitter keeps Newton's method in one vectorised loop: measured twice as fast
-    here, and quicker to compile. Code in one piece takes less work to compile than in many.
+    here, and quicker to compile. Code in one piece takes less work to compile than in many, and
+    LLVM's expensive passes add a quarter to the compilation without making the code faster.
 
     Code of scalars runs no slower with few optimisations. Compiling without any would take half the
     time, but jaxlib 0.10.2 then makes NaN of some lanes of a block of 64.
@@ -86,6 +87,7 @@ def _options(*, alone: bool) -> dict[str, bool | int]:
     options: dict[str, bool | int] = {
         "xla_cpu_use_fusion_emitters": False,
         "xla_cpu_parallel_codegen_split_count": 1,
+        "xla_llvm_disable_expensive_passes": True,
     }
     if alone:
         options["xla_backend_optimization_level"] = 1

@@ -1,5 +1,5 @@
-"""Many trails in step: the start for each position is extrapolated from those before, and refined
-by Newton's method.
+"""Many trails in step: each position starts from an extrapolation of the previous ones, and is
+solved by Newton's method.
 
 The march handles what goes smoothly. Where a lane does not converge, jumps, changes the sign of its
 Jacobian determinant, or has the straight rod inside the object without a first contact, the march
@@ -76,7 +76,7 @@ class _Carry(NamedTuple):
     differences: list[Float[Any, "four"]]
     """Backward differences of point and force; those of order 0 are the values themselves."""
     age: Array
-    """Positions since the contact began; those of higher order are not known yet, and zero."""
+    """Positions since the contact began; differences of higher order are not known yet: zero."""
     mode: Array
 
 
@@ -362,7 +362,7 @@ def _expected(
 
 
 def _next(last: Array, before: Array, second_before: Array, age: Array) -> Array:
-    """Extrapolation from the last three values, or from as many as a young contact has."""
+    """Extrapolation from the last three values, or from as many as a new contact has."""
     linear = 2 * last - before
     quadratic = 3 * (last - before) + second_before
     return jnp.where(age >= 2, quadratic, jnp.where(age >= 1, linear, last))

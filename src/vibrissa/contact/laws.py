@@ -109,7 +109,7 @@ def _leaning(scene: Scene, point: Vector, lean: Vector) -> Push:
 
 
 class Coulomb(Law):
-    """Coulomb's friction, quasi-static; `State.lean` is τ."""
+    """Coulomb friction, quasi-static; `State.lean` is τ."""
 
     unknowns: ClassVar[int] = 3
     branch: ClassVar[bool] = False

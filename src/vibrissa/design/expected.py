@@ -61,7 +61,7 @@ class ExpectedError:
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, "*trail n 3"]:
-        """Along the axes of the covariance (…, 3), in rising order; NaN where no contact is
+        """Along the axes of the covariance (…, 3), in ascending order; NaN where no contact is
         detected.
         """
         known = np.isfinite(self.covariance).all(axis=(-2, -1))
@@ -70,7 +70,7 @@ class ExpectedError:
 
     @property
     def semi_axes(self) -> Float[np.ndarray, "*trail n 3"]:
-        """Semi-axes of the 95 % ellipsoids (…, 3), in rising order."""
+        """Semi-axes of the 95 % ellipsoids (…, 3), in ascending order."""
         return _WITHIN_95 * self.standard_deviations
 
     @property
@@ -109,7 +109,7 @@ def expected_error(
     sensor
         With known noise.
     rate
-        Samples a second [Hz].
+        Samples per second [Hz].
     rest
         Duration of the rest in which the tare is taken [s]; 0 for none.
     speed

@@ -57,7 +57,7 @@ class Equilibrium:
         Its least eigenvalue per ∫ ‖δt‖² ds [N]: how far the equilibrium is from instability, or
         into it.
     inflections
-        How often the curvature changes its sign between clamp and contact.
+        How often the curvature changes sign between clamp and contact.
     elastic_line
         401 points (401, 3) equally spaced in arc length from clamp to tip.
     """

@@ -1,5 +1,5 @@
-"""The clamp's path in model units: between two positions it moves straight and turns about a fixed
-axis.
+"""The clamp's path in model units: between two positions it moves in a straight line and turns
+about a fixed axis.
 """
 
 from dataclasses import dataclass

@@ -94,7 +94,7 @@ class Scan:
 
     @property
     def contacts(self) -> Contacts:
-        """Where the rod touches, one row a position (…)."""
+        """Where the rod touches, one row per position (…)."""
         return Contacts.of(self, self.reactions.time)
 
     @property

@@ -235,7 +235,7 @@ def _worst(
 def _events(
     happenings: list[tuple[int, Happening]], rod: Rod, trail: Trail, stride: int, touched: Surface
 ) -> list[Event]:
-    """The solver's happenings, each with its trail, in the user's terms."""
+    """The solver's happenings, each with its trail, in the user's units."""
     if not happenings:
         return []
     n = trail.count

@@ -119,7 +119,7 @@ def _correct(
     scene: Scene, stretch: Stretch, guess: Any, normal: Any, weights: Any, reached: Any, most: Any
 ) -> _Corrected:
     """At most `most` steps from the guess, on the plane through it with the given normal, in
-    weighted coordinates; with 0 the guess is only evaluated. `reached` is r of the previous state.
+    weighted coordinates; 0 only evaluates the guess. `reached` is r of the previous state.
     """
 
     def conditions(y: Float[Array, "five"]) -> tuple[Any, Any]:

@@ -138,7 +138,7 @@ class Elastica(RodModel):
     """The uniform straight rod."""
 
     inflections: int = eqx.field(static=True, default=0)
-    """How often the curvature changes its sign between clamp and contact."""
+    """How often the curvature changes sign between clamp and contact."""
 
     def bent(
         self,

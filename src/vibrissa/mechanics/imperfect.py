@@ -21,7 +21,7 @@ from jaxtyping import Float
 from vibrissa.numerics.lanes import AnyArray
 
 _STEPS = 32
-"""Steps of the fourth-order Runge-Kutta method: 1e-7 for a rod bent by a right angle (measured)."""
+"""Steps of fourth-order Runge-Kutta: error 1e-7 for a rod bent by a right angle (measured)."""
 _NEWTON_STEPS = 2
 """Newton steps to the contact of an imperfect rod: what is left is linear, and subtracted by the
 caller.

@@ -25,8 +25,8 @@ def roots(
     values: tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]],
 ) -> Float[np.ndarray, "k"]:
     """Roots of functions of (arguments, rows), each between two ends with known values of opposite
-    sign. Where rounding has left both ends with one sign, or the function is not finite in between,
-    the known point nearest to zero.
+    sign. Where rounding has left both ends with the same sign, or the function is not finite in
+    between, the known point nearest to zero.
 
     Notes
     -----

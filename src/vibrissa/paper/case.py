@@ -1,4 +1,6 @@
-"""The paper's numerical example (section III): C = 0.5 x² + y² + 0.4, trails along −x, model units."""
+"""The paper's numerical example (section III): C = 0.5 x² + y² + 0.4, trails along −x, model
+units.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +17,7 @@ PLANE = int(np.argmin(np.abs(Y0)))
 """The trail y0 = 0."""
 
 REACH = (1.0, 0.7)
-"""Half widths of the surface region on which coverage is measured [L]."""
+"""Half-widths of the surface region on which coverage is measured [L]."""
 Grid = Float[np.ndarray, "*grid"]
 
 

@@ -160,7 +160,7 @@ class Reactions:
     @property
     def single_contact_residual(self) -> Float[np.ndarray, "*trail n"]:
         """m0·f0 / (‖m0‖ ‖f0‖): zero where one contact force explains the reactions (mechanics.md,
-        "Statics alone"); NaN without a force.
+        "Statics gives a line"); NaN without a force.
         """
         scale = np.linalg.norm(self.force, axis=-1) * np.linalg.norm(self.moment, axis=-1)
         with np.errstate(invalid="ignore"):

@@ -2,8 +2,7 @@
 
 The contact force on the rod is F = f d. Without friction d is the object's normal n. With friction
 d is along n + τ, where τ ⟂ n is the tangential force in units of the normal one, and Coulomb's law
-ties τ to the step w of the rod's material point over the object (mechanics.md, "Friction,
-quasi-static"),
+ties τ to the step w of the rod's material point over the object (mechanics.md, "Friction"),
 
     τ = Π_μ(τ − c w),    Π_μ the projection onto the disk of radius μ in the tangent plane,
 

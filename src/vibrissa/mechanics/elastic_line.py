@@ -19,8 +19,8 @@ def elastic_line(
     contact_arc_length: float,
     arc_length: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Points of the rod at given arc lengths, in closed form (mechanics.md, "Uniform straight
-    rod"); model units.
+    """Points of the rod at given arc lengths, in closed form (mechanics.md, "The uniform rod in
+    closed form"); model units.
 
     Parameters
     ----------

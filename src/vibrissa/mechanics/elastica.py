@@ -1,5 +1,5 @@
-"""Uniform straight rod under one contact force: the inverse map in closed form (mechanics.md,
-"Uniform straight rod").
+"""Uniform straight rod under one contact force: the inverse map in closed form (mechanics.md, "The
+uniform rod in closed form").
 
 In the plane of the clamp tangent t0 and the contact force F let θ(s) be the angle of the tangent
 from t0 towards the side b to which the rod bends, δ the angle of F = f n̂, and a = (θ + π − δ)/2.

@@ -129,8 +129,8 @@ class _Walk:
         ]
 
     def march(self, *, resolve: bool = True) -> None:
-        """March all pending lanes to their ends, or to where they are lost, and resolve those if
-        asked to.
+        """March all pending lanes to their ends, or to where they are lost, and resolve those
+        unless told otherwise.
         """
         starts, self.pending = self.pending, []
         lanes = np.array([start.lane for start in starts])

@@ -28,7 +28,8 @@ def along_spline(
     chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     if not np.all(chords > 0):
         raise ValueError(
-            f"points[{int(np.argmin(chords)) + 1}] equals the way-point before it; allowed are successive points that differ"
+            f"points[{int(np.argmin(chords)) + 1}] equals the way-point before it; "
+            "allowed are successive points that differ"
         )
     knots = np.concatenate([[0.0], np.cumsum(chords)]) / chords.sum()
     curve = CubicSpline(knots, points)

@@ -1,4 +1,4 @@
-"""What forward and inverse say of a position: the kind of contact, and whether the row can be
+"""What forward and inverse say about a position: the kind of contact, and whether the row can be
 trusted.
 """
 
@@ -14,17 +14,17 @@ from numpy.typing import ArrayLike
 
 
 class RecordingWarning(UserWarning):
-    """A recording contradicts its setup, or something of it was left out, recovered or estimated."""
+    """A recording contradicts its setup, or part of it was left out, recovered or estimated."""
 
 
 class RecordingNote(RecordingWarning):
-    """What reading left out, recovered or estimated: the contacts that are left are as good as any."""
+    """What reading left out, recovered or estimated: the remaining contacts are as good as any."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Where something was touched: what scans, reconstructions, smoothing and live streams hand
-    out, and what may be built by hand. Any shape of rows (…), in one unit of length.
+    """Where something was touched: returned by scans, reconstructions, smoothing and live streams,
+    or built by hand. Any shape of rows (…), in one unit of length.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class Contacts:
     time
         (…) [s], or None.
     sweep
-        (…) which sweep a row belongs to, counted from 0, or None for one.
+        (…) which sweep a row belongs to, counted from 0, or None for a single one.
 
     Raises
     ------
     ValueError
-        If a shape does not fit that of the points, or a normal is not of unit length.
+        If a shape does not match that of the points, or a normal is not of unit length.
     """
 
     point: Float[np.ndarray, "*rows 3"]
@@ -95,7 +95,7 @@ class Contacts:
 
     @classmethod
     def of(cls, result: Any, time: ArrayLike | None) -> Contacts:
-        """Those of a result, by the names of its fields: each of several trails is a sweep."""
+        """Contacts of a result, by the names of its fields: each of several trails is a sweep."""
         rows = np.shape(result.kind)
         return cls(
             **{each.name: getattr(result, each.name, None) for each in fields(cls)}
@@ -120,9 +120,9 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "covariance": (3, 3),
     "normal_covariance": (3, 3),
 }
-"""Of a row's value, where that is more than a number."""
+"""Shape of a row's value, where it is not a scalar."""
 _UNIT = 1e-6
-"""By which a unit vector's length may be off: what files in single precision leave."""
+"""Allowed error of a unit vector's length: that of files in single precision."""
 
 
 class ContactKind(IntEnum):
@@ -142,7 +142,7 @@ class Motion(IntEnum):
     STICK = 1
     SLIP = 2
     ROLL = 3
-    """At rest like STICK, while the contact moves on along rod and object alike."""
+    """At rest like STICK, while the contact moves along rod and object alike."""
 
 
 class Status(IntEnum):
@@ -187,7 +187,7 @@ _TEXTS = {
     Status.NOT_SINGLE_CONTACT: "Force and moment do not belong to one contact force (m0·f0 ≠ 0 beyond the noise); check the tare, the mount, or for a second contact.",
     Status.BEYOND_TIP: "The first zero of the curvature lies beyond the rod's tip; check the rod's length and stiffness, the tare and the mount.",
     Status.NO_CURVATURE_ZERO: "The curvature has no zero for these reactions, so no single contact explains them; check the rod, the tare and the sign of the wrench.",
-    Status.STEEP_TANGENT: "At the contact the rod would point into the object (k² > 0.8, more than any friction explains); check the sign of the wrench and the rod.",
+    Status.STEEP_TANGENT: "At the contact the rod would come out of the object (k² > 0.8, more than any friction explains); check the sign of the wrench and the rod.",
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
     Status.NOT_UNIQUE: "More than one contact explains the channels that were used; add channels, such as the lateral forces.",
     Status.SETUP_CONTRADICTED: "The sweep contradicts the setup by more than the error bar of this contact; see the warnings, then calibrate or state [tolerances].",

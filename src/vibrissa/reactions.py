@@ -13,11 +13,11 @@ from vibrissa.geometry.rotation import cross_matrices, rotation_vectors
 from vibrissa.tolerances import SetupErrors
 from vibrissa.trail import Index, Trail, first_axis
 
-# Of the largest entry: covariances that were turned are symmetric and definite to rounding only.
+# Fraction of the largest entry: rotated covariances are symmetric and definite only to rounding.
 _ROUNDING = 1e-9
 VELOCITY_SPAN = 0.05
-"""Time [s] over which the clamp's velocity is taken: 10 µm of noise of the pose are 0.3 mm/s then,
-and few motions change much within it.
+"""Time [s] over which the clamp's velocity is taken: 10 µm of pose noise then give 0.3 mm/s, and
+few motions change much within it.
 """
 
 
@@ -30,7 +30,7 @@ class Reactions:
     trail
         Clamp poses (n, …) or (m, n, …).
     force
-        f0 (…, 3) [N], world axes, on the rod. A row of NaN stands for a position without a value.
+        f0 (…, 3) [N], world axes, on the rod. A row of NaN marks a position without a value.
     moment
         m0 (…, 3) [N m] about the clamp point, world axes, on the rod.
     time
@@ -41,25 +41,25 @@ class Reactions:
     position_covariance
         Of the clamp point (3, 3) [m²], or None.
     rotation_covariance, rotation_center
-        Of an error of the robot's orientation, which turns rod and reactions as one body: of its
-        rotation vector, world axes (3, 3) [rad²], and the points about which it turns (…, 3). Both
-        or None.
+        For an error of the robot's orientation, which turns rod and reactions as one body:
+        covariance of its rotation vector, world axes (3, 3) [rad²], and the points about which it
+        turns (…, 3). Both or None.
     setup_errors
-        What all rows share: errors of rod, clamp, gains and clocks as stated by the setup, or None
-        where it states none.
+        Errors that all rows share, of rod, clamp, gains and clocks, as stated by the setup, or None
+        if it states none.
     misread
-        What reading them found against them as a whole, such as other units or axes, a line each:
-        no contact of theirs is to be trusted.
+        What was found on reading that discredits them as a whole, such as other units or axes, one
+        line each: none of their contacts is to be trusted.
     velocity
-        Of the clamp point and of its axes' rotation (…, 6), world axes, a second, for poses that
-        may come late; None to take it from trail and time.
+        Of the clamp point and of the rotation of its axes (…, 6), world axes, per second, for poses
+        that may come late; None to take it from trail and time.
 
     Raises
     ------
     ValueError
-        If shapes do not fit, times do not increase, `covariance` is not symmetric and positive
-        definite, `position_covariance` or `rotation_covariance` not positive semidefinite, or of
-        rotation's covariance and centre one is given without the other.
+        If shapes do not match, times do not increase, `covariance` is not symmetric and positive
+        definite, `position_covariance` or `rotation_covariance` is not positive semidefinite, or
+        only one of `rotation_covariance` and `rotation_center` is given.
     """
 
     trail: Trail
@@ -107,12 +107,12 @@ class Reactions:
 
     def __getitem__(self, index: Index) -> "Reactions":
         """Rows of one trail, or some of several trails, with all that belongs to them; what all
-        rows share stays.
+        rows share is kept.
 
-        The index is one of the first axis: of positions on one trail (n, …), of trails on several
-        (m, n, …). A slice, a mask or an array of numbers keeps that axis; a number gives one
-        position of a trail as reactions of one row, or one trail of several. With `time`, the
-        positions have to stay in order.
+        The index applies to the first axis: positions of one trail (n, …), or trails of several (m,
+        n, …). A slice, a mask or an array of numbers keeps that axis; a number gives one position
+        of a trail as reactions of one row, or one trail of several. With `time`, positions must
+        stay in order.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Reactions:
         chosen = first_axis(index, self.trail.shape)
         rows = {name: getattr(self, name) for name in (*_BY_ROW, "covariance")}
         if self.time is not None and axes == 1:
-            # One row alone does not tell it.
+            # A single row does not determine it.
             rows["velocity"] = self.clamp_velocity()
         for name, value in rows.items():
             if value is not None and value.ndim == axes + len(_BY_ROW.get(name, (6, 6))):
@@ -139,14 +139,16 @@ class Reactions:
 
     @property
     def clamp_work(self) -> Float[np.ndarray, "*trail steps"]:
-        """Work (…) [J] of the clamp on the rod from each row to the next, by the trapezoidal rule."""
+        """Work (…) [J] done by the clamp on the rod from each row to the next, by the trapezoidal
+        rule.
+        """
         wrench = self.wrench
         mean = (wrench[..., 1:, :] + wrench[..., :-1, :]) / 2
         return np.asarray(np.sum(mean * self.trail.steps, axis=-1))
 
     def clamp_velocity(self) -> Float[np.ndarray, "*trail n 6"]:
-        """As given, or over 50 ms about each row, at least from the row before to the one after;
-        zero where there is no time to go by.
+        """As given, or averaged over 50 ms about each row, at least from the row before to the one
+        after; zero where trail and time do not determine it.
         """
         if self.velocity is not None:
             return self.velocity
@@ -158,7 +160,7 @@ class Reactions:
     @property
     def single_contact_residual(self) -> Float[np.ndarray, "*trail n"]:
         """m0·f0 / (‖m0‖ ‖f0‖): zero where one contact force explains the reactions (mechanics.md,
-        "Statics alone"); NaN without a force.
+        "Statics gives a line"); NaN without a force.
         """
         scale = np.linalg.norm(self.force, axis=-1) * np.linalg.norm(self.moment, axis=-1)
         with np.errstate(invalid="ignore"):
@@ -168,7 +170,7 @@ class Reactions:
 def turned_covariance(
     rotation: Float[np.ndarray, "3 3"], arm: Float[np.ndarray, "*trail n 3"]
 ) -> Float[np.ndarray, "*trail n 3 3"]:
-    """Covariance of δθ × arm for vectors (…, 3) and a rotation vector δθ of this covariance."""
+    """Covariance of δθ × arm for vectors (…, 3) and a rotation vector δθ with this covariance."""
     crossed = cross_matrices(arm)
     return np.asarray(np.swapaxes(crossed, -1, -2) @ rotation @ crossed)
 
@@ -178,7 +180,7 @@ def velocities(
     position: Float[np.ndarray, "n 3"],
     orientation: Float[np.ndarray, "n 4"],
 ) -> Float[np.ndarray, "n 6"]:
-    """Of poses and of their rotation, over 50 ms about each row."""
+    """Velocities of poses and of their rotation, over 50 ms about each row."""
     rows, half = np.arange(len(time)), VELOCITY_SPAN / 2
     first = np.maximum(np.minimum(np.searchsorted(time, time - half), rows - 1), 0)
     last = np.minimum(

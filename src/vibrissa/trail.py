@@ -25,7 +25,7 @@ from vibrissa.geometry.rotation import (
 )
 
 COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-"""Of a file of poses: clamp point [units of the rod], quaternion x, y, z, w."""
+"""Columns of a pose file: clamp point [units of the rod], quaternion x, y, z, w."""
 
 Index = int | np.integer | slice | Sequence[int] | Sequence[bool] | np.ndarray
 """What picks rows along one axis."""
@@ -37,7 +37,7 @@ _NO_NORM = 1e-12
 class Trail:
     """Clamp poses along one path (n, …), or along several of equal length (m, n, …).
 
-    Between two positions the clamp moves straight and turns about a fixed axis.
+    Between two positions the clamp moves in a straight line and turns about a fixed axis.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Trail:
     Raises
     ------
     ValueError
-        If a trail has no position, shapes do not fit, an entry is not finite, or a quaternion has
+        If a trail has no position, shapes do not match, an entry is not finite, or a quaternion has
         zero norm.
     """
 
@@ -110,7 +110,7 @@ class Trail:
         trails: int,
         axis: ArrayLike = (0.0, 0.0, 1.0),
     ) -> Trail:
-        """Parallel lines: `trails` copies of the line from `start` to `stop`, each moved on by
+        """Parallel lines: `trails` copies of the line from `start` to `stop`, each shifted by
         `step` (3,). Shape (trails, count, …).
 
         Raises
@@ -145,10 +145,10 @@ class Trail:
         start
             First clamp point (3,), off that line.
         angle
-            Of the whole arc [rad]; negative the other way round.
+            Of the whole arc [rad]; negative for the opposite direction.
         orientation, rod_axis
-            Of the clamp at `start`: a quaternion x, y, z, w or a SciPy `Rotation`, or in its place
-            the direction (3,) in which the rod leaves. By default the rod leaves along +z.
+            Of the clamp at `start`: a quaternion x, y, z, w or a SciPy `Rotation`, or instead the
+            direction (3,) in which the rod leaves. By default the rod leaves along +z.
         turning
             Whether the clamp turns with the arc, or keeps its orientation.
 
@@ -197,12 +197,12 @@ class Trail:
         pivot, axis
             A point (3,) and the direction (3,) of the axis, right-handed.
         position
-            Clamp point (3,) at angle 0; on the axis, the clamp only turns.
+            Clamp point (3,) at angle 0; if it lies on the axis, the clamp only turns.
         start_angle, stop_angle
             First and last angle [rad].
         orientation, rod_axis
-            Of the clamp at angle 0: a quaternion x, y, z, w or a SciPy `Rotation`, or in its place
-            the direction (3,) in which the rod leaves. By default the rod leaves along +z.
+            Of the clamp at angle 0: a quaternion x, y, z, w or a SciPy `Rotation`, or instead the
+            direction (3,) in which the rod leaves. By default the rod leaves along +z.
 
         Raises
         ------
@@ -241,21 +241,21 @@ class Trail:
         Parameters
         ----------
         points
-            Way-points (k, 3), at least two: a cubic spline over the length of their chords runs
-            through them.
+            Way-points (k, 3), at least two, through which a cubic spline runs, parametrised by
+            chord length.
         count
-            Number of positions; way-points between the ends are passed, but are no positions
+            Number of positions; inner way-points are passed through, but are not positions
             themselves.
         orientations, rod_axis
             Of the clamp: one quaternion x, y, z, w for all (4,) or one at each way-point (k, 4), as
-            arrays or a SciPy `Rotation`; or in their place one direction (3,) in which the rod
-            leaves. Between way-points the angular velocity is continuous. By default the rod leaves
-            along +z.
+            arrays or a SciPy `Rotation`; or instead one direction (3,) in which the rod leaves.
+            Between way-points the angular velocity is continuous. By default the rod leaves along
+            +z.
 
         Raises
         ------
         ValueError
-            If there are fewer than two points, successive ones coincide, shapes do not fit, an
+            If there are fewer than two points, successive ones coincide, shapes do not match, an
             entry is not finite, a quaternion has zero norm, both `orientations` and `rod_axis` are
             given, or `count` is less than 1.
         """
@@ -279,15 +279,15 @@ class Trail:
         poses
             Homogeneous matrices (n, 4, 4), or (m, n, 4, 4) for several trails, that map clamp
             coordinates onto world coordinates: columns are the clamp's axes and its point. Or a
-            SciPy `Rotation`, then with `position`.
+            SciPy `Rotation`, together with `position`.
         position
-            Clamp points (n, 3) or (m, n, 3) that belong to a `Rotation`.
+            Clamp points (n, 3) or (m, n, 3) that go with a `Rotation`.
 
         Raises
         ------
         ValueError
-            If shapes do not fit, an entry is not finite, a matrix is no rotation and translation to
-            1e-3, or a `Rotation` comes without positions.
+            If shapes do not match, an entry is not finite, a matrix is not a rotation and
+            translation to 1e-3, or a `Rotation` is given without positions.
         """
         if isinstance(poses, Turn):
             if position is None:
@@ -306,15 +306,14 @@ class Trail:
         """One trail from a CSV file with a header: the columns `x,y,z,qx,qy,qz,qw` in any order, in
         units of the rod.
 
-        A column `time` may be there too. It has to increase, and is not kept: a sweep is
-        quasi-static.
+        A column `time` is optional. It must increase, and is not kept: a sweep is quasi-static.
 
         Raises
         ------
         InputError
             If the file cannot be read, a column is missing or unknown, a row is short or cut off, a
-            number is not finite, time does not increase, or a quaternion has zero norm: one line
-            that names file, line and column.
+            number is not finite, time does not increase, or a quaternion has zero norm; the message
+            is one line that names file, line and column.
         """
         table = read_table(Path(path), COLUMNS, optional=("time",))
         if "time" in table:
@@ -350,8 +349,8 @@ class Trail:
 
     def __getitem__(self, index: Index) -> Trail:
         """Some positions of one trail, or some of several trails: a slice, a mask or an array of
-        numbers keeps the first axis, a number gives a trail of one position, or one trail of
-        several.
+        numbers keeps the first axis, a number gives a trail of one position, or one of several
+        trails.
 
         Raises
         ------
@@ -385,15 +384,15 @@ class Trail:
 
     @property
     def steps(self) -> Float[np.ndarray, "*trail steps 6"]:
-        """Way, and turn as a rotation vector [rad], of the clamp from each position to the next."""
+        """Displacement, and rotation vector [rad], of the clamp from each position to the next."""
         before, after = self.orientation[..., :-1, :], self.orientation[..., 1:, :]
         ways = np.diff(self.position, axis=-2)
         return np.concatenate([ways, rotation_vectors(before, after)], axis=-1)
 
     @property
     def parameter(self) -> Float[np.ndarray, "*trail n"]:
-        """0 to 1 along each trail: the share of the clamp's path length, or of the steps where on
-        one of them the clamp stands or only turns.
+        """0 to 1 along each trail: the fraction of the clamp's path length, or of the number of
+        steps if the clamp stands still or only turns on one of them.
         """
         steps = np.linalg.norm(np.diff(self.position, axis=-2), axis=-1)
         steps = np.where(np.all(steps > 0, axis=-1, keepdims=True), steps, 1.0)
@@ -402,8 +401,8 @@ class Trail:
 
 
 def between(time: Float[np.ndarray, "k"], motion: Trail, moment: Float[np.ndarray, "n"]) -> Trail:
-    """Poses at these times of a motion with poses (k, …) at `time`: straight and evenly turned
-    between their neighbours, the outermost beyond the ends.
+    """Poses at these times of a motion with poses (k, …) at `time`: between neighbours, on a
+    straight line and turning evenly; beyond the ends, the outermost ones.
     """
     row = np.interp(moment, time, np.arange(len(time)))
     before, after = (motion.orientation[end(row).astype(int)] for end in (np.floor, np.ceil))
@@ -419,12 +418,12 @@ def between(time: Float[np.ndarray, "k"], motion: Trail, moment: Float[np.ndarra
 def linear(
     time: Float[np.ndarray, "k"], values: Float[np.ndarray, "k c"], moment: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n c"]:
-    """Values at these times: straight between their neighbours, the outermost beyond the ends."""
+    """Values at these times: interpolated linearly, and beyond the ends the outermost ones."""
     return np.stack([np.interp(moment, time, column) for column in values.T], axis=1)
 
 
 def first_axis(index: Index, shape: tuple[int, ...]) -> slice | np.ndarray:
-    """An index of the first of these axes that leaves at least one.
+    """An index into the first of these axes that leaves at least one axis.
 
     Raises
     ------

@@ -434,7 +434,7 @@ BAD = {
     ),
     "a way-point twice": (
         lambda: vb.Trail.spline([(0, 0, 0), (1, 0, 0), (1, 0, 0)], 5),
-        "points[2] is the way-point before it; allowed are successive points that differ",
+        "points[2] equals the way-point before it; allowed are successive points that differ",
     ),
     "turns of other way-points": (
         lambda: vb.Trail.spline(WAY, 5, orientations=np.ones((3, 4))),

@@ -1,5 +1,5 @@
-"""The equilibrium of one pose: the law of the contact force, the conditions, one solver with
-derivatives. Lengths in L, forces in EI/L².
+"""The equilibrium at one pose: contact laws, contact conditions, and one solver with derivatives.
+Lengths in L, forces in EI/L².
 """
 
 from vibrissa.contact.conditions import Touching, touching

@@ -1,14 +1,14 @@
 """The forward problem as a root of the inverse map (mechanics.md, "Contact conditions").
 
-Unknown are the contact point p on the object, the magnitude f of the contact force, and what the
-law of contact adds. The line of the force fixes the lever arm, and with it the whole rod; for any
-rod and any law these conditions are left:
+The unknowns are the contact point p on the object, the magnitude f of the contact force, and
+whatever the contact law adds. The line of action of the force fixes the lever arm, and with it the
+whole rod. For any rod and any law these conditions remain:
 
     g(p) = 0             the point lies on the object,
     misses = 0           the rod lies in the plane of clamp axis and force, and reaches the point,
-    min(1 − s₁, away)    tip contact, or the rod tangent to the object,
+    min(1 − s₁, away) = 0    tip contact, or the rod tangent to the object,
 
-and those of the law. With friction a state depends on the one before.
+and those of the law. With friction a state depends on the previous one.
 """
 
 from typing import Any, NamedTuple
@@ -40,7 +40,7 @@ class Touching(NamedTuple):
     """With friction: how far outside the cone the force would lie without sliding."""
 
     def reached(self, state: State) -> Reached:
-        """What is handed on."""
+        """What is passed on to the next position."""
         return Reached(state, self.bent.arc_length, self.tangent)
 
 
@@ -54,8 +54,8 @@ def touching(
 ) -> Touching:
     """Evaluate the conditions of contact.
 
-    `before` is what the position before has reached, for friction; `side` is r there, in whose
-    plane a rod stays that is pushed along its own axis.
+    `before` is what the previous position reached, for friction; `side` is r there: a rod pushed
+    along its own axis stays in that plane.
     """
     push = law.push(scene, state)
     bent = scene.rod.bent(clamp, state.point, state.force, push.direction, side)

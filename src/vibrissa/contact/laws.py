@@ -1,15 +1,15 @@
-"""Laws of the contact: which way the object pushes, and what else must hold where it does.
+"""Contact laws: which way the object pushes, and what else must hold at the contact.
 
-The contact force is F = f d on the rod. Without friction d is the object's normal n. With friction
-d is along n + τ, τ ⟂ n the tangential force in units of the normal one, and Coulomb's law ties τ to
-the step w of the rod's material point over the object (mechanics.md, "Friction, quasi-static"),
+The contact force on the rod is F = f d. Without friction d is the object's normal n. With friction
+d is along n + τ, where τ ⟂ n is the tangential force in units of the normal one, and Coulomb's law
+ties τ to the step w of the rod's material point over the object (mechanics.md, "Friction"),
 
     τ = Π_μ(τ − c w),    Π_μ the projection onto the disk of radius μ in the tangent plane,
 
-which is w = 0 inside the cone (sticking, or rolling where the contact also moves along the rod) and
-τ = −μ w/|w| on it, without regularisation and for any c > 0 (Alart and Curnier, 1991). A tip that
-is caught where two parts of an object meet is pushed by both: d ∝ (1 − σ) n_a + σ n_b, at a point
-that lies on both.
+which means w = 0 inside the cone (sticking, or rolling where the contact also moves along the rod)
+and τ = −μ w/|w| on it, without regularisation and for any c > 0 (Alart and Curnier, 1991). A tip
+caught where two parts of an object meet is pushed by both: d ∝ (1 − σ) n_a + σ n_b, at a point that
+lies on both.
 """
 
 from abc import abstractmethod
@@ -29,8 +29,8 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 
 _AUGMENTATION = 10.0
-"""c of Coulomb's law [1/L]: any positive number has the same solution; of 1 to 100 this took the
-fewest steps.
+"""c of Coulomb's law [1/L]: any positive number gives the same solution; among 1 to 100 this one
+took the fewest steps.
 """
 _TINY = 1e-300
 
@@ -39,7 +39,7 @@ class Push(NamedTuple):
     """How the object pushes at a point."""
 
     gaps: Float[Any, "gaps"]
-    """First-order distances of the point from what it is to lie on [L]."""
+    """First-order distances [L] of the point from the surfaces that it must lie on."""
     normal: Vector
     """Outward unit normal of the object."""
     direction: Vector
@@ -49,10 +49,10 @@ class Push(NamedTuple):
 
 
 class Law(eqx.Module):
-    """What the contact force obeys."""
+    """A law that the contact force obeys."""
 
     unknowns: ClassVar[int] = 0
-    """Numbers that a law adds to point and magnitude of the force (`State.lean`)."""
+    """How many unknowns the law adds to the point and magnitude of the force (`State.lean`)."""
     branch: ClassVar[bool] = True
     """Whether equilibria form a branch, without memory."""
 
@@ -61,12 +61,14 @@ class Law(eqx.Module):
         """How the object pushes."""
 
     def away(self, bent: Bent, tangent: Vector, normal: Vector) -> Scalar:  # noqa: ARG002
-        """Half the sine by which the rod leads away from the object beyond the contact."""
+        """Half the sine of the angle by which the rod, continued past the contact, would enter the
+        object: positive in tip contact, zero where the rod is tangent.
+        """
         return 0.5 - bent.incidence
 
     def placed(self, left: Scalar, away: Scalar) -> Scalar:
-        """Zero in tip contact (nothing of the rod is left) and where the rod is tangent to the
-        object: no phase logic.
+        """Zero in tip contact (no rod is left beyond it) and where the rod is tangent to the
+        object, so that no phase logic is needed.
         """
         return jnp.minimum(left, away)
 
@@ -108,7 +110,7 @@ def _leaning(scene: Scene, point: Vector, lean: Vector) -> Push:
 
 
 class Coulomb(Law):
-    """Coulomb's friction, quasi-static; `State.lean` is τ."""
+    """Coulomb friction, quasi-static; `State.lean` is τ."""
 
     unknowns: ClassVar[int] = 3
     branch: ClassVar[bool] = False
@@ -131,7 +133,7 @@ class Coulomb(Law):
         before: Reached | None,
     ) -> tuple[Float[Array, "rubs"], Scalar]:
         """Residual of τ − Π(τ − c w), and by how much the argument of the projection lies outside
-        the disk; where nothing is known of the past, by how much τ does.
+        the disk; without a previous state, by how much τ does.
         """
         tau = state.lean
         lifted = dot(tau, normal) * normal
@@ -150,8 +152,8 @@ class Coulomb(Law):
 
 
 class Leaning(Law):
-    """A tangential force that is given, in units of the normal one: what of it lies in the tangent
-    plane.
+    """A given tangential force, in units of the normal one; only its part in the tangent plane
+    counts.
     """
 
     lean: Vector
@@ -167,8 +169,8 @@ class Leaning(Law):
 
 
 class Held(Law):
-    """A tip caught between two parts of the object; `State.lean` is the second part's share σ. One
-    force at one point leaves no couple, so the reactions are those of a single contact.
+    """A tip caught between two parts of the object; `State.lean` is the second part's share σ. Both
+    act at one point, without a couple, so the reactions are those of a single contact.
     """
 
     unknowns: ClassVar[int] = 1
@@ -183,7 +185,7 @@ class Held(Law):
         return Push(levels, normals[0], blend / jnp.sqrt(jnp.sum(blend**2)), steepness[0])
 
     def placed(self, left: Scalar, away: Scalar) -> Scalar:  # noqa: ARG002
-        """Zero where nothing of the rod is left."""
+        """Zero where no rod is left beyond the contact."""
         return left
 
     def second_normal(self, scene: Scene, point: Vector) -> Vector:

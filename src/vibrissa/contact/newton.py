@@ -15,16 +15,17 @@ Unknowns = Float[Array, "unknowns"]
 Told = TypeVar("Told")
 
 _LONGEST_STEP = 0.3
-"""[L] by which the contact point moves at most in one step."""
+"""Most [L] that the contact point moves in one step."""
 _CAUTIOUS_STEP = 0.2
-"""[L] from a start that is near the root, where a longer step leads to another equilibrium."""
+"""The same from a start near the root, where a longer step leads to another equilibrium."""
 _MET, _ASTRAY = 1e-9, 1e-5
-"""A step longer than the second [L] from where the conditions are met to the first comes of a
-singular Jacobian: it would lead away.
+"""Once the conditions are met to the first, a step longer than the second [L] comes from a singular
+Jacobian: it would lead away.
 """
 _SINGULAR = 1e-12
-"""Determinant that is rounding: the Jacobian's entries are of order one. It counts as positive, the
-sign of what is unstable, so that a branch is always followed from where its direction is sure.
+"""Determinant below which only rounding is left: the Jacobian's entries are of order one. It counts
+as positive, the unstable sign, so that a branch is always followed from where its direction is
+certain.
 """
 _CONVERGED = 1e-11
 _MOST_STEPS = 25
@@ -38,7 +39,7 @@ class Step(NamedTuple):
     """Largest residual before the step."""
     determinant: Scalar
     """Of the Jacobian of point and force before the step: its sign changes where an equilibrium
-    without friction gains or loses stability. NaN of more unknowns.
+    without friction gains or loses stability. NaN with more unknowns.
     """
 
 
@@ -50,7 +51,7 @@ def signed(determinant: Scalar, xp: Any = jnp) -> Scalar:
 def solved_linear(
     matrix: Float[Any, "n n"], right: Float[Array, "n"]
 ) -> tuple[Float[Array, "n"], Scalar]:
-    """Solution of a small system, and the determinant of one of four."""
+    """Solution of a small system, and its determinant if it is 4×4."""
     if matrix.shape[0] == 4:
         return solve_4x4(matrix, right)
     return solve_pivoted(matrix, right), jnp.full((), jnp.nan)
@@ -64,10 +65,10 @@ def step_from(
 ) -> tuple[Step, Told]:
     """Semi-smooth Newton step; the contact point x[:3] moves by at most 0.3 L.
 
-    A cautious step is at most 0.2 L long, and goes on from where a singular Jacobian leaves the
+    A cautious step is at most 0.2 L long, and is taken even where a singular Jacobian leaves the
     state open: such a state is then no root.
 
-    `conditions` tells the residual, and whatever else is wanted of x.
+    `conditions` returns the residual, and whatever else is wanted at x.
     """
 
     def both(x: Unknowns) -> tuple[Unknowns, tuple[Unknowns, Told]]:
@@ -100,8 +101,8 @@ def iterated(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unkno
 
 
 def root(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:
-    """The same with the derivatives of the conditions, not of the iterations, by every θ that
-    `residual` closes over.
+    """The same, differentiable with respect to every θ that `residual` closes over; derivatives are
+    those of the conditions, not of the iterations.
     """
 
     def tangent(linear: Callable[[Unknowns], Unknowns], right: Unknowns) -> Unknowns:

@@ -18,8 +18,8 @@ Vector = Float[Any, "3"]
 
 
 class Scene(NamedTuple):
-    """The object, the rod's length, which turns its units into the model's, the coefficient of
-    friction between them, and the rod.
+    """The object, the rod's length, which converts its units to the model's, the coefficient of
+    friction between the two, and the rod.
     """
 
     surface: Surface
@@ -37,12 +37,12 @@ class Scene(NamedTuple):
 
     @property
     def branching(self) -> bool:
-        """Whether poses are better taken one after the other than side by side."""
+        """Whether poses are better taken one after another than side by side."""
         return any(solid.branching for solid in self.surface.solids)
 
     def each(self, function: Callable[[Vector], Any], points: Float[Array, "n 3"]) -> Any:
-        """The function of several points: side by side, or one by one where that would take long to
-        compile.
+        """Apply the function to several points: side by side, or one by one where that would take
+        long to compile.
         """
         heavy = any(solid.heavy for solid in self.surface.solids)
         return lax.map(function, points) if heavy else jax.vmap(function)(points)
@@ -64,7 +64,7 @@ class State(NamedTuple):
 
     @property
     def flat_rows(self) -> Float[np.ndarray, "n unknowns"]:
-        """The same of many, one a row."""
+        """The same for many states, one per row."""
         return np.column_stack([self.point, self.force, self.lean])
 
     @classmethod
@@ -74,7 +74,7 @@ class State(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """What one position hands on to the next."""
+    """What one position passes on to the next."""
 
     state: State
     arc_length: Scalar

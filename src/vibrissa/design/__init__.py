@@ -1,4 +1,4 @@
-"""Before anything is built: how well a sensor will tell the contacts of a scene."""
+"""Before anything is built: how well a sensor will locate the contacts of a scene."""
 
 from vibrissa.design.expected import ExpectedError, expected_error
 

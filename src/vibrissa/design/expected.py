@@ -25,7 +25,7 @@ _WITHIN_95 = float(np.sqrt(chdtri(3, 0.05)))
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError:
-    """What a sensor will make of the contacts of a scan, one row a position (…), in units of the
+    """What a sensor will make of the contacts of a scan, one row per position (…), in units of the
     rod.
 
     Attributes
@@ -37,13 +37,12 @@ class ExpectedError:
         give.
     covariance
         Of the contact point (…, 3, 3), from noise, rounding, tare, drift and the robot's pose, and
-        tolerances where they are given; NaN where no contact is detected, or the scan has no
-        solution.
+        from tolerances if given; NaN where no contact is detected, or the scan has no solution.
     lag
-        Systematic error of the contact point (…, 3) by the sensor's filter and delay at the given
-        speed; 0 without them.
+        Systematic error of the contact point (…, 3) due to the sensor's filter and delay at the
+        given speed; 0 without them.
     saturated
-        Where a reading would leave the sensor's range (…), tare and the mount's weight included as
+        Where a reading would exceed the sensor's range (…), including tare and mount weight as
         given.
     """
 
@@ -55,14 +54,14 @@ class ExpectedError:
 
     @property
     def detected(self) -> Bool[np.ndarray, "*trail n"]:
-        """Where the load exceeds the noise so far that a contact is told from none (…); false where
-        the scan has no solution.
+        """Where the load exceeds the noise by enough to detect a contact (…); false where the scan
+        has no solution.
         """
         return self.found.in_contact & self.scan.in_contact & (self.scan.status < Status.HEAD_ON)
 
     @property
     def standard_deviations(self) -> Float[np.ndarray, "*trail n 3"]:
-        """Along the axes of the covariance (…, 3), in rising order; NaN where no contact is
+        """Along the axes of the covariance (…, 3), in ascending order; NaN where no contact is
         detected.
         """
         known = np.isfinite(self.covariance).all(axis=(-2, -1))
@@ -71,13 +70,13 @@ class ExpectedError:
 
     @property
     def semi_axes(self) -> Float[np.ndarray, "*trail n 3"]:
-        """Semi-axes of the 95 % ellipsoids (…, 3), in rising order."""
+        """Semi-axes of the 95 % ellipsoids (…, 3), in ascending order."""
         return _WITHIN_95 * self.standard_deviations
 
     @property
     def root_mean_square(self) -> Float[np.ndarray, "*trail n"]:
-        """Expected distance of the point found from the true one (…), root mean square, with the
-        lag.
+        """Expected root-mean-square distance between the point found and the true one (…),
+        including the lag.
         """
         return np.sqrt(np.trace(self.covariance, axis1=-2, axis2=-1) + np.sum(self.lag**2, axis=-1))
 
@@ -100,32 +99,32 @@ def expected_error(
     """Will this sensor do for this rod? The expected contact error at every position of a scene.
 
     The scan's exact reactions are reconstructed with the covariance that `Sensor.reactions` would
-    state for them: errors are carried to first order, which next to first contact overstates them:
+    give them. Errors are propagated to first order, which overstates them next to first contact, as
     a contact lies within the rod's reach.
 
     Parameters
     ----------
     rod, surface, trail, friction, finite_radius
-        As for `vibrissa.scan`, in SI units, as the sensor's.
+        As for `vibrissa.scan`, in SI units like the sensor's.
     sensor
         With known noise.
     rate
-        Samples a second [Hz].
+        Samples per second [Hz].
     rest
-        Length of the rest in which the tare is taken [s]; 0 for none.
+        Duration of the rest in which the tare is taken [s]; 0 for none.
     speed
-        Of the clamp [m/s]: sets how far drift, pink noise and random walk have gone at each
-        position, and what filter and delay shift. By default one position follows the other at the
-        given rate, and nothing is shifted.
+        Of the clamp [m/s]: determines how far drift, pink noise and random walk have gone at each
+        position, and the lag from filter and delay. By default positions follow one another at the
+        given rate, without lag.
     samples
         Readings averaged at each position.
     false_alarm
         As for `vibrissa.reconstruct`.
     tolerances
-        How well the numbers of the setup are known. The covariance then holds what they do to all
-        contacts together (`found.shared`), which no averaging takes away, beside the noise
-        (`found.covariance_noise`). A delay of the poses moves contacts by the way of the clamp
-        within it, at the speed that is given.
+        How well the setup's values are known. The covariance then includes, beside the noise
+        (`found.covariance_noise`), what their errors do to all contacts together (`found.shared`),
+        which averaging does not reduce. A delay of the poses shifts contacts by the distance that
+        the clamp moves in that time, at the given speed.
 
     Returns
     -------
@@ -135,8 +134,8 @@ def expected_error(
     Raises
     ------
     ValueError
-        If the sensor's noise is not known, a figure is out of range, or a tolerance of `pose_delay`
-        comes without `speed`.
+        If the sensor's noise is not known, a value is out of range, or a tolerance of `pose_delay`
+        is given without `speed`.
     TypeError
         If `tolerances` is not a `Tolerances`.
     """
@@ -186,7 +185,7 @@ def expected_error(
 
 
 def _averaged(sensor: Sensor, samples: int) -> Sensor:
-    """The sensor whose single readings have the errors of means over so many."""
+    """The sensor, with the errors of a single reading replaced by those of a mean of `samples`."""
     noise = sensor.noise
     steps = np.sqrt(12 * quantisation_of_mean(noise.white, noise.resolution, samples))
     names = ("force_noise", "torque_noise", "force_resolution", "torque_resolution")
@@ -202,8 +201,8 @@ def _lane(
     Bool[np.ndarray, "n"],
     Float[np.ndarray, "n"],
 ]:
-    """Of one trail: the reactions' covariance, the reactions that come late, where the range ends,
-    and the stamps.
+    """For one trail: the covariance of the reactions, the delayed reactions, where the range is
+    exceeded, and the time stamps.
     """
     trail, steps = reactions.trail, np.full(reactions.trail.count - 1, 1 / rate)
     if speed is not None:
@@ -217,7 +216,7 @@ def _lane(
     still = np.zeros((len(stamps), 3))
     raw = RawRecording(stamps, still, np.insert(still, 3, 1.0, axis=1), still, still)
     tare = fitted_tare(sensor.updated(mount=None), raw, ends, "planned")
-    # Pink noise knows the whole recording, the rest included.
+    # Pink noise depends on the whole recording, including the rest.
     tare = replace(tare, coloured=tuple(sensor.noise.coloured(np.append(0.0, time))))
     maps = sensor.to_reactions(orientation)
     covariance = carried(maps, tare.covariance(sensor, time, orientation))

@@ -1,6 +1,6 @@
-"""The straight rod against the object: first contact is geometry, before any mechanics.
+"""First contact of the straight rod with the object: geometry, before any mechanics.
 
-The tip may touch first, or the flank, where the rod meets the object tangentially.
+Either the tip touches first, or the flank, where the rod meets the object tangentially.
 """
 
 from functools import partial
@@ -23,35 +23,35 @@ from vibrissa.numerics.vectors import dot
 Scalar = Float[Any, ""]
 
 CLEAR = -1e-10
-"""Clearance [L] from which the straight rod counts as outside the object: rounding."""
+"""Least clearance [L] at which the straight rod counts as outside the object: rounding."""
 HEAD_ON_COSINE = -1 + 1e-9
-"""Cosine between normal and rod below which the rod meets the object along its own axis: the
-rounding of a normal.
+"""Cosine between normal and rod below which the rod meets the object along its own axis; the margin
+is the rounding of a normal.
 """
 _SAMPLES = 16
 _REFINEMENTS = 16
-"""Newton's steps, held in a bracket: bisection alone would come to 1e-6 of the spacing."""
+"""Newton steps, kept within a bracket: bisection alone would get to 3e-5 of the spacing."""
 _STILL = 1e-12
-"""[L] of a step that changes the level by no more than rounding, at its minimum."""
+"""Step [L] that, at the minimum, changes the level by no more than rounding."""
 _LOOKS = 16
-"""Poses looked at between two positions near the object, lest something thin be passed through."""
+"""Parts into which a step near the object is divided, so as not to pass through something thin."""
 
 
 class Clearance(NamedTuple):
-    """How near the straight rod comes to the object."""
+    """How close the straight rod comes to the object."""
 
     distance: Scalar
-    """Smallest first-order distance [L], negative where it enters."""
+    """Smallest first-order distance [L], negative inside the object."""
     arc_length: Scalar
-    """Where that is [L]."""
+    """Where along the rod that is [L]."""
     at_clamp: Scalar
-    """Level at the clamp."""
+    """Level function at the clamp."""
     cosine: Scalar
-    """Between the object's normal there and the rod: −1 is head-on."""
+    """Cosine between the object's normal there and the rod: −1 is head-on."""
 
 
 class _Looked(NamedTuple):
-    """What a look at the straight rod shows at an arc length: level, and its gradient."""
+    """Level and its gradient at one arc length of the straight rod."""
 
     arc_length: Scalar
     value: Scalar
@@ -59,8 +59,8 @@ class _Looked(NamedTuple):
 
 
 class _Refined(NamedTuple):
-    """The search for the lowest level along the rod: where it looks next, between which ends, and
-    what it has seen first and last.
+    """The search for the lowest level along the rod: where it evaluates next, between which ends,
+    and its first and latest evaluations.
     """
 
     following: Scalar
@@ -96,7 +96,7 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
         return _Refined(following, low, high, begin, here, state.looks + 1)
 
     def moving(state: _Refined) -> Array:
-        # What the last step leads to is looked at once more.
+        # The point that the last step leads to is evaluated too.
         moves = abs(state.following - state.here.arc_length) > _STILL
         return (state.looks == 0) | (moves & (state.looks <= _REFINEMENTS))
 
@@ -112,7 +112,7 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
 
 @lanes(blocks=8, alone=FEW)
 def clearances(scene: Scene, clamp: Clamp) -> Clearance:
-    """Clearance of the straight rod at clamp poses."""
+    """Clearance of the straight rod at several clamp poses."""
     return clearance(scene, clamp)
 
 
@@ -124,9 +124,9 @@ class Meeting(NamedTuple):
     point: Float[Any, "3"]
     arc_length: Scalar
     tangent: Float[Any, "3"]
-    """Of the rod, straight as it still is."""
+    """Of the rod, which is still straight."""
     cosine: Scalar
-    """Between normal and rod: −1 is head-on."""
+    """Cosine between normal and rod: −1 is head-on."""
 
     @property
     def phase(self) -> Float[Any, "*k"]:
@@ -140,8 +140,8 @@ def meetings_on(
     before: Float[np.ndarray, "k"],
     after: Float[np.ndarray, "k"],
 ) -> Meeting:
-    """First contacts on stretches (k, …) at whose start the straight rod is clear by `before`, and
-    at whose end it is not, by `after`.
+    """First contacts on stretches (k, …). The straight rod has the clearance `before` at their
+    start, where it is clear, and `after` at their end, where it is not.
     """
 
     def distance(
@@ -161,14 +161,14 @@ def meetings_on(
 
 
 def begun(meeting: Meeting, unknowns: int) -> Reached:
-    """States of first contacts (k, …): no force yet."""
+    """States at first contact (k, …), still without force."""
     count = len(meeting.fraction)
     state = State(meeting.point, np.zeros(count), np.zeros((count, unknowns)))
     return Reached(state, meeting.arc_length, meeting.tangent)
 
 
 class Meetings(NamedTuple):
-    """First contacts on a path, one a row: on the step of a lane that ends at a position."""
+    """First contacts on a path, one per row: on the step of a lane that ends at a position."""
 
     lane: Int[np.ndarray, "k"]
     position: Int[np.ndarray, "k"]
@@ -186,7 +186,7 @@ def first_meetings(
     scene: Scene, path: Path, clear: Bool[np.ndarray, "m n"], distance: Float[np.ndarray, "m n"]
 ) -> Meetings:
     """First contacts that bend the rod, on steps from a clear position to one that is not, or
-    through something thin.
+    across something thin.
     """
     lane, step = np.nonzero(clear[:, :-1] & ~clear[:, 1:])
     direct = lane, step + 1, np.ones(len(lane)), distance[lane, step + 1]
@@ -205,7 +205,8 @@ def _passed_through(
     Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]
 ]:
     """Steps between two clear positions on which the straight rod passes through something thin:
-    lane, index of the end, fraction and clearance within.
+    lane, index of the end, and the fraction at which it is first found inside, with the clearance
+    there.
     """
     motion = lengths(np.diff(path.point, axis=1)) + lengths(np.diff(path.tangent, axis=1))
     near = clear[:, :-1] & clear[:, 1:] & (np.maximum(distance[:, :-1], distance[:, 1:]) < motion)

@@ -1,4 +1,4 @@
-"""What an equilibrium means: reactions, energy, and the checks of the state that is returned."""
+"""What an equilibrium implies: reactions, energy, and the checks of the returned state."""
 
 from functools import reduce
 from typing import Any, NamedTuple
@@ -31,8 +31,8 @@ class Assessment(NamedTuple):
     phase: Scalar
     residual: Scalar
     depth: Scalar
-    """At most how deep the elastic line enters the object [L]; rounding where it does not, else
-    `deepest` tells.
+    """Upper bound on how deep the elastic line enters the object [L]; rounding where it does not,
+    otherwise left to `deepest`.
     """
     tangent: Vector
     """Of the rod at the contact."""
@@ -49,34 +49,34 @@ class Deepest(NamedTuple):
 
 
 DEPTH_TOLERANCE = 1e-7
-"""Depth [L] up to which the elastic line may enter the object: the error of its points."""
+"""Depth [L] by which the elastic line may enter the object: the error of its points."""
 _BEND, _TAIL = np.linspace(0, 1, 25), np.linspace(0, 1, 9)
-"""Points of the bent part, from the contact back to the clamp, and of the straight rest: as few as
-leave one position in a hundred to `deepest`.
+"""Points of the bent part, from the contact back to the clamp, and of the straight rest: so few
+that one position in a hundred is left to `deepest`.
 """
 _FINE_BEND, _FINE_TAIL = np.linspace(0, 1, 385), np.linspace(0, 1, 193)
 _NEAR_BEND, _NEAR_TAIL = _FINE_BEND[:34:2], _TAIL[1] * np.linspace(0, 1, 9)
-"""Close to the contact, where a crease may hide between the few."""
+"""Close to the contact, where a crease may hide between these few points."""
 _LOWEST, _BETWEEN = 4, 33
-"""Lowest points looked at once more, and with how many points between their neighbours."""
+"""How many lowest points are refined, and with how many points between their neighbours."""
 _APART = 1e-12
-"""[L] below which two points are one: a rod that touches with its tip has no rest."""
+"""Distance [L] below which two points are one: a rod touching with its tip has no straight rest."""
 _LEAST_GROWTH, _MOST_GROWTH = 1.6, 5.0
-"""What lies on a straight line or a parabola from the contact doubles or quadruples from the first
-point to the second.
+"""Bounds on the growth of the level from the first point to the second: along a straight line from
+the contact it doubles, along a parabola it quadruples.
 """
 _ROUNDING = 1e-9
 _AT_ONCE = 512
-"""Rods that `deepest` looks at together: their points take 10 MB."""
+"""Rods that `deepest` handles at a time: their points take 10 MB."""
 
 
 def assessment(
     scene: Scene, state: State, clamp: Clamp, law: Law
 ) -> tuple[Assessment, Bent, Scalar]:
-    """Reactions, energy and residual of a state at a clamp pose, without the depth; the rod, and
-    the steepness of the level.
+    """Reactions, energy and residual of a state at a clamp pose, without the depth; also the rod,
+    and the steepness of the level function.
     """
-    # The law of friction itself needs the step before; the force's place in the cone does not.
+    # The law of friction itself needs the previous step; where the force lies in the cone does not.
     found = touching(scene, law, state, clamp)
     bent, push = found.bent, found.push
     axis = clamp.tangent
@@ -103,9 +103,9 @@ def assessment(
 
 @lanes(blocks=64, alone=FEW)
 def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessment, Bent, Scalar]:
-    """The same of states at clamp poses, with the depth."""
+    """The same for states at several clamp poses, with the depth."""
     values, bent, steepness = assessment(scene, state, clamp, law)
-    # Lest XLA evaluate the whole state again for each of the points.
+    # Keeps XLA from evaluating the whole state again for each of the points.
     bent, tangent, steepness = lax.optimization_barrier(  # type: ignore[no-untyped-call]
         (bent, values.tangent, steepness)
     )
@@ -116,17 +116,17 @@ def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessme
 def _line(
     rod: RodModel, bent: Bent, tangent: Vector, bend: Float[np.ndarray, "b"], tail: np.ndarray
 ) -> tuple[Float[Array, "b 3"], Float[Array, "t 3"]]:
-    """Points at shares of the bent part, from the contact back, and of the straight rest."""
+    """Points at fractions of the bent part, from the contact back, and of the straight rest."""
     rest = jnp.maximum(1 - bent.arc_length, 0.0) * tail[:, None]
     return rod.points(bent, bend), bent.point + rest * tangent
 
 
 def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scalar:
-    """At most how deep the rod lies in the object, as far as few of its points tell."""
+    """Upper bound on the rod's depth in the object, as far as a few of its points can tell."""
     s1, rest = bent.arc_length, jnp.maximum(1 - bent.arc_length, 0.0)
     lines = [_line(scene.rod, bent, tangent, _BEND, _TAIL)]
-    # Between points the object may come nearer by half of their distance, which along the bend
-    # varies by up to √2.
+    # Between points the object may come closer by half their spacing, which along the bend varies
+    # by up to √2.
     near = [(steepness * s1 * _BEND[1] / np.sqrt(2), steepness * rest * _TAIL[1] / 2)]
     solids = scene.surface.solids
     if any(solid.may_crease for solid in solids):
@@ -148,11 +148,11 @@ def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scal
 
 
 def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
-    """Least level of points, lessened by `near` where a point is lower than its neighbours, or
-    where the first do not rise as behind a contact.
+    """Lowest level of points, reduced by `near` where a point is lower than its neighbours, or
+    where the first ones do not rise as they do next to a contact.
     """
     first, second = levels[1], levels[2]
-    # From a tip as s, from a tangential contact as s².
+    # They rise as s from a tip, as s² from a tangential contact.
     rises = (second - _LEAST_GROWTH * first > -_ROUNDING) & (
         _MOST_GROWTH * first - second > -_ROUNDING
     )
@@ -168,10 +168,10 @@ def deepest(
     tangent: Float[np.ndarray, "k 3"],
     steepness: Float[np.ndarray, "k"],
 ) -> Deepest:
-    """Deepest of many points of each rod: the second contact that is missing, if there is one.
+    """Deepest of many points of each rod: the second contact that was left out, if there is one.
 
-    The depth is from below, by up to h²/(8R) for points h ≈ L/6000 apart at the deepest place and
-    an object that is round with radius R there, and by h/2 where it is sharp.
+    The depth is a lower bound, off by up to h²/(8R) for points h ≈ L/6000 apart at the deepest
+    place and an object that is round with radius R there, and by h/2 where it is sharp.
     """
     points = np.asarray(_fine_line(scene.rod, bent, tangent))
     coarse = levels(scene, points)
@@ -189,13 +189,13 @@ def deepest(
 
 @lanes(width=16, blocks=_AT_ONCE // 16)
 def _fine_line(rod: RodModel, bent: Bent, tangent: Vector) -> Float[Array, "n 3"]:
-    """Many points of a rod from tip to clamp, with the contact once."""
+    """Many points of a rod from tip to clamp, the contact only once."""
     bend, tail = _line(rod, bent, tangent, _FINE_BEND, _FINE_TAIL)
     return jnp.concatenate([tail[:0:-1], bend])
 
 
 def levels(scene: Scene, points: Float[np.ndarray, "k n 3"]) -> Float[np.ndarray, "k n"]:
-    """Levels of the object."""
+    """Level function of the object at points."""
     return np.asarray(_level(scene, points.reshape(-1, 3))).reshape(points.shape[:2])
 
 
@@ -209,8 +209,8 @@ def parabolas(
     here: Float[np.ndarray, "*k 3"],
     after: Float[np.ndarray, "*k 3"],
 ) -> Float[np.ndarray, "n *k 3"]:
-    """Points of parabolas through three points each, by their distances: those of the bent part and
-    of the straight rest lie differently close.
+    """Points on parabolas through three points each, by distance: the spacing on the bent part
+    differs from that on the straight rest.
     """
     back, onward = here - before, after - here
     behind, ahead = (
@@ -225,8 +225,8 @@ def parabolas(
 def assessed(
     scene: Scene, law: Law, state: State, clamp: Clamp
 ) -> tuple[Assessment, Float[np.ndarray, "k 3"]]:
-    """Assessments of states (k, …), their depths looked at closely; and the deepest points [L] of
-    those that are deep or nearly so, NaN of the others. A law holds a row a state, if anything.
+    """Assessments of states (k, …), with refined depths; and the deepest points [L] of those that
+    are deep or nearly so, NaN for the others. A law holds one row per state, if anything.
     """
     values, bent, steepness = assess(scene, state, clamp, law)
     places, depth = np.full(state.point.shape, np.nan), values.depth.copy()
@@ -239,5 +239,5 @@ def assessed(
 
 
 def reached_by(values: Assessment, state: State) -> Reached:
-    """What assessed states hand on to the next position."""
+    """What assessed states pass on to the next position."""
     return Reached(state, values.arc_length, values.tangent)

@@ -27,8 +27,8 @@ from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
 
-# Magnitudes of the force [EI/L²] from which Newton's method starts, by the number of inflections:
-# about (2K/s₁)² and more.
+# Starting magnitudes of the force [EI/L²] for Newton's method, by number of inflections: about
+# (2K/s₁)² and more.
 _FORCES = ((0.05, 0.5, 1.5, 4.0, 8.0), (12.0, 20.0, 30.0, 45.0), (50.0, 75.0, 110.0))
 _CONVERGED = 1e-10
 _LINE_POINTS = 401
@@ -36,8 +36,8 @@ _LINE_POINTS = 401
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """One admissible equilibrium of a clamped rod in one frictionless contact, in units of the rod,
-    world axes.
+    """One admissible equilibrium of a clamped rod with one frictionless contact, in units of the
+    rod, world axes.
 
     Attributes
     ----------
@@ -54,9 +54,10 @@ class Equilibrium:
     stable
         Whether the second variation of the energy is positive under the constraint of contact.
     second_variation
-        Its least eigenvalue per ∫ ‖δt‖² ds [N]: how far from, or how deep in, instability.
+        Its least eigenvalue per ∫ ‖δt‖² ds [N]: how far the equilibrium is from instability, or
+        into it.
     inflections
-        How often the curvature changes its sign between clamp and contact.
+        How often the curvature changes sign between clamp and contact.
     elastic_line
         401 points (401, 3) equally spaced in arc length from clamp to tip.
     """
@@ -97,8 +98,8 @@ def equilibria(
     Returns
     -------
     list
-        Empty if none was found, as where the object is out of reach. The straight rod without
-        contact is not listed.
+        Empty if none was found, for instance where the object is out of reach. The straight rod
+        without contact is not listed.
 
     Raises
     ------
@@ -107,9 +108,9 @@ def equilibria(
 
     Notes
     -----
-    Newton's method starts from several hundred places on the object in all directions and from
-    several magnitudes of the force, for each number of inflections. A search from starting points
-    can miss an equilibrium; on the paper's case it finds those known (mechanics.md).
+    Newton's method starts from several hundred points on the object in all directions and from
+    several magnitudes of the force, for each number of inflections. Such a search can miss an
+    equilibrium; in the paper's case it finds the known ones (mechanics.md).
     """
     clamp = finite_array(position, "position", last=3, ndim=1)
     turn = unit_quaternions(orientation, "orientation")

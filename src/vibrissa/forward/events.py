@@ -25,15 +25,16 @@ class EventKind(IntEnum):
     LATERAL_RECOVERY = 7
     """The branch becomes stable again."""
     STARTED_IN_CONTACT = 8
-    """The trail begins with the straight rod inside the object, or goes on so behind positions that
-    were not solved. A beginning is entered as if its first step had come from outside; where that
-    does not go smoothly, the admissible equilibrium of least energy is taken."""
+    """The trail begins with the straight rod inside the object, or resumes that way after unsolved
+    positions. At the beginning of a trail the rod is brought in as if its first step had come from
+    outside; where that does not go smoothly, the admissible equilibrium of least energy is taken.
+    """
     STICK_TO_SLIP = 10
     """With friction: the contact force reaches the cone."""
     SLIP_TO_STICK = 11
-    """With friction: sliding ends; the contact stays, or rolls."""
+    """With friction: sliding ends; the contact sticks, or rolls."""
     HEAD_ON = 9
-    """The rod meets the object along its own axis, and does not bend before it buckles in a
+    """The rod meets the object along its own axis: it does not bend until it buckles, in a
     direction that is not determined.
     """
 
@@ -63,8 +64,8 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Happening:
-    """An event in the terms of the solver: on the stretch that ends at `index`, at a fraction of
-    it, with the contact point [L].
+    """An event as the solver records it: on the stretch that ends at `index`, at a fraction of it,
+    with the contact point [L].
     """
 
     kind: EventKind

@@ -1,4 +1,4 @@
-"""One stretch of one trail, resolved with care: where the march lost a lane."""
+"""Carefully resolve one stretch of one trail, where the march lost a lane."""
 
 from dataclasses import dataclass, field
 
@@ -17,17 +17,17 @@ from vibrissa.forward.ways import NO_FORCE, Branch, End, Happened, Rubbing
 from vibrissa.mechanics.model import Clamp
 
 _AFTER_CONTACT = (1e-3, 1e-2, 0.1, 1.0)
-"""Fractions of a stretch behind a first contact at which its equilibrium is looked for."""
+"""Fractions of a stretch past a first contact at which its equilibrium is searched for."""
 _MOST_CHANGES = 12
-"""Losses and renewals of contact on one stretch; more are chatter."""
+"""Most losses and renewals of contact on one stretch; more count as chatter."""
 _PROGRESS = 1e-9
-"""Fraction of the stretch by which a contact that ends has lasted: rounding."""
+"""Fraction of the stretch that a contact must last for its end to count; less is rounding."""
 
 
 @dataclass
 class Outcome:
     """How a stretch ended: mode, state, figure (as in `Steps`) and phase at its end, what happened
-    on it, and a status where it failed.
+    on it, and a status if it failed.
     """
 
     mode: Mode
@@ -41,14 +41,14 @@ class Outcome:
 def follow(
     scene: Scene, law: Law, stretch: Stretch, mode: Mode, reached: Reached | None
 ) -> Outcome:
-    """Resolve a stretch from mode FREE or CONTACT (with what was reached) at its start; with mode
-    LOST only its end is known.
+    """Resolve a stretch that starts in mode FREE or CONTACT (with what was reached there); in mode
+    LOST nothing is known of its start, and only its end is solved.
     """
     return _Follower(scene, law, stretch).follow(mode, reached)
 
 
 class _LostError(Exception):
-    """Nothing continues the state that was reached."""
+    """No equilibrium continues the state that was reached."""
 
 
 class _Follower:
@@ -87,7 +87,7 @@ class _Follower:
         return self._anew(EventKind.STARTED_IN_CONTACT)
 
     def _behind(self, end: End, since: float) -> tuple[Place | None, float]:
-        """Where the lane goes on behind the end of a contact that began at `since`, and from which
+        """Where the lane goes on after a contact that began at `since` has ended, and from which
         fraction: at another equilibrium, or free (None).
         """
         fraction, state = end.at.fraction, end.at.reached.state
@@ -98,7 +98,7 @@ class _Follower:
             return None, fraction
         if unloaded:
             # The straight rod met the object along a line or at an edge: the contact begins
-            # elsewhere than where it was first seen.
+            # somewhere other than where it was first seen.
             for ahead in _AFTER_CONTACT:
                 at = min(1.0, fraction + ahead)
                 here = self._settled(at, np.inf, [state.point])
@@ -112,7 +112,7 @@ class _Follower:
         here = self._settled(fraction, energy, [state.point])
         if here is None and not self._clear(1.0):
             raise _LostError
-        # If there is none, what is left of the contact ends before the next position.
+        # If there is none, whatever is left of the contact ends before the next position.
         return here, 1.0 if here is None else fraction
 
     def _clearance(self, fraction: float) -> float:
@@ -123,7 +123,7 @@ class _Follower:
         return self._clearance(fraction) >= CLEAR
 
     def _first_contact(self, fraction: float) -> Meeting | None:
-        """Next first contact of the free rod between a fraction and the end, if there is one."""
+        """Next first contact of the free rod between a fraction and the end, if any."""
         before, after = self._clearance(fraction), self._clearance(1.0)
         if after >= CLEAR:
             return None
@@ -134,7 +134,7 @@ class _Follower:
     def _found(
         self, fraction: float, energy: float, near: list[Float[np.ndarray, "3"]]
     ) -> Settled | None:
-        """The stable equilibrium without friction of least energy, if that is below `energy`."""
+        """The stable frictionless equilibrium of least energy, if that energy is below `energy`."""
         clamp = self._stretch.clamps(np.array([fraction]))
         found = stable_equilibria(self._scene, clamp, near)
         return found[0] if found and found[0].energy < energy else None
@@ -146,8 +146,8 @@ class _Follower:
         return None if found is None else self._way.settled(found, fraction)
 
     def _anew(self, happening: EventKind | None = None) -> Outcome:
-        """Take up the lane at the end of the stretch, whatever went before; where there is no
-        equilibrium, or to what side the rod bends depends on its past, it is lost.
+        """Restart the lane at the end of the stretch, whatever came before. It is lost if there is
+        no equilibrium, or if the side to which the rod bends depends on its past.
         """
         found = self._found(1.0, np.inf, [])
         if found is None or found.neutral:

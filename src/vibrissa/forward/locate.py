@@ -1,5 +1,5 @@
-"""Events between two positions: bracketed roots along the way, each evaluation an equilibrium of
-its own.
+"""Events between two positions, found as bracketed roots along the stretch; each evaluation solves
+an equilibrium.
 """
 
 from enum import IntEnum
@@ -16,7 +16,7 @@ from vibrissa.numerics.bracket import roots
 
 
 class Indicator(IntEnum):
-    """Which figure changes its sign."""
+    """Which quantity changes sign."""
 
     FORCE = 0
     PHASE = 1
@@ -24,14 +24,14 @@ class Indicator(IntEnum):
 
 
 class Place(NamedTuple):
-    """A state on a stretch, with its figure and phase as in `Steps`; or one a row."""
+    """A state on a stretch, with its figure and phase as in `Steps`; or one per row."""
 
     fraction: Float[Any, "*k"]
     reached: Reached
     figure: Float[Any, "*k"]
     phase: Float[Any, "*k"]
     onward: Any = None
-    """Unit tangent of its branch in weighted coordinates, where that is followed."""
+    """Unit tangent of the branch in weighted coordinates, where a branch is followed."""
 
     @property
     def indicators(self) -> Float[np.ndarray, "*k three"]:
@@ -47,8 +47,8 @@ def located(
     high: Place,
     indicator: Int[np.ndarray, "k"],
 ) -> Place:
-    """Where indicators pass zero on stretches (k, …), between two places; each place on the way is
-    a step from the first, or without friction from the one that is nearer to zero.
+    """Where indicators cross zero on stretches (k, …), between two places. Each place tried is one
+    step from the first or, without friction, from the one nearer to zero.
     """
     which = indicator[:, None, None]
 
@@ -57,7 +57,7 @@ def located(
 
     ends = (jax.tree.map(lambda part: part[:, None], end) for end in (low, high))
     before, after = (indicated(end)[:, 0] for end in ends)
-    # With friction a state depends on the way; a branch has no memory.
+    # With friction a state depends on its history; a branch has no memory.
     start = either(law.branch & (np.abs(after) < np.abs(before)), high, low)
 
     def value(
@@ -68,8 +68,8 @@ def located(
 
     fraction = roots(value, (low.fraction, high.fraction), (before, after))
     found = chosen(stepped(scene, law, stretches, start, fraction[:, None])[0], np.s_[:, 0])
-    # Where a step on the way does not converge, as next to a contact that jumps or of a rod that
-    # comes to lie along a face, what lies between the ends in proportion.
+    # Where such a step does not converge, as next to a contact that jumps or when the rod comes to
+    # lie along a face, interpolate linearly between the ends.
     share = before / np.where(before == after, 1.0, before - after)
     sound = np.isfinite(found.reached.state.flat_rows).all(axis=1)
     result: Place = either(sound, found, _between(low, high, share))
@@ -77,7 +77,7 @@ def located(
 
 
 def _between(low: Place, high: Place, share: Float[np.ndarray, "k"]) -> Place:
-    """In proportion."""
+    """Linear interpolation."""
     between: Place = jax.tree.map(
         lambda first, last: first + share.reshape(-1, *(1,) * (first.ndim - 1)) * (last - first),
         low,
@@ -90,7 +90,7 @@ def stepped(
     scene: Scene, law: Law, way: Stretch, start: Place, fraction: Float[np.ndarray, "k n"]
 ) -> tuple[Place, Float[np.ndarray, "k n"]]:
     """States at fractions (k, n) of stretches (k, …), each one step of the march from the start,
-    and their residuals before Newton's last step (k, n).
+    and their residuals before the last Newton step (k, n).
     """
     fractions = np.column_stack([start.fraction, fraction])
     clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])

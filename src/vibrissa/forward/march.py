@@ -1,9 +1,9 @@
-"""Many trails in step: each position is started from the last, extrapolated, and solved by Newton's
-method.
+"""Many trails in step: each position starts from an extrapolation of the previous ones, and is
+solved by Newton's method.
 
-The march does what goes smoothly. Where a lane does not converge, jumps, changes the sign of its
-Jacobian, or finds the straight rod in the object without having met it, it stops that lane as lost;
-`follow` resolves the stretch, and the march resumes behind it.
+The march handles what goes smoothly. Where a lane does not converge, jumps, changes the sign of its
+Jacobian determinant, or has the straight rod inside the object without a first contact, the march
+marks that lane as lost; `follow` resolves the stretch, and the march resumes after it.
 """
 
 from enum import IntEnum
@@ -37,13 +37,13 @@ class Mode(IntEnum):
 
 
 class Legs(NamedTuple):
-    """What the march needs of a lane; the first six of all its positions (n, …)."""
+    """What the march needs of a lane; the first four of all its positions (n, …)."""
 
     clamp: Clamp
     clear: Bool[Any, "n"]
     """The straight rod is outside the object."""
     met: Bool[Any, "n"]
-    """First contact of the straight rod lies on the stretch that ends here."""
+    """The straight rod makes first contact on the stretch that ends here."""
     meeting: Reached
     """State at that first contact."""
     start: Int[Any, ""]
@@ -53,8 +53,8 @@ class Legs(NamedTuple):
     sign: Scalar
     """Sign of the Jacobian's determinant: negative on a stable branch."""
     fanned: Bool[Any, ""]
-    """Each position is a step from where the lane enters, and solved to rounding: places on one
-    stretch, of which one is an event.
+    """Each position is one step from where the lane enters, and solved to rounding: trial places on
+    one stretch, in search of an event.
     """
 
 
@@ -74,35 +74,35 @@ class Steps(NamedTuple):
 class _Carry(NamedTuple):
     last: Reached
     differences: list[Float[Any, "four"]]
-    """Backward differences of point and force: of order 0, themselves."""
+    """Backward differences of point and force; those of order 0 are the values themselves."""
     age: Array
-    """Positions since the contact began: differences of a higher order are not known, and zero."""
+    """Positions since the contact began; differences of higher order are not known yet: zero."""
     mode: Array
 
 
 _ORDERS = 8
-"""Differences kept: trails of 0.01 L a step then need about one step of Newton's method a position."""
+"""Differences kept: trails with steps of 0.01 L then need about one Newton step per position."""
 _UNTESTED = 2
-"""Order to which a contact is extrapolated without a look at how well that did before."""
+"""Order to which a contact is extrapolated without checking how well that did before."""
 _BETTER = 2.0
-"""Times by which a higher order has to do better: behind a kink all orders do equally badly, and
-the highest overshoots by most.
+"""Factor by which a higher order has to do better: after a kink all orders do equally badly, and
+the highest overshoots most.
 """
 TOLERANCE = {True: 1e-9, False: 1e-11}
-"""Largest residual from which one more quadratic step is taken, and no other: on a branch; and with
-friction, where what is handed on, of before that step, adds up.
+"""Largest residual from which the next Newton step, converging quadratically, is the last: on a
+branch; and with friction, where errors in what is passed on, computed before that step, add up.
 """
 SHARP = 1e-13
-"""The same of an event, whose figure is of before the last step: what rounding leaves."""
+"""The same for an event, whose figure is computed before the last step: what rounding leaves."""
 JUMP, JUMP_FLOOR = 8.0, 0.02
-"""A contact that moves farther [L] than this many times the clamp's motion, and a bit, has jumped:
-before a smooth change of phase it may move several times as fast as the clamp.
+"""A contact that moves farther [L] than this many times the clamp's motion, plus a floor, has
+jumped: before a smooth change of phase it may move several times as fast as the clamp.
 """
 _MISS, _MISS_FLOOR = 0.7, 0.005
-"""The same of how far it is from where it was expected, in shares of its own motion."""
+"""The same for how far it is from where it was expected, as a fraction of its own motion."""
 MOST_ITERATIONS = {True: 12, False: 25}
-"""On a branch, where a guess that is no good is better resolved with care; and with friction, whose
-conditions have corners.
+"""On a branch, where a poor guess is better left to `follow`; and with friction, whose conditions
+have corners.
 """
 
 
@@ -111,11 +111,11 @@ STABLE = -1.0
 _FAN, _SHORTEST_TRAIL = 1 + POINTS, 256
 """Positions of lanes that only locate an event, and room for those of a trail."""
 SINGLE = 8
-"""Lanes that are walked one after the other: more are quicker side by side."""
+"""Up to this many lanes are walked one after another; more are quicker side by side."""
 
 
 class Solved(NamedTuple):
-    """What Newton's method ends with."""
+    """Result of Newton's method."""
 
     reached: Reached
     residual: Scalar
@@ -133,8 +133,8 @@ def solved(
     active: Bool[Any, ""],
     tolerance: Scalar,
 ) -> Solved:
-    """Newton's method for one position, given the one before, if the lane is active; the step from
-    a residual within the tolerance is the last.
+    """Newton's method for one position, given the previous one, if the lane is active; the step
+    from a residual within the tolerance is the last.
     """
 
     def iterate(state: tuple[Solved, Array]) -> tuple[Solved, Array]:
@@ -160,7 +160,7 @@ def once(
     before: Reached | None,
     side: Float[Any, "3"] | None,
 ) -> Solved:
-    """One step of it; all but the state are of before the step."""
+    """One Newton step; everything but the state is from before the step."""
 
     def conditions(x: Float[Array, "unknowns"]) -> tuple[Any, Any]:
         found = touching(scene, law, State.of(x), clamp, before, side)
@@ -173,7 +173,7 @@ def once(
 
 
 def nowhere(law: Law, *shape: int, fill: float = np.nan) -> Reached:
-    """What is reached where there is no contact."""
+    """Stands for what is reached where there is no contact."""
 
     def full(*width: int) -> Float[np.ndarray, "..."]:
         return np.full((*shape, *width), fill)
@@ -182,8 +182,8 @@ def nowhere(law: Law, *shape: int, fill: float = np.nan) -> Reached:
 
 
 def entering(law: Law, clamps: Clamp) -> Legs:
-    """Legs of lanes at clamps (k, n, 3) that enter in contact at the first, where what they have
-    reached is still to be filled in.
+    """Legs of lanes at clamps (k, n, 3) that enter in contact at the first one; what they have
+    reached there is still to be filled in.
     """
     count, n = clamps.point.shape[:2]
     never, first = np.zeros((count, n), dtype=bool), np.zeros(count, dtype=int)
@@ -193,16 +193,14 @@ def entering(law: Law, clamps: Clamp) -> Legs:
 
 
 def march(scene: Scene, law: Law, legs: Legs) -> Steps:
-    """Walk lanes through all of their positions: legs and steps of k lanes and n positions
-    (k, n, …), in model units.
-    """
+    """Walk k lanes through all of their n positions: legs and steps (k, n, …), in model units."""
     walk, padded = _sized(legs)
     steps: Steps = walk((scene, law, np.asarray(legs.clear.shape[1])), padded)
     return chosen(steps, np.s_[:, : legs.clear.shape[1]])
 
 
 def march_ahead(scene: Scene, law: Law, clamps: Clamp) -> None:
-    """Compile, while other work is done, what the march through clamps (k, n, 3) needs."""
+    """Compile in the background what the march through clamps (k, n, 3) needs."""
     walk, padded = _sized(entering(law, clamps))
     walk.ahead((scene, law, np.asarray(0)), padded)
 
@@ -210,7 +208,7 @@ def march_ahead(scene: Scene, law: Law, clamps: Clamp) -> None:
 def _sized(legs: Legs) -> tuple[Lanes[Any, Any], Legs]:
     """The kernel that walks such lanes, and legs padded to its size."""
     count, n = legs.clear.shape
-    # Each size is compiled for itself: a few short lanes share that of a trail.
+    # Each size is compiled separately: a few short lanes share that of a trail.
     short = n <= _FAN and count > SINGLE
     size = _FAN if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
 
@@ -226,7 +224,7 @@ def _sized(legs: Legs) -> tuple[Lanes[Any, Any], Legs]:
 
 def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
     """Newton's method from states (k, …) at one clamp pose, to steps (k, …) in the same order: each
-    a first contact on a lane that goes on as if it had not been.
+    is a first contact on a lane that then goes on as if it had not happened.
     """
     count, room = len(seeds.force), _SHORTEST_TRAIL - 1
     rows = -(-count // room)
@@ -251,9 +249,7 @@ def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
 
 
 def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
-    """Walk a lane through the first `count` of its positions, for what is shared: scene, law and
-    count.
-    """
+    """Walk a lane through the first `count` of its positions; scene, law and count are shared."""
     scene, law, count = shared
     size = legs.clear.shape[0]
     nothing: Steps = jax.tree.map(
@@ -277,7 +273,7 @@ _trails, _fans = lanes(blocks=1, alone=SINGLE)(_walk), lanes()(_walk)
 
 
 def _put(index: Array, whole: Array, row: Array) -> Array:
-    # As an update, not as the scatter that `at[index].set` is.
+    # An update, not the scatter that `at[index].set` would be.
     return lax.dynamic_update_index_in_dim(whole, row, index, 0)
 
 
@@ -292,7 +288,7 @@ def _advance(
     last = carry.last
     foretold = list(accumulate(carry.differences))
     expected = _expected(law, carry, foretold)
-    # The tangential force starts from where it was, for sliding may stop or turn.
+    # The tangential force starts from its last value, as sliding may stop or turn.
     guess = State(expected[:3], expected[3], last.state.lean)
     meeting = jax.tree.map(lambda part: part[index], legs.meeting)
     guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
@@ -315,12 +311,12 @@ def _advance(
     missed = jnp.min(joined(*(_length(state.point - order[:3]) for order in foretold[:-1])))
     tolerated = _MISS_FLOOR + _MISS * moved
     if not law.branch:
-        # With friction the contact turns off its way at a corner of the trail, without a jump.
+        # With friction the contact changes direction at a corner of the trail, without a jump.
         tolerated += JUMP * _clamp_miss(clamp, come_from, carry.age)
     misses = (carry.age >= 1) & (missed > tolerated)
     motion = _length(joined(*(b - a for a, b in zip(come_from[0], clamp, strict=True))))
     leaps = touches & ((moved > JUMP_FLOOR + JUMP * motion) | misses)
-    # A contact that pulls is one that has been lost; the solution beyond tells by how much.
+    # A contact that pulls has been lost; the solution past that point tells by how much.
     released = touches & converged & ~leaps & (state.force < 0)
     held = active & converged & ~leaps & (state.force >= 0)
     if law.branch:
@@ -353,8 +349,8 @@ def _length(vector: Float[Array, "n"]) -> Scalar:
 def _expected(
     law: Law, carry: _Carry, foretold: list[Float[Array, "four"]]
 ) -> Float[Array, "four"]:
-    """Point and force, extrapolated; without friction to the order that would have foretold the last
-    position best: what it would have missed is the difference of the next order.
+    """Point and force, extrapolated; without friction to the order that would have predicted the
+    last position best: its error there is the difference of the next order.
     """
     expected, least = foretold[_UNTESTED], jnp.asarray(jnp.inf)
     for order in range(_UNTESTED, _ORDERS - 1) if law.branch else ():
@@ -366,14 +362,14 @@ def _expected(
 
 
 def _next(last: Array, before: Array, second_before: Array, age: Array) -> Array:
-    """Extrapolation by as many of the last three as the contact is old, as of a young contact."""
+    """Extrapolation from the last three values, or from as many as a new contact has."""
     linear = 2 * last - before
     quadratic = 3 * (last - before) + second_before
     return jnp.where(age >= 2, quadratic, jnp.where(age >= 1, linear, last))
 
 
 def _clamp_miss(clamp: Clamp, back: list[Clamp], age: Array) -> Scalar:
-    """How far the clamp is from where its motion would have taken it, by the same rule."""
+    """How far the clamp is from where the same rule would have put it."""
     misses = [
         here - _next(last, before, second_before, age)
         for here, last, before, second_before in zip(clamp, *back, strict=True)

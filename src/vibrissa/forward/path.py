@@ -1,5 +1,5 @@
-"""The clamp's path in model units: between two positions it moves straight and turns about a fixed
-axis.
+"""The clamp's path in model units: between two positions it moves in a straight line and turns
+about a fixed axis.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ from vibrissa.numerics.rotation import third_axis as traced_third_axis
 from vibrissa.trail import Trail
 
 LONGEST_STEP = 0.05
-"""[L] by which a step moves the rod's ends at most; longer ones are divided, so that a coarse trail
-stays on its branch.
+"""Most [L] that a step moves the rod's ends; longer steps are divided, so that a coarse trail stays
+on its branch.
 """
 _TINY = 1e-300
 _TURNING = 1e-9
-"""Sine of an angle below which a rotation is as good as linear."""
+"""Sine of an angle below which a rotation is treated as linear."""
 
 
 class Pose(NamedTuple):
@@ -35,7 +35,7 @@ class Pose(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """The clamp's way from one position to the next; one, or one a row."""
+    """The clamp's motion from one position to the next; a single one, or one per row."""
 
     first: Pose
     last: Pose
@@ -68,7 +68,7 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class Path:
-    """Poses (m, n) on a grid at least as fine as the trail's: every `stride`-th is one of the
+    """Poses (m, n) on a grid at least as fine as the trail's: every `stride`-th pose is one of the
     trail's.
     """
 
@@ -83,11 +83,11 @@ class Path:
 
     @property
     def clamps(self) -> Clamp:
-        """Of all positions (m, n, 3)."""
+        """Clamps at all positions (m, n, 3)."""
         return Clamp(self.point, self.tangent)
 
     def stretch(self, lane: Any, index: Any) -> Stretch:
-        """The stretch that ends at position `index`; 0 gives one of no length."""
+        """The stretch that ends at position `index`; 0 gives one of zero length."""
         ends = (np.maximum(np.asarray(index) - 1, 0), index)
         return Stretch(*(Pose(self.point[lane, at], self.orientation[lane, at]) for at in ends))
 
@@ -111,8 +111,8 @@ def path_of(trail: Trail, length: float) -> Path:
 
 
 def extended_back(path: Path, lanes: Int[np.ndarray, "k"], count: int) -> Path:
-    """The way on which the first step of each lane would have come: `count` positions
-    `LONGEST_STEP` apart, and the lane's first position as the last.
+    """Each lane's first step, extended backwards: `count` positions `LONGEST_STEP` apart, then the
+    lane's first position.
     """
     ends = (
         Pose(path.point[lanes, at][:, None], path.orientation[lanes, at][:, None]) for at in (0, 1)
@@ -141,12 +141,12 @@ def slerp(first: AnyArray, last: AnyArray, fraction: AnyArray, xp: Any = np) -> 
 
 
 def chosen(rows: Any, which: Any) -> Any:
-    """Rows of every array of a tree."""
+    """The chosen rows of every array in a tree."""
     return jax.tree.map(lambda array: array[which], rows)
 
 
 def either(which: Bool[np.ndarray, "k"], rows: Any, others: Any) -> Any:
-    """Of two trees of arrays (k, …), the rows of the first where it says so, else of the second."""
+    """Rows of two trees of arrays (k, …): of the first where `which` holds, else of the second."""
 
     def of(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         return np.where(which.reshape(-1, *(1,) * (one.ndim - 1)), one, other)

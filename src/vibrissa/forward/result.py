@@ -29,7 +29,7 @@ class Scan:
     Attributes
     ----------
     rod, surface, trail
-        What was scanned with what, where.
+        The rod, the object, and the clamp poses.
     kind
         (…) values of `ContactKind`.
     point, normal
@@ -55,16 +55,16 @@ class Scan:
         Largest residual (…) of the contact conditions of the returned state, dimensionless.
     depth
         How deep (…) [m] the elastic line enters the object at the deepest of some 700 points,
-        looked at where fewer leave it open; rounding where it does not.
+        evaluated where fewer leave it open; at rounding level where it does not enter.
     status
         (…) values of `Status`.
     events
-        By trail and then in order.
+        By trail, in order along each.
     friction
-        Coulomb's coefficient that was given.
+        Coefficient of friction, as given.
     offset
-        The rod's radius where its skin touches, or 0 where its centre line does; `point` is on the
-        object either way.
+        The rod's radius if its skin touches, or 0 if its centre line does; `point` is on the object
+        either way.
     second_contact
         (…, 3) where the rod also touches the object or passes through it, on rows whose status says
         so; NaN on the others.
@@ -94,7 +94,7 @@ class Scan:
 
     @property
     def contacts(self) -> Contacts:
-        """Where the rod touches, one row a position (…)."""
+        """Where the rod touches, one row per position (…)."""
         return Contacts.of(self, self.reactions.time)
 
     @property
@@ -134,20 +134,20 @@ class Scan:
 
     @cached_property
     def clamp_work(self) -> Float[np.ndarray, "*trail n"]:
-        """Work (…) [J] of the clamp on the rod on the way from the position before: by the
-        trapezoidal rule; NaN on the first and next to unsolved rows.
+        """Work (…) [J] done by the clamp on the rod since the previous position, by the trapezoidal
+        rule; NaN on the first row and next to unsolved ones.
         """
         return led(self.reactions.clamp_work)
 
     @cached_property
     def friction_work(self) -> Float[np.ndarray, "*trail n"]:
-        """Work (…) [J] that friction turns into heat on the way from the position before: by the
-        trapezoidal rule for the tangential force, so that a normal that turns within the step, as
-        at an edge, does no work. The rule errs by up to half of the tangential force's change times
-        the way that the rod slides.
+        """Work (…) [J] that friction turns into heat since the previous position, by the
+        trapezoidal rule for the tangential force, so that a normal turning within the step, as at
+        an edge, does no work. The error is up to half the change of the tangential force times the
+        sliding distance.
 
-        NaN where either has no contact, and across a snap, of which statics knows both ends but not
-        the way.
+        NaN where either position has no contact, and across a snap, for which statics gives both
+        ends but not the path.
         """
         force = -self.reactions.force
         push = np.einsum("...i,...i->...", force, self.normal)

@@ -22,18 +22,18 @@ from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
 
 _RESIDUAL_TOLERANCE = 1e-9
-"""Of the contact conditions, a thousand times what Newton's method leaves."""
+"""Allowed residual of the contact conditions: a thousand times what Newton's method leaves."""
 _TRAILS = 512
-"""Of a thread's share at most: what is done once a share then weighs little, and memory is some
-30 MB.
+"""Most trails that a thread takes at once: enough that the fixed cost of each share matters little,
+in some 30 MB of memory.
 """
 
 
 def scan(
     rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, finite_radius: bool = False
 ) -> Scan:
-    """Quasi-static equilibria of a rod swept along an object, in one contact (paper, sections II
-    and III).
+    """Quasi-static equilibria of a rod swept along an object, with a single contact (paper,
+    sections II and III).
 
     Parameters
     ----------
@@ -42,41 +42,41 @@ def scan(
     surface
         Object; smooth, in units of the rod.
     trail
-        Clamp poses (n, …), or several trails (m, n, …), in units of the rod. The sweep runs in
+        Clamp poses (n, …), or several trails (m, n, …), in units of the rod. The sweep follows
         their order.
     friction
-        Coulomb's coefficient between rod and object: 0 for none, as in the paper.
+        Coulomb friction coefficient between rod and object: 0 for none, as in the paper.
     finite_radius
-        Whether the rod's skin touches, at its radius from the centre line, which rounds edges and
-        corners. The default is the paper's: the centre line touches, and the object must be smooth.
-        With friction the force still acts on the centre line, and its path stands for the skin's:
-        the force's couple about the centre line and the turning of the section are left out, both
-        of first order in the radius.
+        Whether contact is with the rod's skin, one radius from the centre line, which rounds off
+        edges and corners. By default, as in the paper, the centre line touches, and the object must
+        be smooth. With friction the force still acts on the centre line, whose path stands in for
+        the skin's: the couple of the force about the centre line and the rotation of the section
+        are neglected, both of first order in the radius.
 
     Returns
     -------
     Scan
-        One row a position; a row that could not be solved, or whose state fails a check, carries a
-        status, the others their results.
+        One row per position. A row that could not be solved, or whose state fails a check, carries
+        a status; the other rows keep their results.
 
     Raises
     ------
     ValueError
         If the clamp is inside the object at every position, the coefficient is negative or not
-        finite, or a finite radius is wanted of a rod that has none.
+        finite, or `finite_radius` is set for a rod without a radius.
 
     Notes
     -----
-    The branch that continues from first contact is followed, also where it has become laterally
-    unstable, with a status there. Steps longer than 0.05 L are divided. Of several equilibria at a
-    position this is the one that the sweep reaches.
+    The branch from first contact is followed, even where it has become laterally unstable, which
+    the status then says. Steps longer than 0.05 L are divided. Where a position has several
+    equilibria, the result is the one that the sweep reaches.
 
-    With friction a state depends on all that went before: the contact sticks, slips or rolls, and
-    the result converges with the trail's step. Behind a snap, and where a trail begins in contact
+    With friction a state depends on its history: the contact sticks, slips or rolls, and the result
+    converges as the trail's steps are refined. After a snap, and where a trail begins in contact
     without a smooth way in, the contact starts without tangential force. Stability against leaving
-    the bending plane is not judged with friction.
+    the bending plane is not assessed with friction.
 
-    Many trails are shared out over the cores (`VIBRISSA_THREADS=1` keeps to one).
+    Many trails are distributed over the cores (`VIBRISSA_THREADS=1` uses only one).
     """
     friction = not_negative(friction, "friction")
     touched = touched_surface(rod, surface) if finite_radius else surface
@@ -85,7 +85,7 @@ def scan(
     path = path_of(trail, rod.length)
     count = len(path.point)
 
-    # What every scan needs is compiled side by side.
+    # Kernels that every scan needs are compiled in parallel.
     few = chosen(path.clamps, np.s_[: SINGLE + 1])
     march_ahead(scene, law, few)
     assess.ahead(scene, nowhere(law, 1).state, chosen(few, np.s_[:1, 0]), law)
@@ -125,7 +125,7 @@ def scan(
 
 
 def touched_surface(rod: Rod, surface: Surface) -> Offset:
-    """The object as the centre line of the rod meets it."""
+    """The object as seen by the centre line of the rod."""
     if rod.radius is None:
         raise ValueError("rod.radius = None; allowed with finite_radius is a number greater than 0")
     return Offset(surface, rod.radius)
@@ -134,8 +134,8 @@ def touched_surface(rod: Rod, surface: Surface) -> Offset:
 def _fields(
     rod: Rod, scene: Scene, law: Law, clamps: Clamp, stride: int, found: Sweep
 ) -> dict[str, np.ndarray]:
-    """Fields of `Scan`, force and moment by name, at all positions of some trails, one trail after
-    the other: each of shape (trails * positions, …).
+    """Fields of `Scan`, with force and moment by name, at all positions of some trails, one trail
+    after another: each of shape (trails * positions, …).
     """
     clamps, steps, status = jax.tree.map(
         lambda rows: np.concatenate(rows[:, ::stride]),
@@ -144,7 +144,7 @@ def _fields(
     places, lost = np.flatnonzero(steps.mode == Mode.CONTACT), steps.mode == Mode.LOST
     values, second = assessed(scene, law, *chosen((steps.reached.state, clamps), places))
     offset = scene.surface.radius if isinstance(scene.surface, Offset) else 0.0
-    # What no single contact explains may be a tip that is caught between two parts.
+    # Where no single contact was found, the tip may be caught between two parts.
     several = len(scene.surface.solids) > 1
     jammed = np.flatnonzero(several & (status == Status.NO_EQUILIBRIUM))
     for place, held in zip(jammed, caught(scene, chosen(clamps, jammed)), strict=True):
@@ -164,7 +164,7 @@ def _fields(
         return whole
 
     def known(rows: np.ndarray) -> np.ndarray:
-        """A quantity that is zero without contact, and not known of unsolved rows."""
+        """A quantity that is zero without contact, and unknown on unsolved rows."""
         whole = spread(rows, 0.0)
         whole[lost] = np.nan
         return whole
@@ -192,7 +192,7 @@ def _fields(
 def _second_contacts(
     scene: Scene, values: Assessment, second: Float[np.ndarray, "k 3"], status: Int[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k 3"]:
-    """Points of the object where rods lie deepest in it, or are caught."""
+    """Points on the object where rods lie deepest in it, or are caught."""
     wrong = (status == Status.PENETRATING)[:, None]
     places = np.where(wrong, second * scene.length, np.nan)
     entered = (values.depth > DEPTH_TOLERANCE) & np.isfinite(places).all(axis=-1)
@@ -235,7 +235,7 @@ def _worst(
 def _events(
     happenings: list[tuple[int, Happening]], rod: Rod, trail: Trail, stride: int, touched: Surface
 ) -> list[Event]:
-    """The solver's happenings, each with its trail, in the user's terms."""
+    """The solver's happenings, each with its trail, in the user's units."""
     if not happenings:
         return []
     n = trail.count

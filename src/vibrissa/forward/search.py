@@ -1,5 +1,5 @@
-"""All equilibria that a search from many starting points finds at one clamp pose: for the rest
-after a snap, for trails that begin in contact, and for tips caught between two parts.
+"""Search for equilibria at one clamp pose from many starting points: for where the rod comes to
+rest after a snap, for trails that begin in contact, and for tips caught between two parts.
 """
 
 from collections.abc import Callable
@@ -29,48 +29,49 @@ from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
 
 _DIRECTIONS, _RAY_SAMPLES = 96, 48
-"""Rays from the clamp, one in ten degrees, and points on each: parts as thin as L/48 are seen."""
+"""Rays from the clamp, one in 16 degrees, and points on each: parts as thin as L/48 are seen."""
 _CONE = 1.25
-"""1 − cos of the widest ray's angle to the rod: 105°, behind which no bent rod comes."""
+"""1 − cos of the widest ray's angle to the rod: 105°, beyond which no bent rod reaches."""
 _BESIDE = 0.04
-"""[L] by which seeds lie to the sides of an expected contact."""
+"""Distance [L] of seeds to the sides of an expected contact."""
 _INWARD = 1e-4
-"""[L] behind the place where the straight rod enters the object."""
+"""Distance [L] past the place where the straight rod enters the object."""
 _SIDES, _EVERY = 8, 6
-"""Ways out of the object, from every sixth point of the straight rod in it."""
+"""Directions tried out of the object, from every sixth point of the straight rod inside it."""
 FORCES = (0.05, 0.5, 1.5, 4.0)
-"""[EI/L²] to start with: from a slight touch to half of the buckling load π²."""
+"""Starting forces [EI/L²]: from a slight touch to beyond the buckling load π²/4."""
 _ROUNDS = 2
-"""How often a dozen steps of Newton's method are taken: where the rod may bend to any side, the
-Jacobian is singular, and convergence slow.
+"""Rounds of a dozen Newton steps each: where the rod may bend to any side, the Jacobian is singular
+and convergence slow.
 """
 _SETTLED = 1e-9
-"""Residual before a step of quadratic convergence that changes nothing more."""
+"""Residual before the last Newton step; with quadratic convergence, more steps change nothing.
+"""
 _SAME = 1e-6
-"""Of unknowns of one and the same equilibrium."""
+"""Difference in the unknowns up to which two equilibria count as one."""
 _THICKEST = 0.1
-"""Radius [L] of the thickest rod by whose way an edge is found."""
+"""Radius [L] of the thickest rod used on the way round an edge."""
 _REACH = 1.2
 """How far [L] from the clamp a contact may lie."""
 _SHORTEST = 0.05
 _CAUGHT = 0.15
-"""How deep [L] a rod that touches twice may lie in the object at its second contact when it is
-solved for the first alone.
+"""How deep [L] a rod that touches twice may lie in the object at its second contact when solved for
+the first alone.
 """
 _ROUND_AN_EDGE = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)
-"""Shares of a finite radius behind the place where the rod enters: the way out from there ends on
-all sides of a rounded edge.
+"""Distances past the place where the rod enters, in fractions of a finite radius: the ways out from
+there end on all sides of a rounded edge.
 """
 _FINER = 33
 _SECOND_PART = 0.2
 """How far [L] from a second part the seeds of a caught tip may lie."""
 ENERGY_MARGIN = 1e-9
-"""[EI/L] by which a snap loses energy at least, and energies of different equilibria differ."""
+"""Energy [EI/L] that a snap loses at least, and by which different equilibria differ at least."""
 
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """One equilibrium without friction: state, bending energy [EI/L], and whether the rod might as
+    """One frictionless equilibrium: state, bending energy [EI/L], and whether the rod might just as
     well bend to any other side.
     """
 
@@ -100,12 +101,12 @@ def stable_equilibria(
     """Admissible stable equilibria found at a clamp pose, lowest energy first; where there are
     none, the one that enters the object least.
 
-    Of equal energies, as of a rod that may bend to any side, the one nearest to the first of the
-    points `near` comes first.
+    Among equal energies, as for a rod that may bend to any side, the equilibrium nearest to the
+    first of the points `near` comes first.
 
-    Newton's method starts, with four magnitudes of the force, from the points where rays from the
-    clamp meet the object within the rod's length; from where the straight rod lies in it, and a
-    little beside that; and from points `near` which a contact is expected.
+    Newton's method starts, with four magnitudes of the force, where rays from the clamp meet the
+    object within the rod's length; where the straight rod lies inside it, and a little to the side;
+    and around the points `near` which a contact is expected.
     """
     seeds = seeds_around(scene, clamp, near, FORCES)
     found = solutions(scene, clamp, FRICTIONLESS, eased(scene, clamp, seeds))
@@ -117,8 +118,8 @@ def stable_equilibria(
     sound = (values.residual < DEPTH_TOLERANCE) & (values.arc_length < 1 + DEPTH_TOLERANCE)
     good = sound & (values.depth < DEPTH_TOLERANCE)
     if not good.any():
-        # A rod that is caught touches twice: the equilibrium of one contact that comes nearest to
-        # that, which its assessment says.
+        # A caught rod touches twice: take the single-contact equilibrium that comes nearest to
+        # that; its assessment says so.
         caught = sound & (values.depth < _CAUGHT)
         good = caught & (values.depth == values.depth[caught].min(initial=np.inf))
     rows = np.flatnonzero(good)
@@ -141,8 +142,8 @@ def stable_equilibria(
 
 
 def caught(scene: Scene, clamps: Clamp) -> list[tuple[Assessment, Float[np.ndarray, "3"]] | None]:
-    """The equilibria of least energy of rods that are caught by their tips between two parts and
-    lie outside the object, at clamps (k, …); with the outward normals of the second parts.
+    """Equilibria of least energy of rods that lie outside the object with their tips caught between
+    two parts, at clamps (k, …); with the outward normals of the second parts.
     """
     return [_caught(scene, chosen(clamps, row)) for row in range(len(clamps.point))]
 
@@ -170,13 +171,13 @@ def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "
 
 
 _Assessed: TypeAlias = tuple[Assessment, Bent, Float[AnyArray, "*k"]]
-"""As of `assessment`."""
+"""As returned by `assessment`."""
 
 
 def _held_by(
     scene: Scene, clamp: Clamp, pair: Int[np.ndarray, "two"], seeds: State
 ) -> tuple[Solutions, _Assessed]:
-    """Where Newton's method leads from seeds (k, …) of tips that two parts hold."""
+    """Where Newton's method leads from seeds (k, …) of tips held by two parts."""
     count = len(seeds.force)
     law = Held(np.broadcast_to(pair, (count, 2)))
     found: tuple[Solutions, _Assessed] = _held(scene, seeds, _repeated(clamp, count), law)
@@ -220,7 +221,7 @@ def seeds_around(
     inside = along[own < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
-    # Where the straight rod enters the object, and where it lies in it: out of it sideways.
+    # From where the straight rod enters the object, and from inside it: the ways out sideways.
     step = np.flatnonzero((own[1:] < 0) & (own[:-1] >= 0))
     depths = [_INWARD]
     if isinstance(scene.surface, Offset):
@@ -231,7 +232,7 @@ def seeds_around(
     sideways = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
     beside = _way_out(scene, np.concatenate([entries, inside[::_EVERY]]), sideways)
     points = np.concatenate([meets, around.reshape(-1, 3), beside])
-    # Just behind a first contact: the force that bends a cantilever sideways to there.
+    # Just after a first contact: the force that bends a cantilever sideways to there.
     to_there = beside - point
     reach = np.maximum(to_there @ tangent, _SHORTEST)
     aside = np.linalg.norm(to_there - (to_there @ tangent)[:, None] * tangent, axis=1)
@@ -247,7 +248,7 @@ def _crossing(
     sample: Int[np.ndarray, "k"],
     distance: Float[np.ndarray, "samples"],
 ) -> Float[np.ndarray, "k"]:
-    """Distances at which levels change their sign behind given samples, by interpolation."""
+    """Distances at which levels change sign after given samples, by linear interpolation."""
     before, after = values[ray, sample], values[ray, sample + 1]
     return np.asarray(distance[sample] + before / (before - after) * (distance[1] - distance[0]))
 
@@ -255,8 +256,8 @@ def _crossing(
 def _entered(
     scene: Scene, clamp: Clamp, low: Float[np.ndarray, "k"], high: Float[np.ndarray, "k"]
 ) -> Float[np.ndarray, "k"]:
-    """Arc lengths at which the straight rod enters the object, between one outside and one inside:
-    exactly enough for the edge of a thin rod's offset.
+    """Arc lengths at which the straight rod enters the object, between one outside and one inside;
+    accurate enough for an edge offset by a thin rod's radius.
     """
     share, rows = np.linspace(0, 1, _FINER), np.arange(len(low))
     for _ in range(2):
@@ -285,7 +286,7 @@ def _part_levels(scene: Scene, point: Float[Array, "3"]) -> Float[Array, "parts"
 
 
 def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
-    """Converged contacts that push and lie near the clamp, each once, from each seed (k, …)."""
+    """Distinct converged contacts that push and lie near the clamp, from seeds (k, …)."""
 
     def newton(seeds: State) -> tuple[Solutions, None]:
         steps = from_seeds(scene, law, clamp, seeds)
@@ -297,7 +298,7 @@ def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
 def _distinct(
     newton: Callable[[State], tuple[Solutions, Any]], clamp: Clamp, seeds: State
 ) -> Solutions:
-    """The same by any way of Newton's; what has not converged is given as many steps again."""
+    """The same for any Newton solver; whatever has not converged gets as many steps again."""
     count = len(seeds.force)
     found = Solutions(seeds, np.full(count, np.nan), np.full(count, np.inf))
     for _ in range(_ROUNDS):
@@ -323,8 +324,8 @@ def _put(where: Int[np.ndarray, "j"], whole: np.ndarray, part: np.ndarray) -> np
 
 
 def eased(scene: Scene, clamp: Clamp, seeds: State) -> State:
-    """More starting points: the seeds, and for a rod of finite radius where they lead by way of
-    thicker rods, which find round a sharp edge more easily.
+    """More starting points: the seeds and, for a rod of finite radius, where they lead via thicker
+    rods, which find their way round a sharp edge more easily.
     """
     if not isinstance(scene.surface, Offset):
         return seeds
@@ -332,7 +333,7 @@ def eased(scene: Scene, clamp: Clamp, seeds: State) -> State:
     doublings = max(0, int(np.log2(_THICKEST * scene.length / radius)))
     for doubling in range(doublings, 0, -1):
         thicker = scene._replace(surface=Offset(scene.surface.surface, radius * 2.0**doubling))
-        # From all seeds at the thickest, then along from what they found.
+        # From all seeds at the thickest, then on from what they found.
         starts = solutions(thicker, clamp, FRICTIONLESS, starts).state
     both: State = jax.tree.map(lambda *parts: np.concatenate(parts), starts, seeds)
     return both if doublings else seeds

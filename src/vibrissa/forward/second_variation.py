@@ -1,16 +1,16 @@
 """Whether an equilibrium is stable: the sign of the second variation of the energy under the
 constraint of contact.
 
-The rod is its field of unit tangents t(s), with η = u e_n + v e_b a small change of it, u in the
-bending plane and v out of it, both zero at the clamp. With the contact force F = f n and Lagrange's
-multiplier |t'|² − F·t of the condition |t| = 1,
+The rod is described by its unit tangents t(s), and η = u e_n + v e_b is a small variation of them,
+u in the bending plane and v out of it, both zero at the clamp. With the contact force F = f n and
+the Lagrange multiplier |t'|² − F·t of the constraint |t| = 1,
 
     δ²Π = ∫ u'² + (F·t) u² + v'² + (F·t − κ²) v² ds − f δrᵀ G δr,    δr = ∫ η ds,    n·δr = 0,
 
-over 0 ≤ s ≤ s₁. G is the Hessian of the object's distance; in tangential contact, where the rod may
-touch at another of its points, less h hᵀ/(tᵀGt) with h·η = tᵀG δr + n·η(s₁): the least distance
-along the rod is what stays zero. The rest of the rod beyond the contact is free and adds nothing
-negative. Linear finite elements; the sign of the least eigenvalue decides.
+over 0 ≤ s ≤ s₁. G is the Hessian of the distance from the object; in tangential contact, where the
+rod may touch at another of its points, less h hᵀ/(tᵀGt) with h·η = tᵀG δr + n·η(s₁), as it is the
+least distance along the rod that stays zero. The rest of the rod beyond the contact is free and
+contributes nothing negative. Linear finite elements; the sign of the least eigenvalue decides.
 """
 
 import jax
@@ -35,8 +35,8 @@ def _derivatives(scene: Scene, point: Float[Array, "3"]) -> Float[Array, "12"]:
 def distance_hessian(
     scene: Scene, point: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Unit normal n, and Hessian of the level function divided by the size of its gradient: on
-    tangent vectors, that of the distance.
+    """Unit normal n, and Hessian of the level function divided by the norm of its gradient: on
+    tangent vectors, this is the Hessian of the distance.
     """
     values = np.asarray(_derivatives(scene, jnp.asarray(point)))
     steepness = float(np.linalg.norm(values[:3]))
@@ -99,7 +99,7 @@ def least_second_variation(
     free = np.ones(2 * count, dtype=bool)
     free[[0, count]] = False
     form, norm, constraint = form[np.ix_(free, free)], norm[np.ix_(free, free)], (n @ moves)[free]
-    # An orthonormal basis of the changes that keep contact, by a Householder reflection.
+    # An orthonormal basis of the variations that keep contact, by a Householder reflection.
     reflection = constraint.copy()
     reflection[0] += np.copysign(np.linalg.norm(constraint), constraint[0])
     basis = (

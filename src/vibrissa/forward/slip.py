@@ -21,8 +21,8 @@ class Slip:
     lateral
         Motion of the contact point normal to the bending plane, along t0 × n.
     sliding
-        (…, 3) path of the rod's material point over the object, dP₁ − t ds₁: the direction that
-        friction would oppose.
+        (…, 3) displacement of the rod's material point over the object, dP₁ − t ds₁, which friction
+        would oppose.
     """
 
     axial: Float[np.ndarray, "*trail n"]
@@ -56,7 +56,7 @@ def slip_along(
 
 
 def led(steps: Float[np.ndarray, "*trail steps"]) -> Float[np.ndarray, "*trail n"]:
-    """Figures of steps as figures of positions: NaN on the first."""
+    """Values per step as values per position: NaN on the first."""
     return np.concatenate([np.full((*steps.shape[:-1], 1), np.nan), steps], axis=-1)
 
 

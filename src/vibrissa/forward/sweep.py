@@ -27,14 +27,14 @@ from vibrissa.forward.march import STABLE, Mode, Steps, entering, march, nowhere
 from vibrissa.forward.path import Path, chosen, extended_back
 
 _AT_ONCE = 1e-9
-"""Fraction of a step between events that are one, to rounding."""
+"""Fraction of a step within which events count as one, to rounding."""
 _WAY_BACK = 40
-"""Steps of 0.05 L on which a lane that begins in contact is entered: two rod lengths."""
+"""Steps of 0.05 L by which a lane that begins in contact is extended backwards: two rod lengths."""
 
 
 @dataclass
 class Sweep:
-    """What the solver knows of all positions (m, n), model units."""
+    """What the solver knows about all positions (m, n), in model units."""
 
     steps: Steps
     status: Int[np.ndarray, "m n"]
@@ -58,16 +58,16 @@ def sweep(scene: Scene, path: Path, law: Law) -> Sweep:
 
 
 def _in_order(happenings: list[Happening]) -> list[Happening]:
-    """By place, each once."""
+    """Sorted by place, without duplicates."""
     lasting = (EventKind.FIRST_CONTACT, EventKind.DETACH)
     finite = [at for at in happenings if math.isfinite(sum(at.point, start=at.fraction))]
-    # The beginning and the end of a contact, in their own order, come before a change of phase at
-    # the same place, whichever way rounding has it.
+    # At the same place, the beginning and the end of a contact, in their own order, come before a
+    # change of phase, whichever way rounding puts them.
     finite.sort(key=lambda at: (at.lane, at.index, round(at.fraction, 12), at.kind not in lasting))
     kept: list[Happening] = []
     last: dict[int, EventKind] = {}
     for at in finite:
-        # A change into a phase that the lane is in already: at a position that lies on a change,
+        # Skip a change into the phase that the lane is in already: at a position right on a change,
         # rounding may report it on both sides.
         if at.kind in (EventKind.TIP_TO_TANGENTIAL, EventKind.TANGENTIAL_TO_TIP):
             if last.get(at.lane) == at.kind:
@@ -86,11 +86,11 @@ class _Start(NamedTuple):
     reached: Reached | None
     sign: float
     patience: int
-    """Positions to pass over after the next failure of a search, doubled each time."""
+    """Positions to skip after the next failed search, doubled each time."""
 
 
 class _Walk:
-    """The lanes still on their way, and what has been found so far."""
+    """The lanes still to be marched, and what has been found so far."""
 
     def __init__(
         self,
@@ -112,7 +112,7 @@ class _Walk:
         self.found = Sweep(steps, np.zeros(shape, dtype=np.int64))
 
     def begin(self) -> None:
-        """Start every lane at its first position: free, or in contact already."""
+        """Start every lane at its first position: free, or already in contact."""
         touching = np.flatnonzero(~self._clear[:, 0] & ~self._inside[:, 0])
         entered = _entered(self._scene, self._path, self._law, touching)
         for lane, clear in enumerate(self._clear[:, 0]):
@@ -130,8 +130,8 @@ class _Walk:
         ]
 
     def march(self, *, resolve: bool = True) -> None:
-        """March all pending lanes to their ends, or to where they are lost; resolve those, or leave
-        them.
+        """March all pending lanes to their ends, or to where they are lost, and resolve those
+        unless told otherwise.
         """
         starts, self.pending = self.pending, []
         lanes = np.array([start.lane for start in starts])
@@ -181,7 +181,7 @@ class _Walk:
         return march(self._scene, self._law, legs)
 
     def _resolve(self, lane: int, index: int, mode: Mode, patience: int) -> None:
-        """Settle the stretch that ends at `index` and let the lane go on behind it."""
+        """Settle the stretch that ends at `index` and let the lane go on after it."""
         if self._inside[lane, index]:
             outcome = Outcome(Mode.LOST, status=Status.CLAMP_INSIDE)
         elif mode in (Mode.LOST, Mode.WAITING) and self._clear[lane, index]:
@@ -192,8 +192,8 @@ class _Walk:
                 stretch = self._path.stretch(lane, index)
                 outcome = follow(self._scene, self._law, stretch, mode, reached)
             except (ArithmeticError, ValueError):
-                # Numbers that a library refuses, such as an eigenvalue that does not converge, are
-                # one lane's failure: the others keep their results.
+                # Numbers that a library rejects, as when an eigenvalue does not converge, fail one
+                # lane: the others keep their results.
                 outcome = Outcome(Mode.LOST, status=Status.NOT_CONVERGED)
         self._settle(lane, index, outcome, patience)
 
@@ -218,7 +218,7 @@ class _Walk:
             self.pending.append(_Start(lane, index, outcome.mode, outcome.reached, sign, patience))
 
     def _pass_over(self, lane: int, index: int, status: Status, patience: int) -> None:
-        """Give the rows behind a failure its status, up to where the straight rod is clear again or
+        """Give the rows after a failure its status, up to where the straight rod is clear again or
         another search is due.
         """
         n = self._clear.shape[1]
@@ -240,8 +240,8 @@ class _Walk:
 
 
 def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) -> dict[int, Outcome]:
-    """Lanes that begin in contact, as if their first step had come from outside the object; those
-    for which that goes smoothly.
+    """Lanes that begin in contact, entered as if their first step had come from outside the object;
+    only those for which that goes smoothly.
     """
     if not len(lanes) or path.point.shape[1] < 2:
         return {}
@@ -252,7 +252,7 @@ def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) ->
     found = np.flatnonzero(clear.any(axis=1))
     if not len(found):
         return {}
-    # Only the part of the way that some lane needs.
+    # Only the part of the extension that some lane needs.
     needed = np.s_[found, int(last_clear[found].min()) :]
     way = Path(way.point[needed], way.orientation[needed], 1)
     clear, inside = clear[needed], straight.at_clamp[needed] < 0
@@ -273,7 +273,7 @@ def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) ->
 
 
 class _Brackets(NamedTuple):
-    """Steps on which an indicator passes zero (k, …), by the position at their end."""
+    """Steps (k, …) on which an indicator crosses zero, given by the position at their end."""
 
     indicator: Int[np.ndarray, "k"]
     lane: Int[np.ndarray, "k"]
@@ -328,7 +328,7 @@ def _smooth_happenings(
 def _at_once(
     law: Law, lane: np.ndarray, index: np.ndarray, meeting: Meeting, after: Place
 ) -> _Brackets:
-    """Steps of a first contact on which the phase changes, too."""
+    """Steps with a first contact on which the phase changes too."""
     unloaded = begun(meeting, law.unknowns)
     stable = np.full(len(lane), STABLE)
     low = Place(meeting.fraction, unloaded, stable, meeting.phase)
@@ -369,6 +369,6 @@ def _located(scene: Scene, path: Path, law: Law, brackets: _Brackets) -> list[Ha
         for kind, place, fraction, point in zip(
             kinds, places, fractions, found.reached.state.point, strict=True
         )
-        # A change of phase with or behind the loss of contact belongs to no rod.
+        # A change of phase at or after the loss of contact is not physical.
         if kind == EventKind.DETACH or fraction < release.get(place, np.inf) - _AT_ONCE
     ]

@@ -14,7 +14,7 @@ RATIO_ALLOWED = 0.1
 
 @dataclass(frozen=True)
 class QuasiStatic:
-    """The rod's own time scale against that of the sweep.
+    """The rod's own time scale compared with that of the sweep.
 
     Attributes
     ----------
@@ -22,9 +22,9 @@ class QuasiStatic:
         First bending frequency of the clamped rod with a free end [Hz].
     sweep_frequency
         Fastest relative rate of change of the support reactions [1/s], of force or moment,
-        whichever is faster, each against its largest value.
+        whichever is faster, each relative to its largest value.
     ratio
-        `sweep_frequency` over the rod's angular frequency: inertia adds to the reactions in the
+        `sweep_frequency` over the rod's angular frequency; inertia adds to the reactions on the
         order of its square.
     holds
         Whether the ratio is at most 0.1, so that inertia stays near 1 %.
@@ -49,11 +49,11 @@ def quasi_static(
     Parameters
     ----------
     rod, trail, force, moment
-        With the support reactions along the trail (…, 3).
+        Rod and trail, and the support reactions along it (…, 3).
     smooth
-        Steps, by the position at their end (…), that count: no snap on them.
+        Which steps count (…), given by the position at their end: those without a snap.
     speed
-        Of the clamp along its path, of the rod's tip where the clamp only turns.
+        Of the clamp along its path, or of the rod's tip where the clamp only turns.
 
     Raises
     ------

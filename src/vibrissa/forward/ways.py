@@ -1,6 +1,5 @@
-"""The ways that an equilibrium takes along a stretch: a branch, followed by its arc length, so that
-it can be seen to turn back (fold); or, with friction, steps that only go forward, since a state has
-a memory.
+"""Following an equilibrium along a stretch: as a branch, by its arc length, so that a fold can be
+seen; or, with friction, by steps that only go forward, since the state depends on its history.
 
 Steps are halved where Newton's method does not converge.
 """
@@ -32,7 +31,7 @@ Happened: TypeAlias = tuple[EventKind, float, Float[np.ndarray, "3"]]
 """What happened, at which fraction of the stretch, and the contact point [L]."""
 
 NO_FORCE = 1e-7
-"""[EI/L²] up to which a contact counts as one that has just begun, or is about to end."""
+"""Force [EI/L²] up to which a contact counts as just begun or about to end."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +43,14 @@ class End:
 
 
 class Way(ABC):
-    """A way along a stretch."""
+    """A way of following an equilibrium along a stretch."""
 
     def __init__(self, scene: Scene, law: Law, stretch: Stretch) -> None:
         self._scene, self._law, self._stretch = scene, law, stretch
 
     @abstractmethod
     def enter(self, reached: Reached) -> Place | None:
-        """The state that was reached before the stretch, at its start."""
+        """The state reached before the stretch, placed at its start."""
 
     @abstractmethod
     def met(self, meeting: Meeting) -> Place | None:
@@ -59,12 +58,12 @@ class Way(ABC):
 
     @abstractmethod
     def settled(self, found: Settled, fraction: float) -> Place | None:
-        """An equilibrium without friction at a fraction, at rest."""
+        """A frictionless equilibrium at a fraction, at rest."""
 
     @abstractmethod
     def track(self, start: Place, happened: list[Happened]) -> End:
-        """Follow the way to the end of the stretch, its release, or to where no neighbouring state
-        is left; changes are noted as they happen.
+        """Follow the equilibrium to the end of the stretch, to its release, or to where no
+        neighbouring state is left; changes are noted as they happen.
         """
 
     def energy(self, at: Place) -> float:
@@ -79,29 +78,31 @@ class Way(ABC):
 
 
 _CONVERGED, _SOUND, _NO_STEP = 1e-12, 1e-9, 1e-15
-"""Residual that is met; the same where steps have come to rounding; and such a step."""
+"""Residual that counts as converged; the same once steps are down to rounding; and the size of such
+a step.
+"""
 _ASTRAY = 1e-5
-"""Longest step (weighted) that is taken from where the conditions are met: a longer one comes of a
-singular Jacobian.
+"""Longest (weighted) step taken once the conditions are met: a longer one comes from a singular
+Jacobian.
 """
 _MOST_ITERATIONS = 12
 _FIRST_STEP, _LONGEST_STEP, _SHORTEST_STEP = 0.01, 0.03, 1e-10
-"""[L] along the branch; the shortest is what rounding leaves of a fold."""
+"""Steps [L] along the branch; the shortest is what rounding leaves at a fold."""
 _MOST_STEPS = 600
 _BIFURCATION_STEP = 2e-5
 """[L] down to which a step across a change of the determinant's sign is refined."""
 _LOOKS_AHEAD, _NEAR = (1e-6, 1e-5), 1e-3
-"""Fractions of the stretch beyond the end of a branch, and how near [L] an equilibrium there
-continues it.
+"""Fractions of the stretch past the end of a branch at which to look for an equilibrium, and how
+near [L] it must be to continue the branch.
 """
 _FORCE_WEIGHT, _LARGE_FORCE = 0.1, 5.0
-"""Make force [EI/L²] and fraction of the stretch commensurable with the contact point's path."""
+"""Make force [EI/L²] and fraction of the stretch comparable with the contact point's path."""
 _ONWARD = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class _Corrected(NamedTuple):
-    """Newton's method on a plane across the branch: y = (p, f, fraction), the step to come, the
-    largest miss before it, and phase difference, arc length, tangent and Jacobian there.
+    """Newton's method on a plane across the branch: y = (p, f, fraction), the next step, the
+    largest residual before it, and phase difference, arc length, tangent and Jacobian there.
     """
 
     y: Float[Array, "five"]
@@ -117,8 +118,8 @@ class _Corrected(NamedTuple):
 def _correct(
     scene: Scene, stretch: Stretch, guess: Any, normal: Any, weights: Any, reached: Any, most: Any
 ) -> _Corrected:
-    """At most that many steps from the guess on the plane through it with the given normal, in
-    weighted coordinates; none evaluates the guess. `reached` is r of the state before.
+    """At most `most` steps from the guess, on the plane through it with the given normal, in
+    weighted coordinates; 0 only evaluates the guess. `reached` is r of the previous state.
     """
 
     def conditions(y: Float[Array, "five"]) -> tuple[Any, Any]:
@@ -181,7 +182,7 @@ class Branch(Way):
         return self._at(_flat(found.state, fraction))
 
     def _at(self, y: Float[np.ndarray, "five"]) -> Place | None:
-        """Place at y as it is, its tangent forward on the stretch."""
+        """Place at y as given, its tangent pointing forward on the stretch."""
         return self._place(self._solved(y, _ONWARD, y, 0), None)
 
     def _solved(
@@ -211,7 +212,7 @@ class Branch(Way):
         )
 
     def _on_plane(self, guess: Any, normal: Any, origin: Any) -> _Corrected | None:
-        """None without convergence."""
+        """Solution on a plane, None without convergence."""
         found = self._solved(guess, normal, origin)
         return found if np.isfinite(found.y).all() and np.isfinite(found.miss) else None
 
@@ -221,7 +222,7 @@ class Branch(Way):
         return None if found is None else self._place(found, ahead)
 
     def _along(self, start: Place, step: float) -> Place | None:
-        """Place one step of arc length on."""
+        """Place one step of arc length further on."""
         y = _of(start)
         found = self._on_plane(y + step * start.onward / self._weights, start.onward, y)
         if found is None or np.abs((found.y - y) * self._weights).max() > 3 * step:
@@ -229,7 +230,9 @@ class Branch(Way):
         return self._place(found, start.onward)
 
     def _root(self, start: Place, step: float, figure: Callable[[Place], float]) -> Place:
-        """Place between `start` and one step on at which a figure of opposite signs there is zero."""
+        """Place between `start` and one step on where a figure, of opposite sign at the two, is
+        zero.
+        """
 
         def at(length: float) -> Place:
             place = self._along(start, length) if length > 0 else start
@@ -244,7 +247,7 @@ class Branch(Way):
                 )
             )
         except ValueError:
-            # No root between them, to rounding: the end that comes nearer to it.
+            # No root between them, to rounding: take the end nearer to zero.
             end = self._along(start, step)
             return start if end is None or abs(figure(start)) <= abs(figure(end)) else end
 
@@ -275,8 +278,8 @@ class Branch(Way):
                 step /= 2
                 continue
             if following.figure * here.figure < 0 and step > _BIFURCATION_STEP:
-                # A bifurcation keeps its place when the step is refined; a branch that only comes
-                # near another one is followed round.
+                # A bifurcation stays where it is when the step is refined; a branch that only comes
+                # near another one is then followed past it.
                 step = max(step / 4, 0.5 * _BIFURCATION_STEP)
                 continue
             self._changes(here, following, step, happened)
@@ -297,7 +300,7 @@ class Branch(Way):
 
     def _beyond(self, here: Place) -> Place | None:
         """Past a corner of the branch, where the phases meet or the object's curvature jumps: the
-        equilibrium near by and a little further on, if there is one.
+        nearby equilibrium a little further on, if there is one.
         """
         y = _of(here)
         for ahead in _LOOKS_AHEAD:
@@ -315,7 +318,7 @@ class Branch(Way):
             change = self._root(here, step, lambda place: place.phase)
             happened.append((_phase_change(following), change.fraction, change.reached.state.point))
         if here.figure * following.figure < 0:
-            # The step is short here: between its ends the determinant is a straight line.
+            # The step is short here: the determinant is linear between its ends.
             share = here.figure / (here.figure - following.figure)
             y = _of(here) + share * (_of(following) - _of(here))
             lost = following.figure > 0
@@ -339,20 +342,20 @@ def _of(place: Place) -> Float[np.ndarray, "five"]:
 _SHORTEST_RUB = 2.0**-20
 """Fraction of the stretch below which no step is tried."""
 _CLEARLY_INSIDE = -1e-6
-"""Clearance [L] at which a contact cannot have been released."""
+"""Clearance [L] below which a contact cannot have been released."""
 _ON_THE_CONE = 1 - 1e-9
 
 
 def _row(parts: Any) -> Any:
-    """Each array as the only row of one."""
+    """Each array as the only row of a batch."""
     return jax.tree.map(lambda part: np.asarray(part, dtype=float)[None], parts)
 
 
 class Rubbing(Way):
-    """Steps forward with friction."""
+    """Forward steps with friction."""
 
     def enter(self, reached: Reached) -> Place | None:
-        """As in `Way`; the figure stands in for that of a step before: positive on the cone."""
+        """As in `Way`; the figure stands in for that of a previous step: positive on the cone."""
         state = reached.state
         beyond = float(np.linalg.norm(state.lean) - self._scene.friction * _ON_THE_CONE)
         return Place(0.0, reached, beyond, float(self._assessed(state, 0.0).phase))
@@ -411,7 +414,7 @@ class Rubbing(Way):
         happened.extend(sorted(found, key=lambda happening: happening[1]))
 
     def _zero(self, here: Place, following: Place, indicator: Indicator) -> Place:
-        """Where an indicator passes zero between two places."""
+        """Where an indicator crosses zero between two places."""
         way, low, high = _row((self._stretch, here, following))
         found = located(self._scene, self._law, way, low, high, np.array([int(indicator)]))
         zero: Place = chosen(found, 0)

@@ -1,1 +1,1 @@
-"""Frames and rotations: a thin layer over the library's, in the project's conventions."""
+"""Frames and rotations: a thin layer over SciPy's, in the project's conventions."""

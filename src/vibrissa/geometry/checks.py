@@ -1,6 +1,4 @@
-"""Validation of arguments: each failure names the parameter, the value received and what is
-allowed.
-"""
+"""Argument validation: each error names the parameter, the value received and what is allowed."""
 
 from collections.abc import Callable
 
@@ -44,8 +42,8 @@ def finite_array(
     Raises
     ------
     ValueError
-        If it does not convert, has another number of axes than `ndim`, another last axis than
-        `last`, or entries that are not finite.
+        If it does not convert, does not have `ndim` axes, does not have length `last` along the
+        last axis, or has entries that are not finite.
     """
     try:
         array = np.array(value, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Motions of a rigid body: turns about an axis, homogeneous matrices."""
+"""Rigid-body motions: rotation about an axis, homogeneous matrices."""
 
 import numpy as np
 import scipy
@@ -12,8 +12,8 @@ _ROUNDING = 1e-13
 
 
 def equal_angles(start: float, stop: float, count: int) -> Float[np.ndarray, "count"]:
-    """Equally spaced angles [rad]; raise ValueError for steps of half a turn or more, as the way
-    from one pose to the next is the shorter one.
+    """Equally spaced angles [rad]; raise ValueError for steps of half a turn or more, as the clamp
+    takes the shorter way from one pose to the next.
     """
     if count > 1 and abs(stop - start) >= np.pi * (count - 1):
         least = int(abs(stop - start) / np.pi) + 2
@@ -26,8 +26,8 @@ def equal_angles(start: float, stop: float, count: int) -> Float[np.ndarray, "co
 def arm_of(
     point: Float[np.ndarray, "3"], pivot: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """Vector to the point from the line through `pivot` along the unit vector `axis`, at right
-    angles; zero where it is rounding.
+    """Perpendicular vector to the point from the line through `pivot` along the unit vector `axis`;
+    zero where it is only rounding.
     """
     arm = point - pivot
     across = arm - (arm @ axis) * axis
@@ -43,7 +43,7 @@ def matrix_parts(
     Raises
     ------
     ValueError
-        If the shape is another, an entry is not finite, or a matrix is no rotation and translation
+        If the shape is wrong, an entry is not finite, or a matrix is not a rotation and translation
         to 1e-3.
     """
     matrices = finite_array(value, name, last=4)

@@ -63,7 +63,7 @@ def rotation_matrices(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3 3"
 
 
 def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
-    """World direction of the body's +z axis: the way the rod leaves its clamp."""
+    """World direction of the body's +z axis: the direction in which the rod leaves its clamp."""
     return rotation_matrices(quaternion)[..., 2]
 
 
@@ -76,7 +76,7 @@ def rotation_vectors(first: Quaternions, last: Quaternions) -> Float[np.ndarray,
 def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
     """Quaternion of the shortest rotation that takes +z to the unit vector `axis`."""
     x, y, z = axis
-    # 1 + z without cancellation next to −z, where the axis of the half turn is any across.
+    # 1 + z without cancellation near −z, where the half turn may be about any perpendicular axis.
     w = 1 + z if z > 0 else (x * x + y * y) / (1 - z)
     if w == 0:
         return np.array([1.0, 0.0, 0.0, 0.0])
@@ -85,13 +85,13 @@ def turning_axis_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
 
 
 def multiplied(first: Quaternions, second: Float[np.ndarray, "4"]) -> Quaternions:
-    """Quaternions of the rotation `second`, seen in the frames that `first` (…, 4) turns."""
+    """Quaternions of the rotation `second` applied in the frames of `first` (…, 4)."""
     turned = _rotations(first) * _rotations(second)
     return np.asarray(turned.as_quat().reshape(first.shape))
 
 
 def inverse(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
-    """Quaternion of the rotation back."""
+    """Quaternion of the inverse rotation."""
     return quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
 
 

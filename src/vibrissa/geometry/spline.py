@@ -1,4 +1,4 @@
-"""Smooth curves through way-points, walked at constant speed."""
+"""Smooth curves through way-points, traversed at constant speed."""
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +13,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 def along_spline(
     points: Float[np.ndarray, "k 3"], turns: Float[np.ndarray, "k 4"], count: int
 ) -> tuple[Float[np.ndarray, "count 3"], Float[np.ndarray, "count 4"]]:
-    """Poses equally spaced in arc length on the cubic spline through way-points, over the length of
-    their chords; turns by SciPy's `RotationSpline`.
+    """Poses equally spaced in arc length on the cubic spline through way-points, parametrised by
+    chord length; orientations by SciPy's `RotationSpline`.
 
     Raises
     ------
@@ -28,7 +28,8 @@ def along_spline(
     chords = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     if not np.all(chords > 0):
         raise ValueError(
-            f"points[{int(np.argmin(chords)) + 1}] is the way-point before it; allowed are successive points that differ"
+            f"points[{int(np.argmin(chords)) + 1}] equals the way-point before it; "
+            "allowed are successive points that differ"
         )
     knots = np.concatenate([[0.0], np.cumsum(chords)]) / chords.sum()
     curve = CubicSpline(knots, points)
@@ -37,7 +38,7 @@ def along_spline(
 
 
 def _equally_spaced(curve: CubicSpline, count: int) -> Float[np.ndarray, "count"]:
-    """Parameters at which the curve has gone equal shares of its length."""
+    """Parameters that divide the curve into equal lengths."""
     velocity = curve.derivative()
 
     def gone(stop: np.ndarray, start: np.ndarray) -> np.ndarray:

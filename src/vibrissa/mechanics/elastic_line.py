@@ -1,5 +1,5 @@
-"""The exact shape of the uniform straight rod between clamp and contact, and straight on to its
-tip.
+"""The exact shape of the uniform straight rod: bent from clamp to contact, straight from there to
+its tip.
 """
 
 import numpy as np
@@ -7,7 +7,7 @@ import scipy
 from jaxtyping import Float
 
 _LEAST_FORCE = 1e-12
-"""[EI/L²] below which the rod is drawn as under this force."""
+"""Least force [EI/L²] under which the rod is drawn."""
 
 
 def elastic_line(
@@ -19,14 +19,14 @@ def elastic_line(
     contact_arc_length: float,
     arc_length: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Points of the rod at given arc lengths, in closed form (mechanics.md, "Uniform straight
-    rod"); model units.
+    """Points of the rod at given arc lengths, in closed form (mechanics.md, "The uniform rod in
+    closed form"); model units.
 
     Parameters
     ----------
     contact, direction, side
         Contact point; unit vector n̂ of the contact force; unit vector from the clamp to the line
-        of the force, square to n̂ (3,).
+        of the force, perpendicular to n̂ (3,).
     force, modulus, contact_arc_length
         f [EI/L²], k² and s₁ [L] of the equilibrium.
     arc_length
@@ -91,7 +91,7 @@ def force_of(
     direction: Float[np.ndarray, "3"],
     axis: Float[np.ndarray, "3"],
 ) -> float:
-    """Magnitude [EI/L²] of the contact force that goes with an incidence; else as `sampled_line`."""
+    """Magnitude [EI/L²] of the contact force for a given incidence; others as in `sampled_line`."""
     lever_arm = np.linalg.norm(reach - (reach @ direction) * direction)
     return float(4 * (incidence - (1 + direction @ axis) / 2) / lever_arm**2)
 

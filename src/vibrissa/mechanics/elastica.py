@@ -1,5 +1,5 @@
-"""Uniform straight rod under one contact force: the inverse map in closed form (mechanics.md,
-"Uniform straight rod").
+"""Uniform straight rod under one contact force: the inverse map in closed form (mechanics.md, "The
+uniform rod in closed form").
 
 In the plane of the clamp tangent t0 and the contact force F let θ(s) be the angle of the tangent
 from t0 towards the side b to which the rod bends, δ the angle of F = f n̂, and a = (θ + π − δ)/2.
@@ -34,21 +34,21 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 
 _MEANS = 6
-"""Steps of the arithmetic-geometric mean: quadratic, so that the last digit is reached for every k²
-below 1 − 1e-12.
+"""Steps of the arithmetic-geometric mean: it converges quadratically, so these reach the last digit
+for every k² below 1 − 1e-12.
 """
 _NODE_COUNT = 14
 """Chebyshev nodes along the bent part: its points are exact to 1e-8 for k² ≤ ½."""
 _LEAST_FORCE = 1e-12
-"""[EI/L²] below which a line is drawn as under this force: it is straight to 1e-12 L."""
+"""Least force [EI/L²] under which a line is drawn: it is straight to 1e-12 L."""
 _LARGEST_MODULUS = 1 - 1e-12
 """k² up to which the curvature is taken to have a zero."""
 _TINY = 1e-300
 
 
 class BasePlane(NamedTuple):
-    """What the bending plane shows at the base: all that the closed form needs besides the force's
-    magnitude.
+    """The geometry in the bending plane at the base: all that the closed form needs besides the
+    force's magnitude.
     """
 
     sin_a0: Scalar
@@ -88,7 +88,7 @@ def base_plane(direction: Vector, to_contact_side: Vector, tangent: Vector) -> B
 
 def contact_on_rod(plane: BasePlane, force: Scalar, inflections: int = 0) -> ContactOnRod:
     """Arc length and advance of a zero of the curvature under a contact force of magnitude `force`
-    [EI/L²]: the first, or one behind some inflections.
+    [EI/L²]: the first, or one after some inflections.
 
     From one zero to the next, s grows by 2K/√f and the advance by (4E − 2K)/√f.
     """
@@ -128,7 +128,7 @@ def largest_curvature(plane: BasePlane, contact: ContactOnRod, force: Scalar) ->
 
 
 class Inner(NamedTuple):
-    """What the closed form knows of a bent rod besides what every model tells."""
+    """What the closed form knows about a bent rod besides what every model provides."""
 
     plane: BasePlane
     rod: ContactOnRod
@@ -138,7 +138,7 @@ class Elastica(RodModel):
     """The uniform straight rod."""
 
     inflections: int = eqx.field(static=True, default=0)
-    """How often the curvature changes its sign between clamp and contact."""
+    """How often the curvature changes sign between clamp and contact."""
 
     def bent(
         self,
@@ -152,8 +152,8 @@ class Elastica(RodModel):
         r, d, t0 = point - clamp.point, direction, clamp.tangent
         plane = base_plane(d, d * dot(r, t0) - r * dot(d, t0), t0)
         rod = contact_on_rod(plane, force, self.inflections)
-        # Where the force acts along the clamp's axis, any plane through the axis will do: the
-        # rod stays in the one that it had when it came there, as no force turns it.
+        # Where the force acts along the clamp's axis, any plane through the axis will do: the rod
+        # stays in the plane it came in, as no force turns it.
         before = jnp.cross(t0, lax.stop_gradient(r) if reached is None else reached)
         held = before / jnp.sqrt(jnp.maximum(jnp.sum(before * before), _TINY))
         out_of_plane = dot(r, jnp.where(is_neutral(d, t0), held, jnp.cross(t0, d)))
@@ -195,9 +195,9 @@ class Elastica(RodModel):
     def contact(self, force: Vector, moment: Vector, tangent: Vector) -> Contact:
         """As in `RodModel`: r = (m0 × F)/f² − I₁ d with F = −f0 = f d (paper, eqs. 14-16).
 
-        The first term is the wrench's central axis; only I₁, how far along it, needs the rod. Noise
-        may leave no zero of the curvature; the value then is that of the last wrench which has one,
-        and the incidence tells.
+        The first term gives the wrench's central axis; only I₁, how far along it, depends on the
+        rod. With noise the curvature may have no zero; the value is then that of the last wrench
+        that has one, and the incidence shows it.
         """
         F = -force
         f = jnp.sqrt(jnp.sum(F * F))
@@ -257,8 +257,8 @@ def _unit_lever(sin_a0: Scalar, w: Scalar) -> tuple[Scalar, Scalar]:
     cos_a0 = jnp.sqrt(1 - sin_a0 * sin_a0)
     k2 = sin_a0 * sin_a0 + w
     k, k_co = jnp.sqrt(k2), jnp.sqrt(1 - k2)
-    # sin(α − a₀): as w / sin(α + a₀) it does not cancel where a₀ > 0, as a difference it does not
-    # where a₀ < 0.
+    # sin(α − a₀): written as w / sin(α + a₀) it does not cancel where a₀ > 0, as a difference it
+    # does not where a₀ < 0.
     ahead = sin_a0 >= 0
     sum_sine = jnp.where(ahead, k * cos_a0 + k_co * sin_a0, 1.0)
     difference_sine = k * cos_a0 - k_co * sin_a0

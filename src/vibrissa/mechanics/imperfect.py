@@ -1,5 +1,5 @@
-"""The spatial line of a rod that is not quite ideal, from its base wrench: Kirchhoff's equations,
-for derivatives about the straight uniform rod.
+"""The spatial shape of a slightly imperfect rod from its base wrench: Kirchhoff's equations, for
+derivatives about the straight uniform rod.
 
 With n and m the force and moment that the rod ahead exerts on the part behind, t the tangent and d
 the clamp's x axis carried along without twist,
@@ -21,22 +21,24 @@ from jaxtyping import Float
 from vibrissa.numerics.lanes import AnyArray
 
 _STEPS = 32
-"""Of Runge and Kutta's method of fourth order: 1e-7 of a rod bent by a right angle (measured)."""
+"""Steps of fourth-order Runge-Kutta: error 1e-7 for a rod bent by a right angle (measured)."""
 _NEWTON_STEPS = 2
-"""To the contact of a rod that is not ideal: what is left is linear, and taken off by its user."""
+"""Newton steps to the contact of an imperfect rod: what is left is linear, and subtracted by the
+caller.
+"""
 _FARTHEST = 0.2
-"""The longest of them [L]: farther, the moment is no longer straight."""
+"""The longest of them [L]: farther away, the moment is no longer linear."""
 
 
 class Imperfect(NamedTuple):
-    """A rod by its base wrench, or a derivative by each of these."""
+    """A rod given by its base wrench, or a derivative with respect to each of these."""
 
     wrench: Float[AnyArray, "*k 6"]
     """Support reactions (f0, m0)."""
     taper: Float[AnyArray, "*k"]
-    """τ, share by which the radius has shrunk at the tip."""
+    """τ, fraction by which the radius is smaller at the tip."""
     curvature: Float[AnyArray, "*k 2"]
-    """c, at rest, in the clamp's axes."""
+    """c, of the unloaded rod, in the clamp's axes."""
     load: Float[AnyArray, "*k 3"]
     """q, force per length."""
 
@@ -60,7 +62,7 @@ class _State(NamedTuple):
 
 
 def rod_end(rod: Imperfect, arc_length: Float[Array, ""]) -> End:
-    """The rod where it is `arc_length` long, what hangs over beyond weighing on it."""
+    """The rod at `arc_length`, under the load on the part that overhangs beyond."""
     step = arc_length / _STEPS
 
     def slope(s: Array, at: _State) -> _State:
@@ -90,7 +92,7 @@ def rod_end(rod: Imperfect, arc_length: Float[Array, ""]) -> End:
 
 
 def contact_near(rod: Imperfect, arc_length: Float[Array, ""]) -> Float[Array, ""]:
-    """s₁ by Newton's method from that of the ideal rod."""
+    """s₁ by Newton's method, starting from that of the ideal rod."""
 
     def step(_: Array | int, s: Float[Array, ""]) -> Float[Array, ""]:
         end = rod_end(rod, s)

@@ -1,7 +1,7 @@
-"""The seam of rod models: what forward, inverse, calibration and design ask of a rod.
+"""The interface of rod models: what forward, inverse, calibration and design need from a rod.
 
-A model is dimensionless: lengths in L, forces in EI/L², moments in EI/L (paper, eq. 1). It knows no
-object.
+A model is dimensionless: lengths in L, forces in EI/L², moments in EI/L (paper, eq. 1). It knows
+nothing about the object.
 """
 
 from abc import abstractmethod
@@ -25,7 +25,7 @@ class Clamp(NamedTuple):
 
 
 class Bent(NamedTuple):
-    """A rod under one force at a point; the point lies on it where it misses by nothing."""
+    """A rod under one force at a point; the point lies on the rod where `misses` is zero."""
 
     point: Vector
     to_contact: Vector
@@ -34,15 +34,16 @@ class Bent(NamedTuple):
     direction: Vector
     """Unit vector of the force on the rod."""
     misses: Float[Any, "two"]
-    """How far the point lies out of the rod's plane, and how far along the force the rod is from it
-    [L].
+    """How far [L] the point lies out of the rod's plane, and how far the rod is from it along the
+    force.
     """
     arc_length: Scalar
     """Of the contact from the clamp [L]."""
     incidence: Scalar
-    """(1 + t·d)/2 with t the tangent at the contact: ½ where the force is square to the rod."""
+    """(1 + t·d)/2 with t the tangent at the contact: ½ where the force is perpendicular to the rod.
+    """
     inner: Any
-    """What else the model knows of it."""
+    """What else the model knows about it."""
 
     @property
     def base_moment(self) -> Vector:
@@ -64,8 +65,8 @@ class Contact(NamedTuple):
 
 
 NEUTRAL = 1e-6
-"""Sine between force and clamp axis up to which they count as parallel: above the rounding of a
-face's coordinates in single precision, below any tilt that is meant.
+"""Sine of the angle between force and clamp axis up to which they count as parallel: above the
+rounding of a face's coordinates in single precision, below any intended tilt.
 """
 
 
@@ -88,8 +89,8 @@ class RodModel(eqx.Module):
     ) -> Bent:
         """Return the rod under a force of given magnitude and direction at a point.
 
-        `reached` is r of a state before, in whose bending plane a force along the clamp's axis
-        leaves the rod; without it, the plane of the point itself.
+        `reached` is r of a previous state: a force along the clamp's axis leaves the rod in the
+        bending plane it had there; without it, in the plane of the point itself.
         """
 
     @abstractmethod
@@ -106,8 +107,8 @@ class RodModel(eqx.Module):
 
     @abstractmethod
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
-        """Points between contact (0) and clamp (1), at fixed places between them that are about
-        equally far apart.
+        """Points between contact (0) and clamp (1), at fixed fractions that space them about
+        equally.
         """
 
     @abstractmethod

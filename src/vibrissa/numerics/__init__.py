@@ -1,5 +1,5 @@
-"""Numerics that know no physics. Importing it switches JAX to 64-bit floats, which every equation
-here needs, and sets up how it compiles and where it keeps what it has compiled.
+"""Numerics without physics. Importing this package switches JAX to 64-bit floats, which every
+equation here needs, and sets up compilation and the cache of compiled code.
 """
 
 import jax

@@ -6,15 +6,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 POINTS = 4
-"""Places at a time: two estimates, and one beyond either to bracket them."""
+"""Points evaluated at a time: two estimates, and one beyond each to bracket them."""
 _MOST_ROUNDS = 50
-"""Twice as many as divide a bracket by 5 down to rounding."""
+"""Twice as many as it takes to shrink a bracket to rounding, a fifth at a time."""
 _WIDTH = 4e-16
-"""Of a bracket between two neighbouring numbers."""
+"""Width of a bracket between two neighbouring floating-point numbers."""
 _VALUE, _LEAST_VALUE = 1e-14, 1e-15
-"""Rounding: a share of the values at the ends, and what sums of terms of order one leave."""
+"""Rounding: as a fraction of the values at the ends, and of sums of terms of order one."""
 _PROGRESS = 0.25
-"""Share of a bracket that estimates have to leave; an even division leaves a fifth."""
+"""Largest fraction of a bracket that estimates may leave; even division leaves a fifth."""
 _NEAREST = 3
 """Points kept on either side of the root."""
 
@@ -24,15 +24,15 @@ def roots(
     ends: tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]],
     values: tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]],
 ) -> Float[np.ndarray, "k"]:
-    """Where functions of (arguments, rows) pass zero between two ends with known values of opposite
-    signs. Where rounding has left both ends of one sign, or the function is not finite on the way,
-    the place known that comes nearest to zero.
+    """Roots of functions of (arguments, rows), each between two ends with known values of opposite
+    sign. Where rounding has left both ends with the same sign, or the function is not finite in
+    between, the known point nearest to zero.
 
     Notes
     -----
-    A call costs more than an evaluation here, so each function is evaluated at four places at a
-    time. On either side of the root the function's inverse is taken for the polynomial through the
-    nearest three points: a kink at the root, as at a change of phase, does not mislead it.
+    A call costs more than an evaluation here, so each function is evaluated at four points at a
+    time. On either side of the root, inverse interpolation uses the nearest three points on that
+    side: a kink at the root, as at a change of phase, does not mislead it.
     """
     end, at_end = np.stack(ends, axis=1), np.stack(values, axis=1)
     known, value = (_outside(part, _NEAREST - 1) for part in (end, at_end))
@@ -57,13 +57,13 @@ def roots(
 def _best(
     x: Float[np.ndarray, "j six"], f: Float[np.ndarray, "j six"]
 ) -> tuple[Float[np.ndarray, "j"], Float[np.ndarray, "j"]]:
-    """End of the bracket that comes nearer to zero, and how near."""
+    """End of the bracket whose value is nearer to zero, and how near."""
     low, high = np.abs(f[:, _NEAREST - 1]), np.abs(f[:, _NEAREST])
     return np.where(low <= high, x[:, _NEAREST - 1], x[:, _NEAREST]), np.minimum(low, high)
 
 
 def _outside(rows: Float[np.ndarray, "k n"], count: int) -> Float[np.ndarray, "k m"]:
-    """Rows with so many unknown points on either side."""
+    """Rows padded with `count` unknown points on either side."""
     return np.pad(rows, ((0, 0), (count, count)), constant_values=np.nan)
 
 
@@ -77,7 +77,9 @@ def _nearest(
     before: Float[np.ndarray, "j six"],
     values: Float[np.ndarray, "j six"],
 ) -> tuple[Float[np.ndarray, "j six"], Float[np.ndarray, "j six"]]:
-    """Of points in any order, those about the first change of sign from where the bracket began."""
+    """From points in any order, those around the first change of sign after the start of the
+    bracket.
+    """
     first, last = before[:, [_NEAREST - 1]], before[:, [_NEAREST]]
     unknown = ~(np.isfinite(x) & np.isfinite(f))
     along = np.where(unknown, np.inf, (x - first) * np.sign(last - first))
@@ -90,21 +92,21 @@ def _nearest(
 
 
 def _divided(x: Float[np.ndarray, "j six"]) -> Float[np.ndarray, "j n"]:
-    """Places that divide the bracket evenly."""
+    """Points that divide the bracket evenly."""
     first, last = x[:, [_NEAREST - 1]], x[:, [_NEAREST]]
     return first + np.arange(1, POINTS + 1) / (POINTS + 1) * (last - first)
 
 
 def _estimated(x: Float[np.ndarray, "j six"], f: Float[np.ndarray, "j six"]) -> np.ndarray:
-    """Estimates from either side, and a place beyond each, all within the bracket; where there is
-    none, places that divide it evenly.
+    """Estimates from either side, and a point beyond each, all within the bracket; where there is
+    none, points that divide it evenly.
     """
     ends = x[:, _NEAREST - 1], x[:, _NEAREST]
     low, high = np.minimum(*ends), np.maximum(*ends)
     nearest = np.s_[_NEAREST - 1 :: -1], np.s_[_NEAREST:]
     inside = [_inverse(x[:, side], f[:, side], low, high) for side in nearest]
     left, right = (pick(*(estimate for estimate, _ in inside)) for pick in (np.fmin, np.fmax))
-    # One estimate alone, or two that agree: its last correction tells how good it is.
+    # One estimate alone, or two that agree: the last correction shows how good it is.
     alone = ~(right - left > 0)
     correction = np.fmin(*(np.abs(last) for _, last in inside))
     apart = np.where(alone, np.fmin(correction, (high - low) / 16), right - left)
@@ -122,8 +124,8 @@ def _inverse(
     low: Float[np.ndarray, "j"],
     high: Float[np.ndarray, "j"],
 ) -> tuple[Float[np.ndarray, "j"], Float[np.ndarray, "j"]]:
-    """Where the polynomial of the value through up to three points, the nearest first, is at 0, and
-    what the third has added; NaN outside the bracket.
+    """Inverse interpolation through up to three points, the nearest first: its value at 0, and what
+    the third point has added; NaN outside the bracket.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         slope = np.diff(x, axis=1) / np.diff(f, axis=1)

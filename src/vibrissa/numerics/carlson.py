@@ -13,7 +13,7 @@ from jaxtyping import Float
 Scalar = Float[Array, ""]
 
 # Each duplication divides the spread of the arguments by 4 and the series is of degree 7, so the
-# error falls by 4⁸ a step. With arguments in [0.1, 1.1] four steps reach a few 1e-16.
+# error falls by 4⁸ per step. With arguments in [0.1, 1.1] four steps reach a few 1e-16.
 _DUPLICATIONS = 4
 
 

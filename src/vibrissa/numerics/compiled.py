@@ -1,4 +1,4 @@
-"""Compilation: options of XLA, a cache on disk, and a word on the terminal while it takes long.
+"""Compilation: XLA options, a cache on disk, and a message on the terminal when it takes long.
 
 Environment variables: `VIBRISSA_CACHE` names the cache's folder, or switches it off (`off`).
 """
@@ -26,17 +26,18 @@ Result = TypeVar("Result")
 _LARGEST_CACHE = 512 * 2**20
 """[bytes] about a thousand kernels; the least recently used go first."""
 _PATIENCE = 1.0
-"""[s] of compiling after which a terminal is told."""
+"""Compile time [s] after which a message is shown on a terminal."""
 _told = threading.Lock()
 _LARGEST_LOOP = 2**30
-"""[bytes] up to which XLA makes one function of a loop: all of ours. Of the usual 1024 it calls a
-function for each operation of each turn, which takes longer than the operation on a few numbers.
+"""[bytes] up to which XLA compiles a loop into one function: enough for all of ours. With the
+default of 1024 it calls a function for each operation of each iteration, which takes longer than
+the operation itself on a few numbers.
 """
 
 
 def set_up_loops() -> None:
-    """Have XLA compile each loop in one piece, if JAX has not started and nothing else is wanted of
-    XLA; there is no other way to say it than the environment.
+    """Have XLA compile each loop in one piece, if JAX has not started and no other such options are
+    set; the environment is the only way to say so.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" not in flags:
@@ -48,7 +49,7 @@ def set_up_cache() -> None:
     """Keep compiled kernels in the user's cache folder, unless JAX has been given a cache already.
 
     Entries hold machine code, so each kind of processor has a folder of its own. Any number of
-    processes may share it; JAX locks it, and drops what was not used for longest.
+    processes may share it; JAX locks it, and drops the least recently used entries.
     """
     wanted = os.environ.get("VIBRISSA_CACHE", "")
     if wanted.lower() == "off" or jax.config.values["jax_compilation_cache_dir"]:
@@ -64,7 +65,7 @@ def set_up_cache() -> None:
 
 
 def _processor() -> str:
-    """Name of the kind of processor, short."""
+    """Short name of the kind of processor."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
         told = sorted(
@@ -77,12 +78,12 @@ def _processor() -> str:
 
 @lru_cache(maxsize=2)
 def _options(*, alone: bool) -> dict[str, bool | int]:
-    """XLA's older loop emitter keeps Newton's method in one vectorised loop: measured twice as fast
-    here, and quicker to compile. Code in one piece takes less work to compile than in many, and
-    LLVM's expensive passes add a quarter to the compilation without making the code faster.
+    """XLA's older loop emitter keeps Newton's method in one vectorised loop: twice as fast here
+    (measured), and quicker to compile. Code in one piece takes less work to compile than in many,
+    and LLVM's expensive passes add a quarter to the compilation without making the code faster.
 
-    Code of scalars runs no slower with few optimisations. Compiling without any would take half the
-    time, but jaxlib 0.10.2 then makes NaN of some lanes of a block of 64.
+    Scalar code runs no slower with few optimisations. Compiling without any would take half the
+    time, but jaxlib 0.10.2 then turns some lanes of a block of 64 into NaN.
     """
     options: dict[str, bool | int] = {
         "xla_cpu_use_fusion_emitters": False,
@@ -118,8 +119,8 @@ def compiled(
 
 @contextmanager
 def telling() -> Iterator[None]:
-    """Say on a terminal that kernels are being compiled, if what is done within takes long; once,
-    however many threads wait.
+    """Say on a terminal that kernels are being compiled, if the block takes long; once, however
+    many threads wait.
     """
     if not sys.stderr.isatty() or not _told.acquire(blocking=False):
         yield
@@ -137,8 +138,8 @@ def telling() -> Iterator[None]:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Leave garbage alone, of which tracing makes little, but for which it is searched very often:
-    a tenth of a compilation's time.
+    """Switch off garbage collection: tracing makes little garbage but triggers it very often, which
+    takes a tenth of a compilation's time.
     """
     collects = gc.isenabled()
     gc.disable()
@@ -150,7 +151,7 @@ def uncollected() -> Iterator[None]:
 
 
 def operation_count(function: Callable[[Array], Array], argument: Array) -> int:
-    """How many operations a function traces to, those of its loops' bodies counted once."""
+    """How many operations a function traces to, with loop bodies counted once."""
     return _operations(jax.make_jaxpr(function)(argument).jaxpr)
 
 

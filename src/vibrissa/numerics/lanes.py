@@ -3,11 +3,11 @@
 Inside a kernel the last axis is the lane, one trail or one sample each, so that every operation is
 plain vector arithmetic; a block of 64 lanes keeps its intermediates in the core's nearest cache. A
 kernel takes a fixed number of blocks, so that it is compiled once for any number of rows. Many rows
-are shared out over threads; `VIBRISSA_THREADS=1` keeps to one.
+are distributed over threads; `VIBRISSA_THREADS=1` uses only one.
 
-A few rows are quicker one after the other, and so are all where each goes its own way through much
-code: side by side every lane waits for the others, and code of lanes takes twice as long to compile.
-What is shared may say that of itself, by a property `branching`.
+A few rows are quicker one after another, and so is any number where each goes its own way through
+much code: side by side every lane waits for the others, and code for lanes takes twice as long to
+compile. Shared arguments can say so by a property `branching`.
 """
 
 import os
@@ -31,19 +31,19 @@ Part = TypeVar("Part")
 Found = TypeVar("Found")
 
 AnyArray: TypeAlias = Any
-"""An array of JAX in a kernel, of NumPy outside."""
+"""A JAX array in a kernel, a NumPy array outside."""
 WIDTH = 64
 BLOCKS = 16
-"""Of a call: 1024 rows, which take far longer than the call itself."""
+"""Blocks per call: 1024 rows, which take far longer than the call itself."""
 FEW = 512
-"""Rows, such as those of one trail, that take less time one by one than lanes take to compile."""
+"""Up to this many rows, as of one trail, take less time one by one than lanes take to compile."""
 
 _within = threading.local()
 
 
 def threads() -> int:
-    """How many threads share out the work: `VIBRISSA_THREADS`, else the cores that the process may
-    use; one within such a thread.
+    """How many threads share the work: `VIBRISSA_THREADS`, else the cores that the process may use;
+    one within such a thread.
     """
     if getattr(_within, "thread", False):
         return 1
@@ -59,7 +59,7 @@ def _enter() -> None:
 
 
 def in_threads(function: Callable[[Part], Found], parts: Sequence[Part]) -> list[Found]:
-    """The function of each part, in their order, on all cores."""
+    """Apply the function to each part on all cores; results are in order."""
     count = min(threads(), len(parts))
     if count <= 1:
         return [function(part) for part in parts]
@@ -68,10 +68,10 @@ def in_threads(function: Callable[[Part], Found], parts: Sequence[Part]) -> list
 
 
 class Lanes(Generic[Shared, Row]):
-    """A function of what all rows share and of one row's arguments, for many rows.
+    """A function of shared arguments and of one row's arguments, applied to many rows.
 
-    Called with what is shared and with trees of arrays (rows, …), it returns a tree of NumPy arrays
-    (rows, …).
+    Called with the shared arguments and trees of arrays (rows, …), it returns a tree of NumPy
+    arrays (rows, …).
     """
 
     def __init__(
@@ -104,14 +104,14 @@ class Lanes(Generic[Shared, Row]):
             return jax.tree.map(lambda leaf: np.asarray(leaf)[..., : last - first], found)
 
         found = in_threads(call, range(0, count, size))
-        # Lanes stay innermost in memory: what is returned are views.
+        # Lanes stay innermost in memory: the results are views.
         return jax.tree.map(
             lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
         )
 
     def ahead(self, shared: Shared, *rows: Any) -> None:
-        """Compile in a thread of its own what a call with such rows will need: XLA leaves the other
-        cores to whoever else compiles or works.
+        """Compile in a separate thread what a call with such rows will need: XLA leaves the other
+        cores free for other work.
         """
         kernel, *_ = self._kernel(shared, len(jax.tree.leaves(rows)[0]))
         known = (kernel, jax.tree.structure((shared, rows)))
@@ -120,13 +120,13 @@ class Lanes(Generic[Shared, Row]):
             threading.Thread(target=self._quietly, args=(shared, *rows)).start()
 
     def _quietly(self, *arguments: Any) -> None:
-        """Call; what fails will fail again where the result is wanted."""
+        """Call; whatever fails will fail again where the result is wanted."""
         _within.ahead = True
         with suppress(Exception):
             self(*arguments)
 
     def _kernel(self, shared: Shared, count: int) -> tuple[Callable[..., Any], int, int]:
-        """What takes so many rows, how many of them side by side, and how many in one call."""
+        """The kernel for so many rows, how many it takes side by side, and how many in one call."""
         if count <= self._alone or self._width == 1 or _branching(shared):
             return self._one_by_one, 1, self._size_alone
         return self._side_by_side, self._width, self._width * self._blocks
@@ -158,7 +158,7 @@ class Lanes(Generic[Shared, Row]):
 
     @cached_property
     def _one_by_one(self) -> Callable[..., Any]:
-        """The kernel of a few rows, or of a branching function."""
+        """The kernel for a few rows, or for a branching function."""
 
         def one(shared: Shared, *row: Any) -> Any:
             only = jax.tree.map(lambda leaf: leaf[..., 0], row)
@@ -202,7 +202,7 @@ class Lanes(Generic[Shared, Row]):
                 nothing,
             )
 
-        # As profiles and logs of compilation show it.
+        # The name that profiles and compilation logs show.
         kernel.__name__ = self._one.__name__
         return compiled(kernel, alone=width == 1)
 
@@ -210,14 +210,14 @@ class Lanes(Generic[Shared, Row]):
 def lanes(
     *, width: int = WIDTH, blocks: int = BLOCKS, alone: int = 0
 ) -> Callable[[Callable[..., Row]], Lanes[Any, Row]]:
-    """Make a function of (shared, *row) one of (shared, *rows).
+    """Turn a function of (shared, *row) into one of (shared, *rows).
 
     Parameters
     ----------
     width, blocks
-        Lanes of a block, and blocks of a call; a width of 1 takes rows one after the other.
+        Lanes per block, and blocks per call; a width of 1 takes rows one after another.
     alone
-        Up to how many rows are taken one after the other, by a kernel of scalars.
+        Up to this many rows are taken one after another, by a scalar kernel.
     """
     return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone)
 
@@ -230,6 +230,6 @@ def _branching(shared: Any) -> bool:
 
 
 def _filled(rows: AnyArray, size: int) -> AnyArray:
-    """Rows, the last one repeated up to a number."""
+    """Rows padded to a number by repeating the last one."""
     missing = size - len(rows)
     return np.concatenate([rows, np.repeat(rows[-1:], missing, axis=0)]) if missing else rows

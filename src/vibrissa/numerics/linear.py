@@ -1,5 +1,5 @@
 """Small dense systems, unrolled: a batch of them compiles to plain vector arithmetic, without a
-library call a matrix.
+library call per matrix.
 """
 
 from itertools import combinations
@@ -18,7 +18,7 @@ def solve_4x4(
     rows.
 
     The solution is not finite where the matrix is singular. Relative error about 1e-16 times the
-    condition number squared: enough for Newton's method, whose residual is computed anew.
+    condition number squared: enough for Newton's method, which recomputes its residual.
     """
     a = [[matrix[i, j] for j in range(4)] for i in range(4)]
     b = [right[i] for i in range(4)]
@@ -79,7 +79,7 @@ def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Floa
         pivot = jnp.sum(jnp.where(best, entries, 0.0))
 
         def without(part: Array) -> Array:
-            """The column eliminated from all rows but its own, which changes places."""
+            """Eliminate the column from all rows but its own, which is swapped into place."""
             of = (slice(None), *(None,) * (part.ndim - 1))
             chosen = jnp.sum(jnp.where(best[of], part, 0.0), axis=0)
             other = jnp.sum(jnp.where(own[of], part, 0.0), axis=0)

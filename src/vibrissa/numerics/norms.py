@@ -8,7 +8,7 @@ Scalar = Float[Array, ""]
 
 TINY = 1e-90
 """Squares of smaller lengths, and their inverses in second derivatives, would leave the range of
-the numbers.
+floating-point numbers.
 """
 
 
@@ -23,7 +23,7 @@ def positive_part(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def norm(*components: Scalar) -> Scalar:
-    """Euclidean length of a vector, given by its components, with zero derivatives at the origin."""
+    """Euclidean length of a vector given by its components, with zero derivatives at the origin."""
     square = sum(
         (component * component for component in components[1:]), components[0] * components[0]
     )
@@ -32,8 +32,8 @@ def norm(*components: Scalar) -> Scalar:
 
 
 def power(base: Float[Array, "*n"], exponent: Scalar | float) -> Float[Array, "*n"]:
-    """x^p for x ≥ 0 and p > 0. Where p is below 2, unless 1, derivatives grow without limit towards
-    zero; at zero itself they are given as 0.
+    """x^p for x ≥ 0 and p > 0. For p below 2, except 1, derivatives grow without limit towards
+    zero; at zero itself they are set to 0.
     """
     singular = (base < TINY) & (exponent < 2)
     bent = jnp.where(singular, 0.0, jnp.power(jnp.where(singular, 1.0, base), exponent))

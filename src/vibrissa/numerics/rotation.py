@@ -1,4 +1,4 @@
-"""Rotations inside compiled code; outside it they are the library's (`vibrissa.geometry.rotation`)."""
+"""Rotations inside compiled code; outside it, see `vibrissa.geometry.rotation`."""
 
 import jax.numpy as jnp
 from jax import Array

@@ -12,7 +12,7 @@ _TERMS = 11
 
 
 def sine(angle: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Sine of an angle in [0, π], by Taylor's series about π/2; error below 4e-16."""
+    """Sine of an angle in [0, π], by Taylor series about π/2; error below 4e-16."""
     offset = angle - math.pi / 2
     return _alternating(offset * offset, [math.factorial(2 * term) for term in range(_TERMS)])
 

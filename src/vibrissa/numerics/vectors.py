@@ -1,7 +1,8 @@
-"""Vectors in kernels, as sums and choices along an axis, which compile to plain loops over lanes.
+"""Vector operations in kernels, as sums and selections along an axis, which compile to plain loops
+over lanes.
 
-`jnp.dot`, `jnp.stack` and `jnp.concatenate` of many lanes become matrix products of 3×3 and
-transpositions: a step of Newton's method then takes twice as long.
+Over many lanes, `jnp.dot`, `jnp.stack` and `jnp.concatenate` become 3×3 matrix products and
+transpositions: a Newton step then takes twice as long.
 """
 
 from functools import reduce
@@ -20,7 +21,7 @@ def dot(a: Float[AnyArray, "*n k"], b: Float[AnyArray, "*m k"]) -> Float[Array, 
 
 
 def joined(*parts: Float[AnyArray, "..."]) -> Float[Array, "k"]:
-    """The vector of some scalars and vectors, one behind the other."""
+    """Scalars and vectors joined into one vector."""
     scalars = [scalar for part in parts for scalar in (part if jnp.ndim(part) else [part])]
     places = np.arange(len(scalars))
     return reduce(

@@ -1,4 +1,6 @@
-"""The paper's numerical example (section III): C = 0.5 x² + y² + 0.4, trails along −x, model units."""
+"""The paper's numerical example (section III): C = 0.5 x² + y² + 0.4, trails along −x, model
+units.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +17,7 @@ PLANE = int(np.argmin(np.abs(Y0)))
 """The trail y0 = 0."""
 
 REACH = (1.0, 0.7)
-"""Half widths of the surface region on which coverage is measured [L]."""
+"""Half-widths of the surface region on which coverage is measured [L]."""
 Grid = Float[np.ndarray, "*grid"]
 
 
@@ -26,7 +28,7 @@ def trails(count: int = 241, reach: float = 1.2) -> Trail:
 
 
 def plane_trail() -> Trail:
-    """y0 = 0, on to its snap-off at x0 = −1.342."""
+    """y0 = 0, past its snap-off at x0 = −1.342."""
     return Trail.line(start=(1.2, 0, 0), stop=(-1.4, 0, 0), count=521)
 
 
@@ -38,8 +40,8 @@ def perpendicular_trails(count: int = 241, reach: float = 1.2) -> Trail:
 
 
 def further() -> dict[str, Trail]:
-    """What the paper suggests: sweeps perpendicular to the trails, and at other distances: h = 0.4
-    becomes 0.2 and 0.6; there both, from further out.
+    """What the paper suggests: sweeps perpendicular to the trails, and at other distances (h = 0.2
+    and 0.6 in place of 0.4); at those, both directions, from further out.
     """
     both = Trail.stack([trails(301, 1.5), perpendicular_trails(301, 1.5)])
     return {
@@ -55,8 +57,8 @@ def on_surface(x: Grid, y: Grid) -> tuple[Grid, Grid, Grid]:
 
 
 def region(step: float = 0.015) -> Float[np.ndarray, "n 3"]:
-    """Points of the surface over |x| ≤ 1, |y| ≤ 0.7, evenly spread over its area: a grid thinned by
-    the share of area each cell has.
+    """Points of the surface over |x| ≤ 1, |y| ≤ 0.7, evenly spread over its area: a grid thinned in
+    proportion to the surface area of each cell.
     """
     x, y = np.meshgrid(*(np.arange(-reach, reach, step) + step / 2 for reach in REACH))
     area = np.sqrt(1 + (2 * SURFACE.a * x) ** 2 + (2 * SURFACE.b * y) ** 2)

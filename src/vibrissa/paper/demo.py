@@ -84,7 +84,7 @@ def _covered(
     ):
         for extra in more:
             # Only positions that pass every check count: a real rod would not be where the others
-            # say.
+            # put it.
             again = reconstruct(case.ROD, further[extra].reactions)
             sound = (further[extra].status == 0) & again.in_contact
             contacts = np.vstack([contacts, again.point[sound]])

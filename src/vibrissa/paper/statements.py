@@ -1,4 +1,4 @@
-"""The statements of the paper's section III, each with the figure measured here."""
+"""The statements of the paper's section III, each with the value measured here."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -34,7 +34,7 @@ def statements(scan: Scan, plane: Scan, found: Reconstruction) -> list[Statement
     scan, found
         Of the eleven trails, and reconstructed from its reactions.
     plane
-        The trail y0 = 0, on to its snap-off.
+        The trail y0 = 0, through its snap-off.
     """
     rows = [lane for lane in range(len(Y0)) if lane != PLANE]
     parts = (
@@ -141,8 +141,7 @@ def _sequences(found: Reconstruction, scan: Scan, rows: list[int]) -> _Rows:
         lengths = np.linalg.norm(steps, axis=1)
         along = steps / lengths[:, None]
         spacing.extend(lengths)
-        # The step across a change is neither here nor there: the one before it and the one behind
-        # it are compared.
+        # The step across a change belongs to neither phase: compare those before and after it.
         kinks.extend(_angles(along[changes - 1], along[changes + 1]))
         turns = _angles(along[:-1], along[1:])
         smooth.extend(np.delete(turns, changes[:, None] + np.arange(-2, 2)))

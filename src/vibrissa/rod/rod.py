@@ -12,7 +12,7 @@ from vibrissa.geometry.checks import positive
 if TYPE_CHECKING:
     Figure: TypeAlias = float
 else:
-    # Within a derivative by the rod, what JAX traces.
+    # A JAX tracer when differentiating with respect to the rod.
     Figure = float | jax.Array
 
 FIRST_CLAMPED_ROOT = 1.8751040687119611
@@ -20,8 +20,8 @@ FIRST_CLAMPED_ROOT = 1.8751040687119611
 
 _LARGEST_RADIUS = 1e6
 _SPECIFIC_STIFFNESS = 25e6
-"""E/ρ [J/kg] of steel, aluminium and titanium, each within a tenth; of copper, nitinol and gold it
-is lower.
+"""E/ρ [J/kg] of steel, aluminium and titanium, each within a tenth; that of copper, nitinol and
+gold is lower.
 """
 _GRAVITY = 9.80665
 """Standard acceleration [m/s²]."""
@@ -41,8 +41,8 @@ _SI_UNITS: dict[Quantity, str] = {
 class Rod:
     """Uniform, straight, unshearable, inextensible rod of isotropic section (paper, section II).
 
-    A pytree: its figures may be numbers of JAX, so that derivatives by them pass through whatever is
-    computed with `vibrissa.contact`.
+    A pytree: its values may be JAX numbers, so that whatever is computed with `vibrissa.contact`
+    can be differentiated with respect to them.
 
     All results come in the units in which the rod is given: SI, or the model's own (L = EI = 1;
     paper, eq. 1).
@@ -61,12 +61,12 @@ class Rod:
         Largest bending strain allowed [1]; a scan marks positions beyond it.
     units
         "SI", or "model" for lengths in L, forces in EI/L² and moments in EI/L: what files and
-        figures write beside the numbers.
+        figures show beside the numbers.
 
     Raises
     ------
     ValueError
-        If a figure is not positive and finite, or a yield strain comes without a radius.
+        If a value is not positive and finite, or a yield strain is given without a radius.
     """
 
     length: Figure
@@ -152,12 +152,11 @@ class Rod:
         )
 
     def own_sag(self) -> float | None:
-        """Sag [m] of the tip of the level rod under its own weight, ρA g L⁴/(8 EI); None if that is
-        not known.
+        """Tip sag [m] of the horizontal rod under its own weight, ρA g L⁴/(8 EI); None if unknown.
 
         Without a density, a round SI rod is taken to be of a light or common metal, ρ = E/(25
-        MJ/kg) as for steel, aluminium and titanium: the least that a wire of this stiffness weighs,
-        since all other metals are heavier.
+        MJ/kg) as for steel, aluminium and titanium: about the least that a wire of this stiffness weighs,
+        since most other metals are heavier.
         """
         weight = self.linear_density
         if weight is None and self.units == "SI" and self.radius is not None:
@@ -173,7 +172,7 @@ _FIGURES = ("length", "bending_stiffness", "radius", "linear_density", "yield_st
 
 
 def _of_figures(units: Literal["SI", "model"], figures: Iterable[Any]) -> Rod:
-    """Return a rod of whatever JAX puts into its trees, which is checked already or no number."""
+    """Return a rod of whatever JAX puts into its trees: already checked, or not a number."""
     rod = object.__new__(Rod)
     for name, figure in zip((*_FIGURES, "units"), (*figures, units), strict=True):
         object.__setattr__(rod, name, figure)

@@ -10,12 +10,12 @@ from vibrissa.geometry.checks import finite_array, positive
 def coverage(
     contacts: Float[np.ndarray, "k 3"], samples: Float[np.ndarray, "n 3"], distance: float
 ) -> tuple[float, Bool[np.ndarray, "n"]]:
-    """Share of surface samples that lie within a distance of a contact, and which.
+    """Fraction of surface samples that lie within a distance of a contact, and which ones.
 
     Parameters
     ----------
     contacts
-        Contact points (k, 3); rows that are not finite are passed over.
+        Contact points (k, 3); rows that are not finite are ignored.
     samples
         Points of the surface region, evenly spread over its area (n, 3).
     distance

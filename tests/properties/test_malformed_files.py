@@ -169,7 +169,7 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 
 
 class Elsewhere:
-    """Another process, which a reader may end (docs/recordings.md, "Damaged files")."""
+    """Another process, which a reader may end (docs/recordings.md)."""
 
     def __init__(self) -> None:
         self.start()

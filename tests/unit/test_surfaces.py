@@ -91,8 +91,9 @@ def test_negative_in_the_solid_and_positive_outside(
 
 
 def test_the_papers_normal() -> None:
-    """N ∝ (C,x, C,y, −1): the direction in which the object can push a rod (mechanics.md, "Two sign errors
-    in the printed paper")."""
+    """N ∝ (C,x, C,y, −1): the direction in which the object can push a rod (mechanics.md,
+    "Two sign errors in the printed paper").
+    """
     surface, _ = OBJECTS["paraboloid"]
     x, y = 0.7, -0.3
     expected = np.array([x, 2 * y, -1]) / np.linalg.norm([x, 2 * y, -1])

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
+from jaxtyping import Float, Int
 from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from vibrissa.contacts import Status
@@ -156,8 +157,8 @@ def _white(whitened: Wrenches, rows: Flags) -> Wrench:
 
 
 def _means(
-    values: Wrenches, time: Scalars, first: Codes, last: Codes
-) -> tuple[Wrenches, Scalars, Wrenches]:
+    values: Wrenches, time: Scalars, first: Int[np.ndarray, "k"], last: Int[np.ndarray, "k"]
+) -> tuple[Float[np.ndarray, "k 6"], Int[np.ndarray, "k"], Float[np.ndarray, "k 6"]]:
     """Middles of straight lines through the rows of each span, how many of them count, and their
     variance about the line.
     """

@@ -181,9 +181,10 @@ def _text(report: vb.live.Report) -> str:
     said = {
         f"{counts.samples} samples in {report.seconds:.2f} s ({rate:.0f} a second), "
         f"{report.rows} rows: {common.listed(report.contacts)}": True,
-        f"lost {counts.lost} in {counts.gaps} gaps ({counts.late} of them came too late), put in "
-        f"order {counts.reordered}, double {counts.duplicates}, malformed {counts.malformed}, "
-        f"restarts {counts.restarts}, thrown away here {report.overflow}": True,
+        f"lost {counts.lost} in {counts.gaps} gaps ({counts.late} of them came too late), "
+        f"reordered {counts.reordered}, duplicates {counts.duplicates}, "
+        f"malformed {counts.malformed}, restarts {counts.restarts}, "
+        f"thrown away here {report.overflow}": True,
         f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them "
         "in error": counts.flagged,
         f"{report.without_pose} rows without a pose, {report.malformed_poses} poses "

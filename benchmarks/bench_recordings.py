@@ -1,10 +1,10 @@
-"""Recordings made by the independent engine, each with one thing that is not as its setup says:
-`python benchmarks/bench_recordings.py FOLDER [NAME ...]`.
+"""Recordings made by the independent engine, each with one deviation from its setup: `python
+benchmarks/bench_recordings.py FOLDER [NAME ...]`.
 
-A steel wire of 50 mm and 0.5 mm diameter is swept at 10 mm/s under a ball of 30 mm radius unless
-said. FOLDER gets NAME.csv; NAME.toml, the setup as a user would have written it; and NAME.truth.npz
-with t [s] (n,), p [m] (n, 3), the contacts of the engine, and ic (n,): in contact, at one place.
-Runs of the engine are kept in FOLDER/runs.
+Unless stated otherwise, a steel wire of 50 mm and 0.5 mm diameter is swept at 10 mm/s under a ball
+of 30 mm radius. FOLDER gets NAME.csv; NAME.toml, the setup as a user would have written it; and
+NAME.truth.npz with t [s] (n,), p [m] (n, 3), the engine's contacts, and ic (n,): in contact, at one
+place. The engine's runs are kept in FOLDER/runs.
 """
 
 import sys
@@ -38,8 +38,8 @@ class Scene:
 
 @dataclass(frozen=True)
 class Recording:
-    """A scene as it was logged: what is off, how large that is in words, and how often the scene is
-    gone through, to and fro.
+    """A scene as logged: what is off, by how much in words, and the number of passes, back and
+    forth.
     """
 
     scene: str
@@ -49,7 +49,7 @@ class Recording:
     passes: int = 1
     sensor: Sensor = field(default_factory=Sensor)
     tolerance: str = ""
-    """Line of the table [tolerances] that allows for it by one standard deviation."""
+    """Line of [tolerances] that allows for it as one standard deviation."""
     misread: Callable[[np.ndarray], np.ndarray] | None = None
     """What a user got wrong in the rows of the file (n, 14)."""
 
@@ -281,15 +281,15 @@ def run_of(scene: Scene) -> Run:
 
 
 def to_and_fro(run: Run, passes: int) -> Run:
-    """The run gone through several times, each in the other direction than the last: without
-    friction and jumps, equilibria do not depend on it.
+    """The run passed through several times, in alternating directions: without friction and jumps,
+    equilibria do not depend on the direction.
     """
     rows = np.concatenate([np.arange(len(run.position))[:: (-1) ** k] for k in range(passes)])
     return Run(**{name: values[rows] for name, values in vars(run).items()})
 
 
 def made(recording: Recording, runs: Path, seed: int) -> Log:
-    """One recording; runs are kept in a folder."""
+    """One recording; the engine's runs are kept in a folder."""
     scene = SCENES[recording.scene]
     run = to_and_fro(
         remembered(runs / f"{recording.scene}.npz", lambda: run_of(scene)), recording.passes
@@ -307,7 +307,7 @@ def made(recording: Recording, runs: Path, seed: int) -> Log:
 
 
 def seed_of(name: str) -> int:
-    """Of the noise of a recording of this name."""
+    """Seed for the noise of the recording with this name."""
     return sum(map(ord, name))
 
 

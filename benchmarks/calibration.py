@@ -1,8 +1,8 @@
-"""Calibration: errors on recordings of another engine from many wrong starts, and how often
-intervals hold the truth in simulated repeats.
+"""Calibration: errors on another engine's recordings from many wrong starts, and how often
+intervals contain the truth in simulated repeats.
 
-    python benchmarks/calibration.py RECORDINGS   the first table, from the folder of recordings
-    sphere_60mm python benchmarks/calibration.py              the second
+    python benchmarks/calibration.py RECORDINGS   the first table, from the folder sphere_60mm
+    python benchmarks/calibration.py              the second
 
 Both start with EI off by 20 %, L by 3 %, the clamp by 2 mm and 3°, in random directions and with
 all signs.
@@ -36,7 +36,7 @@ SPHERE = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
 
 
 def wrong(setup: vb.Setup, index: int, rng: np.random.Generator) -> vb.Setup:
-    """A setup that is off, with the signs that belong to the index."""
+    """A wrong setup, with the combination of signs that belongs to the index."""
     stiffness, length = list(itertools.product((0.8, 1.2), (0.97, 1.03)))[index % 4]
     move, turn = rng.normal(size=3), rng.normal(size=3)
     turn[2] = 0.0
@@ -101,8 +101,8 @@ def recorded(folder: Path) -> None:
 
 
 def simulated() -> None:
-    """Two trails, measured anew each time: coverage of the 95 % intervals, and scatter against the
-    Cramér–Rao limit.
+    """Two trails, measured again each time: coverage of the 95 % intervals, and scatter relative to
+    the Cramér–Rao bound.
     """
     truth, rng = vb.Setup(WIRE, SENSOR, SPHERE), np.random.default_rng(2)
     swept = [sweep(y) for y in (0.005, -0.01)]
@@ -145,7 +145,7 @@ def sweep(y: float) -> vb.Reactions:
 
 
 def true_values(setup: vb.Setup, truth: vb.Setup) -> dict[str, float]:
-    """Of what the data determine, seen from a wrong setup; the orientation is that without roll."""
+    """True values of what the data determine, seen from a wrong setup; orientation without roll."""
     axis = Rotation.from_quat(truth.sensor.clamp_orientation).apply([0, 0, 1])
     x, y, z = Rotation.from_quat(setup.sensor.clamp_orientation).inv().apply(axis)
     turn = np.arccos(min(1.0, z)) * np.array([-y, x]) / np.hypot(x, y)

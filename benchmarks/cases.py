@@ -1,4 +1,4 @@
-"""The paper's case, in the sizes that are measured."""
+"""The paper's case, in the sizes measured."""
 
 import numpy as np
 
@@ -40,7 +40,7 @@ def samples_of(scan: vb.Scan, count: int) -> vb.Reactions:
 
 
 def assert_close(found: np.ndarray, expected: np.ndarray, tolerance: float, who: str) -> None:
-    """Raise AssertionError unless two routes give the same contact points."""
+    """Raise AssertionError unless two methods give the same contact points."""
     largest = float(np.abs(found - expected).max())
     if not largest <= tolerance:
         raise AssertionError(f"{who}: contact points differ by {largest}; allowed is {tolerance}")

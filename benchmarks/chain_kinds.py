@@ -1,10 +1,10 @@
 """The package against MuJoCo stepped to rest, by kind of object, on one core: `python
 benchmarks/chain_kinds.py [NAME ...]`.
 
-Rod, trail, and how the chain comes to rest: as in `chains.py`, in 40 segments. Kinds are those that
-the engine has, too, with the wire's radius in both. Rows where the chain is not at rest after 3000
-steps count as restless; hard are snaps and changes of stability, which `vb.scan` follows one by
-one: where there are any, they take nearly all of its time.
+Rod, trail and the way the chain comes to rest are as in `chains.py`, with 40 segments. The kinds
+are those that the engine has too, with the wire's radius in both. Rows where the chain is not at
+rest after 3000 steps count as restless; hard events are snaps and changes of stability, which
+`vb.scan` follows one by one: if there are any, they take nearly all of its time.
 """
 
 import sys

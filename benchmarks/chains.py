@@ -1,10 +1,10 @@
 """The package against a physics engine that steps to rest, on one core: `python
 benchmarks/chains.py [SEGMENTS ...]`.
 
-The case is the published experiment's scale: a steel wire of 50 mm, radius 0.25 mm, swept without
-friction under a sphere of 60 mm, 0.5 mm a position. The peer is MuJoCo (dependency group
+The case has the published experiment's scale: a steel wire of 50 mm, radius 0.25 mm, swept without
+friction under a sphere of 60 mm in steps of 0.5 mm. The peer is MuJoCo (dependency group
 `benchmark`). The rod is a chain of rigid capsules with a spring of EI/h in the middle of each
-length h, so that its equilibria approach those of the rod with h². Both have the wire's radius:
+length h, so that its equilibria converge to those of the rod as h². Both have the wire's radius:
 skins touch.
 
 The chain is set up to come to rest in few steps:
@@ -12,17 +12,16 @@ The chain is set up to come to rest in few steps:
 - in units with L = EI = 1, where an explicit spring is stable for steps far longer than a steel
   wire's own motion would allow;
 - with an armature of k τ² and a damping of k τ on each joint, k its stiffness: all joints relax at
-  the same rate, whatever their number. With steel's
-  mass in place of the armature the contact chatters, and a chain of 20 is not at rest after 200,000
-  steps;
-- by steps of 0.3 τ with implicit damping; a contact time constant of two steps; the solver's
-  tolerance at 1e-14, without which some positions never rest;
-- each position from the last one, the clamp put there as a mocap body; at rest when no joint moves
-  faster than 2e-5/n rad/τ in n segments.
+  the same rate, whatever their number. With steel's mass in place of the armature the contact
+  chatters, and a chain of 20 is not at rest after 200,000 steps;
+- in steps of 0.3 τ with implicit damping, a contact time constant of two steps, and a solver
+  tolerance of 1e-14, without which some positions never come to rest;
+- each position from the last one, the clamp moved there as a mocap body; at rest when no joint
+  moves faster than 2e-5/n rad/τ in n segments.
 
-Joints are pairs of hinges: a third of the time of ball joints (which twist, too) for the same
-answers. Rows for ball joints and for the engine's own cable plugin, which gives the same springs,
-are for comparison.
+Joints are pairs of hinges: they take a third of the time of ball joints (which also twist) for the
+same answers. Rows for ball joints and for the engine's own cable plugin, which gives the same
+springs, are for comparison.
 """
 
 import sys
@@ -54,7 +53,7 @@ _THICKNESS = ROD.radius / ROD.length
 
 class Settled(NamedTuple):
     """Along the trail, in model units: force and moment of the clamp on the rod (n, 3), contact
-    point (n, 3), steps taken (n,), and microseconds a position.
+    point (n, 3), steps taken (n,), and microseconds per position.
     """
 
     force: np.ndarray
@@ -78,7 +77,7 @@ def ball(k: float) -> str:
 
 
 def cable(k: float) -> str:
-    """A ball joint whose spring the cable plugin gives."""
+    """A ball joint whose spring comes from the cable plugin."""
     return f'<joint type="ball" armature="{k}" damping="{k}"/><plugin instance="rod"/>'
 
 
@@ -88,7 +87,7 @@ def ball_geom() -> str:
 
 
 def chain(segments: int, joint: Callable[[float], str], geom: str, assets: str = "") -> str:
-    """The model as MJCF: an object, the clamp a mocap body, a half segment fixed to it, then
+    """The model as MJCF: an object, the clamp as a mocap body, a half segment fixed to it, then
     `segments` joints.
     """
     h, r = 1 / segments, _THICKNESS
@@ -97,8 +96,8 @@ def chain(segments: int, joint: Callable[[float], str], geom: str, assets: str =
         length = h / 2 if i == segments - 1 else h
         capsule = f'<geom type="capsule" size="{r}" fromto="0 0 0 0 0 {length}" mass="{_LEAST_MASS * length}"/>'
         bodies += f'<body pos="0 0 {h}">{joint(segments)}{capsule}'
-    # The plugin twists about x, and a rod has twice the second moment in torsion: so its springs
-    # are EI/h about every axis.
+    # The plugin twists about x, and a rod has twice the second moment in torsion: this makes the
+    # springs EI/h about every axis.
     bend = 1 / (np.pi / 4 * r**4)
     keys = f'<config key="bend" value="{bend}"/><config key="twist" value="{bend / 2}"/>'
     plugin = (
@@ -149,7 +148,7 @@ def settled(model: mujoco.MjModel, positions: np.ndarray, rest: float) -> Settle
 
 
 def compared(scan: vb.Scan, found: Settled) -> dict[str, np.ndarray]:
-    """Differences in each row that is in contact in both: force and moment as shares of their
+    """Differences in each row that is in contact in both: force and moment relative to their
     largest, the contact point in millimetres.
     """
     both = scan.in_contact & np.isfinite(found.point[:, 0])

@@ -13,7 +13,7 @@ _MIB = 1024.0
 
 
 def cold() -> dict[str, float]:
-    """Seconds of a process's first use of the package, by step."""
+    """Seconds that a process's first use of the package takes, by step."""
     return _in_fresh_process("first_use")
 
 
@@ -23,7 +23,7 @@ def memory() -> dict[str, float]:
 
 
 def first_use() -> dict[str, float]:
-    """Time the steps of first use; the face is imported before anything else."""
+    """Time the steps of first use; the top-level package is imported before anything else."""
     times, clock = {}, _Clock()
     import vibrissa as vb  # noqa: PLC0415
 
@@ -76,7 +76,7 @@ def _peak() -> float:
 
 
 def _in_fresh_process(name: str) -> dict[str, float]:
-    # The child inherits the core, the environment, and as a floor of its own the peak memory of
+    # The child inherits the core, the environment, and, as a floor for its own, the peak memory of
     # this process.
     script = f"import json, cold; print(json.dumps(cold.{name}()))"
     done = subprocess.run(

@@ -1,12 +1,12 @@
 """Scans of scenes in which something is exactly level, coplanar, parallel, grazing or centred:
 `python benchmarks/degenerate.py [NAME ...]`.
 
-A steel wire of 50 mm × 0.5 mm, touched with its skin. For each scene: positions, how many say OK,
-how many say by name that the scene is degenerate (HEAD_ON, PENETRATING, LATERALLY_UNSTABLE,
-CLAMP_INSIDE), how many are left as NOT_CONVERGED or NO_EQUILIBRIUM, snaps, and what was raised.
-Boxes of twelve triangles are compared with the box itself: positions that differ in kind or status,
-and the largest difference of contacts [µm] and forces [EI/L²] on the others. Names choose scenes by
-how they begin.
+A steel wire of 50 mm × 0.5 mm touches with its skin. For each scene: positions, how many are OK,
+how many have a status that names the degeneracy (HEAD_ON, PENETRATING, LATERALLY_UNSTABLE,
+CLAMP_INSIDE), how many are left as NOT_CONVERGED or NO_EQUILIBRIUM, snaps, and any exception. Boxes
+of twelve triangles are compared with the box itself: positions that differ in kind or status, and
+the largest difference in contacts [µm] and forces [EI/L²] at the others. Names select scenes by
+their beginning.
 """
 
 import sys
@@ -42,7 +42,7 @@ def line(
     turned: Rotation | None = None,
     count: int = COUNT,
 ) -> vb.Trail:
-    """Straight, in millimetres, the rod along z before it is turned."""
+    """A straight trail, in millimetres, with the rod along z before it is turned."""
     share = np.linspace(0, 1, count)[:, None]
     position = (np.array(start) * (1 - share) + np.array(stop) * share) / 1000
     turn = Rotation.identity() if turned is None else turned
@@ -50,7 +50,7 @@ def line(
 
 
 def joined(*trails: vb.Trail) -> vb.Trail:
-    """One after the other."""
+    """Concatenate trails."""
     return vb.Trail(
         np.concatenate([part.position for part in trails]),
         np.concatenate([part.orientation for part in trails]),
@@ -58,13 +58,13 @@ def joined(*trails: vb.Trail) -> vb.Trail:
 
 
 def around(start: tuple[float, ...], axis: str, angles: tuple[float, float]) -> vb.Trail:
-    """Turning on the spot [degrees]."""
+    """A turn on the spot [degrees]."""
     turns = Rotation.from_euler(axis, np.linspace(*angles, COUNT)[:, None], degrees=True)
     return vb.Trail(np.repeat(np.array([start]) / 1000, COUNT, axis=0), turns.as_quat())
 
 
 def tipped(angle: float, azimuth: float = 0.0) -> Rotation:
-    """The rod leaning from z [degrees]."""
+    """The rod tilted from z [degrees]."""
     return Rotation.from_euler("zy", [azimuth, angle], degrees=True)
 
 
@@ -95,8 +95,8 @@ LEVELS = {
 
 
 def boxes(kind: str) -> Iterator[Scene]:
-    """A box whose lower face is level with the tip, or nearly, and the same leaning rod against its
-    edges.
+    """A box whose lower face is level with the tip, or nearly so, and the same with a tilted or
+    turning rod against its edges.
     """
     for level, height in LEVELS.items():
         center = np.array([0, 0, LENGTH + HALF[2] + height])
@@ -124,7 +124,7 @@ def boxes(kind: str) -> Iterator[Scene]:
 
 
 def box(kind: str, center: np.ndarray) -> surfaces.Surface:
-    """As a solid, or as twelve triangles."""
+    """The box as a solid, or as twelve triangles."""
     if kind == "box":
         return surfaces.Box(center, HALF)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -184,7 +184,7 @@ def round_objects() -> Iterator[Scene]:
 
 
 def scanned(scene: Scene) -> tuple[vb.Scan | None, str]:
-    """The scan, or what it raised; and one line of the table."""
+    """The scan, None if it raised; and its line of the table."""
     try:
         scan = vb.scan(ROD, scene.surface, scene.trail, finite_radius=True)
     except Exception as error:
@@ -216,7 +216,7 @@ def compared(ours: vb.Scan, theirs: vb.Scan) -> str:
 
 
 def main() -> None:
-    """Print one line a scene, then the sums."""
+    """Print one line per scene, then the totals."""
     names = sys.argv[1:]
     exact: dict[str, vb.Scan | None] = {}
     print(f"{'scene':48s} {'rows':>4s} {'OK':>4s} {'said':>4s} {'left':>4s} {'snap':>4s}")

@@ -1,12 +1,12 @@
-"""What error bars hold and what is said where something is not as the setup says: `python
+"""What error bars cover, and what is reported, if something deviates from the setup: `python
 benchmarks/effects.py [--only NAME ...] [-o TABLE.md]`.
 
-Recordings of independent engines, with truth: those beside the checkout, and those of
-`bench_recordings.py`, which are made where they are missing (`--made FOLDER`; three minutes). Each
-is reconstructed and smoothed without tolerances (`--tolerances none`), with a tolerance of the
-thing that is off, as large as it is off (`own`, where there is such a tolerance), and with the
-usual ones of a careful bench (`usual`). `--reference TABLE.csv` compares the noise's share of the
-error bars with an earlier run of this program. A row that fails says how.
+The recordings come from independent engines, with the truth: those beside the checkout, and those
+of `bench_recordings.py`, which are made if missing (`--made FOLDER`; three minutes). Each is
+reconstructed and smoothed without tolerances (`--tolerances none`), with a tolerance for what is
+off, as large as it is off (`own`, if there is such a tolerance), and with the usual ones of a
+careful bench (`usual`). `--reference TABLE.csv` compares the noise's share of the error bars with
+an earlier run of this program. A row that fails says why.
 """
 
 import argparse
@@ -37,11 +37,13 @@ clamp_orientation = 0.01
 gain = 0.015
 pose_delay = 5e-3
 """
-"""Of a careful bench: the example in the description of the table."""
+"""Those of a careful bench: the example in the documentation of the table."""
 
 _SHORT = 90
 _GROSS, _FAR = 1.0, 5.0
-"""A contact further from the truth [mm], and by so many deviations, is a gross outlier."""
+"""A contact farther than this from the truth [mm], and by more than so many standard deviations, is
+a gross outlier.
+"""
 
 SHARED_EFFECTS = {
     "clamp1deg_y": ("clamp turned about y", "1°", "clamp_orientation = 0.0175"),
@@ -56,7 +58,7 @@ SHARED_EFFECTS = {
 
 class Case(NamedTuple):
     """A recording; its truth: contacts (n, 3), NaN where there is none; the setup's text; what is
-    off, how much, and the line of [tolerances] that allows for it.
+    off, by how much, and the line of [tolerances] that allows for it.
     """
 
     name: str
@@ -145,7 +147,7 @@ def _made(only: list[str], folder: Path) -> Iterator[Case]:
 
 
 def row_of(case: Case, label: str, tolerances: str, scratch: Path) -> Row:
-    """Reconstruct and smooth one recording with the tolerances given as TOML; a failure is said in
+    """Reconstruct and smooth one recording with the tolerances given as TOML; a failure is noted in
     the row.
     """
     row = Row(case.name, case.effect, case.size, label)
@@ -201,13 +203,13 @@ def judge(row: Row, found: vb.Reconstruction, truth: np.ndarray) -> None:
 
 
 def _largest(covariance: np.ndarray) -> float:
-    """Deviation along the longest axis [mm], median."""
+    """Median standard deviation along the longest axis [mm]."""
     return 1e3 * float(np.sqrt(np.median(np.linalg.eigvalsh(covariance)[:, -1])))
 
 
 def compare(rows: list[Row], reference: Path) -> None:
-    """Enter the noise's deviation over that of the same recording in an earlier table, without
-    tolerances.
+    """Fill in the noise's deviation over that of the same recording, without tolerances, in an
+    earlier table.
     """
     with reference.open(newline="") as file:
         before = {
@@ -240,7 +242,7 @@ def as_markdown(rows: list[Row]) -> str:
 
 
 def write(rows: list[Row], path: Path) -> None:
-    """Write the table, CSV by its suffix, else Markdown."""
+    """Write the table: CSV if the suffix says so, else Markdown."""
     if path.suffix != ".csv":
         path.write_text(as_markdown(rows))
         return
@@ -282,7 +284,7 @@ if __name__ == "__main__":
         default=["none", "own", "usual"],
     )
     parser.add_argument(
-        "--made", type=Path, default=CACHE, metavar="FOLDER", help="of the recordings made here"
+        "--made", type=Path, default=CACHE, metavar="FOLDER", help="for the recordings made here"
     )
     parser.add_argument(
         "-o",

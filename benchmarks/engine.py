@@ -1,8 +1,8 @@
-"""Sweeps of an independent engine: a chain of capsules with bending springs, stepped to rest by
+"""Sweeps by an independent engine: a chain of capsules with bending springs, stepped to rest by
 MuJoCo under rigid objects.
 
-As in `chains.py`, in units with L = EI = 1, and with more of a bench: wires that taper, are bent at
-rest or have weight; friction; clamps that turn; objects that are rounded or concave.
+As in `chains.py`, in units with L = EI = 1, but closer to a real bench: wires that taper, are bent
+at rest or have weight; friction; clamps that turn; objects that are rounded or concave.
 """
 
 from collections.abc import Callable
@@ -17,19 +17,19 @@ from chains import MOST_STEPS, REST
 
 SEGMENTS = 36
 SKIN = 10e-6
-"""Half the thickness of wires and contacts [m]: a fifth of a per mille of 50 mm, so that contact is
-on the centre line.
+"""Half the thickness of wires and contacts [m]: 0.02 % of 50 mm, so that contact is on the centre
+line.
 """
 GRAVITY = 9.80665
 
 _STEP, _AT_ONCE = 0.3, 5
 _MASS = 1e-3
 _RUBBING = 20
-"""By which the limit of rest is wider with friction: the engine's friction gives way slowly where
-the rod should stick.
+"""Factor on the limit of rest with friction: the engine's friction creeps where the rod should
+stick.
 """
 _ONE_CONTACT = 0.98
-"""Share of the load that one body of the object carries where the wire touches it alone."""
+"""Share of the load that one body of the object carries at least if the wire touches it alone."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Wire:
     Attributes
     ----------
     length, radius, youngs_modulus
-        As of `vibrissa.Rod.cylinder`; the radius is that at the clamp.
+        As for `vibrissa.Rod.cylinder`; the radius is that at the clamp.
     tip
-        Radius at the tip over that at the clamp; it falls linearly.
+        Radius at the tip over that at the clamp; the taper is linear.
     sagitta
-        Of its shape at rest, a parabola, towards clamp x and y.
+        Sagitta of its shape at rest, a parabola, towards clamp x and y.
     density
-        0 without weight.
+        Density; 0 for no weight.
     down
         Direction of its weight (3,), world axes.
     """
@@ -65,7 +65,7 @@ class Wire:
 
     @property
     def weight(self) -> float:
-        """Of the whole over EI/L²."""
+        """Weight of the whole wire over EI/L²."""
         return (
             self.density
             * np.pi
@@ -79,7 +79,7 @@ class Wire:
 @dataclass(frozen=True)
 class Body:
     """A part of an object: MuJoCo's kind and sizes [m], place (3,) [m] and turn. `rounding` [m] is
-    added all around it; all parts of an object have the same.
+    added all around it; all parts of an object have the same rounding.
     """
 
     kind: str
@@ -96,11 +96,11 @@ class Run:
     Attributes
     ----------
     position, orientation
-        Of the clamp (n, 3), (n, 4), world axes.
+        Pose of the clamp (n, 3), (n, 4), world axes.
     force, moment
-        Of the clamp on the rod (n, 3), clamp axes.
+        What the clamp exerts on the rod (n, 3), clamp axes.
     point
-        Contact (n, 3), world axes; NaN without.
+        Contact point (n, 3), world axes; NaN without contact.
     twice
         Whether the wire touches at two places (n,).
     rests
@@ -151,7 +151,7 @@ def swept(
 
 
 def remembered(path: Path, make: Callable[[], Run]) -> Run:
-    """The run kept at `path`, made where there is none."""
+    """The run kept at `path`, made if it is missing."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, **vars(make()))
@@ -168,7 +168,7 @@ def _rests(model: mujoco.MjModel, data: mujoco.MjData, rest: float) -> bool:
 
 
 def _touch(model: mujoco.MjModel, data: mujoco.MjData, thickness: float) -> tuple[np.ndarray, bool]:
-    """Where the load acts on the centre line, and whether on two bodies of the object."""
+    """Where the load acts on the centre line, and whether it is on two bodies of the object."""
     contacts = [contact for contact in data.contact if contact.efc_address >= 0]
     load = np.array([data.efc_force[contact.efc_address] for contact in contacts])
     if not load.sum() > 0:
@@ -188,12 +188,12 @@ def _text(lengths: object) -> str:
 
 
 def _model(wire: Wire, bodies: list[Body], friction: float, segments: int) -> str:
-    """MJCF: the object, the clamp a mocap body, a half segment fixed to it, then the joints: pairs
-    of hinges with the stiffness and the bend of a length h.
+    """MJCF: the object, the clamp as a mocap body, a half segment fixed to it, then the joints:
+    pairs of hinges with the stiffness and the bend of a length h.
     """
     h, r, unit = 1 / segments, (SKIN + bodies[0].rounding) / wire.length, wire.length
-    # A parabola of sagitta b over L has the curvature 8 b/L²; towards +x is a turn about +y,
-    # towards +y one about -x.
+    # A parabola of sagitta b over L has the curvature 8 b/L²; bending towards +x is a turn about
+    # +y, towards +y one about -x.
     bend = 8 * np.array(wire.sagitta) / wire.length * h
     links = ""
     for i in range(segments):

@@ -1,8 +1,8 @@
-"""Positions of events under halved steps, and the order at which they converge: `python
+"""Positions of events as steps are halved, and their order of convergence: `python
 benchmarks/event_convergence.py`.
 
 Without friction an event does not depend on the trail's step: it is located on the branch itself.
-With friction a state depends on its past, and the implicit step of Coulomb's law makes events
+With friction a state depends on its history, and the implicit step of Coulomb's law makes events
 converge with the step.
 """
 
@@ -22,8 +22,8 @@ def trail(y0: float, count: int, *, back: bool) -> vb.Trail:
 
 
 def table(title: str, y0: float, friction: float, *, back: bool) -> None:
-    """One line an event: its parameter on the finest trail, the errors of the coarser ones, and the
-    order of the last halving.
+    """One line per event: its parameter on the finest trail, the errors of the coarser ones, and
+    the order of the last halving.
     """
     scans = [
         vb.scan(vb.Rod.unit(), BOWL, trail(y0, count, back=back), friction=friction)

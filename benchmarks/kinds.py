@@ -1,10 +1,10 @@
 """Speed of `vb.scan` by kind of object, on one core: `python benchmarks/kinds.py [NAME ...]`.
 
 Every trail of an object runs from just before its first contact to where the rod leaves the object,
-or to the first hard event: a snap or a change of lateral stability, which is followed by hand and
-costs about 30 ms wherever it is. So nearly all positions are in contact, and marched. Meshes are
-left out where their libraries are not installed; the time of the first call does not hold the time
-that a mesh takes to be built.
+or to the first hard event: a snap or a change of lateral stability, which is followed individually
+and costs about 30 ms wherever it occurs. So nearly all positions are in contact, and marched.
+Meshes are left out if their libraries are not installed; the time of the first call does not
+include building a mesh.
 """
 
 import sys
@@ -30,8 +30,8 @@ _CENTER, _TURN = (0.0, 0.0, 1.15), (0.1, -0.2, 0.15, 1.0)
 
 
 class Figures(NamedTuple):
-    """Of one object: seconds of the first call; microseconds a position in a batch and on one
-    trail; share of positions in contact and in tangential contact.
+    """Figures of one object: seconds for the first call; microseconds per position in a batch and
+    on one trail; share of positions in contact and in tangential contact.
     """
 
     first: float
@@ -42,7 +42,7 @@ class Figures(NamedTuple):
 
 
 def objects() -> dict[str, Callable[[], vb.surfaces.Surface]]:
-    """Builders of the objects that this version has, all about as large as the rod is long."""
+    """Builders of the objects that this version has, all about the size of the rod's length."""
     s = vb.surfaces
     axes = np.array([0.7, 0.5, 0.6])
     every = {
@@ -104,8 +104,8 @@ def figures(surface: vb.surfaces.Surface) -> Figures:
 
 
 def _in_contact(surface: vb.surfaces.Surface) -> vb.Trail:
-    """Trails along −x, y = 0.1 to 0.35, each from just before its first contact to the end of it,
-    or to before the first hard event of a sweep.
+    """Trails along −x, y = 0.1 to 0.35, each from just before its first contact to its end, or to
+    just before the first hard event of a sweep.
     """
     x, y = np.linspace(1.4, -1.4, POSITIONS), np.linspace(0.1, 0.35, TRAILS)
     wide = np.zeros((TRAILS, POSITIONS, 3))
@@ -114,10 +114,10 @@ def _in_contact(surface: vb.surfaces.Surface) -> vb.Trail:
     ends = POSITIONS - 1 - scan.in_contact[:, ::-1].argmax(axis=1)
     for event in reversed(scan.events):
         if event.kind in HARD or event.kind == vb.EventKind.DETACH:
-            # Close to a fold steps are halved: kept off it.
+            # Close to a fold steps are halved: stay clear of it.
             ends[event.trail] = int(event.parameter * (POSITIONS - 1)) - 4 * (event.kind in HARD)
     begins = np.maximum(scan.in_contact.argmax(axis=1) - 1, 0)
-    # A trail that touches only in passing is replaced by another.
+    # A trail that touches only briefly is replaced by another.
     rows = np.resize(np.flatnonzero(ends - begins > POSITIONS // 20), TRAILS)
     wide[..., 0] = np.linspace(x[begins[rows]], x[ends[rows]], POSITIONS).T
     wide[..., 1] = y[rows, None]
@@ -133,7 +133,7 @@ def _ball_mesh(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main(names: list[str]) -> dict[str, Figures]:
-    """Print the table and return it; names choose among the kinds by how they begin."""
+    """Print the table and return it; names select kinds by their beginning."""
     print(f"{TRAILS} trails x {POSITIONS} positions, and one of them; µs a position, one core\n")
     print(
         f"{'object':<30}{'first call, s':>14}{'batch':>10}{'ratio':>8}{'one trail':>12}{'in contact':>12}{'tangential':>12}"

@@ -1,5 +1,5 @@
 """The live stream against the simulated sensor, on the loopback address: `python benchmarks/live.py
-[losses|kills] ...`. The README says what is printed.
+[losses|kills] ...`. The README explains the output.
 """
 
 import json
@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 RUNS = ((1000, 60, False), (7000, 10, False), (7000, 10, True))
-"""Records a second, seconds, whether the sensor sends several records a datagram."""
+"""Records per second, seconds, whether the sensor sends several records per datagram."""
 KILLS = 20
 ALLOWED = 0.1
 
@@ -80,7 +80,7 @@ def vibrissa(*arguments: object, core: int) -> list[str]:
 
 @contextmanager
 def sensor(folder: Path, core: int, *options: object) -> Iterator[int]:
-    """A simulated sensor; its port."""
+    """Run a simulated sensor and give its port."""
     command = vibrissa(
         "simulate-sensor",
         folder / "case.toml",
@@ -112,13 +112,13 @@ def _line(process: subprocess.Popen[str], begins: str) -> str:
 
 
 def cores() -> tuple[int, int]:
-    """Cores for the sensor and for the stream; the same where there is only one."""
+    """Cores for the sensor and for the stream; the same if there is only one."""
     allowed = sorted(os.sched_getaffinity(0))
     return allowed[0], allowed[-1]
 
 
 def losses(folder: Path, rate: int, seconds: int, *, buffered: bool) -> dict[str, object]:
-    """Stream for so long; the summary of `vibrissa live`."""
+    """Stream for this long; the summary of `vibrissa live`."""
     (folder / "setup.toml").write_text(
         SETUP.format(rate=float(rate), buffered=str(buffered).lower(), sweep=float(seconds)),
         encoding="utf-8",

@@ -1,4 +1,4 @@
-"""Logs of the engine's sweeps as a real sensor would keep them, with what is not as the setup says."""
+"""Logs of the engine's sweeps as a real sensor would record them, with faults its setup omits."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +10,17 @@ from engine import Run, Wire
 
 REST_SECONDS, TARE_SECONDS = 1.0, 0.9
 ZERO = np.array([0.31, -0.12, 1.93, 2.1e-3, -4.0e-3, 0.7e-3])
-"""Of the readings at rest [N, N m]."""
+"""Readings at rest [N, N m]."""
 _FAR, _HARD, _SUDDEN = 0.5e-3, 0.02, 5.0
-"""Contact has jumped where it moves further [m] from one position of the engine to the next, or its
-force by a larger share of the largest, and so many times as far as before and after."""
+"""Contact has jumped if from one position of the engine to the next it moves farther than this [m],
+or its force changes by more than this share of the largest, and by so many times the steps before
+and after.
+"""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """As the setup states it; SI units. Noise is white."""
+    """The sensor as the setup states it; SI units. Noise is white."""
 
     rate: float = 250.0
     force_noise: float = 2e-3
@@ -31,23 +33,22 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Faults:
-    """What is not as stated; the defaults are none.
+    """Deviations from the stated values; none by default.
 
     Attributes
     ----------
     modulus, radius, length
-        Stated over true.
+        Stated value over true one.
     turned, shifted
-        Of the clamp in the sensor frame: rotation vector [rad] and shift [m] from where it is said
-        to be.
+        Rotation vector [rad] and shift [m] of the clamp in the sensor frame from its stated pose.
     delay
-        By which poses come late [s].
+        Delay of the poses [s].
     gain
         Readings over truth (6,).
     drift
-        Of the zero in a second [N, N m] (6,).
+        Drift of the zero per second [N, N m] (6,).
     warming, warming_seconds
-        By how much the zero moves in the end (6,), and the time constant.
+        Final shift of the zero (6,), and its time constant.
     noise
         Over the stated one.
     hum, hum_hertz
@@ -79,13 +80,14 @@ class Log:
     Attributes
     ----------
     table
-        Time, place and quaternion of the sensor, force and torque on it (n, 14); SI units.
+        Time, position and quaternion of the sensor, force and torque on it (n, 14); SI units.
     point
-        Contact (n, 3), world axes; NaN without.
+        Contact point (n, 3), world axes; NaN without contact.
     direction
-        Of the contact force on the rod (n, 3), without friction the object's normal; NaN without.
+        Direction of the contact force on the rod (n, 3), without friction the object's normal; NaN
+        without contact.
     setup
-        TOML.
+        The setup as TOML.
     """
 
     table: np.ndarray
@@ -112,8 +114,8 @@ class Log:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A run at the sensor's samples: time (n,), clamp (n, 3) and its turn, wrench of the clamp on
-    the rod in clamp axes (n, 6), contact (n, 3).
+    """A run at the sensor's samples: time (n,), clamp (n, 3) and its rotation, wrench of the clamp
+    on the rod in clamp axes (n, 6), contact (n, 3).
     """
 
     time: np.ndarray
@@ -129,8 +131,8 @@ def logged(
     """Log a run that takes `seconds` after a second of rest."""
     sensor, rng = sensor or Sensor(), np.random.default_rng(seed)
     true = sampled(run, seconds, sensor.rate)
-    # The sensor's pose from the clamp's: the clamp is mounted with the faults, the setup does not
-    # know of them.
+    # The sensor's pose from the clamp's: the clamp is mounted with faults that the setup does not
+    # know of.
     mounted, turned = np.array(sensor.clamp) + faults.shifted, Rotation.from_rotvec(faults.turned)
     turn = true.turn * turned.inv()
     place = true.clamp - turn.apply(mounted)

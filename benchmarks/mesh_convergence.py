@@ -1,7 +1,7 @@
-"""How the contact on a mesh nears that on the solid it was made of: `python
+"""How the contact on a mesh converges to that on the solid it was made from: `python
 benchmarks/mesh_convergence.py [SUBDIVISIONS]`, by default up to 6 (81,920 faces).
 
-An icosphere drawn out to an ellipsoid; the chordal error is how far its triangles' middles lie
+An icosphere stretched to an ellipsoid; the chordal error is how far its triangles' centres lie
 inside the ellipsoid.
 """
 
@@ -20,7 +20,7 @@ TRAIL = vb.Trail.raster(
 
 
 def main() -> None:
-    """Print one line a refinement."""
+    """Print one line per refinement."""
     rod, exact = vb.Rod.unit(), vb.surfaces.Ellipsoid(CENTER, SEMI_AXES)
     theirs = vb.scan(rod, exact, TRAIL)
     print(

@@ -36,7 +36,7 @@ def contact_conditions(x0: float, y0: float, end: np.ndarray, u: np.ndarray) -> 
 def _condition_slopes(
     x0: float, y0: float, end: np.ndarray, u: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the conditions by the end (5, 4) and by the unknowns (5, 4)."""
+    """Derivatives of the conditions with respect to the end (5, 4) and the unknowns (5, 4)."""
     xi, _, theta, _ = end
     psi, Q, N, s1 = u
     c, s, ct, st = np.cos(psi), np.sin(psi), np.cos(theta), np.sin(theta)
@@ -75,8 +75,8 @@ def first_guess(x0: float, y0: float) -> np.ndarray:
 
 
 def bvp_along(positions: np.ndarray, *, exact_jacobians: bool = True) -> Iterator[np.ndarray]:
-    """Contact points along a trail (n, 2) by `solve_bvp`, tol 1e-6, each from the last mesh;
-    Jacobians exact, or by SciPy's differences.
+    """Contact points along a trail (n, 2) by `solve_bvp`, tol 1e-6, each started from the last
+    mesh; Jacobians exact, or by SciPy's finite differences.
 
     The unknown length is scaled out, σ = s/s₁.
     """
@@ -130,11 +130,11 @@ def _scaled_rod_slopes(
 
 
 def shooting_along(positions: np.ndarray) -> Iterator[np.ndarray]:
-    """Contact points along a trail (n, 2) by `solve_ivp` (DOP853) and `root`, each started from the
-    extrapolated last.
+    """Contact points along a trail (n, 2) by `solve_ivp` (DOP853) and `root`, each started by
+    extrapolating the last ones.
 
-    Unknown are (κ(0), ψ, Q, N, s₁); the rod and its neighbours for the Jacobian are integrated
-    together, as one vectorised problem.
+    The unknowns are (κ(0), ψ, Q, N, s₁); the rod and its perturbations for the Jacobian are
+    integrated together, as one vectorised problem.
     """
     u = np.append(0.0, first_guess(*positions[0]))
     last = None

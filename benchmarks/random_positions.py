@@ -1,9 +1,9 @@
-"""How many random positions stay unsolved: `python benchmarks/random_positions.py [SEED]
+"""How many random positions remain unsolved: `python benchmarks/random_positions.py [SEED]
 [OBJECTS]`, by default 7 objects of each kind, 1.1e5 positions in all.
 
-Objects of random size, turned anyhow, half to one rod length above the clamp; twenty straight
-trails of 101 positions in all directions under each, the clamp tilted by about 0.15 rad. Objects
-with edges are touched by a rod of radius 0.01 L. A position is unsolved if its status is
+Objects of random size and orientation, half to one rod length above the clamp; twenty straight
+trails of 101 positions in all directions under each, with the clamp tilted by about 0.15 rad.
+Objects with edges are touched by a rod of radius 0.01 L. A position is unsolved if its status is
 NOT_CONVERGED or NO_EQUILIBRIUM.
 """
 
@@ -46,7 +46,7 @@ EDGED: dict[str, Callable[[Draw], vb.surfaces.Surface]] = {
 
 
 def placed(surface: vb.surfaces.Surface, rng: Draw, *, bowl: bool) -> vb.surfaces.Surface:
-    """Somewhere above the clamp; a bowl stays about upright."""
+    """Place the object somewhere above the clamp; a bowl stays roughly upright."""
     turn = (
         Rotation.from_rotvec(rng.normal(0, 0.2, 3))
         if bowl
@@ -57,7 +57,7 @@ def placed(surface: vb.surfaces.Surface, rng: Draw, *, bowl: bool) -> vb.surface
 
 
 def trails(rng: Draw) -> vb.Trail:
-    """Straight ones through the neighbourhood."""
+    """Straight trails through the neighbourhood."""
     azimuth, aside = rng.uniform(0, 2 * np.pi, TRAILS), rng.uniform(-0.5, 0.5, TRAILS)
     along = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
     across = np.stack([-along[:, 1], along[:, 0], 0 * azimuth], axis=1)
@@ -70,7 +70,7 @@ def trails(rng: Draw) -> vb.Trail:
 
 
 def main() -> None:
-    """Count by kind, and in all."""
+    """Count by kind, and in total."""
     seed, objects = (int(word) for word in (sys.argv[1:] + ["11", "7"][len(sys.argv) - 1 :])[:2])
     rng, unsolved, positions = np.random.default_rng(seed), 0, 0
     for kind, build in {**SMOOTH, **EDGED}.items():

@@ -1,11 +1,10 @@
 """Whether smoothing ever fails: `python benchmarks/random_sweeps.py N [SEED]`.
 
-Sixteen scans, under objects of four kinds with and without friction, are each measured again and
-again by sensors with random noise, steps and rates, with gaps, spikes, rows that are not numbers,
-drift, ringing, wrong signs, wrong stiffness, and with beginnings and ends cut off, each on a wire,
-in world axes and with tolerances drawn anew, then reconstructed and smoothed. Printed are
-exceptions, and rows that say OK and hold numbers that are not finite. The exit code is their
-number.
+Sixteen scans, under objects of four kinds with and without friction, are measured again and again
+by sensors with random noise, resolution and rate, with gaps, spikes, NaN rows, drift, ringing,
+wrong signs, wrong stiffness, and truncated starts and ends. Wire, world axes and tolerances are
+drawn anew each time; then the recording is reconstructed and smoothed. Exceptions are printed, and
+rows that are OK but not finite. The exit code is their number.
 """
 
 import sys
@@ -27,7 +26,7 @@ UP = (0.0, 0.0, 1.0)
 
 
 def scans(rng: np.random.Generator) -> list[vb.Reactions]:
-    """Four straight trails under each object, by one scan each; no row without a number."""
+    """Four straight trails under each object, in one scan per object; zeros in place of NaN."""
     drawn: list[tuple[surfaces.Surface, float]] = [
         (surfaces.Sphere((0, 0, 0.0575), float(rng.uniform(0.02, 0.032))), 0.0),
         (surfaces.Capsule((0, 0, 0.054), (0, 1, 0), float(rng.uniform(0.004, 0.02)), 0.03), 0.0),
@@ -51,7 +50,7 @@ def scans(rng: np.random.Generator) -> list[vb.Reactions]:
 
 
 def recorded(true: vb.Reactions, rng: np.random.Generator) -> tuple[vb.Rod, vb.Reactions]:
-    """One recording with its mistakes, and the rod as stated."""
+    """The rod as stated, and one recording with its faults."""
     rest, rate = int(rng.integers(0, 120)), float(10 ** rng.uniform(1, 3))
     rows = np.concatenate([np.zeros(rest, dtype=int), np.arange(ROWS)])
     force, moment, position = (
@@ -97,7 +96,7 @@ def recorded(true: vb.Reactions, rng: np.random.Generator) -> tuple[vb.Rod, vb.R
         )
     covariance = np.diag(np.repeat([noise**2, (arm * noise) ** 2], 3))
     time_ = None if rng.random() < 0.1 else kept / rate
-    # By similarity the sweep of another wire, seen from other axes.
+    # By similarity, this is the sweep of another wire, in other axes.
     wire = vb.Rod.cylinder(
         length=rng.uniform(0.02, 0.2),
         radius=10 ** rng.uniform(-4, -3),
@@ -142,7 +141,7 @@ def tolerances(wire: vb.Rod, rng: np.random.Generator) -> SetupErrors:
 
 
 def main(count: int, seed: int = 0) -> int:
-    """Print what fails; return how many sweeps do."""
+    """Print what fails; return how many sweeps fail."""
     rng = np.random.default_rng(seed)
     true, failed, start = scans(rng), 0, time.perf_counter()
     for k in range(count):

@@ -1,7 +1,7 @@
-"""Two revisions against each other: `python benchmarks/revisions.py OLD NEW [--repeats N]`.
+"""Compare two revisions: `python benchmarks/revisions.py OLD NEW [--repeats N]`.
 
-Each is installed into an environment of its own, with the newest releases that its ranges allow.
-Then both do the same work in turn, in fresh processes, and the table says seconds and ratios.
+Each is installed into an environment of its own, with the newest releases that its version ranges
+allow. Then both do the same work in turn, in fresh processes; the table gives seconds and ratios.
 """
 
 import argparse
@@ -95,7 +95,7 @@ SECOND = {
 
 
 def installed(revision: str, folder: Path) -> Path:
-    """Python of a fresh environment that holds a revision."""
+    """The Python of a fresh environment with a revision installed."""
     source, home = folder / "source", folder / "environment"
     source.mkdir(parents=True)
     archive = subprocess.run(
@@ -111,7 +111,7 @@ def installed(revision: str, folder: Path) -> Path:
 
 
 def seconds(python: Path, work: str, cores: int, cache: str) -> float:
-    """What a process prints; NaN if it fails."""
+    """Seconds that a process prints; NaN if it fails."""
     usable = sorted(os.sched_getaffinity(0))[:cores]
     done = subprocess.run(
         [str(python), "-W", "ignore", "-c", COMMON + work],

@@ -1,4 +1,4 @@
-"""Benchmarks on one core: `python benchmarks/run.py`. The README says what the rows are."""
+"""Benchmarks on one core: `python benchmarks/run.py`. The README explains the rows."""
 
 import platform
 
@@ -19,8 +19,8 @@ def main() -> list[Row]:
             print(f"{name:<58}{value:>14,.3f}")
         print()
 
-    # Only now, so that NumPy and JAX start on that core and do not add to the memory that the fresh
-    # processes inherit.
+    # Imported only now, so that NumPy and JAX start on that core and do not add to the memory that
+    # the fresh processes inherit.
     from warm import forward, inverse  # noqa: PLC0415
 
     rows = []

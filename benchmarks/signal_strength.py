@@ -1,11 +1,11 @@
-"""Smoothing over signal strength: `python benchmarks/signal_strength.py [--levels 5 15 50 150 1000]
-[--seeds 2] [--objects ball cylinder ...]`.
+"""Smoothing at different signal strengths: `python benchmarks/signal_strength.py [--levels 5 15 50
+150 1000] [--seeds 2] [--objects ball cylinder ...]`.
 
-One line for each object, strength (largest force over the noise of a force) and seed: shares of
-true points within the 95 % ellipsoids and median errors, raw and smoothed, over all rows that are
-truly in contact and, for the coverage, say OK; the share of rows that do not; the share of gross
-outliers (a tenth of a rod length, and beyond ten standard deviations) among those that do. A trail
-fails where less than 88 % are inside, or the smoothed median is above the raw one.
+One line for each object, strength (largest force over force noise) and seed: shares of true points
+within the 95 % ellipsoids and median errors, raw and smoothed, over all rows that are truly in
+contact and, for the coverage, OK; the share of rows that are not OK; and among those that are, the
+share of gross outliers (off by more than a tenth of a rod length and ten standard deviations). A
+trail fails if less than 88 % are inside, or the smoothed median is above the raw one.
 """
 
 import argparse
@@ -22,20 +22,20 @@ from vibrissa import surfaces
 RATE, SPEED, REST = 100.0, 0.01, 1.0
 LEVELS = (5.0, 15.0, 50.0, 150.0, 1000.0)
 ARM = 5e-3
-"""Noise of the torque over that of the force [m]: a Nano17's."""
+"""Torque noise over force noise [m]: a Nano17's."""
 STEEL = vb.Rod.cylinder(length=0.05, radius=0.125e-3, youngs_modulus=206e9)
 UP = (0.0, 0.0, 1.0)
 
 
 def _blob(point: jax.Array) -> jax.Array:
-    """Two balls melted together, with a hollow between."""
+    """Two balls blended together, with a hollow between them."""
     first = jnp.linalg.norm(point - jnp.array([-0.016, 0, 0.056])) - 0.02
     second = jnp.linalg.norm(point - jnp.array([0.016, 0.004, 0.058])) - 0.022
     return -0.003 * jnp.logaddexp(-first / 0.003, -second / 0.003)
 
 
 def objects() -> dict[str, tuple[surfaces.Surface, float]]:
-    """Objects [m] under which the wire passes, the clamp at z = 0, and how far beside the middle
+    """Objects [m] under which the wire passes, the clamp at z = 0, and its offset from the middle
     [m].
     """
     return {
@@ -51,7 +51,7 @@ def objects() -> dict[str, tuple[surfaces.Surface, float]]:
 
 
 class Swept(NamedTuple):
-    """A scan and its trail, with a rest before."""
+    """A scan and its trail, after a rest."""
 
     trail: vb.Trail
     time: np.ndarray
@@ -61,7 +61,7 @@ class Swept(NamedTuple):
 
 
 def swept(rod: vb.Rod, surface: surfaces.Surface, beside: float) -> Swept:
-    """Eighty millimetres along −x."""
+    """Sweep eighty millimetres along −x."""
     rest = round(REST * RATE)
     start = np.array([0.04, beside, 0.0])
     moving = start - np.arange(round(0.08 / SPEED * RATE))[:, None] * np.array([SPEED / RATE, 0, 0])
@@ -82,7 +82,7 @@ def swept(rod: vb.Rod, surface: surfaces.Surface, beside: float) -> Swept:
 
 
 def measured(given: Swept, level: float, seed: int) -> vb.Reactions:
-    """What a sensor without steps makes of it, its noise the largest force over `level`."""
+    """What a sensor without quantisation makes of it, its noise the largest force over `level`."""
     noise = float(np.linalg.norm(given.force, axis=1).max()) / level
     sensor = vb.Sensor(
         np.array([0, 0, 0.025]),
@@ -100,17 +100,17 @@ def measured(given: Swept, level: float, seed: int) -> vb.Reactions:
 
 
 class Figures(NamedTuple):
-    """Of one trail."""
+    """Figures of one trail."""
 
     coverage: float
     median: float
-    """[mm], of all rows in contact."""
+    """Median error of all rows in contact [mm]."""
     flagged: float
     gross: float
 
 
 def figures(found: vb.Reconstruction, point: np.ndarray, length: float) -> Figures:
-    """Against the true points."""
+    """Compare with the true points."""
     true = np.isfinite(point[:, 0]) & found.in_contact
     sound = true & (found.status == vb.Status.OK)
     if not true.any():

@@ -1,10 +1,10 @@
-"""Contacts of recorded and of simulated sweeps, sample by sample, filtered before and smoothed
-after reconstruction: `python benchmarks/smoothing.py [--simulated N]`.
+"""Contacts of recorded and simulated sweeps: sample by sample, filtered before reconstruction, and
+smoothed after it: `python benchmarks/smoothing.py [--simulated N]`.
 
 Recordings are those in `../shared/recordings/sphere_60mm`; simulated ones are scans of the same
 ball on random trails, measured by the same sensor with a tare and a drifting zero. Errors leave out
-the first and last 5 % of each contact. Where a recording has no truth, distances from the ball
-stand in for errors.
+the first and last 5 % of each contact. For recordings without truth, distances from the ball stand
+in for errors.
 """
 
 import argparse
@@ -23,14 +23,14 @@ CENTER, RADIUS = np.array([0.0, 0.0, 0.0575]), 0.03
 RATE, SPEED, REST = 250.0, 0.01, 250
 WINDOW, ORDER = 0.4, 2
 DRIFT = 0.15
-"""Of the simulated zero: standard deviations of a sample that it wanders in a second."""
+"""How far the simulated zero wanders in a second, in standard deviations of a sample."""
 
 
 DRAWS = 400
 
 
 class Sweep(NamedTuple):
-    """One recording; the truth where there is any."""
+    """One recording, with the truth if it is known."""
 
     name: str
     setup: vb.Setup
@@ -196,8 +196,8 @@ def errors_of(sweep: Sweep, point: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def coverage_of(sweep: Sweep, found: vb.Reconstruction, rows: np.ndarray) -> float:
-    """Share of true points within the 95 % ellipsoids; without truth, of the ball's surface within
-    95 % along its normal.
+    """Share of true points within the 95 % ellipsoids; without truth, of 95 % intervals along the
+    ball's normal that contain its surface.
     """
     rows = rows[found.in_contact[rows]]
     covariance = found.covariance[rows]
@@ -222,7 +222,7 @@ def standard_errors(sweep: Sweep, found: vb.Reconstruction, rows: np.ndarray) ->
 
 def expected_shares(errors: list[np.ndarray]) -> np.ndarray:
     """Shares inside the 95 % ellipsoids of perfectly calibrated trails: Gaussian errors of variance
-    1 that are correlated along the trail as the given ones are.
+    1, correlated along the trail like the given ones.
     """
     count = min(map(len, errors))
     power = np.mean(

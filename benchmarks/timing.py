@@ -1,4 +1,4 @@
-"""One core, the clock, and the table."""
+"""One core, timing, and the table."""
 
 import os
 from collections.abc import Callable
@@ -34,7 +34,7 @@ class Row(NamedTuple):
 
 
 def best_of(repeats: int, task: Callable[[], object], items: int) -> float:
-    """Microseconds an item in the fastest of several runs; the first run, which warms up, does not
+    """Microseconds per item in the fastest of several runs, after a warm-up run that does not
     count.
     """
     task()

@@ -1,10 +1,10 @@
-"""Do 95 % ellipsoids hold where the setup is not quite right? `python benchmarks/tolerances.py
+"""Do 95 % ellipsoids hold if the setup is not quite right? `python benchmarks/tolerances.py
 [--repeats N]`.
 
 Each sweep is that of a rig whose rod, clamp, gains and clocks are drawn from the stated tolerances:
-it is scanned with those, measured with those, and read with the numbers of the setup. The table
-holds the share of contacts, and of normals, whose error lies within the 95 % ellipsoid, in the mean
-over repeats.
+it is scanned and measured with those, and read with the numbers of the setup. The table gives the
+share of contacts, and of normals, whose error lies within the 95 % ellipsoid, averaged over
+repeats.
 """
 
 import argparse
@@ -88,7 +88,7 @@ def sweeps() -> list[Sweep]:
 
 
 class Drawn(NamedTuple):
-    """A rig: what its numbers really are."""
+    """A rig with its true numbers."""
 
     rod: vb.Rod
     sensor: Sensor
@@ -96,7 +96,7 @@ class Drawn(NamedTuple):
 
 
 def rig(errors: Float[np.ndarray, "15"]) -> Drawn:
-    """The rig whose numbers differ by these from those of the setup, in the order of `PARAMETERS`."""
+    """The rig whose numbers are off from the setup's by these, in the order of `PARAMETERS`."""
     of = dict(zip(PARAMETERS, errors.tolist(), strict=True))
     shift, turn = (
         np.array([of[f"{name}_{axis}"] for axis in "xyz"])
@@ -116,7 +116,7 @@ def rig(errors: Float[np.ndarray, "15"]) -> Drawn:
 
 
 class Logged(NamedTuple):
-    """A recording, and what it shows."""
+    """A recording, and the scan it was made from."""
 
     raw: RawRecording
     scan: vb.Scan
@@ -145,7 +145,7 @@ def logged(sweep: Sweep, drawn: Drawn, rng: np.random.Generator) -> Logged:
     )
     if not drawn.delay:
         return Logged(raw, scan)
-    # Poses that come late, at the stamps of the wrenches.
+    # Late poses, at the stamps of the wrenches.
     at = np.clip((time - drawn.delay) * RATE, 0, len(time) - 1)
     moved = (
         np.stack([np.interp(at, np.arange(len(time)), part[rows]) for part in place.T], axis=1)
@@ -165,7 +165,7 @@ def within(
 
 
 def across(normal: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 2"]:
-    """Two directions square to each normal."""
+    """Two directions perpendicular to each normal."""
     return np.linalg.svd(normal[:, :, None])[0][:, :, 1:]
 
 
@@ -180,7 +180,7 @@ class Held(NamedTuple):
 
 
 def held(found: vb.Reconstruction, scan: vb.Scan) -> Held:
-    """Of contacts that are there and that say OK."""
+    """Figures of contacts that really exist and are OK."""
     assert found.covariance is not None and found.normal_covariance is not None
     sound = (
         found.in_contact

@@ -1,4 +1,4 @@
-"""Warm figures: the package and its peers on the same positions and samples, in one run, with the
+"""Warm timings: the package and its peers on the same positions and samples, in one run, with the
 same answers.
 """
 
@@ -25,8 +25,8 @@ _PEER_SAMPLES = 211
 
 
 def forward() -> list[Row]:
-    """Microseconds a position. The peers' trail is one of the batch: y0 = 0.2, 0.01 apart, in
-    contact throughout.
+    """Microseconds per position. The peers' trail is one of the batch: y0 = 0.2, positions 0.01
+    apart, in contact throughout.
     """
     stack, single, trail = batch(), one_trail(0.2), one_trail(0.2, 1.05, POSITIONS)
     found = vb.scan(ROD, OBJECT, trail)
@@ -56,7 +56,7 @@ def forward() -> list[Row]:
 
 
 def inverse() -> list[Row]:
-    """Microseconds a sample."""
+    """Microseconds per sample."""
     found = vb.scan(ROD, OBJECT, batch(64))
     many, one = samples_of(found, SAMPLES), samples_of(found, 1)
     few = samples_of(vb.scan(ROD, OBJECT, one_trail(0.2, 1.05, POSITIONS)), _PEER_SAMPLES)

@@ -18,7 +18,7 @@ def _body(node: ast.AST) -> list[ast.stmt]:
 
 
 def weight(source: str) -> int:
-    """Tokens of one file; of Python 3.11, where a formatted string is one."""
+    """Tokens of one file, as in Python 3.11, where an f-string is one token."""
     docstrings = {
         (statement.lineno, statement.col_offset)
         for node in ast.walk(ast.parse(source))

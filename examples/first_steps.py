@@ -6,7 +6,7 @@ import vibrissa as vb
 
 
 def main() -> float:
-    """Return the largest distance between contacts scanned and reconstructed [m]."""
+    """Return the largest distance between scanned and reconstructed contacts [m]."""
     rod = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
     sphere = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
     trail = vb.Trail.line(start=(0.04, 0.005, 0), stop=(-0.04, 0.005, 0), count=201)

@@ -1,9 +1,9 @@
-"""A mug with a handle, as a mesh: cut out of solids by their level functions, and sampled to
-triangles. Lengths in millimetres.
+"""A mug with a handle, as a mesh: built from solids by their level functions, and triangulated.
+Lengths in millimetres.
 
-Sums and differences of solids are greatest and least of their levels, here rounded off by a radius,
-so that the mug has no edges. The triangles come from libigl's marching cubes, on a coarse grid;
-then they are evened out along the surface, with each vertex on it.
+Unions and differences of solids are minima and maxima of their levels, here rounded by a radius, so
+that the mug has no sharp edges. The triangles come from libigl's marching cubes on a coarse grid,
+and are then evened out along the surface, with every vertex on it.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ CELL, MARGIN, PASSES = 1.3, 3.0, 10
 
 
 def both(first: Array, second: Array, radius: float) -> Array:
-    """Level of what two solids share, its edges rounded."""
+    """Level of the intersection of two solids, with its edges rounded."""
     corner = jnp.maximum(jnp.stack([first, second]) + radius, 1e-12)
     return jnp.minimum(jnp.maximum(first, second), -radius) + jnp.linalg.norm(corner)
 
@@ -31,7 +31,7 @@ def both(first: Array, second: Array, radius: float) -> Array:
 def mug() -> vb.surfaces.Surface:
     """The solid: upright on z = 0, the handle towards +x."""
     outside = _rounded((0, 0, HEIGHT / 2), RADIUS, HEIGHT, WALL / 2)
-    # Out of the top by as much as its own rounding.
+    # Sticks out of the top by as much as its own rounding.
     depth = HEIGHT - BOTTOM + 2 * WALL
     inside = _rounded((0, 0, BOTTOM + depth / 2), RADIUS - WALL, depth, WALL)
     handle = vb.surfaces.Torus(
@@ -48,20 +48,20 @@ def mug() -> vb.surfaces.Surface:
 def _rounded(
     center: tuple[float, float, float], radius: float, length: float, edge: float
 ) -> vb.surfaces.Surface:
-    """An upright cylinder with round edges."""
+    """An upright cylinder with rounded edges."""
     return vb.surfaces.Offset(
         vb.surfaces.Cylinder(center, (0, 0, 1), radius - edge, length - 2 * edge), edge
     )
 
 
 def triangles(surface: vb.surfaces.Surface) -> trimesh.Trimesh:
-    """The mug's surface."""
+    """Triangulate the mug's surface."""
     low, high = (
         np.array([-RADIUS, -RADIUS, 0]) - MARGIN,
         np.array([RADIUS + HANDLE + THICKNESS, RADIUS, HEIGHT]) + MARGIN,
     )
     counts = np.ceil((high - low) / CELL).astype(int) + 1
-    # libigl counts x first.
+    # libigl expects x to vary fastest.
     grid = (
         (low + CELL * np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1))
         .transpose(2, 1, 0, 3)

@@ -1,5 +1,5 @@
-"""A recording as a lab would hand it over, made from a scan: tare, noise, quantisation, a sensor
-that is turned and offset.
+"""A recording as a lab would hand it over, made from a scan: with tare, noise, quantisation, and a
+sensor that is rotated and offset.
 
 A steel wire of 50 mm is swept under a sphere of 60 mm at 10 mm/s and logged at 100 Hz, after one
 second at rest.

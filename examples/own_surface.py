@@ -7,8 +7,8 @@ import vibrissa as vb
 
 
 def main() -> dict[str, int]:
-    """Scan a wavy ceiling and a rounded tetrahedron; return how many positions were in contact, all
-    checks passed.
+    """Scan a wavy ceiling and a rounded tetrahedron; return how many positions were in contact with
+    all checks passed.
     """
     rod = vb.Rod.unit()
     wavy = vb.surfaces.HeightField(lambda x, y: 0.85 + 0.05 * jnp.cos(3 * x) * jnp.cos(2 * y))

@@ -1,4 +1,4 @@
-"""The commands' names, and what happens to their errors and warnings."""
+"""The commands, and how their errors and warnings are reported."""
 
 import os
 import sys
@@ -41,7 +41,7 @@ def _version(
 
 
 def main() -> None:
-    """Run a command; exit status 2 for wrong input, in one line, and 1 for failed work."""
+    """Run a command; exit status 2 and a one-line message for invalid input, 1 for failed work."""
     os.environ["MPLBACKEND"] = "Agg"  # figures go to files
     try:
         with _warnings_in_one_line():
@@ -55,8 +55,8 @@ def main() -> None:
 
 @contextmanager
 def _warnings_in_one_line() -> Iterator[None]:
-    """Print each warning once, on stderr, without the place in the code that it comes from:
-    `warning: ...` where a recording contradicts its setup.
+    """Print each warning once, on stderr, without its place in the code: just `warning: ...` if a
+    recording contradicts its setup.
     """
     contradictions.clear()
     said: set[str] = set()
@@ -77,7 +77,7 @@ def _warnings_in_one_line() -> Iterator[None]:
         typer.echo(f"{prefix}warning: {line}", err=True)
 
     with warnings.catch_warnings():
-        # Each line, also one that two files share; `show` passes over those that were said.
+        # Every line, even one that two files share; `show` skips repetitions.
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = show
         yield

@@ -1,4 +1,4 @@
-"""`vibrissa calibrate`: recordings over a known object to a calibrated setup."""
+"""`vibrissa calibrate`: from recordings over a known object to a calibrated setup."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _FIGURES = (
 def calibrate(
     recordings: Annotated[
         list[Path],
-        typer.Argument(help="Logs of the sensor, each with a start free of contact."),
+        typer.Argument(help="Sensor logs, each starting free of contact."),
     ],
     setup: Annotated[
         Path,
         typer.Option(
-            help="TOML file with [rod], [sensor] and, where it is known, the swept [object]."
+            help="TOML file with [rod], [sensor] and, if it is known, the swept [object]."
         ),
     ],
     output: Annotated[
@@ -53,16 +53,18 @@ def calibrate(
     ] = None,
     prior: Annotated[
         list[str] | None,
-        typer.Option(help="NAME=DEVIATION of a free parameter, SI units; may be given again."),
+        typer.Option(help="NAME=DEVIATION of a free parameter, SI units; repeatable."),
     ] = None,
-    friction: Annotated[float, typer.Option(help="Coulomb's coefficient: 0 for none.")] = 0.0,
+    friction: Annotated[
+        float, typer.Option(help="Coulomb friction coefficient: 0 for none.")
+    ] = 0.0,
     report: Annotated[
         Path | None, typer.Option(help="Folder for figures of the residuals and a summary.")
     ] = None,
     as_json: common.AsJson = False,
 ) -> None:
-    """Find stiffness, length and mount of the rod from sweeps over an object, best over one that is
-    known.
+    """Find the rod's stiffness, length and mount from sweeps over an object, preferably a known
+    one.
     """
     from vibrissa.files import writable_folder  # noqa: PLC0415
     from vibrissa.io.calibration import source_document  # noqa: PLC0415
@@ -122,7 +124,7 @@ def _priors(texts: list[str]) -> dict[str, float]:
 
 
 def _named(text: str, recordings: list[Path]) -> str:
-    """Files in place of their numbers."""
+    """The text with file names in place of recording numbers."""
     for index, recording in enumerate(recordings):
         text = text.replace(f"recordings[{index}]", str(recording))
     return text

@@ -1,4 +1,4 @@
-"""What commands share: options, checks of them, figures, and words for what was counted."""
+"""What commands share: options and their checks, figures, and words for counts."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ SetupFile = Annotated[Path, typer.Option(help="TOML file with [rod] and [sensor]
 
 
 contradictions: list[str] = []
-"""What recordings said against their setups since the command began, a line each."""
+"""How recordings contradicted their setups since the command began, one line each."""
 
 
 def positive(param: TyperOption, value: float | None) -> float | None:
-    """Raise InputError unless an option is not given, or a finite number greater than 0."""
+    """Raise InputError unless an option is omitted or a finite number greater than 0."""
     if value is not None and not 0 < value < math.inf:
         raise vb.io.InputError(
             f"{param.opts[0]} = {value}; allowed is a finite number greater than 0"
@@ -37,7 +37,7 @@ def positive(param: TyperOption, value: float | None) -> float | None:
 
 
 def not_negative(param: TyperOption, value: float | None) -> float | None:
-    """Raise InputError unless an option is not given, or a finite number of at least 0."""
+    """Raise InputError unless an option is omitted or a finite number of at least 0."""
     if value is not None and not 0 <= value < math.inf:
         raise vb.io.InputError(
             f"{param.opts[0]} = {value}; allowed is a finite number of at least 0"
@@ -48,15 +48,15 @@ def not_negative(param: TyperOption, value: float | None) -> float | None:
 Friction = Annotated[
     float | None,
     typer.Option(
-        help="Coulomb's coefficient: 0 for none; left out where it is not known.",
+        help="Coulomb friction coefficient: 0 for none; omit it if unknown.",
         callback=not_negative,
     ),
 ]
 
 
 def written(*suffixes: str) -> Callable[[Any], Any]:
-    """Callback of an option: raise InputError unless the files it names have one of these suffixes,
-    by default those of contacts, and can be written.
+    """Option callback: raise InputError unless the files named have one of these suffixes, by
+    default those of contact files, and can be written.
     """
 
     def check(value: Any) -> Any:
@@ -82,14 +82,14 @@ def draw(path: Path, make: Callable[[], Any]) -> None:
 
 
 def table_console() -> Console:
-    """The standard output for tables, wide where it is not a terminal."""
+    """Standard output for tables, wide if it is not a terminal."""
     from rich.console import Console  # noqa: PLC0415
 
     return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 160)
 
 
 def counted(values: Any, words: type[IntEnum]) -> dict[str, int]:
-    """How many of the values (…) are each of these, by name."""
+    """How many of the values (…) equal each of these words, by name."""
     return {word.name: int((values == word).sum()) for word in words}
 
 
@@ -103,12 +103,12 @@ def counts_of(result: vb.Scan | vb.Reconstruction) -> dict[str, dict[str, int]]:
 
 
 def listed(counts: dict[str, int]) -> str:
-    """Counts in a row."""
+    """Counts on one line."""
     return ", ".join(f"{count} {name.lower()}" for name, count in counts.items())
 
 
 def status_lines(status: dict[str, int]) -> list[str]:
-    """What rows say that are not OK, and what to do."""
+    """What is wrong with rows that are not OK, and what to do about it."""
     return [
         f"{count} rows {name}: {vb.Status[name].text}"
         for name, count in status.items()

@@ -20,7 +20,7 @@ def demo(
     ] = Path("demo"),
     as_json: common.AsJson = False,
 ) -> None:
-    """Compute the whole paper: figures 2, 3a and 3b, its statements checked, and the sweeps it
+    """Reproduce the whole paper: figures 2, 3a and 3b, checks of its statements, and the sweeps it
     suggests.
     """
     from vibrissa.files import writable_folder  # noqa: PLC0415

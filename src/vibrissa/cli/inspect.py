@@ -1,4 +1,4 @@
-"""`vibrissa inspect`: what a recording is worth, before anyone trusts it."""
+"""`vibrissa inspect`: how good a recording is, before anyone trusts it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _SHOWN = 8
 
 
 def inspect(
-    recording: Annotated[Path, typer.Argument(help="Log of the sensor.")],
+    recording: Annotated[Path, typer.Argument(help="Sensor log.")],
     setup: common.SetupFile,
     figure: common.Figure = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
-    """Tare, drift, noise and faults of a recording: each with its interval and count."""
+    """Report tare, drift, noise and faults of a recording, each with its interval and count."""
     loaded = vb.load_setup(setup)
     with reporting() as report:
         report("inspecting")
@@ -38,7 +38,7 @@ def inspect(
     for line in found.warnings:
         warnings.warn(f"{recording}: {line}", vb.RecordingWarning, stacklevel=2)
     if not found.unusable and found.sensor.force_noise is not None:
-        # The checks of the contacts warn by themselves, as in `reconstruct`.
+        # The checks of the contacts issue their own warnings, as in `reconstruct`.
         tolerances = loaded.parameter_covariance
         vb.reconstruct(
             loaded.rod, found.sensor.reactions(found.cleaned, found.tare, tolerances=tolerances)
@@ -53,7 +53,7 @@ def inspect(
 
 
 def _summary(found: Inspection, loaded: vb.Setup) -> dict[str, Any]:
-    """What is printed, for JSON, which knows no NaN."""
+    """What is printed, ready for JSON, which has no NaN."""
     from vibrissa.sensor import CHANNEL_UNITS, CHANNELS  # noqa: PLC0415
 
     sensor, tare, nothing = loaded.sensor, found.tare, [None] * 6

@@ -1,4 +1,4 @@
-"""`vibrissa live`: a sensor's stream to contacts, as it comes."""
+"""`vibrissa live`: from a sensor's stream to contacts, as it comes."""
 
 from __future__ import annotations
 
@@ -33,18 +33,14 @@ def live(
         Path,
         typer.Option(help="TOML file with [rod], [sensor] and, for a sensor, [rdt] and [pose]."),
     ],
-    sink: Annotated[list[str] | None, typer.Option(help=f"{SINKS}; may be given again.")] = None,
+    sink: Annotated[list[str] | None, typer.Option(help=f"{SINKS}; repeatable.")] = None,
     duration: Annotated[
         float | None,
-        typer.Option(
-            help="Seconds after the first sample at which to end.", callback=common.positive
-        ),
+        typer.Option(help="Seconds to run after the first sample.", callback=common.positive),
     ] = None,
     batch: Annotated[
         float,
-        typer.Option(
-            help="Seconds of samples that are worked on together.", callback=common.positive
-        ),
+        typer.Option(help="Seconds of samples to process together.", callback=common.positive),
     ] = 0.005,
     silence: Annotated[
         float,
@@ -60,18 +56,16 @@ def live(
             "--smooth", help="Smooth the contacts as they come: each from all samples up to it."
         ),
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace files that are there.")
-    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
     as_json: Annotated[
         bool,
         typer.Option("--json", help="Print the summary as JSON; to stderr if a sink takes stdout."),
     ] = False,
 ) -> None:
-    """Reconstruct contacts from a running sensor, record them and the raw wrench. Ends with the
+    """Reconstruct contacts from a running sensor, and record them and the raw wrench. Ends with the
     source, after --duration, or on an interrupt.
     """
-    # Batches are small: one thread on this machine answers soonest, in the order of the calls.
+    # Batches are small: the CPU with synchronous dispatch answers soonest.
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "false")
     say("loading")
@@ -101,15 +95,15 @@ def live(
     with working() as stop:
         makers = [(_maker(kind, loaded), path) for kind, path in targets]
         processor.warm_up()
-        # No pause for what was made up to here, and short turns: the thread that reads must not
-        # wait for the one that works.
+        # No collection of garbage among what was made so far, and short turns: the reading thread
+        # must not wait for the working one.
         gc.collect()
         gc.freeze()
         sys.setswitchinterval(1e-3)
         report = vb.live.stream(
             origin,
             processor,
-            # One by one: those that are there are closed where the next cannot be made.
+            # One by one: those already made are closed if the next cannot be.
             lambda: (make(path) for make, path in makers),
             duration=duration,
             batch_seconds=batch,
@@ -138,7 +132,7 @@ def _source(address: vb.live.Address, loaded: vb.Setup) -> vb.live.Source:
 
 
 def _target(text: str, *, overwrite: bool) -> tuple[str, Path | None]:
-    """Kind and file of a sink, or folder."""
+    """Kind of a sink, and its file or folder."""
     from vibrissa.files import writable, writable_folder  # noqa: PLC0415
 
     if text == "jsonl:-":
@@ -152,13 +146,13 @@ def _target(text: str, *, overwrite: bool) -> tuple[str, Path | None]:
     there = any(path.iterdir()) if folder and path.is_dir() else path.is_file()
     if there and not (overwrite and path.is_dir() == folder):
         what = "a new or empty folder, or a folder" if folder else "a new file, or one"
-        raise vb.io.InputError(f"sink {path}: is there already; allowed is {what} with --overwrite")
+        raise vb.io.InputError(f"sink {path}: already exists; allowed is {what} with --overwrite")
     return kind, (writable_folder if folder else writable)(path)
 
 
 def _maker(kind: str, loaded: vb.Setup) -> Callable[[Any], vb.live.Sink]:
-    """What makes a sink of a path; its libraries are loaded now, so that one that is missing is
-    said before anyone waits.
+    """Function that makes a sink from a path; its libraries are loaded now, so that a missing one
+    is reported before anyone waits.
     """
     from vibrissa.io.sinks import JsonLinesSink, PlySink  # noqa: PLC0415
 
@@ -187,9 +181,10 @@ def _text(report: vb.live.Report) -> str:
     said = {
         f"{counts.samples} samples in {report.seconds:.2f} s ({rate:.0f} a second), "
         f"{report.rows} rows: {common.listed(report.contacts)}": True,
-        f"lost {counts.lost} in {counts.gaps} gaps ({counts.late} of them came too late), put in "
-        f"order {counts.reordered}, double {counts.duplicates}, malformed {counts.malformed}, "
-        f"restarts {counts.restarts}, thrown away here {report.overflow}": True,
+        f"lost {counts.lost} in {counts.gaps} gaps ({counts.late} of them came too late), "
+        f"reordered {counts.reordered}, duplicates {counts.duplicates}, "
+        f"malformed {counts.malformed}, restarts {counts.restarts}, "
+        f"thrown away here {report.overflow}": True,
         f"status was not zero in {counts.flagged} samples (bits {bits}), {counts.invalid} of them "
         "in error": counts.flagged,
         f"{report.without_pose} rows without a pose, {report.malformed_poses} poses "

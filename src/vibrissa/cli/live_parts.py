@@ -1,6 +1,4 @@
-"""What `live` and `simulate-sensor` both take from a setup: how the sensor counts, and where it
-moves.
-"""
+"""What `live` and `simulate-sensor` both take from a setup: the sensor's counts and its motion."""
 
 from __future__ import annotations
 
@@ -21,13 +19,13 @@ if TYPE_CHECKING:
 
 _COUNTS, _RATE = 1e6, 1000.0
 say = partial(typer.echo, err=True)
-"""Tell a line on stderr."""
+"""Print a line on stderr."""
 
 
 @contextmanager
 def working() -> Iterator[threading.Event]:
-    """Give an event that an interrupt, or a request to terminate, sets. What fails within is one
-    line on stderr and exit status 1.
+    """Give an event that SIGINT or SIGTERM sets. An error within becomes one line on stderr and
+    exit status 1.
     """
     stop = threading.Event()
     before = {
@@ -47,25 +45,25 @@ def working() -> Iterator[threading.Event]:
 
 
 def rdt_of(loaded: vb.Setup) -> RdtTable:
-    """Table [rdt] of the setup, or what such sensors do unless set otherwise."""
+    """The setup's table [rdt], or the usual defaults of such sensors."""
     from vibrissa.io.setup import RdtTable  # noqa: PLC0415
 
     if loaded.rdt is not None:
         return loaded.rdt
     say(
         f"the setup has no [rdt]: {_COUNTS:g} counts for 1 N and 1 N m, {_RATE:g} records a second "
-        "are taken"
+        "are assumed"
     )
     return RdtTable(counts_per_force=_COUNTS, counts_per_torque=_COUNTS, rate=_RATE)
 
 
 def poses_of(loaded: vb.Setup, folder: Path, *, needed: bool) -> vb.live.PoseSource:
-    """Where the sensor's pose comes from, as [pose] says; `folder` is the setup's.
+    """Source of the sensor's pose, as [pose] says; `folder` is the setup's.
 
     Raises
     ------
     InputError
-        If the table names a file that cannot be used, or an address that is none.
+        If the table names a file that cannot be used, or an invalid address.
     """
     from vibrissa.files import read_table  # noqa: PLC0415
     from vibrissa.io import setup as tables  # noqa: PLC0415

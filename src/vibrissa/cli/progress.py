@@ -1,4 +1,4 @@
-"""Progress on stderr: a spinner and a bar on a terminal, a line a step elsewhere."""
+"""Progress on stderr: a spinner and a bar on a terminal, one line per step elsewhere."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Steps:
-    """Reports the name of the step that begins, when called, and with `share` how much of it is
-    done, from 0 to 1.
+    """Called with the name of a step as it begins; `share` reports how much of it is done, from 0
+    to 1.
     """
 
     begin: Callable[[str], None]
@@ -21,7 +21,7 @@ class Steps:
 
 @contextmanager
 def reporting() -> Iterator[Steps]:
-    """Give what reports the steps of a command."""
+    """Give a reporter for the steps of a command."""
     from rich.console import Console  # noqa: PLC0415
 
     console = Console(stderr=True, highlight=False)

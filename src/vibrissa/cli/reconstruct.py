@@ -1,4 +1,4 @@
-"""`vibrissa reconstruct`: a recording to contacts."""
+"""`vibrissa reconstruct`: from a recording to contacts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _NOISE_ONLY = (
     "error bars hold noise only: state how well rod, clamp, gains and clocks are known in "
     "[tolerances] of the setup, or calibrate it"
 )
-_SAG = 2e-3  # of the rod's length: 0.1 mm on 50 mm, twice what smoothed contacts are known to
+_SAG = 2e-3  # of the rod's length: 0.1 mm on 50 mm, twice the accuracy of smoothed contacts
 
 
 def reconstruct(
     recording: Annotated[
         Path,
         typer.Argument(
-            help="Log of the sensor: CSV, Parquet, HDF5, NetCDF, .mat, rosbag2 or MCAP.",
+            help="Sensor log: CSV, Parquet, HDF5, NetCDF, .mat, rosbag2 or MCAP.",
         ),
     ],
     setup: common.SetupFile,
@@ -31,7 +31,7 @@ def reconstruct(
         typer.Option(
             "--output",
             "-o",
-            help="Contacts to write: .ply, .csv or .nc; may be given again.",
+            help="Contacts to write: .ply, .csv or .nc; repeatable.",
             callback=common.written(),
         ),
     ] = None,
@@ -44,7 +44,8 @@ def reconstruct(
         ),
     ] = False,
     find_friction: Annotated[
-        bool, typer.Option("--estimate-friction", help="Estimate it from how the contacts move.")
+        bool,
+        typer.Option("--estimate-friction", help="Estimate friction from how the contacts move."),
     ] = False,
     as_json: common.AsJson = False,
 ) -> None:
@@ -109,7 +110,7 @@ def _summary(found: vb.Reconstruction) -> dict[str, Any]:
 
 
 def _touch(found: vb.Reconstruction, touch: vb.Touch) -> dict[str, Any]:
-    """Times [s], or numbers of samples where the recording has no time."""
+    """Times [s], or sample numbers if the recording has no time."""
     time = range(found.kind.size) if found.reactions.time is None else found.reactions.time
     names = ("start", "start_deviation", "end", "end_deviation")
     return {name: getattr(touch, name) for name in names} | {

@@ -1,4 +1,4 @@
-"""`vibrissa scan`: a case file to support reactions."""
+"""`vibrissa scan`: from a case file to support reactions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def scan(
     speed: Annotated[
         float | None,
         typer.Option(
-            help="Speed of the clamp [m/s]: is the sweep quasi-static?", callback=common.positive
+            help="Clamp speed [m/s]: is the sweep quasi-static?", callback=common.positive
         ),
     ] = None,
     as_json: common.AsJson = False,
@@ -59,8 +59,8 @@ def scan(
 
 
 def _check_start(case: Path, loaded: vb.Case) -> None:
-    """A rod clamped inside the object at the start of a trail is a mistake in the case, not a row
-    that fails.
+    """A rod clamped inside the object at the start of a trail is a mistake in the case, not a
+    failed row.
     """
     starts = loaded.trail.position.reshape(-1, loaded.trail.count, 3)[:, 0]
     for lane, level in enumerate(loaded.surface.levels(starts)):

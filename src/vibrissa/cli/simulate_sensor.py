@@ -1,4 +1,4 @@
-"""`vibrissa simulate-sensor`: a sensor on the loopback address that feels a scan."""
+"""`vibrissa simulate-sensor`: a simulated sensor on the loopback address that plays a scan."""
 
 from __future__ import annotations
 
@@ -17,20 +17,18 @@ def simulate_sensor(
     setup: Annotated[Path, typer.Option(help="TOML file with [rod], [sensor] and [rdt].")],
     rate: Annotated[
         float | None,
-        typer.Option(help="Records a second; default is the setup's.", callback=common.positive),
+        typer.Option(help="Records per second; default is the setup's.", callback=common.positive),
     ] = None,
-    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port to listen at.")] = 49152,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen on.")] = 49152,
     duration: Annotated[
         float | None,
-        typer.Option(
-            help="Seconds after the first request at which to end.", callback=common.positive
-        ),
+        typer.Option(help="Seconds to run after the first request.", callback=common.positive),
     ] = None,
     rest: Annotated[
         float | None,
         typer.Option(
-            help="Seconds at rest before the first trail; default is the tare's and 0.1 s.",
+            help="Seconds at rest before the first trail; default is the tare's plus 0.1 s.",
         ),
     ] = None,
     sweep: Annotated[float, typer.Option(help="Seconds for each trail.")] = 10.0,
@@ -45,9 +43,9 @@ def simulate_sensor(
         str | None, typer.Option(help="udp://HOST:PORT to which poses are sent as JSON.")
     ] = None,
     pose_rate: Annotated[
-        float, typer.Option(help="Poses a second.", callback=common.positive)
+        float, typer.Option(help="Poses per second.", callback=common.positive)
     ] = 250.0,
-    buffer: Annotated[int, typer.Option(help="Records a datagram in buffered mode.")] = 20,
+    buffer: Annotated[int, typer.Option(help="Records per datagram in buffered mode.")] = 20,
     drop: Annotated[float, typer.Option(help="Share of datagrams that are lost.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Share of datagrams that come twice.")] = 0.0,
     reorder: Annotated[
@@ -58,7 +56,7 @@ def simulate_sensor(
         typer.Option(help="Share of datagrams that are followed by a broken one."),
     ] = 0.0,
     error: Annotated[float, typer.Option(help="Share of datagrams whose status says error.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Of noise and flaws.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of noise and flaws.")] = 0,
     as_json: common.AsJson = False,
 ) -> None:
     """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts

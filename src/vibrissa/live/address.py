@@ -1,5 +1,5 @@
-"""Addresses of sources: `netft://HOST:PORT`, `tcp://HOST:PORT`, `serial:DEVICE`, `replay:FILE`,
-with options after a question mark; and sockets whose errors name the address.
+"""Source addresses (`netft://HOST:PORT`, `tcp://HOST:PORT`, `serial:DEVICE`, `replay:FILE`, options
+after a question mark), and sockets whose errors name the address.
 """
 
 import re
@@ -16,7 +16,7 @@ FORMS = (
 )
 _WITH_A_HOST = re.compile(r"(\w+)://(?:\[([^]]+)\]|([^]:/?#@[]+))(?::([0-9]{1,5}))?/?")
 _WITH_A_PATH = re.compile(r"(serial|replay):(.+?)(?:\?(\w+)=([^?]*))?")
-_FASTEST_BAUD = 20_000_000  # of any serial port, with room
+_FASTEST_BAUD = 20_000_000  # beyond any serial port
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,20 @@ class Address:
     Attributes
     ----------
     kind
-        Of the source: netft, tcp, serial or replay.
+        Kind of source: netft, tcp, serial or replay.
     path
         Host, device or file.
     port
-        Of the host; 0 where there is none.
+        Port of the host; 0 if there is none.
     speed
-        Of a replay, infinity for as fast as possible.
+        Speed of a replay; infinity for as fast as possible.
     baud
-        Of a serial line.
+        Baud rate of a serial line.
 
     Raises
     ------
     ValueError
-        If the speed is not greater than 0, or the baud rate is not one of a serial port.
+        If the speed is not greater than 0, or the baud rate is out of range.
     """
 
     kind: str
@@ -54,7 +54,7 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """Address of a source.
+    """Parse the address of a source.
 
     Raises
     ------
@@ -80,12 +80,13 @@ def parse_address(text: str) -> Address:
 
 
 def host_and_port(text: str, default: int = 0) -> tuple[str, int]:
-    """Parts of `SCHEME://HOST:PORT`; an IPv6 address stands in brackets.
+    """Host and port of `SCHEME://HOST:PORT`; IPv6 addresses go in brackets.
 
     Raises
     ------
     InputError
-        If there is no host, more than these, or the port is missing or not from 1 to 65535.
+        If there is no host, anything besides host and port, or the port is missing or not from 1 to
+        65535.
     """
     found = _WITH_A_HOST.fullmatch(text)
     port = int(found[4] or default) if found else 0
@@ -98,7 +99,7 @@ def host_and_port(text: str, default: int = 0) -> tuple[str, int]:
 
 @contextmanager
 def naming(address: str) -> Iterator[None]:
-    """Let an OSError raised within name the address."""
+    """Make an OSError raised within name the address."""
     try:
         yield
     except OSError as error:
@@ -106,12 +107,12 @@ def naming(address: str) -> Iterator[None]:
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """A socket for datagrams to this address.
+    """A UDP socket bound to this address.
 
     Raises
     ------
     OSError
-        If another program has the port, or the address is not one of this machine; it names both.
+        If the port is taken, or the address is not this machine's; the error names both.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     opened = socket.socket(family, socket.SOCK_DGRAM)

@@ -1,4 +1,4 @@
-"""Time stamps: the host's clock, made even by the sender's."""
+"""Time stamps on the host's clock, evened out by the sender's."""
 
 import math
 import time
@@ -11,36 +11,36 @@ import numpy as np
 from vibrissa.live.samples import Counts, Flags, Nanoseconds
 
 LEAST_STEP = 1000
-"""Between stamps [ns]: what 64-bit seconds tell apart over a century."""
+"""Least step between stamps [ns]: what seconds as 64-bit floats resolve over a century."""
 AHEAD = 1_000_000
-"""Sequence numbers farther ahead are those of another stream: minutes of the fastest sensors."""
-_DRIFT = 500e-6  # quartzes differ by 100 ppm at most
-_RESYNC = 100_000_000  # [ns]; networks and busy computers delay by less
-_RATE_WINDOW = 500_000_000  # [ns]; longer than a sender or receiver stalls
-_NO_WINDOW = -2  # before the first: no window follows it
-# Spans in windows, and the share of the time by which the sender has to run off: over long spans
-# what delays do matters less. Measured: no false alarm with delays of 0.15 s (test_sample_clock).
+"""Sequence numbers farther ahead belong to another stream: minutes of the fastest sensors."""
+_DRIFT = 500e-6  # quartz clocks differ by 100 ppm at most
+_RESYNC = 100_000_000  # [ns]; networks and busy computers cause shorter delays
+_RATE_WINDOW = 500_000_000  # [ns]; longer than senders or receivers stall
+_NO_WINDOW = -2  # before the first window, which does not count as its successor
+# Spans in windows, and the relative rate error to detect: over long spans delays matter less.
+# Measured: no false alarm with delays of 0.15 s (test_sample_clock).
 _RATE_SPANS = ((1, 0.2), (2, 0.05), (4, 0.01), (16, 3e-3), (64, 6e-4))
-_ALIKE = 0.2  # share by which two successive spans may differ, as measured there
-# Share beyond which another rate is reported: what setups round to, and what a first, short span
-# may have been wrong by.
+_ALIKE = 0.2  # relative difference allowed between two successive spans, measured there too
+# Relative change beyond which a new rate is reported: at first what setups round to, later what a
+# first, short span may have been wrong by.
 _OTHER_RATE, _OTHER_AGAIN = 0.01, 0.1
 
 
 def epoch_offset() -> int:
-    """What turns the monotonic clock into nanoseconds since 1970: the tightest of five readings."""
+    """Offset [ns] of the time since 1970 from the monotonic clock: tightest of five readings."""
     readings = ((time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5))
     before, now, after = min(readings, key=lambda reading: reading[2] - reading[0])
     return now - (before + after) // 2
 
 
 class RateWatch:
-    """Notices a sender whose rate is not the assumed one.
+    """Detects a sender whose rate is not the assumed one.
 
-    In each window of half a second the least delay is taken, which a sender or a receiver that
-    stalls for a moment does not change. The rate is wrong where this delay grows or shrinks, alike
-    over two successive spans of windows: by a fifth of the time over one window, or by less over
-    more of them, down to 0.06 % over 64.
+    It takes the least delay in each window of half a second, which brief stalls of the sender or
+    the receiver do not affect. The rate is wrong if this delay grows or shrinks alike over two
+    successive spans of windows: by a fifth of the time over one window, or by less over more
+    windows, down to 0.06 % over 64.
     """
 
     def __init__(self) -> None:
@@ -48,8 +48,8 @@ class RateWatch:
         self._seen: deque[int] = deque(maxlen=2 * _RATE_SPANS[-1][0] + 1)
 
     def factor(self, own: Nanoseconds, arrival: Nanoseconds) -> float | None:
-        """Factor by which the sender's period is longer than `own` (n,) [ns] assumes, or None if
-        it is not; arrivals (n,) [ns].
+        """Ratio of the sender's period to the one assumed in its times `own` (n,) [ns], or None if
+        no difference is seen; arrivals (n,) [ns].
         """
         delay, now = int(np.min(arrival - own)), int(arrival[-1])
         window = (now - self._begun) // _RATE_WINDOW
@@ -58,7 +58,7 @@ class RateWatch:
             return None
         if window == self._window + 1:
             self._seen.append(self._least)
-        else:  # a pause, or the beginning: the windows before it tell nothing
+        else:  # after a pause, or at the start: earlier windows say nothing
             self._begun, window = int(arrival[0]), 0
             self._seen.clear()
         self._window, self._least = window, delay
@@ -75,23 +75,23 @@ class RateWatch:
 
 
 class SampleClock:
-    """Stamps of samples that were taken at the sender's own times and arrived after uneven delays.
+    """Stamps samples that were taken at the sender's own times and arrived after uneven delays.
 
-    Delays are never negative, so the sender's clock, moved until it lies below all arrivals, is the
-    best that the host can know. It follows arrivals downwards at once, and upwards by 500 ppm at
-    most. Where it is off by 0.1 s the stream is taken to have paused.
+    Delays are never negative, so the best that the host can know is the sender's clock, shifted
+    until it lies below all arrivals. The shift follows arrivals downwards at once, and upwards by
+    500 ppm at most. If it is off by more than 0.1 s, the stream is taken to have paused.
     """
 
     def __init__(self) -> None:
         self._offset, self._last_own, self._last_stamp = -math.inf, 0, -(2**62)
 
     def restart(self) -> None:
-        """Forget the sender's clock: it goes another way."""
+        """Forget the shift of the sender's clock, which no longer holds."""
         self._offset = -math.inf
 
     def stamps(self, own: Nanoseconds, arrival: Nanoseconds) -> Nanoseconds:
-        """Stamps (n,) [ns] on the clock of `arrival`, increasing, for the sender's times `own` (n,)
-        [ns], increasing, at least one.
+        """Increasing stamps (n,) [ns] on the clock of `arrival`, for the sender's increasing times
+        `own` (n,) [ns], at least one.
         """
         least, last = int(np.min(arrival - own)), int(own[-1])
         slack = least - self._offset
@@ -106,7 +106,7 @@ class SampleClock:
 
 
 class Tick(NamedTuple):
-    """A sample by the sender's count, by the sender's clock [ns], and by its arrival here [ns]."""
+    """A sample's place in the sender's count and on its clock [ns], and its arrival here [ns]."""
 
     number: float
     own: float
@@ -115,14 +115,14 @@ class Tick(NamedTuple):
 
 @dataclass(eq=False)
 class SequenceClock:
-    """Stamps of samples that are numbered and evenly spaced.
+    """Stamps samples that are numbered and evenly spaced.
 
     Attributes
     ----------
     period
-        Between samples [ns], as the sensor is set; the one that is seen replaces it.
+        Sampling period [ns], as set on the sensor; replaced by the observed one if that differs.
     counts
-        Where another rate is counted, and what was lost where the numbers began anew.
+        Counts changes of the rate, and samples lost where the numbering restarted.
     """
 
     period: float
@@ -133,13 +133,13 @@ class SequenceClock:
         self._last: Tick | None = None
 
     def stamps(self, number: Nanoseconds, arrival: Nanoseconds) -> tuple[Nanoseconds, Flags]:
-        """Stamps (n,) [ns] on the clock of `arrival` for numbers (n,), and whether another stream
-        begins with a sample: there the sensor's clock goes on, by the time that passed here.
+        """Stamps (n,) [ns] on the clock of `arrival` for numbers (n,), and whether a sample begins
+        a new stream: there the sensor's clock is advanced by the time that passed here.
         """
         last = self._last or Tick(int(number[0]), 0, int(arrival[0]))
         steps = np.diff(number, prepend=int(last.number))
         anew = steps > AHEAD
-        # A stream's numbers do not say what was lost before it, but the time does.
+        # A new stream's numbers do not say how much was lost before it, but the time does.
         passed = np.diff(arrival, prepend=last.arrival)[anew] / self.period
         lost = np.maximum(np.round(passed).astype(np.int64) - 1, 0)
         self.counts.lost += int(lost.sum())
@@ -160,5 +160,5 @@ class SequenceClock:
         return self._clock.stamps(own, arrival), anew
 
     def _periods(self, count: Nanoseconds) -> Nanoseconds:
-        """Time [ns] of so many samples."""
+        """Duration [ns] of this many samples."""
         return np.round(count * self.period).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Lines of CSV over TCP or a serial line."""
+"""CSV lines over TCP or a serial port."""
 
 import socket
 import time
@@ -22,22 +22,20 @@ POSED = ("time", *_PLACE, *_TURN, *CHANNELS)
 BARE = ("time", *CHANNELS)
 """The same without the pose."""
 
-_LONGEST_LINE = 4096  # bytes: ten times what a recording's line has with all digits
+_LONGEST_LINE = 4096  # bytes: ten times a recording's line with all digits
 _LATEST = 4e9  # [s since 1970]: the year 2096
-_CLOCK_JUMP = 1.0  # [s] back: lines are swapped by less, and clocks set by more
-_LONGEST_PAUSE = 60.0  # [s] ahead: sensors pause for less, and clocks are set by more
-_AFTER_RESTART = 1_000_000  # [ns] to the next sample at least: a usual period
-_READ = 65536  # bytes: what a kernel's buffer holds
+_CLOCK_JUMP = 1.0  # [s] back: swapped lines differ by less, reset clocks by more
+_LONGEST_PAUSE = 60.0  # [s] ahead: sensors pause for less, reset clocks jump by more
+_AFTER_RESTART = 1_000_000  # [ns], least step to the next sample: a usual period
+_READ = 65536  # bytes: the size of a kernel buffer
 
 
 class WrongColumnsError(ValueError):
-    """A line names other columns than those that are needed: the numbers below it would be taken
-    for others.
-    """
+    """A header names other columns than those needed: the numbers below it would be misread."""
 
 
 def parse_header(line: bytes) -> tuple[str, ...] | None:
-    """Names of columns in any order, other names among them; None if the line does not hold names.
+    """Column names, in any order and with others among them; None if the line is not a header.
 
     Raises
     ------
@@ -45,7 +43,7 @@ def parse_header(line: bytes) -> tuple[str, ...] | None:
         If it names several columns of a recording, but neither all of `POSED` nor all of `BARE`
         without a pose.
     ValueError
-        If it holds other words.
+        If it consists of other words.
     """
     cells = line.decode("utf-8", "replace").lstrip("\ufeff").split(",")
     names = tuple(cell.strip('" \t').lower() for cell in cells)
@@ -63,20 +61,20 @@ def parse_header(line: bytes) -> tuple[str, ...] | None:
 
 
 def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, float]:
-    """Numbers of one line by column, those of `POSED` or `BARE`.
+    """Numbers of one line by column name, those of `POSED` or `BARE`.
 
     Parameters
     ----------
     line
         Cells separated by commas.
     columns
-        Their names; None for those of `POSED` or `BARE`, by their number.
+        Their names; None for `POSED` or `BARE`, whichever fits the number of cells.
 
     Raises
     ------
     ValueError
-        If the number of cells is another, one is not a finite number up to 1e12, the time is
-        beyond 4e9 s, or the quaternion is not of unit norm.
+        If the number of cells is wrong, one is not a finite number up to 1e12, the time is beyond
+        4e9 s, or the quaternion is not of unit norm.
     """
     cells = line.replace(b"_", b"?").split(b",")
     names = columns or (BARE if len(cells) == len(BARE) else POSED)
@@ -94,15 +92,15 @@ def parse_line(line: bytes, columns: Sequence[str] | None = None) -> dict[str, f
 
 
 Receive = Callable[[float], bytes]
-"""Gives the bytes that have come; none if there are none within so many seconds. Raises
-EndOfStreamError at the end.
+"""Returns the bytes received, empty if none come within this many seconds; raises EndOfStreamError
+at the end.
 """
 
 
 @contextmanager
 def tcp_line(host: str, port: int) -> Iterator[Receive]:
-    """A server's bytes; connects within 5 s. Raise OSError, which names the address, if nobody
-    answers.
+    """Receive from a TCP server; connects within 5 s. Raise an OSError that names the address if
+    nobody answers.
     """
     with naming(f"tcp://{host}:{port}"):
         connection = socket.create_connection((host, port), timeout=5)
@@ -125,13 +123,13 @@ def tcp_line(host: str, port: int) -> Iterator[Receive]:
 
 @contextmanager
 def serial_line(device: str, baud: int) -> Iterator[Receive]:
-    """A serial device's bytes. Raise ImportError if pyserial is missing."""
+    """Receive from a serial device. Raise ImportError if pyserial is missing."""
     serial = extra_library("serial", extra="live", need="serial lines need it")
     port = serial.Serial(device, baud)
 
     def receive(timeout: float) -> bytes:
         try:
-            if port.timeout != timeout:  # to set it configures the device
+            if port.timeout != timeout:  # setting it reconfigures the device
                 port.timeout = timeout
             first = port.read(1)
             return bytes(first + port.read(port.in_waiting) if first else b"")
@@ -144,20 +142,21 @@ def serial_line(device: str, baud: int) -> Iterator[Receive]:
 
 @dataclass(eq=False)
 class LineSource(Source):
-    """Samples from lines of CSV; columns as in a recording, or without the pose.
+    """Samples from CSV lines with the columns of a recording, or the same without the pose.
 
-    A first line may name the columns, in any order. `time` is the sender's: stamps are these times,
-    counted from the arrival of the first line. Where they jump back by a second or more, or ahead
-    by more than a minute, the sender's clock was set, and stamps continue from the last one by the
-    time that passed here.
+    A header line may name the columns, in any order. `time` is the sender's: stamps are these
+    times, counted from the arrival of the first line. If they jump back by a second or more, or
+    ahead by more than a minute, the sender's clock was reset, and stamps continue from the last one
+    by the time that passed here.
 
     Parameters
     ----------
     line
-        Where the bytes come from: `tcp_line`, `serial_line`, or what else gives such a function.
+        Where the bytes come from: `tcp_line`, `serial_line`, or any other context manager that
+        gives a `Receive`.
     on_host_clock
-        Whether stamps are to follow the host's clock (`SampleClock`), as poses from elsewhere
-        require; lines that are sent faster than their times say are then stamped as they come.
+        Whether stamps follow the host's clock (`SampleClock`), as poses from elsewhere require;
+        lines sent faster than their times say are then stamped as they come.
 
     Raises
     ------
@@ -190,10 +189,10 @@ class LineSource(Source):
             self._closing.close()
 
     def read(self, timeout: float) -> Samples | None:
-        """Samples of the whole lines that have come."""
+        """Samples of the complete lines received."""
         data, now = self._receive(timeout), time.monotonic_ns()
         *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
-        # A line without end takes no memory: its beginning is enough to reject it.
+        # An endless line must not fill the memory: its beginning is enough to reject it.
         self._rest = rest[: _LONGEST_LINE + 1]
         rows = [row for line in map(bytes.strip, lines) if line and (row := self._row(line, now))]
         if not rows:
@@ -218,7 +217,7 @@ class LineSource(Source):
         )
 
     def _row(self, line: bytes, now: int) -> dict[str, float] | None:
-        """Numbers of a line, and `stamp` [ns] and `anew` beside them; None for no new row."""
+        """Numbers of a line, with `stamp` [ns] and `anew` added; None if it is no new row."""
         first, self._first = self._first, False
         try:
             names = parse_header(line)
@@ -231,7 +230,7 @@ class LineSource(Source):
             if self._posed not in (None, "qw" in numbers):
                 raise ValueError("poses begin or end midway; allowed are the first line's columns")
         except ValueError as error:
-            # The first line may be the rest of one that began before we listened.
+            # The first line may be the tail of one that began before we listened.
             if isinstance(error, WrongColumnsError) and not (first and _end_of_header(line)):
                 raise
             self.counts.malformed += not first
@@ -241,7 +240,7 @@ class LineSource(Source):
         return self._in_time(numbers, now)
 
     def _in_time(self, numbers: dict[str, float], now: int) -> dict[str, float] | None:
-        """The row, if it is later than the last one or of a clock that was set."""
+        """The row, if it is later than the last one or the clock was reset."""
         moment, stamp, anew, last = numbers["time"], float(now), False, self._last
         if last is not None:
             step = moment - last.number
@@ -258,5 +257,5 @@ class LineSource(Source):
 
 
 def _end_of_header(line: bytes) -> bool:
-    """Whether this may be the end of a line with the usual names."""
+    """Whether this may be the tail of a header with the usual names."""
     return any(",".join(names).encode().endswith(line.lower()) for names in (POSED, BARE))

@@ -1,4 +1,4 @@
-"""The loop: one thread reads the source, this one works and writes."""
+"""The streaming loop: one thread reads the source, this one processes and writes."""
 
 import threading
 import time
@@ -16,16 +16,16 @@ from vibrissa.live.report import Latency, Report, SilenceWatch
 from vibrissa.live.samples import EndOfStreamError, Samples, Source, joined
 from vibrissa.live.sinks import Sink
 
-_FLUSH = 25_000_000  # [ns]: half of what sinks are promised
-_WAIT = 0.02  # [s] for samples, before poses that came are looked at
-_READ_WAIT = 0.05  # [s]: how late a stop may be seen
-_LAST_WAIT = 0.2  # [s] for poses of the last samples: four times the usual patience
+_FLUSH = 25_000_000  # [ns]: half the interval promised to sinks
+_WAIT = 0.02  # [s] to wait for samples before looking at new poses
+_READ_WAIT = 0.05  # [s]: how late a stop may be noticed
+_LAST_WAIT = 0.2  # [s] to wait for poses of the last samples: four times the usual patience
 _QUEUED = 30_000  # reads: half a minute of the fastest sensor, some 30 MB
-_QUEUED_WAITING = 64  # reads, where the source can wait
+_QUEUED_WAITING = 64  # reads, if the source can wait
 
 
 class SilentSourceError(RuntimeError):
-    """A source from which nothing came."""
+    """No sample came from a source."""
 
 
 def stream(
@@ -39,27 +39,27 @@ def stream(
     stop: threading.Event | None = None,
     notice: Callable[[str], None] | None = None,
 ) -> Report:
-    """Give a source's samples to the sinks, raw and as contacts, until it ends.
+    """Stream a source's samples to the sinks, raw and as contacts, until it ends.
 
     Parameters
     ----------
     source, processor
-        Opened and warmed up here, with the processor's poses; source and poses are closed here.
+        Opened and warmed up here, as are the processor's poses; source and poses are closed here.
     sinks
-        Closed here. Or a function that makes them, which is called when the first sample is there:
-        then a source that cannot be reached leaves no empty files.
+        Closed here. Or a function that makes them, called when the first sample comes, so that an
+        unreachable source leaves no empty files.
     duration
-        Seconds after the first sample at which to end; None for no end.
+        Seconds to run after the first sample; None for no limit.
     silence
-        Seconds without any sample after which a source is taken for dead, and the stream ends; 0
-        for never.
+        Seconds without a sample after which a source is considered dead and the stream ends; 0 for
+        never.
     batch_seconds
-        Samples of so many seconds are worked on together: less costs more of the processor, more
-        costs latency.
+        Seconds of samples processed together: fewer cost more CPU time, more cost latency.
     stop
         Ends the stream when set.
     notice
-        Is told, in one line, what happens; lines that begin with `warning:` are also in the report.
+        Called with one-line messages on what happens; those that begin with `warning:` are also in
+        the report.
 
     Returns
     -------
@@ -69,9 +69,9 @@ def stream(
     Raises
     ------
     ValueError
-        If a number is not allowed, or too few samples came within the tare.
+        If a number is not allowed, or too few samples came during the tare.
     SilentSourceError
-        If not even a first sample came within `silence` seconds, or before the source ended.
+        If no sample came within `silence` seconds, or before the source ended.
     OSError
         If the source cannot be reached, or a sink cannot write.
     """
@@ -116,7 +116,7 @@ class _Loop:
         self._first = self._steady = np.inf
 
     def add(self, sinks: Iterable[Sink]) -> None:
-        """Give to these sinks too, and close them in the end."""
+        """Write to these sinks too, and close them at the end."""
         for sink in sinks:
             self._closing.callback(sink.close)
             self._sinks.append(sink)
@@ -124,7 +124,7 @@ class _Loop:
     def run(
         self, stop: threading.Event, duration: float, silence: float, batch_seconds: float
     ) -> None:
-        """Until the source, the duration or `stop` ends it; times in seconds."""
+        """Run until the source, the duration or `stop` ends it; times in seconds."""
         report, watched = self._report, not self._source.recorded
         threads = self._closing.enter_context(ThreadPoolExecutor(1, "source"))
         self._closing.callback(self._ending.set)
@@ -142,7 +142,7 @@ class _Loop:
             elif begun - last > silence * 1e9:
                 why, report.silent = f"nothing came for {silence:g} s", True
             elif watched and self._silence.begins(begun):
-                text = "no samples come: is the sensor on, its cable in, or has another program"
+                text = "no samples arrive: is the sensor on, its cable in, or has another program"
                 report.warn(f"{text} taken its stream?")
             self._work()
             time.sleep(max(batch_seconds - (time.monotonic_ns() - begun) * 1e-9, 0.0))
@@ -155,13 +155,13 @@ class _Loop:
             raise error
         if why and self._first == np.inf:
             malformed, last_one = report.counts.malformed, self._source.complaint
-            unread = f"; {malformed} lines or datagrams could not be read, the last one for: "
+            unread = f"; {malformed} lines or datagrams could not be read, the last one because: "
             raise SilentSourceError(f"{why}{unread}{last_one}" if malformed else why)
         if report.silent:
             report.warn(f"{why}: the stream ends here")
 
     def _read(self) -> None:
-        """In a thread of its own: what comes goes into a bounded queue, so that nothing is missed
+        """Run in a thread of its own: samples go into a bounded queue, so that none are missed
         while the other thread works.
         """
         with suppress(EndOfStreamError):
@@ -176,11 +176,11 @@ class _Loop:
                         break
 
     def _seconds(self) -> float:
-        """Since the first sample."""
+        """Seconds since the first sample."""
         return (time.monotonic_ns() - self._first) * 1e-9
 
     def _take(self, wait: float) -> bool:
-        """Pass on everything that is there; false if nothing is within `wait` seconds."""
+        """Pass on everything queued; false if nothing comes within `wait` seconds."""
         parts: list[Samples] = []
         with suppress(Empty):
             parts.append(self._queue.get(timeout=wait))
@@ -194,11 +194,11 @@ class _Loop:
             self._report.notice("first sample")
             self.add(self._make_sinks())
         pause = None if self._source.recorded else self._silence.came(samples.arrival)
-        said = [] if pause is None else [f"samples come again after {pause:.2f} s"]
+        said = [] if pause is None else [f"samples came again after {pause:.2f} s"]
         if samples.anew.any():
             said.append(
-                "numbers or clock begin anew: the sensor was restarted, or another program had its "
-                "stream; its zero is compared with that before"
+                "numbering or clock restarted: the sensor was restarted, or another program had "
+                "its stream; its zero is compared with the previous one"
             )
         if said:
             self._report.warn("; ".join(said))
@@ -219,7 +219,8 @@ class _Loop:
             self._flush()
         self._flush()
         if self._processor.tare is not None:
-            # Latencies count from here on: earlier rows waited for the tare, or behind such.
+            # Latencies count from here on: earlier rows waited for the tare, or behind rows that
+            # did.
             self._steady = min(self._steady, time.monotonic_ns())
 
     def _flush(self) -> None:
@@ -230,9 +231,7 @@ class _Loop:
                 sink.flush()
 
     def _finish(self) -> None:
-        """What has come already is worked on, poses that are due are awaited, and all is summed
-        up.
-        """
+        """Process what has come, wait for poses that are due, and complete the report."""
         report, processor = self._report, self._processor
         self._take(0)
         until = time.monotonic() + _LAST_WAIT

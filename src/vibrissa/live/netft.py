@@ -18,29 +18,29 @@ from vibrissa.live.clock import SequenceClock, epoch_offset
 from vibrissa.live.samples import Counts, Samples, Source
 from vibrissa.live.sequence import ORDERED, Sequencer
 
-# SO_TIMESTAMPNS and SO_RCVBUFFORCE, as asm-generic/socket.h of Linux numbers them.
+# SO_TIMESTAMPNS and SO_RCVBUFFORCE, from Linux's asm-generic/socket.h.
 _STAMPED, _FORCE_BUFFER = 35, 33
 _KERNEL_STAMP = struct.Struct("@qq")  # struct timespec: seconds and nanoseconds
-_ANCILLARY = 64  # bytes: room for the header of one such stamp
-_BUFFER = 16 * 2**20  # bytes in which the kernel holds datagrams while Python is busy: seconds
+_ANCILLARY = 64  # bytes: room for one such stamp with its header
+_BUFFER = 16 * 2**20  # bytes for the kernel to hold datagrams while Python is busy: seconds
 _OPTIONS = {socket.SO_RCVBUF: _BUFFER}
-if sys.platform == "linux":  # the usual limit is exceeded where this process may
+if sys.platform == "linux":  # exceeds the usual limit if this process may
     _OPTIONS |= {_FORCE_BUFFER: _BUFFER, _STAMPED: 1}
-_LONGEST = 2048  # bytes read of a datagram: more than a network's frame holds
-_MOST_DATAGRAMS = 1024  # of one read: 0.15 s at 7000 a second
-_GATHER = 1e-3  # [s] in which more may come: a thousand reads a second at most
+_LONGEST = 2048  # bytes read of a datagram: more than a network frame holds
+_MOST_DATAGRAMS = 1024  # per read: 0.15 s at 7000 a second
+_GATHER = 1e-3  # [s] to let more arrive: at most a thousand reads a second
 _ASK_AGAIN = 1.0  # [s] of silence
-_SETTLE = 50_000_000  # [ns]; of that many samples, one comes with hardly any delay
-# Nobody listens there, or the cable is out: this may pass.
+_SETTLE = 50_000_000  # [ns]; of the samples in that time, one comes with hardly any delay
+# Nobody is listening, or the cable is out: this may pass.
 _AWAY = {errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN, errno.EHOSTDOWN}
 
 
 @dataclass(eq=False)
 class NetFtSource(Source):
-    """Records of a sensor that is asked to stream.
+    """Samples that a sensor streams on request.
 
-    Datagrams from other addresses are ignored, since the socket is connected. On Linux a record
-    arrives when the kernel has its datagram. A sensor that falls silent is asked again every
+    Datagrams from other addresses are ignored, since the socket is connected. On Linux a record's
+    arrival is when the kernel got its datagram. A sensor that falls silent is asked again every
     second.
 
     Parameters
@@ -48,20 +48,20 @@ class NetFtSource(Source):
     host, port
         Address of the sensor.
     counts_per_force, counts_per_torque
-        Counts for one newton and for one newton metre.
+        Counts per newton and per newton metre.
     rate
-        Records a second, as the sensor is set.
+        Records per second, as set on the sensor.
     buffered
-        Whether to ask for several records a datagram.
+        Whether to ask for several records per datagram.
     bias
-        Whether the sensor is to take its present wrench for zero first.
+        Whether to have the sensor take its present wrench as zero first.
     error_bits
-        Bits of the status any of which makes a sample invalid.
+        Status bits, any of which makes a sample invalid.
 
     Raises
     ------
     ValueError
-        If a number is not greater than 0, or `error_bits` is not a whole number of 32 bits.
+        If a number is not greater than 0, or `error_bits` is not a 32-bit whole number.
     """
 
     host: str
@@ -88,7 +88,7 @@ class NetFtSource(Source):
         self._asked = 0.0
 
     def open(self) -> None:
-        """Connect, and ask for records without end."""
+        """Connect, and ask for an endless stream."""
         with naming(f"netft://{self.host}:{self.port}"):
             found = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)
         family, kind, protocol, _, address = found[0]
@@ -108,7 +108,7 @@ class NetFtSource(Source):
                 self._socket.send(rdt.request_bytes(command))
 
     def read(self, timeout: float) -> Samples | None:
-        """Samples that have come, in order; None if there are none within `timeout` seconds."""
+        """Samples received, in order; None if there are none within `timeout` seconds."""
         sound, came = b"", []
         for data, moment in self._datagrams(timeout):
             try:
@@ -120,7 +120,7 @@ class NetFtSource(Source):
         now, records = time.monotonic_ns(), np.frombuffer(sound, dtype=rdt.RECORD)
         rows = self._sequencer.accept(records, np.array(came, dtype=np.int64), now)
         rows = np.concatenate([self._early, rows])
-        # The first records are held for a moment: the clock is set by the least late of many.
+        # The first records are held back briefly: the clock is set by the least delayed of many.
         if not len(rows) or now - rows["arrival"][0] < self._settle:
             self._early = rows
             return None
@@ -144,8 +144,8 @@ class NetFtSource(Source):
         )
 
     def _datagrams(self, timeout: float) -> list[tuple[bytes, int]]:
-        """All that is there, after the first one and a moment in which more may come, each with
-        its arrival [ns].
+        """Wait for a datagram, and briefly for more; all that have come, each with its arrival
+        [ns].
         """
         found: list[tuple[bytes, int]] = []
         with suppress(TimeoutError, BlockingIOError), _may_be_away():

@@ -1,6 +1,4 @@
-"""Where the sensor is at the time of a sample: fixed, from a trail in time, or from a stream over
-UDP.
-"""
+"""The sensor's pose at the time of a sample: constant, from a timed trail, or from a UDP stream."""
 
 from __future__ import annotations
 
@@ -26,16 +24,16 @@ from vibrissa.live.address import listening
 from vibrissa.live.samples import Flags, Nanoseconds, Quaternions, Vectors
 from vibrissa.trail import Trail, between
 
-_NORM = 1e-3  # by which a unit quaternion's may be off: it is printed with four digits or more
+_NORM = 1e-3  # tolerance: quaternions are printed with four digits or more
 _LONGEST = 65536  # bytes: no datagram is longer
 _MOST_HELD = 20_000  # poses: 20 s of the fastest robots
 _STAMP = attrgetter("stamp")
-_ANOTHER_CLOCK = 1_000_000_000  # [ns]: clocks that are set agree to less
+_ANOTHER_CLOCK = 1_000_000_000  # [ns]: synchronised clocks differ by less
 
 
 class Poses(NamedTuple):
-    """Of the sensor frame in the world: (n, 3) [m], x, y, z, w (n, 4), and whether they are known
-    (n,).
+    """Poses of the sensor frame in the world: (n, 3) [m] and x, y, z, w (n, 4), and whether they
+    are known (n,).
     """
 
     position: Vectors
@@ -49,17 +47,16 @@ class PoseSource(ABC):
     malformed: int = 0
     """Datagrams that could not be read."""
     misplaced: int = 0
-    """Poses whose stamps lie more than a second from their arrival: the sender's clock is another.
-    """
+    """Poses stamped more than a second from their arrival: the clocks disagree."""
 
     def open(self) -> None:  # noqa: B027
-        """Begin. Raise OSError where an address cannot be listened at."""
+        """Start. Raise OSError if an address cannot be listened on."""
 
     def close(self) -> None:  # noqa: B027
         """Release sockets; may be called twice."""
 
     def ready(self, stamp: Nanoseconds, now: int) -> int:  # noqa: ARG002
-        """How many of the leading stamps (n,) [ns] can be answered by now [ns]: by default all."""
+        """How many of the leading stamps (n,) [ns] have poses by now [ns]: by default all."""
         return len(stamp)
 
     @abstractmethod
@@ -68,20 +65,20 @@ class PoseSource(ABC):
 
 
 class TimedPoses(PoseSource):
-    """A motion planned in time, which begins with the first sample. Between its poses the sensor
-    moves straight and turns evenly; after the last it stands.
+    """A planned motion, which begins with the first sample. Between its poses the sensor moves
+    straight and turns at a constant rate; after the last it stands still.
 
     Parameters
     ----------
     time
-        (k,) [s] from the first sample on, increasing.
+        (k,) [s] since the first sample, increasing.
     position, orientation
         Of the sensor frame: (k, 3) [m], and x, y, z, w (k, 4).
 
     Raises
     ------
     ValueError
-        If shapes do not fit, an entry is not finite, times do not increase, or a quaternion has
+        If shapes do not match, an entry is not finite, times do not increase, or a quaternion has
         zero norm.
     """
 
@@ -95,7 +92,7 @@ class TimedPoses(PoseSource):
         self._start: int | None = None
 
     def at(self, stamp: Nanoseconds) -> Poses:
-        """Poses at these times; the first stamp ever asked for is the motion's beginning."""
+        """Poses at these times; the motion begins at the first stamp ever asked for."""
         if self._start is None:
             self._start = int(stamp[0])
         found = between(self._time, self._motion, (stamp - self._start) * 1e-9)
@@ -103,7 +100,7 @@ class TimedPoses(PoseSource):
 
 
 class ConstantPose(PoseSource):
-    """A sensor that stands.
+    """A sensor that does not move.
 
     Raises
     ------
@@ -117,7 +114,7 @@ class ConstantPose(PoseSource):
         self._poses = TimedPoses([0.0], np.asarray(position)[None], orientation)
 
     def at(self, stamp: Nanoseconds) -> Poses:
-        """The pose."""
+        """The same pose at all times."""
         return self._poses.at(stamp)
 
 
@@ -136,7 +133,7 @@ _Number = Annotated[
 
 class PoseMessage(BaseModel):
     """One pose of a stream as JSON: `{"stamp": nanoseconds, "position": [x, y, z], "orientation":
-    [x, y, z, w]}`; without a stamp, that of its arrival is meant.
+    [x, y, z, w]}`; without a stamp, its time of arrival is used.
 
     Raises
     ------
@@ -157,7 +154,7 @@ class PoseMessage(BaseModel):
 def pose_bytes(
     stamp: int, position: Float[np.ndarray, "3"], orientation: Float[np.ndarray, "4"]
 ) -> bytes:
-    """A `PoseMessage` as it is sent."""
+    """A `PoseMessage` as sent."""
     pose = {"stamp": stamp, "position": position.tolist(), "orientation": orientation.tolist()}
     return json.dumps(pose).encode()
 
@@ -167,16 +164,16 @@ class StreamedPoses(PoseSource):
     """Poses from JSON datagrams over UDP (`PoseMessage`), interpolated to the stamps of the
     samples.
 
-    A sample waits for a pose at or after its stamp for up to `patience`; then the last pose holds
-    if it is no older than that, else the pose is not known. Poses that were swapped on the way are
-    put in order; one that is stamped more than a second ahead is left out.
+    A sample waits up to `patience` for a pose at or after its stamp; then the last pose is used if
+    it is no older than that, else the pose is unknown. Poses swapped on the way are put in order;
+    one stamped more than a second ahead is ignored.
 
     Parameters
     ----------
     host, port
-        Address to listen at; port 0 for any free one, which `open` puts in its place.
+        Address to listen on; port 0 for any free one, which `open` fills in.
     patience
-        How long a pose may be awaited, and how far back it may lie [s].
+        How long to wait for a pose, and how old it may be [s].
     """
 
     host: str = "127.0.0.1"
@@ -204,7 +201,7 @@ class StreamedPoses(PoseSource):
                 self.take(connection.recv(_LONGEST), time.time_ns())
 
     def take(self, data: bytes, now: int) -> None:
-        """Keep the pose of one datagram that came at `now` [ns since 1970]; count what cannot be
+        """Keep the pose in a datagram received at `now` [ns since 1970]; count it if it cannot be
         read.
         """
         try:
@@ -237,8 +234,8 @@ class StreamedPoses(PoseSource):
         return int(np.searchsorted(stamp, max(latest, now - self._patience), side="right"))
 
     def at(self, stamp: Nanoseconds) -> Poses:
-        """Poses at these times; poses before the first of them are forgotten. Farther than the
-        patience from the poses on both sides none is known: a straight line would be a guess.
+        """Poses at these times; poses no longer needed are dropped. Farther than the patience from
+        the poses on both sides, the pose is unknown: a straight line would be a guess.
         """
         with self._lock:
             del self._held[: max(bisect(self._held, stamp[0], key=_STAMP) - 1, 0)]

@@ -1,4 +1,4 @@
-"""Samples to contacts: tare, pose, inverse, batch by batch."""
+"""From samples to contacts: tare, pose, inverse, batch by batch."""
 
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, replace
@@ -29,27 +29,27 @@ from vibrissa.tolerances import PARAMETERS, Tolerances
 from vibrissa.trail import Trail
 
 MOST_ROWS = 64
-"""Of one call of the inverse: one block of its lanes. More blocks would have to be compiled too."""
+"""Rows per call of the inverse: one block of its lanes. More blocks would need compiling too."""
 TARE_SECONDS = 1.0
-"""Where the setup gives none."""
-_DAY = 86_400.0  # [s] for which pink noise is stated as it is: slower noise a tare knows
+"""Length of the tare if the setup gives none [s]."""
+_DAY = 86_400.0  # [s] over which pink noise is modelled: the tare takes care of slower noise
 
 
 @runtime_checkable
 class Stage(Protocol):
-    """What stands between the inverse and the sinks, such as a filter in time.
+    """A step between the inverse and the sinks, such as a filter over time.
     `vibrissa.live.Processor` calls it with each batch, in order.
 
-    Its method `reset()`, if it has one, is called when the sensor's zero was taken anew.
+    Its method `reset()`, if it has one, is called after the sensor was tared again.
     """
 
     def push(self, found: Reconstruction) -> Reconstruction:
-        """Return the batch with each row as it is known by now: the same rows."""
+        """Return the same rows, each with its contact as known by now."""
 
 
 class Result(NamedTuple):
-    """One batch: stamps (n,) [ns], arrivals (n,) [ns], poses and tared wrench (NaN where not
-    known), contacts.
+    """One batch: stamps (n,) [ns], arrivals (n,) [ns], poses and tared wrench (NaN where unknown),
+    contacts.
     """
 
     stamp: Nanoseconds
@@ -70,31 +70,30 @@ class _Places(NamedTuple):
 class Processor:
     """Turns samples into contacts.
 
-    Rows are held until the tare is over, and until their pose is known. A row that the sensor calls
+    Rows are held until the tare is over and their pose is known. A row that the sensor marks as
     invalid, or that has no pose, is passed on without contact, with `Status.BAD_DATA`. The tare
-    begins with the first valid one. After a sensor was restarted its zero is compared with that
-    before, and taken anew if it is another and the rod is known to be free (`vibrissa.live.zero`);
-    until that is known, rows have the status `SETUP_CONTRADICTED`.
+    begins with the first valid row. After a restart of the sensor its zero is compared with the
+    previous one; if it has changed, and the rod is known to be free, the sensor is tared again
+    (`vibrissa.live.zero`). Until that is settled, rows have the status `SETUP_CONTRADICTED`.
 
     Parameters
     ----------
     rod, sensor
-        Of the setup; the first `sensor.tare_seconds` of samples, taken from the stream, are its
-        tare: one second where that is None. Rest intervals and an estimated drift need a whole
-        recording and are not used.
+        From the setup; the first `sensor.tare_seconds` of the stream are the tare: one second if
+        that is None. Rest intervals and drift estimation need a whole recording and are not used.
     poses
-        Of the sensor frame, for sources that do not know it.
+        Poses of the sensor frame, for sources that do not give them.
     stage
-        Between the inverse and the sinks, or None.
+        A step between the inverse and the sinks, or None.
     friction
-        Coulomb's coefficient between rod and object: 0 for none, None where it is not known.
+        Coulomb friction coefficient between rod and object: 0 for none, None if unknown.
     tolerances
         As for `vibrissa.Sensor.reactions`.
 
     Attributes
     ----------
     report
-        Counts what is done here, and is told what happens. `stream` completes it.
+        Counts what is done here and takes messages on what happens. `stream` completes it.
     """
 
     rod: Rod
@@ -122,28 +121,28 @@ class Processor:
 
     @property
     def tare(self) -> Wrench | None:
-        """What is taken off [N], [N m]; None as long as that is not known."""
+        """Offset to be subtracted [N], [N m]; None until it is known."""
         return self._tare.offset if self._tared else None
 
     @property
     def waiting(self) -> int:
-        """Samples that are held."""
+        """Number of samples held."""
         return len(self._waiting or ())
 
     def warm_up(self) -> None:
-        """Compile, for every size of batch that may come, before samples do."""
+        """Compile for every batch size that may come, before samples do."""
         for rows in (1, MOST_ROWS):
             self._found(replace(_unloaded(rows), force=np.ones((rows, 3))), np.zeros(rows, bool))
 
     def push(self, samples: Samples) -> None:
-        """Take samples in."""
+        """Add samples."""
         if not samples:
             return
         if self._origin is None:
             self._origin = int(samples.stamp[0])
         waiting = joined([self._waiting, samples]) if self._waiting else samples
         if not self._tared and samples.anew.any():
-            # What came from the sensor before its restart is of another zero.
+            # Samples from before the sensor's restart have another zero.
             here = np.arange(len(waiting)) >= np.flatnonzero(waiting.anew)[-1]
             waiting = replace(waiting, valid=waiting.valid & here)
         self._waiting = waiting
@@ -153,13 +152,13 @@ class Processor:
             self._take_tare(self._tare, self._time(samples))
 
     def _try_tare(self, rest: Samples) -> None:
-        """From the leading time, once a sample lies behind it; as `Sensor.reactions` takes it from
-        a recording.
+        """Tare from the leading seconds, once a sample lies beyond them; as `Sensor.reactions` does
+        for a recording.
         """
         end, sensor = rest.stamp[0] + self._seconds * 1e9, self._sensor
         if not rest.valid[0] or rest.stamp[-1] < end:
             return
-        # Without a mount that weighs, the tare needs no pose.
+        # Without a mount's weight, the tare needs no pose.
         posed = ConstantPose().at(rest.stamp) if sensor.mount is None else self._posed(rest)
         raw = self._raw(rest, posed)
         self._take_tare(sensor.tare(raw), raw.time)
@@ -175,24 +174,24 @@ class Processor:
         self._zero = ZeroWatch(noise, sensor.noise.resolution, self.rod.length, self._seconds)
 
     def _take_tare(self, tare: Tare, time: Times) -> None:
-        """From now on this one, with a covariance that holds pink noise and random walk of a stream
-        that began with the first of these times [s] of its samples, and goes on.
+        """Use this tare from now on, with a covariance that includes pink noise and random walk,
+        for an open-ended stream whose samples began at the first of these times [s].
         """
         interval = float(np.median(np.diff(time)))
         coloured = self._sensor.noise.coloured_within(float(time[0]), _DAY, interval)
         self._tare, self._tared = replace(tare, coloured=tuple(coloured)), True
 
     def ready(self, now: int) -> Iterator[Result]:
-        """Batches that can be worked on at `now` [ns since 1970], for sources whose stamps are of
-        the host's clock.
+        """Batches that can be processed at `now` [ns since 1970], for sources stamped on the host's
+        clock.
         """
         while self._waiting and (count := self._workable(self._waiting, now)):
             samples, self._waiting = self._waiting[:count], self._waiting[count:]
             yield self._result(samples)
 
     def _workable(self, samples: Samples, now: int) -> int:
-        """How many leading samples are the next batch: of one zero, with poses, and, before the
-        tare is known, those in error.
+        """How many leading samples form the next batch: of one zero, with poses, and, before the
+        tare is known, only those in error.
         """
         ends = [len(samples), MOST_ROWS, *(np.flatnonzero(samples.anew[1:])[:1] + 1)]
         if samples.position is None:
@@ -225,7 +224,7 @@ class Processor:
         return Result(samples.stamp, samples.arrival, shown, found)
 
     def _found(self, raw: RawRecording, known: Flags) -> Reconstruction:
-        """Contacts of rows of which some have a pose."""
+        """Contacts of rows, some of which may lack a pose."""
         reactions = self._sensor.reactions(raw, self._tare, tolerances=self._errors)
         late = PARAMETERS.index("pose_delay")
         if self._errors is not None and self._errors.covariance[late, late]:
@@ -234,7 +233,7 @@ class Processor:
         return reconstruct(self.rod, reactions, friction=self.friction, check=False)
 
     def _velocity(self, time: Times, clamp: Trail, known: Flags) -> Wrench:
-        """Of the clamp, one for the batch: between its last pose and one some 50 ms before."""
+        """Velocity of the clamp, one for the batch: from its last pose and one some 50 ms back."""
         here = rows_of(_Places(time, clamp.position, clamp.orientation), known)
         passed = joined([*self._passed, here])
         if len(passed.time) < 2:
@@ -244,7 +243,7 @@ class Processor:
         return velocities(*rows_of(passed, [0, -1]))[1]
 
     def _tare_anew(self, rest: RawRecording) -> None:
-        """From rest after a restart that changed the zero."""
+        """Tare again, from readings at rest after a restart that changed the zero."""
         before = self._tare.offset
         self._take_tare(self._sensor.tare(rest), rest.time)
         self.report.zero_changes += 1
@@ -255,11 +254,11 @@ class Processor:
         self.report.warn(f"{text}: it is tared again")
 
     def _time(self, samples: Samples) -> Times:
-        """Since the first sample [s]."""
+        """Time since the first sample [s]."""
         return (samples.stamp - self._origin) * 1e-9
 
     def _raw(self, samples: Samples, poses: Poses) -> RawRecording:
-        """Samples as a recording, NaN for those without a pose or not valid."""
+        """Samples as a recording, NaN for those that are invalid or have no pose."""
         good = (samples.valid & poses.known)[:, None]
         force, torque = (np.where(good, part, np.nan) for part in (samples.force, samples.torque))
         return RawRecording(self._time(samples), poses.position, poses.orientation, force, torque)
@@ -271,7 +270,7 @@ class Processor:
 
 
 def _unloaded(rows: int) -> RawRecording:
-    """Rows of a sensor that stands and feels nothing."""
+    """Rows of a sensor at rest without load."""
     still = np.zeros((rows, 3))
     turn = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1))
     return RawRecording(np.arange(float(rows)), still, turn, still, still)

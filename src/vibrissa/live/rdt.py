@@ -1,5 +1,5 @@
-"""RDT, the raw data transfer of Ethernet force/torque sensors over UDP: requests and records as
-bytes. No sockets here.
+"""RDT (raw data transfer), the UDP protocol of Ethernet force/torque sensors: requests and records
+as bytes. No sockets here.
 """
 
 import struct
@@ -12,10 +12,9 @@ from vibrissa.geometry.checks import positive
 
 PORT = 49152
 MOST_RECORDS = 40
-"""In one datagram: what the sensors' buffered mode sends at most."""
+"""Most records in one datagram: the maximum of the sensors' buffered mode."""
 ERROR_BIT = 1 << 31
-"""Of the status: set by the sensor where its reading is not to be trusted; the lower bits say why.
-"""
+"""Status bit that the sensor sets if its reading is not to be trusted; the lower bits say why."""
 STATUS_BITS = {
     0: "temperature out of range",
     1: "supply voltage out of range",
@@ -30,11 +29,12 @@ STATUS_BITS = {
     30: "force or torque out of range",
     31: "error",
 }
-"""What bits of the status mean (ATI Industrial Automation, "Manual, F/T Sensor, Ethernet Axia",
+"""Meaning of the status bits (ATI Industrial Automation, "Manual, F/T Sensor, Ethernet Axia",
 documents 9610-05-Ethernet Axia-09, table 4.9, and 9620-05-C-Ethernet Axia-02, table 5.7); other
-sensors may give the lower ones other meanings."""
+sensors may give the lower ones other meanings.
+"""
 MODULUS = 1 << 32
-"""Sequence numbers count up to here, and start at 0 again."""
+"""Sequence numbers wrap to 0 here."""
 
 RECORD = np.dtype(
     [("rdt_sequence", ">u4"), ("ft_sequence", ">u4"), ("status", ">u4"), ("counts", ">i4", (6,))]
@@ -48,7 +48,7 @@ _HEADER = 0x1234
 
 
 def counts_per_unit(counts_per_force: float, counts_per_torque: float) -> Float[np.ndarray, "6"]:
-    """Counts of fx, fy, fz, tx, ty, tz for one newton and for one newton metre.
+    """Counts of fx, fy, fz, tx, ty, tz per newton and per newton metre.
 
     Raises
     ------
@@ -64,16 +64,17 @@ class Command(IntEnum):
 
     STOP = 0x0000
     REAL_TIME = 0x0002
-    """One record a datagram."""
+    """One record per datagram."""
     BUFFERED = 0x0003
-    """Several records a datagram."""
+    """Several records per datagram."""
     RESET_LATCH = 0x0041
     BIAS = 0x0042
-    """Take the present wrench for zero."""
+    """Take the present wrench as zero."""
 
 
 def request_bytes(command: Command, count: int = 0) -> bytes:
-    """Eight bytes `>HHI`: 0x1234, command, and how many records are wanted, 0 for no end.
+    """Eight bytes `>HHI`: 0x1234, command, and the number of records wanted, 0 for an endless
+    stream.
 
     Raises
     ------
@@ -86,12 +87,12 @@ def request_bytes(command: Command, count: int = 0) -> bytes:
 
 
 def parse_request(data: bytes) -> tuple[Command, int]:
-    """Command and count, of the bytes of `request_bytes`.
+    """Command and count from the bytes of `request_bytes`.
 
     Raises
     ------
     ValueError
-        If there are not eight bytes, they do not begin with 0x1234, or the command is not known.
+        If there are not eight bytes, they do not begin with 0x1234, or the command is unknown.
     """
     header, command, count = _REQUEST.unpack(data) if len(data) == _REQUEST.size else (0, 0, 0)
     if header != _HEADER or command not in list(Command):

@@ -1,4 +1,4 @@
-"""A recording played as if it were live."""
+"""A recording played back as if it were live."""
 
 import time
 from dataclasses import dataclass, replace
@@ -8,19 +8,19 @@ import numpy as np
 from vibrissa.live.samples import Counts, EndOfStreamError, Samples, Source
 from vibrissa.sensor import RawRecording
 
-_MOST_ROWS = 512  # of one read: eight batches of the inverse
+_MOST_ROWS = 512  # per read: eight batches of the inverse
 
 
 @dataclass(eq=False)
 class ReplaySource(Source):
-    """Rows of a recording, each when its time has come; stamps are the recording's own times.
+    """Rows of a recording, each when it is due; stamps are the recording's own times.
 
     Parameters
     ----------
     raw
-        What was recorded.
+        The recording.
     speed
-        Seconds of the recording in a second; infinity for as fast as rows are taken.
+        Seconds of the recording per second; infinity for as fast as rows are taken.
 
     Raises
     ------

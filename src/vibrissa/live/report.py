@@ -1,4 +1,4 @@
-"""What a stream did, in figures and in words; its delays and its silences."""
+"""What a stream did, in numbers and in words; its latency and its silences."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -8,13 +8,13 @@ import numpy as np
 from vibrissa.contacts import ContactKind
 from vibrissa.live.samples import Counts, Nanoseconds
 
-_MOST_WARNINGS = 100  # a stream that falters for hours must not fill the memory with that
-# From 1 µs in steps of 1 %, the accuracy of a percentile, to 7 minutes.
+_MOST_WARNINGS = 100  # a stream that falters for hours must not fill the memory
+# From 1 µs to 7 minutes in steps of 1 %, the accuracy of a percentile.
 _EDGES = 1e3 * 1.01 ** np.arange(2000)
 _LEAST_SILENCE = 500_000_000
-"""Shortest silence [ns]: networks and busy computers hold datagrams back for less."""
+"""Shortest silence [ns]: networks and busy computers delay datagrams by less."""
 _SILENT_STEPS = 20
-"""Nor is it shorter than the time of so many samples, for slow sensors."""
+"""It is also no shorter than this many sampling periods, for slow sensors."""
 
 
 @dataclass
@@ -24,14 +24,14 @@ class Report:
     Attributes
     ----------
     counts
-        Of the source.
+        Counts of the source.
     contacts
         Rows with a contact, by kind.
     rows
         Rows given to the sinks.
     unused
-        Samples recorded, but left without a row: the stream ended before the tare was over, or
-        before their pose came.
+        Samples recorded, but without a row: the stream ended before the tare was over, or before
+        their pose came.
     overflow
         Samples thrown away because this process could not keep up.
     without_pose
@@ -42,22 +42,22 @@ class Report:
     seconds
         From the first sample to the end.
     cpu_share
-        Of one core, over that time.
+        Share of one core used over that time.
     latency_median, latency_999
-        From the arrival of a sample to its contact [s], and its 99.9th percentile; without rows
-        that waited for the tare, or behind such. None if there were none.
+        Time from the arrival of a sample to its contact [s], median and 99.9th percentile, without
+        rows that waited for the tare or behind rows that did. None if there were no others.
     moved_during_tare
-        Whether the wrench varied by more than three times its noise while it was tared.
+        Whether the wrench varied by more than three times its noise during the tare.
     silent
         Whether the stream ended because the source fell silent.
     silences, silent_seconds
-        How often a running source gave nothing for half a second or more, and for how long
-        altogether.
+        How often a running source gave nothing for half a second or more, and for how long in
+        total.
     unsure, zero_changes
-        Rows flagged because a sensor had been restarted and its zero was not known; how often the
-        zero had changed, and was taken anew.
+        Rows flagged because a sensor had been restarted and its zero was unknown; how often the
+        zero had changed and the sensor was tared again.
     warnings
-        What was said while it ran, and what the figures above say at the end, one line each.
+        Warnings given during the run, and those from the numbers above at its end, one line each.
     """
 
     counts: Counts = field(default_factory=Counts)
@@ -81,21 +81,21 @@ class Report:
     warnings: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        # Is told, in one line, what happens.
+        # Called with one-line messages on what happens.
         self.notice: Callable[[str], object] = str
 
     def warn(self, text: str) -> None:
-        """Tell and keep a warning, unless there is no room for it."""
+        """Issue and keep a warning, unless there are too many already."""
         if len(self.warnings) < _MOST_WARNINGS:
             self.warnings.append(text)
             self.notice(f"warning: {text}")
 
     def losses(self) -> list[str]:
-        """What the figures say against the stream, one line each; nothing if all is well."""
+        """What went wrong according to the numbers, one line each; empty if all is well."""
         counts = self.counts
         said = {
             f"{counts.lost} samples are lost, in {counts.gaps} gaps": counts.lost,
-            f"{counts.invalid} samples are in error, as the sensor says": counts.invalid,
+            f"{counts.invalid} samples are in error according to the sensor": counts.invalid,
             f"{counts.malformed} datagrams or lines could not be read": counts.malformed,
             f"{self.overflow} samples were thrown away: this computer does not keep up": (
                 self.overflow
@@ -113,20 +113,18 @@ class Report:
 
 
 class Latency:
-    """Counts times in bins that widen by 1 %, so that every percentile is right to 1 %."""
+    """A histogram of times with bins that widen by 1 %, so that percentiles are right to 1 %."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(len(_EDGES), dtype=np.int64)
 
     def add(self, nanoseconds: Nanoseconds) -> None:
-        """Count these (n,)."""
+        """Count these times (n,)."""
         bins = np.searchsorted(_EDGES[:-1], nanoseconds)
         self._counts += np.bincount(bins, minlength=len(_EDGES))
 
     def percentile(self, percent: float) -> float | None:
-        """Time [s] that this share of all does not exceed: the upper end of its bin; None if none
-        was counted.
-        """
+        """Percentile [s], as the upper edge of its bin; None if nothing was counted."""
         if not self._counts.any():
             return None
         edge = np.percentile(_EDGES, percent, weights=self._counts, method="inverted_cdf")
@@ -134,7 +132,7 @@ class Latency:
 
 
 class SilenceWatch:
-    """Notices silences of a source by the arrivals of its samples [ns], and adds them up in a
+    """Detects silences of a source from the arrivals of its samples [ns], and adds them up in a
     report.
     """
 
@@ -144,7 +142,7 @@ class SilenceWatch:
         self._noticed = False
 
     def _silences(self, pause: Nanoseconds) -> np.ndarray:
-        """Those pauses (n,) [ns] that are silences; none are until so many samples have shown the
+        """Those of the pauses (n,) [ns] that are silences; none until enough samples have shown the
         sensor's pace.
         """
         if self._samples < _SILENT_STEPS:
@@ -153,8 +151,8 @@ class SilenceWatch:
         return pause[pause >= max(_LEAST_SILENCE, _SILENT_STEPS * pace)]
 
     def came(self, arrival: Nanoseconds) -> float | None:
-        """Take note of samples (n,), or of the end, and return the longest silence [s] before one of
-        them; None for none.
+        """Take note of arrivals (n,) of samples, or of the end, and return the longest silence [s]
+        before one of them; None if there was none.
         """
         pause = np.diff(arrival, prepend=self._last if self._samples else arrival[0])
         silences = self._silences(pause)
@@ -166,6 +164,6 @@ class SilenceWatch:
         return float(silences.max()) * 1e-9 if len(silences) else None
 
     def begins(self, now: int) -> bool:
-        """Whether a silence is noticed now; once each."""
+        """Whether a silence is first noticed now; true once per silence."""
         before, self._noticed = self._noticed, len(self._silences(np.array([now - self._last]))) > 0
         return self._noticed and not before

@@ -1,4 +1,4 @@
-"""What a source gives: samples of the wrench, and a count of what went wrong on the way."""
+"""What a source gives: samples of the wrench, and counts of what went wrong on the way."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 Nanoseconds = Int[np.ndarray, "n"]
-"""Times (n,): stamps since 1970, or arrivals by the monotonic clock."""
+"""Times (n,): stamps since 1970, or arrivals on the monotonic clock."""
 Flags = Bool[np.ndarray, "n"]
 Vectors = Float[np.ndarray, "n 3"]
 Quaternions = Float[np.ndarray, "n 4"]
@@ -33,19 +33,19 @@ class Samples:
     stamp
         (n,) [ns]: when a sample was taken, increasing; on the host's clock, or a recording's own.
     sequence
-        (n,): number of the sample, from the sensor where it counts.
+        (n,): number of the sample, the sensor's own if it counts.
     force, torque
         (n, 3) [N], [N m], as `vibrissa.Sensor` says, tare included.
     valid
-        (n,): false where the sensor itself says that the row is in error.
+        (n,): false if the sensor itself reports the row as in error.
     arrival
-        (n,) [ns] of the monotonic clock: when the host had it.
+        (n,) [ns] on the monotonic clock: when the host received it.
     position, orientation
-        Pose of the sensor frame in the world, (n, 3) [m] and x, y, z, w (n, 4), where the source
-        knows it; else None.
+        Pose of the sensor frame in the world, (n, 3) [m] and x, y, z, w (n, 4), if the source gives
+        it; else None.
     anew
-        (n,): true for the first row after the sender's numbers or clock began anew, as after a
-        restart of the sensor. By default false throughout.
+        (n,): true for the first row after the sender's numbering or clock restarted, as when the
+        sensor was restarted. By default false throughout.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def rows_of(table: Table, rows: slice | Flags | list[int]) -> Table:
 
 
 def joined(parts: Sequence[Table]) -> Table:
-    """Tables with the same columns, one after the other."""
+    """Concatenate tables with the same columns."""
     if len(parts) == 1:
         return parts[0]
     return jax.tree.map(lambda *columns: np.concatenate(columns), *parts)
@@ -96,10 +96,10 @@ class Counts:
     Attributes
     ----------
     samples
-        Given on.
+        Passed on.
     lost
-        Numbers that never came, or came too late to be put in order. Where the numbers began anew:
-        the samples that the time in between would have held.
+        Numbers that never came, or came too late to be put in order; where the numbering restarted,
+        as many samples as would have come in the meantime.
     gaps
         How often numbers were missing.
     late
@@ -115,11 +115,11 @@ class Counts:
     invalid
         Samples that the sensor says are in error.
     restarts
-        How often the numbers, or the clock, began anew.
+        How often the numbering or the clock restarted.
     rate_changes
-        How often samples came at another rate than was known.
+        How often samples came at another rate than assumed.
     status
-        All status words combined, bit by bit.
+        Bitwise OR of all status words.
     """
 
     samples: int = 0
@@ -151,11 +151,11 @@ class Source(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Begin. Raise OSError where the source cannot be reached."""
+        """Start. Raise OSError if the source cannot be reached."""
 
     @abstractmethod
     def read(self, timeout: float) -> Samples | None:
-        """Samples that have come, or None if there are none within `timeout` seconds; raise
+        """Samples received, or None if there are none within `timeout` seconds; raise
         EndOfStreamError after the last.
         """
 

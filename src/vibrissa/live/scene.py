@@ -1,4 +1,4 @@
-"""A scan played in time, as a sensor would feel it."""
+"""A scan played over time, as a sensor would feel it."""
 
 from collections.abc import Iterator
 from itertools import count
@@ -14,7 +14,7 @@ from vibrissa.sensor import RawRecording, Sensor
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail, between, linear
 
-_MOST_POSITIONS = 4001  # of a scan: steps of 10 µm over 40 mm, between which reactions are linear
+_MOST_POSITIONS = 4001  # of a scan: steps of 10 µm over 40 mm; reactions are linear between
 
 
 def swept(
@@ -28,14 +28,14 @@ def swept(
     friction: float = 0.0,
     finite_radius: bool = False,
 ) -> Reactions:
-    """Reactions (k, …) over time of a case: along the first trail, then on to the next one.
+    """Reactions (k, …) of a case over time: along the first trail, then on to the next one.
 
     Parameters
     ----------
     rod, surface, trail, friction, finite_radius
         As for `vibrissa.scan`, in SI units.
     rest, sweep, pause
-        As for `motion`. Reactions go over evenly between trails: none if the ends are free of
+        As for `motion`. Reactions are interpolated between trails: zero if their ends are free of
         contact.
 
     Raises
@@ -53,23 +53,23 @@ def swept(
 def motion(
     trail: Trail, *, rest: float, sweep: float, pause: float
 ) -> tuple[Float[np.ndarray, "k"], Trail]:
-    """Time (k,) [s] and clamp poses (k, …) of trails that are swept one after the other.
+    """Time (k,) [s] and clamp poses (k, …) of trails swept one after the other.
 
     Parameters
     ----------
     trail
         One or several.
     rest
-        Seconds before anything moves: the tare's.
+        Seconds before anything moves, for the tare.
     sweep
         Seconds for each trail.
     pause
-        Seconds from one trail's end to the next one's start: straight.
+        Seconds for the straight move from one trail's end to the start of the next.
 
     Raises
     ------
     ValueError
-        If a time is not allowed, or a trail has less than two positions.
+        If a time is not allowed, or a trail has fewer than two positions.
     """
     not_negative(rest, "rest")
     positive(sweep, "sweep")
@@ -82,7 +82,7 @@ def motion(
 
 
 def _refined(trail: Trail) -> Trail:
-    """The same motion in more steps, so that reactions may be taken for linear between them."""
+    """The same motion in more steps, so that reactions may be taken as linear between them."""
     steps = max(trail.count - 1, 1)
     wanted = np.linspace(0, steps, max((_MOST_POSITIONS - 1) // steps, 1) * steps + 1)
     several = trail if trail.position.ndim == 3 else Trail.stack([trail])
@@ -101,8 +101,8 @@ def measured(
     block: int = 512,
     repeat: bool = False,
 ) -> Iterator[RawRecording]:
-    """What the sensor logs of a scene, in blocks of rows, without end: sample i at i/rate. The clamp
-    stands before and after the scene, or `repeat` plays it again and again.
+    """What the sensor logs of a scene, in an endless series of blocks of rows: sample i at i/rate.
+    The clamp stands still before and after the scene, or `repeat` plays it again and again.
     """
     assert scene.time is not None
     duration = scene.time[-1] if repeat else np.inf

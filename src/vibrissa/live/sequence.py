@@ -1,5 +1,5 @@
-"""Records in the order of their numbers: gaps are counted, swapped neighbours put right, doubles
-dropped.
+"""Records in the order of their numbers: gaps are counted, swapped neighbours put in order,
+duplicates dropped.
 """
 
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from vibrissa.live.clock import AHEAD
 from vibrissa.live.rdt import MODULUS, MOST_RECORDS, RECORD
 from vibrissa.live.samples import Counts, Nanoseconds
 
-# Records remembered to tell doubles: 0.14 s at 7000 a second, more than networks delay.
+# Records remembered to detect duplicates: 0.14 s at 7000 a second, longer than network delays.
 _BACK = 1000
-# Records that wait for a missing one: 0.07 s at 7000 a second, beyond any patience.
+# Records that may wait for a missing one: 0.07 s at 7000 a second, beyond any patience.
 _MOST_HELD = 512
 _BYTES = np.dtype(f"V{RECORD.itemsize}")
 _ORDERED = [("number", "i8"), ("record", _BYTES), ("arrival", "i8")]
 ORDERED = np.dtype([("number", "i8"), ("record", RECORD), ("arrival", "i8")])
-"""A record in order: its unwrapped number, itself, and when it arrived [ns]."""
+"""A record in order: its unwrapped number, the record, and its arrival [ns]."""
 
 
 class _Record(NamedTuple):
-    """A record as it came: its wrapped number, its bytes, and when."""
+    """A record as it came: its wrapped number, its bytes, and its arrival."""
 
     wrapped: int
     content: bytes
@@ -31,12 +31,13 @@ class _Record(NamedTuple):
 
 @dataclass(eq=False)
 class Sequencer:
-    """Gives records on in the order of their 32-bit numbers, which wrap.
+    """Passes records on in the order of their 32-bit numbers, which wrap.
 
     A record whose predecessor is missing is held for up to `patience`; then the gap counts as lost.
-    A record that came before, byte for byte, is a double. A record whose number fits nowhere (given
-    on before with other content, more than 1000 back, or more than a million ahead) is set aside:
-    if the next one continues from it the stream began anew, else it was damage.
+    A record that came before, byte for byte, is a duplicate. A record whose number fits nowhere
+    (passed on before with other content, more than 1000 back, or more than a million ahead) is set
+    aside: if the next one continues from it, the stream restarted; otherwise the record was
+    corrupt.
 
     Attributes
     ----------
@@ -52,14 +53,14 @@ class Sequencer:
     def __post_init__(self) -> None:
         self._next = -1  # until the first record
         self._held: dict[int, _Record] = {}
-        # What was given on by number, the last 1000; None for a number that was given up.
+        # The last 1000 records passed on, by number; None for a number that was given up.
         self._past: dict[int, bytes | None] = {}
         self._aside: _Record | None = None
         self._out: list[tuple[int, bytes, int]] = []
 
     def accept(self, records: np.ndarray, arrival: Nanoseconds, now: int) -> np.ndarray:
-        """Take records (n,) of type `RECORD` as they came, and return those that are in order by
-        now, of type `ORDERED`; `now` [ns] is on the clock of `arrival`.
+        """Take records (n,) of type `RECORD` as they came, and return those now in order, of type
+        `ORDERED`; `now` [ns] is on the clock of `arrival`.
         """
         contents = records.view(_BYTES).tolist()
         for row in zip(records["rdt_sequence"].tolist(), contents, arrival.tolist(), strict=True):
@@ -96,12 +97,12 @@ class Sequencer:
             self._set_aside(record)
 
     def _set_aside(self, record: _Record | None) -> None:
-        """In the place of the one before, which was damage."""
+        """Set a record aside in place of the previous one, which was corrupt."""
         self.counts.malformed += self._aside is not None
         self._aside = record
 
     def _begin_anew(self, *records: _Record) -> None:
-        """Number on, from a new stream's first records."""
+        """Continue the numbering with a new stream's first records."""
         self._aside = None
         while self._held:
             self._give_up()
@@ -112,7 +113,7 @@ class Sequencer:
             self._take(record)
 
     def _give_held(self, first: int) -> int:
-        """Give on what is held from this number on, and return how many those were."""
+        """Pass on the records held from this number on, and return how many there were."""
         self._next = first
         while self._next in self._held:
             _, content, came = self._held.pop(self._next)

@@ -19,13 +19,13 @@ from vibrissa.live.clock import epoch_offset
 from vibrissa.live.poses import pose_bytes
 from vibrissa.sensor import RawRecording
 
-_LISTEN = 0.01  # [s] between looks for requests
-_LARGEST_COUNT = 2**31 - 1  # of 32 bits with a sign
+_LISTEN = 0.01  # [s] between checks for requests
+_LARGEST_COUNT = 2**31 - 1  # signed, 32 bits
 
 
 @dataclass(frozen=True)
 class Flaws:
-    """Shares of datagrams, from 0 to 1, to which something happens on the way.
+    """Shares of datagrams, from 0 to 1, that are disturbed on the way.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Flaws:
     malformed
         Followed by one that is cut off.
     error
-        With the error bit in the status of their first record.
+        Sent with the error bit set in the status of their first record.
 
     Raises
     ------
@@ -65,11 +65,11 @@ class Sent:
     Attributes
     ----------
     records, sent, dropped
-        Records made, those that left it, and those dropped on purpose.
+        Records generated, records sent, and records dropped on purpose.
     poses
-        Sent.
+        Poses sent.
     malformed_requests
-        Those that could not be read.
+        Requests that could not be read.
     latest
         Largest delay [s].
     takeovers
@@ -93,33 +93,34 @@ class _Sample(NamedTuple):
 
 @dataclass(eq=False)
 class SensorSimulator:
-    """Streams samples over UDP to whoever asked last, at an even rate by the monotonic clock.
+    """Streams samples over UDP to whoever asked last, at a constant rate on the monotonic clock.
 
-    There is one stream: a client that asks takes it from the one that had it, which then finds its
-    sensor silent. `notice` is told.
+    There is only one stream: a client that asks takes it from the one that had it, which then finds
+    its sensor silent. `notice` is told.
 
     Parameters
     ----------
     samples
         Blocks of what the sensor logs, one row every 1/rate; they may be endless.
     counts_per_force, counts_per_torque
-        Counts for one newton and for one newton metre.
+        Counts per newton and per newton metre.
     rate
-        Records a second.
+        Records per second.
     host, port
         Where to listen; 0 for any free port.
     buffer
-        Records a datagram where the buffered mode is asked for.
+        Records per datagram in buffered mode.
     flaws
         What goes wrong, at random.
     seed
-        Of that randomness.
+        Seed of that randomness.
     poses
         Host and port to which the sensor's pose is sent as JSON, or None.
     pose_rate
-        Poses a second.
+        Poses per second.
     notice
-        Is told, in one line, when a client takes the stream from another; by default nobody is.
+        Called with one line when a client takes the stream from another; by default it does
+        nothing.
 
     Raises
     ------
@@ -164,7 +165,7 @@ class SensorSimulator:
         self.sent = Sent()
 
     def open(self) -> None:
-        """Listen, and learn the port where any was allowed. Raise OSError where it is taken."""
+        """Listen, and fill in the port if any was allowed. Raise OSError if it is taken."""
         self._socket = listening(self.host, self.port)
         self._socket.settimeout(0)
         self.port = self._socket.getsockname()[1]

@@ -13,7 +13,7 @@ from vibrissa.sensor import RawRecording
 
 @runtime_checkable
 class Sink(Protocol):
-    """Takes what a stream gives, in order. What it raises ends the stream."""
+    """Takes what a stream gives, in order. An exception it raises ends the stream."""
 
     def wrench(
         self,
@@ -22,25 +22,25 @@ class Sink(Protocol):
         force: Vectors,
         torque: Vectors,
     ) -> None:
-        """Raw samples as soon as they are there: stamps (n,) [ns], numbers (n,), and the wrench (n,
-        3) [N], [N m], tare included.
+        """Raw samples as soon as they come: stamps (n,) [ns], numbers (n,), and the wrench (n, 3)
+        [N], [N m], tare included.
         """
 
     def contacts(self, stamp: Nanoseconds, raw: RawRecording, found: Reconstruction) -> None:
         """Rows once their pose is known and the tare is over: stamps (n,) [ns], poses and tared
-        wrench, and what was found.
+        wrench, and the contacts found.
         """
 
     def flush(self) -> None:
-        """Make safe what was given so far; called at least every 50 ms."""
+        """Write out what was given so far; called at least every 50 ms."""
 
     def close(self) -> None:
         """Finish; called once, also after an error."""
 
 
 class Callback(Sink):
-    """Calls a function with stamps (n,) [ns since 1970] and contacts, one batch after the other, on
-    the thread of the stream.
+    """Calls a function with stamps (n,) [ns since 1970] and contacts, batch by batch, on the thread
+    of the stream.
     """
 
     def __init__(self, function: Callable[[Nanoseconds, Reconstruction], object]) -> None:

@@ -12,34 +12,34 @@ from vibrissa.trail import Trail
 
 
 class SmoothingStage:
-    """A `vibrissa.live.Stage` that gives each row the contact that all samples up to it say
-    together (`vibrissa.CausalSmoother`).
+    """A `vibrissa.live.Stage` that estimates each row's contact from all samples up to it
+    (`vibrissa.CausalSmoother`).
 
     Parameters
     ----------
     rod
-        As of the contacts.
+        The rod of the contacts.
     friction
-        Coulomb's coefficient between rod and object: 0 for none, None where it is not known.
+        Coulomb friction coefficient between rod and object: 0 for none, None if unknown.
     """
 
     def __init__(self, rod: Rod, *, friction: float | None = None) -> None:
         self._rod, self._friction = rod, friction
         self._smoother: CausalSmoother | None = None
         self._last = -np.inf
-        # Compiled before samples come: numbers do not matter.
+        # Compile before samples come: the numbers do not matter.
         still = np.zeros((1, 3))
         one = Reactions(Trail(still), still, still, time=np.zeros(1))
         CausalSmoother(rod, np.eye(6)).update_all(one)
 
     def push(self, found: Reconstruction) -> Reconstruction:
         """Return the batch with kind, point, normal, arc length and their covariances from the
-        filter; where time runs back, it begins anew.
+        filter, which restarts where time runs backwards.
 
         Raises
         ------
         ValueError
-            If the noise of the wrench is not known.
+            If the noise of the wrench is unknown.
         """
         reactions = found.reactions
         assert reactions.time is not None
@@ -61,7 +61,7 @@ class SmoothingStage:
         return replace(found, **filtered, arc_length_deviation=None)
 
     def reset(self) -> None:
-        """Begin anew: the sensor's zero was taken anew."""
+        """Restart, after the sensor was tared again."""
         if self._smoother is not None:
             self._smoother.reset()
 

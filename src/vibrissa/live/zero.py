@@ -1,4 +1,4 @@
-"""The zero of a restarted sensor: whether it is as before, and when it can be taken anew."""
+"""The zero of a restarted sensor: whether it is as before, and when to tare again."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -13,24 +13,24 @@ from vibrissa.sensor import RawRecording
 from vibrissa.sensor.raw import Times, Wrench
 
 RESTLESS = 3.0
-"""Standard deviations of the noise beyond which readings are not at rest."""
-_CHECK = 0.25  # [s] of quiet readings that are compared with those before: many samples, and soon
-_EVERY = 0.05  # [s] between looks: few beside the time of a tare
-# In lengths of the tare: rows that it is taken from (`Sensor.tare` needs some behind its end), and
-# rows that are kept for it.
+"""Readings that scatter by more standard deviations of the noise than this are not at rest."""
+_CHECK = 0.25  # [s] of quiet readings compared with those before: many samples, yet soon there
+_EVERY = 0.05  # [s] between checks: short compared with a tare
+# In tare lengths: rows it is taken from (`Sensor.tare` needs some beyond its end), and rows kept
+# for it.
 _TARED, _KEPT = 1.01, 1.2
-_FEWEST = 5  # rows that give a mean and a deviation
-_WHOLE = 0.99  # share of a time that counts as all of it: samples do not fall on its ends
-_DEVIATIONS = 6.0  # of a mean by which it may be off: once in 10⁸ looks by chance
-# Share of the rod's length, and radians, within which a pose is the same: a robot returns to a
-# place to a tenth of that.
+_FEWEST = 5  # rows for a mean and a standard deviation
+_WHOLE = 0.99  # share of an interval that counts as all of it: samples do not fall on its ends
+_DEVIATIONS = 6.0  # standard deviations a mean may be off: more by chance once in 10⁸ checks
+# Share of the rod's length, and radians, within which poses count as the same: robots repeat a pose
+# to a tenth of that.
 _NEAR, _NEAR_TURN = 0.01, 0.01
-_FEW = 0.1  # share of samples that noise may make look like contacts, or like none
+_FEW = 0.1  # share of samples that noise may make look like contact, or like none
 
 
 class _Rows(NamedTuple):
-    """Rows in time: as logged, the wrench without tare, and whether a single sample is in contact,
-    or in one that explains it.
+    """Rows in time: as logged, the tared wrench, and whether each sample by itself is in contact,
+    and in one that explains it.
     """
 
     time: Times
@@ -48,21 +48,21 @@ class ZeroWatch:
     """Compares resting levels before and after a restart.
 
     The zero is **the same** if quiet readings are zero again, or if the sensor has not moved and
-    they are what they were. It can be **taken anew** from quiet readings of the tare's length at a
-    pose at which the rod was free: that of the tare, or that of the restart if the rod was free
-    then. If the sensor never moved, its pose says nothing, and readings that a contact would
-    explain are not taken for a zero. Else it stays **unknown**.
+    they are what they were. The sensor can be **tared again** from quiet readings of the tare's
+    length at a pose where the rod was free: that of the tare, or that of the restart if the rod was
+    free then. If the sensor never moved, its pose says nothing, and readings that a contact would
+    explain are not taken as a zero. Otherwise the zero stays **unknown**.
 
     Attributes
     ----------
     noise, resolution
-        Of a reading (6,) [N], [N m].
+        Noise and resolution of a reading (6,) [N], [N m].
     length
-        Of the rod [m].
+        Length of the rod [m].
     seconds
-        Of the tare.
+        Length of the tare [s].
     pending
-        Whether the zero is not known since a restart.
+        Whether the zero has been unknown since a restart.
     """
 
     noise: Wrench
@@ -81,7 +81,7 @@ class ZeroWatch:
         self._looked = -np.inf
 
     def restart(self) -> None:
-        """What comes from now on is of a sensor whose zero is not known."""
+        """From now on the sensor's zero is unknown."""
         if not self.pending:
             self._before = self._last(self._check)
         self._blocks.clear()
@@ -91,9 +91,9 @@ class ZeroWatch:
             self._free.append(self._before)
 
     def take(self, raw: RawRecording, tared: Wrenches, found: Reconstruction) -> bool | None:
-        """Take rows as logged, their wrench without tare (n, 6), NaN where it is not good, and
-        their contacts sample by sample. Return whether the zero is the same as before the restart;
-        None without one, and as long as that is not known.
+        """Take rows as logged, their tared wrench (n, 6), NaN where it is invalid, and their
+        contacts sample by sample. Return whether the zero is the same as before the restart; None
+        without one, or until that is known.
         """
         touching = found.in_contact
         explained = touching & (found.status == Status.OK)
@@ -116,7 +116,7 @@ class ZeroWatch:
         return same
 
     def rest(self) -> RawRecording:
-        """The rows by which the zero was found to be another."""
+        """The rows in which the zero was found to have changed."""
         return RawRecording(*joined(self._blocks)[:5])
 
     def _same(self) -> bool | None:
@@ -139,7 +139,7 @@ class ZeroWatch:
         return False if any(self._at(whole, rows) for rows in self._free) else None
 
     def _last(self, seconds: float) -> _Rows | None:
-        """The last rows of so many seconds; None if there are fewer."""
+        """The rows of the last so many seconds; None if there are not enough."""
         if not self._blocks:
             return None
         rows = joined(self._blocks)
@@ -148,13 +148,13 @@ class ZeroWatch:
         return last if enough and len(last.time) >= _FEWEST else None
 
     def _quiet(self, rows: _Rows | None) -> _Rows | None:
-        """The same rows if they are at rest."""
+        """These rows if they are at rest, else None."""
         if rows is None or np.any(rows.tared.std(axis=0, ddof=1) > RESTLESS * self.noise):
             return None
         return rows
 
     def _at(self, rows: _Rows, place: _Rows) -> bool:
-        """Whether the sensor was where the last of other rows was."""
+        """Whether the sensor stayed where it was in the last row of `place`."""
         off = np.linalg.norm(rows.position - place.position[-1], axis=1).max()
         aligned = np.abs(rows.orientation @ place.orientation[-1]).min()
         return bool(off <= _NEAR * self.length and aligned >= np.cos(_NEAR_TURN / 2))

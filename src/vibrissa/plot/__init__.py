@@ -1,4 +1,4 @@
-"""Figures, one a function. The only room that knows matplotlib."""
+"""Figures, one per function. The only room that imports matplotlib."""
 
 import lazy_loader
 

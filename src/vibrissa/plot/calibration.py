@@ -1,4 +1,4 @@
-"""What a calibration left unexplained, and which parameters its data confuse."""
+"""What a calibration left unexplained, and which parameters its data cannot tell apart."""
 
 from typing import Any
 
@@ -16,15 +16,15 @@ _CHANNELS = ("$f_x$", "$f_y$", "$f_z$", "$m_x$", "$m_y$", "$m_z$")
 _COLOURS = ("#1d5fa8", "#c1121f", "#2a7f3f", "#8a5a00", "#6a3d9a", "#444444")
 _MEANS = 40
 _LIMIT = 5.0
-# Of the median step: a longer one is of rows that were left out.
+# In median steps: where a step is longer, rows were left out.
 _GAP = 2.0
-# Of parameters, whose correlations are written out.
+# Parameters up to which the correlations are written out.
 _MOST_NUMBERS = 16
 
 
 def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
     """Residuals of the six channels [standard deviations of a row] over time, with their running
-    mean: white noise about zero where the model is right.
+    mean: white noise about zero if the model is right.
     """
     residuals = calibration.residuals
     rows, left = _deviations(residuals)
@@ -51,9 +51,7 @@ def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
 
 
 def residual_histogram(calibration: Calibration[Any]) -> Axes:
-    """Residuals of all channels in contact, made independent of each other, against the normal
-    distribution.
-    """
+    """Whitened residuals of all channels in contact, against the normal distribution."""
     residuals = calibration.residuals
     values = residuals.whitened[residuals.contact & (residuals.weight > 0)].ravel()
     _, axes = plt.subplots(figsize=(COLUMN * 1.2, COLUMN * 0.9), layout="constrained")
@@ -69,7 +67,7 @@ def residual_histogram(calibration: Calibration[Any]) -> Axes:
 
 def residuals_over_force(calibration: Calibration[Any]) -> list[Axes]:
     """Residuals of the six channels [standard deviations of a row] over the contact force, with
-    their running mean: a slope hints at gain or stiffness.
+    their running mean: a slope hints at a wrong gain or stiffness.
     """
     residuals = calibration.residuals
     rows, left = _deviations(residuals)
@@ -90,7 +88,7 @@ def residuals_over_force(calibration: Calibration[Any]) -> list[Axes]:
 
 
 def parameter_correlation(calibration: Calibration[Any]) -> Axes:
-    """Correlation of the estimates' errors: towards 1 or −1 two parameters are hardly told apart."""
+    """Correlation of the estimates' errors: near 1 or −1 two parameters are hard to tell apart."""
     known = calibration.identifiability
     names = [name.replace("_", " ") for name in known.names]
     size = max(COLUMN * 1.1, 0.36 * len(names) + 1.6)
@@ -109,13 +107,13 @@ def parameter_correlation(calibration: Calibration[Any]) -> Axes:
 def _deviations(
     residuals: Residuals,
 ) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "shown 6"]]:
-    """The rows to show, and their reading less prediction in standard deviations of each channel,
-    as they scatter about their running mean.
+    """The rows to show, and their reading minus prediction in standard deviations of each channel's
+    scatter about its running mean.
     """
     rows = residuals.contact & (residuals.weight > 0)
     left = (residuals.reading - residuals.predicted)[rows]
-    # Differences of neighbours hold the noise alone, whatever the model leaves, and a median of
-    # them no outliers.
+    # Differences of neighbours contain only noise, whatever the model leaves, and their median is
+    # free of outliers.
     return rows, left / deviation_by_differences(np.diff(left, axis=0), 1)
 
 

@@ -1,4 +1,4 @@
-"""Reconstructed contacts of a recording, from three sides."""
+"""Reconstructed contacts of a recording, in three views."""
 
 import numpy as np
 from jaxtyping import Float
@@ -16,20 +16,20 @@ _VIEWS = ([0, 1], [0, 2], [1, 2])
 _ELLIPSES = 60
 _ELLIPSE_COLOUR = "0.45"
 _FLAGGED_COLOUR = "#c77700"
-# Of the contacts that are not trusted, so many per cent at each end do not widen the frame.
+# Per cent of the untrusted contacts at each end that do not widen the frame.
 _TAIL = 5.0
 _MARGIN = 0.06
-# Of the reach: a single contact is not magnified without end.
+# Share of the reach, so that a single contact is not magnified without limit.
 _LEAST_FRAME = 0.02
 
 
 def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -> list[Axes]:
-    """Contacts in the planes xy, xz and yz, with 95 % ellipses of every so many samples where the
-    noise is known.
+    """Contacts in the xy, xz and yz planes, with 95 % ellipses every so many samples if the noise
+    is known.
 
     Rows whose status is not OK are crosses. The frame holds all trusted contacts and nine tenths of
-    the others; how many lie outside is said. Where there is no contact at all, the figure says so
-    and shows the path of the clamp.
+    the others; the title says how many lie outside. Without any contact the figure says so and
+    shows the path of the clamp.
 
     Parameters
     ----------
@@ -107,9 +107,7 @@ def _frame(
     path: Float[np.ndarray, "n 3"],
     reach: float,
 ) -> Float[np.ndarray, "2 3"]:
-    """Least and largest coordinates to show, of a cube, within what the rod can reach from its
-    clamp.
-    """
+    """Least and largest coordinates of the cube to show, within the rod's reach from its clamp."""
     tails = np.percentile(others, [_TAIL, 100 - _TAIL], axis=0) if len(others) else others
     every = np.concatenate([trusted, tails])
     every = every if len(every) else path

@@ -1,4 +1,4 @@
-"""What part of a surface the contacts cover, seen from above."""
+"""Which part of a surface the contacts cover, seen from above."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,7 +14,7 @@ def coverage_figure(
     samples: Float[np.ndarray, "n 3"],
     cases: list[tuple[str, Float[np.ndarray, "_ 3"], Bool[np.ndarray, "_"], float]],
 ) -> list[Axes]:
-    """One panel a case: covered samples, open samples, and the contacts, over x and y in rod
+    """One panel per case: covered samples, open samples, and the contacts, over x and y in rod
     lengths.
 
     Parameters

@@ -1,4 +1,4 @@
-"""How well a sensor will do, as a map."""
+"""Maps of how well a sensor will do."""
 
 import numpy as np
 from matplotlib import pyplot as plt
@@ -15,13 +15,13 @@ def expected_error_map(error: ExpectedError) -> list[Axes]:
     """The 95 % ellipsoids' longest semi-axis over the clamp positions and over the contact points,
     in the two world axes along which the clamp moves farthest.
 
-    Positions without a contact that could be detected are grey, those at which the sensor saturates
-    have a black cross.
+    Positions without a detectable contact are grey; those where the sensor saturates have a black
+    cross.
 
     Parameters
     ----------
     error
-        Of `vibrissa.expected_error`.
+        Result of `vibrissa.expected_error`.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def expected_error_map(error: ExpectedError) -> list[Axes]:
     ]
     across = sorted(np.argsort(-np.ptp(places[0], axis=0), kind="stable")[:2].tolist())
     low, high = np.quantile(longest[seen], [0.0, 0.98])
-    # An ellipsoid larger than the rod says no more than that nothing is known.
+    # An ellipsoid larger than the rod only says that nothing is known.
     norm = LogNorm(low, max(min(high, factor * rod.length), 1.01 * low))
     full = error.saturated.ravel() & seen
     figure, panels = plt.subplots(1, 2, figsize=(PAGE, 3.0), layout="constrained")

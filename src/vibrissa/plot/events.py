@@ -12,8 +12,8 @@ _MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
 
 
 def reactions_along(scan: Scan) -> list[Axes]:
-    """Contact force and arc length over the clamp's x0 on one trail (n, …), with its events; broken
-    lines where the branch is laterally unstable.
+    """Contact force and arc length over the clamp's x0 on one trail (n, …), with its events; dashed
+    where the branch is laterally unstable.
     """
     factor = length_factor(scan.rod)
     x = factor * scan.trail.position[:, 0]

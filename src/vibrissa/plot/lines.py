@@ -1,4 +1,4 @@
-"""Elastic lines along trails (paper, figure 3a), and contact sequences on the surface (figure 3b)."""
+"""Elastic lines along trails (paper, figure 3a) and contact sequences on a surface (figure 3b)."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from vibrissa.inverse import Reconstruction
 from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor, length_label
 
 _STRAIGHT = "black"
-_POINTS = 80  # of an elastic line: its segments are not seen at the size of a column
+_POINTS = 80  # per elastic line: its segments are invisible at column width
 
 
 def _space() -> Axes3D:
@@ -27,9 +27,9 @@ def elastic_lines(scan: Scan, *, every: int = 10, lanes: tuple[int, ...] | None 
     Parameters
     ----------
     scan
-        Of several trails (m, n, …).
+        Scan of several trails (m, n, …).
     every
-        Positions from one line to the next.
+        Number of positions from one line to the next.
     lanes
         Trails to show; all by default.
     """
@@ -64,12 +64,12 @@ def contact_sequences(
     *,
     skip: tuple[int, ...] = (),
 ) -> Axes3D:
-    """Reconstructed contacts, one sequence a trail, over the object's surface.
+    """Reconstructed contacts, one sequence per trail, over the object's surface.
 
     Parameters
     ----------
     scan, found
-        The scan, for its trails and units, and what was reconstructed from its reactions.
+        The scan, for its trails and units, and the reconstruction from its reactions.
     surface
         Grids x, y, z of a patch of the surface, in units of the rod.
     skip

@@ -10,25 +10,25 @@ from matplotlib.ticker import MaxNLocator
 from vibrissa.forward import Scan
 from vibrissa.plot.style import PAGE, length_factor, length_label
 
-# Symbols, units in SI, and those of the model.
+# Symbols, SI units, and the model's units.
 _PANELS = [(f"f_{{0{axis}}}", "N", "$EI/L^2$") for axis in "xyz"]
 _PANELS += [(f"m_{{0{axis}}}", "N m", "$EI/L$") for axis in "xyz"]
 
 
 def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes]:
-    """Six panels, one a support reaction, coloured along the trails over the clamp points (x0, y0).
+    """Six panels, one per support reaction, coloured along trails over the clamp points (x0, y0).
 
     Parameters
     ----------
     scan
-        Of several trails (m, n, …).
+        Scan of several trails (m, n, …).
     skip
         Trails to leave out.
 
     Raises
     ------
     ValueError
-        If the scan is of one trail.
+        If the scan has only one trail.
     """
     if scan.kind.ndim != 2:
         raise ValueError(f"scan has the shape {scan.kind.shape}; allowed are several trails (m, n)")

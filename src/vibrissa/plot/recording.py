@@ -26,17 +26,17 @@ _FAULT_COLOURS = {
     FaultKind.BACKWARD: "#a00000",
     FaultKind.POSE_JUMP: "#00808a",
 }
-# Channels, name, symbols, factor and unit of the readings, factor and unit of their noise.
+# Channels, name, symbol, factor and unit of the readings, factor and unit of their noise.
 _KINDS = (
     (slice(0, 3), "force", "f", 1.0, "N", 1e3, r"mN/$\sqrt{\mathrm{Hz}}$"),
     (slice(3, 6), "torque", r"\tau", 1e3, "N mm", 1e6, r"µN m/$\sqrt{\mathrm{Hz}}$"),
 )
-_LONGEST_SEGMENT = 4096  # of a spectrum: resolves half a hertz at 2 kHz
-_FEWEST = 32  # samples of a segment: a density over a decade and more
-_LARGEST = 1e12  # beyond are marks of loggers for missing numbers
-# Half a decade to either side at least: noise that follows its density looks flat.
+_LONGEST_SEGMENT = 4096  # samples per segment of a spectrum: resolves half a hertz at 2 kHz
+_FEWEST = 32  # samples per segment: a density over a decade and more
+_LARGEST = 1e12  # loggers mark missing numbers with larger ones
+# At least half a decade to either side, so that noise that follows its density looks flat.
 _LEAST_SPAN = 10**0.5
-# Beyond so much between least and largest, decades alone are labelled.
+# Ratio of largest to least beyond which only decades are labelled.
 _FEW_DECADES = 1e3
 
 
@@ -48,9 +48,9 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     Parameters
     ----------
     found
-        Of `vibrissa.sensor.inspect_raw`; lines of rows that are not usable are faint.
+        Result of `vibrissa.sensor.inspect_raw`; unusable rows are drawn faint.
     sensor
-        For the stated noise.
+        Gives the stated noise.
     """
     figure, axes = plt.subplot_mosaic(
         [["force"] * 2, ["torque"] * 2, ["pose"] * 2, ["noise of force", "noise of torque"]],
@@ -84,7 +84,7 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
 
 
 def _shade(axes: Axes, found: Inspection, names: Sequence[str], right: float = 1.005) -> None:
-    """Tare and faults of these channels behind the lines, and the legend at this place."""
+    """Shade tare and faults of these channels behind the lines; put the legend at `right`."""
     first, last = found.cleaned.time[[0, -1]]
     for start, stop in found.tared:
         axes.axvspan(
@@ -94,7 +94,7 @@ def _shade(axes: Axes, found: Inspection, names: Sequence[str], right: float = 1
         if fault.kind in _FAULT_COLOURS and set(names) & set(fault.channels):
             middle, wide = (fault.start + fault.stop) / 2 - first, abs(fault.stop - fault.start)
             half = max(wide / 2, 0.002 * (last - first))
-            # What fills the figure must not hide it.
+            # A fault that fills the figure must not hide it.
             alpha = 0.45 if half < (last - first) / 4 else 0.15
             colour = _FAULT_COLOURS[fault.kind]
             axes.axvspan(
@@ -121,8 +121,8 @@ def _pose(axes: Axes, found: Inspection) -> None:
 def _spectrum(
     axes: Axes, found: Inspection, sensor: Sensor, channels: slice, factor: float
 ) -> None:
-    """Welch's estimate over the longest rest, against the density of the stated noise and rounding,
-    with its pink part.
+    """Welch spectrum over the longest rest, against the density of the stated noise, pink part
+    included, and rounding.
     """
     axes.set_title("noise at rest")
     intervals = map(found.cleaned.during, found.tared or found.rest.intervals)

@@ -43,7 +43,7 @@ _SETTINGS: dict[Any, Any] = {
 
 @contextmanager
 def journal() -> Iterator[None]:
-    """Set the style for figures made inside."""
+    """Set the style of figures made within."""
     with mpl.rc_context(_SETTINGS):
         yield
 
@@ -69,5 +69,5 @@ def length_label(symbol: str, rod: Rod) -> str:
 
 
 def length_factor(rod: Rod) -> float:
-    """What lengths are multiplied by for `length_label`."""
+    """Factor by which lengths are multiplied for `length_label`."""
     return 1e3 if rod.units == "SI" else 1.0

@@ -15,7 +15,7 @@ BOWL = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 
 
 def trail(y0: float, count: int, *, back: bool) -> vb.Trail:
-    """From x = 1.2 to −1.4, or with two reversals on the way."""
+    """From x = 1.2 to −1.4, or from 1.1 to −0.8 with two reversals on the way."""
     share = np.linspace(0, 1, count)
     x = np.interp(share, [0, 0.4, 0.6, 1], [1.1, 0, 0.5, -0.8]) if back else 1.2 - 2.6 * share
     return vb.Trail(np.stack([x, np.full(count, y0), np.zeros(count)], axis=1))

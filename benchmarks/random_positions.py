@@ -1,7 +1,7 @@
 """How many random positions remain unsolved: `python benchmarks/random_positions.py [SEED]
 [OBJECTS]`, by default 7 objects of each kind, 1.1e5 positions in all.
 
-Objects of random size and orientation, half to one rod length above the clamp; twenty straight
+Objects of random size and orientation, about 0.3 to 1.1 rod lengths above the clamp; twenty straight
 trails of 101 positions in all directions under each, with the clamp tilted by about 0.15 rad.
 Objects with edges are touched by a rod of radius 0.01 L. A position is unsolved if its status is
 NOT_CONVERGED or NO_EQUILIBRIUM.

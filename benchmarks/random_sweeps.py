@@ -4,7 +4,7 @@ Sixteen scans, under objects of four kinds with and without friction, are measur
 by sensors with random noise, resolution and rate, with gaps, spikes, NaN rows, drift, ringing,
 wrong signs, wrong stiffness, and truncated starts and ends. Wire, world axes and tolerances are
 drawn anew each time; then the recording is reconstructed and smoothed. Exceptions are printed, and
-rows that are OK but not finite. The exit code is their number.
+rows that are OK but not finite. The exit code is the number of failed sweeps, at most 100.
 """
 
 import sys

@@ -31,7 +31,7 @@ def both(first: Array, second: Array, radius: float) -> Array:
 def mug() -> vb.surfaces.Surface:
     """The solid: upright on z = 0, the handle towards +x."""
     outside = _rounded((0, 0, HEIGHT / 2), RADIUS, HEIGHT, WALL / 2)
-    # Sticks out of the top by as much as its own rounding.
+    # Sticks out of the top by its wall, as it is rounded by that much.
     depth = HEIGHT - BOTTOM + 2 * WALL
     inside = _rounded((0, 0, BOTTOM + depth / 2), RADIUS - WALL, depth, WALL)
     handle = vb.surfaces.Torus(

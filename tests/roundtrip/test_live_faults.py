@@ -198,7 +198,9 @@ def test_a_stream_that_another_client_takes(setup: vb.Setup, raw: RawRecording) 
     assert report.counts.lost > 500
     words = " ".join(report.warnings)
     assert [
-        word for word in ("samples came again after", "clock restarted", "are lost") if word not in words
+        word
+        for word in ("samples came again after", "clock restarted", "are lost")
+        if word not in words
     ] == []
 
 

@@ -59,7 +59,7 @@ def simulate_sensor(
     seed: Annotated[int, typer.Option(help="Seed of noise and flaws.")] = 0,
     as_json: common.AsJson = False,
 ) -> None:
-    """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise, tare and counts
+    """Play a scan as an Ethernet force/torque sensor: RDT over UDP, with the noise and counts
     of the setup.
     """
     import numpy as np  # noqa: PLC0415

@@ -49,7 +49,7 @@ def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes
             list(pieces[both]),
             array=((part[:, :-1] + part[:, 1:]) / 2)[both],
             cmap="RdBu_r",
-            # A component that is zero gets a scale of its neighbours, not of its rounding.
+            # A component that is zero gets the scale 1, not that of its rounding.
             norm=CenteredNorm(0.0, largest if largest > 1e-9 else 1.0),
             linewidth=5,
             capstyle="butt",

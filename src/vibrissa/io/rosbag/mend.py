@@ -24,7 +24,7 @@ def mend(path: str | Path, target: str | Path) -> int:
     """
     source, out = readable(Path(path)), Path(target)
     if out.exists():
-        raise InputError(f"{out}: is there already; allowed is a new file")
+        raise InputError(f"{out}: already exists; allowed is a new file")
     with source.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             raise InputError(

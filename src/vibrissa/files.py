@@ -301,7 +301,7 @@ def read_table(
         if len(bad):
             raise InputError(
                 f"{file}, line {cells.index[bad[0]]}: {name} = {numbers[bad[0]]:g} "
-                f"({len(bad)} of {len(cells)} rows hold such); "
+                f"({len(bad)} of {len(cells)} rows are out of range); "
                 f"allowed are finite numbers up to {LARGEST:g}"
             )
     return table

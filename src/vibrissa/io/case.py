@@ -54,7 +54,7 @@ _TYPES = {
     "turning": Boolean,
     "points": _several(Vector, 2, "a list of at least two way-points of three finite numbers"),
     "path": Annotated[
-        Path, Field(description="the path of a CSV file, seen from the case's folder")
+        Path, Field(description="the path of a CSV file, relative to the case's folder")
     ],
 }
 _POSES = {

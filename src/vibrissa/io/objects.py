@@ -49,7 +49,7 @@ class MeshTable(PlacedTable):
     kind: Literal["mesh"]
     file: Annotated[
         Path,
-        Field(description="the path of a mesh, seen from the folder of the file that names it"),
+        Field(description="the path of a mesh, relative to the folder of the file that names it"),
     ]
     scale: Positive | None = None
     crease_angle: CreaseAngle | None = None

@@ -35,7 +35,7 @@ from vibrissa.sensor.presets import PRESETS
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 
-PoseFile = Annotated[Path, Field(description="the path of a file, seen from the setup's folder")]
+PoseFile = Annotated[Path, Field(description="the path of a file, relative to the setup's folder")]
 Listen = Annotated[
     str,
     StringConstraints(strict=True, pattern=r"^udp://.+$"),

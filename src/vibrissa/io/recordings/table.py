@@ -106,7 +106,7 @@ class RecordingTable(Table):
     delimiter: (
         Annotated[
             Literal[",", ";", "\t", " ", "|"],
-            Field(description="a comma, semicolon, tabulator, space or bar"),
+            Field(description="a comma, semicolon, tab, space or bar"),
         ]
         | None
     ) = None

@@ -17,12 +17,12 @@ _LABELS = {"axis": [*"xyz"], "other_axis": [*"xyz"], "quaternion": [*"xyzw"]}
 
 
 class Variable(NamedTuple):
-    """What a dataset says of one field of a result."""
+    """How a dataset describes one field of a result."""
 
     name: str
     field: str
     extra: str
-    """Axes besides those of the rows."""
+    """Axes other than those of the rows."""
     quantity: Quantity
     long_name: str
 
@@ -57,8 +57,8 @@ _COMMON = (
 
 
 def dataset_of(title: str, result: Any, variables: Iterable[Variable]) -> "xarray.Dataset":
-    """Return a dataset of a scan or a reconstruction over positions (n,) or trails and positions
-    (m, n): what both have, these fields of it where they are known, and the flags.
+    """Return a dataset of a scan or reconstruction over positions (n,) or trails and positions
+    (m, n): the common fields, those of `variables` that are known, and the flags.
     """
     import xarray  # noqa: PLC0415
 
@@ -69,7 +69,7 @@ def dataset_of(title: str, result: Any, variables: Iterable[Variable]) -> "xarra
     }
     for name, field, extra, quantity, long_name in (*_COMMON, *variables):
         values = attrgetter(field)(result)
-        # Nothing is shared without tolerances.
+        # Without tolerances there are no shared errors.
         if values is not None and values.size:
             about = {"units": rod.unit_of(quantity), "long_name": long_name}
             data[name] = (*rows, *extra.split()), values, about
@@ -87,7 +87,7 @@ def dataset_of(title: str, result: Any, variables: Iterable[Variable]) -> "xarra
 
 
 def flags(enumeration: type[IntEnum], long_name: str) -> dict[str, object]:
-    """Attributes of a variable that holds members of an enumeration."""
+    """Attributes of a variable whose values are members of an enumeration."""
     meanings = " ".join(member.name.lower() for member in enumeration)
     return {
         "long_name": long_name,

@@ -1,4 +1,4 @@
-"""Files in and out: errors in one line, and tables of text."""
+"""File input and output: one-line errors, and text tables."""
 
 import csv
 from collections import Counter
@@ -14,14 +14,14 @@ from jaxtyping import Float
 if TYPE_CHECKING:
     import pandas
 
-_LONGEST = 1600  # letters of a message: half a screen
+_LONGEST = 1600  # characters in a message: half a screen
 LARGEST = 1e12
-"""Numbers beyond this are damage: no unit in use makes a force or a length that large."""
+"""Larger numbers are corrupt data: no unit in use makes a force or a length that large."""
 
 
 class InputError(ValueError):
-    """A file, or an argument that names one, that cannot be used: the message names file, field,
-    value and what is allowed.
+    """An unusable file, or an argument that names one; the message gives file, field, value and
+    what is allowed.
     """
 
     def __init__(self, message: str) -> None:
@@ -33,8 +33,8 @@ class InputError(ValueError):
 
 @contextmanager
 def reading(file: Path, what: str) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into an `InputError` of one line that names
-    the file; a missing library stays an `ImportError`.
+    """Turn whatever a library raises on a damaged file into a one-line `InputError` that names the
+    file; a missing library is still an `ImportError`.
     """
     try:
         yield
@@ -59,8 +59,8 @@ def readable(path: Path) -> Path:
 
 
 def writable(path: Path) -> Path:
-    """Return the path of a file to be written, its folder made if need be; raise InputError where
-    that cannot be.
+    """Return the path of a file to write, creating its folder if needed; raise InputError if that
+    is not possible.
     """
     writable_folder(path.parent)
     if path.is_dir():
@@ -69,8 +69,8 @@ def writable(path: Path) -> Path:
 
 
 def writable_folder(path: Path) -> Path:
-    """Return the path of a folder to write into, made if need be; raise InputError where that
-    cannot be.
+    """Return the path of a folder to write to, creating it if needed; raise InputError if that is
+    not possible.
     """
     wrong = "cannot be made"
     try:
@@ -88,7 +88,7 @@ def writable_folder(path: Path) -> Path:
 
 
 def text_of(file: Path, encoding: str = "utf-8-sig") -> str:
-    """Content of a text file; raise InputError if it cannot be read or has another encoding."""
+    """Content of a text file; raise InputError if it cannot be read or decoded."""
     try:
         return readable(file).read_text(encoding=encoding)
     except UnicodeError as error:
@@ -97,7 +97,7 @@ def text_of(file: Path, encoding: str = "utf-8-sig") -> str:
 
 
 def split(line: str, delimiter: str) -> list[str]:
-    """Cells of one line, quoted or not; several spaces part as one does."""
+    """Cells of one line, quoted or not; several spaces count as one separator."""
     return next(csv.reader([line.strip(" ")], delimiter=delimiter, skipinitialspace=True), [""])
 
 
@@ -111,8 +111,8 @@ def check_header(
     any_order: bool = False,
     hint: str = "",
 ) -> None:
-    """Raise InputError unless these are the names of the columns, each once and in this order; the
-    message names their line and ends with the hint.
+    """Raise InputError unless `names` are the expected columns, each once and in this order; the
+    message gives their line and ends with the hint.
     """
     own = [name for name in names if name not in optional]
     count = Counter(names)
@@ -142,29 +142,28 @@ def cells_of(
     skip: int = 1,
     comments: tuple[str, ...] | None = None,
 ) -> "pandas.DataFrame":
-    """Cells of a text, by pandas: numbers where all of a column are, else texts. Columns are counted
-    from 0, rows named by their lines, from 1.
+    """Cells of a text, read by pandas: a column is numeric if all its cells are, else text. Columns
+    are numbered from 0; the index of a row is its line number, from 1.
 
     Parameters
     ----------
     file, text
-        For messages, and its content.
+        The file's name for messages, and its content.
     names
-        Of the columns.
+        Column names.
     delimiter, decimal
-        What separates cells, and the decimal sign. Delimiters behind the last cell and empty rows
-        at the end are ignored.
+        Cell separator and decimal sign. Trailing delimiters and empty rows at the end are ignored.
     skip
         Lines before the first row.
     comments
-        What comments begin with, which are skipped as blank lines are; None where every line has to
-        be a row.
+        Prefixes of comment lines, which are skipped like blank lines; None if every line must be a
+        row.
 
     Raises
     ------
     InputError
-        If there is no row, a line holds another number of cells, or the last one is cut off: it has
-        no line end, and fewer digits in its last cell than the line above.
+        If there are no rows, a line has the wrong number of cells, or the last line is cut off: it
+        has no line end, and fewer digits in its last cell than the line above.
     """
     import pandas as pd  # noqa: PLC0415
 
@@ -221,27 +220,27 @@ def numbers_of(
     dates: bool = False,
     hint: str = "",
 ) -> Float[np.ndarray, "rows"]:
-    """Floats of the cells of a column; of dates of ISO 8601 the seconds since 1970.
+    """A column's cells as floats; for ISO 8601 dates, the seconds since 1970.
 
     Parameters
     ----------
     file, name
         For messages.
     cells
-        Numbers or texts by line.
+        Numbers or texts, indexed by line.
     missing
-        Words in small letters for numbers that are missing, which become NaN.
+        Lower-case words for missing numbers, which become NaN.
     decimal
         Decimal sign.
     dates
-        Whether they are dates.
+        Whether the cells are dates.
     hint
-        What is said where a number holds a comma.
+        Added to the message if the cell contains a comma.
 
     Raises
     ------
     InputError
-        If a cell is no number.
+        If a cell is not a number.
     """
     import pandas as pd  # noqa: PLC0415
 
@@ -271,22 +270,22 @@ def read_table(
     *,
     optional: Sequence[str] = (),
 ) -> dict[str, np.ndarray]:
-    """Numbers (rows,) by column from a CSV file whose first line names the columns.
+    """Read the columns (rows,) of a CSV file whose first line names them.
 
     Parameters
     ----------
     file
         UTF-8 text, cells separated by commas.
     columns
-        Names that must be there, in any order.
+        Required names, in any order.
     optional
-        Names that may be there besides.
+        Names that may also be present.
 
     Raises
     ------
     InputError
-        If the file cannot be read, columns are missing, unknown or twice, there is no row, a row is
-        short or cut off, or a cell is not a finite number of at most 1e12.
+        If the file cannot be read, columns are missing, unknown or repeated, there are no rows, a
+        row is short or cut off, or a cell is not a finite number of magnitude at most 1e12.
     """
     text = text_of(file)
     first = text.partition("\n")[0].strip()
@@ -302,14 +301,14 @@ def read_table(
         if len(bad):
             raise InputError(
                 f"{file}, line {cells.index[bad[0]]}: {name} = {numbers[bad[0]]:g} "
-                f"({len(bad)} of {len(cells)} rows hold such); "
+                f"({len(bad)} of {len(cells)} rows are out of range); "
                 f"allowed are finite numbers up to {LARGEST:g}"
             )
     return table
 
 
 def check_increasing(file: Path, time: Float[np.ndarray, "rows"]) -> None:
-    """Raise InputError unless each time is after the one above it."""
+    """Raise InputError unless each time is later than the one above it."""
     falling = np.flatnonzero(np.diff(time) <= 0)
     if falling.size:
         row = falling[0]

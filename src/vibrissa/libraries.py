@@ -1,25 +1,25 @@
-"""Libraries that come with extras: loaded when first needed."""
+"""Libraries of optional extras, imported when first needed."""
 
 import importlib
 from types import ModuleType
 
 
 def extra_library(name: str, *, extra: str, need: str) -> ModuleType:
-    """Import a module of a library that an extra installs.
+    """Import a module that an extra installs.
 
     Parameters
     ----------
     name
-        Of the module.
+        The module's name.
     extra
         As in `vibrissa[extra]`.
     need
-        What cannot be done without it, in words: "meshes need it".
+        What needs it, in words: "meshes need it".
 
     Raises
     ------
     ImportError
-        If it is not installed; the text names the command that does it.
+        If it is not installed; the message gives the install command.
     """
     try:
         return importlib.import_module(name)

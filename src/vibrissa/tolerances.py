@@ -1,5 +1,5 @@
-"""How well the numbers of a setup are known: standard deviations of what it states, and the errors
-that all samples of a sweep share.
+"""How well a setup's numbers are known: their standard deviations, and the errors that all samples
+of a sweep share.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from vibrissa.geometry.checks import finite_array
 
 _AXES = ("x", "y", "z")
-# Of a variance: what elimination leaves of it by rounding is nothing.
+# Relative to the variance: a smaller pivot is what rounding leaves of zero in the elimination.
 _SMALLEST_PIVOT = 1e-12
-# Of unit variances: covariances that were read from a file are definite to its digits only.
+# For unit variances: a covariance read from a file is definite only to the file's digits.
 _ROUNDING = 1e-6
 
 PARAMETERS = (
@@ -27,14 +27,14 @@ PARAMETERS = (
     *(f"gain_{kind}_{axis}" for kind in ("force", "torque") for axis in _AXES),
     "pose_delay",
 )
-"""Numbers of a setup whose errors all samples share: EI (relative), the rod's length (its unit),
-the clamp in the sensor frame (the rod's unit), its axes (rotations about them [rad]), the gains
-(relative), and by how much the poses come late [s]."""
+"""Setup parameters whose errors all samples share: EI (relative), the rod's length (its unit), the
+clamp's position in the sensor frame (the rod's unit), its orientation (rotations about its axes
+[rad]), the gains (relative), and the delay of the poses [s]."""
 
 
-# Largest deviation, its unit, and the shape of those that may differ by axis or channel. Of what is
-# known so badly nothing can be said to first order: larger numbers are millimetres, degrees or
-# milliseconds.
+# Largest deviation, its unit, and the shape if it may differ by axis or channel. First-order
+# propagation means nothing for errors this large: larger numbers are probably in millimetres,
+# degrees or milliseconds.
 _LIMITS: dict[str, tuple[float, str, tuple[int, ...]]] = {
     "youngs_modulus": (1.0, "", ()),
     "radius": (0.5, "", ()),
@@ -50,31 +50,31 @@ _LIMITS: dict[str, tuple[float, str, tuple[int, ...]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Tolerances:
-    """Standard deviations of what a setup states; 0 where a number is exact.
+    """Standard deviations of a setup's stated values; 0 for exact ones.
 
     Attributes
     ----------
     youngs_modulus, radius
-        Relative: EI has the relative deviation of the modulus and four times that of the radius,
-        independent of each other.
+        Relative, and independent: EI has the relative deviation of the modulus, and four times that
+        of the radius.
     length
         Of the rod [m].
     clamp_position
-        Of the clamp in the sensor frame, each axis [m] (3,).
+        Of the clamp's position in the sensor frame, on each axis [m] (3,).
     clamp_orientation
-        Of the clamp's axes, small rotations about each of them [rad] (3,).
+        Of the clamp's orientation: small rotations about each of its axes [rad] (3,).
     gain
         Relative, of the six channels fx, fy, fz, tx, ty, tz in the sensor's axes (6,).
     pose_delay
-        Of the time by which the poses come late [s].
+        Of the delay of the poses [s].
     object_scale, object_position
-        Of the object as stated, for `calibrate`: relative size, and place on each axis [m] (3,).
+        Of the stated object, for `calibrate`: relative size, and position on each axis [m] (3,).
 
     Raises
     ------
     ValueError
-        If a number is negative, not finite or larger than any bench's, or there are too many of
-        them.
+        If a number is negative, not finite or larger than on any real bench, or an array has the
+        wrong shape.
     """
 
     youngs_modulus: float = 0.0
@@ -112,7 +112,7 @@ class Tolerances:
 
     @property
     def covariance(self) -> Float[np.ndarray, "15 15"]:
-        """Of the errors of `PARAMETERS`, independent of each other."""
+        """Covariance of the errors of `PARAMETERS`, which are independent."""
         stiffness = np.hypot(self.youngs_modulus, 4 * self.radius)
         mounting = self.clamp_position, self.clamp_orientation, self.gain
         return np.diag(np.hstack([stiffness, self.length, *mounting, self.pose_delay]) ** 2)
@@ -120,19 +120,19 @@ class Tolerances:
 
 @dataclass(frozen=True, eq=False)
 class SetupErrors:
-    """What a setup's numbers are off by, the same for all samples of a sweep, and what is needed to
-    carry it to contacts.
+    """Errors of a setup's numbers, the same for all samples of a sweep, and what is needed to
+    propagate them to contacts.
 
     Attributes
     ----------
     covariance
-        (15, 15) of the errors of `PARAMETERS`.
+        Covariance (15, 15) of the errors of `PARAMETERS`.
     clamp_orientation
         Quaternion x, y, z, w (4,) that maps clamp axes onto sensor axes.
     arm
         From the torque's reference point to the clamp, sensor axes (3,).
     in_world_axes
-        Whether the wrench was logged in world axes, turned by the orientation of its own instant.
+        Whether the wrench was logged in world axes, rotated by the orientation at that instant.
 
     Raises
     ------
@@ -148,7 +148,7 @@ class SetupErrors:
     def __post_init__(self) -> None:
         size = len(PARAMETERS)
         array = finite_array(self.covariance, "covariance", last=size, ndim=2)
-        # By the deviations; where these are 0, so is all that goes with them.
+        # Scaled by the deviations; where one is 0, so are its row and column.
         scale = np.sqrt(np.maximum(np.diag(array), 1e-300))
         relative = array / np.outer(scale, scale)
         if not np.allclose(relative, relative.T) or np.linalg.eigvalsh(relative)[0] < -_ROUNDING:
@@ -160,13 +160,13 @@ class SetupErrors:
 
     @property
     def factor(self) -> Float[np.ndarray, "15 p"]:
-        """F with F Fᵀ = `covariance`: the columns of its Cholesky factor that are not zero."""
+        """F with F Fᵀ = `covariance`: the non-zero columns of its Cholesky factor."""
         return self._cholesky[0]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the factor's columns: each is the error of this parameter, as far as those before do
-        not tell it, with what of the later ones goes with it.
+        """Parameter of each column of the factor: the part of its error that earlier parameters do
+        not predict, with the correlated part of later ones.
         """
         return self._cholesky[1]
 

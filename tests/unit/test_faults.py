@@ -269,7 +269,7 @@ UNITS = {
     "degrees": (
         lambda: replace(GOOD, orientation=40 * GOOD.orientation),
         ("orientation",),
-        "as of angles in degrees; allowed is 1",
+        "as if angles in degrees; allowed is 1",
     ),
 }
 

@@ -313,7 +313,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
 FILE_DAMAGE = {
     "not a number": (
         POSES.replace("0.1", "nan"),
-        "line 3: qy = nan (1 of 3 rows hold such); allowed are finite numbers",
+        "line 3: qy = nan (1 of 3 rows are out of range); allowed are finite numbers",
     ),
     "words": (POSES.replace("0.03", "three"), "line 3: x = 'three'; allowed is a number"),
     "a missing column": (
@@ -349,7 +349,7 @@ FILE_DAMAGE = {
     "nothing": ("", "empty; allowed is CSV with the columns x,y,z,qx,qy,qz,qw"),
     "far away": (
         POSES.replace("0.03", "1e300"),
-        "line 3: x = 1e+300 (1 of 3 rows hold such); allowed are finite numbers up to 1e+12",
+        "line 3: x = 1e+300 (1 of 3 rows are out of range); allowed are finite numbers up to 1e+12",
     ),
 }
 

@@ -94,6 +94,6 @@ def test_stamps_in_milliseconds_are_named_where_they_leave_no_rest(tmp_path: Pat
     (tmp_path / "a.csv").write_text(text(table))
     with pytest.raises(
         InputError,
-        match=r"tare_seconds = 0\.85: 1 of 40 samples.*besides: 0\.01 samples a second.*milliseconds",
+        match=r"tare_seconds = 0\.85: 1 of 40 samples.*also: 0\.01 samples a second.*milliseconds",
     ):
         read_recording(tmp_path / "a.csv", load(tmp_path))

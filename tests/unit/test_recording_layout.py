@@ -317,7 +317,7 @@ WRONG: dict[str, tuple[str, Callable[[str], str], list[str]]] = {
     "a column twice": (
         'force_unit = "N"',
         lambda text: text.replace("time", "fx", 1),
-        ["column 'fx' is there 2 times"],
+        ["column 'fx' occurs 2 times"],
     ),
     "another delimiter": ('delimiter = ";"', str, ["is not in the file; it holds time,px,py"]),
     "a short line": (

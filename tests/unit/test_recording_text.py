@@ -162,7 +162,7 @@ def test_degrees_are_not_taken_for_radians(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text(table, [*NAMES[:4], "A", "B", "C", *NAMES[8:]]))
     layout = '[recording]\norientation = ["A", "B", "C"]\norientation_form = "roll_pitch_yaw"\n'
     with pytest.raises(
-        InputError, match=r"reaches 106 rad, as of degrees; allowed are radians, or angle_unit"
+        InputError, match=r"reaches 106 rad, as if in degrees; allowed are radians, or angle_unit"
     ):
         vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout))
     vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout + 'angle_unit = "deg"\n'))

@@ -160,7 +160,7 @@ def test_a_sensor_slower_than_the_log_is_one_finding() -> None:
     assert [
         kind for kind in kinds(found) if kind[0] in {"held readings", "stuck channel", "no rest"}
     ] == [("held readings", tuple(vb.sensor.CHANNELS), 1125)]
-    assert "as of a sensor of 62.5 readings a second in a log of 250" in next(
+    assert "as from a sensor of 62.5 readings a second in a log of 250" in next(
         f.text for f in found.faults if str(f.kind) == "held readings"
     )
     assert found.usable.all()

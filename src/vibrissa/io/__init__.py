@@ -1,4 +1,4 @@
-"""Files: setups, cases, recordings in; contacts and datasets out."""
+"""Files: setups, cases and recordings in; contacts and datasets out."""
 
 from vibrissa.contacts import RecordingWarning
 from vibrissa.files import InputError

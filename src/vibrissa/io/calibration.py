@@ -1,5 +1,5 @@
-"""A calibrated setup as a file: the setup it came from with the numbers found, and what is known of
-them in a table [calibration].
+"""A calibrated setup as a file: the original setup with the calibrated numbers, and their
+uncertainties in a table [calibration].
 """
 
 import os
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from vibrissa.calibration import Calibration
 
 FORMAT = 1
-"""Version of the table [calibration]."""
+"""Version of the [calibration] table."""
 _CHANNELS = 6
 _STIFFNESS = ("youngs_modulus", "bending_stiffness")
 _ENTRIES = dict.fromkeys(_STIFFNESS, ("bending_stiffness",)) | {
     f"{kind}_gain": tuple(f"gain_{kind}_{axis}" for axis in "xyz") for kind in ("force", "torque")
 }
-"""Parameters of `vibrissa.tolerances.PARAMETERS` that calibrations name otherwise."""
+"""Entries of `vibrissa.tolerances.PARAMETERS` that calibrations name differently."""
 
 Text = Annotated[str, Field(description="text")]
 Names = Annotated[list[str], Field(description="a list of names")]
@@ -38,7 +38,7 @@ Matrix = Annotated[list[list[Finite]], Field(description="rows of finite numbers
 
 
 class EstimateTable(Table):
-    """One calibrated number, in its unit."""
+    """One calibrated number, in its own unit."""
 
     unit: Text
     given: Finite
@@ -48,8 +48,8 @@ class EstimateTable(Table):
 
 
 class CalibrationTable(Table):
-    """What is known of a calibrated setup's numbers; `tare` and `drift` have a row of six a
-    recording.
+    """What is known about a calibrated setup's numbers; `tare` and `drift` have a row of six for
+    each recording.
     """
 
     format: Annotated[
@@ -78,7 +78,7 @@ class CalibrationTable(Table):
 
     @model_validator(mode="after")
     def _fits(self) -> "CalibrationTable":
-        """Names are those of estimates, and matrices have the sizes that belong to them."""
+        """Names refer to estimates, and matrices have matching sizes."""
         for place, name in enumerate(self.names):
             if name not in self.estimates or name in self.names[:place]:
                 raise ValueError(
@@ -101,7 +101,7 @@ class CalibrationTable(Table):
         return self
 
     def covariance(self) -> Float[np.ndarray, "names names"]:
-        """Covariance of the numbers `names`, in their units."""
+        """Covariance of the numbers listed in `names`, in their units."""
         deviations = [self.estimates[name].standard_deviation or 0.0 for name in self.names]
         size = len(deviations)
         return np.reshape(self.correlation, (size, size)) * np.outer(deviations, deviations)
@@ -109,8 +109,8 @@ class CalibrationTable(Table):
     def parameter_covariance(
         self, stated: Float[np.ndarray, "parameters parameters"]
     ) -> Float[np.ndarray, "parameters parameters"]:
-        """Of the errors of `vibrissa.tolerances.PARAMETERS`: those that the calibration determined
-        with its own covariance, the others as stated.
+        """Covariance of the errors of `vibrissa.tolerances.PARAMETERS`: the calibration's own for
+        those that it determined, as stated for the others.
         """
         of_names = np.zeros((len(PARAMETERS), len(self.names)))
         for column, name in enumerate(self.names):
@@ -123,13 +123,13 @@ class CalibrationTable(Table):
 
 
 def source_document(path: str | Path) -> Any:
-    """A setup's file by `tomlkit`, which changes numbers in it and keeps the rest.
+    """Parse a setup file with `tomlkit`, so that numbers can be changed and all else kept.
 
     Raises
     ------
     InputError
-        If tomlkit is not installed (the text names the command that does it), or the setup of this file
-        cannot hold a calibrated rod.
+        If tomlkit is not installed (the message gives the install command), or the setup cannot
+        hold a calibrated rod.
     """
     try:
         library = extra_library(
@@ -154,27 +154,27 @@ def write_calibration(
     *,
     date: datetime | None = None,
 ) -> Path:
-    """Write a setup that the other commands take: that of the file `setup` with the calibrated
-    numbers and a table [calibration].
+    """Write a setup that the other commands accept: the file `setup` with the calibrated numbers
+    and a table [calibration].
 
     Parameters
     ----------
     path
-        TOML file to write; it may be the setup's own.
+        TOML file to write; it may be `setup` itself.
     calibration
-        What was found with that setup.
+        The calibration of that setup.
     setup
-        The setup's file. Its comments and all that was not calibrated are kept.
+        The setup file. Its comments and all that was not calibrated are kept.
     recordings
-        Names of the recordings, to be noted.
+        Recordings, whose names are noted.
     date
-        To be noted; now by default.
+        Date to note; now by default.
 
     Raises
     ------
     InputError
-        If a file cannot be read or written, the setup's rod is one in the model's units, or tomlkit
-        is not installed.
+        If a file cannot be read or written, the setup's rod is in the model's units, or tomlkit is
+        not installed.
     """
     from vibrissa import __version__  # noqa: PLC0415
 
@@ -223,11 +223,11 @@ def _set_numbers(document: Any, calibration: "Calibration[Any]") -> None:
 
 
 _LEFT_OUT = {"gain": (1.0,) * _CHANNELS, "rotation": NO_TURN, "translation": ORIGIN}
-"""Numbers of a setup that does not state them."""
+"""Values that apply where a setup does not state them."""
 
 
 def _change(table: MutableMapping[str, Any], **values: Any) -> None:
-    """Set values, where they differ by more than rounding: what is as it was keeps its digits."""
+    """Set values that differ by more than rounding: unchanged ones keep their digits."""
     for name, value in values.items():
         old = np.array(table.get(name, _LEFT_OUT.get(name)), dtype=float)
         if not np.allclose(old, value, rtol=1e-14, atol=0):
@@ -235,7 +235,7 @@ def _change(table: MutableMapping[str, Any], **values: Any) -> None:
 
 
 def _set_files(value: Any, old: Path, new: Path) -> None:
-    """Meshes and motions are seen from the folder of the TOML file that names them."""
+    """Adapt paths of meshes and motions: they are relative to the TOML file that names them."""
     table = dict(enumerate(value)) if isinstance(value, list) else value
     for key, part in dict(table if isinstance(table, MutableMapping) else {}).items():
         if key not in {"file", "path"}:

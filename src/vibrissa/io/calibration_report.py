@@ -1,4 +1,4 @@
-"""What a calibration found, as numbers for machines and as text."""
+"""Results of a calibration, as machine-readable numbers and as text."""
 
 import json
 import math
@@ -35,7 +35,7 @@ _OWN = (
 
 
 def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
-    """Everything but the residuals, as plain numbers and names; None where there is no number."""
+    """Everything but the residuals, as plain numbers and names; None for a missing number."""
     known, found = calibration.identifiability, calibration.fitness
     numbers = {
         "estimates": {
@@ -68,7 +68,7 @@ def summary(calibration: "Calibration[Any]") -> dict[str, Any]:
 
 
 def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str]]:
-    """Rows of text, the first the heading: name, unit, given, found, half of the 95 % interval."""
+    """Rows of text, headings first: name, unit, given, found, half-width of the 95 % interval."""
     rows = [("parameter", "unit", "given", "found", "95 % ±")]
     for one in calibration.estimates.values():
         factor, unit = _SHOWN.get(one.unit, (1.0, one.unit))
@@ -90,17 +90,17 @@ def table(calibration: "Calibration[Any]") -> list[tuple[str, str, str, str, str
 
 
 def findings(calibration: "Calibration[Any]") -> list[str]:
-    """Sentences: how well the model explains the data, and what they cannot tell apart."""
+    """Sentences on how well the model fits the data, and on what the data cannot separate."""
     found, rows = calibration.fitness, np.count_nonzero(calibration.residuals.contact)
     lines = [
-        f"{rows} rows in contact; mean square of the residuals "
-        f"{found.reduced_chi_square:.3f} of the noise's; {found.outliers:.1%} of the rows fit "
-        "badly and weigh less."
+        f"{rows} rows in contact; the residuals' mean square is "
+        f"{found.reduced_chi_square:.3f} times that of the noise; {found.outliers:.1%} of the rows "
+        "fit badly and are down-weighted."
     ]
     if found.disturbed > 0:
         lines.append(
             f"{found.disturbed:.1%} of the rows lie in stretches that no equilibrium explains, "
-            "as where the rod swings, or sticks and slips: they are left out."
+            "such as where the rod swings, or sticks and slips: they are left out."
         )
     if calibration.unevenness > 0:
         factor, unit = (1e6, "µm") if calibration.setup.rod.units == "SI" else (1.0, "L")
@@ -112,19 +112,19 @@ def findings(calibration: "Calibration[Any]") -> list[str]:
         factors = ", ".join(f"{math.sqrt(factor):.2g}" for factor in found.inflation)
         lines.append(
             f"The residuals are more than white noise (p = {found.whiteness:.1g}): the model does "
-            f"not explain all. The intervals take the six channels' noise {factors} times as "
-            "large as stated."
+            "not explain everything. The intervals assume that the six channels' noise is "
+            f"{factors} times as large as stated."
         )
     else:
-        lines.append("The residuals are what the stated noise explains.")
+        lines.append("The residuals are explained by the stated noise.")
     parts = ", ".join(f"{part.part} {part.reduced_chi_square:.3g}" for part in calibration.held_out)
     lines.append(
-        f"Predicted from the rest, mean squares of the residuals are, of the noise's: {parts}."
+        f"Mean squares of the residuals, predicted from the rest, over the noise's: {parts}."
     )
     if calibration.tolerances is None:
         lines.append(
-            "No tolerances are stated: the intervals hold noise only; those of the object and of "
-            "what is held belong to [tolerances]."
+            "No tolerances are stated: the intervals cover noise only; those of the object and of "
+            "parameters held fixed belong in [tolerances]."
         )
     given = sorted({name for one in calibration.estimates.values() for name in one.holds_for})
     if given:

@@ -29,10 +29,10 @@ Count = Annotated[int, number("a whole number of at least 1", ge=1)]
 
 
 class MotionTable(Table):
-    """Where the clamp goes; one orientation in a list holds for all positions."""
+    """Where the clamp goes; a list of one orientation holds for all positions."""
 
     def arguments(self, folder: Path) -> dict[str, Any]:
-        """Keys of the table, a single orientation out of its list."""
+        """Keys of the table, with a single orientation taken out of its list."""
         given = super().arguments(folder)
         for name in given.keys() & {"orientation", "orientations"}:
             given[name] = given[name][0] if len(given[name]) == 1 else given[name]
@@ -54,7 +54,7 @@ _TYPES = {
     "turning": Boolean,
     "points": _several(Vector, 2, "a list of at least two way-points of three finite numbers"),
     "path": Annotated[
-        Path, Field(description="the path of a CSV file, seen from the case's folder")
+        Path, Field(description="the path of a CSV file, relative to the case's folder")
     ],
 }
 _POSES = {
@@ -75,12 +75,12 @@ TrailTable = one_of(
     for kind, noun in _KINDS.items()
 )
 
-MOST_POSITIONS = 10_000_000  # what `scan` can hold in some GB of memory
+MOST_POSITIONS = 10_000_000  # what `scan` can hold in a few GB of memory
 
 
 @dataclass(frozen=True)
 class Case:
-    """What `scan` needs."""
+    """The input of `scan`."""
 
     rod: Rod
     surface: Surface
@@ -124,7 +124,7 @@ class CaseFile(Table):
         return self
 
     def build(self, folder: Path) -> Case:
-        """Return the case; several trails become one of several sweeps."""
+        """Return the case; several trails are stacked into one."""
         given = self.arguments(folder)
         first, *others = given["trail"]
         trail = Trail.stack([first, *others]) if others else first
@@ -132,7 +132,7 @@ class CaseFile(Table):
 
 
 def load_case(path: str | Path) -> Case:
-    """Read a case from TOML: tables [rod], [object], one or more [[trail]] of equal length, and
+    """Read a case from TOML: tables [rod] and [object], one or more [[trail]] of equal length, and
     [contact] if there is friction or a finite radius.
 
     Raises

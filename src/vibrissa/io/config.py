@@ -1,4 +1,4 @@
-"""TOML files as tables: what a key may hold, and the one line that says what is wrong."""
+"""TOML files as tables: the allowed values of each key, and one-line errors."""
 
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Set
@@ -16,12 +16,12 @@ from vibrissa.rod import Rod
 
 
 def number(description: str, **bounds: Any) -> Any:
-    """Field of a number within pydantic's bounds, which text and truth values are not."""
+    """Field of a number within pydantic's bounds; text and booleans are refused."""
     return Field(strict=True, description=description, **bounds)
 
 
 def several(count: int, description: str, *, least: int | None = None) -> Any:
-    """Field of a list of so many, or of at least some."""
+    """Field of a list of `count` entries, or of at least `least` and at most `count`."""
     return Field(min_length=least or count, max_length=count, description=description)
 
 
@@ -33,7 +33,7 @@ def _in_one(value: object, check: Callable[[object], object]) -> object:
 
 
 IN_ONE = WrapValidator(_in_one)
-"""For a union of types: one error, with the whole value, where no type fits."""
+"""For a union of types: a single error, showing the whole value, if no type fits."""
 
 Positive = Annotated[float, number("a number greater than 0", gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, number("a number of at least 0", ge=0, allow_inf_nan=False)]
@@ -45,34 +45,34 @@ Quaternion = Annotated[tuple[Finite, ...], several(4, "a quaternion x, y, z, w o
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
-_SHOWN = 3  # findings in one line: more are counted
+_SHOWN = 3  # findings listed in a line; the rest are only counted
 
 
 class Table(BaseModel):
     """A TOML table: unknown keys are errors.
 
-    What the model's own validators raise names a key of this table: it is shown behind the table's
-    name.
+    Errors raised by the model's own validators begin with a key of this table; the table's name is
+    put before it.
 
     Attributes
     ----------
     noun
-        What the table describes, built from the keys that are given: all defaults are the noun's.
-        A table without one is its own noun.
+        What the table describes, called with the keys given: all defaults are the noun's. A table
+        without one is its own noun.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
     noun: ClassVar[Any] = None
 
     def arguments(self, folder: Path) -> dict[str, Any]:
-        """Keys that the file gives, but its kind: tables built, paths seen from `folder`."""
+        """Keys that the file gives, except `kind`: tables built, paths relative to `folder`."""
         return {
             name: _built(getattr(self, name), folder) for name in self.model_fields_set - {"kind"}
         }
 
     def build(self, folder: Path) -> Any:
-        """Return what the table describes, in a file of this folder; raise ValueError as the noun's
-        constructor does.
+        """Return what the table describes, paths relative to `folder`; raise ValueError as the
+        noun's constructor does.
         """
         noun = type(self).noun
         return self if noun is None else noun(**self.arguments(folder))
@@ -89,8 +89,8 @@ def _built(value: Any, folder: Path) -> Any:
 def table_of(
     noun: Callable[..., Any], types: Mapping[str, Any], kind: str = "", base: type[Table] = Table
 ) -> Any:
-    """Model of a table whose keys are those arguments of the noun that have a type; they may be
-    left out where the noun has a default. A kind tells it from other tables by its key `kind`.
+    """Model of a table whose keys are the noun's arguments that appear in `types`, optional where
+    the noun has a default. `kind`, if given, is the required value of the key `kind`.
     """
     fields: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
     for name, argument in signature(noun).parameters.items():
@@ -103,14 +103,14 @@ def table_of(
 
 
 def one_of(tables: Iterable[type[Table]]) -> Any:
-    """A choice of tables, by their key `kind`."""
+    """A choice of tables by the key `kind`."""
     choice = tuple(tables)
     *names, last = (get_args(table.model_fields["kind"].annotation)[0] for table in choice)
     description = f"{', '.join(names)} or {last}"
     return Annotated[Union[choice], Field(discriminator="kind", description=description)]  # noqa: UP007
 
 
-# A wire of circular section, a rod by its stiffness (SI), and the model's units, L = EI = 1.
+# A wire of circular section, a rod of given stiffness (SI), and the model's units, L = EI = 1.
 _RODS: dict[str, Callable[..., Any]] = {"cylinder": Rod.cylinder, "uniform": Rod, "unit": Rod.unit}
 _ROD = dict.fromkeys(
     (
@@ -127,13 +127,13 @@ _ROD = dict.fromkeys(
 
 
 def load(path: str | Path, model: type[Table]) -> Any:
-    """Read a TOML file, and return what its tables describe.
+    """Read a TOML file and return what its tables describe.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is not TOML, a key is unknown, missing or out of range, or the
-        tables do not fit together: one line with the first findings.
+        If the file cannot be read or is not TOML, a key is unknown, missing or out of range, or the
+        tables are inconsistent: one line with the first findings.
     """
     file = readable(Path(path))
     try:
@@ -151,7 +151,7 @@ def load(path: str | Path, model: type[Table]) -> Any:
 
 
 def _one_line(error: ValidationError, model: type[Table]) -> str:
-    """Unknown keys first, as they explain what is missing, then the others as they come."""
+    """Unknown keys first, as they explain what is missing, then the others in order."""
     ranks = {"extra_forbidden": 0, "union_tag_not_found": 1, "missing": 1}
     errors = sorted(
         error.errors(include_url=False), key=lambda finding: ranks.get(finding["type"], 2)
@@ -183,14 +183,14 @@ def _finding(error: ErrorDetails, schema: dict[str, Any]) -> str:
 
 
 def _place(schema: dict[str, Any], location: Iterable[int | str]) -> tuple[str, str]:
-    """How a place in a file is written, and what is allowed there, by the JSON schema of the file's
-    tables; of an unknown key, the keys of its table.
+    """Name of a location in a file, and what is allowed there by the JSON schema of the file's
+    tables; for an unknown key, the keys of its table.
     """
     place, node = "", schema
     for key in location:
         node = _resolved(schema, node)
         keys, kinds = node.get("properties", {}), node.get("discriminator", {}).get("mapping", {})
-        if key in kinds:  # the kind of table that was taken, which is no key of the file
+        if key in kinds:  # the kind of table that was chosen, not a key in the file
             node = {"$ref": kinds[key]}
             continue
         place += f"[{key}]" if isinstance(key, int) else f".{key}"
@@ -207,7 +207,7 @@ def _place(schema: dict[str, Any], location: Iterable[int | str]) -> tuple[str, 
 def _resolved(
     schema: dict[str, Any], node: dict[str, Any], until: Set[str] = frozenset()
 ) -> dict[str, Any]:
-    """What a part of a schema refers to, or holds if it is there at all."""
+    """What a schema node refers to; for an optional value, the schema of the value."""
     while not until & node.keys() and ("$ref" in node or "anyOf" in node):
         name = node.get("$ref", "").rpartition("/")[2]
         node = schema["$defs"][name] if name else node["anyOf"][0]

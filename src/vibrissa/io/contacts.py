@@ -1,4 +1,4 @@
-"""Contacts to PLY, CSV, Parquet or NetCDF and back, by the file's suffix."""
+"""Write contacts to PLY, CSV, Parquet or NetCDF and read them back, by the file's suffix."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -34,21 +34,19 @@ COVARIANCE = ("cxx", "cxy", "cxz", "cyy", "cyz", "czz")
 COLUMNS = ("time", *PLACE, "kind", "status", *COVARIANCE)
 _NEEDED = (*PLACE, "kind", "status")
 _VARIABLES = ("contact_point", "normal", "arc_length", "kind", "status")
-"""Of a dataset, in the place of columns."""
+"""Names in a dataset, in place of columns."""
 VERTEX = np.dtype(
     {
         "names": (*PLACE, "standard_deviation", "kind", "status"),
         "formats": ["<f8"] * 8 + ["u1"] * 2,
     }
 )
-"""A point of a PLY file; its standard deviation is that of the whole vector."""
-_BLOCK = 8192  # rows between two words on progress: some tens of milliseconds
+"""A point in a PLY file; `standard_deviation` is that of the whole vector."""
+_BLOCK = 8192  # rows between progress reports: some tens of milliseconds
 
 
 def checked_output(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
-    """Return the path; raise InputError unless its suffix is known and its folder can be written
-    to.
-    """
+    """Return the path; raise InputError unless its suffix is known and its folder is writable."""
     _suffix(Path(path), suffixes)
     return writable(Path(path))
 
@@ -65,16 +63,16 @@ def write_contacts(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Path:
-    """Write the contacts of a reconstruction or a scan as PLY (points with normals), CSV or Parquet
-    (one row a sample) or NetCDF (everything), by the suffix; units of the rod.
+    """Write the contacts of a reconstruction or scan as PLY (points with normals), CSV or Parquet
+    (one row per sample) or NetCDF (everything), by the suffix, in the rod's units.
 
-    In CSV, Parquet and PLY a row whose point is not finite is a row without contact, and its status
-    is never OK. `progress` is called with the share of rows written to CSV.
+    In CSV, Parquet and PLY a row whose point is not finite counts as without contact, and its
+    status is never OK. `progress` is called with the fraction of rows written to CSV.
 
     Raises
     ------
     InputError
-        If the suffix is another, or the file cannot be written.
+        If the suffix is not one of these, or the file cannot be written.
     """
     file, unit = checked_output(path), "metre" if found.rod.units == "SI" else "rod length"
     writers: dict[str, Callable[[], object]] = {
@@ -122,7 +120,7 @@ def _write_csv(
 
 
 def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
-    """A row a sample, trails one after the other; NaN for what is not known."""
+    """One row per sample, trails one after another; NaN for what is not known."""
     import pandas  # noqa: PLC0415
 
     there, time = known(found).reshape(-1), found.reactions.time
@@ -130,7 +128,7 @@ def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
     table = pandas.DataFrame(columns(found) | own)[list(COLUMNS)]
     numbers = table[[*PLACE, *COVARIANCE]]
     table[numbers.columns] = numbers.where(there[:, None] & np.isfinite(numbers.to_numpy()))
-    # A contact without a place is none, and never OK.
+    # A contact without a finite point is no contact, and never OK.
     lost = (table["kind"] != ContactKind.NONE) & ~there
     table.loc[lost & (table["status"] == Status.OK), "status"] = Status.NOT_CONVERGED
     table.loc[lost, "kind"] = ContactKind.NONE
@@ -138,13 +136,13 @@ def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
 
 
 def _covariance(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3 3"]:
-    """Of the points; NaN where the noise is not known, as in scans."""
+    """Covariance of the points; NaN where the noise is not known, as in scans."""
     given = getattr(found, "covariance", None)
     return np.full((*found.point.shape, 3), np.nan) if given is None else given
 
 
 def known(found: Reconstruction | Scan) -> Bool[np.ndarray, "*trail n"]:
-    """Rows (…) with a contact at a finite place."""
+    """Rows (…) with a contact at a finite point."""
     return found.in_contact & np.isfinite(found.point).all(axis=-1)
 
 
@@ -154,7 +152,7 @@ def deviations(found: Reconstruction | Scan) -> Float[np.ndarray, "*trail n 3"]:
 
 
 def columns(found: Reconstruction | Scan) -> dict[str, Shaped[np.ndarray, "rows"]]:
-    """What is found in each row, trails one after the other."""
+    """Results of each row by column name, trails one after another."""
     spread, upper = deviations(found), _covariance(found)[..., *np.triu_indices(3)]
     whole, arc_length = np.linalg.norm(spread, axis=-1, keepdims=True), found.arc_length[..., None]
     parts = [found.point, found.normal, arc_length, spread, whole, upper]
@@ -172,7 +170,7 @@ def structured(
     columns: Mapping[str, Shaped[np.ndarray, "rows"]],
     rows: Bool[np.ndarray, "rows"],
 ) -> Shaped[np.ndarray, "chosen"]:
-    """Some rows of these columns as this type has them, what lies between its fields zero."""
+    """The chosen rows as an array of this structured type, padding zeroed."""
     chosen = np.zeros(np.count_nonzero(rows), dtype=kind)
     for name in kind.names or ():
         chosen[name] = columns[name][rows]
@@ -180,7 +178,7 @@ def structured(
 
 
 def _points(found: Reconstruction | Scan) -> Shaped[np.ndarray, "contacts"]:
-    """Vertices of all contacts; with a standard deviation only where the noise is known."""
+    """Vertices of all contacts; with a standard deviation only if the noise is known."""
     from numpy.lib.recfunctions import drop_fields  # noqa: PLC0415
 
     points = structured(VERTEX, columns(found), known(found).reshape(-1))
@@ -189,7 +187,7 @@ def _points(found: Reconstruction | Scan) -> Shaped[np.ndarray, "contacts"]:
 
 
 def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> Any:
-    """Vertices as `plyfile.PlyData`, with the unit of length in a comment."""
+    """Vertices as `plyfile.PlyData`, with the length unit in a comment."""
     from plyfile import PlyData, PlyElement  # noqa: PLC0415
 
     return PlyData(
@@ -200,7 +198,7 @@ def cloud(points: Shaped[np.ndarray, "contacts"], unit: str, *comments: str) -> 
 
 
 def read_contacts(path: str | Path) -> Contacts:
-    """Read contacts that `write_contacts` wrote.
+    """Read contacts written by `write_contacts`.
 
     Parameters
     ----------
@@ -210,16 +208,15 @@ def read_contacts(path: str | Path) -> Contacts:
     Returns
     -------
     Contacts
-        In the units of the file, with what it holds. CSV and Parquet: a row a sample, with the
-        covariance of the point and the time where they were known, NaN in rows without contact.
-        PLY: the rows with a contact only, without time and covariance. NetCDF: over trails and
-        positions as written, with the covariance of the normal and, of a scan, the direction of the
-        force.
+        In the file's units, with what it holds. CSV and Parquet: one row per sample, with the
+        point's covariance and the time where these were known, NaN in rows without contact. PLY:
+        only rows with a contact, without time and covariance. NetCDF: over trails and positions as
+        written, with the covariance of the normal and, for a scan, the direction of the force.
 
     Raises
     ------
     InputError
-        If the suffix is another, or the file cannot be read, is damaged or lacks one of the names.
+        If the suffix is not one of these, or the file cannot be read, is damaged or lacks a name.
     """
     file = Path(path)
     suffix = _suffix(file)
@@ -236,7 +233,7 @@ def read_contacts(path: str | Path) -> Contacts:
 
 
 def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
-    """Values by name, as written; of CSV those that are known."""
+    """Values by name, as written; for CSV, only known columns."""
     if suffix == ".nc":
         import xarray  # noqa: PLC0415
 
@@ -265,7 +262,7 @@ def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
 
     given = {name: columns[name] for name in ("arc_length", "kind", "status")}
     if "cxx" in columns:
-        # Rows of the matrix by their places in the upper triangle.
+        # Rows of the matrix, by index into the upper triangle.
         covariance = vectors(*COVARIANCE)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         optional = {"time": columns["time"], "covariance": covariance}
         given |= {name: part for name, part in optional.items() if not np.isnan(part).all()}

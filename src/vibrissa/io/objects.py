@@ -1,4 +1,4 @@
-"""Objects as TOML tables: a surface's arguments, and where it is placed."""
+"""Objects as TOML tables: a surface's arguments and its placement."""
 
 from math import pi
 from pathlib import Path
@@ -34,7 +34,7 @@ class PlacedTable(Table):
     translation: Vector = ORIGIN
 
     def build(self, folder: Path) -> Any:
-        """Return the surface where the table puts it."""
+        """Return the surface, placed as the table says."""
         given = self.arguments(folder)
         shape = {name: given[name] for name in given.keys() - PlacedTable.model_fields}
         surface = type(self).noun(**shape)
@@ -49,14 +49,14 @@ class MeshTable(PlacedTable):
     kind: Literal["mesh"]
     file: Annotated[
         Path,
-        Field(description="the path of a mesh, seen from the folder of the file that names it"),
+        Field(description="the path of a mesh, relative to the folder of the file that names it"),
     ]
     scale: Positive | None = None
     crease_angle: CreaseAngle | None = None
     reach: NotNegative | None = None
 
     def build(self, folder: Path) -> Any:
-        """Return the surface; raise ValueError also where a library for meshes is missing."""
+        """Return the surface; raise ValueError also if a mesh library is missing."""
         try:
             return super().build(folder)
         except (ValueError, ImportError) as error:
@@ -95,7 +95,7 @@ _KINDS = {
     "union": surfaces.Union,
     "offset": surfaces.Offset,
 }
-# A cylinder without ends has two semi-axes.
+# An infinite cylinder has two semi-axes.
 _TWO = Annotated[tuple[Positive, ...], several(2, "two numbers greater than 0")]
 _OTHER = {"elliptic_cylinder": {"semi_axes": _TWO}}
 _TABLES = [

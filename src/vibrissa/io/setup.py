@@ -1,4 +1,4 @@
-"""One experiment: rod, sensor and, where it is known, the object (`setup.toml`)."""
+"""One experiment: rod, sensor and, if known, the object (`setup.toml`)."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +35,7 @@ from vibrissa.sensor.presets import PRESETS
 from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 
-PoseFile = Annotated[Path, Field(description="the path of a file, seen from the setup's folder")]
+PoseFile = Annotated[Path, Field(description="the path of a file, relative to the setup's folder")]
 Listen = Annotated[
     str,
     StringConstraints(strict=True, pattern=r"^udp://.+$"),
@@ -44,10 +44,10 @@ Listen = Annotated[
 
 
 class RdtTable(Table):
-    """An Ethernet sensor that speaks RDT: counts for one newton and for one newton metre, records a
-    second, whether it sends several a datagram.
+    """An Ethernet sensor that speaks RDT: counts per newton and per newton metre, records per
+    second, and whether a datagram holds several records.
 
-    A sample is invalid if any of the status bits `error_bits` is set.
+    A sample is invalid if any of the status bits in `error_bits` is set.
     """
 
     counts_per_force: Positive
@@ -59,7 +59,7 @@ class RdtTable(Table):
 
 
 class ConstantPoseTable(Table):
-    """A sensor that stands still: pose of the sensor frame in the world."""
+    """A stationary sensor: pose of the sensor frame in the world."""
 
     kind: Literal["constant"]
     position: Vector = ORIGIN
@@ -75,8 +75,8 @@ class UdpPoseTable(Table):
 
 
 class TrailPoseTable(Table):
-    """A motion of the sensor frame from a CSV file with the columns time,x,y,z,qx,qy,qz,qw; it
-    begins with the first sample.
+    """Motion of the sensor frame from a CSV file with the columns time,x,y,z,qx,qy,qz,qw, starting
+    at the first sample.
     """
 
     kind: Literal["trail"]
@@ -84,8 +84,8 @@ class TrailPoseTable(Table):
 
 
 class CasePoseTable(Table):
-    """The motion of a case's trails, as `vibrissa simulate-sensor` plays it: clamp poses; it begins
-    with the first sample.
+    """Motion along a case's trails (clamp poses), as `vibrissa simulate-sensor` plays it, starting
+    at the first sample.
     """
 
     kind: Literal["case"]
@@ -100,25 +100,25 @@ PoseTable: TypeAlias = ConstantPoseTable | UdpPoseTable | TrailPoseTable | CaseP
 
 @dataclass(frozen=True)
 class Setup:
-    """What a recording needs to be read.
+    """What is needed to read a recording.
 
     Attributes
     ----------
     rod
         The rod, SI units.
     sensor
-        Mount, sign, frame and noise of the wrench.
+        Mount, and sign, frame and noise of the wrench.
     surface
-        The object that was scanned, or None.
+        The scanned object, or None.
     recording
-        How its recordings are laid out, or None for CSV as `write_recording` writes it, and for the
-        names of that header elsewhere.
+        Layout of its recordings; None for CSV as `write_recording` writes it, and for the names of
+        that header in other formats.
     rdt, pose
-        Of a live sensor, or None: how it counts and sends, and where its pose comes from.
+        For a live sensor, or None: its counts and rates, and where its pose comes from.
     calibration
-        What is known of the numbers of a calibrated setup, or None.
+        What is known about the numbers of a calibrated setup, or None.
     tolerances
-        How well the other numbers are known, or None where the setup does not say.
+        How well the other numbers are known; None if the setup does not say.
     """
 
     rod: Rod
@@ -132,8 +132,8 @@ class Setup:
 
     @property
     def parameter_covariance(self) -> Float[np.ndarray, "parameters parameters"] | None:
-        """Of the errors of `vibrissa.tolerances.PARAMETERS`: what a calibration determined with its
-        joint covariance, the rest as stated; None where neither is there.
+        """Covariance of the errors of `vibrissa.tolerances.PARAMETERS`: the calibration's joint
+        covariance for what it determined, the rest as stated; None without either.
         """
         if self.calibration is None:
             return None if self.tolerances is None else self.tolerances.covariance
@@ -185,8 +185,8 @@ TolerancesTable = table_of(
 
 
 class SensorTable(Table):
-    """Fields of `vibrissa.sensor.Sensor`; SI units. What is left out comes from the preset, if one
-    is named.
+    """Fields of `vibrissa.sensor.Sensor`, SI units. Omitted ones come from the preset, if one is
+    named.
     """
 
     clamp_position: Vector
@@ -259,7 +259,7 @@ class SetupFile(Table):
 
 def load_setup(path: str | Path) -> Setup:
     """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt],
-    [pose], [tolerances] and, where it was calibrated, [calibration].
+    [pose], [tolerances] and, if it was calibrated, [calibration].
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files that a stream writes: JSON lines and PLY."""
+"""Output files of a stream: JSON lines and PLY."""
 
 import json
 import os
@@ -17,36 +17,36 @@ from vibrissa.io.rosbag.disk import naming_file, whole_file
 from vibrissa.io.rosbag.growing import Stamps
 from vibrissa.sensor import RawRecording
 
-_COUNT_DIGITS = 20  # of the largest number of 64 bits
+_COUNT_DIGITS = 20  # digits of the largest 64-bit number
 _RAW = ("position", "orientation", "force", "torque")
 _FOUND = ("point", "normal", "arc_length")
 
 
 class _ContactsAlone:
-    """What takes raw samples and leaves them."""
+    """A sink that ignores raw samples."""
 
     def wrench(self, *samples: object) -> None:
-        """Raw samples are not written."""
+        """Do nothing: raw samples are not written."""
 
 
 class JsonLinesSink(_ContactsAlone):
-    """One JSON object a row and line, written as soon as it is known.
+    """One JSON object per row, each on its own line, written as soon as it is known.
 
     Keys: `stamp` [ns], `kind`, `status`, `position` and `orientation` of the sensor, `force` and
-    `torque` without tare, and, with a contact, `point`, `normal`, `arc_length` and
-    `standard_deviations` (along x, y, z, where the noise is known); else these are null.
+    `torque` with the tare removed, and, with a contact, `point`, `normal`, `arc_length` and
+    `standard_deviations` (along x, y, z, if the noise is known), which are null otherwise.
 
-    Where the disk is full, the file ends with a whole line.
+    If the disk is full, the file still ends with a complete line.
 
     Parameters
     ----------
     path
-        Of the file, or None for standard output.
+        The file, or None for standard output.
 
     Raises
     ------
     OSError
-        If the file cannot be written; it names the file.
+        If the file cannot be written; the error names it.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -56,7 +56,7 @@ class JsonLinesSink(_ContactsAlone):
             self._file = open(place, "wb", buffering=0)  # noqa: PTH123, SIM115
 
     def contacts(self, stamp: Stamps, raw: RawRecording, found: Reconstruction) -> None:
-        """Write whole lines."""
+        """Write complete lines."""
         descriptor = self._file.fileno()
         with naming_file(self._path):
             for row in _rows(stamp, raw, found):
@@ -65,14 +65,14 @@ class JsonLinesSink(_ContactsAlone):
                     while left:
                         left = left[os.write(descriptor, left) :]
                 except OSError:
-                    # A pipe cannot be cut.
+                    # A pipe cannot be truncated.
                     with suppress(OSError):
                         self._file.truncate(self._size)
                     raise
                 self._size += len(line)
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: nothing is buffered."""
 
     def close(self) -> None:
         """Close the file."""
@@ -92,23 +92,23 @@ def _rows(stamp: Stamps, raw: RawRecording, found: Reconstruction) -> list[dict[
 
 
 def _known(values: Float[np.ndarray, "n ..."]) -> list[Any]:
-    """Numbers of each row, or None where one of them is not finite: JSON has no word for it."""
+    """Numbers of each row, or None if one of them is not finite, which JSON cannot express."""
     finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
     return [row if known else None for row, known in zip(values.tolist(), finite, strict=True)]
 
 
 class PlySink(_ContactsAlone):
-    """Contacts as points with normals in a PLY file that is whole whenever the process is killed.
+    """Contacts as points with normals in a PLY file that stays valid if the process is killed.
 
-    Points are written behind the ones the header counts; then the header, which lies within a
-    page, is overwritten in one piece with the new count.
+    New points are written after those that the header counts; then the header, which lies within a
+    page, is overwritten in one write with the new count.
 
     Parameters
     ----------
     path
-        Of the file, which is there, whole and empty, once this is built.
+        The file, which exists, valid and empty, as soon as this is constructed.
     unit
-        Of length, for a comment in the file.
+        Length unit, for a comment in the file.
 
     Raises
     ------
@@ -122,7 +122,7 @@ class PlySink(_ContactsAlone):
             self._disk.write(self._header(), 0)
 
     def _header(self) -> bytes:
-        """Of the same length whatever the count."""
+        """The header, of the same length whatever the count."""
         points = np.broadcast_to(np.zeros(1, dtype=VERTEX), self._count)
         filler = "." * (_COUNT_DIGITS - len(str(self._count)))
         return f"{cloud(points, self._unit, filler).header}\n".encode()
@@ -133,11 +133,11 @@ class PlySink(_ContactsAlone):
         raw: RawRecording,  # noqa: ARG002
         found: Reconstruction,
     ) -> None:
-        """Keep the rows with a contact."""
+        """Buffer the rows with a contact."""
         self._held += structured(VERTEX, columns(found), found.in_contact).tobytes()
 
     def flush(self) -> None:
-        """Write what is held, then the count."""
+        """Write the buffered points, then the count."""
         if not self._held:
             return
         self._disk.write(self._held, len(self._header()) + self._count * VERTEX.itemsize)
@@ -146,7 +146,7 @@ class PlySink(_ContactsAlone):
         self._disk.write(self._header(), 0)
 
     def close(self) -> None:
-        """Write the rest."""
+        """Write what is buffered and close the file."""
         try:
             self.flush()
         finally:

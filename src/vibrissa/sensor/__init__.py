@@ -1,4 +1,4 @@
-"""Between reactions and recordings: mount, tare, sign of the wrench, noise, faults."""
+"""From reactions to recordings and back: mount, tare, sign of the wrench, noise, faults."""
 
 from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy
 from vibrissa.sensor.inspection import Inspection, inspect_raw

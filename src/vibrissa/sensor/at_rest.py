@@ -1,5 +1,5 @@
-"""What rest tells of the sensor: noise in other units or other than stated, lines of the mains, and
-a zero that drifts.
+"""What readings at rest say about the sensor: noise in wrong units or not as stated, mains hum, and
+zero drift.
 """
 
 from collections.abc import Iterator
@@ -29,13 +29,13 @@ from vibrissa.sensor.rest import ANOTHER_LEVEL, share_of_load
 from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.tare import Tare, fitted_tare, without_given
 
-# Chance that a sound recording is warned of.
+# Probability of a warning for a good recording.
 _FALSE_ALARM = 1e-6
-# Stated figures are rounded, and noise differs from one sensor of a kind to the next.
+# Stated figures are rounded, and noise differs between sensors of the same type.
 _NOISE_RATIO = 1.25
-# First channel of three, unit that they may be in, by how much noisier they are then, and within
-# how many decades: noise is stated to half a decade at worst, but to tell a kilogram from a quieter
-# sensor takes a tenth.
+# First of three channels, the unit they may be in, the noise ratio this causes, and its tolerance
+# in decades: stated noise is good to half a decade at worst, but distinguishing kilograms from a
+# quieter sensor takes a tenth.
 _UNITS = (
     (0, "mN", 1e3, 0.5),
     (0, "kN", 1e-3, 0.5),
@@ -44,42 +44,42 @@ _UNITS = (
     (0, "kgf", 1 / kgf, 0.06),
     (0, "lbf", 1 / lbf, 0.06),
 )
-# A variance of 20 samples is known to a third, a slope's deviation by 50 to a tenth; a spectrum of
-# 100 has 25 neighbours of a line.
+# 20 samples give a variance to a third, 50 a slope's deviation to a tenth; a spectrum of 100 has 25
+# neighbours of a line.
 _FEWEST_FOR_NOISE, _FEWEST_FOR_SLOPES, _FEWEST_FOR_LINES = 20, 50, 100
-# Cycles within the rest: what is slower is a drift.
+# Cycles within the rest: anything slower is drift.
 _FEWEST_CYCLES = 5
-# Frequencies on either side whose median is the floor under a line.
+# Frequencies on either side whose median gives the noise floor at a line.
 _NEIGHBOURS = 12
-# Of the stated noise: a line of half its size adds an eighth to its variance.
+# Relative to the stated noise: a line of half its size adds an eighth to its variance.
 _NOTICEABLE = 0.5
-# Frequencies of the mains and their multiples [Hz].
+# Mains frequencies and their harmonics [Hz].
 _MAINS = np.outer(np.arange(1, 11), [50.0, 60.0]).ravel()
-# Readings without noise are known to some digits only, a noiseless simulation to single precision.
+# Noise-free readings have a limited number of digits, a noiseless simulation single precision.
 _DIGITS, _SINGLE, _TINY = 1e-9, 1e-6, 1e-30
-# By chance in one of four million recordings, of which each has six channels.
+# By chance in one of four million recordings of six channels each.
 _DRIFT_DEVIATIONS = 5.5
-# Squares of three standard deviations: what the slopes within both rests must say to tell a drift
-# from a contact.
+# Three standard deviations squared: evidence required from the slopes within both rests to tell a
+# drift from a contact.
 _TOLD = 9.0
 
 
 class Stretch(NamedTuple):
-    """Whole rows of a rest, a given drift and weight taken off, and straight lines through them."""
+    """Complete rows of a rest, known drift and weight subtracted, with straight-line fits."""
 
     interval: Interval
     time: Times
     values: Wrenches
     slope: Wrench
-    """Of the lines [1/s]."""
+    """Slopes of the lines [1/s]."""
     slope_deviation: Wrench
-    """Standard deviation of the slopes, by the scatter about the lines."""
+    """Standard deviation of the slopes, from the scatter about the lines."""
     noise: Wrench
-    """Standard deviation about the lines; NaN with fewer than three rows, as the slopes are."""
+    """Standard deviation about the lines; NaN with fewer than three rows, like the slopes."""
 
     @classmethod
     def of(cls, sensor: Sensor, raw: RawRecording, interval: Interval) -> "Stretch":
-        """The rest in an interval of a recording."""
+        """The rest in one interval of a recording."""
         rows = raw.during(interval) & raw.whole
         time, values = raw.time[rows], without_given(sensor, raw)[rows]
         if len(time) < 3:
@@ -92,8 +92,8 @@ class Stretch(NamedTuple):
 
 
 def noise_unit_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
-    """Noise on all three axes as many times as large or small as stated as another unit is: of a
-    thousand the recording cannot be used; of a pound it can, as sensors may be quieter.
+    """Noise on all three axes that is off by the factor of another unit. Factors of a thousand make
+    a recording unusable; a pound or kilogram does not, as the sensor may just be quieter.
     """
     if not stated.known:
         return
@@ -110,11 +110,11 @@ def noise_unit_faults(stated: Noise, rest: Stretch) -> Iterator[Fault]:
 
 
 def noise_faults(sensor: Sensor, rest: Stretch) -> tuple[list[Fault], Sensor]:
-    """By the χ² of the variance at rest, and by a quarter at least: stated figures are rounded; and
-    the sensor with the noise of the channels that is larger than stated.
+    """Channels whose noise differs from that stated, by the χ² of the variance at rest and by at
+    least a quarter, as stated figures are rounded; and the sensor, with any larger noise adopted.
 
-    What rounding leaves of noise below half a step is not judged as too small. Pink noise and
-    random walk are left out by taking successive differences.
+    Noise below half a step, which rounding hides, is not reported as too small. Successive
+    differences exclude pink noise and random walk.
     """
     stated, count, noise = sensor.noise, len(rest.time), rest.noise
     faults: list[Fault] = []
@@ -122,7 +122,7 @@ def noise_faults(sensor: Sensor, rest: Stretch) -> tuple[list[Fault], Sensor]:
         return faults, sensor
     freedom = count - 2.0
     if stated.lasting:
-        # Differences of neighbours overlap: two thirds of them count.
+        # Successive differences overlap: two thirds of them are independent.
         noise = np.sqrt(np.mean(np.diff(rest.values, axis=0) ** 2, axis=0) / 2)
         freedom = 2 * count / 3
     white, deviation, step = stated.white, np.sqrt(stated.variance), stated.resolution
@@ -147,9 +147,9 @@ def noise_faults(sensor: Sensor, rest: Stretch) -> tuple[list[Fault], Sensor]:
 
 
 def hum_faults(stated: Noise, rest: Stretch, rate: float) -> Iterator[Fault]:
-    """Lines of the spectrum at rest that stand out of their neighbourhood: by chance in one of a
-    million recordings, and half as large as the noise at least. A multiple of the mains is named,
-    also where it is folded back.
+    """Spectral lines at rest that stand out from their neighbourhood (by chance in one of a million
+    recordings) and are at least half as large as the noise. Mains harmonics are named, also if
+    aliased.
     """
     count = len(rest.time)
     if count < _FEWEST_FOR_LINES:
@@ -157,7 +157,7 @@ def hum_faults(stated: Noise, rest: Stretch, rate: float) -> Iterator[Fault]:
     frequency, power = periodogram(
         rest.values, rate, "hann", detrend="linear", scaling="spectrum", axis=0
     )
-    # The median of the squares of two normal numbers is ln 2 of their mean.
+    # The sum of squares of two normal numbers has a median of ln 2 times its mean.
     floor = ndimage.median_filter(power, (2 * _NEIGHBOURS + 1, 1), mode="mirror") / np.log(2)
     inner = slice(_FEWEST_CYCLES, -1)
     frequency, power, floor = frequency[inner], power[inner], np.maximum(floor[inner], 1e-300)
@@ -173,15 +173,15 @@ def hum_faults(stated: Noise, rest: Stretch, rate: float) -> Iterator[Fault]:
             text = f"{name} at rest holds a line of {size:.3g} {unit} at {frequency[at]:.4g} Hz"
             for mains in _MAINS[np.abs(folded - frequency[at]) < 2 * rate / count][:1]:
                 sampled = "" if mains < rate / 2 else f" at {rate:.4g} samples a second"
-                text += f", as of {mains:g} Hz{sampled}: hum of the mains"
+                text += f", as from {mains:g} Hz{sampled}: mains hum"
             yield Fault.over((name,), FaultKind.HUM, rest.time, text)
 
 
 def drift_of(
     sensor: Sensor, raw: RawRecording, early: Stretch, late: Stretch
 ) -> tuple[Wrench, Wrench]:
-    """Rate of the offset from one rest to another (6,) [N/s], [N m/s], a given drift taken off, and
-    its standard deviation.
+    """Rate of change of the offset from one rest to another (6,) [N/s], [N m/s], known drift
+    subtracted, and its standard deviation.
     """
     stated, digits = sensor.noise, _SINGLE * np.nanmax(np.abs(raw.wrench), axis=0) + _TINY
     white = stated.white if stated.known else np.fmax(early.noise, digits)
@@ -200,18 +200,18 @@ def drift_faults(
     drift: Wrench,
     deviation: Wrench,
 ) -> tuple[list[Fault], Tare | None]:
-    """Channels whose offset moves by more than 5.5 standard deviations, and the tare with a line
-    from rest to rest in its place where the slopes within them agree, and the zero moves by no
-    noticeable share of the load.
+    """Channels whose offset changes by more than 5.5 standard deviations, and a tare with a linear
+    drift between the rests, if the slopes within them agree with it and the zero moves by only a
+    small fraction of the load.
 
-    None where drift or weight are estimated anyway, and none where the readings within the rests
-    stand: a clamp that stops in contact has another level, too.
+    No findings if drift or weight are estimated anyway, or if readings within the rests are
+    constant: a clamp that stops in contact gives another level, too.
     """
     moved = np.abs(drift) > _DRIFT_DEVIATIONS * deviation
     if sensor.estimates or not moved.any():
         return [], None
-    # Log-likelihood (times two) of the drift over none, from the slopes within the rests, and how
-    # much they could tell.
+    # Twice the log-likelihood ratio of this drift to none, from the slopes within the rests, and
+    # its expected value if the drift is real.
     weights = np.array([drift / rest.slope_deviation**2 for rest in ends])[:, moved]
     most = np.sum(drift[moved] * weights)
     told = 2 * np.sum(weights * [rest.slope[moved] for rest in ends]) - most
@@ -222,15 +222,15 @@ def drift_faults(
         (first,) = tare.intervals
         step = drift * (late[0] - first[0])
         if first[1] < late[0] and share_of_load(step, raw.wrench - tare.offset) < ANOTHER_LEVEL:
-            found = f"{tare.found}, and at the end, as the zero drifts"
+            found = f"{tare.found}, and at the end because the zero drifts"
             line = fitted_tare(sensor.updated(estimate_drift=True), raw, (first, late), found)
-            advice = "a line from rest to rest is taken off"
+            advice = "a line from rest to rest is subtracted"
     return list(_drifts(moved, drift, deviation, raw.time, advice)), line
 
 
 def lone_drift_faults(stated: Noise, raw: RawRecording, rest: Stretch) -> Iterator[Fault]:
-    """Channels that drift within the rest at the start, where there is none at the end to draw a
-    line to.
+    """Channels that drift within the rest at the start, if there is none at the end to draw a line
+    to.
     """
     if not stated.known or stated.lasting or len(rest.time) < _FEWEST_FOR_SLOPES:
         return

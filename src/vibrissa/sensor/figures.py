@@ -1,5 +1,5 @@
-"""Figures of a sensor: its noise, its response to a wrench, what hangs on it, and how its zero is
-found.
+"""Specifications of a sensor: its noise, its response to a wrench, what it carries, and how its
+zero is found.
 """
 
 from dataclasses import dataclass
@@ -20,42 +20,42 @@ PerAxis = float | Vector
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Standard acceleration of free fall [m/s²], world axes with z up (ISO 80000-3)."""
 
-# Solving with a matrix of this condition keeps half of the sixteen digits.
+# Solving with a matrix of this condition number keeps half of the sixteen digits.
 _LARGEST_CONDITION = 1e8
-# Decimals read as binary numbers: a range of 20 steps must not end at 19.
+# Decimals are inexact in binary: a range of 20 steps must not end at 19.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Random errors of readings and poses. Figures of force and torque are one number for all axes,
-    or one for each.
+    """Random errors of readings and poses. Figures for force and torque are one number for all
+    axes, or one for each.
 
     Attributes
     ----------
     force_noise, torque_noise
-        Standard deviation of a sample's white noise [N], [N m], greater than 0; None where unknown.
+        Standard deviation of a sample's white noise [N], [N m], greater than 0; None if unknown.
     force_resolution, torque_resolution
         Steps of the numbers [N], [N m].
     force_random_walk, torque_random_walk
         Standard deviation of a random walk after one second [N/√s], [N m/√s]; it grows with the
-        root of the time.
+        square root of time.
     noise_corner
-        Frequency [Hz] at which pink noise has the power spectral density of the white noise; 0 for
-        none.
+        Corner frequency [Hz], at which pink noise has the power spectral density of the white
+        noise; 0 for no pink noise.
     position_noise, orientation_noise
-        Standard deviation of the robot's position [m] and of its orientation's rotation vector
-        [rad] on each axis; the position's is used where the wrench's noise is known. The
-        orientation's turns rod and wrench as one body about the sensor's origin, also a wrench in
-        world axes, which was turned by the orientation that is logged: it moves a contact by its
-        cross product with the vector from there. That the mount's weight is taken off in an
-        orientation that is not the true one enters no covariance.
+        Standard deviation of the robot's position [m], and of its orientation as a rotation vector
+        [rad], on each axis; position noise is used if the wrench's noise is known. Orientation
+        noise rotates rod and wrench as one body about the sensor's origin, also if the wrench is in
+        world axes, as the logged orientation was used to rotate it: a contact moves by the cross
+        product of the rotation with the vector from the origin. The error from subtracting the
+        mount's weight in a slightly wrong orientation is not in any covariance.
 
     Raises
     ------
     ValueError
-        If a figure is negative or not finite, of white noise one part is given without the other,
-        or pink noise or a random walk without white noise.
+        If a figure is negative or not finite, only one of force and torque noise is given, or pink
+        noise or a random walk is given without white noise.
     """
 
     force_noise: PerAxis | None = None
@@ -95,7 +95,7 @@ class Noise:
         Raises
         ------
         ValueError
-            If it is not known.
+            If it is unknown.
         """
         if not self.known:
             raise ValueError(
@@ -106,12 +106,12 @@ class Noise:
 
     @property
     def resolution(self) -> Wrench:
-        """Steps (6,) of the channels' numbers [N], [N m]; 0 for none."""
+        """Resolution (6,) of the channels [N], [N m]; 0 for none."""
         return _six(self.force_resolution, self.torque_resolution)
 
     @property
     def random_walk(self) -> Wrench:
-        """Standard deviation (6,) of the channels' random walk after a second [N/√s], [N m/√s]."""
+        """Standard deviation (6,) of the channels' random walk after 1 s [N/√s], [N m/√s]."""
         return _six(self.force_random_walk, self.torque_random_walk)
 
     @property
@@ -121,30 +121,30 @@ class Noise:
         Raises
         ------
         ValueError
-            If the noise is not known.
+            If the noise is unknown.
         """
         return self.white**2 + self.resolution**2 / 12
 
     @property
     def lasting(self) -> bool:
-        """Whether there is noise that a mean does not average out."""
+        """Whether there is noise that does not average out."""
         return self.noise_corner > 0 or bool(np.any(self.random_walk))
 
     def coloured(self, time: Times) -> list[Coloured]:
-        """Pink noise and random walk over the stamps (n,), each with its scale (6,) on the
-        channels; those that the sensor has.
+        """The sensor's pink noise and random walk over the stamps (n,), each with its scale (6,) on
+        the channels.
         """
         interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         return self.coloured_within(float(time[0]), float(time[-1] - time[0]), interval)
 
     def coloured_within(self, start: float, duration: float, interval: float) -> list[Coloured]:
-        """The same for a recording that starts at `start`, of this duration, sampled at this
-        interval [s]; without pink noise where that is 0.
+        """The same for a recording from `start` with this duration and sampling interval [s]; no
+        pink noise if the interval is 0.
         """
         processes: list[Coloured] = []
         if self.noise_corner > 0 and interval > 0:
-            # One-sided density of white noise: twice its variance over the rate; the pink noise's
-            # is that at the corner.
+            # The one-sided density of white noise is twice its variance over the sampling rate; at
+            # the corner, pink noise has the same density.
             factor = np.sqrt(2 * self.noise_corner * interval)
             processes.append((Pink.within(duration, interval), factor * self.white))
         if np.any(self.random_walk):
@@ -152,7 +152,7 @@ class Noise:
         return processes
 
     def wandered(self, time: Times, first: Interval, second: Interval) -> Wrench:
-        """Variance (6,) of the difference of the offset's means over two intervals, by pink noise
+        """Variance (6,) of the change of the mean offset between two intervals due to pink noise
         and random walk over the stamps (n,).
         """
         variance = np.zeros(6)
@@ -164,18 +164,18 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """How the sensor answers a wrench, apart from noise.
+    """How the sensor responds to a wrench, apart from noise.
 
     Attributes
     ----------
     gain
-        Reading over true value of the six channels, force x, y, z and torque x, y, z in the
-        sensor's axes, before the cross-talk.
+        Ratio of reading to true value for the six channels, force x, y, z and torque x, y, z in
+        sensor axes, before cross-talk.
     cross_talk
-        Matrix (6, 6) that takes the true wrench (force, torque) in sensor axes to the readings;
-        None for the identity.
+        Matrix (6, 6) that maps the true wrench (force, torque) in sensor axes to the readings; None
+        for the identity.
     force_range, torque_range
-        Largest reading on each axis (3,) [N], [N m]; None where not known.
+        Largest reading on each axis (3,) [N], [N m]; None if unknown.
     low_pass
         Filter and delay of the electronics, or None.
 
@@ -212,12 +212,12 @@ class Response:
 
     @property
     def matrix(self) -> Float[np.ndarray, "6 6"]:
-        """What takes the true wrench in sensor axes to the readings: gain, then cross-talk."""
+        """Map from the true wrench in sensor axes to the readings: gain, then cross-talk."""
         return (np.eye(6) if self.cross_talk is None else self.cross_talk) * np.asarray(self.gain)
 
     def limits(self, resolution: Wrench) -> Wrench:
         """Largest reading (6,) of each channel [N], [N m]: the last step within its range, infinite
-        where that is not known.
+        if the range is unknown.
         """
         ranges = _six(self.force_range or np.inf, self.torque_range or np.inf)
         steps = np.maximum(resolution, NO_STEP)
@@ -226,19 +226,19 @@ class Response:
 
 @dataclass(frozen=True)
 class TarePolicy:
-    """Where the sensor's zero is taken, and what is known of its drift.
+    """Where the sensor's zero is taken, and what is known about its drift.
 
     Attributes
     ----------
     tare_seconds
-        Leading time [s] free of contact, whose mean wrench is taken off; 0 for none, None for the
-        rest that is found at the start.
+        Contact-free time [s] at the start, whose mean wrench is subtracted; 0 for no tare, None to
+        detect the rest at the start.
     rest_intervals
-        Pairs (start, stop) [s] since the recording's start that are free of contact; they take the
-        place of `tare_seconds`.
+        Contact-free intervals (start, stop) [s] since the recording's start; they replace
+        `tare_seconds`.
     estimate_drift
-        Whether the offset changes linearly, at a rate that is found from rest at the start and at
-        the end, on top of a given one.
+        Whether to estimate a linear drift of the offset from rest at the start and at the end, in
+        addition to a known one.
     force_drift, torque_drift
         Known rates of the offset (3,) [N/s], [N m/s], in the axes of the wrench, since the
         recording's start.
@@ -246,7 +246,7 @@ class TarePolicy:
     Raises
     ------
     ValueError
-        If a figure is negative or not finite, or rest intervals are not in order.
+        If `tare_seconds` is negative, a figure is not finite, or rest intervals are not in order.
     """
 
     tare_seconds: float | None = 0.0
@@ -275,7 +275,7 @@ class TarePolicy:
 
 @dataclass(frozen=True)
 class Mount:
-    """The parts that the sensor carries: clamp, adapter, rod.
+    """The parts that the sensor carries: clamp, adapter and rod.
 
     Attributes
     ----------
@@ -284,10 +284,10 @@ class Mount:
     center
         Centre of mass in the sensor frame (3,) [m].
     gravity
-        Acceleration of free fall in world axes (3,) [m/s²].
+        Gravitational acceleration in world axes (3,) [m/s²].
     estimated
-        Whether mass and centre are found from the recording's own rest intervals, in at least three
-        orientations, in place of those given.
+        Whether mass and centre are estimated from the recording's own rest intervals, in at least
+        three orientations, instead of those given.
 
     Raises
     ------
@@ -307,21 +307,21 @@ class Mount:
 
     @property
     def moments(self) -> Float[np.ndarray, "4"]:
-        """Mass [kg] and first moment of mass [kg m], in which the weight is linear."""
+        """Mass [kg] and first moments of mass [kg m], in which the weight is linear."""
         return np.array([self.mass, *(self.mass * np.asarray(self.center))])
 
     def weight(
         self, axes: Float[np.ndarray, "n 3 3"], point: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, "n 6 4"]:
-        """Matrices that take `moments` to the weight's force and torque on the sensor about
-        `point`, in sensor axes.
+        """Matrices that map `moments` to the weight's force and torque on the sensor about `point`,
+        in sensor axes.
 
         Parameters
         ----------
         axes
             Rotations (n, 3, 3) from sensor to world axes.
         point
-            In the sensor frame (3,) [m].
+            Reference point in the sensor frame (3,) [m].
         """
         fall = np.asarray(self.gravity) @ axes
         matrix = np.zeros((len(axes), 6, 4))
@@ -331,7 +331,7 @@ class Mount:
 
 
 def _six(force: Any, torque: Any) -> Wrench:
-    """Figures of the six channels, of one number for all axes or one for each."""
+    """Figures for the six channels, from one number for all axes or one for each."""
     return np.concatenate([np.broadcast_to(part, 3) for part in (force, torque)]).astype(float)
 
 

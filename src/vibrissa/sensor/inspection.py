@@ -1,4 +1,4 @@
-"""All that can be told of a recording before anyone trusts it."""
+"""All the checks that a recording undergoes before it is trusted."""
 
 from dataclasses import astuple, dataclass, replace
 
@@ -34,19 +34,19 @@ from vibrissa.sensor.stamps import increasing_stamps, rounded_stamps, stamp_faul
 from vibrissa.sensor.tare import Tare
 from vibrissa.sensor.units import mount_faults, pose_unit_faults, wrench_unit_faults
 
-# Of numbers in any unit, stamps in nanoseconds since 1970 included.
+# Largest valid number in any unit, including stamps in nanoseconds since 1970.
 _LARGEST = 1e20
-# A median of 0.67 is noise alone, and known to a few hundredths from some hundred rows.
+# Noise alone gives a median of 0.67, known to a few hundredths from some hundred rows.
 _MISFIT, _LASTING_MISFIT = 1.0, 3.0
-# A second of a log at 250 Hz: shorter ones hold too little rest and motion to judge them by.
+# A second of a 250 Hz log: shorter ones hold too little rest and motion to be judged.
 _SNIPPET = 250
-# Their rows are marked, or lose nothing: what becomes of them is in the rows' statuses.
+# Not warned of: their rows are marked or unaffected, as the rows' statuses show.
 _NO_WARNING = (FaultKind.DROP_OUT, FaultKind.HELD, FaultKind.DUPLICATE, FaultKind.GAP)
 
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What `inspect_raw` finds.
+    """Result of `inspect_raw`.
 
     Attributes
     ----------
@@ -54,24 +54,24 @@ class Inspection:
         As logged.
     cleaned
         The recording with increasing stamps, a pose in every row, unit quaternions, and NaN for the
-        wrench of rows that are not usable.
+        wrench in unusable rows.
     faults
-        In order of their start.
+        Sorted by start.
     rest
-        Quiet stretches.
+        Quiet intervals.
     tare
-        As `Sensor.tare` finds it, or None where it cannot; `faults` says why.
+        As found by `Sensor.tare`, or None if that fails; `faults` says why.
     noise
-        Standard deviation (6,) at rest [N], [N m], a straight line taken off; NaN without rest.
+        Standard deviation (6,) about a straight line at rest [N], [N m]; NaN without rest.
     drift, drift_deviation
-        Rate of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s], a given
-        drift taken off, and its standard deviation; NaN without both.
+        Rate of change of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s],
+        known drift subtracted, and its standard deviation; NaN unless both rests exist.
     single_contact_misfit
-        Median size of m0·f0 in its standard deviations over the loaded rows: 0.67 for a single
-        contact and noise alone. NaN without a load.
+        Median of |m0·f0| over its standard deviation in the loaded rows: 0.67 for a single contact
+        and noise alone. NaN without a load.
     sensor
-        As stated, with the noise of readings and poses that was found where that is larger: what
-        the error bars use.
+        As stated, but with the observed noise of readings and poses where that is larger: what the
+        error bars use.
     notes
         What reading left out, recovered or estimated, one sentence each.
     """
@@ -95,26 +95,26 @@ class Inspection:
 
     @property
     def tared(self) -> tuple[Interval, ...]:
-        """Intervals in which the tare is taken; none without one."""
+        """Intervals in which the tare is taken; empty without a tare."""
         return () if self.tare is None else self.tare.intervals
 
     @property
     def rate(self) -> float:
-        """Samples a second [Hz], by the median step."""
+        """Sampling rate [Hz], from the median step."""
         return self.cleaned.rate
 
     @property
     def unusable(self) -> tuple[Fault, ...]:
-        """Faults that make the whole recording unusable; mistaken units first, as others may follow
-        from them.
+        """Faults that make the whole recording unusable; wrong units first, as they may cause
+        others.
         """
         found = (fault for fault in self.faults if fault.unusable)
         return tuple(sorted(found, key=lambda fault: fault.kind is not FaultKind.UNITS))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The findings that contradict the setup or spoil contacts, a line each: those that
-        `read_recording` warns of; none of a snippet of under 250 rows.
+        """Findings that contradict the setup or spoil contacts, a line each, which `read_recording`
+        warns of; none for snippets of fewer than 250 rows.
         """
         if len(self.usable) < _SNIPPET:
             return ()
@@ -133,7 +133,7 @@ def inspect_raw(
     *,
     poses: tuple[Times, Vectors, Quaternions] | None = None,
 ) -> Inspection:
-    """Look for faults in a recording, and say what its rest tells of the sensor.
+    """Look for faults in a recording, and for what its rest says about the sensor.
 
     Parameters
     ----------
@@ -142,17 +142,17 @@ def inspect_raw(
     sensor
         What the log's numbers mean: ranges, resolution, noise, tare.
     rod
-        For the check of units: contacts lie on it.
+        For checking units: contacts lie on it.
     poses
-        Stamps (m,), positions (m, 3) and orientations (m, 4) as recorded, where those of the rows
-        were interpolated between them: for their noise.
+        Stamps (m,), positions (m, 3) and orientations (m, 4) as recorded, if those of the rows were
+        interpolated between them: used for the pose noise.
 
     Raises
     ------
     ValueError
-        If no row has a stamp, or none a pose.
+        If no row has a stamp, or none has a pose.
     """
-    # Infinite numbers, and those that loggers write in the place of missing ones, are no sensor's.
+    # Infinite numbers, and those that loggers write for missing ones, do not come from a sensor.
     given = RawRecording(
         *(np.where(np.abs(part) < _LARGEST, part, np.nan) for part in astuple(raw))
     )
@@ -186,7 +186,7 @@ def inspect_raw(
 def _at_rest(
     raw: RawRecording, cleaned: RawRecording, sensor: Sensor, faults: list[Fault]
 ) -> Inspection:
-    """With what rest tells: tare, noise and drift, and the sensor with the noise that is found."""
+    """Add what rest shows: tare, noise and drift, and the sensor with the noise observed."""
     rest, tare, policy = find_rest(sensor, cleaned), None, sensor.tare_policy
     restless: list[Fault] = []
     if cleaned.whole.any():
@@ -203,7 +203,7 @@ def _at_rest(
         still, stated = Stretch.of(sensor, cleaned, interval), sensor.noise
         noise, mis_scaled = still.noise, list(noise_unit_faults(stated, still))
         faults += restless + mis_scaled
-        # Where a contact or a drift lies within the tare, its scatter is no noise.
+        # If there is a contact or drift within the tare, its scatter is not noise.
         if not (restless or any(fault.unusable for fault in mis_scaled)):
             noisy, sensor = noise_faults(sensor, still)
             faults += [*noisy, *hum_faults(stated, still, cleaned.rate)]
@@ -220,7 +220,7 @@ def _at_rest(
 
 
 def _loaded(found: Inspection, stated: Sensor, rod: Rod) -> Inspection:
-    """With what the loads tell: units, mount, and whether they are those of single contacts."""
+    """Add what loads show: units, mount, and whether they are consistent with single contacts."""
     tare, misfit = found.tare, np.nan
     if tare is None or found.unusable:
         return found
@@ -230,11 +230,11 @@ def _loaded(found: Inspection, stated: Sensor, rod: Rod) -> Inspection:
     if reactions.covariance is not None:
         misfits = contact_misfits(reactions.wrench, reactions.covariance)
         misfit = float(np.median(misfits)) if len(misfits) else misfit
-    # Errors that last, of pink noise and random walk, do not average out.
+    # Errors of pink noise and random walk persist and do not average out.
     if misfit > (_LASTING_MISFIT if stated.noise.lasting else _MISFIT):
         text = (
             "force and moment at the clamp fit no single contact: they miss one by "
-            f"{misfit:.3g} standard deviations in the median (0.67 is noise alone); check "
+            f"{misfit:.3g} standard deviations in the median (noise alone gives 0.67); check "
             "tare, cross-talk and mount"
         )
         faults.append(Fault.over(CHANNELS, FaultKind.TARE, found.cleaned.time, text))

@@ -15,12 +15,12 @@ _STAMP_DECIMALS = 12
 
 @dataclass(frozen=True)
 class LowPass:
-    """A Butterworth filter of first or second order behind a pure delay.
+    """A pure delay followed by a Butterworth filter of first or second order.
 
     Attributes
     ----------
     cutoff
-        Frequency [Hz] at which the power has halved; infinite for a delay alone.
+        Half-power frequency [Hz]; infinite for a delay alone.
     order
         1 or 2.
     delay
@@ -46,28 +46,26 @@ class LowPass:
 
     @property
     def lag(self) -> float:
-        """Time [s] by which a slow signal comes late: the delay, and the filter's group delay at
-        zero frequency.
-        """
+        """Lag of a slow signal [s]: the delay plus the filter's group delay at zero frequency."""
         return self.delay + math.sqrt(self.order) / (2 * math.pi * self.cutoff)
 
     def applied(
         self, time: Float[np.ndarray, "n"], signal: Float[np.ndarray, "n k"]
     ) -> Float[np.ndarray, "n k"]:
-        """Return the filtered signal on its own stamps, exact for a signal that is linear between
+        """Return the filtered signal at its own stamps, exact for a signal that is linear between
         them and was constant before the first.
 
-        The state equation x' = A x + b u is solved over each step by one matrix exponential,
-        whatever the step's length (K. J. Åström, B. Wittenmark, "Computer-Controlled Systems", 3rd
-        ed. 1997, section 2.3; for a linear signal, the first-order hold).
+        The state equation x' = A x + b u is solved over each step, of any length, by one matrix
+        exponential (K. J. Åström, B. Wittenmark, "Computer-Controlled Systems", 3rd ed. 1997,
+        section 2.3; for a linear signal, the first-order hold).
         """
         delayed = [np.interp(time - self.delay, time, column) for column in signal.T]
         signal = np.stack(delayed, axis=1)
         if self.cutoff == math.inf:
             return signal
         rate, order = 2 * math.pi * self.cutoff, self.order
-        # Output and its derivatives, the signal, and the signal's slope: their joint propagator
-        # over a step.
+        # State: the output and its derivatives, the signal, and the signal's slope, all propagated
+        # together over a step.
         system = np.eye(order + 2, k=1)
         damping = [-math.sqrt(2) * rate] * (order - 1)
         system[order - 1] = [-(rate**order), *damping, rate**order, 0.0]

@@ -1,9 +1,9 @@
-"""Coloured noise of a sensor: its samples on any stamps, and what it does to a mean over rest.
+"""Coloured noise of a sensor: samples of it at arbitrary stamps, and its effect on means over rest.
 
-Pink noise, whose power spectral density falls with 1/f, is a sum of Ornstein-Uhlenbeck processes
-whose corner frequencies are spread evenly over the logarithm of the frequency (M. S. Keshner, "1/f
-noise", Proc. IEEE 70 (1982) 212-218). Each of them is sampled exactly on any stamps, and so is a
-random walk.
+Pink noise, whose power spectral density falls as 1/f, is modelled as a sum of Ornstein-Uhlenbeck
+processes with corner frequencies evenly spaced in log frequency (M. S. Keshner, "1/f noise", Proc.
+IEEE 70 (1982) 212-218). Each of them is sampled exactly at arbitrary stamps, and so is a random
+walk.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from vibrissa.sensor.raw import Interval, Times, Wrench
 Samples = Float[np.ndarray, "n channels"]
 
 NO_STEP = 2.0**-200
-"""In the place of a step of 0: numbers keep all their digits."""
+"""Replaces a step of 0: numbers keep all their digits."""
 
-# Processes a decade, h = ln(10)/3 apart: their sum ripples about 1/f by 2/cosh(π²/h), or 1e-5.
+# Processes per decade, h = ln(10)/3 apart: their sum ripples about 1/f by 2/cosh(π²/h), or 1e-5.
 _PER_DECADE = 3
-# The slowest corner lies this far below the inverse duration, so that the sum has no edge inside
-# the band; the fastest at half the sampling rate, as what lies above would fold back.
+# The slowest corner is this factor below the inverse duration, so that the sum has no edge inside
+# the band; the fastest is at half the sampling rate, as anything above would alias.
 _MARGIN = 10.0
 
 
@@ -37,9 +37,9 @@ class Pink:
     Attributes
     ----------
     rates
-        Rates of decay (k,) [1/s] of the processes.
+        Decay rates (k,) [1/s] of the processes.
     variance
-        Of each of them.
+        Variance of each of them.
     """
 
     rates: Float[np.ndarray, "k"]
@@ -47,8 +47,8 @@ class Pink:
 
     @classmethod
     def within(cls, duration: float, interval: float) -> "Pink":
-        """From a tenth of the inverse duration [s] to half the rate of samples at this interval
-        [s].
+        """From a tenth of the inverse duration [s] to half the sampling rate, for this sampling
+        interval [s].
         """
         lowest, highest = 1 / (_MARGIN * duration), 1 / (2 * interval)
         count = max(2, math.ceil(_PER_DECADE * math.log10(highest / lowest)) + 1)
@@ -58,7 +58,7 @@ class Pink:
         return cls(2 * np.pi * corners, float(np.log(corners[1] / corners[0])))
 
     def sampled(self, time: Times, rng: np.random.Generator, channels: int) -> Samples:
-        """Stationary noise on the stamps, independent in each channel."""
+        """Stationary noise at the stamps, independent in each channel."""
         shape = len(self.rates), channels
         state = math.sqrt(self.variance) * rng.normal(size=shape)
         samples = [state.sum(axis=0)]
@@ -70,12 +70,12 @@ class Pink:
         return np.array(samples)
 
     def variance_at(self, time: Times) -> Times:
-        """Of a sample at each time."""
+        """Variance of a sample at each time."""
         return np.full(len(time), self.variance * len(self.rates))
 
     def with_mean(self, time: Times, start: float, stop: float) -> Times:
         """Covariance of a sample at each time with the mean from `start` to `stop`."""
-        # ∫ exp(−r |u|) du from 0 to both ends.
+        # ∫ exp(−r |u|) du from 0 to either end.
         low, high = time[:, None] - start, time[:, None] - stop
         part = low * exprel(-self.rates * abs(low)) - high * exprel(-self.rates * abs(high))
         return self.variance * part.sum(axis=1) / (stop - start)
@@ -85,14 +85,14 @@ class Pink:
         early, late = sorted((first, second))
         x, y = (self.rates * (stop - start) for start, stop in (early, late))
         apart = np.exp(-self.rates * abs(late[0] - early[1])) * exprel(-x) * exprel(-y)
-        # Of an interval with itself: 2 (exp(−x) − 1 + x) / x², without its cancellation.
+        # For an interval with itself: 2 (exp(−x) − 1 + x) / x², without cancellation.
         shares = hyp1f1(1, 3, -x) if first == second else apart
         return float(self.variance * np.sum(shares))
 
 
 @dataclass(frozen=True)
 class RandomWalk:
-    """Unit random walk: 0 at the first stamp, variance 1 a second later.
+    """Unit random walk: 0 at the first stamp, with variance 1 a second later.
 
     Attributes
     ----------
@@ -103,17 +103,17 @@ class RandomWalk:
     origin: float
 
     def sampled(self, time: Times, rng: np.random.Generator, channels: int) -> Samples:
-        """Noise on the stamps, independent in each channel."""
+        """Noise at the stamps, independent in each channel."""
         steps = np.sqrt(np.diff(time, prepend=self.origin))
         return np.cumsum(steps[:, None] * rng.normal(size=(len(time), channels)), axis=0)
 
     def variance_at(self, time: Times) -> Times:
-        """Of a sample at each time."""
+        """Variance of a sample at each time."""
         return time - self.origin
 
     def with_mean(self, time: Times, start: float, stop: float) -> Times:
         """Covariance of a sample at each time with the mean from `start` to `stop`."""
-        # The mean of the lesser of two times, as the covariance of a walk is its lesser time.
+        # The covariance of a walk at two times is the smaller of them; this is its mean.
         inside = np.clip(time, start, stop)
         mean = inside - (inside - start) ** 2 / (2 * (stop - start))
         return np.minimum(time, mean) - self.origin
@@ -125,21 +125,21 @@ class RandomWalk:
 
 
 Coloured = tuple[Pink | RandomWalk, Wrench]
-"""Noise that is not white, and its scale (6,) on the channels [N], [N m]."""
+"""A non-white noise process, and its scale (6,) on the channels [N], [N m]."""
 
 
 def quantisation_of_mean(
     noise: ArrayLike, step: ArrayLike, count: int
 ) -> Float[np.ndarray, "*channels"]:
-    """Variance of the mean of `count` numbers rounded to `step`, beyond that of their noise, over
-    all true values.
+    """Variance of the mean of `count` numbers rounded to `step`, beyond that of their noise,
+    averaged over all true values.
 
-    Rounding errors average out only as far as noise moves the numbers over the steps: of the
-    step²/12 of one number the share Σ 6/(πj)² exp(−(2πj·noise/step)²) stays (B. Widrow, I. Kollár,
-    "Quantization Noise", Cambridge 2008, eq. 4.10 ff.).
+    Rounding errors average out only as far as noise dithers the numbers across steps: of the
+    step²/12 of one number, the fraction Σ 6/(πj)² exp(−(2πj·noise/step)²) remains (B. Widrow, I.
+    Kollár, "Quantization Noise", Cambridge 2008, eq. 4.10 ff.).
     """
     noise, step = np.asarray(noise, dtype=float), np.asarray(step, dtype=float)
-    # What is left of Σ 6/(πj)² behind these is 0.3 %.
+    # The remainder of Σ 6/(πj)² after these terms is 0.3 %.
     orders = np.pi * np.arange(1, 200)
     over = (noise / np.maximum(step, NO_STEP))[..., None]
     kept = np.sum(6 / orders**2 * np.exp(-((2 * orders * over) ** 2)), axis=-1)

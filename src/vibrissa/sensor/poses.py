@@ -1,4 +1,4 @@
-"""Faults of the robot's poses: jumps, and noise larger than stated; and missing poses, filled."""
+"""Faults of the robot's poses: jumps, and more noise than stated; and filling of missing poses."""
 
 from collections.abc import Iterator
 
@@ -12,28 +12,27 @@ from vibrissa.sensor.deviations import MEDIAN_TO_DEVIATION, deviation_by_differe
 from vibrissa.sensor.raw import Fault, FaultKind, Quaternions, RawRecording, Rows, Times, Vectors
 from vibrissa.sensor.sensor import Sensor
 
-# A jump stands out by so many deviations of the steps, and is so many times the step that 95 % of
-# them stay below; of the rod's length, or in radians, smaller ones move no contact noticeably.
+# Least size of a jump in standard deviations of the steps, over the 95 % quantile of the steps, and
+# in rod lengths or radians: smaller ones do not move contacts noticeably.
 _DEVIATIONS, _FASTER, _LEAST_JUMP = 12.0, 3.0, 1e-3
-# Steps on either side that say how the clamp moves: a jump is not lost among eleven.
+# Steps on either side that define the motion: among eleven, a jump does not affect the median.
 _NEIGHBOURS = 5
-# A median of so many sizes is known to 15 %.
+# A median of this many sizes is known to 15 %.
 _FEWEST = 60
-# Stated figures are rounded, and a robot's control follows its path with small corrections.
+# Stated figures are rounded, and a robot's controller makes small corrections along the path.
 _LARGER = 1.5
-# Of the rod's length, or in radians: what is less moves no contact noticeably.
+# In rod lengths or radians: less does not move contacts noticeably.
 _LEAST_NOISE = 1e-4
-# Poses that come in steps stand between most of them, and step by the same size, but for rounding.
+# Quantised poses stay constant between most steps, and all steps are equal except for rounding.
 _STANDING, _EVEN = 0.5, 1.05
 
 
 def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> Iterator[Fault]:
-    """Steps of the pose that stand out from those around them, one finding for all of the position
-    and one for all of the orientation.
+    """Steps of the pose that stand out from those around them, as one finding for all jumps in
+    position and one for orientation.
 
-    By twelve of the steps' standard deviations, by three times the step that 95 % of them stay
-    below, and by a thousandth of the rod's length, or a milliradian. Next to poses that are filled
-    in nothing is judged.
+    A jump exceeds twelve standard deviations of the steps, three times their 95 % quantile, and a
+    thousandth of the rod's length or a milliradian. Steps next to filled-in poses are ignored.
     """
     if len(raw.time) < 2 * _NEIGHBOURS:
         return
@@ -58,15 +57,15 @@ def pose_jumps(raw: RawRecording, rod: Rod, filled: Rows) -> Iterator[Fault]:
 def _steps(
     position: Vectors, orientation: Quaternions, rod: Rod
 ) -> list[tuple[str, Float[np.ndarray, "m 3"], float, str]]:
-    """Name, steps from row to row, what their size is compared with, and unit."""
+    """Name, steps from row to row, the length that scales them, and unit."""
     turns = rotation_vectors(orientation[:-1], orientation[1:])
     moves = np.diff(position, axis=0)
     return [("position", moves, rod.length, "m"), ("orientation", turns, 1.0, "rad")]
 
 
 def filled_poses(raw: RawRecording) -> tuple[Vectors, Quaternions, Rows]:
-    """Positions and unit quaternions with the missing ones taken from the nearest row that has one,
-    and which they are.
+    """Positions and unit quaternions, missing ones taken from the nearest row that has a pose, and
+    which rows these are.
 
     Raises
     ------
@@ -85,11 +84,11 @@ def filled_poses(raw: RawRecording) -> tuple[Vectors, Quaternions, Rows]:
 
 def pose_noise(steps: Float[np.ndarray, "m 3"]) -> float:
     """Standard deviation on each axis of poses about a smooth path, from their steps (m, 3): white
-    noise, or that of numbers that come in steps.
+    noise, or quantisation error.
 
-    White noise by the median of third differences, clamp standing or moving: they take off a path
-    of constant acceleration. Poses that stay, then go on by always the same step, are rounded or
-    held: evenly spread over the step.
+    White noise is found from the median of third differences, which remove a path of constant
+    acceleration, at rest or in motion. Poses that stay constant and then change by always the same
+    step are rounded or held: their error is uniform over a step.
     """
     white = deviation_by_differences(np.diff(steps, n=2, axis=0), 3)
     rounded = [_rounding_step(axis) / np.sqrt(12) for axis in steps.T]
@@ -97,7 +96,7 @@ def pose_noise(steps: Float[np.ndarray, "m 3"]) -> float:
 
 
 def _rounding_step(steps: Times) -> float:
-    """Size of the steps in which a number goes on; 0 where it moves evenly, stands, or is noisy."""
+    """Step in which a number advances; 0 if it moves smoothly, is constant, or is noisy."""
     sizes = np.abs(steps)
     gone = np.flatnonzero(sizes > 1e-3 * sizes.max())
     if len(gone) < _FEWEST // 3:
@@ -110,9 +109,7 @@ def _rounding_step(steps: Times) -> float:
 def pose_noise_faults(
     sensor: Sensor, rod: Rod, time: Times, position: Vectors, orientation: Quaternions
 ) -> tuple[list[Fault], Sensor]:
-    """Findings on noise of the poses (n, …) that is larger than stated, and the sensor with that
-    noise.
-    """
+    """Findings if the poses (n, …) are noisier than stated, and the sensor with that noise."""
     norm = np.linalg.norm(orientation, axis=1)
     whole = np.isfinite(time) & np.isfinite(position).all(axis=1) & (norm > 0)
     if np.count_nonzero(whole) <= _FEWEST:

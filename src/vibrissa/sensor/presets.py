@@ -1,26 +1,26 @@
-"""Figures of common six-axis sensors, from their makers' sheets.
+"""Specifications of common six-axis sensors, from their manufacturers' data sheets.
 
-Each preset holds ranges, resolution and noise. Where a sheet states no noise, one step of its
-resolution is taken as the standard deviation: the resolution that a sheet states is what the maker
-calls discernible in the noise, so that the noise is of that size at most.
+Each preset holds ranges, resolution and noise. Where a data sheet states no noise, one step of its
+resolution is taken as the standard deviation: the stated resolution is what the manufacturer calls
+discernible in the noise, so the noise is at most of that size.
 
 ATI Nano17, calibrations SI-12-0.12, SI-25-0.25 and SI-50-0.5
     ATI Industrial Automation, product page "F/T Sensor: Nano17", tables "Sensing ranges" and
     "Resolution" (typical, with a 16-bit data acquisition system). Noise is not stated.
 ATI Mini40, calibration SI-40-2, and ATI Mini45, calibration SI-145-5
     ATI Industrial Automation, product pages "F/T Sensor: Mini40" and "F/T Sensor: Mini45", the same
-    tables, as laboratories that measured theirs against them quote them. At rest they found,
-    without a filter, 0.7 to 1.6 times these forces and 1.2 to 2.2 times these torques (Mini40, 1
-    kHz), and a third of the lateral forces, 0.8 of the axial force, 0.4 and 0.75 of the torques
-    (Mini45, 2 kHz): the resolution is the noise of the strain gauges, not the converter's step.
+    tables, as quoted by laboratories that compared their own sensors with them. At rest and
+    unfiltered they found noise of 0.7 to 1.6 times these forces and 1.2 to 2.2 times these torques
+    (Mini40, 1 kHz), and a third of the lateral forces, 0.8 of the axial force, 0.4 and 0.75 of the
+    torques (Mini45, 2 kHz): the resolution is the strain gauges' noise, not the converter's step.
 ATI Axia80-M20, calibration SI-500-20
     ATI Industrial Automation, "Manual, F/T Sensor, Ethernet Axia", document 9610-05-Ethernet
-    Axia-09, table 4.8: the ranges alone. Resolution and noise are not in what we have seen of it,
-    and have to be given.
+    Axia-09, table 4.8: ranges only. Resolution and noise are not in the parts that we have seen,
+    and must be given.
 Robotiq FT 300-S
     Robotiq, "FT 300-S Force Torque Sensor Instruction Manual": range, data stream at 100 Hz in
-    steps of 0.01 N and 0.001 N m. Signal noise as in the maker's data sheet: 0.1 N, 0.005 N m; the
-    figure of tx and ty is taken for tz too.
+    steps of 0.01 N and 0.001 N m. Signal noise from the manufacturer's data sheet: 0.1 N,
+    0.005 N m; the figure for tx and ty is used for tz too.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ _SHEETS: dict[str, tuple[Any, ...]] = {
     "robotiq_ft_300_s": ((300.0,) * 3, (30.0,) * 3, 0.01, 0.001, 0.1, 0.005),
 }
 
-# Where a sheet states no noise it is one step.
+# Where a data sheet states no noise, it is taken as one step.
 PRESETS: dict[str, dict[str, Any]] = {
     name: dict(zip(_FIGURES, (*sheet, *sheet[2:]), strict=False)) for name, sheet in _SHEETS.items()
 }
-"""Figures by the name of the sensor and its calibration: fields of `Sensor`, SI units."""
+"""Fields of `Sensor` by the name of the sensor and its calibration, SI units."""
 
 
 def preset(
@@ -68,7 +68,7 @@ def preset(
     clamp_orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
     wrench: WrenchSign = "on_sensor",
 ) -> Sensor:
-    """A sensor with the figures of a preset; `dataclasses.replace` changes them.
+    """Return a sensor with a preset's figures; change them by `dataclasses.replace`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a sensor and a robot log, before anything is made of it, and what may be wrong with it."""
+"""Data as logged by sensor and robot, and what may be wrong with them."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 CHANNELS = ("fx", "fy", "fz", "tx", "ty", "tz")
-"""The six numbers of a wrench, in their order in arrays (…, 6)."""
+"""The six channels of a wrench, in the order of arrays (…, 6)."""
 CHANNEL_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 """Their units."""
 
@@ -25,14 +25,13 @@ Rows = Bool[np.ndarray, "n"]
 Vectors = Float[np.ndarray, "n 3"]
 Quaternions = Float[np.ndarray, "n 4"]
 
-# Steps below a nanosecond are those of no clock; a rate of zero steps stays finite.
+# No clock has steps below a nanosecond; this keeps the rate finite.
 _LEAST_STEP = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class RawRecording:
-    """Rows of a log, as the sensor and the robot wrote them. A row may hold NaN where a number is
-    missing.
+    """Rows of a log, as written by sensor and robot. Missing numbers are NaN.
 
     Attributes
     ----------
@@ -41,8 +40,7 @@ class RawRecording:
     position, orientation
         Pose of the sensor frame in the world: (n, 3) [m] and quaternions x, y, z, w (n, 4).
     force, torque
-        (n, 3) [N], [N m]: sign, frame and reference point are the sensor's (`Sensor`), tare
-        included.
+        (n, 3) [N], [N m], tare included: sign, frame and reference point as in `Sensor`.
     """
 
     time: Times
@@ -58,7 +56,7 @@ class RawRecording:
 
     @cached_property
     def rate(self) -> float:
-        """Samples a second [Hz], by the median step of the time; NaN with fewer than two rows."""
+        """Sampling rate [Hz], from the median time step; NaN with fewer than two rows."""
         steps = np.diff(self.time)
         steps = steps[steps > 0]
         return float(1 / max(np.median(steps), _LEAST_STEP)) if len(steps) else np.nan
@@ -78,23 +76,23 @@ class RawRecording:
 
 
 def names_of(mask: Bool[np.ndarray, "k"], names: tuple[str, ...] = CHANNELS) -> tuple[str, ...]:
-    """Those of the names (k,) that a mask picks."""
+    """The names (k,) that a mask selects."""
     return tuple(np.array(names)[mask].tolist())
 
 
 class FaultKind(StrEnum):
     """What can be wrong with a recording.
 
-    `SATURATION`: readings at the range, or flat-topped. `DROP_OUT`: rows without numbers, or of
-    zeros between other readings. `STUCK`: a channel that repeats its value longer than noise and
-    resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`, `BACKWARD`: a stamp
-    equal to one before, or earlier. `UNITS`: numbers that cannot be in metres, newtons, newton
-    metres, seconds, or no unit quaternions. `NOISE`: larger or smaller at rest than stated.
-    `DRIFT`: the offset moves by more than stated. `POSE_JUMP`: the robot's pose jumps. `REST`: no
-    rest for the tare. `TARE`: forces and moments that belong to no single contact. `HELD`: rows
-    that repeat the reading above them in all channels. `MOUNT`: a sign, clamp or reference point of
-    the setup that the readings contradict. `HUM`: a line in the spectrum at rest. `POSE_NOISE`:
-    poses scatter by more than stated.
+    `SATURATION`: readings at the range limit, or flat-topped. `DROP_OUT`: rows with missing
+    numbers, or of zeros between other readings. `STUCK`: a channel that repeats its value for
+    longer than noise and resolution allow. `GAP`: samples missing between two stamps. `DUPLICATE`,
+    `BACKWARD`: a stamp equal to an earlier one, or before it. `UNITS`: numbers that cannot be in
+    metres, newtons, newton metres or seconds, or are not unit quaternions. `NOISE`: larger or
+    smaller at rest than stated. `DRIFT`: the offset drifts more than stated. `POSE_JUMP`: the
+    robot's pose jumps. `REST`: no rest for the tare. `TARE`: forces and moments that fit no single
+    contact. `HELD`: rows that repeat the reading above them in all channels. `MOUNT`: a sign, clamp
+    or reference point in the setup that the readings contradict. `HUM`: a line in the spectrum at
+    rest. `POSE_NOISE`: poses scatter by more than stated.
     """
 
     SATURATION = "saturation"
@@ -126,15 +124,15 @@ class Fault:
     channels
         Names of `vibrissa.sensor.CHANNELS`, and "position", "orientation", "time".
     start, stop
-        First and last stamp concerned [s], on the recording's clock.
+        First and last stamp affected [s], on the recording's clock.
     count
-        Rows concerned; of a gap, samples missing.
+        Rows affected; for a gap, samples missing.
     text
         One sentence with the figures.
     unusable
         Whether the recording cannot be used at all.
     quiet
-        Whether an inspection lists it without a warning, and marks no row.
+        Whether an inspection lists it without warning of it or marking rows.
     """
 
     kind: FaultKind
@@ -156,7 +154,7 @@ class Fault:
         count: int | np.integer[Any] | None = None,
         **flags: bool,
     ) -> "Fault":
-        """A finding from the first to the last of these stamps (n,); it concerns n rows, unless
+        """A finding from the first to the last of these stamps (n,), affecting n rows unless
         `count` says otherwise. `flags` are `unusable` and `quiet`.
         """
         rows = len(stamps) if count is None else int(count)

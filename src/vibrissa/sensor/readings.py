@@ -1,6 +1,4 @@
-"""Faults of the readings: rows that are missing, channels that stand still, readings at their
-limit.
-"""
+"""Faults of the readings: missing rows, stuck channels, and saturation."""
 
 from __future__ import annotations
 
@@ -34,24 +32,22 @@ from vibrissa.sensor.raw import (
 from vibrissa.sensor.sensor import Sensor
 
 _COLUMNS = ("time", "position", "orientation", *CHANNELS)
-# Chance that a sound recording is said to stand still.
+# Probability that a good recording is called stuck.
 _FALSE_ALARM = 1e-6
-# Equal readings in a row that are no finding, however fine the numbers.
+# Fewer equal readings in a row are not reported, however fine the resolution.
 _SHORTEST = 5
-# Deviations by which readings jump to and from lost rows that are written as zeros.
+# Deviations by which readings jump to and from lost rows that were written as zeros.
 _JUMP = 8.0
-# Samples on either side of a loss, whose median and spread say where the readings were.
+# Samples on either side of a loss whose median and spread give the level of the readings.
 _NEIGHBOURS = 5
-# Deviations, or median steps: a channel that comes to its extreme by more did not saturate.
+# Deviations, or median steps: a channel that reaches its extreme by a larger step did not saturate.
 _FLAT_TOP = 10.0
-# Decimals read as binary numbers may fall short of the range by the last digit.
+# Decimals converted to binary may fall short of the range in the last digit.
 _ROUNDING = 1e-9
 
 
 def without(raw: RawRecording, faults: Iterable[Fault]) -> RawRecording:
-    """The recording with NaN in the place of the readings that these findings name; quiet ones
-    mark none.
-    """
+    """The recording with NaN for the readings that these findings mark; quiet ones mark none."""
     wrench = raw.wrench
     for fault in faults:
         if not fault.quiet:
@@ -61,8 +57,8 @@ def without(raw: RawRecording, faults: Iterable[Fault]) -> RawRecording:
 
 
 def drop_outs(logged: RawRecording, time: Times) -> Iterator[Fault]:
-    """Rows in which numbers are missing, and rows of zeros from which and to which the readings
-    jump by eight of their deviations; at these increasing stamps (n,).
+    """Rows with missing numbers, and rows of zeros to and from which the readings jump by eight of
+    their deviations; `time` holds increasing stamps (n,).
     """
     wrench, pose = logged.wrench, (logged.position.sum(axis=1), logged.orientation.sum(axis=1))
     missing = ~np.isfinite(np.column_stack([logged.time, *pose, wrench]))
@@ -76,7 +72,7 @@ def drop_outs(logged: RawRecording, time: Times) -> Iterator[Fault]:
     for start, stop in runs(zero & (len(others) >= _NEIGHBOURS)):
         before, after = np.split(others, [np.searchsorted(others, start)])
         sides = (wrench[side] for side in (before[-_NEIGHBOURS:], after[:_NEIGHBOURS]) if len(side))
-        # A noiseless simulation begins at zero and leaves it gradually: there the step is no larger
+        # A noiseless simulation starts at zero and leaves it gradually: its first step is no larger
         # than the next ones.
         if all(
             np.any(np.abs(np.median(near, axis=0)) > _JUMP * deviation + 4 * np.ptp(near, axis=0))
@@ -87,8 +83,8 @@ def drop_outs(logged: RawRecording, time: Times) -> Iterator[Fault]:
 
 
 def repeat_chance(deviation: ArrayLike, step: ArrayLike) -> Float[np.ndarray, "*channels"]:
-    """Largest chance that a reading equals the one before: erf(step / (√8 deviation)), where the
-    true value lies on a step; 1 without noise.
+    """Largest probability that a reading equals the previous one: erf(step / (√8 deviation)), if
+    the true value lies on a step; 1 without noise.
     """
     deviation = np.asarray(deviation, dtype=float)
     ratio = np.divide(step, deviation, out=np.full_like(deviation, np.inf), where=deviation > 0)
@@ -98,18 +94,19 @@ def repeat_chance(deviation: ArrayLike, step: ArrayLike) -> Float[np.ndarray, "*
 def longest_run(
     chance: ArrayLike, count: int, false_alarm: float = _FALSE_ALARM
 ) -> Float[np.ndarray, "*channels"]:
-    """Length that a run of equal readings reaches by chance, somewhere among `count`, with the
-    probability `false_alarm`, where one equals that before it with this chance.
+    """Length that a run of equal readings reaches by chance, somewhere among `count`, with
+    probability `false_alarm`, if each equals the previous one with probability `chance`.
 
-    A run of r readings needs r − 1 such, and `count` places bound its chance by count p^(r−1).
+    A run of r readings takes r − 1 repeats; over `count` positions its probability is at most
+    count p^(r−1).
     """
     with np.errstate(divide="ignore"):
         return np.asarray(1 + np.ceil(np.log(count / false_alarm) / np.abs(np.log(chance))))
 
 
 def _repeat_chances(noise: Noise, wrench: Wrenches) -> tuple[Wrench, Wrench]:
-    """White noise (6,), and the chance (6,) that a reading repeats itself: by the steps of the
-    numbers as stated, or the smallest that they show, if that is larger.
+    """White noise (6,), and the probability (6,) that a reading repeats, for the stated resolution
+    or the smallest step seen in the numbers, whichever is larger.
     """
     shown, deviation = smallest_steps(wrench), believed_noise(noise, wrench)
     steps = np.maximum(noise.resolution, np.where(np.isfinite(shown), shown, 0))
@@ -117,18 +114,18 @@ def _repeat_chances(noise: Noise, wrench: Wrenches) -> tuple[Wrench, Wrench]:
 
 
 def held_rows(noise: Noise, raw: RawRecording) -> Iterator[Fault]:
-    """Rows that repeat the reading above them in all channels more often than chance allows: a lost
-    sample, and the last one held in its place.
+    """Rows that repeat the reading above them in all channels more often than chance allows: lost
+    samples, replaced by the last one.
 
-    Where a third of all rows do so, the sensor is slower than the log; that is one finding, a quiet
-    one.
+    If a third of all rows do so, the sensor is slower than the log; that is a single, quiet
+    finding.
     """
     wrench, rows = raw.wrench, len(raw.time)
     same, what = repeating_rows(wrench), "repeat the reading above them in all channels"
     if not own_rows(wrench).all():
         count = np.count_nonzero(same)
         text = (
-            f"{count} of {rows} rows {what}, as of a sensor of "
+            f"{count} of {rows} rows {what}, as from a sensor of "
             f"{(1 - count / rows) * raw.rate:.4g} readings a second in a log of {raw.rate:.4g}"
         )
         yield Fault.over(CHANNELS, FaultKind.HELD, raw.time, text, count, quiet=True)
@@ -141,17 +138,17 @@ def held_rows(noise: Noise, raw: RawRecording) -> Iterator[Fault]:
 
 
 def standing_channels(sensor: Sensor, raw: RawRecording) -> Iterator[Fault]:
-    """Runs of equal readings longer than chance allows: flat-topped where they are a channel's
-    extreme that it comes to and leaves gradually, as then are all readings of this value, else
-    stuck.
+    """Runs of equal readings longer than chance allows: flat-topped if they are at a channel's
+    extreme and are reached and left gradually (which then goes for all readings of that value),
+    else stuck.
 
-    With a known range, readings at it are saturated, however few.
+    If the range is known, readings at its limit are saturated, however few.
     """
     deviations, chances = _repeat_chances(sensor.noise, raw.wrench)
     needed = np.maximum(_SHORTEST, longest_run(chances, len(raw.time)))
     limits = sensor.response.limits(sensor.noise.resolution)
     if sensor.wrench_frame == "world":
-        # No channel is one of the sensor's.
+        # In world axes no channel is a single channel of the sensor.
         limits = np.full(6, np.inf)
     for name, unit, values, deviation, least, limit in zip(
         CHANNELS, CHANNEL_UNITS, raw.wrench.T, deviations, needed, limits, strict=True
@@ -184,6 +181,6 @@ def _flat_topped(values: Times, start: int, stop: int, deviation: float) -> bool
     height = np.abs(value - np.nanmedian(values))
     if value not in (np.nanmax(values), np.nanmin(values)) or height < _FLAT_TOP * deviation:
         return False
-    # Next to a row that is missing it is not known how the channel came or left.
+    # Next to a missing row, how the channel reached or left the value is unknown.
     ends = np.concatenate([steps[max(0, start - 1) : start], steps[stop - 1 : stop]])
     return not np.any(ends > _FLAT_TOP * max(deviation, np.nanmedian(steps)))

@@ -1,4 +1,4 @@
-"""Where a recording is at rest: stretches in which the wrench does not change beyond its noise."""
+"""Rest in a recording: intervals in which the wrench changes by no more than its noise."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,36 +28,36 @@ from vibrissa.sensor.tare import Tare, without_given
 if TYPE_CHECKING:
     from vibrissa.sensor.sensor import Sensor
 
-# A block lasts two periods of the mains, and holds enough samples for a mean of them.
+# A block lasts two mains periods, and holds enough samples for a mean.
 _BLOCK_SECONDS = 0.04
 _BLOCK_SAMPLES = 5
-# Fewer means do not tell rest from a turning point of the load.
+# Fewer means do not distinguish rest from a turning point of the load.
 _FEWEST_BLOCKS = 4
 # Standard errors: by chance in one of 10⁸ comparisons.
 _DEVIATIONS = 6.0
-# Share of a rest that is left out next to its change, which may have begun unnoticed.
+# Fraction of a rest that is dropped next to a change, which may have begun unnoticed.
 _GUARD = 0.1
 ANOTHER_LEVEL = 0.2
-"""Of the largest load: two rests that differ by more are not both free of contact."""
-# Standard deviations from which on a force is a load, and how many such samples a median needs.
+"""Fraction of the largest load: two rests that differ by more are not both free of contact."""
+# Standard deviations above which a force is a load, and how many such samples a median needs.
 _LOADED, _FEWEST_LOADED = 10.0, 20
-# Of the sensor's whole way: one that travels more within a rest is not in contact there.
+# Fraction of the extent of the motion: a sensor that moves more within a rest is not in contact.
 _MOVED = 0.02
-# The median size of n normal numbers has the standard error 0.79/√n, where it is 0.67.
+# The median absolute value of n normal numbers is 0.67, with a standard error of 0.79/√n.
 _MEDIAN_ERROR = 0.79 / MEDIAN_TO_DEVIATION
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Quiet stretches of a recording.
+    """Quiet intervals of a recording.
 
     Attributes
     ----------
     intervals
-        (start, stop) [s] on the recording's clock, in order, without the ends that may hold the
-        beginning of a contact.
+        (start, stop) [s] on the recording's clock, in order, trimmed where a contact may have
+        begun.
     leading, trailing
-        The one at the start of the recording and the one at its end, or None.
+        Those at the start and at the end of the recording, or None.
     """
 
     intervals: tuple[Interval, ...] = ()
@@ -66,24 +66,24 @@ class Rest:
 
     @property
     def ends(self) -> tuple[Interval, Interval] | None:
-        """Rest at the start and another at the end, or None."""
+        """Rest at the start and a separate one at the end, or None."""
         if self.leading is None or self.trailing is None or self.leading == self.trailing:
             return None
         return self.leading, self.trailing
 
 
 def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
-    """Quiet stretches of a recording: block means that stay, in all channels, within six standard
-    errors of the mean of the stretch so far.
+    """Quiet intervals of a recording: block means stay, in all channels, within six standard errors
+    of the mean of the interval so far.
 
-    A stretch has at least four blocks, each of 0.04 s or five samples, whichever is longer. A
-    weight of the mount and a drift that are given are taken off before.
+    An interval has at least four blocks of 0.04 s or five samples each, whichever is longer. Known
+    mount weight and drift are subtracted first.
     """
     rows, means, tolerance = _blocks(sensor, raw)
     count = len(rows)
     if count < _FEWEST_BLOCKS:
         return Rest()
-    # The last stretch is followed from the end, so that it reaches it also where the offset drifts.
+    # The last one is followed backwards from the end, so that it gets there even if there is drift.
     ending = count - _stays(means[::-1], tolerance)
     stretches, first = [], 0
     while first < count:
@@ -105,13 +105,13 @@ def find_rest(sensor: "Sensor", raw: RawRecording) -> Rest:
 
 
 def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, ...], str]:
-    """Intervals free of contact in which the tare is taken, and how they were found.
+    """Contact-free intervals in which the tare is taken, and how they were found.
 
     Raises
     ------
     ValueError
-        If rest that is given does not fit the recording, or none is given and none can be found,
-        because the recording starts in contact or under a changing load.
+        If the given rest does not fit the recording, or none is given and none can be found because
+        the recording starts in contact or under a changing load.
     """
     policy, first, wanted = sensor.tare_policy, float(raw.time[0]), sensor.estimates
     seconds, leading = policy.tare_seconds, None
@@ -156,14 +156,14 @@ def rest_for_tare(sensor: "Sensor", raw: RawRecording) -> tuple[tuple[Interval, 
 
 def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> Iterator[Fault]:
     """Given tare intervals in which the readings change by more than their noise, from the first
-    block of samples that does: a contact, or a drift.
+    such block of samples on: a contact, or a drift.
     """
     for interval in tare.intervals:
         rows, means, tolerance = _blocks(sensor, raw, interval)
         count = len(rows)
         if count < _FEWEST_BLOCKS:
             continue
-        # A given drift is off the readings already.
+        # Known drift has already been subtracted from the readings.
         drift = tare.drift - sensor.tare_policy.drift
         means = means - (raw.time[rows].mean(axis=1) - tare.epoch)[:, None] * drift
         first = _stays(means, tolerance)
@@ -178,8 +178,8 @@ def restless_tare(sensor: "Sensor", raw: RawRecording, tare: Tare) -> Iterator[F
 
 
 def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interval:
-    """The rest at the start, unless there is none, or the one at the end has another level and
-    leaves loads that fit a single contact better.
+    """The rest at the start; raise ValueError if there is none, or if the rest at the end has
+    another level that makes the loads fit single contacts better.
     """
     first = float(raw.time[0])
     advice = (
@@ -213,7 +213,7 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
     ]
     fewest = min(map(len, misfits))
     early, late = map(np.median, misfits) if fewest else (0.0, 0.0)
-    # Where the samples between do not tell the two apart, one that travels is free of contact.
+    # If the samples between do not decide, a rest during which the sensor travels is free.
     apart = _DEVIATIONS * _MEDIAN_ERROR / np.sqrt(max(fewest, 1)) * min(early, late)
     way = raw.position[raw.during(rest.leading)]
     extent = np.linalg.norm(np.ptp(raw.position, axis=0))
@@ -229,14 +229,14 @@ def _checked_leading(sensor: "Sensor", raw: RawRecording, rest: Rest) -> Interva
 
 
 def share_of_load(step: Wrench, load: Wrenches) -> float:
-    """What a step of the zero is of the largest load (n, 6): of the force, or of the torque."""
+    """A zero shift as a fraction of the largest load (n, 6): the larger of force and torque."""
     most = np.nanmax(np.linalg.norm(load.reshape(-1, 2, 3), axis=2), axis=0)
     return float(np.max(np.linalg.norm(step.reshape(2, 3), axis=1) / (most + 1e-300)))
 
 
 def contact_misfits(wrench: Wrenches, covariance: Covariance) -> Float[np.ndarray, "loaded"]:
-    """Sizes of m0·f0 in its standard deviations, which is zero for a single contact (mechanics.md,
-    "Statics alone"), in rows of more than ten deviations of the force; none of fewer than 20 rows.
+    """|m0·f0| over its standard deviation, m0·f0 being zero for a single contact (mechanics.md,
+    "Statics alone"), in rows with forces of more than ten deviations; empty if fewer than 20.
     """
     covariance = np.broadcast_to(covariance, (len(wrench), 6, 6))
     deviation = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)
@@ -251,8 +251,8 @@ def contact_misfits(wrench: Wrenches, covariance: Covariance) -> Float[np.ndarra
 def _blocks(
     sensor: "Sensor", raw: RawRecording, interval: Interval = (-np.inf, np.inf)
 ) -> tuple[Int[np.ndarray, "blocks size"], Float[np.ndarray, "blocks 6"], Wrench]:
-    """Blocks of consecutive usable samples of an interval, a given drift and weight taken off:
-    their rows, the means of their readings, and six standard errors (6,) of a mean.
+    """Blocks of consecutive usable samples of an interval: their rows, the means of their readings
+    with known drift and weight subtracted, and six standard errors (6,) of a mean.
     """
     usable, readings = raw.whole & own_rows(raw.wrench), without_given(sensor, raw)
     size = max(_BLOCK_SAMPLES, round(_BLOCK_SECONDS * np.nan_to_num(raw.rate)))
@@ -263,7 +263,7 @@ def _blocks(
         good = readings[usable]
         variance += reading_deviation(sensor.noise, good) ** 2 / size
         variance += (shown_steps(sensor.noise, good) / 4) ** 2
-        # The offset wanders between the blocks of a stretch: ten blocks apart on average.
+        # The offset wanders between the blocks of an interval: ten blocks apart on average.
         early, late = raw.time[usable][0] + np.array([[0, 1], [10, 11]]) * size / raw.rate
         times = raw.time[np.isfinite(raw.time)]
         variance += sensor.noise.wandered(times, tuple(early), tuple(late))
@@ -271,7 +271,7 @@ def _blocks(
 
 
 def _stays(means: Float[np.ndarray, "blocks 6"], tolerance: Wrench) -> int:
-    """How many of the first blocks stay near the mean of those before."""
+    """Number of leading blocks that each stay near the mean of those before."""
     total = means[0].copy()
     for count, mean in enumerate(means[1:], start=1):
         if np.any(np.abs(mean - total / count) > tolerance * np.sqrt(1 + 1 / count)):

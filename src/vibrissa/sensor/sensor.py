@@ -1,4 +1,4 @@
-"""A six-axis force/torque sensor that carries the rod's clamp: from what it reads to the reactions
+"""A six-axis force/torque sensor that carries the rod's clamp: from its readings to the reactions
 at the clamp, and back.
 """
 
@@ -33,21 +33,21 @@ WrenchSign = Literal["on_sensor", "on_rod"]
 WrenchFrame = Literal["sensor", "world"]
 
 _PARTS: dict[str, Any] = {"noise": Noise, "response": Response, "tare_policy": TarePolicy}
-# Covariances of rows that differ by less than rounding are one covariance.
+# Covariances that differ between rows by less than rounding are stored once.
 _SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """Where the clamp sits on the sensor, what the wrench's numbers mean, and how good they are. SI
-    units.
+    """Where the clamp sits on the sensor, what the wrench's numbers mean, and how accurate they
+    are. SI units.
 
     Parameters
     ----------
     figures
-        Fields of `Noise`, `Response` and `TarePolicy` by their own names, in place of those in
+        Fields of `Noise`, `Response` and `TarePolicy` by their own names, overriding those in
         `noise`, `response` and `tare_policy`: `Sensor(..., force_noise=1e-3, tare_seconds=0.5)`.
-        They are read and replaced (`dataclasses.replace`) by these names, too.
+        They can also be read and replaced (`dataclasses.replace`) by these names.
 
     Attributes
     ----------
@@ -55,16 +55,16 @@ class Sensor:
         Clamp in the sensor frame: (3,) [m], and the quaternion x, y, z, w that maps clamp axes onto
         sensor axes. The rod leaves along clamp +z.
     wrench
-        "on_sensor": exerted by the rod on the sensor. "on_rod": the support reaction. A wrench
-        message does not say; it must be given.
+        "on_sensor": exerted by the rod on the sensor. "on_rod": the support reaction. Must be
+        given, as a wrench message does not say.
     wrench_frame
         Axes of the wrench: "sensor" or "world".
     wrench_point
         Reference point of the torque in the sensor frame (3,) [m].
     mount
-        What hangs on the sensor and weighs, or None.
+        Parts whose weight the sensor carries, or None.
     noise
-        Random errors of readings and poses, and the steps of the numbers.
+        Random errors of readings and poses, and resolution.
     response
         Gain, cross-talk, range and low-pass filter.
     tare_policy
@@ -73,8 +73,8 @@ class Sensor:
     Raises
     ------
     ValueError
-        If a number is not finite, a quaternion has zero norm, sign or frame are none of those
-        named, or as for the parts.
+        If a number is not finite, a quaternion has zero norm, `wrench` or `wrench_frame` is not one
+        of the above, or as for the parts.
     TypeError
         If a keyword is neither a field nor a figure.
     """
@@ -132,9 +132,7 @@ class Sensor:
 
     @property
     def sign(self) -> float:
-        """What takes a wrench to the support reaction: −1 where it is given as on the sensor, else
-        1.
-        """
+        """Factor from wrench to support reaction: −1 for "on_sensor", else 1."""
         return -1.0 if self.wrench == "on_sensor" else 1.0
 
     @property
@@ -149,13 +147,13 @@ class Sensor:
         Raises
         ------
         ValueError
-            If the noise is not known.
+            If the noise is unknown.
         """
         return self.noise.variance
 
     @property
     def estimates(self) -> tuple[str, ...]:
-        """What is to be found from rest besides an offset, by its keys in the setup."""
+        """What is to be estimated from rest besides an offset, by its keys in the setup."""
         wanted = {
             "estimate_drift": self.tare_policy.estimate_drift,
             "mount.estimated": self.mount is not None and self.mount.estimated,
@@ -167,24 +165,24 @@ class Sensor:
         return replace(self, **changes)
 
     def without_estimates(self) -> Sensor:
-        """Return the same sensor with an offset alone to be found from rest."""
+        """Return the same sensor with only an offset to be found from rest."""
         return self.updated(estimate_drift=False, mount=None)
 
     def frame(self, clamp: Trail) -> Trail:
-        """Poses of the sensor frame (…, n) that go with these of the clamp."""
+        """Poses of the sensor frame (…, n) for these poses of the clamp."""
         turn = multiplied(clamp.orientation, inverse(self.clamp_orientation))
         return Trail(clamp.position - rotation_matrices(turn) @ self.clamp_position, turn)
 
     def to_reactions(self, orientation: Quaternions) -> Covariances:
-        """Matrices (n, 6, 6) from readings to reactions: gain and cross-talk undone, turned to
-        world axes, carried to the clamp, with the support reaction's sign.
+        """Matrices (n, 6, 6) from readings to reactions: undo gain and cross-talk, rotate to world
+        axes, shift to the clamp, and apply the support reaction's sign.
         """
         axes = rotation_matrices(orientation)
         both = np.kron(np.eye(2), axes)
         turn = both @ np.linalg.inv(self.response.matrix)
         if self.wrench_frame == "world":
             turn = turn @ np.swapaxes(both, 1, 2)
-        # (f, τ) about a point is (f, τ − arm × f) about the point farther by the arm.
+        # (f, τ) about a point is (f, τ − arm × f) about the point displaced by the arm.
         turn[:, 3:] -= cross_matrices(axes @ self.arm) @ turn[:, :3]
         return self.sign * turn
 
@@ -193,20 +191,20 @@ class Sensor:
         return np.linalg.inv(self.to_reactions(orientation))
 
     def weight_readings(self, orientation: Quaternions) -> Float[np.ndarray, "n 6 4"]:
-        """Matrices that take `Mount.moments` to what the sensor shows of the mount's weight."""
+        """Matrices that map `Mount.moments` to the mount's weight as read by the sensor."""
         axes = rotation_matrices(orientation)
         weight = (self.mount or Mount()).weight(axes, self.clamp_position)
-        # As a contact would, the weight loads the sensor: reactions are what holds it.
+        # The weight loads the sensor as a contact does: reactions are what supports it.
         return -self.to_readings(orientation) @ np.kron(np.eye(2), axes) @ weight
 
     def tare(self, raw: RawRecording) -> Tare:
-        """What the sensor shows without contact: from rest that is given or found
-        (`vibrissa.sensor.rest`), or nothing where `tare_seconds` is 0.
+        """What the sensor reads without contact, from rest that is given or detected
+        (`vibrissa.sensor.rest`); no tare if `tare_seconds` is 0.
 
         Raises
         ------
         ValueError
-            If rest that is given does not fit the recording, or none can be found.
+            If the given rest does not fit the recording, or none can be found.
         """
         return fitted_tare(self, raw, *rest_for_tare(self, raw))
 
@@ -218,29 +216,29 @@ class Sensor:
         tolerances: Tolerances | SetupErrors | ArrayLike | None = None,
     ) -> Reactions:
         """Support reactions on the rod about the clamp, in world axes, tare removed, with their
-        covariance where the noise is known.
+        covariance if the noise is known.
 
-        Drift, cross-talk, the mount's weight, frame, sign and reference point are undone; a
-        low-pass filter's lag is not. The covariance holds a sample's own noise and the errors of
-        tare and drift, also those of pink noise and of a random walk since the tare was taken.
+        Drift, cross-talk, mount weight, frame, sign and reference point are corrected for; the lag
+        of a low-pass filter is not. The covariance includes a sample's own noise and the errors of
+        tare and drift, including pink noise and random walk since the tare was taken.
 
         Parameters
         ----------
         raw
-            As logged. A row of the wrench that holds NaN gives a row of NaN.
+            As logged. A wrench row with NaN gives a row of NaN.
         tare
-            What to take off; by default `tare(raw)`.
+            What to subtract; by default `tare(raw)`.
         tolerances
             How well the setup's numbers are known, as `vibrissa.Tolerances` or the covariance (15,
-            15) of `vibrissa.tolerances.PARAMETERS`: contacts state them then beside the noise.
-            `Setup.parameter_covariance` gives those of a setup, and `setup_errors` both seen from
-            this mount.
+            15) of `vibrissa.tolerances.PARAMETERS`: contacts then state these errors beside the
+            noise. `Setup.parameter_covariance` gives that of a setup, `setup_errors` either as seen
+            from this mount.
 
         Raises
         ------
         ValueError
-            If the tare window holds fewer than two samples, or the whole recording, or no rest can
-            be found where none is given.
+            If the tare window holds fewer than two samples or the whole recording, or none is given
+            and no rest can be found.
         """
         tare = self.tare(raw) if tare is None else tare
         maps, noise = self.to_reactions(raw.orientation), self.noise
@@ -264,7 +262,7 @@ class Sensor:
     def setup_errors(
         self, tolerances: Tolerances | SetupErrors | ArrayLike | None
     ) -> SetupErrors | None:
-        """Errors of the setup's numbers for `Reactions`, seen from this sensor's mount; None
+        """Errors of the setup's numbers for `Reactions`, as seen from this sensor's mount; None
         without tolerances.
         """
         if tolerances is None or isinstance(tolerances, SetupErrors):
@@ -276,8 +274,8 @@ class Sensor:
         )
 
     def filtered_readings(self, reactions: Reactions, orientation: Quaternions) -> Wrenches:
-        """Readings (n, 6) of reactions and of the mount's weight at these orientations of the
-        sensor, with cross-talk, behind the low-pass filter, without noise.
+        """Noise-free readings (n, 6) of reactions and mount weight at these orientations of the
+        sensor, with cross-talk, after the low-pass filter.
         """
         shown = np.einsum("nij,nj->ni", self.to_readings(orientation), reactions.wrench)
         if self.mount is not None:
@@ -294,27 +292,27 @@ class Sensor:
         force_tare: ArrayLike = (0.0, 0.0, 0.0),
         torque_tare: ArrayLike = (0.0, 0.0, 0.0),
     ) -> RawRecording:
-        """Return what this sensor would log: `reactions` undone, with all that the sensor adds to
-        them.
+        """Return what this sensor would log: the inverse of `reactions`, with all that the sensor
+        adds.
 
-        In this order: the mount's weight, cross-talk, low-pass filter and delay; white, pink and
+        In this order: mount weight, cross-talk, low-pass filter and delay; white, pink and
         random-walk noise, tare and drift; range and rounding; noise of the robot's pose. The stated
-        noise is that of the log, behind the filter.
+        noise is that of the log, after the filter.
 
         Parameters
         ----------
         reactions
             On one trail (n, …), with time, in SI units.
         rng
-            Source of the noise; sensors of unknown noise are taken as noiseless. The same state
-            gives the same recording.
+            Random generator; a sensor of unknown noise is taken as noiseless. The same state gives
+            the same recording.
         force_tare, torque_tare
             Offsets of the sensor (3,) [N], [N m], in the axes of the wrench.
 
         Raises
         ------
         ValueError
-            If the reactions are of several trails, or have no time.
+            If the reactions span several trails, or have no time.
         """
         time, noise = reactions.time, self.noise
         if time is None or reactions.force.ndim != 2:
@@ -338,8 +336,8 @@ class Sensor:
             turn = Rotation.from_rotvec(rng.normal(0.0, noise.orientation_noise, (len(time), 3)))
             orientation = (turn * Rotation.from_quat(orientation)).as_quat()
             if self.wrench_frame == "world":
-                # World axes are those of the robot, which turns the wrench by the orientation that
-                # it logs.
+                # World axes are the robot's, which rotates the wrench by the orientation that it
+                # logs.
                 read += np.hstack([turn.apply(part) for part in np.split(shown, 2, axis=1)]) - shown
         limits = self.response.limits(noise.resolution)
         steps = np.maximum(noise.resolution, NO_STEP)
@@ -348,7 +346,7 @@ class Sensor:
 
 
 def carried(maps: Covariances, covariance: Covariance) -> Covariance:
-    """Covariance of readings taken to that of reactions, one for all rows where they agree."""
+    """Covariance of readings propagated to reactions; one for all rows if they agree."""
     carried = maps @ covariance @ np.swapaxes(maps, 1, 2)
     carried = (carried + np.swapaxes(carried, 1, 2)) / 2
     size = np.sqrt(np.diag(carried[0]))

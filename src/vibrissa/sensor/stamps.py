@@ -1,4 +1,4 @@
-"""Faults of the clock: gaps, duplicates, stamps that run backwards, other units than seconds."""
+"""Faults of the clock: gaps, duplicates, stamps that run backwards, units other than seconds."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -9,20 +9,20 @@ from scipy.stats import median_abs_deviation
 from vibrissa.numerics.runs import runs
 from vibrissa.sensor.raw import Fault, FaultKind, RawRecording, Rows, Times
 
-# Of the median step: half a sample more than usual is a lost one.
+# Median steps: half a sample more than usual means a lost one.
 _GAP = 1.5
-# Deviations of stamps that jitter: by chance in one of 10⁸ steps.
+# Standard deviations of jittering stamps: by chance in one of 10⁸ steps.
 _DEVIATIONS = 6.0
-# More gaps than this, and than this share of the steps, are the way in which the stamps come.
+# More gaps than this number, and than this fraction of the steps, are how the stamps normally come.
 _FEW, _MANY = 10, 0.1
-# Samples a second of force/torque sensors, with a decade to spare on both sides.
+# Sampling rates of force/torque sensors [Hz], with a decade to spare on both sides.
 _SLOWEST, _FASTEST = 1.0, 1e5
 _fault = partial(Fault.over, ("time",))
 
 
 def rounded_stamps(raw: RawRecording) -> bool:
-    """Whether stamps stand for a tenth of the rows and more while the readings go on: they are
-    rounded, and no row is there twice.
+    """Whether stamps repeat in more than a tenth of the rows while the readings change: then they
+    are rounded, rather than rows duplicated.
     """
     same = np.diff(raw.time) == 0
     moving = np.any(np.diff(raw.wrench, axis=0) != 0, axis=1)
@@ -31,11 +31,11 @@ def rounded_stamps(raw: RawRecording) -> bool:
 
 
 def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
-    """Gaps, duplicate stamps, backward ones, and rates that no sensor has.
+    """Gaps, duplicate and backward stamps, and rates that no sensor has.
 
-    A gap is a step of more than 1.5 median ones, and of more than six deviations of the steps above
-    the median where the stamps jitter. Where more than a tenth of the steps are such, the stamps
-    come in bursts, and that is one finding; so are stamps that are rounded.
+    A gap is a step of more than 1.5 times the median, and, if the stamps jitter, more than six
+    deviations of the steps above it. If more than a tenth of the steps are gaps, the stamps come in
+    bursts, which is a single finding; so are rounded stamps.
     """
     stamps = time[np.isfinite(time)]
     steps = np.diff(stamps)
@@ -94,10 +94,10 @@ def _gaps(stamps: Times, usual: float) -> Iterator[Fault]:
 
 
 def increasing_stamps(time: Times, *, rounded: bool = False) -> tuple[Times, Rows]:
-    """Stamps made increasing, and which rows they are moved in: missing ones lie between their
-    neighbours, repeated ones a last digit after the one above.
+    """Stamps made increasing, and the rows in which they were changed: missing ones are
+    interpolated, repeated ones moved one unit in the last place after the one above.
 
-    Stamps that are rounded are spread evenly up to the next one, which moves none of the rows.
+    Rounded stamps are spread evenly up to the next one, which does not count as a change.
     """
     rows, moved = np.arange(len(time)), ~np.isfinite(time)
     fixed = np.interp(rows, rows[~moved], time[~moved])
@@ -105,7 +105,7 @@ def increasing_stamps(time: Times, *, rounded: bool = False) -> tuple[Times, Row
         values, first, count = np.unique(fixed, return_index=True, return_counts=True)
         steps = np.diff(values)
         usual = np.median(steps) if len(steps) else 1.0
-        # A stamp is not spread over a gap behind it.
+        # Stamps are not spread into a gap that follows.
         steps = np.minimum(np.append(steps, usual), usual)
         fixed += np.repeat(steps / count, count) * (rows - np.repeat(first, count))
     for row in rows[1:] if np.any(np.diff(fixed) <= 0) else ():

@@ -1,5 +1,5 @@
-"""What a sensor shows without a load: offset, drift and the mount's weight, fitted to rest, with
-the fit's own errors.
+"""Readings of a sensor without load: offset, drift and mount weight, fitted to rest, with the
+errors of the fit.
 """
 
 from dataclasses import dataclass, field, replace
@@ -27,14 +27,15 @@ if TYPE_CHECKING:
 
 Gains = Float[np.ndarray, "k p 6"]
 
-# Of singular values of columns of unit length: with less, solving keeps less than half of the digits.
+# Least ratio of singular values, columns scaled to unit length: below it, solving keeps less than
+# half of the digits.
 _LEAST_RATIO = 1e-7
-# Standard deviations by which readings at rest may miss those of a weight.
+# Standard deviations by which readings at rest may deviate from a pure weight.
 _SCATTER = 6.0
-# A robot that holds its pose does so within its repeatability, well below half a degree.
+# A robot holds its pose to within its repeatability, well below half a degree.
 _STILL = 0.5
-# Stamps since 1970 are known to a quarter of a microsecond: a sample at the very end of an interval
-# is to be outside of it on any clock.
+# Seconds since 1970 are resolved to a quarter of a microsecond: a sample at the very end of an
+# interval must fall outside on any clock.
 _SAME_TIME = 1e-6
 
 
@@ -47,16 +48,16 @@ class Tare:
     intervals
         Rest intervals (start, stop) [s], on the recording's clock.
     counts
-        Good samples in each.
+        Number of good samples in each.
     found
         How the intervals were found, in words.
     epoch
         Time [s] at which `offset` holds.
     offset, drift
-        (6,) [N, N m] and their rates (6,) [1/s], in the order fx, fy, fz, tx, ty, tz and the axes
-        of the wrench.
+        Offset (6,) [N, N m] and its rate (6,) [1/s], in the order fx, fy, fz, tx, ty, tz and the
+        axes of the wrench.
     mount
-        Its weight is taken off: as given, or as estimated; None for none.
+        Mount whose weight is subtracted, as given or estimated; None for none.
     """
 
     intervals: tuple[Interval, ...]
@@ -67,31 +68,31 @@ class Tare:
     drift: Wrench
     mount: Mount | None
     _terms: tuple[str, ...] = ()
-    """What was fitted besides the offset: `Sensor.estimates`."""
+    """Terms fitted besides the offset: `Sensor.estimates`."""
     _gains: Gains = field(default_factory=lambda: np.zeros((0, 6, 6)))
-    """What takes the mean readings of each interval to its part of the fitted parameters."""
+    """Maps from the mean readings of each interval to its contribution to the fitted parameters."""
     coloured: tuple[Coloured, ...] | None = None
-    """Processes of pink noise and random walk, with their scales; None for those of the sensor over
-    the times of the recording.
+    """Processes of pink noise and random walk, with their scales; None for the sensor's own over
+    the recording.
     """
 
     @property
     def seconds(self) -> float:
-        """Length of all rest intervals together [s]."""
+        """Total length of the rest intervals [s]."""
         return float(sum(stop - start for start, stop in self.intervals))
 
     def readings(self, sensor: "Sensor", time: Times, orientation: Quaternions) -> Wrenches:
-        """What the sensor shows without contact at those times and orientations."""
+        """What the sensor reads without contact at these times and orientations."""
         shown = self.offset + (time - self.epoch)[:, None] * self.drift
         if self.mount is not None:
             shown = shown + sensor.weight_readings(orientation) @ self.mount.moments
         return shown
 
     def covariance(self, sensor: "Sensor", time: Times, orientation: Quaternions) -> Covariance:
-        """Of readings after the tare is taken off, (6, 6) where it is the same for all rows, else
-        (n, 6, 6): their own noise and the tare's error.
+        """Covariance of readings after the tare is subtracted, (6, 6) if the same for all rows,
+        else (n, 6, 6): their own noise and the tare's error.
 
-        White noise and rounding, and pink noise and random walk as far as they have moved since the
+        It covers white noise and rounding, and the change of pink noise and random walk since the
         tare was taken.
         """
         noise, coloured = sensor.noise, self.coloured
@@ -99,13 +100,13 @@ class Tare:
         rows = _design_rows(sensor, self._terms, time - self.epoch, orientation)
         constant = not coloured and not self._terms
         rows = rows[:1] if constant else rows
-        # A reading less what is taken off, as a sum of the reading and of the means at rest.
+        # A reading minus the tare, as a weighted sum of the reading and the means at rest.
         own = np.broadcast_to(np.eye(6), (1, len(rows), 6, 6))
         weights = np.concatenate([own, -rows @ self._gains[:, None]])
         white = np.diag([1.0, *(1 / count for count in self.counts)])[..., None]
         total = _of_sums(weights * np.sqrt(noise.variance), white)
         if self.counts:
-            # Rounding errors of the tare that more samples do not average out.
+            # Rounding errors of the tare that do not average out over its samples.
             count = sum(self.counts)
             kept = quantisation_of_mean(noise.white, noise.resolution, count)
             total = total + np.diag(kept - noise.resolution**2 / 12 / count)
@@ -123,14 +124,14 @@ class Tare:
 def _of_sums(
     weights: Float[np.ndarray, "k n 6 6"], between: Float[np.ndarray, "k k #n"]
 ) -> Covariances:
-    """Covariances (n, 6, 6) of weighted sums of k numbers a channel, by their own covariances."""
+    """Covariances (n, 6, 6) of weighted sums of k numbers per channel, from their covariances."""
     return np.einsum("knij,kln,lnmj->nim", weights, between, weights, optimize=True)
 
 
 def fitted_tare(
     sensor: "Sensor", raw: RawRecording, intervals: tuple[Interval, ...], found: str
 ) -> Tare:
-    """Fit offset, drift and the mount's weight to the readings in rest intervals by least squares;
+    """Fit offset, drift and mount weight to the readings in rest intervals by least squares;
     without intervals nothing is fitted.
 
     Raises
@@ -158,7 +159,7 @@ def fitted_tare(
     if sensor.noise.known:
         variance = sensor.noise.variance
     else:
-        # As the forces and the torques scatter at rest.
+        # From the scatter of forces and torques at rest.
         left = np.concatenate([readings[group] - readings[group].mean(axis=0) for group in groups])
         pooled = np.mean(left.reshape(-1, 2, 3) ** 2, axis=(0, 2))
         variance = np.repeat(np.where(pooled > 0, pooled, 1.0), 3)
@@ -181,7 +182,7 @@ def fitted_tare(
 
 
 def without_given(sensor: "Sensor", raw: RawRecording) -> Wrenches:
-    """Readings (n, 6) with a given drift and a given mount's weight taken off."""
+    """Readings (n, 6) with known drift and mount weight subtracted."""
     readings = raw.wrench - (raw.time - raw.time[0])[:, None] * sensor.tare_policy.drift
     if sensor.mount is None or sensor.mount.estimated:
         return readings
@@ -191,7 +192,7 @@ def without_given(sensor: "Sensor", raw: RawRecording) -> Wrenches:
 def _design_rows(
     sensor: "Sensor", terms: tuple[str, ...], elapsed: Times, orientation: Quaternions
 ) -> Float[np.ndarray, "n 6 p"]:
-    """What takes an offset and the parameters of further terms to readings, a matrix a row."""
+    """Matrices, one per row, from an offset and the parameters of further terms to readings."""
     parts = [np.tile(np.eye(6), (len(elapsed), 1, 1))]
     if "estimate_drift" in terms:
         parts.append(elapsed[:, None, None] * parts[0])
@@ -203,7 +204,7 @@ def _design_rows(
 def _fitted_gains(
     designs: Float[np.ndarray, "k 6 p"], weights: Float[np.ndarray, "k 6"], terms: tuple[str, ...]
 ) -> Gains:
-    """Weighted least squares: what takes the mean readings (k, 6) to the parameters (p,)."""
+    """Weighted least squares: maps from the mean readings (k, 6) to the parameters (p,)."""
     root, parameters = np.sqrt(weights), designs.shape[2]
     matrix = (root[..., None] * designs).reshape(-1, parameters)
     scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
@@ -225,8 +226,8 @@ def _check_weight(
     squares: Wrench,
     parameters: int,
 ) -> None:
-    """Refuse rest in which the sensor turns, and means (n, 6) that miss those of a weight by many
-    standard deviations.
+    """Refuse rest during which the sensor rotates, and means that deviate from those of a weight by
+    many standard deviations, given as `misses` (k, 6).
     """
     for group in groups:
         cosine = np.abs(raw.orientation[group] @ raw.orientation[group][0])
@@ -236,8 +237,8 @@ def _check_weight(
                 f"mount.estimated = True: the sensor turns by {turned:.3g}° within a rest "
                 f"interval; allowed is at most {_STILL}°"
             )
-    # Weights are not known to the last digit of a long mean: rounding and calibration errors of a
-    # few parts in a thousand are let pass.
+    # Weights are not exact to the last digit of a long mean: rounding and calibration errors of a
+    # few parts per thousand are allowed.
     scatter = np.sqrt(np.mean(misses**2))
     if scatter > 1 and np.sum(squares) > _SCATTER**2 * (misses.size - parameters) > 0:
         raise ValueError(

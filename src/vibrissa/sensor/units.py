@@ -1,5 +1,5 @@
-"""What the readings contradict of a setup: units, sign of the wrench, clamp and reference point;
-and poses that cannot be in metres and unit quaternions x, y, z, w.
+"""Readings that contradict the setup (units, sign of the wrench, clamp, reference point), and poses
+that cannot be in metres and unit quaternions x, y, z, w.
 """
 
 from collections.abc import Iterator
@@ -25,30 +25,30 @@ from vibrissa.sensor.raw import (
 from vibrissa.sensor.sensor import Sensor
 from vibrissa.sensor.tare import Tare, fitted_tare
 
-# Logs of nine decimals keep a norm to 1e-8, those of four to 1e-4.
+# Logs with nine decimals keep the norm to 1e-8, those with four to 1e-4.
 _QUATERNION_TOLERANCE = 1e-3
-# In rod lengths: 10 m of a wire of 50 mm. In millimetres a sweep of a fifth of a length is as much.
+# In rod lengths: 10 m for a 50 mm wire. A sweep of a fifth of a length, in millimetres, gives this.
 _LONGEST_SWEEP = 200.0
-# Forces of so many times the one at the start, at rest, are loads; a median needs some of them.
+# Forces this many times the one at the start, at rest, are loads; a median needs some of them.
 _LOADED, _LEAST_LOAD = 20.0, 1e-12
 _FEWEST_LOADED = 10
 # Lever arms in rod lengths and forces in EI/L²: a contact lies within one length of the clamp, and
-# forces of the order of EI/L² bend a rod visibly. Units are mistaken by factors of ten and more, so
-# that the first bounds, which refuse, leave two decades, and the second, which guess, one.
+# forces of order EI/L² bend a rod visibly. Wrong units are off by factors of ten and more, so the
+# first bounds, used to refuse, leave two decades, and the second, used to guess, one.
 _POSSIBLE = (1e-2, 5.0), (2e-3, 500.0)
 _LIKELY = (0.1, 1.15), (5e-3, 100.0)
-# Noise at rest may be stated wrongly by this factor.
+# The stated noise at rest may be off by this factor.
 _LIKELY_NOISE = 5.0
-# Of the largest work, and of what the forces could do at most: less may be friction or noise. Of
-# the loaded rows: with more of them lost, so is a part of the work.
+# Fractions of the largest work, and of the most that the forces could do: less may be friction or
+# noise. Fraction of the loaded rows: if more are lost, so is part of the work.
 _NEGATIVE, _NOTICEABLE, _LOST = 0.5, 0.02, 0.02
-# Rod lengths from the clamp, at all and along its axis: a contact lies nearer.
+# Rod lengths from the clamp, in total and along its axis: a contact is closer.
 _FURTHEST = 1.1
 _BEHIND, _FAR = -0.1, 0.3
 
 
 class Reading(NamedTuple):
-    """A recording with what the setup says of it, or with a mistake undone that `words` name."""
+    """A recording as the setup describes it, or with the mistake undone that `words` names."""
 
     words: str
     raw: RawRecording
@@ -57,11 +57,11 @@ class Reading(NamedTuple):
     channels: tuple[str, ...] = CHANNELS
 
     def changed(self, words: str, **parts: Float[np.ndarray, "n k"]) -> "Reading":
-        """The recording with other numbers."""
+        """The same with other numbers in the recording."""
         return self._replace(words=words, raw=replace(self.raw, **parts))
 
     def reactions(self, tare: Tare) -> Reactions | None:
-        """Reactions, its tare taken in the same intervals; None where these hold no tare."""
+        """Reactions, with the tare taken anew in the same intervals; None if that fails."""
         try:
             again = fitted_tare(self.sensor, self.raw, tare.intervals, tare.found)
         except ValueError:
@@ -69,8 +69,8 @@ class Reading(NamedTuple):
         return self.sensor.reactions(self.raw, again)
 
     def is_plausible(self, tare: Tare, stated: Sensor, noise: float) -> bool:
-        """Whether a contact on the rod explains the loads, and the stated noise the readings at
-        rest, to a factor of `noise`: lever arm and force are of the rod's length and stiffness.
+        """Whether a contact on the rod explains the loads (lever arm and force fit the rod's length
+        and stiffness), and the stated noise the scatter at rest, to within a factor of `noise`.
         """
         reactions = self.reactions(tare)
         load = None if reactions is None else arm_and_force(reactions, self.rod)
@@ -80,7 +80,7 @@ class Reading(NamedTuple):
             return True
         wrench = self.raw.wrench[self.raw.during(tare.intervals[0]) & self.raw.whole]
         ratio = np.std(wrench, axis=0) / np.sqrt(stated.noise.variance)
-        # A channel without any noise is of a simulation, in any unit.
+        # A channel without any noise is simulated, and tells nothing about units.
         return bool(np.all((ratio == 0) | (ratio > 1 / noise) & (ratio < noise)))
 
 
@@ -89,8 +89,8 @@ def _within(values: tuple[float, ...], limits: tuple[tuple[float, float], ...]) 
 
 
 def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
-    """Positions in millimetres, orientations that are no unit quaternions, and quaternions that may
-    have been written w first.
+    """Positions in millimetres, orientations that are not unit quaternions, and quaternions that
+    may have w first.
     """
     extent = np.max(np.fmax.reduce(raw.position) - np.fmin.reduce(raw.position))
     if extent > _LONGEST_SWEEP * rod.length:
@@ -109,18 +109,18 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
 
 
 def wrong_norms(orientation: Quaternions) -> Rows:
-    """Rows whose quaternion is there, and differs from the norm 1 by more than a thousandth."""
+    """Rows with a quaternion whose norm differs from 1 by more than a thousandth."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.abs(np.linalg.norm(orientation, axis=1) - 1) > _QUATERNION_TOLERANCE)
 
 
 def norm_faults(time: Times, orientation: Quaternions) -> Iterator[Fault]:
-    """The same as a finding, where there are such."""
+    """A finding about these rows, if there are any."""
     wrong = wrong_norms(orientation)
     for first in orientation[wrong][:1]:
         with np.errstate(over="ignore"):
             norm = np.linalg.norm(first)
-        guess = ", as of angles in degrees" if norm > 2 else ""
+        guess = ", as if angles in degrees" if norm > 2 else ""
         text = (
             f"qx,qy,qz,qw = {first.tolist()} has the norm {norm:.3g} ({wrong.sum()} such){guess}; "
             "allowed is 1"
@@ -131,8 +131,8 @@ def norm_faults(time: Times, orientation: Quaternions) -> Iterator[Fault]:
 def wrench_unit_faults(
     raw: RawRecording, reactions: Reactions, rod: Rod, sensor: Sensor, tare: Tare
 ) -> Iterator[Fault]:
-    """Tell millinewtons and newton millimetres from SI: the contact lies on the rod, so the lever
-    arm is of its length, and the force of its stiffness.
+    """Detect units such as millinewtons and newton millimetres: the contact lies on the rod, so the
+    lever arm must fit its length, and the force its stiffness.
     """
     load = arm_and_force(reactions, rod)
     if load is None or _within(load, _POSSIBLE):
@@ -152,7 +152,7 @@ def wrench_unit_faults(
 
 
 def loaded_rows(reactions: Reactions) -> Rows:
-    """Rows of more than twenty times the force at the start; none with fewer than ten of them."""
+    """Rows with more than twenty times the force at the start; none if fewer than ten."""
     force = np.linalg.norm(reactions.force, axis=-1)
     start = force[np.isfinite(force)]
     start = start[: max(2, len(start) // 50)]
@@ -162,7 +162,7 @@ def loaded_rows(reactions: Reactions) -> Rows:
 
 
 def arm_and_force(reactions: Reactions, rod: Rod) -> tuple[float, float] | None:
-    """Medians over the loaded samples, in rod lengths and in EI/L²; None with too few of them."""
+    """Median lever arm and force of the loaded rows, in rod lengths and EI/L²; None if too few."""
     loaded = loaded_rows(reactions)
     if not loaded.any():
         return None
@@ -170,7 +170,7 @@ def arm_and_force(reactions: Reactions, rod: Rod) -> tuple[float, float] | None:
     return float(np.median(moment / force)) / rod.length, float(np.median(force)) / rod.force_scale
 
 
-# Units that are taken for newtons and newton metres, alone and together.
+# Units mistaken for newtons and newton metres, separately and together.
 _WRENCHES = (
     "forces in mN",
     "torques in N mm",
@@ -196,7 +196,7 @@ _RODS = (
 
 
 def _other_units(given: Reading) -> Iterator[Reading]:
-    """Each known mistake undone."""
+    """The recording with each known mistake undone."""
     from pint import get_application_registry  # noqa: PLC0415, as it takes long to load
 
     raw, sensor, rod = given.raw, given.sensor, given.rod
@@ -222,19 +222,19 @@ def _other_units(given: Reading) -> Iterator[Reading]:
 
 
 def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
-    """What only a wrong sign, clamp or reference point explains.
+    """Findings that only a wrong sign, clamp or reference point explains.
 
-    The clamp's work on a rod that is free at first is its bending energy and what friction took,
-    never negative, and contacts push the rod into its clamp: both are the other way round where the
-    wrench has the other sign. The line of the contact force passes the clamp within the rod's
-    length, on the side to which the rod leaves.
+    The clamp's work on a rod that is free at first is the bending energy plus friction losses and
+    never negative, and contacts push the rod into its clamp: with the wrong sign of the wrench,
+    both are reversed. The line of the contact force passes the clamp within the rod's length, on
+    the side towards which the rod points.
     """
     loaded = loaded_rows(reactions)
     if not loaded.any() or reactions.time is None:
         return
     force, moment = reactions.force[loaded], reactions.moment[loaded]
     axis = third_axis(reactions.trail.orientation[loaded])
-    # Points on the lines of the contact forces that are next to the clamp, seen from it.
+    # Points on the lines of the contact forces that are closest to the clamp, relative to it.
     points = np.cross(force, moment) / np.sum(force**2, axis=1, keepdims=True)
     push = np.median(np.sum(force * axis, axis=1))
     away = np.median(np.linalg.norm(points, axis=1)) / rod.length
@@ -243,9 +243,9 @@ def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
     done = _work_by_rod(reactions, loaded) if push < 0 else 0.0
     if done:
         yield found(
-            f"the rod is pulled from its clamp and does work on it, {-1e3 * done:.3g} mJ, where one "
-            "that is pushed takes up work: this fits a wrench of the other sign; check wrench in "
-            "[sensor]"
+            f"the rod is pulled from its clamp and does work on it, {-1e3 * done:.3g} mJ, while a "
+            "rod that is pushed takes up work: this fits a wrench of the other sign; check wrench "
+            "in [sensor]"
         )
     if away > _FURTHEST:
         yield found(
@@ -255,15 +255,15 @@ def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
     elif ahead < _BEHIND and away > _FAR:
         yield found(
             f"the contact forces act {-ahead:.3g} rod lengths behind the clamp in the median, "
-            "but the rod leaves to the other side: check clamp_orientation, whose +z it follows"
+            "but the rod points the other way: check clamp_orientation, whose +z it follows"
         )
 
 
 def _work_by_rod(reactions: Reactions, loaded: Rows) -> float:
-    """Work that the rod has done on its clamp since the first load, at most [J]; 0 where there was
-    as much the other way, or little next to what the forces could do along the whole way.
+    """Largest work that the rod has done on its clamp since the first load [J]; 0 if there was as
+    much the other way, or little compared with what the forces could do along the whole path.
 
-    Nothing is told of a recording that begins under load, or of whose load a part is missing.
+    Also 0 for a recording that begins under load, or that lacks part of its load.
     """
     wrench, trail = reactions.wrench, reactions.trail
     finite, rows = np.isfinite(wrench).all(axis=1), np.flatnonzero(loaded)
@@ -271,7 +271,7 @@ def _work_by_rod(reactions: Reactions, loaded: Rows) -> float:
     if known[0] == rows[0] or lost > _LOST * len(rows):
         return 0.0
     path = trail[known].steps
-    # Without a load there is noise alone.
+    # Without a load there is only noise.
     wrench = np.where(loaded[:, None], wrench, 0.0)[known]
     work = np.cumsum(np.sum((wrench[1:] + wrench[:-1]) / 2 * path, axis=1))
     loads, ways = np.linalg.norm(np.reshape([wrench[1:], path], (2, -1, 2, 3)), axis=3)

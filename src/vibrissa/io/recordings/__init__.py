@@ -1,3 +1,3 @@
-"""Recordings in, of any layout: one reader a format, each to the same two streams; then one
-alignment and one judgement for all.
+"""Reading recordings of any layout: one reader per format, each producing the same two streams;
+alignment and checks are common to all.
 """

@@ -1,4 +1,4 @@
-"""One row a wrench: poses brought onto its clock and to its stamps."""
+"""One row per wrench: poses mapped to the clock and stamps of the wrenches."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,22 +16,21 @@ from vibrissa.sensor.raw import Rows
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording in rows, not judged.
+    """A recording as rows, not yet checked.
 
     Attributes
     ----------
     raw
         Its rows, at the stamps of the wrenches.
     missing
-        (n,): rows that lie in a gap of the poses longer than the setup allows. Poses there are
-        interpolated all the same, so that the motion stays whole.
+        Rows (n,) in a gap between poses that is longer than the setup allows. Poses are still
+        interpolated there, to keep the motion complete.
     offset
-        Clock offset of the poses, with its standard error where it was estimated.
+        Clock offset of the poses, with its standard error if it was estimated.
     notes
-        What was left out, recovered or estimated, a sentence each.
+        What was left out, recovered or estimated, one sentence each.
     poses
-        As recorded, on the clock of the wrenches; None where they stand in the rows of the
-        wrenches.
+        As recorded, on the clock of the wrenches; None if they share rows with the wrenches.
     """
 
     raw: RawRecording
@@ -42,7 +41,7 @@ class Recording:
 
     @property
     def marked(self) -> RawRecording:
-        """The rows, with poses of NaN where they are missing."""
+        """The rows, with NaN for missing poses."""
         lost = self.missing[:, None]
         return replace(
             self.raw,
@@ -52,18 +51,18 @@ class Recording:
 
 
 def aligned(file: Path, streams: Streams, setup: Setup) -> Recording:
-    """Poses at the stamps of the wrenches; wrenches before the first and after the last pose are
-    left out.
+    """Interpolate poses at the stamps of the wrenches; wrenches before the first and after the last
+    pose are dropped.
 
     Parameters
     ----------
     file
         For messages.
     streams
-        As read; bad rows of the poses are skipped, those of the wrenches stay.
+        As read; bad pose rows are skipped, bad wrench rows kept.
     setup
-        Offset of the clocks, and the longest gap; the rod's length, over a small part of which
-        reactions change: an estimate of the offset uses it.
+        Clock offset and longest gap; also the rod's length, which sets the scale of motion over
+        which reactions change, for estimating the offset.
 
     Raises
     ------

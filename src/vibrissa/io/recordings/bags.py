@@ -1,5 +1,5 @@
-"""ROS 2 bags: `geometry_msgs/WrenchStamped` with `PoseStamped`, `TransformStamped` or the frames of
-/tf, from MCAP or SQLite.
+"""ROS 2 bags: `geometry_msgs/WrenchStamped` with `PoseStamped`, `TransformStamped` or frames from
+/tf, in MCAP or SQLite.
 """
 
 from collections import defaultdict
@@ -47,13 +47,13 @@ _NUMBERS = {
 
 
 def streams(path: Path, table: RecordingTable, poses: Columns | None = None) -> Streams:
-    """Both streams of a bag: a folder of rosbag2, or one of its files, also without its metadata;
-    or its wrenches alone, where the poses are given.
+    """Both streams of a bag, which is a rosbag2 folder or one of its files, with or without
+    metadata; only its wrenches if `poses` are given.
 
     Raises
     ------
     InputError
-        If the bag is damaged from its start, or topics, types or frames are not those asked for.
+        If the bag is damaged from the start, or lacks the topics, types or frames asked for.
     """
     bag = _Bag(path, bag_of(path), table)
     topic = bag.topic("wrench_topic", WRENCH)
@@ -63,15 +63,15 @@ def streams(path: Path, table: RecordingTable, poses: Columns | None = None) -> 
 
 
 def _stream(kind: type[Stream], rows: list[tuple[float, ...]]) -> Stream:
-    """Rows of a stamp, a vector, and a vector or quaternion."""
+    """A stream from rows that hold a stamp, a vector, and a vector or quaternion."""
     table = np.array(rows, dtype=np.float64)
     return kind(table[:, 0], table[:, 1:4], table[:, 4:])
 
 
 @cache
 def _types() -> Any:
-    """Types of messages; the four that are read have been the same in all of ROS 2. Code to unpack
-    them is generated once.
+    """Message types; the four that are read are the same in all releases of ROS 2. The code that
+    unpacks them is generated once.
     """
     known = library("rosbags.typesys")
     return known.get_typestore(known.Stores.ROS2_HUMBLE)
@@ -79,23 +79,23 @@ def _types() -> Any:
 
 @dataclass(frozen=True)
 class _Bag:
-    """Messages of a bag by what [recording] says of them."""
+    """Messages of a bag, interpreted according to [recording]."""
 
     path: Path
     bag: Bag
     table: RecordingTable
 
     def parts(self, topic: str) -> Iterator[tuple[Any, tuple[float, ...]]]:
-        """Wrenches, poses or frames on a topic, each with its stamp [s] and numbers."""
+        """Wrenches, poses or frames of a topic, each with its stamp [s] and numbers."""
         kind, types = self.bag.topics[topic], _types()
         for _, log_time, data in (one for one in self.bag.messages if one.topic == topic):
             try:
                 content = types.deserialize_cdr(data, kind)
-            # The generated code of a message meets damage wherever it is.
+            # The generated code may raise anything on corrupt data.
             except Exception as error:
                 raise InputError(
-                    f"{self.path}: a message on {topic!r} at {log_time} ns is no "
-                    f"{kind} ({str(error)[:80]}); allowed are whole messages"
+                    f"{self.path}: a message on {topic!r} at {log_time} ns is not a valid "
+                    f"{kind} ({str(error)[:80]}); allowed are complete messages"
                 ) from error
             for part in content.transforms if kind == FRAMES else [content]:
                 moment = part.header.stamp
@@ -104,7 +104,7 @@ class _Bag:
                 yield part, (time, *_NUMBERS[kind](part))
 
     def rows(self, topic: str) -> list[tuple[float, ...]]:
-        """Stamps [s] and numbers of the messages on a topic."""
+        """Stamps [s] and numbers of the messages of a topic."""
         found = [row for _, row in self.parts(topic)]
         if not found:
             raise InputError(
@@ -119,8 +119,8 @@ class _Bag:
         return found
 
     def poses(self, wrench_topic: str) -> Poses:
-        """Poses of a topic, or of the frames; without a sensor_frame, of the frame that the first
-        wrench with one is given in.
+        """Poses from a topic, or from the frames; without a sensor_frame, of the first frame_id
+        found in a wrench.
         """
         table = self.table
         by_frames = table.fixed_frame is not None or not self.bag.of(POSE, TRANSFORM)
@@ -130,8 +130,8 @@ class _Bag:
         return self.chained(table.sensor_frame or next(filter(None, frames), ""))
 
     def links(self) -> dict[str, tuple[str, Poses]]:
-        """Parent of each frame, and its poses there; a frame that no topic moves has the last pose
-        of those whose name ends in "static", which holds for all times.
+        """Parent of each frame, and its poses there; a frame that occurs only on topics whose names
+        end in "static" has the last pose of those, valid at all times.
         """
         found = defaultdict[tuple[bool, str, str], list[tuple[float, ...]]](list)
         for topic in self.bag.of(FRAMES):
@@ -140,7 +140,7 @@ class _Bag:
                 found[not topic.endswith("static"), *pair].append(row)
         links = {}
         for (moves, child, parent), rows in sorted(found.items()):
-            # Several nodes may publish one frame: each stamp counts once.
+            # Several nodes may publish the same frame: each stamp counts once.
             poses = usable(_stream(Poses, rows if moves else rows[-1:]))
             if not moves:
                 poses = replace(poses, time=np.full_like(poses.time, np.inf))
@@ -149,8 +149,8 @@ class _Bag:
         return links
 
     def chained(self, sensor_frame: str) -> Poses:
-        """Poses of a frame in the fixed one, or in that which its chain begins with: at every stamp
-        of a link where all links are known; no link is extrapolated.
+        """Poses of a frame in the fixed frame, or in the root of its chain, at all stamps of links
+        at which every link is known; no link is extrapolated.
         """
         links, here = self.links(), sensor_frame.lstrip("/")
         chain: list[Poses] = []
@@ -169,7 +169,8 @@ class _Bag:
         moving = [poses for poses in chain if np.isfinite(poses.time).any()]
         if not moving:
             raise InputError(
-                f"{self.path}: no frame {ends} is on /tf, all are static; allowed is a moving sensor"
+                f"{self.path}: no frame {ends} is on /tf, all are static; "
+                "allowed is a moving sensor"
             )
         time = np.unique(np.concatenate([poses.time for poses in moving]))
         time = time[np.all([within(poses, time) for poses in moving], axis=0)]
@@ -186,7 +187,7 @@ class _Bag:
         return Poses(time, position, turn.as_quat())
 
     def topic(self, key: str, *kinds: str) -> str:
-        """The topic that the key names, or the only one of these types."""
+        """The topic that the key names, or else the only one of these types."""
         name, fitting = getattr(self.table, key), self.bag.of(*kinds)
         chosen = [topic for topic in fitting if name in {None, topic}]
         if len(chosen) == 1:

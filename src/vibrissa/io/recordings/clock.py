@@ -1,11 +1,11 @@
-"""Offset between the clocks of wrenches and poses, from the data: at rest the reactions stand, and
-at one place they are the same whenever the clamp comes by.
+"""Offset between the clocks of wrenches and poses, estimated from the data: reactions are constant
+while the clamp is at rest, and the same each time it passes the same place.
 
 In a quasi-static sweep the reactions are a function of the pose. In short windows that function is
-fitted along the main direction of the motion, by straight pieces, for each offset tried; the right
-offset leaves the least residual. A window without a change of speed fits equally well with any
-offset (the object is then found shifted along the trail, and nothing contradicts it), so that only
-stops, starts and turns under load tell.
+fitted along the main direction of motion, by splines, for each trial offset; the right offset
+leaves the smallest residual. A window of constant speed fits equally well with any offset (the
+object is then merely found shifted along the trail), so only stops, starts and turns under load
+carry information.
 """
 
 from collections.abc import Callable
@@ -26,30 +26,30 @@ from vibrissa.sensor.raw import Times
 Channels = Float[np.ndarray, "n 6"]
 Columns = Float[np.ndarray, "n k"]
 
-# Turns count as the way of a point at this distance [m], some lengths of a rod.
+# Rotations count as the path of a point at this distance [m], a few rod lengths.
 _LEVER = 0.1
-# Bounds of the work on long recordings.
+# Bounds on the work for long recordings.
 _MOST_ROWS, _MOST_WINDOWS, _MOST_STRETCHES, _MOST_PIECES = 1000, 40, 2000, 60
-# A window with fewer determines no function of the pose.
+# Fewer rows in a window do not determine a function of the pose.
 _FEWEST_ROWS = 30
-# Of the largest entry of the normal equations: far below what noise leaves open, far above
+# Ridge, relative to the largest entry of the normal equations: well below the noise, well above
 # rounding.
 _RIDGE = 1e-9
-# Of the rod's length: finer than reactions change along a sweep.
+# Knot spacing in rod lengths: finer than the scale on which reactions change along a sweep.
 _PITCH = 0.02
-# [s], so that a stop or a turn and what is around it lie in one window.
+# [s], so that a stop or turn and its surroundings lie in one window.
 _SHORTEST_WINDOW = 2.0
-# Windows share half of their rows with each neighbour, so that each row counts twice.
+# Each window shares half of its rows with each neighbour, so each row counts twice.
 _OVERLAP = 2
-# Offsets tried before the deepest minima are refined, and how many of those.
+# Trial offsets before the deepest minima are refined, and the number of minima.
 _STEPS, _MOST_MINIMA = 201, 12
-# Logarithm of a likelihood ratio; chance alone gives about 5 among 201 offsets, ln 201.
+# Log-likelihood ratio; chance alone gives about 5 among 201 offsets, ln 201.
 _EVIDENCE = 12.0
-# Of the largest offset, where the search for the standard error begins.
+# Fraction of the largest offset at which the search for the standard error begins.
 _FINEST = 1e-5
-# Of the noise of the poses: what moves less stands.
+# In units of the pose noise: less motion than this counts as standing still.
 _STANDING = 8.0
-# Time [s] and steps over which a speed is taken, and the share of a fast speed that is slow.
+# Time [s] and steps over which a speed is taken, and the fraction of a fast speed that is slow.
 _MOMENT, _FEWEST_STEPS, _SLOW = 0.05, 4, 0.1
 _UNDETERMINED = (
     "the data do not determine it: the clamp does not stop, start or turn under load; "
@@ -58,14 +58,14 @@ _UNDETERMINED = (
 
 
 class ClockOffset(NamedTuple):
-    """What is added to the stamps of the poses.
+    """Offset to add to the stamps of the poses.
 
     Attributes
     ----------
     seconds
         [s].
     standard_error
-        [s]; None where the offset was given.
+        [s]; None if the offset was given.
     """
 
     seconds: float
@@ -75,22 +75,22 @@ class ClockOffset(NamedTuple):
 def estimated_offset(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> ClockOffset:
     """Offset that makes the reactions most nearly a function of the pose, with its standard error.
 
-    The standard error is that of the profile likelihood, with as many independent samples as the
-    residuals' correlation leaves. Friction, which turns with the motion, and a wire that still
-    swings are not in it.
+    The standard error comes from the profile likelihood, with the number of independent samples
+    that the residuals' correlation leaves. It does not cover friction, which reverses with the
+    motion, or a wire that is still vibrating.
 
     Parameters
     ----------
     wrench, pose
-        On their own clocks; poses sound and in order.
+        On their own clocks; poses valid and in order.
     largest
-        Bound of the offset [s].
+        Bound on the offset [s].
 
     Raises
     ------
     ValueError
         If the streams hardly overlap, or the data do not determine the offset: no change of speed
-        under load, several offsets as good, or the best one at the bound.
+        under load, several offsets equally good, or the best one at the bound.
     """
     windows = _windows(wrench, pose, largest, scale)
     if not windows:
@@ -127,7 +127,7 @@ def _lowest(
     misfit: Times,
     step: float,
 ) -> list[tuple[float, float]]:
-    """The deepest minima, lowest first: misfit and offset of each."""
+    """Misfit and offset of the deepest minima, lowest first."""
     higher = np.pad(misfit, 1, constant_values=np.inf)
     minima = np.flatnonzero((misfit <= higher[:-2]) & (misfit <= higher[2:]))
     found = []
@@ -139,8 +139,8 @@ def _lowest(
 
 
 def _standard_error(cost: Callable[[float], float], at: float, largest: float) -> float:
-    """Half the distance at which the misfit has risen by 2, two standard deviations of a normal
-    error, on the side where that is further; infinite beyond the largest offset.
+    """Half the distance at which the misfit has risen by 2 (two standard deviations of a normal
+    error), on the side where that is farther; infinite beyond the largest offset.
     """
     least, reaches = cost(at), []
     for side in (-1, 1):
@@ -158,8 +158,8 @@ def _standard_error(cost: Callable[[float], float], at: float, largest: float) -
 
 
 class _Window(NamedTuple):
-    """Wrenches in a stretch of time, and the clamp's way along the main direction of its motion
-    there, with stamps of its own.
+    """Wrenches in an interval, and the clamp's path along the main direction of its motion there,
+    with its own stamps.
     """
 
     time: Times
@@ -172,8 +172,8 @@ class _Window(NamedTuple):
 
 
 def _windows(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> list[_Window]:
-    """Stretches in which the clamp comes back, each with poses beyond its ends by the largest
-    offset.
+    """Intervals in which the clamp stops or reverses, each with poses that extend beyond its ends
+    by the largest offset.
     """
     first, last = (pose.time[0], pose.time[-1]) if len(pose.time) > _FEWEST_STEPS else (0.0, 0.0)
     sound = np.isfinite(wrench.channels).all(axis=1)
@@ -197,11 +197,11 @@ def _windows(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> lis
         time, way_time = rows.time[part], pose.time[near]
         if min(len(time), len(way_time)) < _FEWEST_ROWS:
             continue
-        # Coordinate along the direction of largest spread.
+        # Coordinate along the direction of greatest spread.
         spread = features[near] - features[near].mean(axis=0)
         way = spread @ np.linalg.svd(spread, full_matrices=False)[2][0]
         if _comes_back(way_time, way, fast):
-            # Means of as many rows each as keep the count below a bound.
+            # Average groups of rows, large enough to keep their number below a bound.
             each = -(-len(time) // _MOST_ROWS)
             table = np.column_stack([time, channels[part]])[: len(time) // each * each]
             table = table.reshape(-1, each, 7).mean(axis=1)
@@ -211,16 +211,16 @@ def _windows(wrench: Wrenches, pose: Poses, largest: float, scale: float) -> lis
 
 
 def _noise(values: Columns) -> Float[np.ndarray, "k"]:
-    """Standard deviation of white noise (k,), by second differences, which a smooth motion hardly
-    enters.
+    """Standard deviation of white noise (k,), from second differences, to which smooth motion
+    contributes little.
     """
     return np.sqrt(np.mean(np.diff(values, 2, axis=0) ** 2, axis=0) / 6)
 
 
 def _features(pose: Poses) -> Channels:
-    """Positions, and turns seen from a lever of 0.1 m: twice the quaternion's vector part, of one
-    sign, relative to the first pose. Both as parabolas through nine neighbours each: an encoder's
-    noise else moves the least residual from stamp to stamp.
+    """Positions, and rotations times a lever of 0.1 m: twice the vector part of the quaternion of
+    canonical sign, relative to the first pose. Both are smoothed by parabolas through nine
+    neighbours; otherwise encoder noise makes the minimum jump from stamp to stamp.
     """
     turns = Rotation.from_quat(pose.orientation)
     relative = (turns[0].inv() * turns).as_quat(canonical=True)
@@ -229,14 +229,14 @@ def _features(pose: Poses) -> Channels:
 
 
 def _speeds(time: Times, features: Columns) -> Columns:
-    """Mean velocities over a twentieth of a second, or four steps."""
+    """Mean velocities over 0.05 s or four steps, whichever is longer."""
     lag = min(max(_FEWEST_STEPS, round(_MOMENT / float(np.median(np.diff(time))))), len(time) - 1)
     return (features[lag:] - features[:-lag]) / (time[lag:] - time[:-lag])[:, None]
 
 
 def _comes_back(time: Times, way: Times, fast: float) -> bool:
-    """Whether the clamp moves, and is at one place more than once: it stands for a while, or goes
-    back by some of its way.
+    """Whether the clamp moves and is at some place more than once: it stands still for a while, or
+    retraces part of its path.
     """
     speed = _speeds(time, way[:, None])[:, 0] / fast
     forth, back = np.sum(speed[speed > _SLOW]), -np.sum(speed[speed < -_SLOW])
@@ -245,9 +245,9 @@ def _comes_back(time: Times, way: Times, fast: float) -> bool:
 
 
 def _fits(windows: list[_Window], offset: float) -> tuple[Channels, Channels]:
-    """By window and channel, of what a function of the pose leaves of the reactions: half the
-    logarithm of its variance, and the number of independent samples, which are fewer than there are
-    where neighbouring residuals are alike.
+    """For each window and channel, of the residuals from a function of the pose: half the logarithm
+    of their variance, and the number of independent samples, reduced where neighbouring residuals
+    are correlated.
     """
     spreads, weights = [], []
     for window in windows:
@@ -266,10 +266,10 @@ def _fits(windows: list[_Window], offset: float) -> tuple[Channels, Channels]:
 
 
 def _pieces(along: Times, pitch: float, still: float) -> csr_array:
-    """Cubic B-splines (n, k) over the range of the motion, of equal pitch; a constant where the
-    clamp stands.
+    """Cubic B-splines (n, k) with equal spacing over the range of motion; a constant if the clamp
+    stands still.
 
-    Their places go with the range, so that a uniform motion has the same fit wherever it is.
+    The knots move with the range, so a uniform motion has the same fit wherever it is.
     """
     extent = float(np.ptp(along))
     if extent <= still:

@@ -1,8 +1,8 @@
-"""The files of a bag: a folder of rosbag2 with its metadata, MCAP, SQLite, and all of them packed
-by Zstandard.
+"""The files of a bag: a rosbag2 folder with its metadata, MCAP and SQLite, each also compressed by
+Zstandard.
 
 MCAP (https://mcap.dev/spec) is read record by record, because a recorder that was killed leaves
-neither index nor end, and the readers of `mcap` stop at the first damage.
+neither index nor footer, and the readers of `mcap` stop at the first damaged record.
 """
 
 import mmap
@@ -31,13 +31,13 @@ _KINDS = (WRENCH, POSE, TRANSFORM, FRAMES)
 MAGIC = b"\x89MCAP0\r\n"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _SQLITE = b"SQLite format 3\0"
-# Of an MCAP record: opcode and length, and the opcodes that matter here (the specification).
+# Head of an MCAP record (opcode and length), and the opcodes used here (MCAP specification).
 _HEAD = Struct("<BQ")
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 2, 3, 4, 5, 6, 15
 
 
 class Message(NamedTuple):
-    """One message: its topic, the time of its logging [ns], and its CDR."""
+    """One message: its topic, log time [ns] and CDR data."""
 
     topic: str
     log_time: int
@@ -46,16 +46,16 @@ class Message(NamedTuple):
 
 @dataclass
 class Bag:
-    """What was found in a bag.
+    """Contents of a bag.
 
     Attributes
     ----------
     topics
         Types by topic, including topics that are not read.
     messages
-        Wrenches, poses and frames, in the order of the files.
+        Wrenches, poses and frames, in file order.
     notes
-        What was damaged or cut off, a sentence each.
+        What was damaged or cut off, one sentence each.
     """
 
     topics: dict[str, str] = field(default_factory=dict)
@@ -68,12 +68,12 @@ class Bag:
 
 
 def bag_of(path: Path) -> Bag:
-    """All messages of a bag: a folder of rosbag2, or one of its files, also without its metadata.
+    """Read all messages of a bag: a rosbag2 folder or one of its files, with or without metadata.
 
     Raises
     ------
     InputError
-        If the bag has no files, or one is damaged from its start.
+        If the bag has no files, or one is damaged from the start.
     """
     bag, files = Bag(), [path]
     if path.is_dir():
@@ -89,7 +89,7 @@ def bag_of(path: Path) -> Bag:
         raise InputError(f"{path}: a bag without its .mcap or .db3 files; allowed is a whole bag")
     for file in files:
         _read(file, file, bag)
-    # rosbag2 may pack each message, which then says so itself.
+    # rosbag2 may compress single messages, which then carry Zstandard's magic number.
     with reading(path, "Zstandard"):
         bag.messages = [
             message._replace(data=_unpacked(message.data, "")) for message in bag.messages
@@ -105,27 +105,27 @@ def is_bag(folder: Path) -> bool:
 def _storage(folder: Path) -> list[Path]:
     patterns = ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd")
     found = [file for pattern in patterns for file in folder.glob(pattern)]
-    # Parts are numbered without leading zeros.
+    # Split files are numbered without leading zeros.
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 
 def _listed(path: Path, bag: Bag) -> list[str]:
-    """Names of the bag's files, as its metadata give them."""
+    """Names of the bag's files according to its metadata."""
     yaml = library("ruamel.yaml").YAML(typ="safe", pure=True)
     try:
         content = yaml.load(path / "metadata.yaml")["rosbag2_bagfile_information"]
         return [PurePath(str(name)).name for name in content.get("relative_file_paths") or ()]
-    # No file, YAML of any kind, or none: the files beside it still say what they hold.
+    # No file, unexpected YAML or none at all: the data files can still be read without it.
     except Exception:
         bag.notes.append(
-            f"{path.name}: metadata.yaml is missing, as where a recorder was killed, or damaged; "
+            f"{path.name}: metadata.yaml is missing, as when a recorder was killed, or damaged; "
             "the bag's files are read as they are"
         )
         return []
 
 
 def _read(file: Path, plain: Path, bag: Bag) -> None:
-    """Add the messages of a file; `plain` is where it lies unpacked."""
+    """Add the messages of a file; `plain` is its decompressed copy, or the file itself."""
     with plain.open("rb") as opened:
         start = opened.read(len(_SQLITE))
     if start.startswith(_ZSTD) and file == plain:
@@ -147,14 +147,14 @@ def _read(file: Path, plain: Path, bag: Bag) -> None:
             raise InputError(
                 f"{file}: begins with {start[:8]!r}; allowed are bags of MCAP or SQLite"
             )
-    # What was read before the damage counts.
+    # What was read before the damage is kept.
     except InputError as error:
         if len(bag.messages) == messages:
             raise
         bag.notes.append(str(error))
     if len(bag.notes) > notes:
         count = len(bag.messages) - messages
-        bag.notes[-1] += f"; recovered are {count} messages of wrenches and poses"
+        bag.notes[-1] += f"; {count} messages of wrenches and poses were recovered"
     return None
 
 
@@ -187,8 +187,8 @@ def _read_mcap(file: Path, bag: Bag) -> None:
 
 
 def mcap_records(file: Path, notes: list[str]) -> Iterator[Any]:
-    """Schemas, channels and messages of an MCAP file, in its order; what is damaged or cut off is
-    left out, and a sentence of it added to the notes.
+    """Schemas, channels and messages of an MCAP file, in file order; damaged or truncated records
+    are skipped, each with a sentence added to the notes.
     """
     records, streams = library("mcap.records"), library("mcap.data_stream")
 
@@ -221,7 +221,7 @@ def mcap_records(file: Path, notes: list[str]) -> Iterator[Any]:
                         yield parsed(inner, part)
             except ImportError:
                 raise
-            # Each codec and parser has errors of its own for damage.
+            # Each codec and parser raises its own errors on corrupt data.
             except Exception as error:
                 if is_whole:
                     notes.append(
@@ -229,13 +229,13 @@ def mcap_records(file: Path, notes: list[str]) -> Iterator[Any]:
                     )
             whole = end if is_whole else whole
     notes.append(
-        f"{file.name}: cut off; whole are {whole} of {size} bytes and what could be unpacked of "
-        "the record after them"
+        f"{file.name}: cut off; {whole} of {size} bytes are intact, and what could be unpacked of "
+        "the record after them is used"
     )
 
 
 def _records(content: mmap.mmap | bytes, at: int = 0) -> Iterator[tuple[int, bytes, int]]:
-    """Opcode, body and end of records one after the other; the last one may be cut off."""
+    """Opcode, body and end of successive records; the last one may be cut off."""
     while at + _HEAD.size <= len(content):
         code, length = _HEAD.unpack_from(content, at)
         begin, at = at + _HEAD.size, at + _HEAD.size + length
@@ -243,7 +243,7 @@ def _records(content: mmap.mmap | bytes, at: int = 0) -> Iterator[tuple[int, byt
 
 
 def _unpacked(data: bytes, compression: str) -> bytes:
-    """Content of a chunk or of one Zstandard frame; of a truncated one, what can be unpacked."""
+    """Content of a chunk or a Zstandard frame; if truncated, what can be decompressed."""
     if compression == "zstd" or data.startswith(_ZSTD):
         return bytes(library("zstandard").ZstdDecompressor().decompressobj().decompress(data))
     if compression == "lz4":

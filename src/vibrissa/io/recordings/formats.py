@@ -1,5 +1,5 @@
-"""Which format a recording has, and the binary formats of named columns or arrays: Parquet, HDF5,
-NetCDF and MATLAB.
+"""Detecting a recording's format, and reading binary formats of named columns or arrays: Parquet,
+HDF5, NetCDF and MATLAB.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,14 +17,14 @@ from vibrissa.io.recordings.containers import is_bag, library
 
 Array = Float[np.ndarray, "n"] | Float[np.ndarray, "n k"]
 Held = dict[str, tuple[Callable[[], Any], Mapping[str, Any]]]
-"""By name, what reads an array and its attributes."""
+"""By name, a function that reads an array, and the array's attributes."""
 
 
-# Formats, as messages name them.
+# Format names, as used in messages.
 TEXT, BAG = "CSV", "rosbag2 or MCAP"
 _PARQUET, _HDF5, _CLASSIC = "Parquet", "HDF5 or NetCDF 4", "NetCDF 3"
 _MATLAB, _MATLAB_HDF5 = ".mat", ".mat of MATLAB 7.3"
-# What files begin with; the last ones are recognized, and not read.
+# Magic numbers; formats in the last rows are recognized but not supported.
 _SIGNS = {
     b"PAR1": _PARQUET,
     b"\x89HDF\r\n\x1a\n": _HDF5,
@@ -51,13 +51,13 @@ _FORMATS = "CSV, Parquet, HDF5, NetCDF, MATLAB .mat, rosbag2 and MCAP"
 
 
 def kind_of(path: Path) -> str:
-    """Format of a recording: by what it begins with, then by its suffix.
+    """Format of a recording, by its first bytes, then by its suffix.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is of a known format that is no recording, or is not what its
-        suffix says.
+        If the file cannot be read, is of a known but unsupported format, or is not what its suffix
+        says.
     """
     if path.is_dir() and is_bag(path):
         return BAG
@@ -84,13 +84,13 @@ class Columns:
     file
         For messages.
     names
-        All that it holds.
+        All names in the file.
     arrays
-        Those that were asked for, by the names they were asked for with.
+        The requested ones, by the names they were requested with.
     units
-        What the file says of their units.
+        Their units, as stated by the file.
     lines
-        (n,) lines of the text that the rows stand in, from 1; None for other formats.
+        Line numbers (n,) of the rows in a text file, from 1; None for other formats.
     """
 
     file: Path
@@ -101,8 +101,8 @@ class Columns:
 
 
 def matched(wanted: Iterable[str], names: Iterable[str]) -> dict[str, str]:
-    """Names of a file by those asked for: the same, or else the only one that differs in capitals
-    alone.
+    """Map requested names to those of a file: the same one, or else the only one that differs just
+    in case.
     """
     folded: dict[str, list[str]] = {}
     for name in dict.fromkeys(names):
@@ -116,23 +116,23 @@ def matched(wanted: Iterable[str], names: Iterable[str]) -> dict[str, str]:
 
 
 def columns(file: Path, kind: str, wanted: Sequence[str]) -> Columns:
-    """Arrays of a binary file.
+    """Read arrays of a binary file.
 
     Parameters
     ----------
     file
-        Of any writer.
+        From any software.
     kind
-        Its format, which is no text and no bag. Arrays are named by their paths `group/array`, and
-        `group/table/column` where an HDF5 array has named columns; fields of MATLAB's structs and
-        parts of Parquet's by `struct.field`.
+        Its format, other than text or a bag. Arrays are named by their paths `group/array`, and
+        `group/table/column` if an HDF5 array has named columns; fields of MATLAB and Parquet
+        structs by `struct.field`.
     wanted
         The arrays to read; missing ones are left out.
 
     Raises
     ------
     InputError
-        If the file is damaged, or an array holds no real numbers or has more than two axes.
+        If the file is damaged, or an array does not hold real numbers or has more than two axes.
     """
     with reading(file, kind), _READERS[kind](file) as held:
         arrays: dict[str, Array] = {}
@@ -140,7 +140,7 @@ def columns(file: Path, kind: str, wanted: Sequence[str]) -> Columns:
         for name, own in matched(wanted, held).items():
             read, attributes = held[own]
             stored = np.asarray(read())
-            # MATLAB stores arrays column by column.
+            # MATLAB stores arrays in column-major order.
             stored = stored.T if kind == _MATLAB_HDF5 else stored
             arrays[name] = _numbers(file, name, stored, attributes)
             units[name] = _unit(attributes)
@@ -148,8 +148,8 @@ def columns(file: Path, kind: str, wanted: Sequence[str]) -> Columns:
 
 
 def _numbers(file: Path, name: str, stored: np.ndarray, attributes: Mapping[str, Any]) -> Array:
-    """Floats of what is stored, rows first; a matrix of one row or column is a vector, and dates are
-    seconds since 1970. Packing and missing values of the CF conventions are undone by xarray.
+    """Stored values as floats, rows first; a matrix with one row or column becomes a vector, and
+    dates seconds since 1970. xarray decodes CF packing and missing values.
     """
     if stored.dtype.kind in "mM":
         stored = (stored - np.zeros(1, stored.dtype)) / np.timedelta64(1, "s")
@@ -158,7 +158,7 @@ def _numbers(file: Path, name: str, stored: np.ndarray, attributes: Mapping[str,
             f"{file}: {name!r} of shape {stored.shape} holds {stored.ravel()[:1].tolist()}; "
             "allowed are real numbers (n,) or (n, k)"
         )
-    # A damaged number of single precision may be a signalling NaN.
+    # A corrupt single-precision number may be a signalling NaN.
     with np.errstate(invalid="ignore"):
         floats = stored.astype(np.float64)
     keys = {"_FillValue", "missing_value", "scale_factor", "add_offset"} & attributes.keys()
@@ -172,7 +172,7 @@ def _numbers(file: Path, name: str, stored: np.ndarray, attributes: Mapping[str,
 
 
 def _unit(attributes: Mapping[str, Any]) -> str | None:
-    """Text of the attribute `units`, or `unit`."""
+    """Text of the attribute `units` or `unit`."""
     values = np.ravel(attributes.get("units", attributes.get("unit", []))).tolist()
     text = values[0] if len(values) == 1 else None
     if isinstance(text, bytes):
@@ -182,13 +182,13 @@ def _unit(attributes: Mapping[str, Any]) -> str | None:
 
 @contextmanager
 def _hdf5(file: Path, separator: str = "/") -> Iterator[Held]:
-    """HDF5 of any writer."""
+    """HDF5 from any software."""
     import h5py  # noqa: PLC0415
 
     held: Held = {}
 
     def note(place: str, node: Any) -> None:
-        # MATLAB keeps the contents of its cells under #refs#.
+        # MATLAB stores the contents of cell arrays under #refs#.
         if isinstance(node, h5py.Dataset) and not place.startswith("#"):
             for column in ("", *(node.dtype.names or ())):
                 name = f"{place}/{column}" if column else place
@@ -230,7 +230,7 @@ def _matlab(file: Path) -> Iterator[Held]:
 
 @contextmanager
 def _parquet(file: Path) -> Iterator[Held]:
-    """Parquet: one column, or one list of fixed length, a quantity; nulls are NaN."""
+    """Parquet: one column, or one fixed-length list, per quantity; nulls are NaN."""
     types = library("pyarrow").types
 
     def flattened(table: Any) -> Any:

@@ -1,4 +1,4 @@
-"""From named columns or arrays to streams: the one place where the names and units of [recording]
+"""From named columns or arrays to streams: the only place where the names and units of [recording]
 are used.
 """
 
@@ -16,22 +16,22 @@ from vibrissa.io.recordings.streams import Poses, Streams, Wrenches
 from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.sensor.raw import Quaternions, Times, Vectors
 
-# Share of rows without a wrench or without a pose: drop-outs are fewer, streams of two rates more.
+# Share of rows that lack the wrench or the pose: drop-outs give less, streams of two rates more.
 _OTHER_RATE = 0.3
-# Two turns: an arm's last joint turns no further, and degrees soon do.
+# Two turns: a robot's last joint turns no further, but angles in degrees soon exceed this.
 _LARGEST_ANGLE = 4 * np.pi
 
 
 def streams(columns: Columns, table: RecordingTable, poses: Columns | None = None) -> Streams:
-    """Both streams of a recording; its poses from `poses` where they have a file of their own.
+    """Both streams of a recording; its poses come from `poses` if they have their own file.
 
-    Where many rows hold only a wrench or only a pose, the table mixes streams of different rates,
-    which are separated; where a few do, their numbers count as missing.
+    If many rows hold only a wrench or only a pose, the table mixes streams of different rates,
+    which are separated; if few do, their numbers count as missing.
 
     Raises
     ------
     InputError
-        If a name is missing, an array is of another shape, units contradict each other, or columns
+        If a name is missing, an array has the wrong shape, units contradict each other, or columns
         differ in length.
     """
     layout = _Layout(columns, table)
@@ -53,7 +53,7 @@ def streams(columns: Columns, table: RecordingTable, poses: Columns | None = Non
 
 
 def pose_stream(columns: Columns, table: RecordingTable) -> Poses:
-    """Poses with stamps of their own.
+    """Poses with their own stamps.
 
     Raises
     ------
@@ -66,17 +66,17 @@ def pose_stream(columns: Columns, table: RecordingTable) -> Poses:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Columns of a file by what [recording] says of them."""
+    """Columns of a file, interpreted according to [recording]."""
 
     columns: Columns
     table: RecordingTable
 
     def wrong(self, key: str, names: object, finding: str, allowed: str) -> InputError:
-        """What is said of the names under a key."""
+        """Error about the names given for a key."""
         return InputError(f"{self.columns.file}: {key} = {names!r} {finding}; allowed {allowed}")
 
     def time(self) -> Times:
-        """Stamps [s]; of two names, whole seconds and nanoseconds."""
+        """Stamps [s]; two names are whole seconds and nanoseconds."""
         names, parts = self.table.time, []
         in_units = ("s", "ns") if len(names) > 1 else (self.table.time_unit,)
         for name, unit in zip(names, in_units, strict=True):
@@ -87,7 +87,7 @@ class _Layout:
         return np.sum(parts, axis=0)
 
     def poses(self, time: Times) -> Poses:
-        """Poses with these stamps."""
+        """Poses at these stamps."""
         position, orientation = self.vectors("position", time), self.orientation(time)
         return Poses(time, position, orientation, line=self.columns.lines)
 
@@ -97,7 +97,7 @@ class _Layout:
         return self.scaled(key, names, numbers, getattr(self.table, f"{key}_unit"))
 
     def array(self, key: str, name: str) -> Array:
-        """One array, or the column of one."""
+        """An array, or a column of one."""
         held, indexed = self.columns.arrays, fullmatch(r"(.+)\[(\d+)\]", name)
         if name in held:
             return held[name]
@@ -113,9 +113,9 @@ class _Layout:
         return array[:, column]
 
     def block(self, key: str, time: Times, count: int) -> tuple[tuple[str, ...], Array]:
-        """Names that the setup gives, or where it gives none, those of the CSV header or an array
-        that is called what it is; and their numbers, a row for each stamp. An array may hold a
-        column a sample, as MATLAB's often do.
+        """Names for a key and their numbers, one row per stamp. The names are those in the setup;
+        by default those of the CSV header, or an array named like the key. An array may have one
+        column per sample, as is common in MATLAB.
         """
         names: tuple[str, ...] = getattr(self.table, key)
         held = self.columns.arrays
@@ -127,15 +127,15 @@ class _Layout:
         lengths = sorted({len(array) for array in arrays})
         if lengths != [len(time)]:
             finding = f"has {lengths} rows, its time {len(time)}"
-            raise self.wrong(key, names, finding, "is one row a stamp, or poses with a pose_time")
+            raise self.wrong(key, names, finding, "is one row per stamp, or poses with a pose_time")
         block = np.column_stack(arrays)
         if block.shape[1] != count:
             raise self.wrong(key, names, f"has {block.shape[1]} columns", f"are {count}")
         return names, block
 
     def scaled(self, key: str, names: Sequence[str], array: Array, unit: str | None) -> Array:
-        """In SI, by the unit of the setup, or by what the file itself says; where both speak they
-        have to agree.
+        """Convert to SI from the unit that the setup or the file states; if both do, they must
+        agree.
         """
         allowed = units.ALLOWED[key]
         said = {units.in_brackets(name, allowed) for name in names}
@@ -157,7 +157,7 @@ class _Layout:
         return array * factor
 
     def orientation(self, time: Times) -> Quaternions:
-        """Quaternions x, y, z, w, as they are: their norms are judged later."""
+        """Quaternions x, y, z, w, as they are: their norms are checked later."""
         form, unit = self.table.orientation_form, self.table.angle_unit
         names, numbers = self.block("orientation", time, 4 if form in {"xyzw", "wxyz"} else 3)
         if form in {"xyzw", "wxyz"}:
@@ -166,7 +166,7 @@ class _Layout:
         angles = self.scaled("angle", names, numbers, unit)
         largest = np.abs(angles[np.isfinite(angles)]).max(initial=0.0)
         if unit is None and largest > _LARGEST_ANGLE:
-            finding = f"reaches {largest:.4g} rad, as of degrees"
+            finding = f"reaches {largest:.4g} rad, as if in degrees"
             allowed = "are radians, or angle_unit in [recording]"
             raise self.wrong("orientation", names, finding, allowed)
         if form == "rotation_vector":
@@ -174,8 +174,8 @@ class _Layout:
         return Rotation.from_euler("xyz", angles).as_quat()
 
     def check_order(self, names: Sequence[str], form: str) -> None:
-        """Names that end in w, x, y and z say in which order they are; q0 to q3 leave open whether
-        the scalar part comes first, and both are in use.
+        """Check the order that names ending in w, x, y and z imply; q0 to q3 leave open whether the
+        scalar part comes first, as both conventions are in use.
         """
         ends = [fullmatch(r"(.*?)[\[(_]?(\w)[\])]?", name.strip().lower()) for name in names]
         stems, order = {end and end[1] for end in ends}, "".join(end[2] for end in ends if end)

@@ -1,9 +1,8 @@
-"""Files that are read without an error and misread all the same: units, order of the quaternions,
-signs and axes.
+"""Files that are read without an error and yet misread: units, quaternion order, signs and axes.
 
 The clamp's work and the rod's bending energy are two routes to one number
-(`vibrissa.inverse.work`). Where they contradict each other, each known mistake is undone in turn;
-a mistake is named if undoing it reconciles the two, keeps the contacts on the rod and leaves the
+(`vibrissa.inverse.work`). If they contradict each other, each known mistake is undone in turn; a
+mistake is named if undoing it reconciles the two, keeps the contacts on the rod and leaves the
 noise at rest as stated.
 """
 
@@ -25,45 +24,44 @@ from vibrissa.sensor.sensor import WrenchFrame, WrenchSign
 from vibrissa.sensor.tare import Tare
 from vibrissa.sensor.units import Reading
 
-# Energy that comes back, of the largest: without friction the right reading leaves a few
-# thousandths.
+# Energy gained, relative to the largest: correct data without friction give a few thousandths.
 _SOUND = 0.03
 _DEVIATIONS = 6.0
-# Work over energy while the rod is loaded first: below is impossible, above takes friction.
+# Work over energy during first loading: a smaller ratio is impossible, a larger one takes friction.
 _FRICTIONLESS, _WITH_FRICTION = (0.95, 1.05), (0.95, 2.5)
-# A reading that looks like friction is doubted where another one looks like none: on sound
-# recordings under friction the ratio is 1.1 and more.
+# An interpretation that implies friction is doubted if another implies none: in good recordings
+# with friction the ratio is 1.1 or more.
 _DOUBTED = 1.1
 # More than three guesses help nobody.
 _MOST_NAMED = 3
-# Noise at rest may be stated wrongly by this factor; the units told apart differ by more.
+# The stated noise at rest may be off by this factor; the units to be distinguished differ by more.
 _NOISE = 3.0
-# Radians: orientations that are nearer to each other than a robot's error are one reading.
+# Radians: orientations closer to each other than a robot's error count as the same.
 _SAME = 5e-3
-# qx of half a turn about x, to 16 degrees: a sensor may be mounted a little askew.
+# qx of half a turn about x, to within 16 degrees: a sensor may be mounted slightly askew.
 _HALF_TURN = 0.99
-# Of the sensor's way: a fit of six numbers needs no more.
+# Rows of the sensor's path: enough for a fit of six numbers.
 _ROWS = 400
-# Radians, and shares of the rod's length: less tells nothing of an axis.
+# Radians, and fractions of the rod's length: less does not determine an axis.
 _LEAST_TURN, _LEAST_WAY = 0.1, 0.02
-# Of the way's extent, and of the residual as read: the pose's noise is far below both.
+# Fraction of the path's extent, and of the residual as read: pose noise is far below both.
 _SPOILT, _TRUE = 0.1, 0.05
 
 
 def misread_faults(
     found: Inspection, setup: Setup, degrees: Callable[[], RawRecording]
 ) -> list[Fault]:
-    """A finding that names the likeliest mistakes, where the recording as read contradicts itself
-    and with one of them undone it does not.
+    """A finding that names the most likely mistakes, if the recording as read contradicts itself
+    and undoing one of them resolves it.
 
     Parameters
     ----------
     found
-        Of the recording as read.
+        Inspection of the recording as read.
     setup
         Rod and sensor as stated, and how the file was read.
     degrees
-        Reads it again with its angles in degrees, row for row.
+        Reads the file again with its angles in degrees, row for row.
     """
     if found.unusable or found.tare is None or not found.usable.any():
         return []
@@ -75,7 +73,7 @@ def misread_faults(
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
-    """A recording as it was read, and the other ways to read it."""
+    """A recording as it was read, and other ways to interpret it."""
 
     given: Reading
     tare: Tare
@@ -84,14 +82,14 @@ class _Recording:
     degrees: Callable[[], RawRecording]
 
     def works(self, reading: Reading) -> list[ClampWork]:
-        """Work and energy of the contacts of a reading; none where it is no recording of contacts
+        """Work and energy over the contacts of an interpretation; empty if these cannot be contacts
         on this rod.
         """
         reactions = reading.reactions(self.tare)
         return [] if reactions is None else clamp_work(reading.rod, reactions)
 
     def sound(self, reading: Reading, allowed: tuple[float, float]) -> list[ClampWork]:
-        """The same where all of them agree, else none."""
+        """The same if work and energy agree in all of them, else empty."""
         works = self.works(reading)
         for work in works:
             slack = _DEVIATIONS * work.ratio_deviation
@@ -103,8 +101,8 @@ class _Recording:
         return works
 
     def by_work(self) -> str | None:
-        """What brings the clamp's work and the rod's energy together where they disagree; of
-        quaternions next to (1, 0, 0, 0) a question where the work tells nothing.
+        """What reconciles the clamp's work with the rod's energy if they disagree; if they agree,
+        a question about quaternions near (1, 0, 0, 0) that the work leaves open.
         """
         works = self.works(self.given)
         if not works:
@@ -126,7 +124,7 @@ class _Recording:
         )
 
     def likely(self, allowed: tuple[float, float]) -> list[Reading]:
-        """Other readings in which work and energy agree, the best first."""
+        """Other interpretations in which work and energy agree, best first."""
         scored = [
             (max(work.misfit for work in works), reading)
             for reading in self.readings()
@@ -138,8 +136,8 @@ class _Recording:
         return good[:_MOST_NAMED]
 
     def half_turned(self) -> str | None:
-        """Quaternions next to (1, 0, 0, 0) throughout: half a turn about x, or w first; decided by
-        the work where the sweep allows it, else a question to the user.
+        """Quaternions near (1, 0, 0, 0) throughout are half a turn about x, or have w first: the
+        work decides if the sweep allows it, else the user is asked.
         """
         orientation = self.given.raw.orientation
         stated = "orientation_form" in self.table.model_fields_set
@@ -154,8 +152,8 @@ class _Recording:
         )
 
     def turned_about(self) -> str | None:
-        """A whisk or an arc turns the sensor about an axis: its way is that of a point of a turning
-        body, p = c + R a, which quaternions in another order spoil.
+        """A whisk or an arc turns the sensor about an axis, so its path is that of a point on a
+        rotating body, p = c + R a; quaternions in the wrong order violate this.
         """
         residual, extent, angle = _about_a_point(self.given.raw)
         least = _LEAST_WAY * self.given.rod.length
@@ -171,8 +169,8 @@ class _Recording:
         return None
 
     def readings(self) -> Iterator[Reading]:
-        """The recording with each known mistake undone: units and sign, orientations, axes, and a
-        diameter and a radius mistaken for each other.
+        """The recording with each known mistake undone: units and sign, orientations, axes, and
+        diameter and radius confused.
         """
         given, raw, sensor, table = self.given, self.given.raw, self.given.sensor, self.table
         for words, scale in _units("position", table):
@@ -196,7 +194,7 @@ class _Recording:
         if Rotation.from_quat(raw.orientation).magnitude().max() > _SAME:
             words = f"a wrench in the axes of the {frame} (wrench_frame in [sensor])"
             yield given._replace(words=words, sensor=replace(sensor, wrench_frame=frame))
-        # EI goes with the fourth power of the radius.
+        # EI is proportional to the fourth power of the radius.
         for words, scale in (
             ("the rod's diameter, taken for its radius", 1 / 16),
             ("half of the rod's radius, taken for it", 16.0),
@@ -205,13 +203,13 @@ class _Recording:
             yield given._replace(words=words, rod=replace(given.rod, bending_stiffness=stiffness))
 
     def other_turns(self) -> Iterator[Reading]:
-        """Other orders of the quaternions, the turns back, other units of angles."""
+        """Other quaternion orders, inverse rotations, other angle units."""
         read, form = self.given.raw.orientation, self.table.orientation_form
         back = np.array([-1.0, -1.0, -1.0, 1.0])
         inverse = "of the turn from world to sensor"
         turned = {f"quaternions (or angles) {inverse}": back * read}
         if form in {"xyzw", "wxyz"}:
-            # The file's numbers are put back, and read in the other order.
+            # The file's order is restored, and read as the other one.
             other, places = ("wxyz", -1) if form == "xyzw" else ("xyzw", 1)
             again = np.roll(read, places, axis=1)
             words = (
@@ -234,7 +232,7 @@ class _Recording:
 
 
 def _units(key: str, table: RecordingTable) -> Iterator[tuple[str, float]]:
-    """Words for each unit that numbers may be in, none for that which they were read in, and its
+    """Words for each unit that the numbers may be in, empty for the one they were read in, and its
     factor.
     """
     allowed = ALLOWED[key]
@@ -245,13 +243,13 @@ def _units(key: str, table: RecordingTable) -> Iterator[tuple[str, float]]:
 
 
 def _about_a_point(raw: RawRecording) -> tuple[float, float, float]:
-    """Residual and extent of the sensor's way [m] about a point that it turns about as one body,
-    and by how much it turns [rad].
+    """Fit a rigid rotation about a point to the sensor's path: residual and extent of the path [m],
+    and the angle turned [rad].
     """
     rows = np.linspace(0, len(raw.time) - 1, min(len(raw.time), _ROWS)).astype(int)
     position, turns = raw.position[rows], Rotation.from_quat(raw.orientation[rows])
     matrices, turned = turns.as_matrix(), (turns[0].inv() * turns).magnitude()
-    # The means of both sides, which c takes up, are taken off.
+    # Subtracting the means of both sides eliminates c.
     way = (position - position.mean(axis=0)).ravel()
     design = (matrices - matrices.mean(axis=0)).reshape(-1, 3)
     left = way - design @ np.linalg.lstsq(design, way, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Recordings of any format to support reactions: read, align, judge, take off tare and mount."""
+"""From recordings of any format to support reactions: read, align, check, remove tare and mount."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -24,23 +24,23 @@ from vibrissa.sensor.units import norm_faults, wrong_norms
 
 
 def read_recording(path: str | Path, setup: Setup) -> Reactions:
-    """Read a recording and return support reactions on the rod about the clamp, world axes, tare
-    removed, with covariance where the noise is known.
+    """Read a recording and return support reactions on the rod about the clamp, in world axes, tare
+    removed, with covariance if the noise is known.
 
-    What in the recording contradicts the setup or spoils contacts (`Inspection.warnings`) is a
-    `RecordingWarning`; what was left out, recovered or estimated is a `RecordingNote`, which is
-    one, too. Noise at rest above the stated one is in the covariance, and a drift from rest to rest
-    is taken off. Rows that are not usable (numbers missing, a stuck or saturated channel, a stamp
-    that is there already, a gap of the poses) hold NaN; `inspect_recording` says what they are.
+    Anything that contradicts the setup or spoils contacts (`Inspection.warnings`) is reported as a
+    `RecordingWarning`; what was left out, recovered or estimated as a `RecordingNote`, a subclass.
+    Noise at rest above the stated level enters the covariance, and a drift between rests is
+    removed. Unusable rows (missing numbers, a stuck or saturated channel, a repeated stamp, a gap
+    in the poses) hold NaN; `inspect_recording` says which and why.
 
     Parameters
     ----------
     path
         CSV, Parquet, HDF5, NetCDF, MATLAB .mat, or a rosbag2 folder or one of its MCAP or SQLite
-        files, recognized by content, then by suffix. Without the table [recording] in the setup a
-        CSV has exactly the header `time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz`, SI units, and
+        files, recognized by content, then by suffix. Without a table [recording] in the setup a CSV
+        must have exactly the header `time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz`, in SI units, and
         other formats hold those names, or arrays `position`, `orientation`, `force` and `torque`.
-        Capitals in names do not matter.
+        Names are not case-sensitive.
     setup
         Mount, sign, frame and noise; layout of the recording.
 
@@ -48,9 +48,9 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
     ------
     InputError
         If the file cannot be read or is damaged, names or topics are missing, a row is short or cut
-        off, time runs backwards, a quaternion has no unit norm, the tare window does not fit or no
-        rest is found, clocks do not overlap, or the numbers cannot be in metres, newtons and newton
-        metres.
+        off, time runs backwards, a quaternion is not of unit norm, the tare window does not fit or
+        no rest is found, clocks do not overlap, or the numbers cannot be in metres, newtons and
+        newton metres.
     """
     found = _judged(Path(path), setup)
     reactions = found.sensor.reactions(
@@ -62,8 +62,8 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
 
 
 def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:
-    """Read a recording as it was logged, tare included, in rows that can be used: stamps increase,
-    each row has a pose, and wrenches that are not usable are NaN.
+    """Read a recording as logged, tare included, with increasing stamps, a pose in each row, and
+    NaN for unusable wrenches.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:
 
 
 def _judged(file: Path, setup: Setup) -> Inspection:
-    """What is found in a recording: said as warnings, or raised where that makes it unusable."""
+    """Inspect a recording: warn of what is found, or raise if it makes the recording unusable."""
     streams = _streams(file, setup.recording)
     _check(file, streams)
     recording = aligned(file, streams, setup)
@@ -82,20 +82,20 @@ def _judged(file: Path, setup: Setup) -> Inspection:
         warnings.warn(f"{file}: {note}", RecordingNote, stacklevel=3)
     found = _inspected(file, recording, setup)
     if found.unusable:
-        # What cannot be used may follow from a unit that alone would not forbid it: stamps in
-        # milliseconds leave no rest.
+        # The cause may be a wrong unit that by itself is no reason to refuse: with stamps in
+        # milliseconds, no rest is found.
         units = [fault for fault in found.faults if fault.kind is FaultKind.UNITS]
         besides = [fault for fault in units if not fault.unusable]
         texts = [fault.text for fault in (found.unusable[0], *besides)]
-        raise InputError(f"{file}: " + "; besides: ".join(texts))
+        raise InputError(f"{file}: " + "; also: ".join(texts))
     for line in found.warnings:
         warnings.warn(f"{file}: {line}", RecordingWarning, stacklevel=3)
     return found
 
 
 def _check(file: Path, streams: Streams) -> None:
-    """Refuse what leaves open which rows are right: stamps that run backwards, and orientations
-    that are no rotations.
+    """Refuse stamps that run backwards and orientations that are not rotations: which rows are
+    right cannot be known.
     """
     pose = streams.pose
     for fault in norm_faults(pose.time, pose.orientation):
@@ -112,12 +112,12 @@ def _check(file: Path, streams: Streams) -> None:
 
 
 def inspect_recording(path: str | Path, setup: Setup) -> Inspection:
-    """Read a recording of any format and return its faults, with what its rest tells of the sensor.
+    """Read a recording of any format; return its faults, and what its rest says about the sensor.
 
     Raises
     ------
     InputError
-        If the file cannot be read as what it is, names or topics are missing, or no row has a stamp
+        If the file cannot be read in its format, names or topics are missing, or no row has a stamp
         or a pose.
     """
     return _inspected(Path(path), read_raw(path, setup), setup)
@@ -146,8 +146,8 @@ def _inspected(file: Path, recording: Recording, setup: Setup) -> Inspection:
 
 
 def pose_faults(pose: Poses) -> Iterator[Fault]:
-    """Faults of poses with stamps of their own, on the clock of the wrenches, which bringing them
-    to the stamps of the wrenches would hide.
+    """Faults of poses that have their own stamps, on the clock of the wrenches, which interpolation
+    would hide.
     """
     channels, known = ("position", "orientation"), pose.rows(np.isfinite(pose.time))
     for fault in stamp_faults(known.time):
@@ -161,12 +161,12 @@ def pose_faults(pose: Poses) -> Iterator[Fault]:
 
 
 def read_raw(path: str | Path, setup: Setup) -> Recording:
-    """Read a recording without judging it: rows may hold NaN, and stamps stand or fall.
+    """Read a recording without checking it: rows may hold NaN, and stamps may repeat or decrease.
 
     Raises
     ------
     InputError
-        If the file cannot be read as what it is, names or topics are missing, or no wrench has a
+        If the file cannot be read in its format, names or topics are missing, or no wrench has a
         pose.
     """
     file = Path(path)
@@ -190,7 +190,7 @@ def _streams(file: Path, stated: RecordingTable | None) -> Streams:
 
 
 def _columns(file: Path, kind: str, table: RecordingTable, exactly: Sequence[str] = ()) -> Columns:
-    """Columns whose names may be asked for; `name[k]` also without its index."""
+    """Read the columns that the layout may refer to; `name[k]` also without its index."""
     if kind == BAG:
         raise InputError(f"{file}: is a bag; allowed for pose_file is a file of columns")
     quantities = ("time", "force", "torque", "position", "orientation")

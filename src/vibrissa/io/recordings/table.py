@@ -1,4 +1,4 @@
-"""The table [recording] of a setup: where a recording's numbers are, in which units, on which
+"""The table [recording] of a setup: where a recording's numbers are, in which units and on which
 clock.
 """
 
@@ -53,30 +53,30 @@ def _one_of(choices: Any) -> Any:
 
 
 class RecordingTable(Table):
-    """How recordings are laid out; every key may be left out.
+    """Layout of recordings; all keys are optional.
 
     Attributes
     ----------
     time, force, torque, position, orientation
         Names of columns or arrays. `"log/ft[2]"` is the third column of the array `ft` in the group
-        or struct `log`. Two names of the time are of whole seconds and of nanoseconds.
+        or struct `log`. Two names for the time are whole seconds and nanoseconds.
     time_unit, force_unit, torque_unit, position_unit, angle_unit
-        Their units; SI, or what the file's own attributes say, where left out.
+        Their units; by default what the file's own attributes say, else SI.
     orientation_form
         What the orientation's numbers are.
     pose_time, pose_time_unit, pose_file, pose_decimal, pose_skip_lines
-        Stamps of the poses where they have their own, and the file they are in, seen from the
+        Stamps of the poses if they have their own, and the file they are in, relative to the
         recording's folder; `{name}` in it stands for the recording's name without its suffix.
     delimiter, decimal, skip_lines, encoding
-        Of text; a delimiter that is left out is found from the line of names. A pose file's decimal
-        sign and lines to skip are those of the recording where left out.
+        For text; by default the delimiter is inferred from the header line. A pose file's decimal
+        sign and lines to skip default to those of the recording.
     wrench_topic, pose_topic, fixed_frame, sensor_frame, stamps
-        Of bags: topics, or the frames of /tf; stamps of the messages' headers, or of the log.
+        For bags: topics, or frames of /tf; stamps from the message headers, or the log times.
     time_offset
-        Added to the stamps of the poses, to bring them onto the clock of the wrench: a pose stamped
-        t belongs to the wrench stamped t + time_offset [s]; "estimate" to find it from the data.
+        Added to the stamps of the poses to map them to the clock of the wrench: a pose stamped t
+        belongs to the wrench stamped t + time_offset [s]; "estimate" finds it from the data.
     largest_offset
-        Bound of an estimated offset [s].
+        Bound on an estimated offset [s].
     longest_gap
         Longest time between two poses over which they are interpolated [s].
     """
@@ -106,7 +106,7 @@ class RecordingTable(Table):
     delimiter: (
         Annotated[
             Literal[",", ";", "\t", " ", "|"],
-            Field(description="a comma, semicolon, tabulator, space or bar"),
+            Field(description="a comma, semicolon, tab, space or bar"),
         ]
         | None
     ) = None
@@ -131,7 +131,7 @@ class RecordingTable(Table):
 
     @property
     def of_poses(self) -> "RecordingTable":
-        """The layout of poses that have stamps or a file of their own."""
+        """Layout of poses that have their own stamps or file."""
         names = ("time", "time_unit", "decimal", "skip_lines")
         given = {name: getattr(self, f"pose_{name}") for name in names}
         own = {name: value for name, value in given.items() if value is not None}

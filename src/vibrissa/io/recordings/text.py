@@ -1,6 +1,4 @@
-"""CSV and its kin, with the columns that [recording] names; what else the file holds is not looked
-at.
-"""
+"""CSV and similar text, with the columns that [recording] names; other columns are ignored."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +12,7 @@ from vibrissa.io.recordings.units import is_unit
 _COMMENTS = ("#", "%")
 _DELIMITERS = ",;\t| "
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
-# Loggers put a few dozen lines before the names.
+# Loggers put up to a few dozen lines before the header line.
 _LONGEST_PREAMBLE = 200
 
 
@@ -24,27 +22,28 @@ def columns(
     wanted: Sequence[str],
     exactly: Sequence[str] = (),
 ) -> Columns:
-    """Columns of a text.
+    """Read columns of a text file.
 
     Parameters
     ----------
     file
-        Text with a line of names, then one of units or none, and a line a sample. Lines before the
-        names, blank lines, comments (# or %) and empty rows at the end are skipped.
+        Text with a header line of names, optionally a line of units, then one line per sample.
+        Lines before the header, blank lines, comments (# or %) and empty rows at the end are
+        skipped.
     table
-        Encoding, delimiter (where it gives none, the one that separates most of the wanted names),
-        decimal sign, and how many lines to skip before the names are looked for.
+        Encoding, delimiter (by default the one that separates most of the wanted names), decimal
+        sign, and the number of lines to skip before looking for the header.
     wanted
         The columns to read; missing ones are left out.
     exactly
-        The names that the file has to have, no other and in this order; then each line is a row, no
-        cell is empty, and the delimiter is a comma, or that of Excel's line `sep=;`.
+        The names that the file must have, no others and in this order; then every line is a row, no
+        cell is empty, and the delimiter is a comma, or the one given by Excel's line `sep=;`.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no text, has no line of names, a name twice, or no rows, a
-        line is cut off, or a cell is no number. Empty cells, NA and null are NaN.
+        If the file cannot be read, is not text, has no header line, a repeated name or no rows, a
+        line is cut off, or a cell is not a number. Empty cells, NA and null become NaN.
     """
     if table.decimal == table.delimiter:
         raise InputError(
@@ -62,7 +61,7 @@ def columns(
         check_header(file, found, exactly, line=line + 1, hint=hint)
     elif twice:
         raise InputError(
-            f"{file}, line {line + 1}: column {twice[0]!r} is there {names.count(twice[0])} times; "
+            f"{file}, line {line + 1}: column {twice[0]!r} occurs {names.count(twice[0])} times; "
             "allowed is once"
         )
     places = {name: names.index(own) for name, own in chosen.items()}
@@ -102,9 +101,9 @@ def _header(
     wanted: Sequence[str],
     exactly: Sequence[str],
 ) -> tuple[int, list[str], str]:
-    """The line of names, counted from 0, its names, and the delimiter: the first line with most of
-    the names that are asked for, by the delimiter that gives most; a comment, as NumPy writes it,
-    only where it holds more of them than any other line.
+    """Index of the header line, from 0, its names, and the delimiter: the first line with the most
+    wanted names, for the delimiter that gives the most; a comment, as NumPy writes it, only if it
+    has more of them than any other line.
     """
     delimiters, skip = table.delimiter or _DELIMITERS.replace(table.decimal, ""), table.skip_lines
     if exactly:
@@ -135,8 +134,8 @@ def _header(
 def _units(
     below: Sequence[str], names: Sequence[str], delimiter: str, places: dict[str, int]
 ) -> dict[str, str]:
-    """Units by name, where the line below the names holds no number in any of the columns, and a
-    unit in one at least.
+    """Units by name, if the line below the header has no number in any of the columns, and a unit
+    in at least one.
     """
     cells = [cell.strip(" []()") for line in below for cell in split(line, delimiter)]
     if len(cells) < len(names):

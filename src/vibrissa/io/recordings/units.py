@@ -1,4 +1,4 @@
-"""Units of a recording's numbers: the names that setups and files use for them, by pint."""
+"""Units of a recording's numbers, by the names that setups and files use, parsed by pint."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -14,17 +14,17 @@ Time = Literal["s", "ms", "us", "ns", "min", "h"]
 
 FORCE, TORQUE, LENGTH, ANGLE, TIME = map(get_args, (Force, Torque, Length, Angle, Time))
 ALLOWED = {"force": FORCE, "torque": TORQUE, "position": LENGTH, "angle": ANGLE, "time": TIME}
-# "newton millimeters" has 18 letters: what is longer is a note or damage.
+# "newton millimeters" has 18 letters: longer text is a remark or corrupt.
 _LONGEST = 30
 
 
 @cache
 def _unit(text: str) -> Any:
-    """A unit, also of a torque whose letters are joined; None if the text is not a unit."""
-    # The kilopond is what pint calls kgf.
+    """A unit, with joined torque units such as Nm allowed; None if the text is not a unit."""
+    # pint calls the kilopond kgf.
     plain = sub(r"[.\-·⋅]", "*", text.replace("kp", "kgf"))
     plain = sub(r"(N|gf|lbf)([cm]?m|in|ft)$", r"\1*\2", plain)
-    # pint's parser raises whatever the operators in a text that is no unit lead to.
+    # For other text, pint's parser may raise almost any exception.
     try:
         return _registry().Unit(plain) if len(plain) <= _LONGEST else None
     except Exception:
@@ -40,26 +40,26 @@ def _registry() -> Any:
 
 @cache
 def factor(unit: str) -> float:
-    """Factor to SI of a unit that a setup may name."""
+    """Factor to SI for a unit that a setup may name."""
     return float(_registry().Quantity(1, unit).to_base_units().magnitude)
 
 
 def known(text: str | None, allowed: Sequence[str]) -> str | None:
-    """Unit that a file names, in the spelling of `allowed`; None where it names none.
+    """Unit that a file names, as spelled in `allowed`; None if it names none.
 
-    Letters may be joined (Nm), parted by a point, hyphen or star (N*mm), written out (newton
-    meter), and in capitals (NMM) where these mean no other unit of the same kind (MN).
+    Parts may be joined (Nm), separated by a point, hyphen or asterisk (N*mm), spelled out (newton
+    meter), or in capitals (NMM) unless these mean another unit of the same kind (MN).
 
     Raises
     ------
     ValueError
-        If it names one that is not among `allowed`.
+        If it names a unit that is not in `allowed`.
     """
-    # As CF writes times: "seconds since 2026-01-01".
+    # CF writes times as "seconds since 2026-01-01".
     plain = (text or "").split(" since ")[0].strip().replace("µ", "u").replace("μ", "u")
     if plain in {"", "1", "-"}:
         return None
-    # By spelling first, then by meaning, last by letters alone.
+    # By spelling first, then by meaning, finally by letters alone.
     for unit in (_unit(plain), _unit(plain.lower())):
         for name in allowed:
             if name == plain or unit == _unit(name):
@@ -75,7 +75,7 @@ def known(text: str | None, allowed: Sequence[str]) -> str | None:
 
 
 def known_or_none(text: str, allowed: Sequence[str]) -> str | None:
-    """As `known`, and None for a text that is no unit."""
+    """As `known`, but None for text that is not an allowed unit."""
     try:
         return known(text, allowed)
     except ValueError:
@@ -83,7 +83,7 @@ def known_or_none(text: str, allowed: Sequence[str]) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit of anything that is read."""
+    """Whether a text is a unit of any quantity that is read."""
     return any(known_or_none(text, units) for units in ALLOWED.values())
 
 

@@ -1,7 +1,6 @@
-"""MCAP files and rosbag2 folders of a stream, whole at any moment of being written.
+"""MCAP files and rosbag2 folders from a stream, valid at any moment while being written.
 
-Importing it raises ImportError, with the command that installs them, where `mcap` or `rosbags` are
-missing.
+Importing it raises ImportError, with the install command, if `mcap` or `rosbags` is missing.
 """
 
 from functools import partial

@@ -1,4 +1,4 @@
-"""Files that are written at places, put there whole; errors of the system name the file."""
+"""Files written at given offsets and created atomically; OS errors name the file."""
 
 import os
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from pathlib import Path
 
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """Errors of the system name the file."""
+    """Make OS errors name the file."""
     try:
         yield
     except OSError as error:
@@ -16,14 +16,14 @@ def naming_file(path: Path) -> Iterator[None]:
 
 
 class FileDisk:
-    """A file that is written at places, at once: nothing is kept in this process.
+    """A file written at given offsets, without buffering in this process.
 
     Parameters
     ----------
     path
-        Of the file.
+        The file.
     name
-        What errors of the system name, where the file is still to get its name.
+        Name for OS errors, if the file is to be renamed later.
     """
 
     def __init__(self, path: Path, name: Path | None = None) -> None:
@@ -40,18 +40,18 @@ class FileDisk:
                 left, place = left[done:], place + done
 
     def truncate(self, size: int) -> None:
-        """Cut off what lies beyond."""
+        """Cut the file off at this size."""
         self._file.truncate(size)
 
     def close(self) -> None:
-        """Close it; may be called twice."""
+        """Close the file; may be called twice."""
         self._file.close()
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[FileDisk]:
-    """A file that is made beside its place, and put there once the block has ended; where that
-    fails, nothing is left of it.
+    """A file written under a temporary name and renamed when the block ends; if that fails, nothing
+    is left of it.
     """
     part = path.with_name(f".{path.name}.part")
     disk = FileDisk(part, path)

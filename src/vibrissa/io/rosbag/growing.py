@@ -1,18 +1,18 @@
-"""An MCAP file that opens at any moment of its being written.
+"""An MCAP file that can be opened at any moment while it is being written.
 
-The file ends, from its first moment on, with an index of the channels, a footer and the closing
-mark. Before them stands one record of a private kind, which readers skip: the room for what comes.
-A chunk of messages is written into that room, where no reader sees it, with a new record for the
-rest of the room behind it; then nine bytes, the head of the old record, are overwritten with the
-head of the chunk. Where the room does not suffice, the file is made longer by one write of a footer
-that points to the old index; then the new index is written in front of it, the head of the room's
-record is overwritten with its new length, and last the eight bytes of the footer that say where the
-index is.
+From the start, the file ends with an index of the channels, a footer and the closing magic bytes.
+Before them lies one record with a private opcode, which readers skip: room for what is to come. A
+chunk of messages is written into that room, where no reader sees it, followed by a new record for
+the rest of the room; then nine bytes, the head of the old record, are overwritten with the head of
+the chunk. If the room does not suffice, the file is extended by a single write of a footer that
+points to the old index; then the new index is written before that footer, the head of the room's
+record is overwritten with its new length, and finally the eight bytes of the footer that locate the
+index.
 
-A process can be killed between two pages of a write, not within one. Each write that takes effect
-lies within a page; all others lie where no reader looks. So the file is whole after each of them,
-and holds all chunks whose heads were written. This holds for a process that ends, not for a machine
-that loses power: nothing waits for the disk.
+A process can be killed between two pages of a write, but not within one. Every write that takes
+effect lies within a page; all others go where no reader looks. So the file is valid after each of
+them, and holds all chunks whose heads were written. This covers a killed process, not a machine
+that loses power: there is no fsync.
 """
 
 import struct
@@ -29,14 +29,14 @@ from mcap.data_stream import RecordBuilder
 from vibrissa.io.rosbag.disk import FileDisk
 
 PAGE = 4096
-"""Bytes of the smallest memory page in use: a write within one page is never torn by a kill."""
+"""Bytes of the smallest memory page in use: a write within a page is never torn by a kill."""
 ROOM = 1 << 20
-"""By which a file grows at least, in bytes: some seconds of a sensor at 7000 samples a second."""
+"""Least growth of a file, in bytes: a few seconds of a sensor at 7000 samples per second."""
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of every record: opcode and length
-_ALIGNMENT = 16  # of heads that are overwritten: a divisor of a page, and longer than a head
-_PRIVATE = 0x80  # opcode: from here on, readers skip records
+_ALIGNMENT = 16  # of heads that are overwritten: divides a page, and is longer than a head
+_PRIVATE = 0x80  # readers skip records with opcodes from here on
 _FOOTER_BYTES = _HEAD.size + 20 + len(MAGIC)
 
 
@@ -44,9 +44,7 @@ Stamps = Int[np.ndarray, "n"]
 
 
 class Channel(NamedTuple):
-    """A topic: its name, the type of its messages, and the type's definition (ros2msg), as ROS 2
-    names them.
-    """
+    """A topic: its name, its message type, and the type's definition (ros2msg), as in ROS 2."""
 
     topic: str
     message_type: str
@@ -54,7 +52,7 @@ class Channel(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """Message records of one channel, end to end.
+    """Message records of one channel, back to back.
 
     Attributes
     ----------
@@ -63,7 +61,7 @@ class Messages(NamedTuple):
     log_time
         (n,) [ns].
     offset
-        (n,) of each record in `data`.
+        Offset (n,) of each record in `data`.
     data
         The records.
     """
@@ -75,7 +73,7 @@ class Messages(NamedTuple):
 
 
 class GrowingFile:
-    """Chunks of messages, appended so that the file is whole after each.
+    """Chunks of messages, appended so that the file is valid after each.
 
     Parameters
     ----------
@@ -89,7 +87,7 @@ class GrowingFile:
     Attributes
     ----------
     message_counts
-        Messages of each channel so far.
+        Number of messages in each channel so far.
     """
 
     def __init__(self, disk: FileDisk, channels: Sequence[Channel], qos: str) -> None:
@@ -115,7 +113,7 @@ class GrowingFile:
 
     @property
     def _index_place(self) -> int:
-        """Where the end of the data stands, and behind it the index."""
+        """Offset of the data-end record, which the index follows."""
         return self._size - _FOOTER_BYTES - len(self._index)
 
     @property
@@ -123,12 +121,12 @@ class GrowingFile:
         return self._index_place + len(self._data_end)
 
     def _room_head(self, place: int) -> bytes:
-        """Head of the record that reaches from a place to the end of the data."""
+        """Head of the record that extends from `place` to the end of the data."""
         return _HEAD.pack(_PRIVATE, self._index_place - place - _HEAD.size)
 
     def append(self, blocks: Sequence[Messages]) -> None:
-        """Add a chunk; log times must not be before those of the last one. Raise OSError where the
-        disk does.
+        """Add a chunk, with log times no earlier than those of the last one. Raise OSError if
+        writing fails.
         """
         content, rows = b"", defaultdict[int, list[tuple[int, int]]](list)
         for block in blocks:
@@ -162,8 +160,8 @@ class GrowingFile:
             self.message_counts[channel] += len(own)
 
     def _put(self, written: bytes) -> None:
-        """Records in place of the room, and the rest of the room behind them; their first head is
-        what makes them count, and comes last.
+        """Put records into the room, followed by the rest of the room; the first record's head,
+        which makes them visible, is written last.
         """
         end = self._room + len(written)
         rest = _behind(end)
@@ -174,7 +172,7 @@ class GrowingFile:
         self._room = rest
 
     def _reserve(self, data_end: int) -> None:
-        """Make the file longer, if need be, so that the data may reach to this place."""
+        """Extend the file if needed, so that the data may reach this offset."""
         if data_end <= self._index_place:
             return
         start, size = self._index_start, self._size
@@ -186,7 +184,7 @@ class GrowingFile:
             self._disk.write(_footer(start), footer)
             self._disk.write(self._index, self._index_place)
         except OSError:
-            # Of a disk that is full: the old index still holds, and nothing may be written over it.
+            # The disk is full: the old index is still valid and must not be overwritten.
             self._size = size
             raise
         self._disk.write(self._room_head(self._room), self._room)
@@ -200,7 +198,7 @@ class GrowingFile:
         return self._chunks[0].message_start_time, self._chunks[-1].message_end_time
 
     def close(self) -> None:
-        """Write the whole index of chunks, cut off the room that is left, and close the file."""
+        """Write the complete chunk index, cut off the remaining room, and close the file."""
         first, last = self.time_range
         count = len(self.channels)
         statistics = records.Statistics(
@@ -225,7 +223,7 @@ class GrowingFile:
 
 
 def packed(*some: records.McapRecord) -> bytes:
-    """Records as they stand in a file."""
+    """Records as bytes of a file."""
     stream: Any = RecordBuilder()
     for record in some:
         record.write(stream)
@@ -241,9 +239,7 @@ def _rounded_up(size: int, unit: int) -> int:
 
 
 def _behind(place: int) -> int:
-    """Next place, with room for a filler before it, at which the head of a record lies within a
-    page.
-    """
+    """Next offset at which a record's head lies within a page, with room for a filler before it."""
     return _rounded_up(place + _HEAD.size, _ALIGNMENT)
 
 

@@ -1,5 +1,5 @@
-"""What can be saved of an MCAP file that was cut or damaged: by a machine that lost power, a disk,
-a copy made while it grew.
+"""Recovering an MCAP file that was truncated or damaged: by a power failure, a bad disk, or being
+copied while it grew.
 """
 
 from itertools import takewhile
@@ -13,14 +13,14 @@ from vibrissa.io.recordings.containers import MAGIC, mcap_records
 
 
 def mend(path: str | Path, target: str | Path) -> int:
-    """Copy all whole messages up to the first damage into a new MCAP file, and return how many.
+    """Copy all complete messages before the first damage to a new MCAP file, and return how many.
 
-    A file that was only killed needs no mending: it is whole.
+    A file whose writer was merely killed needs no mending: it is valid.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no MCAP file, or the target cannot be written.
+        If the file cannot be read or is not MCAP, or the target exists or cannot be written.
     """
     source, out = readable(Path(path)), Path(target)
     if out.exists():

@@ -35,7 +35,7 @@ QOS = """\
     nsec: 854775807
   avoid_ros_namespace_conventions: false
 """
-"""Of all topics: keep the last 100, reliable, volatile."""
+"""QoS of all topics: keep the last 100, reliable, volatile."""
 
 _NORMAL = [f"normal_{axis}" for axis in "xyz"]
 POINT = np.dtype(
@@ -45,10 +45,10 @@ POINT = np.dtype(
     },
     align=True,
 )
-"""Of a cloud; `time` is seconds after the header's stamp."""
+"""A point of a cloud; `time` is in seconds after the header's stamp."""
 
 _SECOND = 1_000_000_000
-# Of a message record (the specification), and what the CDR of a stamped message begins with.
+# Head of a message record (MCAP specification), then the beginning of a stamped message in CDR.
 _HEAD = {
     "opcode": "u1",
     "length": "<u8",
@@ -66,13 +66,13 @@ _DATATYPES = {"<f4": 7, "<f8": 8, "|u1": 2}  # of sensor_msgs/msg/PointField
 class MessageWriter:
     """Message records for MCAP, channel by channel.
 
-    Wrenches and poses have a fixed length, a header that `rosbags` serialised and their numbers:
-    stamps and numbers are put into copies of it, many messages at once.
+    Wrenches and poses are messages of fixed length: `rosbags` serialises one record, and stamps and
+    numbers are put into copies of it, many messages at once.
 
     Parameters
     ----------
     wrench_frame, world_frame
-        Names of the frames of the wrench, and of poses and contacts.
+        Frame names: of the wrench, and of poses and contacts.
     """
 
     def __init__(self, wrench_frame: str = "sensor", world_frame: str = "world") -> None:
@@ -86,7 +86,7 @@ class MessageWriter:
             self._new("sensor_msgs/msg/PointField", name, offset, _DATATYPES[kind.str], 1)
             for name, (kind, offset, *_) in (POINT.fields or {}).items()
         ]
-        # rosbags builds its code for a type when it first meets it.
+        # rosbags generates the code for a type on first use.
         self._cloud_data(np.zeros(1, dtype=POINT), 0, is_dense=True)
 
     def channels(self) -> list[Channel]:
@@ -104,9 +104,9 @@ class MessageWriter:
         return self._new("std_msgs/msg/Header", moment, frame)
 
     def _pattern(self, channel: int, count: int, frame: str) -> np.ndarray:
-        """One record (1,) of a message that is a header and `count` numbers."""
+        """One record (1,) of a message that consists of a header and `count` numbers."""
         header = self._store.serialize_cdr(self._header(frame, 0), "std_msgs/msg/Header")
-        # Numbers lie at multiples of their size from the end of the encapsulation.
+        # CDR aligns numbers to their size, counted from the end of the encapsulation header.
         padding = -(len(header) - 4) % 8
         data = bytes(header) + bytes(padding + 8 * count)
         record = packed(Message(channel + 1, 0, data, 0, 0))
@@ -123,13 +123,13 @@ class MessageWriter:
         numbers: Float[np.ndarray, "n k"],
         sequence: Stamps | None = None,
     ) -> Messages:
-        """Wrenches (n, 6), under the sensor's own numbers, or poses (n, 7) of the sensor frame."""
+        """Wrenches (n, 6), with the sensor's sequence numbers, or sensor-frame poses (n, 7)."""
         records = np.repeat(self._patterns[channel], len(stamp))
         if sequence is None:
             sequence = self._counts[channel] + np.arange(len(stamp))
             self._counts[channel] += len(stamp)
         records["sequence"] = sequence % (1 << 32)
-        # MCAP knows no time before 1970; the header does.
+        # MCAP has no times before 1970; the message header does.
         records["log_time"], records["publish_time"] = log_time, np.maximum(stamp, 0)
         records["sec"], records["nanosec"] = np.divmod(stamp, _SECOND)
         records["numbers"] = numbers
@@ -137,8 +137,8 @@ class MessageWriter:
         return Messages(channel, log_time, offset, records.tobytes())
 
     def cloud(self, stamp: Stamps, found: Reconstruction, log_time: int) -> Messages:
-        """One cloud of the rows with a contact, stamped as the first of them; nothing where there
-        is none.
+        """One cloud of the rows with a contact, with the stamp of the first; empty if there are
+        none.
         """
         rows, nothing = found.in_contact, np.empty(0, dtype=np.int64)
         if not rows.any():

@@ -1,4 +1,4 @@
-"""A stream to an MCAP file, alone or in a rosbag2 folder."""
+"""Writing a stream to an MCAP file, alone or in a rosbag2 folder."""
 
 import json
 import time
@@ -12,24 +12,24 @@ from vibrissa.io.rosbag.growing import GrowingFile, Messages, Stamps
 from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
 from vibrissa.sensor.raw import RawRecording, Vectors
 
-_MOST_HELD = 1 << 20  # bytes in memory: what a file grows by
-_VERSION = 5  # of the metadata: that of ROS 2 Humble
-_EVERY = 1.0  # seconds between metadata
+_MOST_HELD = 1 << 20  # bytes buffered: what a file grows by
+_VERSION = 5  # of the metadata, as in ROS 2 Humble
+_EVERY = 1.0  # seconds between metadata updates
 
 
 class McapSink:
-    """Raw wrenches, poses and contacts as ROS 2 messages in an MCAP file that opens whenever the
-    process is killed.
+    """Raw wrenches, poses and contacts as ROS 2 messages in an MCAP file that can be opened even if
+    the process is killed.
 
-    Log times never fall: that of a pose or a contact is the stamp of the last sample that had come
+    Log times never decrease: that of a pose or contact is the stamp of the latest sample received
     by then. Their own stamps are in their headers.
 
     Parameters
     ----------
     path
-        Of the file, which is there, whole and empty, once this is built.
+        The file, which exists, valid and empty, as soon as this is constructed.
     wrench_frame, world_frame
-        Names of the frames: of the raw wrench, and of poses and contacts.
+        Frame names: of the raw wrench, and of poses and contacts.
 
     Raises
     ------
@@ -54,14 +54,14 @@ class McapSink:
         force: Vectors,
         torque: Vectors,
     ) -> None:
-        """Keep raw samples for the next chunk."""
+        """Buffer raw samples for the next chunk."""
         log_time = np.maximum.accumulate(np.maximum(stamp, self._log_time))
         self._log_time = int(log_time[-1])
         wrench = np.hstack([force, torque])
         self._keep(self._writer.stamped(WRENCH, stamp, log_time, wrench, sequence))
 
     def contacts(self, stamp: Stamps, raw: RawRecording, found: Reconstruction) -> None:
-        """Keep poses and contacts for the next chunk."""
+        """Buffer poses and contacts for the next chunk."""
         known = np.isfinite(raw.position[:, 0])
         log_time = np.full(int(np.count_nonzero(known)), self._log_time)
         pose = np.hstack([raw.position, raw.orientation])[known]
@@ -75,12 +75,12 @@ class McapSink:
             self.flush()
 
     def flush(self) -> None:
-        """Write a chunk of what is held."""
+        """Write what is buffered as a chunk."""
         held, self._held, self._bytes = self._held, [], 0
         self.file.append(held)
 
     def close(self) -> None:
-        """Write the rest and the index."""
+        """Write what is buffered and the index."""
         try:
             self.flush()
             self.file.close()
@@ -92,14 +92,13 @@ class Rosbag2Sink(McapSink):
     """Raw wrenches, poses and contacts as a rosbag2 folder: `NAME_0.mcap` as `McapSink` writes it,
     and `metadata.yaml`.
 
-    Both are whole whenever the process is killed; the metadata, which are replaced in one piece
-    every second, then count what was there up to a second before. They are of version 5, that of
-    ROS 2 Humble, which all later ones read.
+    Both stay valid if the process is killed; the metadata, replaced atomically every second, then
+    lag by up to a second. They are of version 5, as in ROS 2 Humble, which all later releases read.
 
     Parameters
     ----------
     folder
-        That is there, or whose parent is.
+        Created if needed; its parent must exist.
     frames
         As for `McapSink`.
 
@@ -147,7 +146,7 @@ class Rosbag2Sink(McapSink):
             "relative_file_paths": [self._name],
             "files": [{"path": self._name, **size}],
         }
-        # JSON is YAML, too.
+        # JSON is valid YAML.
         text = json.dumps({"rosbag2_bagfile_information": content}, indent=1)
         with whole_file(self._metadata) as disk:
             disk.write(text.encode(), 0)
@@ -155,12 +154,12 @@ class Rosbag2Sink(McapSink):
         self._when = time.monotonic()
 
     def flush(self) -> None:
-        """Write a chunk of what is held and, now and then, the metadata."""
+        """Write what is buffered as a chunk and, at most once a second, the metadata."""
         super().flush()
         if time.monotonic() - self._when >= _EVERY:
             self._described()
 
     def close(self) -> None:
-        """Write the rest, the index and the metadata."""
+        """Write what is buffered, the index and the metadata."""
         super().close()
         self._described()

@@ -243,7 +243,7 @@ def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
     done = _work_by_rod(reactions, loaded) if push < 0 else 0.0
     if done:
         yield found(
-            f"the rod is pulled from its clamp and does work on it, {-1e3 * done:.3g} mJ, while a "
+            f"the rod is pulled from its clamp and does {1e3 * done:.3g} mJ of work on it, while a "
             "rod that is pushed takes up work: this fits a wrench of the other sign; check wrench "
             "in [sensor]"
         )

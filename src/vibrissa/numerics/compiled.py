@@ -9,15 +9,13 @@ import os
 import platform
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import jax
-from jax import Array
-from jax.extend.core import ClosedJaxpr, Jaxpr
 from platformdirs import user_cache_path
 
 Parameters = ParamSpec("Parameters")
@@ -148,25 +146,3 @@ def uncollected() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
-
-
-def operation_count(function: Callable[[Array], Array], argument: Array) -> int:
-    """How many operations a function traces to, with loop bodies counted once."""
-    return _operations(jax.make_jaxpr(function)(argument).jaxpr)
-
-
-def _operations(jaxpr: Jaxpr) -> int:
-    return sum(
-        1 + sum(map(_operations, _inner(equation.params.values()))) for equation in jaxpr.eqns
-    )
-
-
-def _inner(parameters: Iterable[object]) -> Iterator[Jaxpr]:
-    """Programs within an operation: bodies of loops, branches, functions called."""
-    for parameter in parameters:
-        if isinstance(parameter, Jaxpr):
-            yield parameter
-        elif isinstance(parameter, ClosedJaxpr):
-            yield parameter.jaxpr
-        elif isinstance(parameter, (tuple, list)):
-            yield from _inner(parameter)

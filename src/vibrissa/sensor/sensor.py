@@ -164,10 +164,6 @@ class Sensor:
         """Return the sensor with other attributes or figures, by their own names."""
         return replace(self, **changes)
 
-    def without_estimates(self) -> Sensor:
-        """Return the same sensor with only an offset to be found from rest."""
-        return self.updated(estimate_drift=False, mount=None)
-
     def frame(self, clamp: Trail) -> Trail:
         """Poses of the sensor frame (…, n) for these poses of the clamp."""
         turn = multiplied(clamp.orientation, inverse(self.clamp_orientation))

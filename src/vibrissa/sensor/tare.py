@@ -76,11 +76,6 @@ class Tare:
     the recording.
     """
 
-    @property
-    def seconds(self) -> float:
-        """Total length of the rest intervals [s]."""
-        return float(sum(stop - start for start, stop in self.intervals))
-
     def readings(self, sensor: "Sensor", time: Times, orientation: Quaternions) -> Wrenches:
         """What the sensor reads without contact at these times and orientations."""
         shown = self.offset + (time - self.epoch)[:, None] * self.drift

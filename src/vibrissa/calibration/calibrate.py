@@ -42,7 +42,7 @@ from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
-"""Median residual, relative to noise, beyond which no fitted parameter explains the data."""
+"""Median residual, relative to noise, beyond which no fit explains the data."""
 _MOST_ROUNDS = 10
 """Rounds of leaving rows out and sizing the unevenness; they settle in two to five."""
 _ALIKE = 0.1

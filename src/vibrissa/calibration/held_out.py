@@ -14,7 +14,7 @@ from vibrissa.calibration.statistics import UNDETERMINED
 from vibrissa.surfaces import Surface
 
 _STRETCHES = 8
-"""Stretches of a single recording: so short that every other one covers the whole sweep."""
+"""Stretches of a single recording: short enough that every other one samples the whole sweep."""
 _NODES = 33
 """Points on the rod: 1.5 mm apart on 50 mm, between which objects are nearly flat."""
 _TOLD = 1e-6

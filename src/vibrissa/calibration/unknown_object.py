@@ -198,7 +198,7 @@ def _result(
         lines.append(
             "the constraints contradict each other by up to "
             f"{math.sqrt(fit.inflation):.2g} times what the noise explains, and what was freed "
-            "does not fix it: free more, or check the rod's straightness and taper, friction, and "
+            "does not mend it: free more, or check the rod's straightness and taper, friction, and "
             "the sensor"
         )
     return Calibration(

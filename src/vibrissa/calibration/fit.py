@@ -43,7 +43,7 @@ _UNEVEN = np.geomspace(1e-5, 1e-3, 13)
 _BETTER = 4.0
 """How much better −2 ln(likelihood) must be than without: two standard deviations."""
 _LITTLE = 1e-9
-"""Information that stands for none, in units of 1."""
+"""Information that stands for none, on a diagonal scaled to 1."""
 
 
 def fitted(problem: Problem, start: Point) -> Linear:

@@ -45,8 +45,7 @@ _PLACES = {
 }
 """Where a step's numbers are in the errors of `inverse.checks`; any others are an object's."""
 _SPREAD = 0.5
-"""Prior standard deviation if none is given, in the parameters' scales: it stands for nothing
-known.
+"""Prior standard deviation if none is given, in the parameters' scales: nothing is known then.
 """
 _OPEN = 0.1
 """Standard deviation, in the parameters' scales, from which a direction counts as open: a tenth of

@@ -30,7 +30,7 @@ _ALIKE = 0.7
 _LARGEST = 0.5
 """Relative size of a cause beyond which a linear extrapolation says nothing: half a gain."""
 _FAR = 3.0
-"""Tolerances, combined with its own deviation, by which an estimate may move."""
+"""How many times its tolerance and own deviation, combined, an estimate may move."""
 _STARTS = {
     "stiffness": 0.3,
     "length": 0.04,

@@ -31,7 +31,7 @@ Arguments: TypeAlias = tuple[Level, Vector]
 _REACH = 2.0
 """Longest step, as a multiple of the first-order distance."""
 _MOST_ITERATIONS = 60
-# Iteration from which steps are halved: where Newton's method oscillates, half a step gets ahead.
+# Iteration from which steps are halved: where Newton's method oscillates, half a step gains ground.
 _HALVED = 12
 # Step, relative to the longest one and to the point's norm, after which another would change
 # nothing.

@@ -1,4 +1,4 @@
-"""Rod, mount, sensor and object's pose from sweeps over a known object."""
+"""Calibration of rod, mount, sensor and object pose from sweeps over a known object."""
 
 from vibrissa.calibration.calibrate import calibrate
 from vibrissa.calibration.held_out import HeldOut

@@ -1,4 +1,4 @@
-"""Shapes of arrays that are spoken of again and again."""
+"""Array shapes that come up again and again."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,5 +10,5 @@ Wrenches = Float[np.ndarray, "n 6"]
 Unknowns = Float[np.ndarray, "unknowns"]
 Information = Float[np.ndarray, "unknowns unknowns"]
 Columns = Float[np.ndarray, "n 6 m"]
-"""Changes of all rows' readings by some numbers."""
+"""Change of all rows' readings per unit of each of m numbers."""
 Square = Float[np.ndarray, "k k"]

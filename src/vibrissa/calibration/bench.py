@@ -1,4 +1,4 @@
-"""Everything a calibration may change, as one tree of numbers, and what it makes of a setup."""
+"""Everything a calibration may change, as one tree of numbers, and how it applies to a setup."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
@@ -20,7 +20,7 @@ from vibrissa.surfaces.base import Placed
 
 @runtime_checkable
 class SetupLike(Protocol):
-    """A dataclass with rod, sensor and surface, as `vibrissa.Setup`."""
+    """A dataclass with rod, sensor and surface, like `vibrissa.Setup`."""
 
     @property
     def rod(self) -> Rod:
@@ -39,20 +39,20 @@ SetupType = TypeVar("SetupType", bound=SetupLike)
 
 
 class Step(NamedTuple):
-    """A small change of the bench; also its numbers, and derivatives by them (…, entries)."""
+    """A small change of the bench; also holds its numbers, or derivatives by them (…, entries)."""
 
     stiffness: Float[Any, "*rows 1"]
     """ln EI."""
     length: Float[Any, "*rows 1"]
     """ln L."""
     clamp: Float[Any, "*rows 3"]
-    """Of the clamp point, sensor axes."""
+    """Shift of the clamp point, sensor axes."""
     tilt: Float[Any, "*rows 3"]
     """Rotation vector of the clamp, in its own axes."""
     gain: Float[Any, "*rows 6"]
     """ln of the gains."""
     shift: Float[Any, "*rows 3"]
-    """Of the object, world axes."""
+    """Shift of the object, world axes."""
     turn: Float[Any, "*rows 3"]
     """Rotation vector of the object about `Bench.pivot`, world axes."""
     standoff: Float[Any, "*rows 1"]
@@ -72,16 +72,16 @@ class Bench(NamedTuple):
     axes: Float[Any, "3 3"]
     """Clamp axes as columns, in the sensor frame."""
     wrench_point: Float[Any, "3"]
-    """About which torques are given, in the sensor frame."""
+    """Point about which torques are given, in the sensor frame."""
     gain: Float[Any, "6"]
-    """Readings over those of the sensor as given."""
+    """Ratio of the readings to those of the sensor as given."""
     shift: Float[Any, "3"]
-    """By which the object is moved from where it is given, world axes."""
+    """Displacement of the object from where it is given, world axes."""
     turn: Float[Any, "3 3"]
-    """By which it is turned about `pivot` before that."""
+    """Rotation of the object about `pivot`, applied before that."""
     pivot: Float[Any, "3"]
     standoff: Float[Any, ""]
-    """How far the centre line stays off the object as given, where it touches."""
+    """Distance of the centre line from the object as given, at the contact."""
 
     @property
     def center(self) -> Float[np.ndarray, "3"]:
@@ -90,19 +90,19 @@ class Bench(NamedTuple):
 
     @property
     def move(self) -> Float[Any, "3"]:
-        """By which the object is moved after it was turned about the origin."""
+        """Translation of the object after its rotation about the origin."""
         return self.pivot + self.shift - self.turn @ self.pivot
 
     def placed(self, surface: Surface) -> Surface:
-        """The object where it is."""
+        """The object at its present pose."""
         return Placed(surface, self.turn, self.move)
 
     def rod(self, given: Rod) -> Rod:
-        """The rod with these figures."""
+        """The rod with these values."""
         return replace(given, length=float(self.length), bending_stiffness=float(self.stiffness))
 
     def setup(self, given: SetupType, surface: Surface | None) -> SetupType:
-        """The setup with these figures; what a file said of an earlier calibration is dropped."""
+        """The setup with these values; what a file said about an earlier calibration is dropped."""
         fx, fy, fz, tx, ty, tz = np.asarray(given.sensor.gain * self.gain).tolist()
         sensor = given.sensor.updated(
             clamp_position=np.asarray(self.clamp),
@@ -115,8 +115,8 @@ class Bench(NamedTuple):
         return cast(SetupType, replace(cast(Any, given), **parts))
 
     def numbers(self, given: Sensor) -> Step:
-        """EI, L, clamp point, turn of the clamp from the given one, gains, shift and turn of the
-        object, standoff.
+        """EI, L, clamp point, rotation of the clamp from the given one, gains, shift and rotation
+        of the object, standoff.
         """
         turned = rotation_matrices(given.clamp_orientation).T @ np.asarray(self.axes)
         tilt, turn = Rotation.from_matrix(np.stack([turned, self.turn])).as_rotvec()
@@ -127,14 +127,14 @@ class Bench(NamedTuple):
         )  # fmt: skip
 
     def unrolled(self, given: Sensor) -> "Bench":
-        """With the clamp's axes turned from the given ones the shortest way, without roll."""
+        """With the clamp's axes rotated from the given ones the shortest way, without roll."""
         axes = rotation_matrices(given.clamp_orientation)
         shortest = turning_axis_to(axes.T @ np.asarray(self.axes)[:, 2])
         return self._replace(axes=axes @ rotation_matrices(shortest))
 
 
 def bench_of(rod: Rod, sensor: Sensor) -> Bench:
-    """As a setup states it."""
+    """The bench as a setup states it."""
     return Bench(
         stiffness=np.asarray(rod.bending_stiffness),
         length=np.asarray(rod.length),
@@ -150,7 +150,7 @@ def bench_of(rod: Rod, sensor: Sensor) -> Bench:
 
 
 def moved(bench: Bench, step: Step) -> Bench:
-    """The bench after a step, smooth in it."""
+    """The bench after a step; smooth in the step."""
     return bench._replace(
         stiffness=bench.stiffness * jnp.exp(step.stiffness[0]),
         length=bench.length * jnp.exp(step.length[0]),
@@ -164,9 +164,9 @@ def moved(bench: Bench, step: Step) -> Bench:
 
 
 moved_at_once = compiled(moved)
-"""The same outside compiled code."""
+"""The same, for use outside compiled code."""
 
 
 def _rotation(vector: Float[Any, "3"]) -> Float[Array, "3 3"]:
-    """Matrix of a rotation vector, rational in it: of a calibration's few degrees right to 1e-4."""
+    """Matrix of a rotation vector, rational in it: right to 1e-4 for the few degrees met here."""
     return rotation_matrix(jnp.append(vector / 2, 1.0))

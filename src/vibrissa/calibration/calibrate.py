@@ -42,22 +42,22 @@ from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
 
 _WORST_SPREAD = 8.0
-"""Median residual, in that of noise, beyond which nothing that is fitted explains the data."""
+"""Median residual, relative to noise, beyond which no fit explains the data."""
 _MOST_ROUNDS = 10
-"""Of leaving rows out and of the unevenness's size, which settle in two to five."""
+"""Rounds of leaving rows out and sizing the unevenness; they settle in two to five."""
 _ALIKE = 0.1
-"""Relative change of the unevenness that is not worth another fit: less than a grid's step."""
+"""Relative change of the unevenness that is not worth another fit: less than a grid step."""
 _GOOD_SPREAD = 1.1
-"""Median residual, in that of noise, from which other starts are tried."""
+"""Median residual, relative to noise, from which other starts are tried."""
 _OTHER_LENGTHS = (-0.06, 0.06)
-"""ln of the rod's length over the stated one: twice what it may be off by."""
+"""ln of the ratio of rod length to the stated one: twice what that may be off by."""
 _ROLL = "clamp_orientation_z"
 _EXACT, _UNKNOWN = 1e-9, 1.0
-"""Bounds of the deviations before the data, in the parameters' scales: beyond them a parameter is
-held, or free, to all digits that its estimate has.
+"""Bounds of the prior deviations, in the parameters' scales: beyond them a parameter is held, or
+free, to every digit of its estimate.
 """
 _STEEPEST = 0.3
-"""Share of a force along the normal below which its direction tells of no friction."""
+"""Share of a force along the normal below which its direction says nothing about friction."""
 
 
 def calibrate(
@@ -70,41 +70,41 @@ def calibrate(
     friction: float = 0.0,
     tolerances: Tolerances | None = None,
 ) -> Calibration[SetupType]:
-    """Rod, mount, sensor and object's pose from sweeps over a known object: least squares on the
-    six reactions.
+    """Calibrate rod, mount, sensor and object pose from sweeps over a known object, by least
+    squares on the six reactions.
 
     Parameters
     ----------
     recordings
-        One or more sweeps, each with a rest free of contact: reactions as `read_recording` gives
-        them with this setup, or raw as `Sensor.measure` does.
+        One or more sweeps, each with a stretch at rest and free of contact: reactions as
+        `read_recording` returns them with this setup, or raw recordings as `Sensor.measure` does.
     setup
-        Rod and sensor to start from: off by up to about 20 % in stiffness, 3 % in length, 2 mm and
-        3° of a 50 mm rod.
+        Rod and sensor to start from; for a 50 mm rod they may be off by up to about 20 % in
+        stiffness, 3 % in length, 2 mm and 3°.
     surface
-        The object; by default that of the setup. Without either, what tip and tangential contacts
-        with an unknown object determine: each obeys more conditions than it has unknowns.
-        Parameters that they leave open are held, and named in `identifiability`; errors of the
-        tares are allowed for, not estimated.
+        The object; by default that of the setup. Without either, the calibration finds what tip and
+        tangential contacts with an unknown object determine: each obeys more conditions than it has
+        unknowns. Parameters they leave open are held, and named in `identifiability`; tare errors
+        are allowed for, not estimated.
     free
         What to calibrate: `youngs_modulus` (for rods with a radius) or `bending_stiffness`,
         `length`, `clamp_position`, `clamp_orientation`, `object_position`, `object_orientation`,
         `standoff`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`.
         What is not named is held, or bounded by its tolerance. By default the stiffness, `length`,
         `clamp_position`, `clamp_orientation`, `tare` and `drift`. The tare of each recording is
-        always fitted, as otherwise its error would be missing in the others'.
+        always fitted, as its error would otherwise be missing from those of the other parameters.
     prior
-        Standard deviations of free parameters, by name and in their units (Pa, N m², m, rad, 1), as
-        known before.
+        Prior standard deviations of free parameters, by name and in their units (Pa, N m², m, rad,
+        1).
     friction
-        Coulomb's coefficient between rod and object: 0 for none. With friction each sample's
-        tangential force is unknown, and only points and rod tell.
+        Coulomb friction coefficient between rod and object; 0 for none. With friction each sample's
+        tangential force is unknown, and only contact points and rod carry information.
     tolerances
-        Standard deviations of what the setup and the object state; by default those of the setup.
-        What has one and is not named in `free` is fitted, too, bounded by its tolerance as by a
-        prior, so that estimates, covariance and setup allow for it; `object_scale` as a `standoff`.
-        A delay is not fitted and enters the covariance. What is named in `free` is not pulled by
-        its tolerance. An estimate that moved by more than three tolerances is a warning.
+        Standard deviations of the values stated for setup and object; by default those of the
+        setup. What has one and is not named in `free` is fitted too, with its tolerance as a prior,
+        so that estimates, covariance and setup allow for it; `object_scale` as a `standoff`. A
+        delay is not fitted but enters the covariance. What is named in `free` is not held back by
+        its tolerance. An estimate that moves by more than three tolerances gives a warning.
 
     Returns
     -------
@@ -122,22 +122,23 @@ def calibrate(
     Warns
     -----
     RecordingWarning
-        For each of `Calibration.warnings`: estimates far from where they were given, rows left out,
-        readings that another size or place of the object, gain, friction, delay, taper or curvature
-        of the rod explain better (score tests on all rows), parts that the others do not predict.
+        For each of `Calibration.warnings`: estimates far from their given values, rows left out,
+        readings better explained by another size or place of the object, a gain, friction, a delay,
+        or a taper or curvature of the rod (score tests on all rows), and parts of the data that the
+        others do not predict.
 
     Notes
     -----
-    Residuals are readings less those of the contact equilibrium at each pose, weighted by the
-    covariance of wrench and pose, the noise of the robot's orientation included.
+    Residuals are readings minus those of the contact equilibrium at each pose, weighted by the
+    covariance of wrench and pose, including noise of the robot's orientation.
     Their derivatives are exact (implicit function theorem).
     Parameters that the data leave open are held as given and named in `identifiability`. Where the
-    residuals are more than noise, variances are taken larger (`fitness.inflation`): by their mean
-    square, and where they are correlated in time by their long-run variance.
+    residuals are more than noise, variances are inflated (`fitness.inflation`): by the residuals'
+    mean square and, where they are correlated in time, by their long-run variance.
 
-    Stretches that no equilibrium explains, as where the rod swings, or sticks and slips, are left
-    out (`fitness.disturbed`). How far off the object as given the rod touches, changing along each
-    sweep, is estimated with the rest, as large as makes the data most likely
+    Stretches that no equilibrium explains, such as where the rod swings, or sticks and slips, are
+    left out (`fitness.disturbed`). The gap at which the rod touches the object as given varies
+    along each sweep and is estimated with the rest, with the size that makes the data most likely
     (`Calibration.unevenness`; restricted maximum likelihood, H. D. Patterson, R. Thompson,
     Biometrika 58 (1971) 545-554).
     """
@@ -167,7 +168,7 @@ def calibrate(
         except np.linalg.LinAlgError as error:
             raise CalibrationError(
                 f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} "
-                "and the standard deviations of `prior` have to be of the size that they can have"
+                "and the standard deviations in `prior` have to be physically plausible"
             ) from error
     for line in result.warnings:
         warnings.warn(line, RecordingWarning, stacklevel=2)
@@ -177,7 +178,7 @@ def calibrate(
 def _calibrated(
     problem: Problem, setup: SetupType, names: tuple[str, ...], known: Tolerances | None
 ) -> Calibration[SetupType]:
-    """Fit; hold what the solution shows to be open, and fit on without it."""
+    """Fit; hold what the solution shows to be open, and continue without it."""
     allowed, rod = known or Tolerances(), setup.rod
     states = _states(problem, problem.start, np.zeros((problem.rows.recordings, 1, WRENCH)), rod)
     pivot = _pivot(problem.surface, np.asarray(states.point))
@@ -186,7 +187,7 @@ def _calibrated(
     within = uncertain(rod, allowed)
     if allowed.object_scale > 0:
         within |= dict.fromkeys(parameters(["standoff"], rod), allowed.object_scale * size)
-    # What is not free is bounded by its tolerance; what is has no bounds.
+    # What is not free is bounded by its tolerance; what is free is not.
     fields = {one.field for one in problem.free}
     more = {one: deviation for one, deviation in within.items() if one.field not in fields}
     problem = replace(problem, free=[*problem.free, *more])
@@ -195,7 +196,7 @@ def _calibrated(
     chosen, held = problem.free, dict[str, tuple[str, ...]]()
     linear = _best(problem, states, rod)
     while True:
-        # What is open before all is refined stays so: another fit of it would be in vain.
+        # What is open before refinement stays open: refining it first would be wasted.
         opened = undetermined(linear)
         if not opened:
             linear = _refined(linear)
@@ -228,8 +229,8 @@ def _refined(linear: Linear) -> Linear:
 
 
 def _best(problem: Problem, states: State, rod: Rod) -> Linear:
-    """Fit from the start; where that leaves more than noise, also from a shorter and a longer rod:
-    one in contact along its flank does not show its length.
+    """Fit from the start; if that leaves more than noise, also from a shorter and a longer rod:
+    tangential contact does not show the rod's length.
     """
     values = np.zeros(len(problem.known))
     found = _seeded_anew(fitted(problem, Point(values, states)), rod)
@@ -251,8 +252,8 @@ def _rows_that_fit(linear: Linear) -> float:
 
 
 def _seeded_anew(linear: Linear, rod: Rod) -> Linear:
-    """Where rows do not fit, fit again from states that the found parameters give: rows may be
-    caught on another equilibrium. Keep what fits more rows.
+    """If some rows do not fit, fit again from states computed with the parameters found: rows may
+    be caught on another equilibrium. Keep the fit that suits more rows.
     """
     problem, values = linear.problem, linear.point.values
     if np.all(linear.weights(linear.spread)[problem.rows.contact] == 1):
@@ -274,7 +275,7 @@ def _check_explained(linear: Linear) -> None:
 def _states(
     problem: Problem, bench: Bench, offsets: Float[np.ndarray, "recordings trends 6"], rod: Rod
 ) -> State:
-    """From the reconstruction of each row, its point taken to the nearest of the object."""
+    """From the reconstruction of each row, its point moved to the nearest one on the object."""
     rows, contact = problem.rows, problem.rows.contact
     axes = rows.pose.axes[contact]
     trends = problem.trends[:, : offsets.shape[1]]
@@ -297,7 +298,7 @@ def _states(
 
 
 def _pivot(surface: Surface, points: Vectors) -> Float[np.ndarray, "3"]:
-    """The object's centre where it has one; else the middle of where it was touched."""
+    """The object's centre if it has one; else the middle of the contact points."""
     if isinstance(surface, Placed):
         turn, move = np.asarray(surface.rotation), np.asarray(surface.translation)
         return move + turn @ _pivot(surface.surface, (points - move) @ turn)
@@ -335,7 +336,7 @@ def _result(
         alone=1 / np.sqrt(np.diag(linear.information(linear.weights(1.0)))[:count]),
         slopes=np.array([one.slope(numbers) for one in problem.free]),
     )  # fmt: skip
-    # A drift that was not free is zero, and known.
+    # A drift that was not free is zero, with no error.
     offsets, spreads = np.zeros((2, rows.recordings, 2, WRENCH))
     trends = problem.trends.shape[1]
     offsets[:, :trends] = problem.offsets(linear.point.values)

@@ -1,7 +1,7 @@
-"""What the sensor should read at a pose of its own, and how that changes with every parameter.
+"""What the sensor should read at a given pose, and how that changes with every parameter.
 
-The reading is that of the contact equilibrium (`vibrissa.contact`) under a tangential force that is
-given, with the derivatives of the equations, not of the iterations (implicit function theorem).
+The reading is that of the contact equilibrium (`vibrissa.contact`) under a given tangential force;
+derivatives are those of the equations, not of the iterations (implicit function theorem).
 """
 
 from typing import Any, NamedTuple
@@ -25,50 +25,50 @@ _SOLVED = 1e-9
 """Residual up to which a state counts as an equilibrium: a millionth of any sensor's noise."""
 
 _ASTRAY = 0.5
-"""[L] from its start beyond which a contact is another equilibrium: an unloaded row finds any."""
+"""[L] from its start beyond which a contact is another equilibrium: unloaded rows find any."""
 
 
 class Pose(NamedTuple):
-    """Of the sensor in the world."""
+    """Pose of the sensor in the world."""
 
     position: Float[Any, "*n 3"]
     axes: Float[Any, "*n 3 3"]
 
 
 class State(NamedTuple):
-    """Of the contact, world axes, in units of the rod."""
+    """State of the contact, world axes, in units of the rod."""
 
     point: Float[Any, "*n 3"]
     force: Float[Any, "*n"]
     """Magnitude of the contact force."""
     leaning: Float[Any, "*n 3"]
-    """Tangential force in units of the normal one."""
+    """Tangential force over the normal force."""
 
 
 class Reading(NamedTuple):
-    """Of rows in contact."""
+    """What the sensor reads in rows in contact."""
 
     state: State
     sound: Bool[Any, "*n"]
     """Whether it is an equilibrium, with finite derivatives."""
     wrench: Float[Any, "*n 6"]
-    """Support reaction on the rod as the sensor reads it, its own axes, without tare."""
+    """Support reaction on the rod as the sensor reads it, in its own axes, without tare."""
     by_step: Step
     """Derivatives (…, 6, entries) by small steps of the bench."""
     by_leaning: Float[Any, "*n 6 3"]
     """Derivatives by the tangential force."""
 
     def by_turn(self, arm: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 6 3"]:
-        """Derivatives by a turn of the object about points from which its pivot is `arm` away;
-        those by a turn of sensor and rod about them are the opposite.
+        """Derivatives by a rotation of the object about points from which its pivot is offset by
+        `arm`; a rotation of sensor and rod about them has the opposite sign.
         """
         return self.by_step.turn - self.by_step.shift @ cross_matrices(arm)
 
 
 @lanes(width=16)
 def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading:
-    """Readings of rows in contact, each equilibrium sought from a state, under its tangential
-    force.
+    """Readings of rows in contact, each equilibrium sought from a starting state, under that
+    state's tangential force.
     """
     surface, given = shared
     unit = given.stiffness / given.length**2
@@ -99,7 +99,7 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
         jnp.isfinite(told).all()
         & (jnp.max(jnp.abs(residual)) < _SOLVED)
         & (jnp.linalg.norm(point - start.point) <= _ASTRAY * given.length)
-        # An object pushes: where it would have to pull, the rod does not touch.
+        # An object only pushes: where it would have to pull, the rod does not touch.
         & (magnitude > 0)
     )
     return Reading(State(point, magnitude, start.leaning), sound, wrench, by_step, by_leaning)
@@ -108,7 +108,7 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
 def _touching(
     surface: Surface, bench: Bench, x: Unknowns, leaning: Float[Array, "3"], pose: Pose
 ) -> Touching:
-    """The conditions of contact, off the object as given by the standoff."""
+    """The contact conditions, with the rod held off the object as given by the standoff."""
     scene = Scene(bench.placed(surface), jnp.asarray(bench.length))
     clamp = Clamp(
         (pose.position + pose.axes @ bench.clamp) / bench.length, pose.axes @ bench.axes[:, 2]

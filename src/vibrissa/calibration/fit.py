@@ -1,9 +1,9 @@
-"""The weighted least squares itself: SciPy's trust-region method with Huber's loss of whole rows.
+"""The weighted least-squares fit: SciPy's trust-region method with Huber's loss on whole rows.
 
-Rows of six channels weigh as one, and a hundred unknowns of 10⁵ residuals are found from normal
-equations: hence `scipy.optimize.minimize` with Gauss and Newton's matrix, not `least_squares`.
-Rows that do not fit weigh less, as where the rod swings; what is a row's noise follows from the
-median row. Where the data leave a combination of parameters open, the priors hold it.
+The six channels of a row are weighted as one, and a hundred unknowns are found from 10⁵ residuals
+by normal equations: hence `scipy.optimize.minimize` with the Gauss–Newton matrix, not
+`least_squares`. Rows that do not fit, as where the rod swings, weigh less; the median row sets the
+scale of a row's noise. Where the data leave a combination of parameters open, the priors hold it.
 """
 
 import math
@@ -23,36 +23,36 @@ from vibrissa.calibration.rows import CalibrationError
 _LONGEST_STEP = 0.25
 """First step, in the parameters' scales: a start is off by less."""
 _MANY = 1e3
-"""Standard deviations of offsets that are worth such a step: they follow the parameters."""
+"""Standard deviations of the offsets that equal such a step: offsets follow the parameters."""
 _MOST_STEPS, _MOST_SCALES = 60, 8
 _DONE = 0.03
-"""Step to the minimum, in standard deviations of it, that is not worth taking; nor is a shorter one
-after it has failed: the cost jumps where a row changes its phase.
+"""Step to the minimum, in standard deviations of it, that is not worth taking; a failed step this
+short also ends the search: the cost jumps where a row changes its phase.
 """
 _SETTLED = 0.02
-"""Relative change of the rows' scale that does not change the fit."""
+"""Relative change of the rows' scale that is too small to change the fit."""
 _LEAST_SHARE = 0.5
 _SHORTEST, _LONGEST, _OF_A_CONTACT = 9, 25, 40
 """Rows whose residuals are judged together: a fortieth of those of a contact, within bounds."""
 _CHANCE = 1e-6
-"""How seldom noise alone makes such a stretch look disturbed."""
+"""Probability that noise alone makes such a stretch look disturbed."""
 _MOST_DISTURBED = 0.3
-"""Share of the rows that may be left out: more, and rod or object are others."""
+"""Largest share of rows left out: with more, rod or object are not as stated."""
 _UNEVEN = np.geomspace(1e-5, 1e-3, 13)
-"""Sizes of the unevenness that are tried, in rod lengths: half a micrometre to 50 µm of 50 mm."""
+"""Sizes of the unevenness to try, in rod lengths: for 50 mm, half a micrometre to 50 µm."""
 _BETTER = 4.0
-"""By which −2 ln(likelihood) has to be better than without: two standard deviations."""
+"""How much better −2 ln(likelihood) must be than without: two standard deviations."""
 _LITTLE = 1e-9
-"""Information, in units of 1, that stands for none."""
+"""Information that stands for none, on a diagonal scaled to 1."""
 
 
 def fitted(problem: Problem, start: Point) -> Linear:
-    """Least-squares solution from a start, of values that may be those of fewer unknowns.
+    """Least-squares solution from a start, whose values may be for fewer unknowns.
 
     Raises
     ------
     CalibrationError
-        If for less than half of the rows an equilibrium is found near the start.
+        If fewer than half of the rows have an equilibrium near the start.
     """
     values = np.zeros(len(problem.known))
     values[: len(start.values)] = start.values[: len(values)]
@@ -68,18 +68,18 @@ def fitted(problem: Problem, start: Point) -> Linear:
 
 
 def check_equilibria(linear: Linear) -> None:
-    """Raise CalibrationError if less than half of the rows in contact have an equilibrium."""
+    """Raise CalibrationError if fewer than half of the rows in contact have an equilibrium."""
     share = float(np.mean(linear.sound[linear.problem.rows.contact]))
     if share < _LEAST_SHARE:
         raise CalibrationError(
-            f"for {share:.0%} of the samples in contact the rod has an equilibrium on the object "
-            f"as given; needed are at least {_LEAST_SHARE:.0%}: check the object's shape and pose, "
-            "the clamp's pose, and the rod's length"
+            f"for only {share:.0%} of the samples in contact the rod has an equilibrium on the "
+            f"object as given; at least {_LEAST_SHARE:.0%} are needed: check the object's shape "
+            "and pose, the clamp's pose, and the rod's length"
         )
 
 
 def _descended(start: Linear, scale: float) -> Linear:
-    """The minimum of the cost for rows of this scale, or a point where they show another scale."""
+    """The cost's minimum for rows of this scale, or a point where they show another scale."""
     problem = start.problem
     limit = scale * problem.outlying
     offsets = np.diag(start.information(start.weights(scale)))[len(problem.free) :]
@@ -96,7 +96,7 @@ def _descended(start: Linear, scale: float) -> Linear:
         return tried
 
     def cost(x: Unknowns) -> float:
-        """Huber's of the length of each row, constant far out and without equilibrium."""
+        """Huber's loss of each row's length, constant far out and without equilibrium."""
         there = at(x)
         near = np.minimum(np.where(there.sound, there.length, np.inf), FAR_OUT * limit)
         prior = problem.known * there.point.values
@@ -127,11 +127,11 @@ def _descended(start: Linear, scale: float) -> Linear:
 
 
 def disturbed(linear: Linear) -> Chosen:
-    """Rows in contact (n,) where many in a row do not fit, with as many before and behind: there
-    the rod swings, or sticks and slips.
+    """Rows in contact (n,) where many in succession do not fit, with as many before and after:
+    there the rod swings, or sticks and slips.
 
-    None where that would be more than three rows in ten: then it is not the rod that is disturbed,
-    but rod or object are others.
+    None if that would be more than three rows in ten: then the motion is not disturbed, but rod or
+    object are not as stated.
     """
     problem, square = linear.problem, linear.spread**2
     cap = square * chi2.isf(OUTLYING, problem.freedom)
@@ -147,8 +147,8 @@ def disturbed(linear: Linear) -> Chosen:
 
 
 def unevenness(linear: Linear) -> float:
-    """Size [units of the rod] of the unevenness that makes the data most likely, all else unknown;
-    0 if that is no better than none.
+    """Size [units of the rod] of the unevenness that makes the data most likely, with all else
+    unknown; 0 if that is no better than none.
 
     Restricted maximum likelihood of the problem linearised about the point, over all other unknowns
     (Patterson and Thompson 1971).

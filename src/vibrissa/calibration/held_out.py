@@ -14,11 +14,11 @@ from vibrissa.calibration.statistics import UNDETERMINED
 from vibrissa.surfaces import Surface
 
 _STRETCHES = 8
-"""Of a single recording: short enough that every other one sees the whole sweep."""
+"""Stretches of a single recording: short enough that every other one samples the whole sweep."""
 _NODES = 33
-"""Of the rod: 1.5 mm apart on 50 mm, between which objects are nearly flat."""
+"""Points on the rod: 1.5 mm apart on 50 mm, between which objects are nearly flat."""
 _TOLD = 1e-6
-"""Share of a variance that a part of the data has to take away to have a say."""
+"""Share of a variance that a part of the data must remove to count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +28,15 @@ class HeldOut:
     Attributes
     ----------
     part
-        "recordings[i]" for one of several sweeps; of a single one "even stretches" and "odd
+        "recordings[i]" for one of several sweeps; for a single one, "even stretches" or "odd
         stretches" of eight.
     rows
         How many rows in contact were held out.
     reduced_chi_square
-        Mean square of their residuals over that of their noise and of the prediction's: 1 where
-        what the rest shows holds for them.
+        Mean square of their residuals over that expected from their noise and the prediction's: 1
+        where what the rest shows holds for them.
     parameter, move
-        The one that would move most if this part were left out, and by how much, in standard
+        The parameter that would move most if this part were left out, and by how much, in standard
         deviations of such a move.
     """
 
@@ -48,11 +48,11 @@ class HeldOut:
 
 
 def held_out(linear: Linear, weight: Numbers, inflation: float) -> tuple[HeldOut, ...]:
-    """Leave each recording out, or of one recording alternate stretches, and predict it from the
+    """Leave out each recording, or alternate stretches of a single one, and predict it from the
     others, where these determine all that is free.
 
-    Prediction is by a Gauss–Newton step from the solution, each row's contact following by its
-    derivatives; tare and drift stay those of the rest rows.
+    The prediction is a Gauss–Newton step from the solution, in which each row's contact follows by
+    its derivatives; tare and drift stay those of the rows at rest.
     """
     problem, contacts = linear.problem, linear.problem.rows.contacts
     named = {f"recordings[{index}]": own for index, own in enumerate(contacts)}
@@ -71,14 +71,14 @@ def held_out(linear: Linear, weight: Numbers, inflation: float) -> tuple[HeldOut
 
 
 class Part(NamedTuple):
-    """Whitened residuals at the solution of all data, k of them."""
+    """A part's whitened residuals at the solution for all data, k of them."""
 
     name: str
     rows: int
     conditions: int
-    """That they add."""
+    """How many conditions they add."""
     design: Float[np.ndarray, "k u"]
-    """Derivatives, with the sign that unknowns larger by a step leave `left - design @ step`."""
+    """Derivatives, signed so that a step of the unknowns leaves `left - design @ step`."""
     left: Float[np.ndarray, "k"]
 
 
@@ -88,15 +88,15 @@ def predicted_by_others(
     free: Sequence[Parameter],
     inflation: float,
 ) -> tuple[HeldOut, ...]:
-    """Each part predicted by a Gauss-Newton step from the solution of all, where the others
+    """Predict each part by a Gauss–Newton step from the solution for all, where the others
     determine all parameters.
 
     Parameters
     ----------
     parts
-        What is left out in turn.
+        What to leave out in turn.
     total
-        Information of all parts and priors on the unknowns, of which `free` are the first.
+        Information on the unknowns from all parts and priors; the first unknowns are `free`.
     free, inflation
         The parameters, and the factor by which the variance of all residuals is larger than stated.
     """
@@ -116,7 +116,7 @@ def predicted_by_others(
         step = -others @ part.design.T @ part.left
         predicted = part.left - part.design @ step
         expected = part.conditions + float(np.sum(own * others))
-        # What a prior holds does not move, and the difference of both variances is rounding.
+        # What a prior holds does not move: the difference of the two variances is rounding.
         variance = np.diag(others - whole)[:count]
         told = variance > _TOLD * own_variances
         deviations = np.sqrt(inflation * np.where(told, variance, np.inf))
@@ -128,8 +128,8 @@ def predicted_by_others(
 
 
 def first_contacts(surface: Surface, linear: Linear) -> Float[np.ndarray, "recordings"]:
-    """By how much the straight rod contradicts the loads: how far it stays off the object where
-    they begin, or how deep it is inside just before.
+    """By how much the straight rod contradicts the loads: how far it is from the object where they
+    begin, or how deep inside just before.
     """
     rows, bench = linear.problem.rows, linear.bench
     along = np.linspace(0.0, 1.0, _NODES)[1:, None] * bench.length * bench.axes[:, 2]

@@ -1,7 +1,7 @@
-"""What a taper and a curvature at rest of the rod would change in the readings.
+"""How a taper and a rest curvature of the rod would change the readings.
 
-Neither is a parameter of the model. To first order each moves the contact that a given force makes;
-the readings change as if the clamp were moved by as much.
+Neither is a parameter of the model. To first order, each moves the contact under a given force; the
+readings change as if the clamp were moved by as much.
 """
 
 import numpy as np
@@ -13,9 +13,9 @@ from vibrissa.mechanics.imperfect import Imperfect
 
 
 def imperfect_moves(wrench: Wrenches) -> Float[np.ndarray, "n 3 3"]:
-    """Derivatives of the contact, under the force that it has, by a taper (the share of the radius
-    lost at the tip) and by curvatures at rest towards the clamp's axes x and y: from base wrenches
-    (n, 6) of the ideal rod, clamp axes and model units.
+    """Derivatives of the contact, at constant force, by a taper (the share of the radius lost at
+    the tip) and by rest curvatures towards the clamp's x and y axes: from base wrenches (n, 6) of
+    the ideal rod, in clamp axes and model units.
     """
     count = len(wrench)
     ideal = Imperfect(wrench, np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
@@ -23,7 +23,7 @@ def imperfect_moves(wrench: Wrenches) -> Float[np.ndarray, "n 3 3"]:
     tip = here.value[:, TIP] < -here.value[:, TANGENT]
     constraints, point = here.by_rod
     slopes = constraints[holding(tip)].reshape(count, 3, -1)
-    # The moment at the base follows, so that the constraints of the contact hold.
+    # The base moment follows, so that the constraints of the contact hold.
     moment, imperfect = np.s_[..., 3:6], np.s_[..., 6:9]
     follows = -np.linalg.solve(slopes[moment], slopes[imperfect])
     return np.asarray(point[imperfect] + point[moment] @ follows)

@@ -1,4 +1,4 @@
-"""What can be calibrated: names, units, and where it stands in the bench."""
+"""What can be calibrated: names, units, and places in the bench."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -33,17 +33,17 @@ class Parameter:
     Attributes
     ----------
     name
-        Of the parameter, with its axis or channel.
+        Name of the parameter, with its axis or channel.
     group
-        The name under which `free` and `prior` know it.
+        Its name in `free` and `prior`.
     unit
-        Of its value and its standard deviation.
+        Unit of its value and standard deviation.
     field, entries
         The numbers of a `Step` that it changes together.
     scale
-        A step that would be a gross change: by what parameters of different units are compared.
+        A step that would be a gross change, to compare parameters of different units.
     factor
-        Its value over the bench's number.
+        Ratio of its value to the bench's number.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Parameter:
     factor: float
 
     def value(self, numbers: Step) -> float:
-        """Among the numbers of a bench."""
+        """Its value, from the numbers of a bench."""
         return self.factor * float(getattr(numbers, self.field)[self.entries[0]])
 
     def slope(self, numbers: Step) -> float:
@@ -63,12 +63,12 @@ class Parameter:
         return self.value(numbers) if self.field in LOGARITHMIC else 1.0
 
     def column(self, derivatives: Step) -> Float[np.ndarray, "n 6"]:
-        """Of derivatives by the numbers of a step (n, 6, entries)."""
+        """Its derivatives, from those by the numbers of a step (n, 6, entries)."""
         return np.asarray(getattr(derivatives, self.field)[..., list(self.entries)].sum(axis=-1))
 
 
 def default_names(rod: Rod) -> tuple[str, ...]:
-    """What is free unless stated."""
+    """What is free by default."""
     return (STIFFNESS[rod.radius is None], *_DEFAULT)
 
 
@@ -102,7 +102,7 @@ def parameters(names: Iterable[str], rod: Rod) -> list[Parameter]:
     Raises
     ------
     ValueError
-        If a name is unknown, twice, or contradicts another.
+        If a name is unknown, repeated, or conflicts with another.
     """
     wanted, known = list(names), _all(rod)
     allowed = (*dict.fromkeys(one.group for one in known), *_OFFSETS)
@@ -149,7 +149,7 @@ def checked_prior(prior: Mapping[str, float] | None, names: Iterable[str]) -> di
 
 
 def uncertain(rod: Rod, tolerances: Tolerances) -> dict[Parameter, float]:
-    """Parameters with a tolerance, and this in their steps."""
+    """Parameters with a tolerance, and that tolerance as a step of each."""
     deviations = {
         STIFFNESS[rod.radius is None]: np.hypot(tolerances.youngs_modulus, 4 * tolerances.radius),
         "length": tolerances.length / rod.length,
@@ -167,7 +167,7 @@ def uncertain(rod: Rod, tolerances: Tolerances) -> dict[Parameter, float]:
 
 
 def stepped(free: list[Parameter], values: Float[np.ndarray, "parameters"]) -> Step:
-    """Steps of parameters as one of the bench."""
+    """Steps of parameters, as one step of the bench."""
     step = Step(*map(np.copy, NO_STEP))
     for one, value in zip(free, values, strict=True):
         getattr(step, one.field)[list(one.entries)] += value

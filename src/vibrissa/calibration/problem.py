@@ -1,9 +1,9 @@
-"""What is fitted to what, and the problem linearised about a point.
+"""The data and unknowns of the fit, and the problem linearised about a point.
 
-Unknown are the parameters, of each recording the tare and, if it is free, the drift, how uneven the
-object is, and with friction of each row the tangential force. Of this only a standard deviation is
-known, the coefficient of friction: it adds to the row's covariance, and its estimate follows from
-what the row leaves (a Gaussian unknown, marginalised).
+The unknowns are the parameters, the tare of each recording and, if free, its drift, the object's
+unevenness and, with friction, the tangential force of each row. Only a standard deviation of that
+force is known, the friction coefficient: it adds to the row's covariance, and the force's estimate
+follows from the row's residual (a Gaussian unknown, marginalised).
 """
 
 from dataclasses import dataclass, replace
@@ -27,21 +27,21 @@ WRENCH = 6
 PLACES = 24
 """Places along a contact between which the surface's unevenness is interpolated."""
 OUTLYING = 1e-3
-"""How seldom noise alone is farther out than where rows begin to weigh less."""
+"""Probability that noise alone lies beyond the distance from which rows weigh less."""
 FAR_OUT = 3.0
-"""Of that distance: rows farther out say nothing."""
+"""Multiple of that distance beyond which rows have no weight."""
 _MOST_LEANING = 3.0
-"""Tangential force over the normal one: no pair of materials has more."""
+"""Largest tangential force over normal force: no pair of materials has more."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted to what.
+    """The data and unknowns of the fit.
 
     Attributes
     ----------
     surface
-        The object where it was given.
+        The object at its given pose.
     rows
         The data.
     start
@@ -49,18 +49,17 @@ class Problem:
     free
         Parameters of the bench.
     prior
-        (parameters,) standard deviations of their steps before the data.
+        (parameters,) prior standard deviations of their steps.
     drift
-        Whether it is free, with the standard deviation of one sample over a recording before the
-        data.
+        Whether drift is free; its prior standard deviation over a recording is that of one sample.
     friction
         Coulomb's coefficient: the standard deviation given to each tangential force, in units of
-        the normal one. Each row shows its own.
+        the normal force. Each row has its own.
     disturbed
-        (n,) rows that are left out, since they lie in a stretch that no equilibrium explains.
+        (n,) rows left out because they lie in a stretch that no equilibrium explains.
     unevenness
-        Standard deviation by which the rod is taken to touch off the object as given, along its
-        normal, changing along the sweep; 0 for none.
+        Standard deviation assumed for the gap at which the rod touches the object as given, along
+        the normal and varying along the sweep; 0 for none.
     """
 
     surface: Surface
@@ -75,12 +74,12 @@ class Problem:
 
     @property
     def freedom(self) -> int:
-        """Independent numbers of a row in contact: six, less the two of the tangential force."""
+        """Degrees of freedom of a row in contact: six, less two for a tangential force."""
         return WRENCH - 2 if self.friction > 0 else WRENCH
 
     @property
     def outlying(self) -> float:
-        """Length of a residual from which a row weighs less."""
+        """Residual length from which a row weighs less."""
         return float(np.sqrt(chi2.isf(OUTLYING, self.freedom)))
 
     @property
@@ -95,7 +94,7 @@ class Problem:
 
     @cached_property
     def hats(self) -> Float[np.ndarray, "n places"]:
-        """Share of each place in the unevenness at a row: piecewise linear in time, from the first
+        """Weight of each place in the unevenness at a row: piecewise linear in time, from the first
         to the last row in contact; 0 at rest.
         """
         places = np.arange(PLACES if self.unevenness > 0 else 0)
@@ -108,7 +107,7 @@ class Problem:
 
     @cached_property
     def known(self) -> Unknowns:
-        """Inverse standard deviations of all unknowns before the data."""
+        """Inverse prior standard deviations of all unknowns."""
         rows = self.rows
         variances = np.diagonal(rows.covariance, axis1=1, axis2=2) * rows.samples[:, None]
         of_sample = [
@@ -120,12 +119,12 @@ class Problem:
         return np.concatenate([1 / self.prior, offsets.ravel(), uneven])
 
     def bench(self, values: Unknowns) -> Bench:
-        """After steps of the parameters, the first of the unknowns."""
+        """The bench after steps of the parameters, the first of the unknowns."""
         step = stepped(self.free, values[: len(self.free)])
         return jax.tree.map(np.asarray, moved_at_once(self.start, step))
 
     def offsets(self, values: Unknowns) -> Float[np.ndarray, "recordings trends 6"]:
-        """Tare and drift among the unknowns, or among numbers that belong to them."""
+        """Tare and drift among the unknowns, or among numbers in the same order."""
         shape = (self.rows.recordings, self.trends.shape[1], WRENCH)
         return values[len(self.free) :][: np.prod(shape)].reshape(shape)
 
@@ -134,25 +133,25 @@ class Point(NamedTuple):
     """Where the iteration is."""
 
     values: Unknowns
-    """Steps of the parameters since the start, tare and drift, and how far off the object as given
-    the rod touches at places along each contact.
+    """Steps of the parameters since the start, tare and drift, and the gaps at which the rod
+    touches the object as given, at places along each contact.
     """
     states: State
-    """Of the rows in contact."""
+    """States of the rows in contact."""
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The problem about a point.
+    """The problem linearised about a point.
 
     Attributes
     ----------
     problem, point, bench
-        What it is of, and where.
+        The problem, the point, and the bench there.
     reading
-        Of all rows, 0 without contact or equilibrium.
+        Of all rows; 0 for those without contact or equilibrium.
     sound
-        (n,) rows that rest or have an equilibrium.
+        (n,) rows at rest or with an equilibrium.
     predicted
         (n, 6) readings.
     left
@@ -160,12 +159,12 @@ class Linear:
     design
         (n, 6, unknowns) derivatives of the readings.
     weighing
-        (n, 6, 6) what takes readings to independent noise of deviation 1, tangential forces being
-        noise; 0 for rows that are not sound.
+        (n, 6, 6) whitens readings to independent noise of deviation 1, tangential forces counting
+        as noise; 0 for rows that are not sound.
     channels
-        (n, 6, 6) the same for what is left when the tangential force is estimated.
+        (n, 6, 6) the same for what is left once the tangential force is estimated.
     leaning
-        (n, 3, 6) from what is left to tangential forces.
+        (n, 3, 6) maps what is left to tangential forces.
     """
 
     problem: Problem
@@ -182,7 +181,7 @@ class Linear:
 
     @cached_property
     def residual(self) -> Wrenches:
-        """What is left, in standard deviations."""
+        """What is `left`, in standard deviations."""
         return by_rows(self.weighing, self.left)
 
     @cached_property
@@ -197,7 +196,7 @@ class Linear:
 
     @cached_property
     def length(self) -> Numbers:
-        """Of the residuals."""
+        """Length of each row's residual."""
         return np.linalg.norm(self.residual, axis=1)
 
     @property
@@ -214,7 +213,7 @@ class Linear:
         return max(1.0, float(np.sqrt(median / chi2.median(self.problem.freedom))))
 
     def weights(self, scale: float) -> Numbers:
-        """Weights (n,): 1 for 999 of 1000 rows of noise of this scale, less as Huber's beyond, and
+        """Weights (n,): 1 for 999 of 1000 rows with noise of this scale, Huber's weight beyond, and
         0 far out, without equilibrium or in a disturbed stretch.
         """
         limit = scale * self.problem.outlying
@@ -228,13 +227,14 @@ class Linear:
         return flat.T @ flat + np.diag(self.problem.known**2)
 
     def downhill(self, weight: Numbers) -> Unknowns:
-        """Σ JᵀWr with the priors: the gradient of half the cost, with the opposite sign."""
+        """Σ JᵀWr with the priors: the negative gradient of half the cost."""
         pull = np.einsum("n,nku,nk->u", weight, self.jacobian, self.residual, optimize=True)
         return pull - self.problem.known**2 * self.point.values
 
     def nearby(self, values: Unknowns) -> Point:
-        """Other values of the unknowns: the rows' states follow in the next linearisation,
-        tangential forces at once. Rows without equilibrium start from their nearest neighbour's.
+        """A point with other values of the unknowns: the rows' states follow in the next
+        linearisation, tangential forces at once. Rows without equilibrium start from the state of
+        their nearest neighbour that has one.
         """
         left = self.left - self.design @ (values - self.point.values)
         forces = np.clip(by_rows(self.leaning, left), -_MOST_LEANING, _MOST_LEANING)
@@ -248,7 +248,7 @@ class Linear:
         return Point(values, jax.tree.map(lambda part: part[own], state))
 
     def without(self, names: "dict[str, tuple[str, ...]]") -> tuple[Problem, Point]:
-        """The problem with some parameters held, and an even object, and where to go on from."""
+        """The problem with some parameters held and an even object, and where to continue from."""
         problem, (values, states) = self.problem, self.point
         keep = [one.name not in names for one in problem.free]
         left = replace(
@@ -262,7 +262,7 @@ class Linear:
 
 
 def by_rows(matrix: Float[np.ndarray, "n i j"], vector: Float[np.ndarray, "n j"]) -> np.ndarray:
-    """Each row's matrix by its vector (n, i)."""
+    """Each row's matrix times its vector (n, i)."""
     return np.einsum("nij,nj->ni", matrix, vector)
 
 
@@ -287,7 +287,7 @@ def linearised(problem: Problem, point: Point) -> Linear:
     shape = (len(rows.time), WRENCH, -1)
     design = np.concatenate([parameters, offsets.reshape(shape), uneven.reshape(shape)], axis=2)
     predicted = reading.wrench + design[..., count:] @ point.values[count:]
-    # The torque's and the pose's noise, in what the sensor reads.
+    # Noise of wrench and pose, in the readings.
     noise = rows.noise
     turn = reading.by_turn(bench.center - noise.center)
     covariance = (

@@ -28,17 +28,17 @@ class Estimate:
     name, unit
         What it is.
     given, value
-        Before and after. Of `clamp_orientation` the components of the rotation vector from the
-        given to the calibrated orientation, in the clamp's axes; of `object_position` and
-        `object_orientation` the move from where the object was given, in world axes, the turn about
-        `Calibration.pivot`.
+        Before and after. For `clamp_orientation`, the components of the rotation vector from the
+        given to the calibrated orientation, in the clamp's axes; for `object_position` and
+        `object_orientation`, the shift and the rotation from where the object was given, in world
+        axes, the rotation about `Calibration.pivot`.
     deviation
         Standard deviation; NaN where the parameter was held.
     determined
-        Whether the data determine it; else it was held as given.
+        Whether the data determine it; otherwise it was held as given.
     holds_for
-        Parameters that were held and from which it cannot be told apart: value and interval are
-        right if those are.
+        Held parameters from which it cannot be told apart: its value and interval are right if
+        theirs are.
     """
 
     name: str
@@ -72,7 +72,7 @@ def concluded(
     alone: Float[np.ndarray, "k"],
     slopes: Float[np.ndarray, "k"],
 ) -> tuple[dict[str, Estimate], Square, Identifiability]:
-    """Estimates of all that was to be free, by name, the covariance of what was determined, and
+    """Estimates of all that was to be free, by name; the covariance of what was determined; and
     what the data cannot tell apart.
 
     Parameters
@@ -80,8 +80,8 @@ def concluded(
     bench
         As found.
     covariance, alone, slopes
-        Of the steps of what was determined; their deviations if all others were known; and what
-        makes changes of the values of them.
+        Covariance of the steps of what was determined; the deviation of each if all others were
+        known; and factors from steps to changes of the values.
     """
     start, deviations = bench_of(setup.rod, setup.sensor), np.sqrt(np.diag(covariance))
     given, found = (one.numbers(setup.sensor) for one in (start, bench))
@@ -114,24 +114,24 @@ def concluded(
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Rows that were fitted: samples, or means of neighbouring samples.
+    """The fitted rows: samples, or means of neighbouring samples.
 
     Attributes
     ----------
     recording, time
         (n,) index of the recording, and time [s].
     contact
-        (n,) whether the rod touches; else it is at rest.
+        (n,) whether the rod touches; otherwise it is at rest.
     reading, predicted
         (n, 6) force [N] and torque [N m] on the rod, in the sensor's axes, about its wrench point,
         less the tare of the reactions that were given.
     whitened
-        (n, 6) their difference in standard deviations of a row, made independent of each other:
-        white noise of variance 1 where the model is right.
+        (n, 6) their difference, whitened by each row's covariance: white noise of variance 1 where
+        the model is right.
     weight
         (n,) 1, less for rows that do not fit, 0 for rows without equilibrium.
     chi_square
-        (n,) squared length of what is left of the difference.
+        (n,) squared length of the whitened difference.
     """
 
     recording: Int[np.ndarray, "n"]
@@ -151,9 +151,9 @@ class Calibration(Generic[SetupType]):
     Attributes
     ----------
     setup
-        With the calibrated rod, sensor and, where its pose was free, surface.
+        With the calibrated rod, sensor and, if its pose was free, surface.
     surface
-        The object, where it was found to be; None where none was known.
+        The object at the pose found; None if no object was known.
     estimates
         One for each free number, by name.
     covariance
@@ -164,35 +164,35 @@ class Calibration(Generic[SetupType]):
     residuals
         What the model leaves unexplained.
     fitness
-        Whether noise explains it.
+        Whether noise explains that.
     tare, tare_deviation
-        (recordings, 6) what was left of the tare at the middle of each recording, as force [N] and
-        torque [N m] on the rod in the sensor's axes.
+        (recordings, 6) remaining tare at the middle of each recording, as force [N] and torque
+        [N m] on the rod in the sensor's axes.
     drift, drift_deviation
-        (recordings, 6) from start to end.
+        (recordings, 6) change from start to end.
     pivot
         (3,) point about which the object was turned.
     pose
         Rotation matrix (3, 3) and translation (3,) that take the object from where it was given to
         where it was found.
     friction
-        Coulomb's coefficient that was given.
+        Coulomb's coefficient, as given.
     unevenness
-        Standard deviation by which the rod touches off the object as given, along its normal,
-        changing along the sweep, as the data show it; 0 for none. Estimates and intervals allow for
-        it.
+        Standard deviation of the gap at which the rod touches the object as given, along the normal
+        and varying along the sweep, as shown by the data; 0 for none. Estimates and intervals allow
+        for it.
     free
         Names that were free.
     warnings
-        What speaks against setup, object or result, one sentence each; empty where all is well.
+        What speaks against setup, object or result, one sentence each; empty if all is well.
     held_out
-        Each recording, or of one recording alternate stretches, predicted from the rest; without an
+        Each recording, or alternate stretches of a single one, predicted from the rest; without an
         object, each of several recordings.
     first_contact
-        (recordings,) by how much the straight rod as calibrated contradicts where the loads begin,
-        as a distance [m]; 0 where it agrees.
+        (recordings,) distance [m] by which the straight rod as calibrated contradicts where the
+        loads begin; 0 where it agrees.
     tolerances
-        That entered the covariance, or None.
+        Those that entered the covariance, or None.
     """
 
     setup: SetupType

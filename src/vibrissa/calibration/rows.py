@@ -1,7 +1,7 @@
 """From recordings to the rows that a calibration is fitted to.
 
-Rows in contact hold the rod's mechanics, rows at rest the tare. What lies between, at first contact
-and after detachment, is left out: there the rod swings.
+Rows in contact show the rod's mechanics, rows at rest the tare. What lies between, at first contact
+and after detachment, is left out, as the rod swings there.
 """
 
 from collections.abc import Iterable
@@ -19,27 +19,27 @@ from vibrissa.reactions import Reactions
 from vibrissa.sensor import RawRecording, Sensor
 
 _WINDOW = 9
-"""Samples over which the force is averaged before it is judged, in deviations of one sample: at
-rest |mean| is 0.58, and above 1.7 once in 10⁵."""
+"""Samples over which the force is averaged before it is judged. In deviations of one sample, |mean|
+is 0.58 at rest, and above 1.7 once in 10⁵."""
 _LOADED = 8.0
-"""Deviations from which it is a contact: five times what rest shows, and 2 % of a usual force."""
+"""Deviations from which it is a contact: five times those at rest, and 2 % of a usual force."""
 _OWN = 4.0
-"""Deviations of the sample's own force in contact: beside a jump only the average shows a load.
-Rest shows them once in a thousand samples, such a contact falls short of them in 10⁵."""
+"""Deviations of the sample's own force in contact: next to a jump only the average shows a load. At
+rest one sample in a thousand exceeds them; in such a contact one in 10⁵ falls short of them."""
 _ALARM, _STIRRED = 1.7, 0.01
-"""Deviations that rest does not show, and the share of a stretch's samples that may."""
+"""Deviations not seen at rest, and the share of a stretch's samples that may show them."""
 _MOST_LOADED = 0.25
-"""Share of the samples of a stated tare in contact from which it was not taken at rest."""
+"""Share of a stated tare's samples in contact above which it was not taken at rest."""
 _MARGIN = 0.03
 """Share of a recording before and after the contact that is not counted as rest: the rod swings."""
 _MOST_ROWS, _REST_ROWS = 3000, 50
-"""Of a recording: more are averaged, as neighbours say the same."""
+"""Rows per recording: more are averaged, as neighbours say the same."""
 _FEWEST = 30
-"""Samples from which a variance is known to a quarter."""
+"""Samples that give a variance to within a quarter."""
 
 
 class CalibrationError(ValueError):
-    """Recordings that cannot be calibrated from: the text says why, and what is needed."""
+    """Recordings that cannot be used to calibrate: the text says why, and what is needed."""
 
 
 class PoseNoise(NamedTuple):
@@ -92,7 +92,7 @@ def gathered(sweeps: list[Reactions], sensor: Sensor) -> Rows:
     ------
     CalibrationError
         If a sweep has no contact, no rest, or too few samples of either; if the noise is neither
-        known nor to be seen.
+        known nor visible in the data.
     """
     return _joined(_rows(index, one, sensor) for index, one in enumerate(sweeps))
 
@@ -102,12 +102,12 @@ def _joined(parts: Iterable[Rows]) -> Rows:
 
 
 def sweeps_of(recordings: list[Reactions | RawRecording], sensor: Sensor) -> list[Reactions]:
-    """Reactions on each trail, from raw recordings as the sensor takes them.
+    """Reactions on each trail; for raw recordings, as the sensor computes them.
 
     Raises
     ------
     ValueError
-        If a recording is neither, or there is none.
+        If a recording is of neither type, or there is none.
     """
     found: list[Reactions] = []
     for recording in recordings:
@@ -124,7 +124,7 @@ def sweeps_of(recordings: list[Reactions | RawRecording], sensor: Sensor) -> lis
 
 
 def _samples(index: int, given: Reactions, sensor: Sensor) -> Rows:
-    """A row for each sample, with the mount undone that the reactions were made with; without noise
+    """A row for each sample, undoing the mount that the reactions were computed with; without noise
     where it is not known.
     """
     pose, count = sensor.frame(given.trail), given.trail.count
@@ -163,7 +163,7 @@ def _rows(index: int, given: Reactions, sensor: Sensor) -> Rows:
     finite = np.isfinite(given.force).all(axis=1) & np.isfinite(given.moment).all(axis=1)
     needs(
         np.count_nonzero(finite) >= _FEWEST,
-        f"{np.count_nonzero(finite)} samples hold numbers; needed are at least {_FEWEST}",
+        f"{np.count_nonzero(finite)} samples hold numbers; at least {_FEWEST} are needed",
     )
     samples = _samples(index, given, sensor)
     seconds, noise = samples.seconds - samples.seconds[0], samples.covariance
@@ -188,19 +188,19 @@ def _rows(index: int, given: Reactions, sensor: Sensor) -> Rows:
     needs(
         not np.any(tared) or np.mean(strength[tared] > _LOADED) <= _MOST_LOADED,
         f"the force changes within tare_seconds = {sensor.tare_seconds} by more than {_LOADED:g} "
-        "times its noise; needed is a start free of contact",
+        "times its noise; a start free of contact is needed",
     )
     loaded = (strength > _LOADED) & (np.linalg.norm(force, axis=1) / deviation > _OWN)
     contact, rest = (part & finite for part in _stretches(seconds, strength, loaded, tare_seconds))
     needs(
         np.count_nonzero(contact) >= _FEWEST,
         f"{np.count_nonzero(contact)} samples are in contact with more than {_LOADED:g} times the "
-        f"force's noise; needed are at least {_FEWEST}: does the rod touch, and is the wrench's "
+        f"force's noise; at least {_FEWEST} are needed: does the rod touch, and is the wrench's "
         "sign right?",
     )
     needs(
         np.count_nonzero(rest) >= 2,
-        "no sample is at rest and free of contact; needed is a start free of contact, which "
+        "no sample is at rest and free of contact; a start free of contact is needed, which "
         "`tare_seconds` may name",
     )
     samples = samples._replace(covariance=noise, contact=contact)
@@ -210,7 +210,7 @@ def _rows(index: int, given: Reactions, sensor: Sensor) -> Rows:
 def _stretches(
     seconds: Numbers, strength: Numbers, contact: Chosen, tare_seconds: float
 ) -> tuple[Chosen, Chosen]:
-    """Samples in contact, and samples at rest: the start free of contact, and the end if it is."""
+    """Samples in contact, and samples at rest: the start free of contact, and the end if so too."""
     rest = seconds < tare_seconds
     margin = max(_MARGIN * seconds[-1], _WINDOW * float(np.median(np.diff(seconds))))
     if tare_seconds == 0:
@@ -225,7 +225,7 @@ def _stretches(
 
 
 def _averaged(samples: Rows, chosen: Chosen, most: int) -> Rows:
-    """Means of neighbouring chosen samples, as many as keeps the rows to about `most`."""
+    """Means of neighbouring chosen samples, over as many as it takes to get about `most` rows."""
     index = np.flatnonzero(chosen)
     size = -(-len(index) // most)
     run = np.cumsum(np.diff(index, prepend=index[0] - 1) > 1)

@@ -1,5 +1,5 @@
-"""Score tests: how much better the readings would be explained if something that is held were other
-than stated (C. R. Rao 1948).
+"""Score tests: how much better the readings would be explained if something that is held were not
+as stated (C. R. Rao 1948).
 """
 
 from typing import NamedTuple
@@ -15,30 +15,30 @@ from vibrissa.rod import Rod
 from vibrissa.tolerances import Tolerances
 
 _ROWS = 1200
-"""Of which the tests are made: enough for causes that matter, few enough to be quick."""
+"""Rows used for the tests: enough for causes that matter, few enough to be quick."""
 _ROUNDS = 8
-"""Of reweighting, after which Huber's cost changes by less than a thousandth."""
+"""Rounds of reweighting, after which Huber's cost changes by less than a thousandth."""
 _LITTLE = 1e-12
 """Information that stands for none, so that equations can be solved."""
 
 
 class Score(NamedTuple):
-    """Of one suspect."""
+    """Score of one suspect."""
 
     suspect: Suspect
     value: Float[np.ndarray, "m"]
-    """Its numbers, from stated to what the data want."""
+    """Change of its numbers from what is stated to what the data want."""
     significance: float
-    """In standard deviations: √ of the cost that it takes off, where what is then left is taken as
+    """In standard deviations: √ of the cost that it removes, with what is then left taken as
     noise.
     """
 
 
 def scores(linear: Linear, rod: Rod, tolerances: Tolerances, inflation: float) -> list[Score]:
-    """Scores of all that is held and may be other than stated, most significant first.
+    """Scores of everything that is held and may not be as stated, most significant first.
 
-    All rows count, those too that were left out as disturbed: leaving them out may be what hides
-    the cause. With friction known they do not: where the rod sticks no coefficient explains the
+    All rows count, even those left out as disturbed: leaving them out may be what hides the cause.
+    With friction given those do not count: where the rod sticks, no coefficient explains the
     readings. Each row's cost is at most Huber's.
 
     Parameters
@@ -54,7 +54,7 @@ def scores(linear: Linear, rod: Rod, tolerances: Tolerances, inflation: float) -
     found = []
     for suspect in suspects(linear, rod, tolerances):
         cost, value = _settled(linear, rows, every, suspect.columns)
-        # A cause is judged by what it leaves: of the inflation as large a share as of the cost.
+        # A cause is judged by what it leaves: the inflation shrinks with the cost.
         noise = max(1.0, inflation * cost / base if cost > expected else 1.0, cost / expected)
         significance = float(np.sqrt(max(0.0, base - cost) * every / noise))
         found.append(Score(suspect, value, significance))
@@ -64,8 +64,8 @@ def scores(linear: Linear, rod: Rod, tolerances: Tolerances, inflation: float) -
 def _settled(
     linear: Linear, rows: Int[np.ndarray, "rows"], every: int, columns: Columns
 ) -> tuple[float, np.ndarray]:
-    """Huber's cost after the best steps on some of the rows, one of so many, and the steps of the
-    further columns.
+    """Huber's cost on some of the rows, one in `every`, after the best steps; and the steps of the
+    additional columns.
     """
     more, limit, residual = columns.shape[2], linear.problem.outlying, linear.residual[rows]
     design = linear.weighing[rows] @ np.concatenate([linear.design, columns], axis=2)[rows]

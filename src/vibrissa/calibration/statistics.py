@@ -15,13 +15,13 @@ UNDETERMINED = 0.3
 stiffness, 0.3 L, 0.3 rad.
 """
 _ROUNDING = 1e-12
-"""Information relative to all that rounding leaves of none."""
+"""Information, relative to the total, that rounding leaves where there is none."""
 _ALIKE = 0.05
-"""Difference of loadings, of at most 1, that does not tell parameters apart."""
+"""Difference of loadings (at most 1) too small to tell parameters apart."""
 _LAGS = 20
-"""Of the autocorrelation, as Ljung and Box suggest for some hundred samples."""
+"""Lags of the autocorrelation, as Ljung and Box suggest for some hundred samples."""
 _BLOCKS = 12
-"""Of a recording, over which means are taken: longer than what is correlated, enough to average."""
+"""Blocks of a recording for means: longer than the correlation, and enough of them to average."""
 _SIGNIFICANT = 1e-3
 """Probability below which residuals are taken for more than noise."""
 _CONFUSED = 0.9
@@ -34,16 +34,16 @@ class Identifiability:
     Attributes
     ----------
     names
-        (k,) of the parameters that were determined.
+        (k,) names of the parameters that were determined.
     correlation
         (k, k) of their errors.
     directions, deviations
-        Eigenvectors (k, k), one a row, weakest first, of the information in the parameters' scales,
-        and the standard deviation (k,) along each, in those scales.
+        Eigenvectors (k, k) of the information in the parameters' scales, one per row, weakest
+        first, and the standard deviation (k,) along each, in those scales.
     alone
         (k,) standard deviation of each parameter if all others were known.
     held
-        Parameters that the data leave open, by name, with those they cannot be told apart from:
+        Parameters that the data leave open, by name, with those they cannot be told apart from;
         each is kept at its given value.
     """
 
@@ -70,12 +70,12 @@ class Identifiability:
 
     @property
     def text(self) -> list[str]:
-        """One sentence a finding."""
+        """One sentence per finding."""
         lines = [
             f"{name}: not determined, kept as given; "
             + (
                 f"it cannot be told apart from {', '.join(others)}, "
-                "whose figures hold for this value"
+                "whose estimates assume this value"
                 if others
                 else "the readings do not depend on it"
             )
@@ -97,16 +97,16 @@ class Fitness:
         Mean square of the residuals in contact over that of noise alone: 1 where the model is
         right.
     whiteness
-        Probability (Ljung and Box 1978) of residuals as much correlated in time as these, were they
-        white.
+        Probability (Ljung and Box 1978) that white residuals would be as correlated in time as
+        these.
     inflation
-        (k,) factors by which the variances of the residuals' channels are taken larger than stated;
-        1 where the noise explains the residuals.
+        (k,) factors by which the variances of the residuals' channels are inflated; 1 where the
+        noise explains the residuals.
     outliers
         Share of the rows in contact that fit badly and were given less weight, or none.
     disturbed
-        Share of them in stretches that no equilibrium explains, as where the rod swings, or sticks
-        and slips: they were left out.
+        Share of them in stretches that no equilibrium explains, such as where the rod swings, or
+        sticks and slips; these were left out.
     """
 
     reduced_chi_square: float
@@ -117,8 +117,8 @@ class Fitness:
 
 
 def opened(free: list[Parameter], information: Square, limit: float) -> dict[str, tuple[str, ...]]:
-    """Parameters to be held, one by one, until no direction's standard deviation, in the
-    parameters' scales, exceeds a limit; each with what it goes with.
+    """Parameters to hold, one by one, until no direction's standard deviation, in the parameters'
+    scales, exceeds a limit; each with those it cannot be told apart from.
     """
     held, scales = dict[str, tuple[str, ...]](), np.array([one.scale for one in free])
     left, names = information * np.outer(scales, scales), [one.name for one in free]
@@ -127,7 +127,7 @@ def opened(free: list[Parameter], information: Square, limit: float) -> dict[str
         if values[0] > max(1 / limit**2, _ROUNDING * np.trace(left)):
             break
         loading = np.abs(vectors[:, 0])
-        # Of several that weigh alike the last is held: what comes first is asked for first.
+        # Of several with similar loadings the last is held: what is listed first has priority.
         place = int(np.flatnonzero(loading > loading.max() - _ALIKE)[-1])
         name = names[place]
         held[name] = tuple(
@@ -141,7 +141,7 @@ def opened(free: list[Parameter], information: Square, limit: float) -> dict[str
 
 
 def undetermined(linear: Linear) -> dict[str, tuple[str, ...]]:
-    """The same of a fit, when the other unknowns are unknown, too (Schur's complement)."""
+    """The same for a fit, where the other unknowns are unknown too (Schur complement)."""
     matrix, count = linear.information(linear.sound.astype(float)), len(linear.problem.free)
     mixed = matrix[:count, count:]
     left = matrix[:count, :count] - mixed @ np.linalg.solve(matrix[count:, count:], mixed.T)
@@ -182,8 +182,8 @@ def _ljung_box(series: list[Float[np.ndarray, "_ 6"]]) -> float:
 
 
 def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
-    """Variance of means over a twelfth of a recording, times how many samples they hold: the
-    noise's level at the sweep's own time scale.
+    """Variance of means over a twelfth of a recording, times the number of samples in each: the
+    noise level at the time scale of the sweep.
     """
     squares = [
         len(block) * np.mean(block, axis=0) ** 2
@@ -196,9 +196,9 @@ def _long_run(series: list[Float[np.ndarray, "_ 6"]]) -> Float[np.ndarray, "6"]:
 def covariance(
     linear: Linear, weight: Numbers, inflation: Float[np.ndarray, "6"], columns: Columns
 ) -> Information:
-    """Of all unknowns: the inverse information, or where the residuals are more than noise that of
-    estimates with their long-run variance (a sandwich); and what numbers that are held add to it,
-    whose standard deviations change the readings by `columns`.
+    """Covariance of all unknowns: the inverse information or, where the residuals are more than
+    noise, a sandwich estimate with their long-run variance; plus what held numbers add, whose
+    standard deviations change the readings by `columns`.
 
     An error h of a held number moves the estimates by −(JᵀWJ)⁻¹ JᵀW ∂r/∂h ("consider parameters":
     S. F. Schmidt, Advances in Control Systems 3 (1966) 293-340).

@@ -1,5 +1,5 @@
-"""What else could be other than stated: how each number that is held would change the readings, and
-what is said of it.
+"""What else may not be as stated: how each number that is held would change the readings, and what
+to say about it.
 """
 
 from collections.abc import Callable
@@ -22,10 +22,10 @@ from vibrissa.surfaces import Surface
 from vibrissa.tolerances import Tolerances
 
 _NEIGHBOURS = 9
-"""Rows over which a velocity is averaged, which takes the pose's noise to a fifth."""
+"""Rows over which a velocity is averaged, which cuts the pose's noise to a fifth."""
 _FARTHEST = 2.0
-"""Rod lengths beyond which differences have no bound: there the force turns from drawing to pushing
-the rod.
+"""Largest difference, in rod lengths: they have no bound where the force turns from pulling to
+pushing the rod.
 """
 
 
@@ -36,29 +36,29 @@ class Suspect(NamedTuple):
     columns: Columns
     """Change of the readings for a unit of each."""
     scale: float
-    """What makes them relative: lengths to the rod's, a delay to the time in which the sensor moves
-    by that, a curvature to the turn of the tip.
+    """Factor that makes them relative: lengths to the rod's, a delay to the time in which the
+    sensor moves that far, a curvature to the rotation of the tip.
     """
     least: float
-    """Relative size from which they matter: below lie the model and what real objects are true
-    to.
+    """Relative size from which they matter: model and real objects are no more accurate than
+    this.
     """
     tolerance: float
-    """What they may be off by as stated."""
+    """Stated tolerance: what they may be off by."""
     said: Callable[[np.ndarray], str]
     """What their value means, in words."""
     remedy: str
-    """What to do if they are other than stated."""
+    """What to do if they are not as stated."""
     freed: tuple[str, ...] = ()
-    """Parameters in whose place they stand."""
+    """Parameters that they stand in for."""
     linear: bool = True
-    """Whether other errors are not easily taken for it: taper and curvature, to first order only,
-    also take up an uneven object.
+    """Whether other errors are not easily mistaken for it: taper and curvature, to first order
+    only, also absorb an uneven object.
     """
 
 
 def suspects(linear: Linear, rod: Rod, tolerances: Tolerances) -> list[Suspect]:
-    """Causes that are not free, of which the data may tell."""
+    """Causes that are not free and that the data may reveal."""
     length, problem, step = rod.length, linear.problem, linear.reading.by_step
     speeds = np.linalg.norm(_velocity(problem.rows)[0][problem.rows.contact], axis=1)
 
@@ -85,7 +85,7 @@ def suspects(linear: Linear, rod: Rod, tolerances: Tolerances) -> list[Suspect]:
             "torque_gain", step.gain[..., 3:].sum(axis=-1, keepdims=True), 1.0, 0.004,
             float(tolerances.gain[3:].max()),
             lambda value: f"torques seem to read {abs(value[0]):.1%}"
-            f" too {'much' if value[0] > 0 else 'little'} against forces",
+            f" too {'much' if value[0] > 0 else 'little'} compared with forces",
             "check the sensor's calibration, or free torque_gain", ("gain", "torque_gain"),
         ),
         Suspect(
@@ -101,19 +101,19 @@ def suspects(linear: Linear, rod: Rod, tolerances: Tolerances) -> list[Suspect]:
         found += [
             Suspect(
                 "friction", _friction(linear)[..., None], 1.0, 0.01, 0.0,
-                lambda value: f"friction seems to be there, "
-                f"of a coefficient of the order of {abs(value[0]):.1g}",
+                lambda value: f"there seems to be friction, "
+                f"with a coefficient of the order of {abs(value[0]):.1g}",
                 "state friction",
             ),
             Suspect(
                 "taper", imperfect[..., :1], 1.0, 0.05, 0.0,
-                lambda value: f"the rod seems to taper, its radius to be about {abs(value[0]):.0%}"
+                lambda value: f"the rod seems to taper, with a radius about {abs(value[0]):.0%}"
                 f" {'smaller' if value[0] > 0 else 'larger'} at the tip",
                 "calibration takes the rod to be uniform", linear=False,
             ),
             Suspect(
                 "rest_curvature", imperfect[..., 1:], length, 0.04, 0.0,
-                lambda value: "the rod seems to be bent at rest, by a sagitta of about "
+                lambda value: "the rod seems to be bent at rest, with a sagitta of about "
                 + length_text(float(np.linalg.norm(value)) * length**2 / 8, rod),
                 "calibration takes the rod to be straight", linear=False,
             ),
@@ -123,8 +123,8 @@ def suspects(linear: Linear, rod: Rod, tolerances: Tolerances) -> list[Suspect]:
 
 
 def held(linear: Linear, rod: Rod, tolerances: Tolerances) -> Columns:
-    """What one standard deviation of each number that is not fitted changes in the readings
-    (n, 6, m): of those with a tolerance.
+    """How one standard deviation of each number that has a tolerance and is not fitted changes the
+    readings (n, 6, m).
     """
     problem, step = linear.problem, linear.reading.by_step
     columns = [
@@ -134,8 +134,8 @@ def held(linear: Linear, rod: Rod, tolerances: Tolerances) -> Columns:
     ]
     grown = object_scale(linear)
     if "standoff" in (one.name for one in problem.free):
-        # Fitted is what an offset of the surface does; left is what growing does besides, nothing
-        # for a ball.
+        # What an offset of the surface does is fitted; what growing does beyond that remains,
+        # nothing for a ball.
         size = object_size(problem.surface, linear.bench, linear.point.states.point)
         grown = grown - step.standoff[..., 0] * size
     columns += [tolerances.object_scale * grown, tolerances.pose_delay * pose_delay(linear)]
@@ -143,21 +143,21 @@ def held(linear: Linear, rod: Rod, tolerances: Tolerances) -> Columns:
 
 
 def object_size(surface: Surface, bench: Bench, touched: Float[np.ndarray, "k 3"]) -> float:
-    """How far off its pivot the object's surface lies where it is touched, along its normal, in the
-    median: of a ball its radius.
+    """Median distance of the object's surface, where it is touched, from its pivot along the
+    normal: for a ball, its radius.
     """
     return float(np.median(np.sum((touched - bench.pivot) * surface.normal(touched), axis=1)))
 
 
 def object_scale(linear: Linear) -> Wrenches:
-    """Change for an object that is larger, about its pivot, by a factor e: each contact goes along,
-    and there the object keeps its normal.
+    """Change for an object that is larger, about its pivot, by a factor e: each contact moves with
+    it, and the object keeps its normal there.
     """
     return by_rows(linear.reading.by_step.shift, linear.reading.state.point - linear.bench.center)
 
 
 def pose_delay(linear: Linear) -> Wrenches:
-    """Change for poses that come late by 1 s: the sensor has moved on, as if the object had moved
+    """Change for poses that come 1 s late: the sensor has moved on, as if the object had moved
     back.
     """
     rows, reading = linear.problem.rows, linear.reading
@@ -167,11 +167,11 @@ def pose_delay(linear: Linear) -> Wrenches:
 
 
 def _friction(linear: Linear) -> Wrenches:
-    """Change for a unit of Coulomb's coefficient: the force leans against the sliding, as if the
-    object were turned about the contact.
+    """Change per unit of Coulomb's coefficient: the force leans against the sliding, as if the
+    object were rotated about the contact.
 
-    Sliding is taken to be along the clamp's velocity; along the rod in tangential contact, and
-    where it sticks, this is no more than a guess.
+    Sliding is taken to be along the clamp's velocity; for sliding along the rod in tangential
+    contact, and where it sticks, this is no more than a guess.
     """
     reading, bench, rows = linear.reading, linear.bench, linear.problem.rows
     force = reading.wrench[:, :3] / bench.gain[:3]
@@ -182,7 +182,7 @@ def _friction(linear: Linear) -> Wrenches:
 
 
 def _imperfections(linear: Linear) -> Columns:
-    """Changes by a unit of taper, and of curvature towards both of the clamp's axes."""
+    """Changes per unit of taper, and of curvature towards both of the clamp's axes."""
     bench, reading = linear.bench, linear.reading
     to_sensor = sensor_matrix(bench.axes, (bench.clamp - bench.wrench_point) / bench.length)
     units = np.repeat([bench.length**2, bench.length], 3) / bench.stiffness / bench.gain
@@ -198,8 +198,8 @@ def _directed(vectors: Vectors) -> Vectors:
 
 
 def _velocity(rows: Rows) -> tuple[Vectors, Vectors]:
-    """Of the sensor [m/s] and [rad/s] in world axes, from lines through neighbouring rows; 0 at
-    rest.
+    """Velocity [m/s] and spin [rad/s] of the sensor in world axes, from lines fitted to
+    neighbouring rows; 0 at rest.
     """
     velocity, spin = np.zeros((2, len(rows.time), 3))
     for own in rows.contacts:

@@ -1,5 +1,5 @@
-"""Calibration without a known object: what over-determines each contact tells of rod, clamp and
-sensor (mechanics.md, "What the data say of the setup").
+"""Calibration without a known object: each contact is overdetermined, and so tells about rod, clamp
+and sensor (mechanics.md, "What the data say about the setup").
 """
 
 import math
@@ -43,23 +43,22 @@ _PLACES = {
     "tilt": ROTATION,
     "gain": GAIN,
 }
-"""Of a step's numbers among the errors of `inverse.checks`; what is not here is an object's."""
+"""Where a step's numbers are in the errors of `inverse.checks`; any others are an object's."""
 _SPREAD = 0.5
-"""Standard deviation before the data where no prior is given, in the parameters' scales: nothing is
-known.
+"""Prior standard deviation if none is given, in the parameters' scales: nothing is known then.
 """
 _OPEN = 0.1
 """Standard deviation, in the parameters' scales, from which a direction counts as open: a tenth of
 a stiffness or a rod length, 6°.
 """
 _CONTRADICTED = 3.0
-"""Mean square of the constraints in that of noise from which it is said: sound benches show 1.4 at
-most, EI and L that make up for friction that is not stated 2.9.
+"""Mean square of the constraints, relative to noise, from which there is a warning: sound benches
+show 1.4 at most, EI and L that make up for unstated friction 2.9.
 """
 
 
 class Fit(NamedTuple):
-    """The parameters that are determined, and those that are held, each with what it goes with."""
+    """The parameters determined, and those held, each with what it cannot be told apart from."""
 
     free: list[Parameter]
     held: dict[str, tuple[str, ...]]
@@ -78,11 +77,11 @@ def calibrated_without_object(
     friction: float,
     tolerances: Tolerances,
 ) -> Calibration[SetupType]:
-    """Rod, clamp and gains from sweeps over an object that is not known.
+    """Rod, clamp and gains from sweeps over an unknown object.
 
-    Parameters are as of `calibrate`. Errors of the tares are allowed for by their covariance, not
-    estimated. What is not determined is fitted within its tolerance, where one is stated, so that
-    what goes with it has no smaller deviation.
+    Parameters are as for `calibrate`. Tare errors are allowed for by their covariance, not
+    estimated. What the data do not determine is fitted within its tolerance, if one is stated, so
+    that what goes with it does not get too small a deviation.
 
     Raises
     ------
@@ -121,8 +120,8 @@ def _case(index: int, reactions: Reactions, setup: SetupLike, friction: float) -
     case = averaged and case_of(averaged, sensor_matrix(turn, sensor.arm / rod.length), friction)
     if case is None:
         raise CalibrationError(
-            f"recordings[{index}]: too little of it is in contact, or its signal too weak, to tell "
-            "of the rod"
+            f"recordings[{index}]: too little of it is in contact, or its signal too weak, to say "
+            "anything about the rod"
         )
     return case
 
@@ -144,11 +143,11 @@ def _fitted(
     within: dict[Parameter, float],
     setup: SetupType,
 ) -> Fit:
-    """Solve; hold what the solution leaves open, and solve anew without it."""
+    """Solve; hold what the solution leaves open, and solve again without it."""
     free, held = list(chosen), dict[str, tuple[str, ...]]()
     given = bench_of(setup.rod, setup.sensor).numbers(setup.sensor)
     while free:
-        # Gains are not divided by what they were given as: the sensor has been.
+        # Gains are not divided by their given values: the readings already are.
         known = [
             min(
                 deviations.get(one.group, math.inf)
@@ -226,8 +225,8 @@ def _result(
 
 
 def _held_out(fit: Fit) -> tuple[HeldOut, ...]:
-    """Each of several sweeps, predicted by the others; its own friction, where it is open, adds to
-    its noise.
+    """Each of several sweeps, predicted from the others; its own friction, where that is open, adds
+    to its noise.
     """
     parts = []
     for index, (case, misfit) in enumerate(
@@ -258,7 +257,7 @@ def _residuals(rod: Rod, solution: Solution) -> Residuals:
             for part in (case.here.by_wrench.constraints, case.here.value)
         )
         spread = own.noise @ np.swapaxes(slope, 1, 2)
-        # By the least change of the wrench that meets the constraints.
+        # By the smallest change of the wrench that satisfies the constraints.
         change = (spread @ np.linalg.solve(slope @ spread, value[..., None]))[..., 0]
         whitened = np.pad(misfit.value.reshape(-1, 3), ((0, 0), (0, 3)))
         reading, predicted = (

@@ -1,5 +1,5 @@
-"""What has to be said of a calibration: estimates far from where they were given, rows left out and
-what explains them, and what does not predict the rest.
+"""Warnings about a calibration: estimates far from their given values, rows left out and what may
+explain them, and parts of the data that do not fit the rest.
 """
 
 import math
@@ -18,19 +18,19 @@ from vibrissa.inverse.checks.findings import length_text
 from vibrissa.rod import Rod
 
 _MOST_LEFT_OUT, _MOST_SLIPPING = 0.1, 0.25
-"""Share of the rows in contact that swinging, and with friction sticking and slipping, may take;
-where a cause is found, a third of it.
+"""Share of the rows in contact that may be lost to swinging and, with friction, to sticking and
+slipping; a third of it where a cause is found.
 """
 _TELLING = 6.0
-"""Standard deviations from which a cause is named; twice as many of taper and curvature, of which
+"""Standard deviations from which a cause is named; twice as many for taper and curvature, where
 sound benches show 8 to 11.
 """
 _ALIKE = 0.7
-"""Share of the most significant cause's deviations from which another is as likely."""
+"""Share of the most significant cause's deviations from which another counts as likely, too."""
 _LARGEST = 0.5
 """Relative size of a cause beyond which a linear extrapolation says nothing: half a gain."""
 _FAR = 3.0
-"""Tolerances, with the estimate's own deviation, by which an estimate may move."""
+"""How many times its tolerance and own deviation, combined, an estimate may move."""
 _STARTS = {
     "stiffness": 0.3,
     "length": 0.04,
@@ -41,13 +41,13 @@ _STARTS = {
     "turn": math.radians(4.0),
     "gain": 0.05,
 }
-"""Without tolerances: what a start may be off by, and somewhat more, in the parameters' scales."""
+"""Without tolerances: a little more than a start may be off by, in the parameters' scales."""
 _UNPREDICTED = 2.0
-"""Times the mean square of all residuals that a part's may be: sound benches show 1.2."""
+"""Largest mean square of a part, relative to that of all residuals: sound benches show 1.2."""
 _INFLATED = 9.0
-"""Mean square of the residuals, in that of noise, from which it is said: three deviations."""
+"""Mean square of the residuals, relative to noise, that gives a warning: three deviations."""
 _TOO_FAR_OFF = 0.01
-"""Of a rod length, by which first contact may be missed."""
+"""Share of a rod length by which first contact may be missed."""
 
 
 def warnings_of(
@@ -59,11 +59,11 @@ def warnings_of(
     parts: Iterable[HeldOut],
     missed: np.ndarray,
 ) -> list[str]:
-    """One sentence a finding, empty where all is well."""
+    """One sentence per finding; empty if all is well."""
     causes = [score for score in scores if _matters(score)]
     share, lines = fitness.disturbed + fitness.outliers, list(moves)
     most = _MOST_SLIPPING if linear.problem.friction > 0 else _MOST_LEFT_OUT
-    # Single outliers weigh less in good fits, too; whole stretches do not.
+    # Single outliers are given less weight in good fits, too; whole stretches are not.
     if share >= most or (causes and fitness.disturbed > most / 3):
         lines.insert(
             0,
@@ -83,8 +83,8 @@ def warnings_of(
         lines.append(f"the readings contradict what is held: {named}")
     elif worst > _INFLATED:
         lines.append(
-            f"the residuals are up to {math.sqrt(worst):.2g} times what the noise explains, by "
-            "none of the causes that were tried: check the object's shape and orientation, the "
+            f"the residuals are up to {math.sqrt(worst):.2g} times what the noise explains, and "
+            "none of the causes tried explains them: check the object's shape and orientation, the "
             "rod's straightness, and the sensor"
         )
     lines += unpredicted(parts, fitness.reduced_chi_square)
@@ -123,8 +123,8 @@ def moved(
     rod: Rod,
     within: Mapping[Parameter, float],
 ) -> list[str]:
-    """Estimates farther from where they were given than their tolerances, or a start, explain;
-    `within` holds tolerances, in the parameters' steps.
+    """Estimates farther from their given values than their tolerances, or a start's usual errors,
+    explain; `within` holds tolerances, as steps of the parameters.
     """
     lines = []
     for parameter in chosen:

@@ -1,4 +1,4 @@
-"""The seam between objects and the rest: a level function, differentiable by JAX."""
+"""What the package needs to know of an object: a level function that JAX can differentiate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from vibrissa.surfaces import closest
 Point: TypeAlias = Float[Array, "3"]
 Scalar: TypeAlias = Float[Array, ""]
 Function: TypeAlias = Callable[[Point], Scalar]
-"""A method of a surface, whose arrays JAX sees."""
+"""A method of a surface; JAX traces the surface's arrays."""
 
 
 class Surface(eqx.Module):
@@ -37,16 +37,16 @@ class Surface(eqx.Module):
 
     may_crease: ClassVar[bool] = True
     """Whether a rod may touch this kind of solid a second time close to a contact, at concave edges
-    or narrow gaps, so that it is looked at closely there; False where it is convex, or round on the
-    scale of its own sizes.
+    or in narrow gaps, so that the neighbourhood is checked closely; False if it is convex, or
+    rounded on the scale of its own dimensions.
     """
     heavy: ClassVar[bool] = False
-    """Whether evaluating the level takes so much code that compiled loops should hold it once
-    rather than once for each point.
+    """Whether the level takes so much code that compiled loops should contain it once rather than
+    once per point.
     """
     branching: ClassVar[bool] = False
-    """Whether points go such different ways through that code that one by one is quicker than side
-    by side.
+    """Whether points take such different branches through that code that evaluating them one by one
+    is faster than side by side.
     """
 
     @abstractmethod
@@ -54,23 +54,23 @@ class Surface(eqx.Module):
         """g(p): zero on the surface, positive outside, negative in the solid."""
 
     def distance(self, point: Point) -> Scalar:
-        """Signed Euclidean distance from the surface, with right first and second derivatives:
-        outside and near the surface.
+        """Signed Euclidean distance from the surface, with correct first and second derivatives;
+        for points outside and near the surface.
 
-        By Newton's method for the closest point: sure within a third of the radius of curvature,
-        from outside a convex solid of moderate shape also far away. Where it does not arrive,
-        g/‖∇g‖.
+        Newton's method finds the closest point: reliably within a third of the radius of curvature,
+        and far away too if outside a convex solid of moderate shape. Where it does not converge,
+        g/‖∇g‖ is returned.
         """
         return closest.distance(self.level, point)
 
     @property
     def solids(self) -> list[Surface]:
-        """Those that it is made of; itself where it is made of none."""
+        """The solids it is made of; itself if it is not made of others."""
         parts = jax.tree.leaves(self, is_leaf=_is_solid)
         return [part for part in parts if _is_solid(part)]
 
     def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:
-        """Levels of the solids, whose least is the level; `exact` ones are signed distances."""
+        """Levels of the solids, the least of which is the level; signed distances if `exact`."""
         return (self.distance if exact else self.level)(point)[None]
 
     def normal(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
@@ -79,7 +79,7 @@ class Surface(eqx.Module):
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def levels(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
-        """Values of the level at points (…, 3)."""
+        """Levels at points (…, 3)."""
         return np.asarray(_at(points, _values, self.level))
 
     def distances(self, points: ArrayLike) -> Float[np.ndarray, "*batch"]:
@@ -87,7 +87,7 @@ class Surface(eqx.Module):
         return np.asarray(_at(points, _values_and_slopes, self.distance)[0])
 
     def nearest(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
-        """Points p − d ∇d of the surface that are closest to points (…, 3): outside and near the
+        """Points p − d ∇d of the surface closest to points (…, 3), which lie outside or near the
         surface.
         """
         distance, gradient = _at(points, _values_and_slopes, self.distance)
@@ -98,8 +98,8 @@ class Surface(eqx.Module):
         rotation: Orientation = (0.0, 0.0, 0.0, 1.0),
         translation: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Placed:
-        """Return the object turned about the origin (quaternion x, y, z, w, or a SciPy `Rotation`),
-        then moved.
+        """Return the object rotated about the origin (quaternion x, y, z, w, or a SciPy
+        `Rotation`), then translated.
 
         Raises
         ------
@@ -127,11 +127,11 @@ class ExactSurface(Surface):
 
 
 class Derived(Surface):
-    """A surface made of others: the least of `part_levels`."""
+    """A surface made of others; its level is the least of `part_levels`."""
 
     @abstractmethod
     def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:
-        """Levels of the solids; `exact` ones are signed distances."""
+        """Levels of the solids; signed distances if `exact`."""
 
     def level(self, point: Point) -> Scalar:
         """The least level of the solids."""
@@ -143,14 +143,14 @@ class Derived(Surface):
 
 
 class Placed(Derived):
-    """A surface turned by a rotation matrix, then moved by a translation."""
+    """A surface rotated by a rotation matrix, then translated."""
 
     surface: Surface
     rotation: Float[np.ndarray | Array, "3 3"]
     translation: Float[np.ndarray | Array, "3"]
 
     def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:
-        """Levels at the point seen from the object's own axes."""
+        """Levels at the point, expressed in the object's own axes."""
         own = dot(self.rotation.T, point - self.translation)
         return self.surface.part_levels(own, exact=exact)
 
@@ -174,7 +174,7 @@ def _values_and_slopes(function: Function, point: Point) -> tuple[Scalar, Float[
 
 
 def _at(points: ArrayLike, evaluate: Callable[..., Any], function: Function) -> Any:
-    """What a function gives at points that are checked."""
+    """Check the points and evaluate a function at them."""
     array = finite_array(points, "points", last=3)
     found = evaluate(function, array.reshape(-1, 3))
     return jax.tree.map(

@@ -1,10 +1,11 @@
 """Closest point of a smooth surface and signed distance from it, from the level function alone.
 
-The closest point q to p is where p − q is along the normal: q + λ ∇g(q) = p, g(q) = 0. Newton's
-method finds (q, λ); derivatives are those of the equations, not of the iterations. As ∇d = n(q),
-second derivatives of the distance take no more than second derivatives of the level function.
+At the point q closest to p, p − q is along the normal: q + λ ∇g(q) = p, g(q) = 0. Newton's method
+finds (q, λ); derivatives are those of the equations, not of the iterations. As ∇d = n(q), second
+derivatives of the distance need only second derivatives of the level function.
 
-Level functions are methods of surfaces, whose parameters may be differentiated by, too.
+Level functions are methods of surfaces; the distance can also be differentiated with respect to the
+surfaces' parameters.
 """
 
 from collections.abc import Callable
@@ -28,19 +29,19 @@ Level: TypeAlias = Callable[[Vector], Scalar]
 Arguments: TypeAlias = tuple[Level, Vector]
 
 _REACH = 2.0
-"""Longest step in shares of the first-order distance."""
+"""Longest step, as a multiple of the first-order distance."""
 _MOST_ITERATIONS = 60
-# From when on steps are halved: where Newton's method goes to and fro, half of its way leads on.
+# Iteration from which steps are halved: where Newton's method oscillates, half a step gains ground.
 _HALVED = 12
-# A step, in shares of the longest and of the point's own size, after which another would change
+# Step, relative to the longest one and to the point's norm, after which another would change
 # nothing.
 _SETTLED, _SETTLED_SIZE = 1e-9, 1e-15
-# By how much the equations may be missed, in the same terms.
+# Largest residual of the equations, in much the same terms.
 _MISSED, _MISSED_SIZE = 1e-6, 1e-12
 
 
 class _Measured(NamedTuple):
-    """Signed distance from the plane that touches a surface of constant level at a point."""
+    """Signed distance from the tangent plane of the level surface through a point."""
 
     distance: Scalar
     normal: Vector
@@ -50,14 +51,14 @@ class _Measured(NamedTuple):
 
 @eqx.filter_custom_jvp
 def distance(level: Level, point: Vector) -> Scalar:
-    """Signed distance; g/‖∇g‖ where Newton's method does not arrive: far away, or inside beyond the
-    centres of curvature.
+    """Signed distance; g/‖∇g‖ where Newton's method does not converge: far away, or inside beyond
+    the centres of curvature.
     """
     return _measured(level, point).distance
 
 
 def _distance_jvp(primals: Arguments, tangents: Any) -> tuple[Scalar, Scalar]:
-    """Derivatives n(q) along the point and, along the parameters of g, ∂g/‖∇g‖ at q."""
+    """Derivatives: n(q) by the point and, by the parameters of g, ∂g/‖∇g‖ at q."""
     measured = _measured(*primals)
 
     def linearised(level: Level, point: Vector) -> Scalar:
@@ -70,8 +71,8 @@ distance.def_jvp(_distance_jvp)  # type: ignore[no-untyped-call]
 
 
 def _measured(level: Level, point: Vector) -> _Measured:
-    """From the plane that touches at the foot; where that is none, by one step from the point with
-    its slope taken as constant.
+    """From the tangent plane at the foot; if that is not a foot, by one step from the point, its
+    gradient taken as constant.
     """
     foot = _foot(level, point)
     near = _from_plane(level, foot[:3], point)
@@ -95,7 +96,7 @@ def _from_plane(level: Level, where: Vector, point: Vector) -> _Measured:
 
 @eqx.filter_custom_jvp
 def _foot(level: Level, point: Vector) -> Foot:
-    """Newton's method from the first-order step, its steps limited in length."""
+    """Newton's method, started with the first-order step, its steps limited in length."""
     value, gradient = jax.value_and_grad(level)(point)
     multiplier = value / _or_one(jnp.sum(gradient * gradient))
     reach = _REACH * jnp.abs(multiplier) * norm(*gradient)
@@ -137,7 +138,7 @@ def _missed(point: Vector, foot: Foot, value: Scalar, gradient: Vector) -> Foot:
 
 
 def _linearised(level: Level, point: Vector, foot: Foot) -> tuple[Foot, Float[Array, "4 4"]]:
-    """By how much the equations are missed, and the Jacobian of that by (q, λ)."""
+    """Residual of the equations, and its Jacobian with respect to (q, λ)."""
 
     def slope(q: Vector) -> tuple[Vector, tuple[Scalar, Vector]]:
         value, gradient = jax.value_and_grad(level)(q)

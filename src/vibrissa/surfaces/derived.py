@@ -1,4 +1,4 @@
-"""Surfaces made of others: several as one, or one as the centre line of a rod meets it."""
+"""Surfaces made of others: several as one, or one as it is met by a rod's centre line."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from vibrissa.surfaces.base import Derived, Point, Surface
 
 
 class Union(Derived):
-    """All points of one or more solids, apart or overlapping.
+    """The union of one or more solids, separate or overlapping.
 
-    The crease where two of them meet is concave: a rod that lies in it touches both, which is no
+    The crease where two of them meet is concave: a rod lying in it touches both, which is not a
     single contact. Inside, where solids overlap, `distance` is that from the nearest surface of the
-    solid that the point lies deepest in.
+    solid in which the point lies deepest.
     """
 
     parts: tuple[Surface, ...]
@@ -30,13 +30,13 @@ class Union(Derived):
         self.parts = tuple(_surface(part, f"parts[{i}]") for i, part in enumerate(parts))
 
     def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:
-        """Levels of all parts, and of their parts."""
+        """Levels of all parts, and of the parts of those."""
         return jnp.concatenate([part.part_levels(point, exact=exact) for part in self.parts])
 
 
 class Offset(Derived):
-    """A solid grown by `radius` on all sides: its surface is where the centre line of a rod of that
-    radius runs when the rod touches. Convex edges become round.
+    """A solid grown by `radius` on all sides: when a rod of that radius touches, its centre line
+    touches this surface. Convex edges become rounded.
     """
 
     surface: Surface
@@ -46,12 +46,12 @@ class Offset(Derived):
         self.surface, self.radius = _surface(surface, "surface"), positive(radius, "radius")
 
     def part_levels(self, point: Point, *, exact: bool = False) -> Float[Array, "parts"]:  # noqa: ARG002
-        """Distances from the object, less the radius; they are levels as well."""
+        """Distances from the object, less the radius; they also serve as levels."""
         return self.surface.part_levels(point, exact=True) - self.radius
 
     def foot(self, points: ArrayLike) -> Float[np.ndarray, "*batch 3"]:
-        """Points of the object itself, not of the grown one, that are closest to points (…, 3) of
-        the centre line: where the rod's skin touches.
+        """Points of the object itself, not of the grown one, closest to points (…, 3) of the centre
+        line: where the rod's surface touches.
         """
         return self.surface.nearest(points)
 

@@ -1,4 +1,4 @@
-"""Solids given by a few figures, which are checked and converted when the solid is built."""
+"""Solids given by a few numbers, which are checked and converted when the solid is built."""
 
 from functools import partial
 from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
@@ -19,8 +19,8 @@ Positive2: TypeAlias = Annotated[Any, partial(positive_array, last=2)]
 
 
 class Figured(Surface):
-    """A solid that is convex, or round on the scale of its own sizes; its fields are of the types
-    above, each of which holds its check.
+    """A solid that is convex, or rounded on the scale of its own dimensions; its fields have the
+    types above, each of which carries its own check.
     """
 
     may_crease = False

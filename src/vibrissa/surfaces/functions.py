@@ -1,4 +1,4 @@
-"""Surfaces given by a function of the user's."""
+"""Surfaces given by a function that the user writes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class HeightField(Surface):
     height: Callable[[Scalar, Scalar], Scalar] = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        """Refuse what is no such function."""
+        """Reject anything but such a function."""
         _check(self.height, "height", jnp.zeros(()), jnp.zeros(()))
 
     def level(self, point: Point) -> Scalar:
@@ -30,12 +30,12 @@ class HeightField(Surface):
 
 
 class Implicit(Surface):
-    """A solid by its level function of a point (3,): positive outside, traceable by JAX."""
+    """A solid given by its level function of a point (3,): positive outside, traceable by JAX."""
 
     function: Function = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        """Refuse what is no such function."""
+        """Reject anything but such a function."""
         _check(self.function, "function", jnp.zeros(3))
 
     def level(self, point: Point) -> Scalar:

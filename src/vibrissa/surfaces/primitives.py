@@ -1,9 +1,9 @@
 """Solids whose level is the exact signed distance, outside and inside.
 
-Gradients have unit length, also on faces, edges and corners, where they belong to one of the faces
-that meet. They vanish, wholly or in part, on the lines and points inside (on the torus's axis also
-outside) from which the nearest point is not unique and no direction is distinguished. No derivative
-is ever NaN.
+Gradients have unit length, including on faces, edges and corners, where they belong to one of the
+faces that meet. They vanish, wholly or in part, at lines and points inside (on the torus's axis,
+outside too) where the nearest point is not unique and no direction is preferred. No derivative is
+ever NaN.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vibrissa.surfaces.figures import Direction, Figured, Positive, Positive3, V
 
 class Plane(ExactSurface):
     """Half space behind the plane through `point` (3,) with the outward `normal` (3,), of any
-    length but zero.
+    non-zero length.
     """
 
     may_crease = False
@@ -50,8 +50,8 @@ class Sphere(Figured, ExactSurface):
 
 
 class Box(Figured, ExactSurface):
-    """Rectangular block with its edges along x, y, z; `placed` turns it. Centre (3,) and half of
-    its extents (3,).
+    """Rectangular block with its edges along x, y, z; `placed` rotates it. Centre (3,) and half
+    extents (3,).
     """
 
     center: Vector3
@@ -63,13 +63,13 @@ class Box(Figured, ExactSurface):
 
 
 class _Axial(Figured, ExactSurface):
-    """A solid about a point and an axis through it."""
+    """A solid of revolution about an axis through a point."""
 
     center: Vector3
     axis: Direction
 
     def _about(self, point: Point) -> tuple[Scalar, Point]:
-        """A point's offset from the centre: part along the axis, and the rest, which is across."""
+        """A point's offset from the centre: component along the axis, and the rest, across it."""
         offset = point - self.center
         along = dot(self.axis, offset)
         return along, offset - along * self.axis
@@ -101,8 +101,8 @@ class Capsule(_Axial):
         """Signed distance."""
         along, _ = self._about(point)
         foot = jnp.clip(along, -self.length / 2, self.length / 2)
-        # From the nearest point of the axis, in one step: with the parts across and along in one
-        # length, second derivatives are right on the axis in front of an end.
+        # One norm of the whole offset from the axis's nearest point, not one of its parts across
+        # and along: so second derivatives are right on the axis in front of an end.
         return norm(*(point - self.center - foot * self.axis)) - self.radius
 
 
@@ -130,15 +130,15 @@ class Cone(_Axial):
 
 
 class Torus(_Axial):
-    """Ring: centre (3,), direction (3,) of the axis about which it is round, radius of the circle
-    inside the tube, and radius of the tube, which is less.
+    """Ring: centre (3,), direction (3,) of its axis of symmetry, radius of the tube's centre line,
+    and radius of the tube, which is smaller.
     """
 
     major_radius: Positive
     minor_radius: Positive
 
     def __check_init__(self) -> None:
-        """Refuse a tube that closes the hole."""
+        """Reject a tube that closes the hole."""
         if not self.minor_radius < self.major_radius:
             raise ValueError(
                 f"minor_radius = {self.minor_radius!r}; allowed is less than "
@@ -152,15 +152,15 @@ class Torus(_Axial):
 
 
 def _within(*faces: Scalar) -> Scalar:
-    """Signed distance from what lies behind faces at right angles, by that from each.
+    """Signed distance from what lies behind perpendicular faces, given that from each.
 
-    The largest on its own where a face is nearest: in the length its second derivatives would
-    cancel only but for rounding.
+    Where a face is nearest, the largest alone: in the norm its second derivatives would cancel only
+    up to rounding.
     """
     edge = sum(face > 0 for face in faces) > 1
     return jnp.where(edge, norm(*map(positive_part, faces)), reduce(_larger, faces))
 
 
 def _larger(first: Scalar, second: Scalar) -> Scalar:
-    """The larger, with the derivatives of the first where they are equal."""
+    """The larger, with the derivatives of the first where both are equal."""
     return jnp.where(first < second, second, first)

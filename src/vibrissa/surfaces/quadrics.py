@@ -1,4 +1,4 @@
-"""Solids of second degree, and superquadrics: blocks with rounded edges, octahedra."""
+"""Quadrics, and superquadrics: blocks with rounded edges, octahedra."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ class EllipticParaboloid(Figured):
 
 
 class Ellipsoid(Figured):
-    """Ellipsoid with its axes along x, y, z; `placed` turns it. Centre (3,) and semi-axes (3,)."""
+    """Ellipsoid with its axes along x, y, z; `placed` rotates it. Centre (3,), semi-axes (3,)."""
 
     center: Vector3
     semi_axes: Positive3
 
     def level(self, point: Point) -> Scalar:
-        """(ρ − 1) times the smallest semi-axis, ρ the point's norm in units of the semi-axes."""
+        """(ρ − 1) times the smallest semi-axis; ρ is the point's norm in units of the semi-axes."""
         place = (point - self.center) / self.semi_axes
         return (jnp.sqrt(jnp.sum(place**2)) - 1) * jnp.min(self.semi_axes)
 
 
 class EllipticCylinder(Figured):
-    """Cylinder without ends along the y axis through `center` (3,), with semi-axes (2,) along x and
-    z; `placed` turns it.
+    """Infinite cylinder along y through `center` (3,), with semi-axes (2,) along x and z; `placed`
+    rotates it.
     """
 
     center: Vector3
@@ -49,15 +49,15 @@ class EllipticCylinder(Figured):
 
 
 class Superquadric(Figured):
-    r"""Superellipsoid about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` turns
+    r"""Superellipsoid about `center` (3,), with semi-axes (a, b, c) along x, y, z; `placed` rotates
     it.
 
     The solid is :math:`(|x/a|^{2/ε_2} + |y/b|^{2/ε_2})^{ε_2/ε_1} + |z/c|^{2/ε_1} < 1`.
 
-    The exponents (ε₁, ε₂), each above 0 and at most 2, shape the profile along z and the section
-    across: towards 0 they give flat faces, 1 is round, 2 gives straight bevels. The solid is
-    convex. Above 1 the curvature grows without limit towards the symmetry planes, so that a rod in
-    contact there wants an `Offset`.
+    The exponents (ε₁, ε₂), each above 0 and at most 2, shape the profile along z and the
+    cross-section: towards 0 they give flat faces, 1 is round, 2 gives straight bevels. The solid is
+    convex. Above 1 the curvature grows without bound towards the symmetry planes, so for a rod in
+    contact there use an `Offset`.
 
     Source: A. H. Barr, Superquadrics and angle-preserving transformations, IEEE Computer Graphics
     and Applications 1 (1981).
@@ -68,18 +68,18 @@ class Superquadric(Figured):
     exponents: Positive2
 
     def __check_init__(self) -> None:
-        """Refuse exponents above 2: the solid would not be convex."""
+        """Reject exponents above 2: the solid would not be convex."""
         if max(self.exponents) > 2:
             raise ValueError(f"exponents = {self.exponents.tolist()}; allowed are at most 2")
 
     def level(self, point: Point) -> Scalar:
-        """(ρ − 1) times the smallest semi-axis, ρ the factor by which the solid grows to reach the
-        point: convex, and of slope 1 on that axis.
+        """(ρ − 1) times the smallest semi-axis; ρ is the factor by which the solid grows to reach
+        the point. Convex, with slope 1 on that axis.
         """
         u, v, w = magnitude(point - self.center) / self.semi_axes
         along, across = 2 / self.exponents
-        # ρ is of first degree in the point: scaled by constants, which take no part in
-        # differentiation, no power over- or underflows.
+        # ρ is homogeneous of degree 1 in the point: scaling by constants, which are not
+        # differentiated, keeps powers from over- or underflowing.
         wider = lax.stop_gradient(jnp.maximum(u, v))
         largest = _or_else(jnp.maximum(wider, lax.stop_gradient(w)), 1.0)
         widest = _or_else(wider, largest)

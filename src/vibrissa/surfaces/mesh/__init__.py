@@ -1,4 +1,4 @@
-"""Triangle meshes as smooth level functions: read, mended, divided at creases, sampled."""
+"""Triangle meshes as smooth level functions: read, repaired, split at creases, sampled."""
 
 from vibrissa.surfaces.mesh.repair import Repairs
 from vibrissa.surfaces.mesh.surface import Mesh

@@ -1,4 +1,4 @@
-"""From the sheets of a mesh to the arrays of its level."""
+"""From a mesh's smooth sheets to the arrays of its level."""
 
 import jax
 import jax.numpy as jnp
@@ -13,29 +13,29 @@ from vibrissa.surfaces.mesh.field import CORNERS, Field, Triangles, field_level
 from vibrissa.surfaces.mesh.libraries import library
 from vibrissa.surfaces.mesh.sampling import Grid, candidates, mesh_levels, node_levels, padded
 
-# Nodes beyond the reach: the spline takes one more on either side, the quasi-interpolation another.
+# Nodes beyond the reach: the spline needs one more on either side, the quasi-interpolation another.
 _MARGIN = 5
 # A node takes 8 bytes and about 5 µs to build; benchmarks/mesh_convergence.py shows what a finer
 # grid gains.
 _MANY_NODES, _MOST_NODES = 1 << 20, 1 << 22
 _FINE = 0.6
 _FEWEST = 48
-# Reach [spacings] that the spline's support needs at least, and how far nodes are wanted beyond it.
+# Least reach [spacings], for the spline's support, and how far beyond the reach nodes are needed.
 _BAND, _STENCIL = 2.5, 5.0
-# Share of the chordal error that the spline may blur, and of the spacing where that is zero.
+# Share of the chordal error by which the spline may blur, and of the spacing where that is zero.
 _BLUR, _ROUNDING = 0.05, 1e-9
 
 
 def build(sheet: Sheets, reach: float) -> Field:
-    """Sample the mesh on a grid; keep its triangles where the spline errs by more than a twentieth
-    of their chordal error within `reach` of the surface.
+    """Sample the mesh on a grid; keep its triangles where, within `reach` of the surface, the
+    spline is off by more than a twentieth of their chordal error.
     """
     grid = _grid(sheet, reach)
     reach = max(reach, _BAND * grid.spacing)
     level = node_levels(grid, sheet, reach + _STENCIL * grid.spacing).reshape(grid.size)
     coefficients = level
     for axis in range(3):
-        # Quasi-interpolation: exact for cubics, and what happens at a crease stays within two nodes
+        # Quasi-interpolation: exact for cubics, and the effect of a crease stays within two nodes
         # of it.
         weights = np.array([-1.0, 8.0, -1.0]) / 6
         coefficients = scipy.ndimage.correlate1d(coefficients, weights, axis=axis, mode="nearest")
@@ -46,7 +46,7 @@ def build(sheet: Sheets, reach: float) -> Field:
         padded(coefficients.ravel(), 1 << 18),
         None,
     )
-    # A cell within reach has its lowest corner within reach and a diagonal.
+    # The lowest corner of a cell within reach is itself within reach plus a diagonal.
     inner = np.pad(np.ones(np.subtract(grid.size, 3), dtype=bool), (1, 2))
     cells = np.flatnonzero(inner & (np.abs(level) <= reach + 2 * grid.spacing))
     middles = grid.points(cells) + grid.spacing / 2
@@ -56,7 +56,7 @@ def build(sheet: Sheets, reach: float) -> Field:
     kept = np.sqrt(squared) <= reach + np.sqrt(3) / 2 * grid.spacing
     cells, middles, triangle = cells[kept], middles[kept], triangle[kept]
     error = _levels(plain, middles) - mesh_levels(sheet, middles, triangle)
-    # A share of the largest chordal error about the triangle.
+    # A share of the largest chordal error around the triangle.
     at_fan = np.zeros(sheet.fans.max() + 1)
     np.maximum.at(at_fan, sheet.fans, sheet.sag()[:, None])
     allowed = _BLUR * at_fan[sheet.fans].max(axis=1) + _ROUNDING * grid.spacing
@@ -72,8 +72,8 @@ def _levels(field: Field, point: Float[Array, "3"]) -> Float[Array, ""]:
 
 
 def _grid(sheet: Sheets, reach: float) -> Grid:
-    """About one node an edge, finer where that takes no more than a million, coarser where it would
-    take more than four; at least 48 along the diagonal.
+    """About one node per edge: finer if that takes no more than a million nodes, coarser if it
+    would take more than four million; at least 48 along the diagonal.
     """
     low, high = sheet.vertices.min(axis=0), sheet.vertices.max(axis=0)
     # Side of an equilateral triangle of the mean area.
@@ -96,7 +96,7 @@ def _grid(sheet: Sheets, reach: float) -> Grid:
 def _triangles(
     grid: Grid, sheet: Sheets, cells: Int[np.ndarray, "c"], blurred: Bool[np.ndarray, "c"]
 ) -> Triangles:
-    """Triangles of the cells with a sharp corner: one that a blurred cell has."""
+    """Triangles of the cells with a sharp corner, that is, a corner of a blurred cell."""
     nodes = np.prod(grid.size)
     corners = cells[:, None] + np.ravel_multi_index(CORNERS.T, grid.size)
     sharp = np.zeros(nodes, dtype=bool)

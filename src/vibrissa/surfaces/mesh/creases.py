@@ -1,7 +1,7 @@
-"""Smooth sheets of a mesh: its edges divided into smooth ones and creases, and a normal for each
+"""Smooth sheets of a mesh: its edges sorted into smooth ones and creases, and a normal for each
 corner on each side of a crease.
 
-A sheet's corner ("fan") is all the corners of triangles about one vertex that smooth edges connect.
+A sheet's corner ("fan") is all triangle corners at one vertex that are connected by smooth edges.
 """
 
 from typing import NamedTuple
@@ -13,15 +13,15 @@ from jaxtyping import Bool, Float, Int
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 from vibrissa.surfaces.mesh.patches import Patch, slopes
 
-# A cubic without constant has 9 coefficients, a quadratic 5; one or two points more than that.
+# A cubic without constant term has 9 coefficients, a quadratic 5; one or two more points than that.
 _CUBIC_FROM, _QUADRATIC_FROM = 11, 6
-# Two rings of a regular mesh hold 18 vertices; of more than this, evenly chosen ones do.
+# Two rings of a regular mesh hold 18 vertices; of more than 24, an even selection is enough.
 _NEIGHBOURS = 24
-# Share of the weights' sum that keeps the least-squares matrix regular; error of its own size.
+# Share of the weights' sum that keeps the least-squares matrix regular, at an error of its size.
 _RIDGE = 1e-9
-# Vertices fitted at a time: 24 neighbours of 9 terms take 110 MB.
+# Vertices fitted at a time: with 24 neighbours of 9 terms each they take 110 MB.
 _CHUNK = 1 << 16
-# A crease runs through a vertex where its two edges turn by no more than this.
+# A crease runs through a vertex if its two edges turn by no more than this.
 _STRAIGHT = np.radians(40)
 _ROUNDING = 1e-12
 
@@ -32,7 +32,7 @@ class Sheets(NamedTuple):
     Attributes
     ----------
     vertices, faces
-        Watertight and wound outwards.
+        Watertight, with outward winding.
     neighbours
         (f, 3) triangle across the edge opposite each corner; −1 where that is a crease.
     fans
@@ -48,8 +48,8 @@ class Sheets(NamedTuple):
     patches: Patch
 
     def sag(self) -> Float[np.ndarray, "f"]:
-        """Chordal error of each triangle: how far the smooth surface bulges over its edges, by the
-        normals at their ends.
+        """Chordal error of each triangle: how far the smooth surface bulges over its edges, judging
+        by the normals at their ends.
         """
         v, n = self.patches.vertices, self.patches.normals
         edge, turn = v - np.roll(v, 1, axis=1), n - np.roll(n, 1, axis=1)
@@ -57,7 +57,7 @@ class Sheets(NamedTuple):
 
 
 def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
-    """Divide a watertight, outward mesh along the edges at which it bends by more than
+    """Split a watertight, outward-wound mesh along the edges where it bends by more than
     `crease_angle` [rad].
     """
     igl = library("igl")
@@ -72,7 +72,7 @@ def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
     apex = vertices[faces[across, opposite]]
     height = np.einsum("fi,fki->fk", flat, apex - vertices[np.roll(faces, -1, axis=1)])
     creases = np.where(turn > crease_angle, np.where(height < 0, 1, -1), 0)
-    # By edge and corner, that of the triangle across which lies at the same end of the edge.
+    # By edge and corner: the corner of the triangle across that is at the same end of the edge.
     corner = np.arange(3)
     there = (opposite[..., None] + corner[:, None] - corner) % 3
     fans = _fans(across, there, creases == 0)
@@ -97,7 +97,7 @@ def sheets(vertices: Vertices, faces: Faces, crease_angle: float) -> Sheets:
 def _fans(
     across: Faces, there: Int[np.ndarray, "f 3 3"], smooth: Bool[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, "f 3"]:
-    """Number of the fan of each corner: those at the ends of smooth edges belong together."""
+    """Fan number of each corner: the two corners at each end of a smooth edge belong together."""
     at_end = smooth[..., None] & ~np.eye(3, dtype=bool)
     here = np.arange(across.size).reshape(-1, 1, 3)
     pairs = np.stack(np.broadcast_arrays(here, 3 * across[..., None] + there), axis=-1)[at_end]
@@ -112,12 +112,12 @@ def _fitted(
     vertex: Int[np.ndarray, "fans"],
     flat: Float[np.ndarray, "f 3"],
 ) -> Float[np.ndarray, "fans 3"]:
-    """Normals of the cubic surface through each vertex that comes nearest to those within two edges
+    """Normals of the cubic surfaces through each vertex that best fit the vertices within two edges
     (Cazals & Pouget 2005).
 
-    Kept are rough normals where those are too few, or where the fitted one differs from it by more
-    than the triangles do: weighted by sin(angle)/(product of the edges), exact on spheres (Max, J.
-    Graphics Tools 4, 1999).
+    Where those are too few, or where the fitted normal differs from the rough one by more than the
+    triangles do, the rough one is kept: weighted by sin(angle)/(product of the edges), exact on
+    spheres (Max, J. Graphics Tools 4, 1999).
     """
     count = len(vertex)
     v = vertices[faces]
@@ -153,8 +153,8 @@ def _jets(
     valid: np.ndarray,
     rough: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Normals at the origin of the surfaces w = a₁u + a₂v + quadratic + cubic fitted to points seen
-    along the rough normals.
+    """Normals at the origin of the surfaces w = a₁u + a₂v + quadratic + cubic fitted to points, w
+    being along the rough normals.
     """
     across = np.cross(rough, np.eye(3)[np.argmin(np.abs(rough), axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -166,7 +166,7 @@ def _jets(
     degree = np.where(count >= _CUBIC_FROM, 3, np.where(count >= _QUADRATIC_FROM, 2, 1))
     powers = [(n - j, j) for n in (1, 2, 3) for j in range(n + 1)]
     terms = np.stack([u**i * v**j * (i + j <= degree) for i, j in powers], axis=-1)
-    # By the inverse square of the distance, but for vertices that nearly coincide.
+    # By the inverse square of the distance, except for vertices that nearly coincide.
     weight = np.where(valid, 1 / np.maximum((distance / size) ** 2, 1e-6), 0.0)
     weight /= weight.sum(axis=1, keepdims=True)
     weighted = np.swapaxes(terms * weight[..., None], 1, 2)
@@ -182,26 +182,26 @@ def _corners(
     creases: Int[np.ndarray, "f 3"],
     vertex: Int[np.ndarray, "fans"],
 ) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "fans"]]:
-    """Code of each vertex as in `Patch.corners`, and for each fan the other one where a crease runs
-    through its vertex.
+    """Code of each vertex as in `Patch.corners`, and for each fan the one across the crease, if one
+    runs through its vertex.
     """
     row, k = np.nonzero(creases)
     start, stop = faces[row, (k + 1) % 3], faces[row, (k + 2) % 3]
     along = vertices[stop] - vertices[start]
-    # Each crease is met from either side, in either direction: a vertex is its start once.
+    # Each crease is visited from both sides, in opposite directions: each end is its start once.
     count = len(vertices)
     sense = np.bincount(start, weights=creases[row, k], minlength=count)
     direction = np.zeros((count, 3))
     np.add.at(direction, start, along / np.linalg.norm(along, axis=1, keepdims=True))
     fans = np.bincount(vertex, minlength=count)
-    # Two creases of the same sense that leave in about opposite directions.
+    # Two creases, both convex or both concave, that leave in about opposite directions.
     passing = (
         (fans == 2)
         & (np.abs(sense) == 2)
         & (np.linalg.norm(direction, axis=1) < 2 * (1 - np.cos(_STRAIGHT)))
     )
     code = np.where(fans <= 1, 0.0, np.where(passing, np.sign(sense), 2.0))
-    # Of two fans, the other one is their sum less this one.
+    # With two fans, the other one is the sum less this one.
     fan = np.arange(len(vertex))
     both = np.bincount(vertex, weights=fan).astype(np.int64)[vertex]
     return code, np.where(fans[vertex] == 2, both - fan, fan)

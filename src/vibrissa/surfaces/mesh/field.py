@@ -1,11 +1,11 @@
 """The level of a mesh as JAX evaluates it: a cubic spline on a grid, and single triangles where the
 spline would blur.
 
-Grid cells whose corners are all plain hold the spline alone: four cubic B-splines an axis, twice
-continuously differentiable. Each corner that is marked sharp, near a crease or where triangles are
-finer than the grid, brings in the triangles that may be nearest (`patches`), with a weight that is
-continuously differentiable over the cells. Value, gradient and Hessian are one evaluation each, so
-that Newton's method pays for what it asks.
+Grid cells whose corners are all plain use the spline alone: four cubic B-splines per axis, twice
+continuously differentiable. Each corner marked sharp, near a crease or where triangles are finer
+than the grid, blends in the triangles that may be nearest (`patches`), with a weight that is
+continuously differentiable across cells. Value, gradient and Hessian are one evaluation each, so
+Newton's method pays only for what it asks for.
 """
 
 from functools import partial
@@ -27,7 +27,7 @@ Scalar = Float[Array, ""]
 Held = TypeVar("Held")
 
 CORNERS = np.array(list(np.ndindex(2, 2, 2)))
-"""Of a cell."""
+"""Corners of a cell."""
 
 
 class Triangles(NamedTuple):
@@ -35,8 +35,8 @@ class Triangles(NamedTuple):
 
     sharp: Bool[AnyArray, "nodes"]
     first: UInt[AnyArray, "nodes"]
-    """First entry in `nearby` of the cell whose lowest corner the node is; the next node's is the
-    end.
+    """First entry in `nearby` of the cell whose lowest corner is this node; the entries end where
+    the next node's begin.
     """
     nearby: UInt[AnyArray, "entries"]
     """Numbers of patches."""
@@ -51,10 +51,10 @@ class Field(NamedTuple):
     origin: Float[AnyArray, "3"]
     spacing: Float[AnyArray, ""]
     size: UInt[AnyArray, "3"]
-    """Nodes along each axis, unsigned; the node (i, j, k) lies at `origin` + `spacing` (i, j, k)."""
+    """Nodes along each axis, unsigned; node (i, j, k) lies at `origin` + `spacing` (i, j, k)."""
     coefficients: Float[AnyArray, "nodes"]
     triangles: Triangles | None
-    """None where the spline is all: the code for the triangles is then left out."""
+    """None if the spline is enough everywhere: the code for triangles is then left out."""
 
 
 # Coefficients of 1, t, t², t³ of the four cubic B-splines that meet in a cell (de Boor, A Practical
@@ -68,8 +68,8 @@ _ORDERS = np.zeros(3, dtype=int), _UNIT, _UNIT[:, None] + _UNIT
 
 
 def field_level(field: Field, point: Vector) -> Scalar:
-    """Level at a point, differentiable twice; outside the grid, that of its nearest point, and the
-    distance from there.
+    """Level at a point, twice differentiable; outside the grid, the level at the grid's nearest
+    point plus the distance from there.
     """
     low = field.origin + field.spacing
     held = jnp.clip(point, low, field.origin + field.spacing * (field.size - 2))
@@ -96,7 +96,7 @@ def _jet(field: Field, point: Vector, order: int) -> Jet:
 def _weight(
     marks: Float[Array, "2 2 2"], share: Vector, spacing: Float[AnyArray, ""], order: int
 ) -> Jet:
-    """From 0 at plain corners to 1 at sharp ones by the step 3t² − 2t³ along each axis."""
+    """From 0 at plain corners to 1 at sharp ones, by the smoothstep 3t² − 2t³ along each axis."""
     step = (3 - 2 * share) * share * share, 6 * share * (1 - share), 6 - 12 * share
     functions = [jnp.stack([float(n == 0) - part, part]) for n, part in enumerate(step)]
     return _summed(jnp.stack(functions[: order + 1]), marks, spacing)
@@ -129,9 +129,9 @@ def _summed(
     values: Float[Array, "k k k"],
     spacing: Float[AnyArray, ""],
 ) -> Jet:
-    """Jet of Σ vᵢⱼₖ fᵢ(x) fⱼ(y) fₖ(z), by the functions and their derivatives along each axis."""
+    """Jet of Σ vᵢⱼₖ fᵢ(x) fⱼ(y) fₖ(z), from the functions and their derivatives along each axis."""
     for axis in (2, 1, 0):
-        # Term by term: a third of the time of the library's contractions, whose lanes lie outside.
+        # Term by term: a third of the time of the library's contractions, with lanes outermost.
         function = functions[..., axis, None, None]
         terms = (function[:, k] * values[..., k] for k in range(functions.shape[1]))
         values = jnp.asarray(sum(terms))
@@ -150,9 +150,9 @@ def _with_triangles(
 ) -> Jet:
     """Blend in the triangles where a corner of the cell is sharp.
 
-    A loop of no or one turn: lanes that run together skip the work unless one of them needs it,
-    which a condition would not let them do. The point is turned about on the way, lest XLA find
-    that the work is the same in every turn and move it out of the loop.
+    A loop of zero or one iterations: lanes that run together skip the work unless one of them needs
+    it, which a conditional would not let them do. The loop negates the point so that XLA does not
+    take the work to be loop-invariant and hoist it.
     """
 
     def unfinished(state: tuple[Array, Vector, Jet]) -> Array:
@@ -161,7 +161,7 @@ def _with_triangles(
     def blend(state: tuple[Array, Vector, Jet]) -> tuple[Array, Vector, Jet]:
         needed, point, smooth = state
         chosen = _nearest_patch(triangles, node, point)
-        # Barriers, lest XLA work out the whole again for each of its parts.
+        # Barriers, so that XLA does not recompute the whole for each of its parts.
         patch = _apart(jax.tree.map(lambda part: row(part, chosen), triangles.patches))
         near = _apart(frozen(point, patch))
 
@@ -188,6 +188,6 @@ def _nearest_patch(triangles: Triangles, node: Array, point: Vector) -> Array:
 
 
 def _apart(values: Held) -> Held:
-    """Keep XLA from evaluating the values again for each of their uses."""
+    """Keep XLA from recomputing the values for each of their uses."""
     held: Held = lax.optimization_barrier(values)  # type: ignore[no-untyped-call]
     return held

@@ -1,14 +1,14 @@
 """The surface over one triangle: curved between smooth corners, rounded off outside a crease.
 
 With barycentric coordinates b_i, corners v_i and corner normals n_i, and with N = Σ b_i n_i and m =
-N/‖N‖, a point p is
+N/‖N‖, the distance of a point p from it is
 
-    Σ b_i (n_i + m)·(p − v_i) / (1 + ‖N‖)
+    Σ b_i (n_i + m)·(p − v_i) / (1 + ‖N‖).
 
-away from it. For the normals of a sphere this is the distance from the sphere, exactly, wherever Σ
-b_i v_i lies on the line from p to the centre; in general it errs by third derivatives of the
-surface. Where the nearest point lies on a crease, the planes of its two sides give the distance
-from their corner.
+For the normals of a sphere this is exactly the distance from the sphere, wherever Σ b_i v_i lies on
+the line from p to the centre; in general its error is of third derivatives of the surface. Where
+the nearest point lies on a crease, the planes of its two sides give the distance from the corner
+between them.
 """
 
 from typing import NamedTuple
@@ -47,33 +47,33 @@ _ONWARD = np.roll(_CORNERS, -2, axis=0) - _START
 _REFINEMENTS = 4
 # Barycentric coordinates further than this from the nearest point's are not near the triangle.
 _LEAVES = 4.0
-# Least sin² between the planes of a crease, which bend by more than the angle of a smooth edge.
+# Least sin² of the angle between the planes of a crease, which bends more than any smooth edge.
 _FLATTEST = 1e-6
 
 
 class Patch(NamedTuple):
-    """What the level over one triangle depends on; with an axis in front, over many."""
+    """What the level over one triangle depends on; with a leading axis, over many."""
 
     vertices: Float[AnyArray, "*f 3 3"]
     slopes: Float[AnyArray, "*f 3 3"]
     """Gradients of the barycentric coordinates in the triangle's plane, one a row."""
     normals: Float[AnyArray, "*f 3 3"]
-    """Of the corners, each on this triangle's side of a crease."""
+    """Corner normals, each on this triangle's side of a crease."""
     beyond: Float[AnyArray, "*f 3 3 3"]
-    """Normals on the other side of each crease edge, by corner; that of the corner opposite the
-    edge has no weight.
+    """Corner normals on the other side of each crease edge; that of the corner opposite the edge
+    has no weight.
     """
     around: Float[AnyArray, "*f 3 3"]
-    """Normals on the other side of the crease through each corner."""
+    """Corner normals on the other side of the crease through each corner."""
     pseudo: Float[AnyArray, "*f 3 3"]
-    """Angle-weighted normals of all triangles about each corner (Bærentzen & Aanæs 2005): they tell
-    inside from outside.
+    """Angle-weighted normals of all triangles around each corner (Bærentzen & Aanæs 2005): they
+    tell inside from outside.
     """
     edges: Float[AnyArray, "*f 3"]
-    """0 a smooth edge, 1 a convex crease, −1 a concave one."""
+    """0 for a smooth edge, 1 for a convex crease, −1 for a concave one."""
     corners: Float[AnyArray, "*f 3"]
-    """0 a smooth corner, ±1 one on a convex or concave crease that runs through it, 2 one where
-    creases meet.
+    """0 for a smooth corner, ±1 for one that a convex or concave crease runs through, 2 for one
+    where creases meet.
     """
 
 
@@ -85,9 +85,9 @@ class Nearest(NamedTuple):
     weights: Vector
     """Barycentric coordinates."""
     within: Bool[Array, ""]
-    """Whether it lies within the triangle, not on an edge."""
+    """Whether it lies inside the triangle rather than on an edge."""
     edge: UInt[Array, ""]
-    """Else: number of the corner opposite that edge."""
+    """If on an edge: number of the corner opposite it."""
 
 
 def slopes(vertices: Float[np.ndarray, "*f 3 3"]) -> Float[np.ndarray, "*f 3 3"]:
@@ -98,8 +98,8 @@ def slopes(vertices: Float[np.ndarray, "*f 3 3"]) -> Float[np.ndarray, "*f 3 3"]
 
 
 def nearest(point: Vector, vertices: Triangle, slopes: Triangle) -> Nearest:
-    """Nearest point of a triangle that is not degenerate: the one below, or the nearest of those on
-    the three edges.
+    """Nearest point of a non-degenerate triangle: the point's projection, or the nearest of those
+    on the three edges.
     """
     offset = point - vertices
     below = dot(slopes, offset[0]) + _CORNERS[0]
@@ -115,12 +115,12 @@ def nearest(point: Vector, vertices: Triangle, slopes: Triangle) -> Nearest:
 
 
 def row(rows: AnyArray, index: UInt[Array, ""]) -> Array:
-    """One row, by an index that is unsigned and within bounds: the least code."""
+    """One row; an index that is unsigned and within bounds takes the least code."""
     return lax.dynamic_index_in_dim(jnp.asarray(rows), index, keepdims=False)
 
 
 class Frozen(NamedTuple):
-    """A point's nearest feature, held fast: what is left depends on the point smoothly."""
+    """A point's nearest feature, held fixed: what is left depends smoothly on the point."""
 
     point: Vector
     weights: Vector
@@ -130,14 +130,14 @@ class Frozen(NamedTuple):
     code: Scalar
     """As in `Patch.edges` and `Patch.corners`: 0 smooth, ±1 a crease, 2 where creases meet."""
     corner: Vector
-    """Where creases meet: the corner, with the sign of the level by its `pseudo` normal."""
+    """Where creases meet: the corner, with the sign of the level from its `pseudo` normal."""
     sign: Scalar
     beyond: Triangle
     """Corner normals on the other side of the crease."""
 
 
 def frozen(point: Vector, patch: Patch) -> Frozen:
-    """Hold fast what is nearest to a point over the triangle."""
+    """Fix the feature of the triangle that is nearest to a point."""
     _, weights, within, edge = nearest(point, patch.vertices, patch.slopes)
     corner = lax.argmax(weights, 0, jnp.uint32)
     at_corner = ~within & (row(weights, corner) == 1)
@@ -160,8 +160,8 @@ def frozen(point: Vector, patch: Patch) -> Frozen:
 
 
 def patch_jet(point: Vector, patch: Patch, nearby: Frozen, order: int) -> Jet:
-    """Signed distance from the surface over the triangle, given what is nearest to the point, and
-    its derivatives up to an order.
+    """Signed distance from the surface over the triangle, given the feature nearest to the point,
+    and its derivatives up to an order.
     """
     weights = nearby.weights + dot(nearby.slopes, point - nearby.point)
 
@@ -180,17 +180,17 @@ def patch_jet(point: Vector, patch: Patch, nearby: Frozen, order: int) -> Jet:
 
 
 def refined_level(point: Vector, patch: Patch) -> tuple[Scalar, Vector]:
-    """The same seen along the interpolated normals, and the barycentric coordinates where the line
+    """The level seen along the interpolated normals, and the barycentric coordinates where the line
     of sight meets the triangle's plane.
 
-    They may lie outside the triangle: the neighbour there sees the point better.
+    These may lie outside the triangle: then the neighbour on that side sees the point better.
     """
     near = frozen(point, patch)
     seen, trusted = _line_of_sight(point, patch, near.weights)
-    # Far away, the direction over the triangle's plane is all that is asked for.
+    # Far away, only the direction along the triangle's plane matters.
     below = dot(patch.slopes, point - patch.vertices[0]) + _CORNERS[0]
     seen = jnp.where(trusted, seen, below)
-    # At a crease the line of sight ends; beyond it the coordinates of the nearest point stay.
+    # The line of sight ends at a crease; beyond it, keep the coordinates of the nearest point.
     stopped = (near.code != 0) | jnp.any((patch.edges != 0) & (seen < 0))
     weights = jnp.where(stopped, near.weights, seen)
     here = jnp.where(trusted, weights, near.weights)
@@ -214,7 +214,7 @@ def _sheet(
     slopes: Triangle,
     order: int,
 ) -> _Sheet:
-    """Level over a triangle at given barycentric coordinates, of which gradients are given, too."""
+    """Level over a triangle at given barycentric coordinates, whose gradients are given too."""
     total = mixed(weights, normals), mixed(normals.T, slopes)
     offset = point - mixed(weights, vertices), jnp.eye(3) - mixed(vertices.T, slopes)
     heights = product((weights, slopes), (dot(normals, point - vertices), normals), order)
@@ -242,14 +242,14 @@ def _outside_both(first: Jet, second: Jet, cosine: Jet) -> Jet:
 
 def _line_of_sight(point: Vector, patch: Patch, weights: Vector) -> tuple[Vector, Array]:
     """Barycentric coordinates b at which p − Σ b_i v_i is parallel to Σ b_i n_i, by Newton's
-    method, and whether it arrived near the triangle.
+    method, and whether it ended near the triangle.
     """
 
     def coordinates(unknown: Vector) -> Vector:
         return jnp.append(1 - unknown[0] - unknown[1], unknown[:2])
 
     def missed(unknown: Vector) -> Vector:
-        """By the point with the last two coordinates given, and the height."""
+        """Residual; the unknowns are the last two coordinates and the height."""
         return point - mixed(coordinates(unknown), patch.vertices + unknown[2] * patch.normals)
 
     def refine(_: int | Array, unknown: Vector) -> Vector:

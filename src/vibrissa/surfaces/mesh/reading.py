@@ -1,4 +1,4 @@
-"""Triangles from files, through trimesh."""
+"""Triangles from files, read with trimesh."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def read(path: str | Path, scale: float | None) -> tuple[Vertices, Faces]:
     except Exception as error:  # whatever its parsers raise on a damaged file
         reason = " ".join(str(error).splitlines()) or type(error).__name__
         raise ValueError(f"{file}: not a readable {kind} file, or cut short ({reason})") from error
-    # Of several solids in one text, trimesh takes those that are whole.
+    # Of several solids in one text file, trimesh takes the complete ones.
     in_text = file.read_bytes().lower().count(b"facet normal") if suffix == ".stl" else 0
     if not len(faces) or len(faces) < in_text:
         raise ValueError(f"{file}: no triangles, or cut short; allowed is a closed mesh")

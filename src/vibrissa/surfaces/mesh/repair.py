@@ -1,6 +1,4 @@
-"""What may be wrong with a mesh: mended where there is no doubt how, an error that counts the
-defects otherwise.
-"""
+"""Defects of a mesh: repaired where there is no doubt how, else an error that counts them."""
 
 from dataclasses import dataclass, fields
 
@@ -12,33 +10,33 @@ from vibrissa.geometry.checks import finite_array
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices, library
 
 MOST_HOLE_EDGES = 8
-"""Longest rim of a hole that is closed: larger ones are open meshes rather than lost triangles."""
+"""Longest rim of a hole that is filled: larger holes are open meshes, not lost triangles."""
 
-# Of the diagonal, and of the longest side squared. Single precision, as in STL, rounds at 6e-8:
-# what is closer than this was one point when it was written.
+# Shares of the diagonal, and of the longest side squared. Single precision, as in STL, rounds at
+# 6e-8: points closer than this were one point when written.
 _SAME, _FLAT = 1e-9, 1e-9
-# Flat triangles side by side are flipped one after the other: as many as lie along one edge.
+# Flat triangles next to each other are flipped one at a time: as many as lie along one edge.
 _MOST_PASSES = 64
 
 
 @dataclass(frozen=True)
 class Repairs:
-    """What was mended in a mesh, each a count; falsy where nothing was.
+    """What was repaired in a mesh, as counts; falsy if nothing was.
 
     Attributes
     ----------
     merged_vertices
         Vertices merged with another within 1e-9 of the diagonal.
     unreferenced_vertices
-        Vertices of no triangle, dropped.
+        Vertices in no triangle, dropped.
     degenerate_faces
         Triangles without area: dropped, or their long edge flipped.
     duplicate_faces
-        Triangles on the same three vertices as another, dropped.
+        Triangles with the same three vertices as another, dropped.
     flipped_faces
-        Triangles reversed so that all are wound alike, and outwards.
+        Triangles reversed so that all are wound outwards.
     filled_holes
-        Holes of at most 8 edges, closed with triangles about their middle.
+        Holes of at most 8 edges, filled with triangles around their middle.
     """
 
     merged_vertices: int = 0
@@ -49,30 +47,30 @@ class Repairs:
     filled_holes: int = 0
 
     def __bool__(self) -> bool:
-        """Whether anything was mended."""
+        """Whether anything was repaired."""
         return self != Repairs()
 
     def __str__(self) -> str:
-        """Counts that are not zero, in words."""
+        """The non-zero counts, in words."""
         counts = {field.name.replace("_", " "): getattr(self, field.name) for field in fields(self)}
         return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "nothing"
 
 
 def mended(vertices: ArrayLike, faces: ArrayLike) -> tuple[Vertices, Faces, Repairs]:
-    """Vertices and faces of a closed mesh that is wound outwards, and what it took.
+    """Vertices and faces of a closed, outward-wound mesh, and what it took to get there.
 
     Raises
     ------
     ValueError
         If there are no faces, indices out of range, vertices that are not finite, or defects that
-        cannot be mended; their text counts each kind.
+        cannot be repaired; the text counts each kind.
     ImportError
         If libigl is not installed.
     """
     igl = library("igl")
     v = finite_array(vertices, "vertices", last=3, ndim=2)
     given = _indices(faces, len(v))
-    # The first of all vertices at about the same place.
+    # Of all vertices at about the same place, the first.
     rounding = max(_SAME * np.linalg.norm(np.ptp(v, axis=0)), np.finfo(float).tiny)
     place = np.round((v - v.min(axis=0)) / rounding)
     _, first, same = np.unique(place, axis=0, return_index=True, return_inverse=True)
@@ -119,13 +117,13 @@ def _indices(faces: ArrayLike, count: int) -> Faces:
     if beyond or not len(f):
         raise ValueError(
             f"faces: {count} vertices and {len(f)} faces, of which {beyond} indices lie outside "
-            f"0 … {count - 1} or are no whole numbers; allowed is a closed mesh"
+            f"0 … {count - 1} or are not whole numbers; allowed is a closed mesh"
         )
     return f.astype(np.int64)
 
 
 def _boundary(f: Faces) -> tuple[Shaped[np.ndarray, "e 2"], np.integer]:
-    """Edges of one triangle, in its sense, and how many belong to more than two."""
+    """Edges with a single triangle, in its sense, and how many edges have more than two."""
     edges, _, number, *_ = library("igl").unique_edge_map(f)
     count = np.bincount(number)
     return edges[count[number] == 1], np.sum(count > 2)
@@ -152,8 +150,8 @@ def _refuse_open(f: Faces, *, closable: bool) -> None:
 
 
 def _rims(boundary: Shaped[np.ndarray, "e 2"]) -> list[list[int]]:
-    """Closed rims of the holes, vertices in order; those that meet in a vertex are told apart,
-    which libigl's `boundary_loop_all` does not.
+    """Closed rims of the holes, vertices in order; rims that meet at a vertex are kept apart, which
+    libigl's `boundary_loop_all` does not do.
     """
     following: dict[int, list[int]] = {}
     for start, stop in boundary.tolist():
@@ -171,13 +169,13 @@ def _rims(boundary: Shaped[np.ndarray, "e 2"]) -> list[list[int]]:
                 for vertex in rims[-1]:
                     del way[vertex]
         if way:
-            # Open where triangles are wound against each other.
+            # An open rim, where triangles are wound against each other.
             rims.append(list(way))
     return rims
 
 
 def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
-    """Close small holes: one triangle for three edges, else one an edge about their middle."""
+    """Fill small holes: one triangle for three edges, else one per edge around their middle."""
     rims = [rim for rim in _rims(_boundary(f)[0]) if 3 <= len(rim) <= MOST_HOLE_EDGES]
     for rim in rims:
         if len(rim) == 3:
@@ -190,10 +188,10 @@ def _filled(v: Vertices, f: Faces) -> tuple[Vertices, Faces, int]:
 
 
 def _without_flat(v: Vertices, f: Faces) -> tuple[Faces, int]:
-    """Flip the longest edge of triangles whose corners lie on a line; how many were flipped."""
+    """Flip the longest edge of triangles whose corners are collinear, and count the flips."""
     igl, flipped = library("igl"), 0
     for _ in range(_MOST_PASSES):
-        # By the corner where each edge starts.
+        # Indexed by the corner where each edge starts.
         squared = np.roll(igl.squared_edge_lengths(v, f), 1, axis=1)
         flat = np.flatnonzero(igl.doublearea(v, f) <= _FLAT * squared.max(axis=1))
         if not len(flat):
@@ -216,8 +214,8 @@ def _without_flat(v: Vertices, f: Faces) -> tuple[Faces, int]:
 
 
 def _inside_out(v: Vertices, f: Faces) -> Bool[np.ndarray, "f"]:
-    """Whether each triangle belongs to a part whose inside is outside. A part inside another one is
-    a cavity.
+    """Whether each triangle belongs to a part that is inside out. A part inside another one is a
+    cavity.
     """
     igl = library("igl")
     _, part = igl.facet_components(f)
@@ -226,6 +224,6 @@ def _inside_out(v: Vertices, f: Faces) -> Bool[np.ndarray, "f"]:
     _, first = np.unique(part[lowest], return_index=True)
     corners = f[lowest[first]]
     corner = corners[np.arange(len(corners)), np.argmin(v[corners, 2], axis=1)]
-    # The lowest corner of a part lies within the part itself by at most one half.
+    # At its own lowest corner, a part has a winding number of at most one half.
     around = np.floor(igl.winding_number(v, outward, v[corner]) + 0.25)
     return (turned.astype(bool) ^ (around % 2 == 1))[part]

@@ -1,4 +1,4 @@
-"""Levels by the mesh itself, and which triangles may be nearest in cells of a grid."""
+"""Levels from the mesh itself, and which triangles may be nearest within cells of a grid."""
 
 from typing import NamedTuple
 
@@ -18,16 +18,16 @@ from vibrissa.surfaces.mesh.patches import Patch, nearest, refined_level, slopes
 # Distance from the surface [spacings] up to which the sign is that of the smooth surface, not that
 # of the triangles.
 _NEAR = 1.5
-# Longest edge [spacings] of the pieces that long triangles are cut into, so that spheres about them
-# hold little else.
+# Longest edge [spacings] of the pieces that long triangles are cut into, so that their bounding
+# spheres hold little else.
 _LONGEST = 6.0
 _PIECES = 1 << 11
-# Triangles that a walk over the mesh crosses at most: a grid cell spans a few.
+# Most triangles that a walk over the mesh crosses: a grid cell spans a few.
 _MOST_STEPS = 40
 # Barycentric coordinate below which a point lies beyond an edge, not on it.
 _BEYOND = -1e-9
 _WIDER = 1 + 1e-9
-"""For rounding."""
+"""Margin for rounding."""
 
 
 class Grid(NamedTuple):
@@ -38,13 +38,13 @@ class Grid(NamedTuple):
     size: tuple[int, int, int]
 
     def points(self, nodes: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
-        """Places of nodes, given by their number."""
+        """Positions of nodes, given by number."""
         return self.origin + self.spacing * np.column_stack(np.unravel_index(nodes, self.size))
 
 
 def padded(rows: np.ndarray, least: int, factor: int = 4) -> Array:
-    """Rows and zeros: `least`, or that times a power of `factor`, so that meshes of about the same
-    size share compiled code.
+    """Rows padded with zeros to `least`, or to that times a power of `factor`, so that meshes of
+    about the same size share compiled code.
     """
     capacity = least
     while capacity < len(rows):
@@ -55,8 +55,8 @@ def padded(rows: np.ndarray, least: int, factor: int = 4) -> Array:
 def mesh_levels(
     sheet: Sheets, points: Float[np.ndarray, "n 3"], triangles: Shaped[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n"]:
-    """Levels of points, seen from the triangle given for each or, across smooth edges, from the one
-    whose normals point at it.
+    """Levels at points, each seen from the triangle given for it or, across smooth edges, from the
+    one whose normals point at it.
     """
     mesh = jax.tree.map(lambda rows: padded(rows, 1 << 10, 2), (sheet.patches, sheet.neighbours))
     return np.asarray(_walked(mesh, points, triangles))
@@ -83,7 +83,7 @@ def _walked(
 
 
 def node_levels(grid: Grid, sheet: Sheets, reach: float) -> Float[np.ndarray, "nodes"]:
-    """Level of each node; away from the surface by more than `reach`, the distance from about the
+    """Level at each node; farther than `reach` from the surface, the distance from roughly the
     nearest triangle.
     """
     igl = library("igl")
@@ -107,10 +107,10 @@ def node_levels(grid: Grid, sheet: Sheets, reach: float) -> Float[np.ndarray, "n
 def candidates(
     grid: Grid, sheet: Sheets, cells: Int[np.ndarray, "c"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Cells and triangles that may be nearest to one of their points, in pairs by cell.
+    """Pairs of a cell and a triangle that may be nearest to a point in it, sorted by cell.
 
-    A triangle can be nearest somewhere in an eighth of a cell only if it is nearer to its middle
-    than the nearest one there and the eighth's diagonal together.
+    A triangle can be nearest somewhere in an eighth of a cell only if its distance from the
+    eighth's middle is at most that of the nearest triangle there plus the eighth's diagonal.
     """
     middles = grid.points(cells) + grid.spacing / 2
     eighths = middles[:, None] + grid.spacing / 2 * (CORNERS - 0.5)

@@ -24,8 +24,8 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _Source:
-    """Triangles and repairs; alike for all meshes where JAX compares them, since no compiled code
-    looks at them.
+    """Triangles and repairs; equal for all meshes when JAX compares them, since no compiled code
+    uses them.
     """
 
     vertices: Vertices = field(compare=False)
@@ -47,7 +47,7 @@ class Mesh(ExactSurface):
     faces
         (f, 3) indices of vertices, anticlockwise seen from outside.
     crease_angle
-        Angle between neighbouring triangles from which their edge is sharp [rad].
+        Angle between neighbouring triangles above which their edge is sharp [rad].
     reach
         Distance from the surface up to which creases keep their shape [units of the rod]; default 2
         % of the diagonal, and at least 2.5 grid cells.
@@ -55,15 +55,15 @@ class Mesh(ExactSurface):
     Raises
     ------
     ValueError
-        If the arrays are no mesh, or it has defects that cannot be mended: open edges, edges with
-        more than two triangles, triangles that cross. The text counts them.
+        If the arrays are not a mesh, or it has defects that cannot be repaired: open edges, edges
+        with more than two triangles, triangles that cross. The text counts them.
     ImportError
         If libigl is not installed; the text says how to get it.
 
     Notes
     -----
-    What can be mended is: `repairs` says what was, and the logger `vibrissa.surfaces.mesh.surface`
-    warns of it.
+    Defects that can be repaired are: `repairs` says which, and the logger
+    `vibrissa.surfaces.mesh.surface` warns of them.
     """
 
     heavy = True
@@ -109,7 +109,7 @@ class Mesh(ExactSurface):
         Parameters
         ----------
         path
-            The file; its suffix says the format.
+            The file; its suffix gives the format.
         scale
             Length of the file's unit, in units of the rod: 1e-3 for millimetres and a rod in SI.
             Required for STL, OBJ and PLY, which have no unit; glTF is in metres, so 1 unless given.
@@ -132,7 +132,7 @@ class Mesh(ExactSurface):
 
     @property
     def branching(self) -> bool:  # type: ignore[override]
-        """Whether triangles are looked at, which differ from point to point."""
+        """Whether single triangles are evaluated, which differ from point to point."""
         return self.field.triangles is not None
 
     @property
@@ -147,11 +147,11 @@ class Mesh(ExactSurface):
 
     @property
     def repairs(self) -> Repairs:
-        """What was mended."""
+        """What was repaired."""
         return self.source.repairs
 
     def level(self, point: Point) -> Scalar:
-        """Signed distance; away from the surface by more than `reach`, to about a grid cell's
-        rounding of creases.
+        """Signed distance; farther than `reach` from the surface, creases are rounded by about a
+        grid cell.
         """
         return field_level(self.field, point)

@@ -7,8 +7,8 @@ axes and model units (L = EI = 1). At the same coordinates in its own units, the
 larger wrench if it is stiffer and a smaller one if it is longer: δf = (θ_EI − 2 θ_L) f, δm =
 (θ_EI − θ_L) m, δr = θ_L r. If the true clamp is shifted by s and rotated by φ from the stated one,
 δf = φ × f, δm = φ × m + s × f, δr = s + φ × r, δn = φ × n. Gains act on the six channels in sensor
-axes. If poses come late by τ, the clamp has moved on: it is shifted by v τ and rotated by ω τ, and a
-wrench in world axes rotates with it.
+axes. If poses come late by τ, the clamp has moved on: it is shifted by v τ and rotated by ω τ, and
+a wrench in world axes rotates with it.
 """
 
 from functools import lru_cache

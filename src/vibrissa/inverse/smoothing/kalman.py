@@ -265,8 +265,8 @@ def log_likelihoods(
     """Log marginal likelihoods of several time series of equal length: of the wrenches, given the
     constraints.
 
-    Different labels have different constraints, whose densities are no evidence: that of k² = ½ would
-    be counted again for each further sample, and tangential phases would come out too long.
+    Different labels have different constraints, whose densities are no evidence: that of k² = ½
+    would be counted again for each further sample, and tangential phases would come out too long.
     """
     rows = jax.tree.map(lambda *parts: np.stack(parts), *map(filled, series))
     count = np.asarray(len(series[0].duration))

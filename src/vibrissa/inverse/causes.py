@@ -67,6 +67,7 @@ def contact_errors(
         Relative standard deviation of Young's modulus (0.01 for 1 %).
     bending_stiffness
         Standard deviation of EI, in units of the rod [N m²]; in addition to that of the modulus.
+    length
         Standard deviation of the rod's length [m].
     clamp_position
         Of the clamp in the sensor frame, in clamp axes: one standard deviation for each axis [m],

@@ -148,7 +148,7 @@ many_exact_contacts = lanes(width=128, blocks=128)(_exact)
 
 @lanes(alone=True)
 def noisy_contacts(setting: Setting, sample: Sample) -> Found:
-    """Contact of the most probable wrench of a single contact on this rod, with first-order errors."""
+    """Contact of the most probable single-contact wrench on this rod, with first-order errors."""
     probable = _probable(setting, sample)
     covariance = jnp.asarray(sample.covariance)
     whitened = solve_lower(cholesky(covariance), _wrench(setting, sample))

@@ -59,7 +59,7 @@ class Constraints(NamedTuple):
 
 
 def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
-    """The three constraints that hold in each phase: where the tip touches, and where it does not."""
+    """The three constraints that hold in each phase: where the tip touches, and where not."""
     both = np.ones_like(tip)
     return np.stack([both, both, tip, ~tip], axis=1)
 

@@ -120,7 +120,7 @@ class Bench(NamedTuple):
         return np.asarray(np.exp(-errors[STIFFNESS]) * moved @ gained)
 
     def wrench(self, errors: BenchErrors) -> Wrenches:
-        """Base wrenches in true clamp axes, in units of the true stiffness and the stated length."""
+        """Base wrenches, true clamp axes, in units of the true stiffness and the stated length."""
         offset = errors[ZERO] + self._elapsed[:, None] * errors[DRIFT]
         seen = self.stretches.wrench - offset @ self.to_clamp.T
         return seen @ self.taken(errors).T + self.reaction @ errors[LOAD]
@@ -152,7 +152,7 @@ class Bench(NamedTuple):
         return here._replace(value=value)
 
     def slopes(self, here: Constraints, errors: BenchErrors) -> Slopes:
-        """Derivatives of constraints (k, 4, 33) and points (k, 3, 33) with respect to the errors."""
+        """Derivatives of constraints (k, 4, 33) and points (k, 3, 33) by the errors."""
         wrench, back = self.wrench(errors), self.to_clamp
         f, m = cross_matrices(wrench[:, :3]), cross_matrices(wrench[:, 3:])
         # About the nearest wrench with neither couple nor torsion. The derivatives are proportional

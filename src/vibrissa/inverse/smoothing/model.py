@@ -106,7 +106,7 @@ class Series(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Typical time from one sample to the next, ignoring time stamps that repeat or nearly so."""
+        """Typical time from one sample to the next, ignoring stamps that repeat or nearly so."""
         steps = np.diff(self.time)
         return float(np.median(steps[steps > 0.01 * steps.mean()])) if steps.size else 1.0
 
@@ -172,7 +172,7 @@ class Labels(NamedTuple):
         return other
 
     def moved(self, change: int, place: int) -> "Labels":
-        """Labels with the change of phase at sample `change` moved to `place`, along with its link."""
+        """Labels with the change of phase at sample `change` moved to `place`, with its link."""
         other = self.copy()
         other.phase[place:change], other.phase[change:place] = self.phase[[change, change - 1]]
         other.link[change], other.link[place] = GO_ON, self.link[change]

@@ -129,7 +129,7 @@ def raw_arc_lengths(
 
 
 def first_labels(series: Series, zero: Gaussian, false_alarm: float) -> tuple[Codes, Samples]:
-    """Phase and rough arc length (model units) of each sample, given what is known about the zero."""
+    """Phase and rough arc length (model units) of each sample, given what is known of the zero."""
     phase, arc_length = np.full(len(series.time), FREE), np.ones(len(series.time))
     value, deviation = raw_arc_lengths(series, zero.mean)
     for run in runs(detected(series, zero, false_alarm)):

@@ -37,7 +37,7 @@ class FrictionEstimate:
     Attributes
     ----------
     friction
-        Coulomb's coefficient: median over the sliding samples.
+        Coulomb friction coefficient: median over the sliding samples.
     standard_error
         Of the coefficient, from the spread of the samples (median absolute deviation), each window
         of samples counting as one.
@@ -145,6 +145,6 @@ def _window(found: Reconstruction) -> int:
         for points in (found.point, found.reactions.trail.position)
     )
     step = float(np.median(np.minimum(moved, clamp)[contact[..., 1:] & np.isfinite(moved)]))
-    # The slope of a straight line through n equally noisy samples: σ √(12/n³) a sample.
+    # The slope of a straight line through n equally noisy samples: σ √(12/n³) per sample.
     count = (12 * (_MOTION_TO_NOISE * noise / max(step, 1e-300)) ** 2) ** (1 / 3)
     return int(np.clip(2 * (int(count) // 2) + 1, _LEAST_WINDOW, _LARGEST_WINDOW))

@@ -121,7 +121,7 @@ def reconstruct(
     result = _reconstruction(rod, reactions, friction, found)
     if not check:
         return result
-    # Ringing can only be told in time, along a single trail.
+    # Ringing needs time stamps, and a single trail.
     if reactions.time is not None and result.kind.ndim == 1 and result.kind.size > 1:
         result = without_ringing(result)
     return result if reactions.covariance is None else checked(result)

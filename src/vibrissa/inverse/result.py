@@ -56,7 +56,7 @@ class Reconstruction:
     arc_length_deviation
         Standard deviation (…) of s₁, or None.
     chi_square
-        (…) of the wrench under pure noise, with six degrees of freedom, or None.
+        (…) of the wrench as noise alone, with six degrees of freedom, or None.
     single_contact_residual
         (…): violation of m0·f0 = 0, in standard deviations if the noise is known, else relative to
         ‖m0‖ ‖f0‖; also in rows without contact.

@@ -42,7 +42,7 @@ _EARLIER, _PARTED = 4, 0.1
 rows there above which it is the rest of another: some are loaded where a load leaves the noise.
 """
 _LOADING = 0.9
-"""Of the largest energy: up to there is the first loading."""
+"""Of the largest energy: where the first loading ends."""
 _LEAST_WAY, _SHARE_OF_BEND = 0.01, 0.1
 """Clamp travel: relative to the rod's length, below which a rod stores next to nothing; and to the
 tip's deflection, below which the clamp hardly moves.
@@ -83,7 +83,7 @@ _ELSE = (
 
 @dataclass(frozen=True, eq=False)
 class ClampWork:
-    """Work of the clamp and bending energy over one contact, in time order (k,), each the mean of a
+    """Work of the clamp and bending energy over one contact, in order (k,), each the mean of a
     few rows.
 
     Attributes
@@ -102,8 +102,8 @@ class ClampWork:
     deviation
         Standard deviation of `gained` and `remainder` from the noise, as far as it enters the work.
     energy_deviation
-        Relative standard deviation of the energies from the noise, and from stiffness and gains to
-        the stated tolerances.
+        Relative standard deviation of the energies from the noise, and from the stated
+        tolerances of stiffness and gains.
     """
 
     work: Scalars
@@ -306,7 +306,7 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
 
 
 def _by_setup(reactions: Reactions) -> float:
-    """Standard deviation of work over energy from the stated stiffness and gains."""
+    """Standard deviation of work over energy from the stated errors of stiffness and gains."""
     if reactions.setup_errors is None:
         return 0.0
     variance = dict(zip(PARAMETERS, np.diag(reactions.setup_errors.covariance), strict=True))

@@ -36,7 +36,7 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     -----
     Each contact obeys more conditions than it has unknowns (`vibrissa.inverse.checks.constraints`).
     One cause at a time is fitted to their residuals, by generalised least squares under the noise,
-    the zero error, a model error of 2e-4 L and the setup errors within tolerance (mechanics.md,
+    the zero error, a model error of 2e-4 L and the tolerated setup errors (mechanics.md,
     "What the data say of the setup").
     """
     if found.kind.ndim == 1:

@@ -1,4 +1,4 @@
-"""Pose delay, told by back-and-forth passes over the same object.
+"""Pose delay, detected from back-and-forth passes over the same object.
 
 The wrench in clamp axes does not depend on the clock of the poses, so one pass at constant speed
 shows no delay: all contacts shift alike. Two passes in opposite directions shift against each
@@ -128,7 +128,7 @@ def _pairs(
 
 def _by_blocks(slope: Scalars, apart: Scalars) -> tuple[float, float]:
     """Delay and its standard deviation: least squares with an offset, as from a drifting zero, and
-    the scatter between parts of the sweep; infinite if the offset fits as well.
+    the scatter between parts of the sweep; infinite if an offset explains as much.
     """
     own = slope - slope.mean()
     square = own @ own

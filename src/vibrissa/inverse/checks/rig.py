@@ -59,8 +59,8 @@ TELLING = list(SUSPECTS)[:10]
 """Those that affect all stretches alike, all but single channels: these decide the phases."""
 RUBBING: Directions = _UNIT[:, [FRICTION]]
 _SPREADS = np.repeat([0.3, 0.05, 0.04, 0.1, 0.1, 0.3], [1, 1, 3, 3, 6, 6])
-"""Prior standard deviations; gross mistakes are three of them. A stiffness by 30 %, a length by 5
-%, a clamp by 0.04 L and 6°, a gain by 10 %, taper, curvature and load by 0.3.
+"""Prior standard deviations; gross mistakes are three of them. A stiffness by 30 %, a length by
+5 %, a clamp by 0.04 L and 6°, a gain by 10 %, taper, curvature and load by 0.3.
 """
 _DRIFT_SPREAD, _ZERO_SPREAD = 20.0, 10.0
 """The same in standard deviations of a sample: how much a zero may drift over a contact, and be off

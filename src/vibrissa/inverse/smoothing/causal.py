@@ -75,7 +75,7 @@ _RATES = np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD])
 a sweep.
 """
 _BEND = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-"""Of them at a change of phase: only the rate of s₁ is then a new one."""
+"""Factors on them at a change of phase: only the rate of s₁ is new."""
 _ARC_LENGTH_VARIANCE = 0.1
 """Of a contact that begins on the flank: that of a uniform s₁ about 1."""
 _JUMP = 2.0
@@ -138,9 +138,9 @@ class CausalSmoother:
         Coulomb friction coefficient between rod and object: 0 for none, None if unknown. If it is
         0, tangential contacts are perpendicular to their force.
     false_alarm
-        Fraction of samples without contact that may be taken for contact: the mean of five samples
-        has to exceed the chi-square limit at that level, allowing for the drift of the zero and its
-        error.
+        Fraction of samples without contact that may be mistaken for contact: the mean of five
+        samples has to exceed the chi-square limit at that level, allowing for the drift of the zero
+        and its error.
     model_error
         As for `smooth`.
     setup_errors

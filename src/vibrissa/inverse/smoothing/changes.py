@@ -292,7 +292,7 @@ def with_onset(fit: Fit, first: int) -> tuple[Fit, int, Samples]:
 
 def _limit(fit: Fit, first: int) -> float:
     """Cramér-Rao: (gᵀ P⁻¹ g)^(−½), with g the rates of the loads at the beginning and P the
-    covariance of the loads there as told by what follows [s].
+    covariance of the loads there given what follows [s].
     """
     cut = fit.rows(slice(first, None))
     cut = cut._replace(labels=cut.labels.copy())

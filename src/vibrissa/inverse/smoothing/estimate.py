@@ -167,7 +167,7 @@ def _moved(fit: Fit, seen: Changes) -> Float[np.ndarray, "n coordinates setup"]:
     target = np.zeros((*steps.target.shape, COUNT))
     target[:, :WRENCH] = chosen(shows, -fit.series.whitening @ seen.wrench, 0.0)
     columns = steps._replace(begin=np.zeros_like(steps.begin), target=target)
-    # As if the series began after a tare: the zero told by earlier segments has setup errors, too.
+    # As if the series began after a tare: the zero from earlier segments has setup errors, too.
     return smoothed_states(fit._replace(zero=TARED), columns).mean[:, PLACE]
 
 

@@ -8,9 +8,9 @@ length s₁, with
 
     F_⊥ = γ t0 × m0,
 
-where γ is such that the curvature first vanishes at s₁. On a straight rod without axial force γ =
-1/s₁, and 1/s₁ rises with γ throughout. The coordinates are regular through first contact (m0 = 0),
-and where the force passes behind the clamp's axis (γ = 0).
+where γ is such that the curvature first vanishes at s₁. On a straight rod without axial force
+γ = 1/s₁, and 1/s₁ rises with γ throughout. The coordinates are regular through first contact
+(m0 = 0), and where the force passes behind the clamp's axis (γ = 0).
 
 A rod that is not quite straight, or a clamp that is not quite true, tilts m0 slightly out of the
 plane perpendicular to t0. The fifth coordinate is that tilt ε:

@@ -64,7 +64,7 @@ ARC_LENGTH_SPREAD = 0.3
 TINY = 1e-300
 """Stands in for a divisor of zero."""
 TOGETHER, _TOGETHER_FREE = 4, 32
-"""Samples per group in contact, and without: sensors log some hundred per second, contacts move
+"""Samples per group in contact, and without: sensors log some hundreds per second, contacts move
 within tenths of a second, and zeros drift within seconds.
 """
 _ROUGH_GROUPS, _GROUPS = 600, 2400
@@ -231,7 +231,7 @@ class Fit(NamedTuple):
     """Standard deviation of k² about ½ in tangential contact; None if friction may change it."""
 
     def rows(self, rows: slice) -> "Fit":
-        """Some of the samples; the zero is what the samples before them tell."""
+        """Some of the samples; the zero as known from the samples before them."""
         part = Fit._make([*jax.tree.map(lambda part: part[rows], self[:6]), *self[6:]])
         return part._replace(zero=Gaussian(*(each[0] for each in part.states.expected_zero)))
 

@@ -61,7 +61,7 @@ _SIDE, _HALF = 3, 25
 """Samples on either side of a step, and of its neighbourhood."""
 _STEP, _UNUSUAL = 12.0, 6.0
 """Size of a step, in standard deviations and relative to the usual difference: a contact that keeps
-sliding, even through a change of phase, stays far from both.
+sliding, even through a change of phase, stays far below both.
 """
 
 

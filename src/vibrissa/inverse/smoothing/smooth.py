@@ -53,8 +53,8 @@ def smooth(
     model_error: float = 2e-4,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction:
-    """Contacts smoothed along their sweep: each uses all its samples, the known noise of the
-    wrench, and that a contact moves smoothly until it changes.
+    """Contacts smoothed along their sweep: each uses all samples of it, given the noise of
+    the wrench, and assumes that a contact moves smoothly until it changes.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def smooth(
         If their `friction` is 0, tangential contacts are perpendicular to their force; if it is
         unknown (None), or greater, their incidence is free.
     false_alarm
-        Fraction of samples without contact that may be taken for contact.
+        Fraction of samples without contact that may be mistaken for contact.
     model_error
         Standard deviation in rod lengths, on each axis, of what the statics of an ideal rod leave
         out. It is added to the covariances.

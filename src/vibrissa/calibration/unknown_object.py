@@ -147,11 +147,9 @@ def _fitted(
     free, held = list(chosen), dict[str, tuple[str, ...]]()
     given = bench_of(setup.rod, setup.sensor).numbers(setup.sensor)
     while free:
-        # Gains are not divided by their given values: the readings already are.
         known = [
             min(
-                deviations.get(one.group, math.inf)
-                / (1.0 if one.field == "gain" else one.slope(given)),
+                deviations.get(one.group, math.inf) / one.slope(given),
                 within.get(one, math.inf),
                 _SPREAD * one.scale,
             )

@@ -1,4 +1,4 @@
-"""Shapes of arrays that are spoken of again and again: of one row, and of rows (…)."""
+"""Array shapes used throughout: of one row, and of many rows (…)."""
 
 from typing import Any
 
@@ -10,9 +10,9 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Frame = Float[Any, "3 3"]
 Wrench = Float[Any, "6"]
-"""Force and moment, or a derivative by these."""
+"""Force and moment, or a derivative with respect to them."""
 Spread = Float[Any, "6 6"]
-"""Covariance of a wrench, or what takes wrenches to others."""
+"""Covariance of a wrench, or a linear map between wrenches."""
 
 Flags = Bool[np.ndarray, "*trail n"]
 Codes = Int[np.ndarray, "*trail n"]

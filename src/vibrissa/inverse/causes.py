@@ -1,5 +1,5 @@
-"""Errors of contacts by cause: noise of the wrench, pose of the robot, the rod's stiffness and
-length, the mount of the clamp.
+"""Errors of contacts by cause: wrench noise, robot pose, the rod's stiffness and length, and the
+mounting of the clamp.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ class ContactErrors:
     Attributes
     ----------
     by_cause
-        Name of the cause to (…, 3, 3); NaN without contact. The causes are independent of each
-        other.
+        Covariance (…, 3, 3) by name of the cause; NaN without contact. The causes are independent
+        of each other.
     shared
-        Causes whose error is one and the same for all contacts of a recording: neither averages nor
-        smoothing reduce it.
+        Causes whose error is the same for all contacts of a recording: neither averaging nor
+        smoothing reduces it.
     sensitivity
-        Derivatives (…, 3, k) of the points by the shared parameters: `bending_stiffness` by its
-        relative change, `length`, `clamp_position` and `clamp_rotation` (clamp axes) by themselves.
-        They carry errors from one contact to another.
+        Derivatives (…, 3, k) of the points with respect to the shared parameters: relative
+        `bending_stiffness`, `length`, `clamp_position` and `clamp_rotation` (clamp axes). They
+        correlate the errors of different contacts.
     """
 
     by_cause: dict[str, Covariances]
@@ -64,23 +64,23 @@ def contact_errors(
     found
         Contacts, sample by sample or smoothed.
     youngs_modulus
-        Standard deviation of Young's modulus as a share of it (0.01 for 1 %).
+        Relative standard deviation of Young's modulus (0.01 for 1 %).
     bending_stiffness
-        Standard deviation of EI, in units of the rod [N m²]; besides that of the modulus.
+        Standard deviation of EI, in units of the rod [N m²]; in addition to that of the modulus.
     length
         Standard deviation of the rod's length [m].
     clamp_position
-        Of the clamp in the sensor frame, seen in clamp axes: a standard deviation for each axis
-        [m], or a covariance (3, 3).
+        Of the clamp in the sensor frame, in clamp axes: one standard deviation for each axis [m],
+        or a covariance (3, 3).
     clamp_rotation
-        Of the clamp's axes, small rotations about clamp axes: a standard deviation [rad], or a
-        covariance (3, 3).
+        Of the clamp's orientation, as small rotations about clamp axes: a standard deviation [rad],
+        or a covariance (3, 3).
     pose
-        Of the robot's position in each sample: a standard deviation for each axis [m], or a
+        Of the robot's position in each sample: one standard deviation for each axis [m], or a
         covariance (3, 3), world axes. Default: that of the reactions.
     pose_rotation
         Standard deviation of the robot's orientation in each sample [rad], as a rotation about the
-        clamp; besides that of the reactions.
+        clamp; in addition to that of the reactions.
 
     Raises
     ------
@@ -90,11 +90,11 @@ def contact_errors(
 
     Notes
     -----
-    The reconstruction is the most probable single contact x of a wrench w, so an error dθ of rod or
-    mount moves it by dx = −(HᵀΣ⁻¹H)⁻¹HᵀΣ⁻¹ (∂h/∂θ) dθ, with w = h(x; θ) and H = ∂h/∂x, and the
-    point p(x; θ) by dp = (∂p/∂x) dx + (∂p/∂θ) dθ (`vibrissa.inverse.parameters`). Smoothed contacts
-    move as the smoother's gains weigh the whole sweep. At the tip s₁ = L is part of h: in smoothed
-    tip contacts, and in single samples that were limited to the rod's length.
+    The reconstruction is the most probable single contact x given a wrench w, so an error dθ of rod
+    or mounting moves it by dx = −(HᵀΣ⁻¹H)⁻¹HᵀΣ⁻¹ (∂h/∂θ) dθ, with w = h(x; θ) and H = ∂h/∂x, and
+    the point p(x; θ) by dp = (∂p/∂x) dx + (∂p/∂θ) dθ (`vibrissa.inverse.parameters`). Smoothed
+    contacts move by the smoother's gains over the whole sweep. At the tip, h includes s₁ = L: for
+    smoothed tip contacts, and for single samples limited to the rod's length.
     """
     if found.covariance_noise is None or found.reactions.covariance is None:
         raise ValueError(
@@ -137,7 +137,7 @@ def contact_errors(
 
 
 def _covariance(value: ArrayLike, name: str, size: int = 3) -> Float[np.ndarray, "k k"]:
-    """From one standard deviation, or a covariance."""
+    """From one standard deviation, or from a covariance."""
     array = finite_array(value, name)
     if array.ndim == 0:
         return np.eye(size) * not_negative(float(array), name) ** 2

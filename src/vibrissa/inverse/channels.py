@@ -1,9 +1,9 @@
 """Contacts from fewer than six reactions, where they are unique (mechanics.md, "Fewer channels").
 
 A single contact has four unknowns: m_x, m_y, F_z and s₁ in clamp axes (`smoothing.manifold`,
-without tilt). One equation is the law of contact: s₁ = L at the tip, incidence ½ where the rod
-touches tangentially without friction. So three independent reactions are needed, or four where
-friction makes the incidence unknown.
+without tilt). The contact law gives one equation: s₁ = L at the tip, or incidence ½ in tangential
+contact without friction. So three independent reactions are needed, or four where friction makes
+the incidence unknown.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,23 +30,23 @@ from vibrissa.rod import Rod
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 _TIP_LAW, _TANGENTIAL_LAW, _NO_LAW = np.eye(3, 2)
-"""Which of two laws holds: s₁ = L, or the incidence of `_SQUARE`."""
+"""Which of the two laws holds: s₁ = L, or incidence `_SQUARE`."""
 _STEPS, _DAMPING = 40, 1e-2
-"""Of Levenberg and Marquardt's method: the damping falls tenfold with each step that gains."""
+"""Levenberg–Marquardt: steps, and initial damping, which falls tenfold with each successful step.
+"""
 _SQUARE = 0.5
 """Incidence in tangential contact without friction."""
 _SINGULAR = 1e-5
-"""Least singular value over the largest from which channels leave a direction open: hundred times
-what rounding makes of an open one.
+"""Ratio of smallest to largest singular value below which the channels leave a direction open: a
+hundred times what rounding makes of an open one.
 """
 _LEAST_LOAD = 1e-12
 _FITS, _SLACK = 1e-7, 1e-6
-"""Without known noise: what is left of the equations, and how exactly s₁ ≤ L and incidence ≤ ½
-hold."""
+"""Without known noise: largest residual of the equations, and slack on s₁ ≤ L and incidence ≤ ½."""
 _DEVIATIONS, _KNOWN_SLACK = 4.0, 2e-2
-"""The same with it, in standard deviations and by its size."""
+"""The same with known noise: in standard deviations, and by the size of the noise."""
 _SAME = 1e-4
-"""Difference of coordinates up to which both laws have found the same contact."""
+"""Difference of coordinates below which both laws have found the same contact."""
 
 
 class Problem(NamedTuple):
@@ -62,15 +62,14 @@ class Branch(NamedTuple):
 
     x: Float[Array, "5"]
     residual: Scalar
-    """Norm of the equations that are left, in model units, or in standard deviations."""
+    """Norm of what remains of the equations, in model units or in standard deviations."""
     independence: Scalar
-    """Least singular value of the equations' derivative over the largest: 0 where the channels
-    leave a direction open.
+    """Ratio of smallest to largest singular value of the Jacobian: 0 if the channels leave a
+    direction open.
     """
     bad: Flag
     found: Found
-    """As if unique and in contact; without χ² of the loads and errors where the noise is not known.
-    """
+    """As if unique and in contact; without χ² of the loads and errors if the noise is unknown."""
 
 
 def found_by_channels(
@@ -81,13 +80,13 @@ def found_by_channels(
     friction: float | None,
     false_alarm: float,
 ) -> Found:
-    """Contacts from some of the reactions, the others unseen (`reconstruct`'s `channels`).
+    """Contacts from some of the reactions alone (`channels` of `reconstruct`).
 
-    Both laws of contact are tried, and a row is unique where one of them alone has a solution, no
+    Both contact laws are tried; a row is unique if only one of them has a solution, with no
     direction left open.
 
-    With friction the incidence of a tangential contact is not known, and the channels have to do
-    without a law.
+    With friction the incidence of a tangential contact is unknown, so the channels must do without
+    that law.
     """
     selected = np.isin(CHANNELS, channels)
     if isinstance(channels, str) or not 3 <= len(channels) == selected.sum():
@@ -134,7 +133,7 @@ def found_by_channels(
 
 @lanes()
 def _solved(problem: Problem, sample: Sample) -> Branch:
-    """Levenberg-Marquardt on the selected channels and a law, without tilt."""
+    """Levenberg–Marquardt on the selected channels and one law, without tilt."""
     setting, selected = problem.setting, jnp.asarray(problem.selected)
     turn = rotation_matrix(sample.orientation)
     wrench = joined(sample.force @ turn / setting.force, sample.moment @ turn / setting.moment)
@@ -149,21 +148,21 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
     measured = jnp.where(selected, wrench, 0.0)
 
     def seen(wrench: Array, incidence: Array, x: Array) -> Array:
-        """What channels and law see of a rod, or of its derivatives."""
+        """What channels and law observe of a rod, or of its derivatives."""
         law = problem.law @ jnp.stack([x[ARC_LENGTH], incidence])
         return jnp.concatenate([root @ wrench, jnp.stack([law, x[TILT]]) * scale])
 
     due = seen(measured, jnp.asarray(_SQUARE), jnp.asarray(AT_REST))
 
     def equations(at: Linear) -> tuple[Array, Array]:
-        """What is left of them, and its derivatives."""
+        """Residuals and their Jacobian."""
         left = seen(*at.value[:2], at.x) - due
         return left, seen(*at.slope[:2], jnp.eye(len(at.x)))
 
     at = _least_squares(equations, _start(measured, selected), scale)
     x, value, slope = at
     left, jacobian = equations(at)
-    # Relative to the loads, so that a light touch is no less unique than a strong one.
+    # Relative to the loads, so that a light touch is no less unique than a firm one.
     load = jnp.maximum(jnp.sqrt(jnp.sum(x[:3] ** 2)), 1e-9)
     size = jnp.where(jnp.arange(len(x)) < ARC_LENGTH, load, 1.0)
     values = jnp.linalg.svd((jacobian / scale * size).at[:6].divide(load), compute_uv=False)
@@ -193,7 +192,7 @@ def _solved(problem: Problem, sample: Sample) -> Branch:
 def _least_squares(
     equations: Callable[[Linear], tuple[Array, Array]], start: Float[Array, "5"], scale: Scalar
 ) -> Linear:
-    """The manifold where Levenberg and Marquardt's method ends, from equations of about a size."""
+    """The manifold where Levenberg–Marquardt ends; the equations should be of similar size."""
 
     def step(_: Array | int, state: tuple[Array, Linear, Array, Array]) -> tuple[Any, ...]:
         tried, last, damping, best = state
@@ -218,11 +217,11 @@ def _least_squares(
 
 
 def _start(measured: Wrench, selected: Bool[Array, "6"]) -> Float[Array, "5"]:
-    """A tip contact near the channels that are seen: F_⊥ = t0 × m0 / L, and −F_z = ‖m0‖²/2."""
+    """A tip contact close to the selected channels: F_⊥ = t0 × m0 / L, and −F_z = ‖m0‖²/2."""
     fx, fy, fz, mx, my, _ = measured
     mx, my = jnp.where(selected[3], mx, -fy), jnp.where(selected[4], my, fx)
     square = mx**2 + my**2
-    # A channel that is not seen must not start at a standstill.
+    # A channel that is not selected must not start at a stationary point.
     size = 1e-3 * jnp.maximum(jnp.sqrt(square), 1e-4)
     axial = jnp.where(selected[2], -fz, -square / 2)
     return jnp.stack([mx + size, my + size, axial, jnp.asarray(0.95), jnp.zeros(())])

@@ -2,7 +2,7 @@
 
 With friction the force direction d is not the object's normal n. But the contacts show how the
 rod's material point moves over the object, along the unit vector ŵ of dP₁ − t ds₁ (mechanics.md,
-"Slip"), and where it slides, d leans against it by the friction angle:
+"Slip"); where it slides, d leans against that motion by the friction angle:
 
     d = (n − μ ŵ)/√(1 + μ²),    so    μ = −d·ŵ / √(1 − (d·ŵ)²),    n = (d − (d·ŵ) ŵ)/√(1 − (d·ŵ)²).
 """
@@ -22,9 +22,9 @@ from vibrissa.mechanics.elastica import contact_tangent
 
 _LEAST_WINDOW = 5
 _LARGEST_WINDOW = 401
-# Motion over a window against the noise of its ends.
+# Motion over a window, relative to the noise at its ends.
 _MOTION_TO_NOISE = 12.0
-# Slower than this share of the median the contact counts as at rest, where ŵ says nothing.
+# Below this fraction of the median speed the contact counts as at rest, where ŵ is meaningless.
 _AT_REST = 0.1
 _MOST_DEVIATIONS = 4.0
 _ROUNDING = 1e-9
@@ -32,22 +32,22 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class FrictionEstimate:
-    """What the contacts of a sweep say of friction.
+    """What the contacts of a sweep say about friction.
 
     Attributes
     ----------
     friction
-        Coulomb's coefficient: median over the sliding samples.
+        Coulomb friction coefficient: median over the sliding samples.
     standard_error
-        Of the coefficient, from the spread of the samples (median absolute deviation), a window of
-        samples counting as one.
+        Of the coefficient, from the spread of the samples (median absolute deviation), each window
+        of samples counting as one.
     normal
         (…, 3) outward unit normal of the object; NaN where the contact does not slide or is not
         known.
     sliding
         (…, 3) unit vector along which the rod slides over the object; NaN likewise.
     window
-        Samples over which motions were taken.
+        Number of samples over which the motion was fitted.
     """
 
     friction: float
@@ -65,9 +65,9 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     found
         Contacts (n, …) or (m, n, …), in the order of the sweep.
     window
-        Odd number of samples, at least 5, over which the motion of the contact is taken (quadratic
+        Odd number of samples, at least 5, over which the contact's motion is fitted (quadratic
         least squares). Default: the smallest over which the contact moves by twelve times its
-        noise; 5 where the noise is not known.
+        noise; 5 if the noise is unknown.
 
     Raises
     ------
@@ -76,9 +76,9 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
 
     Notes
     -----
-    Where the contact sticks or rolls the force lies anywhere inside the cone; such samples take no
-    part. Without a second look (another direction of sweeping) nothing more than the cone around
-    the force is known of the normal there.
+    Where the contact sticks or rolls, the force may lie anywhere inside the cone; such samples are
+    left out. There the normal is known only to lie in the cone around the force, unless a sweep in
+    another direction adds to it.
     """
     if window is None:
         window = _window(found)
@@ -87,8 +87,8 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
             f"window = {window!r}; allowed is an odd number of at least {_LEAST_WINDOW}"
         )
     usable, direction = found.in_contact & (found.status == Status.OK), found.force_direction
-    # Bending between tip and tangential contact gives the path a kink in s₁; a window must not span
-    # it, nor reach beyond the sweep.
+    # A change between tip and tangential contact puts a kink into s₁; a window must not span it,
+    # nor reach beyond the sweep.
     kind = np.where(usable, found.kind, 0)
     size = (1, window)[-kind.ndim :]
     differs = morphological_gradient(kind, size, mode="constant", cval=-1)
@@ -110,7 +110,7 @@ def estimate_friction(found: Reconstruction, *, window: int | None = None) -> Fr
     coefficients = -lean / cosine
     friction = float(np.median(coefficients[slides]))
     spread = float(scipy.stats.median_abs_deviation(coefficients[slides], scale="normal"))
-    # Where the contact has just jumped, or turns within the window, the lean is another.
+    # Where the contact has just jumped, or turns within the window, the lean is different.
     fits = np.abs(coefficients - friction) <= _MOST_DEVIATIONS * spread + _ROUNDING
     sliding = np.where(fits[..., None], sliding, np.nan)
     normal = (direction - lean[..., None] * sliding) / cosine[..., None]
@@ -145,6 +145,6 @@ def _window(found: Reconstruction) -> int:
         for points in (found.point, found.reactions.trail.position)
     )
     step = float(np.median(np.minimum(moved, clamp)[contact[..., 1:] & np.isfinite(moved)]))
-    # The slope of a straight line through n equally noisy samples: σ √(12/n³) a sample.
+    # The slope of a straight line through n equally noisy samples: σ √(12/n³) per sample.
     count = (12 * (_MOTION_TO_NOISE * noise / max(step, 1e-300)) ** 2) ** (1 / 3)
     return int(np.clip(2 * (int(count) // 2) + 1, _LEAST_WINDOW, _LARGEST_WINDOW))

@@ -1,8 +1,7 @@
-"""The paper's own route: integrate its initial value problem from the clamp, here in vectors, and stop
-at the first zero of the curvature.
+"""The paper's own route: integrate its initial value problem from the clamp, here in vectors, and
+stop at the first zero of the curvature.
 
-Slow, and independent of the closed form in `mechanics`: it exists so that tests can hold the two
-against each other.
+Slow, and independent of the closed form in `mechanics`: it lets tests check one against the other.
 """
 
 from typing import Any
@@ -56,8 +55,8 @@ def reconstruct_by_integration(
 
 
 def _integrated(f0: Vector, m0: Vector, t0: Vector, tolerance: float) -> Any:
-    """Of r' = t, t' = m × t, m' = t × f0 with m = −m0 at the clamp, in model units: SciPy's
-    solution, which ends where the rod straightens.
+    """Integrate r' = t, t' = m × t, m' = t × f0 with m = −m0 at the clamp, in model units: SciPy's
+    solution, which ends where the curvature vanishes.
     """
     bend = (m0 @ t0) * t0 - m0
 

@@ -1,8 +1,8 @@
-"""The inverse map of measured reactions: from f0, m0 and the clamp's tangent alone to the contact
-(paper, section II, eqs. 14-16; mechanics.md).
+"""The inverse map: from f0, m0 and the clamp's tangent alone to the contact (paper, section II,
+eqs. 14-16; mechanics.md).
 
-One contact force carries no couple, so r = (m0 × F)/f² − I₁ n̂ with F = −f0: the first term is the
-wrench's central axis, and only I₁, how far along it, needs the rod. Everything is dimensionless.
+A single contact force carries no couple, so r = (m0 × F)/f² − I₁ n̂ with F = −f0: the first term is
+the wrench's central axis; only I₁, the distance along it, depends on the rod. All is dimensionless.
 """
 
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from vibrissa.inverse.arrays import Scalar, Spread, Wrench
 from vibrissa.mechanics.elastica import Elastica
 
 invert = Elastica().contact
-"""The contact that explains support reactions, by the rod's model."""
+"""The contact that explains given support reactions, by the rod model."""
 
 
 def towards(
@@ -21,9 +21,9 @@ def towards(
     slope: Wrench,
     covariance: Spread,
 ) -> tuple[Wrench, Scalar]:
-    """A Gauss–Newton step to the most probable wrench that fulfils a condition: the least change of
-    the measured one, `start`, in the metric of its covariance, with the condition's value and slope
-    at a wrench; and the size of the change in standard deviations.
+    """One Gauss–Newton step to the most probable wrench that meets a condition: the smallest change
+    of the measured wrench `start` in the metric of its covariance, given the condition's value and
+    slope `at` a wrench. Also the size of that change in standard deviations.
     """
     spread = covariance @ slope
     variance = slope @ spread
@@ -32,8 +32,8 @@ def towards(
 
 
 def single_contact(wrench: Wrench, covariance: Spread) -> tuple[Wrench, Scalar]:
-    """Most probable wrench of a single contact, and by how many standard deviations the measured
-    one violates its condition m0·f0 = 0 (mechanics.md, "Statics alone"); two steps.
+    """Most probable wrench of a single contact, in two steps, and by how many standard deviations
+    the measured one violates the condition m0·f0 = 0 (mechanics.md, "Statics alone").
     """
 
     def step(at: Wrench) -> tuple[Wrench, Scalar]:

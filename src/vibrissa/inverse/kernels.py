@@ -1,7 +1,7 @@
-"""Contacts sample by sample: what a wrench says of its contact, what noise and the tolerances of
-the setup imply, and whether the row can be trusted.
+"""Contacts sample by sample: what a wrench says about its contact, what noise and the setup's
+tolerances imply, and whether the row can be trusted.
 
-All is in model units but what `Setting` and `Found` say; vectors are in world axes.
+All in model units, except as stated in `Setting` and `Found`; vectors are in world axes.
 """
 
 import math
@@ -22,20 +22,21 @@ from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
 from vibrissa.numerics.rotation import cross_matrix, rotation_matrix, third_axis
 
 SINGLE_CONTACT, TIP, LEAST_FORCE = 1e-3, 1e-6, 1e-14
-"""Where the noise is not known: how exactly reactions must fit one contact, and s₁ the rod's
-length [L], and the least force that is a contact [EI/L²]: rounding errors of scans, ten times over.
+"""If the noise is unknown: how closely reactions must fit a single contact, and s₁ the rod's length
+[L], and the smallest force that counts as contact [EI/L²]: ten times the rounding errors of scans.
 """
 _SINGLE_DEVIATIONS, _TIP_DEVIATIONS, _STEEP_DEVIATIONS, _KIND_DEVIATIONS = 6.0, 5.0, 3.0, 2.0
-"""Where the noise is known, in standard deviations: of m0·f0 = 0; up to which s₁ > L is noise and
-the tip is imposed; from which a tangent is too steep; within which a contact is called one at the
-tip.
+"""If the noise is known, in standard deviations: largest violation of m0·f0 = 0; up to where s₁ > L
+is noise and the tip is imposed; from where a tangent is too steep; within which a contact counts as
+one at the tip.
 """
 _TIP_STEPS = 10
 _SETTLED = 1e-15
-"""Of the wrench: the change that ends the steps to the tip, rounding."""
+"""Relative change of the wrench that ends the steps to the tip: rounding."""
 _FIRST_ORDER = 20.0
-"""Standard deviations of the force from which errors to first order hold nine in ten and more
-(measured, `benchmarks/signal_strength.py`): below, second moments are taken."""
+"""Standard deviations of the force above which first-order errors hold nine times in ten or more
+(measured, `benchmarks/signal_strength.py`); below, second moments are used.
+"""
 _TINY = 1e-300
 
 
@@ -48,10 +49,10 @@ class Setting(NamedTuple):
     steepest: float
     """Largest incidence that friction explains."""
     threshold: float
-    """χ² of the wrench above which a sample is in contact."""
+    """χ² of the wrench above which a sample counts as contact."""
     rig: Rig | None = None
     errors: Float[AnyArray, "setup setup"] | None = None
-    """Covariance of errors of the setup, model units."""
+    """Covariance of the setup errors, model units."""
 
 
 class Sample(NamedTuple):
@@ -64,7 +65,7 @@ class Sample(NamedTuple):
     covariance: Spread | None = None
     """Of the wrench, model units."""
     velocity: Wrench | None = None
-    """Of the clamp, clamp axes, rod lengths and radians a second."""
+    """Of the clamp: clamp axes, rod lengths and radians per second."""
 
 
 Row = Float[AnyArray, "*n"]
@@ -81,7 +82,7 @@ class Errors(NamedTuple):
 
 class Found(NamedTuple):
     """Contact of one row, in units of the rod; NaN without contact. Fields are those of
-    `Reconstruction` but for the last three.
+    `Reconstruction` except the last three.
     """
 
     kind: Int[AnyArray, "*n"]
@@ -95,15 +96,15 @@ class Found(NamedTuple):
     arc_length_deviation: Row | None = None
     chi_square: Row | None = None
     noise: Errors | None = None
-    """By what varies from sample to sample."""
+    """From what varies from sample to sample."""
     setup: Errors | None = None
-    """By what all samples share."""
+    """From what all samples share."""
     weak: Bool[AnyArray, "*n"] | None = None
     """Whether the errors need second moments."""
 
 
 class Observed(NamedTuple):
-    """What errors are carried to; or its derivatives, or variances."""
+    """What errors are propagated to; or its derivatives, or variances."""
 
     reach: Float[AnyArray, "3 *p"]
     direction: Float[AnyArray, "3 *p"]
@@ -114,13 +115,15 @@ class Observed(NamedTuple):
 
 
 class _Probable(NamedTuple):
-    """Most probable wrench of a single contact within the rod's length, and derivatives there."""
+    """Most probable wrench of a single contact within the rod's length, with derivatives there."""
 
     wrench: Wrench
     contact: Contact
     single: Scalar
     slopes: Observed
-    """By the measured wrench; those of s₁ and incidence as if the tip were not imposed."""
+    """With respect to the measured wrench; those of s₁ and incidence as if the tip were not
+    imposed.
+    """
     pinned: Flag
     """Whether the wrench was moved to the tip."""
     off_straight: Scalar
@@ -145,9 +148,7 @@ many_exact_contacts = lanes(width=128, blocks=128)(_exact)
 
 @lanes(alone=True)
 def noisy_contacts(setting: Setting, sample: Sample) -> Found:
-    """Contact of the most probable wrench of a single contact on this rod, its errors to first
-    order.
-    """
+    """Contact of the most probable single-contact wrench on this rod, with first-order errors."""
     probable = _probable(setting, sample)
     covariance = jnp.asarray(sample.covariance)
     whitened = solve_lower(cholesky(covariance), _wrench(setting, sample))
@@ -185,16 +186,16 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
 
 @lanes(alone=True)
 def weak_contacts(setting: Setting, sample: Sample) -> Errors:
-    """Errors of the same contact by second moments: mean squares of the errors of r and n̂ under
-    noise, by the points √6 deviations to either side along each axis of its ellipsoid.
+    """Errors of the same contact by second moments: mean squared errors of r and n̂ under noise,
+    from points √6 deviations to either side along each axis of its ellipsoid.
 
-    They match the noise's mean and covariance, and two moments more along each axis (S. J. Julier,
-    J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): where the force is a few deviations, the contact
+    They match the noise's mean and covariance, and two more moments along each axis (S. J. Julier,
+    J. K. Uhlmann, Proc. IEEE 92 (2004) 401-422): if the force is only a few deviations, the contact
     is far from linear in them.
     """
     probable = _probable(setting, sample)
     tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
-    # In the clamp's axes, so that the points turn with it.
+    # In clamp axes, so that the points turn with the clamp.
     both, contact = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation)), probable.contact
     root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
     steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
@@ -202,12 +203,12 @@ def weak_contacts(setting: Setting, sample: Sample) -> Errors:
         probable.wrench + steps, tangent, covariance
     )
     reach = jax.vmap(_within_reach)(found.reach) - contact.reach
-    # Square to n̂: a unit vector can only turn.
+    # Perpendicular to n̂: a unit vector can only turn.
     along = jnp.sum(found.direction * contact.direction, axis=1, keepdims=True)
     direction = found.direction - along * contact.direction
     of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
-    # A contact that says flank may be one at the tip of a rod that is still straight, as likely as
-    # noise makes of one the other.
+    # A contact that looks tangential may be one at the tip of a still straight rod, as likely as
+    # noise makes one look like the other.
     towards = tangent - contact.reach
     of_reach += jnp.exp(-(probable.off_straight**2) / 2) * jnp.outer(towards, towards)
     return Errors(of_reach * setting.length**2, of_direction)
@@ -215,7 +216,9 @@ def weak_contacts(setting: Setting, sample: Sample) -> Errors:
 
 @lanes()
 def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
-    """Derivatives of a contact by `vibrissa.tolerances.PARAMETERS` for given readings."""
+    """Derivatives of a contact with respect to `vibrissa.tolerances.PARAMETERS`, for given
+    readings.
+    """
     return _by_setup(_probable(setting, sample), sample, setting.rig)
 
 
@@ -240,7 +243,7 @@ def _judged(
     unsolved = touching & ~jnp.isfinite(s1)
     unknown = bad | couple | unsolved
     none = unknown | ~touching
-    # The worst finding wins.
+    # The most serious finding wins.
     findings = (
         (bad, Status.BAD_DATA),
         (couple, Status.NOT_SINGLE_CONTACT),
@@ -289,8 +292,8 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
 
 
 def _observed(measured: Wrench, tangent: Vector, covariance: Spread) -> Observed:
-    """Errors pass through the projection on a single contact, but not through the limit at the tip,
-    where they would be cut.
+    """Errors pass through the projection onto a single contact, but not through the limit at the
+    tip, which would cut them off.
     """
     wrench, deviation = single_contact(measured, covariance)
     contact = invert(wrench[:3], wrench[3:], tangent)
@@ -298,7 +301,7 @@ def _observed(measured: Wrench, tangent: Vector, covariance: Spread) -> Observed
 
 
 def _carried(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Observed:
-    """Covariances of what is observed."""
+    """Covariances of the observed quantities."""
 
     def of(slope: Float[Array, "*k p"]) -> Float[Array, "..."]:
         half = _product(slope, covariance)
@@ -308,15 +311,15 @@ def _carried(slopes: Observed, covariance: Float[AnyArray, "p p"]) -> Observed:
 
 
 def _within_reach(reach: Vector) -> Vector:
-    """No contact lies farther from the clamp than the rod is long: near first contact noise may say
-    so.
+    """No contact is farther from the clamp than the rod is long; near first contact noise may put
+    it there.
     """
     return reach / jnp.maximum(jnp.sqrt(jnp.sum(reach * reach)), 1.0)
 
 
 def _by_setup(probable: _Probable, sample: Sample, rig: Rig | None) -> Observed:
-    """With other numbers of the setup the same readings are another wrench on another rod, seen
-    from another place: derivatives by these numbers.
+    """With other setup parameters the same readings are another wrench on another rod, seen from
+    another place: derivatives with respect to these parameters.
     """
     slopes, contact, turn = probable.slopes, probable.contact, rotation_matrix(sample.orientation)
     force, moment, reach, direction = (
@@ -326,7 +329,7 @@ def _by_setup(probable: _Probable, sample: Sample, rig: Rig | None) -> Observed:
     wrench = jnp.concatenate([force, moment])
     by = changes(rig, wrench, reach, direction, jnp.asarray(sample.velocity))
     seen = jnp.concatenate([_product(turn, by.wrench[:3]), _product(turn, by.wrench[3:])])
-    # A wrench that was moved to the tip stays there, however the setup's numbers change it.
+    # A wrench that was moved to the tip stays there, whatever the setup's parameters.
     longer, spread = slopes.arc_length, jnp.asarray(sample.covariance) @ slopes.arc_length
     along = spread / jnp.maximum(longer @ spread, _TINY) * probable.pinned
     held = seen - jnp.outer(along, _product(longer, seen))
@@ -338,7 +341,7 @@ def _by_setup(probable: _Probable, sample: Sample, rig: Rig | None) -> Observed:
 
 
 def _product(first: Float[AnyArray, "*k l"], second: Float[AnyArray, "l m"]) -> Float[Array, "..."]:
-    """Matrix product as plain arithmetic, which keeps the lanes together."""
+    """Matrix product in plain arithmetic, which keeps the lanes together."""
     return jnp.sum(jnp.asarray(first)[..., None] * second, axis=-2)
 
 
@@ -349,8 +352,8 @@ def _within_the_rod(
     tangent: Vector,
     covariance: Spread,
 ) -> Wrench:
-    """The most probable wrench with s₁ ≤ L: a contact beyond the tip, by less than the noise
-    explains, is one at the tip.
+    """The most probable wrench with s₁ ≤ L: a contact beyond the tip by no more than noise explains
+    is one at the tip.
     """
 
     def log_arc_length(wrench: Wrench) -> tuple[Scalar, Scalar]:
@@ -375,10 +378,10 @@ def _within_the_rod(
 
 
 def _straight_tip(wrench: Wrench, tangent: Vector, covariance: Spread) -> tuple[Wrench, Scalar]:
-    """Most probable wrench of a force at the tip of the rod while it is still straight, and its
-    distance in standard deviations.
+    """Most probable wrench of a force at the tip of a still straight rod, and its distance in
+    standard deviations.
 
-    Near first contact noise may move s₁ by rod lengths, and the bent rod's equations are of no use.
+    Near first contact noise may move s₁ by rod lengths, and the bent rod's equations are no help.
     """
     # f0 = −F and m0 = −t0 × F, so m0 = t0 × f0.
     design = jnp.concatenate([jnp.eye(3), cross_matrix(tangent)])

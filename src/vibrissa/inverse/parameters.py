@@ -1,14 +1,14 @@
-"""What an error of the setup changes: in the wrench that is measured, and in where the contact is
-seen, at fixed coordinates of the contact on the rod.
+"""How errors of the setup change the measured wrench and the apparent contact, at fixed coordinates
+of the contact on the rod.
 
-All is exact to first order and linear in the wrench, so no derivative has to be taken. Let θ be
+All is exact to first order and linear in the wrench, so no derivatives need be computed. Let θ be
 true minus stated values of `vibrissa.tolerances.PARAMETERS`, and w = (f, m) the wrench in clamp
-axes and model units (L = EI = 1). The true rod at the same coordinates in its own units exerts a
-larger wrench where it is stiffer, and a smaller one where it is longer: δf = (θ_EI − 2 θ_L) f, δm =
-(θ_EI − θ_L) m, δr = θ_L r. A true clamp that is moved by s and turned by φ against the stated one
-shows δf = φ × f, δm = φ × m + s × f, δr = s + φ × r, δn = φ × n. Gains act on the six channels in
-the sensor's axes. Poses that come late by τ are seen where the clamp has since left: it is moved by
-v τ and turned by ω τ, and a wrench in world axes is turned with it.
+axes and model units (L = EI = 1). At the same coordinates in its own units, the true rod exerts a
+larger wrench if it is stiffer and a smaller one if it is longer: δf = (θ_EI − 2 θ_L) f, δm =
+(θ_EI − θ_L) m, δr = θ_L r. If the true clamp is shifted by s and rotated by φ from the stated one,
+δf = φ × f, δm = φ × m + s × f, δr = s + φ × r, δn = φ × n. Gains act on the six channels in sensor
+axes. If poses come late by τ, the clamp has moved on: it is shifted by v τ and rotated by ω τ, and
+a wrench in world axes rotates with it.
 """
 
 from functools import lru_cache
@@ -31,26 +31,25 @@ _NO_ERRORS = SetupErrors(np.zeros((COUNT, COUNT)), np.array([0.0, 0.0, 0.0, 1.0]
 
 
 class Rig(NamedTuple):
-    """How the sensor sits to the clamp: clamp axes, model units."""
+    """How the sensor sits relative to the clamp: clamp axes, model units."""
 
     turn: Frame
     """From sensor to clamp axes."""
     arm: Vector
-    """From the torque's reference point to the clamp."""
+    """From the torque reference point to the clamp."""
     in_world_axes: Scalar
-    """1 where the wrench was logged in world axes."""
+    """1 if the wrench was logged in world axes."""
 
 
 class Changes(NamedTuple):
-    """Derivatives by `PARAMETERS`, lengths in units of the rod's: of one sample, or with one row a
-    sample.
+    """Derivatives with respect to `PARAMETERS`, lengths in rod lengths: for one sample, or one row
+    per sample.
     """
 
     wrench: Float[AnyArray, "*n 6 setup"]
-    """Of the wrench that is measured, (f0, m0), stated clamp axes, model units of the stated rod.
-    """
+    """Of the measured wrench (f0, m0), in stated clamp axes and model units of the stated rod."""
     reach: Float[AnyArray, "*n 3 setup"]
-    """Of the contact seen from the stated clamp."""
+    """Of the contact as seen from the stated clamp."""
     direction: Float[AnyArray, "*n 3 setup"]
     """Of the unit vector of the contact force."""
 
@@ -62,8 +61,8 @@ def changes(
     direction: Vector,
     velocity: Wrench,
 ) -> Changes:
-    """Of one sample, clamp axes and model units; `velocity` of the clamp point and of its rotation,
-    a second.
+    """For one sample, clamp axes and model units; `velocity` is the clamp's linear and angular
+    velocity, per second.
     """
     assert rig is not None
     force, moment = wrench[:3], wrench[3:]
@@ -72,11 +71,11 @@ def changes(
     shift, spin = velocity[:3], velocity[3:]
     about = moment + arm @ force
     gain_force, gain_torque = turn * (turn.T @ force), turn * (turn.T @ about)
-    # About the torque's reference point, to which a logged wrench belongs.
+    # About the torque reference point, where a logged wrench is taken.
     turned = jnp.cross(spin, force) * rig.in_world_axes
     late = jnp.cross(spin, about) * rig.in_world_axes - arm @ turned
     seen = shift + jnp.cross(spin, reach)
-    # By stiffness, length, place and turn of the clamp, gains of forces and torques, and delay.
+    # By stiffness, length, clamp position and rotation, force and torque gains, and delay.
     none = jnp.zeros(3)
     of_force = (force, -2 * force, zero, f, gain_force, zero, turned)
     of_moment = (moment, -moment, f @ turn, m, -arm @ gain_force, gain_torque, late)
@@ -89,21 +88,21 @@ def changes(
 
 
 changes_of_rows = lanes()(changes)
-"""`changes`, one row a sample."""
+"""`changes` of many samples, one row each."""
 
 
 class Known(NamedTuple):
-    """What a setup states of its errors, for one rod: lengths in units of the rod's."""
+    """The setup errors that are stated, for one rod: lengths in rod lengths."""
 
     rig: Rig
     factor: Float[np.ndarray, "setup p"]
-    """Of the covariance; (15, 0) where the setup states none."""
+    """Of the covariance; (15, 0) if the setup states none."""
     covariance: Float[np.ndarray, "setup setup"]
 
 
 @lru_cache(maxsize=64)
 def prepared(rod: Rod, errors: SetupErrors | None) -> Known:
-    """Errors of a setup, for this rod; without any the sensor's axes are those of the clamp."""
+    """Errors of a setup for this rod; without any, sensor axes are clamp axes."""
     given = errors or _NO_ERRORS
     turn = rotation_matrices(given.clamp_orientation).T
     rig = Rig(turn, turn @ given.arm / rod.length, np.array(float(given.in_world_axes)))
@@ -113,7 +112,7 @@ def prepared(rod: Rod, errors: SetupErrors | None) -> Known:
 
 
 def velocities_of(rod: Rod, reactions: Reactions) -> Wrenches:
-    """Of the clamp, clamp axes, rod lengths and radians a second."""
+    """Of the clamp: clamp axes, rod lengths and radians per second."""
     parts = reactions.clamp_velocity().reshape(*reactions.trail.shape, 2, 3)
     parts = parts / [[rod.length], [1.0]] @ reactions.trail.rotation
     return parts.reshape(*reactions.trail.shape, 6)

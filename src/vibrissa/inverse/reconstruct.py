@@ -27,13 +27,13 @@ from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
 _STEEPEST = 0.8
-"""Incidence up to which a tangent is not too steep where friction is not known: with it the incidence
-is at most (1 + sin atan μ)/2, and this is μ = 0.75.
+"""Steepest incidence accepted if the friction is unknown: friction allows up to (1 + sin atan μ)/2,
+and this is μ = 0.75.
 """
 _MANY = 50_000
-"""Numbers from which the large calls pay (measured)."""
+"""Number of force components above which the larger calls pay off (measured)."""
 _MARGIN = 1e-6
-"""Of the steepest incidence under friction, for rounding."""
+"""Added to the steepest incidence under friction, for rounding."""
 
 
 def reconstruct(
@@ -53,33 +53,34 @@ def reconstruct(
     rod
         Uniform straight rod, in the units of the reactions.
     reactions
-        Support reactions and clamp poses (n, …) or (m, n, …). With a covariance, the most probable
-        wrench of a single contact within the rod's length is taken for each sample, and its errors
-        are carried to point and normal.
+        Support reactions and clamp poses (n, …) or (m, n, …). With a covariance, each sample is
+        solved for the most probable wrench of a single contact within the rod's length, and its
+        errors are propagated to point and normal.
     friction
-        Coulomb's coefficient between rod and object: 0 for none, None where it is not known. Points
-        do not depend on it. It bounds the object's normal by a cone around the force
-        (`Reconstruction.normal_half_angle`), and `smooth` and `check_setup` go by it: where there
-        is none, a tangential contact is square to its force. Whether a rod meets the object too
-        steeply is judged for a coefficient of 0.75, or for this one where it is larger.
+        Coulomb friction coefficient between rod and object: 0 for none, None if unknown. Points do
+        not depend on it. It confines the object's normal to a cone around the force
+        (`Reconstruction.normal_half_angle`), and `smooth` and `check_setup` use it: without
+        friction, a tangential contact is perpendicular to its force. Whether the rod meets the
+        object too steeply is judged for a coefficient of 0.75, or for this one if it is larger.
         `estimate_friction` finds it from the contacts of a sweep.
     false_alarm
-        Share of samples without contact that may be taken for one; used where the noise is known.
+        Fraction of samples without contact that may be reported as contacts; used if the noise is
+        known.
     channels
         Names of the reactions to use, at least three of `fx`, `fy`, `fz`, `mx`, `my`, `mz` in
-        **clamp** axes; default: all six. The rod is then taken as ideal. Three channels need the
-        law of contact, so a `friction` that is not known is taken for none. Rows that the channels
-        leave open are `NOT_UNIQUE` (mechanics.md, "Fewer channels").
+        **clamp** axes; default: all six. The rod is then assumed ideal. Three channels need the
+        contact law, so an unknown `friction` counts as none. Rows that the channels do not
+        determine are `NOT_UNIQUE` (mechanics.md, "Fewer channels").
     check
-        Whether to judge rod, clamp and sensor by what over-determines the contacts of a recording
-        with known noise and time (`check_setup`): what contradicts them is in
-        `Reconstruction.warnings`, each also a `RecordingWarning`, and rows that it moves out of
-        their ellipsoid are `SETUP_CONTRADICTED`.
+        Whether to check rod, clamp and sensor against the redundancy of a recording with known
+        noise and time (`check_setup`): contradictions are listed in `Reconstruction.warnings`, each
+        also issued as a `RecordingWarning`, and rows that they move out of their ellipsoid are
+        `SETUP_CONTRADICTED`.
 
     Returns
     -------
     Reconstruction
-        One row a sample; rows that cannot be solved carry a status, the others their results.
+        One row per sample; rows that cannot be solved carry a status, the others their results.
 
     Raises
     ------
@@ -120,18 +121,18 @@ def reconstruct(
     result = _reconstruction(rod, reactions, friction, found)
     if not check:
         return result
-    # Ringing is a matter of time: of recordings of one trail.
+    # Ringing needs time stamps, and a single trail.
     if reactions.time is not None and result.kind.ndim == 1 and result.kind.size > 1:
         result = without_ringing(result)
     return result if reactions.covariance is None else checked(result)
 
 
 def _steepest(friction: float | None) -> float:
-    """Largest incidence that friction explains: the rod's tangent makes at most 90° with −n, the
-    normal's, which leans by atan μ from the force.
+    """Largest incidence that friction explains: the rod's tangent is at most 90° from −n, with n
+    the object's outward normal, and the force leans by up to atan μ from n.
 
-    For small μ no less than without it: tangential contacts lie on the limit, and their noise on
-    both sides of it.
+    For small μ it is no less than for unknown friction: tangential contacts lie right on the limit,
+    and noise puts them on either side of it.
     """
     return max(_STEEPEST, (1 + math.sin(math.atan(friction or 0.0))) / 2 + _MARGIN)
 

@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction:
-    """Contacts found from support reactions alone, one row a sample (…), in units of the rod, world
-    axes.
+    """Contacts found from support reactions alone, one row per sample (…), in units of the rod,
+    world axes.
 
     Attributes
     ----------
     rod, reactions
         What was given.
     kind
-        (…) values of `ContactKind`; TIP where the arc length is that of the rod, within two of its
-        standard deviations or, where the noise is not known, within 1e-6 L.
+        (…) values of `ContactKind`; TIP if the arc length is that of the rod within two standard
+        deviations or, if the noise is unknown, within 1e-6 L.
     point
         (…, 3); NaN without contact.
     force_direction
@@ -45,39 +45,40 @@ class Reconstruction:
         Bending energy (…).
     modulus
         Incidence (…): (1 + t·d)/2 with t the rod's tangent at the contact and d the force
-        direction; ½ where the rod is tangent to the object and there is no friction. Of the
-        uniform straight rod it is k² of the elliptic integrals.
+        direction; ½ if the rod is tangent to the object without friction. For the uniform straight
+        rod it is k² of the elliptic integrals.
     covariance, normal_covariance
-        (…, 3, 3) of point and force direction: from sample to sample, to first order, and by second
-        moments where the force is weak, and of what the whole sweep shares; None where the noise is
-        not known.
+        (…, 3, 3) of point and force direction: sample-to-sample errors, to first order, or by
+        second moments if the force is weak, plus errors shared by the whole sweep; None if the
+        noise is unknown.
     covariance_noise, normal_covariance_noise
-        (…, 3, 3) of what varies from sample to sample: noise of the wrench and the clamp point's.
+        (…, 3, 3) of what varies from sample to sample: noise of the wrench and of the pose.
     arc_length_deviation
         Standard deviation (…) of s₁, or None.
     chi_square
-        (…) of the wrench being noise alone, with six degrees of freedom, or None.
+        (…) of the wrench as noise alone, with six degrees of freedom, or None.
     single_contact_residual
-        (…): violation of m0·f0 = 0, in standard deviations where the noise is known, else relative
-        to ‖m0‖ ‖f0‖; also on rows without contact.
+        (…): violation of m0·f0 = 0, in standard deviations if the noise is known, else relative to
+        ‖m0‖ ‖f0‖; also in rows without contact.
     status
         (…) values of `Status`.
     friction
-        Coulomb's coefficient as given, or estimated: 0 for none, None where it is not known. What
-        is done with the contacts, such as `smooth`, goes by it.
+        Coulomb friction coefficient as given, or estimated: 0 for none, None if unknown. Whatever
+        uses the contacts, such as `smooth`, relies on it.
     smoothing
-        What `smooth` says beside the contacts, one entry a trail; None for samples taken one by
-        one.
+        What `smooth` reports besides the contacts, one entry per trail; None for samples solved one
+        by one.
     sensitivity
-        (…, 6, 15) derivatives of point and normal by `vibrissa.tolerances.PARAMETERS` for given
-        readings, lengths in units of the rod's, where not those of single samples; else None.
+        (…, 6, 15) derivatives of point and normal with respect to `vibrissa.tolerances.PARAMETERS`
+        for given readings, lengths in rod lengths, where they differ from those of single samples;
+        else None.
     warnings
-        What in the data contradicts rod, clamp, sensor or clock as stated, one line each, the
-        likeliest cause first.
+        What in the data contradicts rod, clamp, sensor or clock as stated, one line each, likeliest
+        cause first.
     setup_check
-        What the contacts say of the setup, cause by cause; None where they were not asked.
+        What the contacts say about the setup, cause by cause; None if not checked.
     estimated_normal
-        (…, 3) normals of the object by `estimate_friction`, if `with_friction` was given one.
+        (…, 3) normals of the object from `estimate_friction`, if `with_friction` was given one.
     """
 
     rod: Rod
@@ -105,15 +106,15 @@ class Reconstruction:
 
     @property
     def contacts(self) -> Contacts:
-        """Where the rod touches, one row a sample (…)."""
+        """Where the rod touches, one row per sample (…)."""
         return Contacts.of(self, self.reactions.time)
 
     @property
     def normal(self) -> Vectors:
-        """(…, 3) outward unit normal of the object as far as it is known.
+        """(…, 3) outward unit normal of the object, as far as it is known.
 
-        The force direction, which is the normal without friction and else within atan μ of it, or
-        the estimated normal where there is one.
+        The force direction, which is the normal without friction and within atan μ of it otherwise,
+        or the estimated normal if there is one.
         """
         if self.estimated_normal is None:
             return self.force_direction
@@ -121,7 +122,7 @@ class Reconstruction:
         return np.where(known, self.estimated_normal, self.force_direction)
 
     def with_friction(self, estimate: "FrictionEstimate") -> "Reconstruction":
-        """Return the same contacts with the friction, and the object's normals, of an estimate."""
+        """Return the same contacts with the friction and the object's normals from an estimate."""
         return replace(self, friction=estimate.friction, estimated_normal=estimate.normal)
 
     def __getitem__(self, rows: "int | slice | Bool[np.ndarray, 'n']") -> "Reconstruction":
@@ -131,7 +132,7 @@ class Reconstruction:
 
     @property
     def trails(self) -> list["Reconstruction"]:
-        """Contacts (n, …) of each trail; of one, these alone."""
+        """Contacts (n, …) of each trail; for a single trail, just these."""
         return [self] if self.kind.ndim == 1 else [self[j] for j in range(len(self.kind))]
 
     def __repr__(self) -> str:
@@ -169,7 +170,7 @@ class Reconstruction:
 
     @property
     def shared_names(self) -> tuple[str, ...]:
-        """Parameters (p) to which the columns of `shared` belong: those of
+        """Names of the parameters (p) in the columns of `shared`: those of
         `vibrissa.tolerances.PARAMETERS` for which the setup states a tolerance.
         """
         errors = self.reactions.setup_errors
@@ -177,24 +178,24 @@ class Reconstruction:
 
     @property
     def shared(self) -> Float[np.ndarray, "*trail n 3 p"]:
-        """Errors of points that a whole sweep shares, in units of the rod: `covariance` =
+        """Errors of points shared by the whole sweep, in units of the rod: `covariance` =
         `covariance_noise` + `shared` `shared`ᵀ.
 
-        Each column is what one standard deviation of its parameter does to all points together;
-        where a calibration found parameters that go with one another, of what those before leave
-        open (`vibrissa.tolerances.SetupErrors.names`). NaN without contact; no columns where no
-        tolerances are stated.
+        Each column is what one standard deviation of its parameter does to all points together; if
+        a calibration found correlated parameters, what those before it leave open
+        (`vibrissa.tolerances.SetupErrors.names`). NaN without contact; no columns if no tolerances
+        are stated.
         """
         return self._shared[..., :3, :] * self.rod.length
 
     @property
     def shared_normal(self) -> Float[np.ndarray, "*trail n 3 p"]:
-        """The same errors of normals."""
+        """The same errors for normals."""
         return self._shared[..., 3:, :]
 
     @cached_property
     def _shared(self) -> Float[np.ndarray, "*trail n 6 p"]:
-        """Of points in units of the rod's length, and of normals."""
+        """For points in rod lengths, and for normals."""
         from vibrissa.inverse.shared import sensitivities  # noqa: PLC0415
 
         if not self.shared_names:
@@ -226,8 +227,8 @@ class Reconstruction:
                 f"index = {index}; allowed is (trail, i), as the reactions hold several trails"
             )
         reach, direction = (self.point[index] - clamp) / length, self.force_direction[index]
-        # The force that goes with the point and the arc length, which noise and the limit at the
-        # tip may have moved from the measured one.
+        # The force that matches point and arc length, which noise and the limit at the tip may have
+        # moved away from the measured one.
         touches, incidence = self.kind[index] != ContactKind.NONE, float(self.modulus[index])
         force = force_of(incidence, reach, direction, axis) if touches else 0.0
         s1 = float(self.arc_length[index]) / length
@@ -241,6 +242,6 @@ class Reconstruction:
 
 
 def rows_of(found: Reconstruction) -> dict[str, Any]:
-    """Fields of a reconstruction that hold one entry a sample."""
+    """Fields of a reconstruction that hold one entry per sample."""
     given = {each.name: getattr(found, each.name) for each in fields(found)}
     return {name: value for name, value in given.items() if isinstance(value, np.ndarray)}

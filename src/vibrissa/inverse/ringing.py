@@ -1,5 +1,5 @@
-"""The rod swinging freely after it was released: loads that oscillate about zero, faster than a
-contact can move, and are no contact.
+"""Ringing: the rod vibrates freely after its release, with loads that oscillate about zero, faster
+than a contact can move, and are no contact.
 """
 
 import math
@@ -18,25 +18,25 @@ from vibrissa.inverse.smoothing.manifold import chosen
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
-# Two periods and more of first bending frequencies from 20 to 200 Hz: those of wires and whiskers
-# of 30 to 100 mm.
+# [s] Two or more periods of first bending modes from 20 to 200 Hz: those of wires and whiskers 30
+# to 100 mm long.
 _WINDOWS = (0.02, 0.06, 0.15)
 _FEWEST = 6
 # One and a half periods: a load that passes through zero once, as under the top of an object, is a
 # contact.
 _SIGN_CHANGES = 3
-# Of the mean's square to the oscillation's: over one and a half periods and more the mean of a sine
-# is below a fifth of its amplitude.
+# Squared mean over squared oscillation: over one and a half periods or more, the mean of a sine is
+# below a fifth of its amplitude.
 _SLOW = 0.1
 _FALSE_ALARM = 1e-6
-# Without stated noise: of the largest load.
+# Without stated noise: fraction of the largest load.
 _NOISELESS = 1e-3
 _LATERAL = [0, 1, 3, 4]
 """fx, fy, mx, my."""
 _UNIT = Rod.unit()
-# Standard deviations: noise alone is beyond them in one of 400 samples.
+# Standard deviations: noise alone exceeds them in one of 400 samples.
 _CLEAR = 3.0
-# What the wrench says without a contact, too.
+# What the wrench tells even without contact.
 _KEPT = ("chi_square", "single_contact_residual")
 
 
@@ -44,9 +44,9 @@ def ringing(reactions: Reactions) -> Flags:
     """Rows (n,) of one trail in which the lateral loads oscillate about zero, several times within
     a window of 0.02 to 0.15 s, by more than their noise.
 
-    A contact pushes: within so short a time its loads keep their sign. After a release the clamp
-    feels the inertia of the rod instead: a decaying oscillation at its first bending frequency,
-    whose mean is zero.
+    A contact pushes: within so short a time its loads keep their sign. After release the clamp
+    feels the rod's inertia instead: a decaying oscillation at its first natural frequency, with
+    zero mean.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def ringing(reactions: Reactions) -> Flags:
 
 
 def without_ringing(found: Reconstruction) -> Reconstruction:
-    """The same contacts of one trail, those of a rod that rings taken out: no contact, NaN, and the
-    status RINGING.
+    """The contacts of one trail without those of a ringing rod: no contact, NaN, and the status
+    RINGING.
     """
     rows = found.in_contact & ringing(found.reactions)
     if not rows.any():
@@ -84,9 +84,7 @@ def without_ringing(found: Reconstruction) -> Reconstruction:
 
 
 def _whitened(reactions: Reactions) -> Float[np.ndarray, "n 4"]:
-    """Lateral force and moment in clamp axes, in their standard deviations; 0 in rows without
-    numbers.
-    """
+    """Lateral force and moment in clamp axes, in standard deviations; 0 where they are NaN."""
     wrench, covariance = in_clamp_axes(reactions, _UNIT)
     loads = np.nan_to_num(wrench[:, _LATERAL])
     if covariance is not None:
@@ -108,7 +106,7 @@ def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Flags:
     for first in np.flatnonzero(loud & ~slow):
         turns = np.flatnonzero(changes[first : first + size, strongest[first]])
         if len(turns) >= _SIGN_CHANGES:
-            # What lies more than a quarter of a period before the first change of sign may still be
+            # What lies more than a quarter of a period before the first sign change may still be
             # the contact.
             quarter = math.ceil((turns[-1] - turns[0]) / (len(turns) - 1) / 2)
             rows[first + max(0, turns[0] - quarter) : first + size] = True
@@ -116,7 +114,7 @@ def _oscillating(loads: Float[np.ndarray, "n 4"], size: int) -> Flags:
 
 
 def _sign_changes(loads: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, "n 4"]:
-    """Samples beyond their noise whose sign is another than that of the last such sample."""
+    """Samples clear of the noise whose sign differs from that of the last such sample."""
     clear = np.abs(loads) > _CLEAR
     rows = np.maximum.accumulate(np.where(clear, np.arange(len(loads))[:, None], 0), axis=0)
     # Before the first such sample, zero.

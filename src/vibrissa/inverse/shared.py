@@ -1,5 +1,5 @@
-"""What reactions say row by row in units of a rod, and errors of a setup in contacts: derivatives by
-its numbers, and covariances that hold them.
+"""Reactions row by row in units of a rod, and setup errors in contacts: derivatives with respect to
+the setup's parameters, and covariances that include them.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from vibrissa.rod import Rod
 
 
 def setting_of(rod: Rod, reactions: Reactions) -> Setting:
-    """What all samples share; nothing is too steep, and all are in contact."""
+    """What all samples share; no contact is too steep, and every sample is in contact."""
     setting = Setting(rod.length, rod.force_scale, rod.moment_scale, np.inf, 0.0)
     if reactions.covariance is None or reactions.setup_errors is None:
         return setting
@@ -25,7 +25,7 @@ def setting_of(rod: Rod, reactions: Reactions) -> Setting:
 
 
 def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sample:
-    """Rows (k, …) of reactions; with the clamp's velocity if errors of a setup are stated, or if
+    """Rows (k, …) of reactions; with the clamp's velocity if setup errors are stated, or if
     `moving`.
     """
     trail = reactions.trail
@@ -60,9 +60,8 @@ def _squares(rod: Rod) -> Spread:
 
 
 def pose_errors(reactions: Reactions, point: Vectors, direction: Vectors) -> Errors:
-    """What errors of the robot's pose add to the covariances of points and directions that are
-    known from the clamp. An error δθ of the orientation moves a point at d from the centre by
-    δθ × d.
+    """What errors of the robot's pose add to the covariances of points and directions known
+    relative to the clamp. An orientation error δθ moves a point at d from the centre by δθ × d.
     """
     none, fixed, turning = (
         np.zeros((3, 3)),
@@ -77,8 +76,8 @@ def pose_errors(reactions: Reactions, point: Vectors, direction: Vectors) -> Err
 
 
 def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"]:
-    """Derivatives of points and normals, world axes, by `vibrissa.tolerances.PARAMETERS`, lengths
-    in units of the rod's; NaN without contact.
+    """Derivatives of points and normals, world axes, with respect to
+    `vibrissa.tolerances.PARAMETERS`, lengths in rod lengths; NaN without contact.
     """
     if found.sensitivity is not None:
         return found.sensitivity
@@ -94,8 +93,8 @@ def sensitivities(found: Reconstruction) -> Float[np.ndarray, "*trail n 6 setup"
 def with_shared(
     rows: dict[str, Any], length: float, errors: Float[np.ndarray, "setup setup"]
 ) -> dict[str, Any]:
-    """Fields of contacts whose covariances hold what varies from sample to sample alone, with what
-    errors of the setup of this covariance add by their `sensitivity`.
+    """Contact fields whose covariances hold only what varies from sample to sample, with what setup
+    errors of this covariance add through their `sensitivity`.
     """
     slopes, added = rows["sensitivity"], np.zeros((6, 6))
     if errors.any():

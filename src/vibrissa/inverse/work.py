@@ -1,11 +1,9 @@
-"""The clamp's work on the rod against the rod's bending energy: a test of the numbers against each
-other.
+"""The clamp's work on the rod against the rod's bending energy: a consistency check of the numbers.
 
-A rod that is free at first takes up the work W = ∫ f0·dx + m0·dω of its clamp. What is not bending
-energy U was lost, by friction or in a snap, and a loss never comes back: W − U starts at zero and
-does not fall. U follows from each wrench by itself (mechanics.md, "Uniform straight rod"), W from
-wrenches and the clamp's way: units, signs and axes that are mistaken for others leave the two
-apart.
+A rod that starts free takes up the work W = ∫ f0·dx + m0·dω of its clamp. Whatever is not bending
+energy U has been lost, by friction or in a snap, and losses never come back: W − U starts at zero
+and does not fall. U follows from each wrench by itself (mechanics.md, "Uniform straight rod"), W
+from wrenches and clamp motion: mistaken units, signs or axes drive the two apart.
 """
 
 import math
@@ -30,43 +28,42 @@ from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
 
 _FALSE_ALARM = 1e-9
-"""Of a row that is loaded: less than one in any recording."""
+"""Of a free row to count as loaded: fewer than one in any recording."""
 _LEAST_LOAD = 0.02
-"""The same without stated noise, of the largest force."""
+"""The same without stated noise, as a fraction of the largest force."""
 _BLOCKS, _FEWEST = 64, 24
-"""Means over a contact, which follow its course, and the fewest rows that make one."""
+"""Block means over a contact, which follow its course, and the fewest rows that make a contact."""
 _FREE_ROWS = 3
-"""On end, which part two contacts; noise hides a weak load for fewer."""
+"""Consecutive ones that separate two contacts; noise hides a weak load for fewer."""
 _LARGEST_GAP = 0.02
-"""Share of a contact's rows that may be missing."""
+"""Fraction of a contact's rows that may be missing."""
 _EARLIER, _PARTED = 4, 0.1
-"""Part of a contact's duration before it, and the share of loaded rows there from which it is the
-rest of another: where a load rises out of the noise some are loaded, too.
+"""Part of a contact's duration that is looked at before it (a quarter), and the share of loaded
+rows there above which it is the rest of another: some are loaded where a load leaves the noise.
 """
 _LOADING = 0.9
-"""Of the largest energy: up to there the rod is loaded first."""
+"""Of the largest energy: where the first loading ends."""
 _LEAST_WAY, _SHARE_OF_BEND = 0.01, 0.1
-"""Ways of the clamp: of the rod's length, below which a rod stores next to nothing; and of the
+"""Clamp travel: relative to the rod's length, below which a rod stores next to nothing; and to the
 tip's deflection, below which the clamp hardly moves.
 """
 _CLEARLY_MOVES = 10.0
-"""Of the noise of a position: the farthest of ten thousand is four from where it is, and so is the
-first.
+"""Times the noise of a position: the farthest of ten thousand is four from its true place, and so
+may the first be.
 """
 _GAINED, _DEVIATIONS = 0.05, 6.0
-"""Sound recordings, also with friction and snaps: at most 0.02 by their noise and the mean over
-rows. EI 5 % off is as much; the checks of the sweep are finer.
+"""Sound recordings, also with friction and snaps, show at most 0.02 from their noise and the
+averaging over rows. An EI 5 % off shows as much; the checks of the sweep are finer.
 """
 _MOST_BY_FRICTION = 4.0
-"""Sliding with a coefficient of 0.75 takes no more than the rod takes up while it is loaded first.
-"""
+"""Sliding with a coefficient of 0.75 takes no more than the rod stores during its first loading."""
 _BY_GAIN = 4.0
-"""Energy goes with the torques' square, and with the length that they say is bent: 2 % too much
-torque is 7.6 % of it.
+"""Energy goes with the square of the torques, and with the bent length that they imply: 2 % too
+much torque changes it by 7.6 %.
 """
 _TINY = 1e-300
 _NEAR = (0.9, 1.2)
-"""Friction raises the ratio, EI and gains move it."""
+"""Friction raises the ratio; EI and gains shift it."""
 _KNOWN_RATIOS = {
     1e2: "positions in centimetres, taken for metres?",
     1e3: "positions in millimetres, taken for metres, or forces and torques a thousand times too "
@@ -86,7 +83,7 @@ _ELSE = (
 
 @dataclass(frozen=True, eq=False)
 class ClampWork:
-    """Work of the clamp and bending energy over one contact, in its order (k,), each the mean of a
+    """Work of the clamp and bending energy over one contact, in order (k,), each the mean of a
     few rows.
 
     Attributes
@@ -94,19 +91,19 @@ class ClampWork:
     work, energy
         [J]; the work is zero where the contact begins.
     ratio, ratio_deviation
-        Work over energy while the rod is loaded first, up to nine tenths of the largest energy, and
-        its standard deviation, as below: 1 without friction, above it with friction.
+        Work over energy during the first loading, up to nine tenths of the largest energy, and its
+        standard deviation, as below: 1 without friction, more with it.
     gained
-        Largest fall of W − U as a share of the largest energy: energy from nowhere. Zero but for
-        noise, also with friction and snaps.
+        Largest fall of W − U as a fraction of the largest energy: energy from nowhere. Zero except
+        for noise, also with friction and snaps.
     remainder
-        Work at the end as a share of the largest energy: zero without friction and snaps. NaN where
+        Work at the end as a fraction of the largest energy: zero without friction and snaps. NaN if
         the contact does not end.
     deviation
-        Standard deviation of `gained` and `remainder` by the noise, as far as it makes the work.
+        Standard deviation of `gained` and `remainder` from the noise, as far as it enters the work.
     energy_deviation
-        Relative standard deviation of the energies by the noise, and by stiffness and gains as well
-        as these are said to be known.
+        Relative standard deviation of the energies from the noise, and from the stated
+        tolerances of stiffness and gains.
     """
 
     work: Scalars
@@ -120,8 +117,8 @@ class ClampWork:
 
     @property
     def impossible(self) -> bool:
-        """Whether no single contact on this rod explains it, with whatever friction up to a
-        coefficient of 0.75.
+        """Whether no single contact on this rod can explain it, with any coefficient of friction up
+        to 0.75.
         """
         deviation = math.hypot(self.ratio_deviation, self.energy_deviation)
         return self.gains or self.ratio > _MOST_BY_FRICTION + _DEVIATIONS * deviation
@@ -134,42 +131,42 @@ class ClampWork:
 
     @property
     def misfit(self) -> float:
-        """Root mean square of W − U as a share of the largest energy, 0 where nothing is lost."""
+        """Root mean square of W − U as a fraction of the largest energy; 0 if nothing is lost."""
         return float(np.sqrt(np.mean((self.work - self.energy) ** 2)) / self.energy.max())
 
 
 @dataclass(frozen=True, eq=False)
 class _Load:
-    """Rows that hold numbers, and the stretches of them under load."""
+    """Finite rows, and the stretches of them under load."""
 
     rows: Codes
     reactions: Reactions
     loaded: Flags
     spans: list[tuple[int, int]]
-    """[start, stop) of contacts that begin and last long enough, parted where the rod is free for
-    some rows on end.
+    """[start, stop) of contacts that begin and last long enough, split where the rod is free for
+    several consecutive rows.
     """
 
     @cached_property
     def work(self) -> Scalars:
-        """Of the clamp since the row before."""
+        """Done by the clamp since the previous row."""
         return np.append(0.0, self.reactions.clamp_work)
 
     def farthest(self, start: int, stop: int) -> Float[np.ndarray, "2"]:
-        """How far the clamp goes from where it is at first, and by how much it turns."""
+        """How far the clamp moves from its first position, and by how much it turns."""
         trail = self.reactions.trail[start:stop]
         first = np.broadcast_to(trail.orientation[0], trail.orientation.shape)
         moved = trail.position - trail.position[0], rotation_vectors(first, trail.orientation)
         return np.linalg.norm(moved, axis=2).max(axis=1)
 
     def way(self, rod: Rod, span: tuple[int, int]) -> float:
-        """How far the clamp goes, and the tip by its turning."""
+        """How far the clamp moves, plus the tip through its rotation."""
         return float(self.farthest(*span) @ [1.0, rod.length])
 
 
 def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     """Work and energy of each contact of one trail that begins with the rod free and lasts long
-    enough to be judged; in order of the rows, stamps are not needed.
+    enough to be judged; rows are in order, time stamps are not needed.
 
     Raises
     ------
@@ -181,11 +178,11 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     load = _load(reactions)
     found, before = list[ClampWork](), 0
     for start, stop in load.spans:
-        # Noise may part a weak contact, and of its rest the earlier work is not known.
+        # Noise may split a weak contact, and for its second part the earlier work is unknown.
         earlier = load.loaded[max(0, start - (stop - start) // _EARLIER) : start]
         begins = start > 0 and np.mean(earlier) < _PARTED
         missing = load.rows[stop - 1] - load.rows[start] + 1 - (stop - start)
-        # Where the clamp stands, it is the object that moves, and works.
+        # If the clamp stands still, it is the object that moves and does work.
         moves = load.way(rod, (start, stop)) > _LEAST_WAY * rod.length
         if begins and missing <= _LARGEST_GAP * (stop - start) and moves:
             found.append(_of_contact(rod, load, before, start, stop))
@@ -194,18 +191,18 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
 
 
 def work_warnings(found: Reconstruction) -> tuple[list[str], bool]:
-    """Lines on the clamp's work and way where they contradict the reactions, and whether no contact
-    is to be trusted; empty for sound sweeps, also with friction.
+    """Lines on clamp work and travel that contradict the reactions, and whether no contact can be
+    trusted; empty for sound sweeps, also with friction.
 
-    One on work that no contact explains, with the likeliest mistake where its ratio to the rod's
-    energy is that of a known one. One where the rod is loaded and released while its clamp hardly
-    moves: where it stands the object may move; where it moves a little the poses are misread.
+    One line for work that no contact explains, with the likeliest mistake if its ratio to the rod's
+    energy matches a known one. One where the rod is loaded and released while its clamp hardly
+    moves: if it stands still the object may be moving; if it moves a little the poses are misread.
 
     Parameters
     ----------
     found
-        Contacts of a recording. Of reactions without stamps or noise, or of a few rows, nothing is
-        said: `clamp_work` gives the figures.
+        Contacts of a recording. Without time stamps or noise, or with only a few rows, there are no
+        lines: `clamp_work` gives the figures.
     """
     if found.reactions.time is None or found.reactions.covariance is None:
         return [], False
@@ -232,7 +229,7 @@ def _told(rod: Rod, reactions: Reactions) -> Iterator[tuple[str, bool]]:
     load = _load(reactions)
     contacts = [span for span in load.spans if span[0] > 0]
     ways = [load.way(rod, span) for span in contacts]
-    # By so much a force bends the rod's tip at first; the clamp has to go about as far.
+    # How far a force deflects the rod's tip at first; the clamp has to move about as far.
     force = np.linalg.norm(load.reactions.force, axis=1)
     bends = [force[slice(*span)].max() * rod.length / (3 * rod.force_scale) for span in contacts]
     if ways and np.all(np.array(ways) <= _SHARE_OF_BEND * np.array(bends)):
@@ -246,7 +243,8 @@ def _told(rod: Rod, reactions: Reactions) -> Iterator[tuple[str, bool]]:
         )
         size = length_text(max(ways), rod)
         yield (
-            f"the clamp moves by no more than {size} while the rod is loaded and released: {causes}",
+            f"the clamp moves by no more than {size} while the rod is loaded and released: "
+            f"{causes}",
             moves,
         )
 
@@ -270,7 +268,7 @@ def _load(reactions: Reactions) -> _Load:
 
 
 def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> ClampWork:
-    """Of the rows [start, stop), which are free since the row `before`."""
+    """For the rows [start, stop), free since the row `before`."""
     reactions = load.reactions
     size = max(1, (stop - start) // _BLOCKS)
     count = (stop - start) // size
@@ -283,17 +281,17 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
     trail = reactions.trail[middle]
     rows = Sample(force, moment, trail.position, trail.orientation)
     energy = np.nan_to_num(exact_contacts(setting_of(rod, reactions), rows).energy)
-    # From well before the first row that stands out of the noise: the load began there.
+    # Start well before the first row that stands out of the noise: the load began there.
     begin = max(before, start - (stop - start) // _EARLIER)
     work = np.cumsum(load.work[begin:stop])[start - begin :]
     mean = means(work)
     largest = float(energy.max()) or _TINY
     deviation = _deviation(load, begin, start, stop) / largest
-    # Of a smooth course second differences are next to nothing.
+    # Second differences of a smooth course are next to nothing.
     scatter = scipy.stats.median_abs_deviation(np.diff(energy, 2), scale="normal") / math.sqrt(6)
     loading = slice(0, max(2, int(np.argmax(energy >= _LOADING * largest)) + 1))
     stored = energy[loading]
-    # Single blocks in which the inverse goes astray count for nothing.
+    # Single blocks in which the inverse goes astray do not count.
     lost = median_filter(mean - energy, 3, mode="nearest")
     return ClampWork(
         work=mean,
@@ -308,7 +306,7 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
 
 
 def _by_setup(reactions: Reactions) -> float:
-    """Standard deviation of work over energy by what the setup says of stiffness and gains."""
+    """Standard deviation of work over energy from the stated errors of stiffness and gains."""
     if reactions.setup_errors is None:
         return 0.0
     variance = dict(zip(PARAMETERS, np.diag(reactions.setup_errors.covariance), strict=True))
@@ -317,8 +315,8 @@ def _by_setup(reactions: Reactions) -> float:
 
 
 def _deviation(load: _Load, begin: int, start: int, stop: int) -> float:
-    """Of the work [J] by the noise of the samples, and by a tare that is known from the free rows
-    before the contact at best to their mean.
+    """Of the work [J] from the noise of the samples, and from a tare known at best to the mean of
+    the free rows before the contact.
     """
     if load.reactions.covariance is None:
         return 0.0

@@ -1,11 +1,12 @@
-"""One sweep about a bench with given errors: its constraints, which stretches touch with the tip, how
-well errors explain what the constraints leave, and the nonlinear fit of some of the errors to one
-sweep or several.
+"""One sweep about given bench errors: its constraints, which stretches touch with the tip, how well
+errors explain the misfit of the constraints, and the nonlinear fit of some errors to one or several
+sweeps.
 
-A contact obeys min(1 − s₁, −t·n) = 0 with the object's normal n (mechanics.md): whatever is wrong,
-the smaller of the two in its own scale tells the phase once that is taken off. So phases and one
-cause of error are found in turn, for each cause and from several starts; what explains most tells
-the phases. With these, causes are weighed by generalised least squares, one at a time.
+A contact obeys min(1 − s₁, −t·n) = 0 with the object's normal n (mechanics.md): once whatever is
+wrong has been removed, the smaller of the two, each in its own scale, tells the phase. So phases
+and one cause of error are found alternately, for each cause and from several starts; the best
+explanation decides the phases. With these, causes are weighed by generalised least squares, one at
+a time.
 """
 
 from collections.abc import Iterable
@@ -40,39 +41,40 @@ from vibrissa.inverse.smoothing.manifold import chosen, finite
 _FEWEST = 12
 """Stretches in contact below which a sweep is not judged."""
 _VAGUE = 0.06
-"""Standard deviation of s₁ [L] above which a stretch is too weak to tell, and its errors are no
+"""Standard deviation of s₁ [L] above which a stretch is too weak to use, and its errors are no
 longer linear.
 """
 _FARTHEST = 5.0
-"""s₁ [L] beyond which it says no more than that the contact is not on the rod: a stiffness a tenth
-of the true one triples it.
+"""s₁ [L] beyond which it only says that the contact is not on the rod: a stiffness a tenth of the
+true one triples it.
 """
 GROSS = 3.0
-"""Standard deviations before the data up to which causes are looked for."""
+"""Prior standard deviations up to which causes are searched for."""
 _SMOOTH = 7
-"""Stretches over which the way of the contact is averaged, to see its direction."""
+"""Stretches over which the path of the contact is averaged to see its direction."""
 _STEPS, _DONE = 8, 0.03
-"""Gauss-Newton steps, and their size in standard deviations that ends them."""
+"""Gauss-Newton steps, and the step size in standard deviations that ends them."""
 MODEL_ERROR = 2e-4
-"""What statics of an ideal rod leaves out, in rod lengths: 10 µm on 50 mm, as smoothing states."""
+"""What the statics of an ideal rod leave out, in rod lengths: 10 µm on 50 mm, as in smoothing."""
 _TANGENT_ERROR = 1e-3
-"""The same of t·n: what a grid of 32 links leaves of a right angle, and a rod's tip of 10 µm."""
+"""The same for t·n: what a grid of 32 links leaves of a right angle, and a rod's tip of 10 µm."""
 _CORRELATED = 1 / 6
-"""Share of a contact over which the model's error stays alike."""
+"""Fraction of a contact over which the model error stays correlated."""
 _FRICTION_UNEVEN = 0.2
-"""Share of the coefficient of friction by which it changes on the way."""
+"""Relative variation of the friction coefficient along the way."""
 _SCALES = ((0.01, 0.03), (0.005, 0.01), (0.002, 0.004), (0.002, 0.004), (0.002, 0.004))
-"""Of 1 − s₁ and t·n besides the noise, round by round: a few per cent of EI at first, what an
-engine's grid leaves at last.
+"""Scales of 1 − s₁ and t·n on top of the noise, round by round: a few per cent of EI at first, a
+physics engine's grid error at last.
 """
 _PRICE = 3.0
-"""Of a number that is free, in the score's units: about half of BIC's for a hundred stretches."""
+"""Penalty for a free number, in units of the score: about half of BIC's for a hundred stretches."""
 _SOME, _HALF = 15.0, 0.5
-"""By what score friction shows, and by what share of the best cause's."""
+"""Gain in score from which friction shows, and the fraction of the best cause's gain it must reach.
+"""
 _BELIEVED = 3.0
 """Deviations up to which a row counts in full."""
 _SILENCED = 1e6
-"""Of its variance: what the tip's row is widened by where the flank touches."""
+"""Factor on the variance of the tip's row where the flank touches."""
 NO_DIRECTIONS: Directions = np.zeros((ERRORS, 0))
 
 
@@ -84,7 +86,7 @@ Numbers = Float[np.ndarray, "p"]
 """Along directions of error."""
 Square = Float[np.ndarray, "p p"]
 Slope = Float[np.ndarray, "n 4 p"]
-"""Of the constraints, by such numbers."""
+"""Of the constraints, with respect to such numbers."""
 Told = Bool[np.ndarray, "n 4"]
 
 
@@ -94,19 +96,19 @@ class Fitted(NamedTuple):
     size: Numbers
     covariance: Square
     explained: float
-    """By how much they lessen χ²."""
+    """By how much they reduce χ²."""
 
 
 class Misfit(NamedTuple):
-    """Constraints that apply, three a stretch, whitened."""
+    """Constraints that apply, three per stretch, whitened."""
 
     value: Float[np.ndarray, "rows"]
     root: Float[np.ndarray, "rows rows"]
     """Cholesky factor of the covariance."""
     holds: Told
-    """Constraints that hold, three a stretch."""
+    """Constraints that hold, three per stretch."""
     told: Told
-    """Those of them that say something."""
+    """Those of them that are informative."""
     alone: Float[np.ndarray, "n 3"]
     """Each constraint in its own standard deviations."""
 
@@ -123,36 +125,36 @@ class Misfit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Stretches of one sweep, and what the constraints say of them with some errors taken off."""
+    """Stretches of one sweep, and their constraints with some errors removed."""
 
     bench: Bench
     """Stretches that are strong enough, and how they were measured."""
     errors: BenchErrors
-    """That are taken off."""
+    """Those that are removed."""
     here: Constraints
     slopes: Slopes
     spread: BenchErrors
-    """Standard deviations of errors before the data."""
+    """Prior standard deviations of the errors."""
     tolerated: Directions
-    """Errors that the setup states, a standard deviation each, independent of each other."""
+    """Stated errors of the setup, one standard deviation each, independent of each other."""
     silent: bool = False
-    """Whether s₁ and t·n̂ tell nothing, as under friction, which leaves open what they should be."""
+    """Whether s₁ and t·n̂ tell nothing, as under friction, which leaves their values open."""
 
     @cached_property
     def stretches(self) -> Stretches:
-        """With the noise that is left when the errors are taken off."""
+        """With the noise as it is once the errors are removed."""
         own, taken = self.bench.stretches, self.bench.taken(self.errors)
         return own._replace(noise=taken @ own.noise @ taken.T, zero=taken @ own.zero)
 
     @cached_property
     def deviations(self) -> Float[np.ndarray, "n 4"]:
-        """Of the constraints, by noise."""
+        """Of the constraints, from noise."""
         slope = self.here.by_wrench.constraints
         return np.sqrt(np.einsum("kip,kpq,kiq->ki", slope, self.stretches.noise, slope))
 
     def about(self, errors: BenchErrors) -> "Case":
-        """With other errors taken off; stretches that then have no contact keep what they said
-        before.
+        """With other errors removed; stretches that then have no contact keep their previous
+        values.
         """
         here = self.bench.constraints(errors)
         slopes = self.bench.slopes(here, errors)
@@ -161,20 +163,20 @@ class Case:
         return replace(self, errors=errors, here=chosen(lost, self.here, here), slopes=slopes)
 
     def spreads(self, directions: Directions) -> Numbers:
-        """Standard deviations before the data of numbers along directions."""
+        """Prior standard deviations of numbers along directions."""
         return np.sqrt((directions**2).T @ self.spread**2 / np.sum(directions**2, axis=0))
 
     def fitted(self, misfit: Misfit, directions: Directions) -> Fitted:
-        """Errors along directions, as large as explain most."""
+        """Errors along directions, sized to explain most."""
         design = misfit.whitened(self.slopes.constraints @ directions)
         right = design.T @ misfit.value
         covariance = np.linalg.inv(design.T @ design + np.diag(self.spreads(directions) ** -2.0))
         return Fitted(-covariance @ right, covariance, float(right @ covariance @ right))
 
     def phases(self, causes: Iterable[Directions] = (), *, started: bool = True) -> Phases:
-        """Whether each stretch touches with the tip, for the cause that explains most beside
-        friction, of `causes` or of all that change all stretches: from none of it, and if `started`
-        from gross sizes as well.
+        """Whether each stretch touches with the tip, under the cause that, along with friction,
+        explains most, of `causes` or of all that affect every stretch: starting from zero, and if
+        `started` from gross sizes as well.
         """
         found = []
         for directions in causes or map(SUSPECTS.__getitem__, TELLING):
@@ -186,7 +188,7 @@ class Case:
 
     def rubs(self) -> bool:
         """Whether friction alone explains at least half of what the best cause without it explains,
-        and something at all.
+        and enough to show.
         """
 
         def score(directions: Directions, *starts: float) -> float:
@@ -200,8 +202,8 @@ class Case:
     def _settled(
         self, directions: Directions, start: Float[np.ndarray, "..."]
     ) -> tuple[float, Phases]:
-        """Phases and errors along directions in turn, from a start in standard deviations; and a
-        score, the less the better.
+        """Phases and errors along directions, found alternately, from a start in standard
+        deviations; and a score, the lower the better.
         """
         slope, spread = self.slopes.constraints @ directions, self.spreads(directions)
         unknown, count = start * spread, len(spread)
@@ -228,14 +230,14 @@ class Case:
         friction: float = 0.0,
         inflation: float = 1.0,
     ) -> Misfit:
-        """Of stretches in these phases, under noise, errors of the zero and of the model,
-        friction's unevenness, and errors that are tolerated.
+        """Of stretches in these phases, under noise, errors of zero and model, uneven friction, and
+        tolerated errors.
 
-        Silent stretches, and those next to a change of phase, tell nothing of s₁ and t·n̂.
+        Silent stretches, and those next to a change of phase, say nothing about s₁ and t·n̂.
         """
         stretches, here, count = self.stretches, self.here, len(tip)
         holds = holding(tip)
-        # A stretch next to a change of phase may hold some of both.
+        # A stretch next to a change of phase may contain some of both.
         silent = self.silent | np.diff(tip, append=tip[-1:]) | np.diff(tip, prepend=tip[:1])
         told = holds.copy()
         told[silent, TIP:] = False
@@ -261,8 +263,8 @@ class Case:
         return Misfit(solve_triangular(root, value, lower=True), root, holds, told, alone)
 
     def shifts(self, tip: Phases) -> Float[np.ndarray, "n 3 errors"]:
-        """Derivatives of contacts by the errors, taken to a single contact, and in tip contact to
-        the rod's length, by the least change of the wrench.
+        """Derivatives of contacts with respect to the errors, projected onto a single contact, and
+        in tip contact onto the rod's length, by the smallest change of the wrench.
         """
         rows, (given, point) = [COUPLE, TIP], self.here.by_wrench
         spread = self.stretches.noise @ np.swapaxes(given[:, rows], 1, 2)
@@ -279,7 +281,7 @@ def case_of(
     friction: float | None,
     tolerated: Directions = NO_DIRECTIONS,
 ) -> Case | None:
-    """With no errors, for a coefficient of friction as stated, if any; None with too few
+    """Case without errors, for the stated friction coefficient, if any; None if there are too few
     stretches.
     """
     contact, rest = averaged.chosen(averaged.contact), averaged.chosen(~averaged.contact)
@@ -305,8 +307,8 @@ def case_of(
 
 
 def _rubbing(stretches: Stretches, here: Constraints) -> Scalars:
-    """t·n̂ for a unit tangential force on the rod against its slip: −(w·t)/‖w‖, w = dp − t ds₁ the
-    way of its material point over the object.
+    """t·n̂ for a unit tangential force that opposes the rod's slip: −(w·t)/‖w‖, with w = dp − t ds₁
+    the motion of its material point over the object.
     """
     point, tangent = (np.einsum("kij,kj->ki", stretches.turn, part) for part in here[1:3])
     path = np.column_stack([stretches.position + point, here.arc_length])
@@ -326,15 +328,15 @@ class Solution(NamedTuple):
     size: Numbers
     covariance: Square
     left: float
-    """χ² and that of the errors before the data."""
+    """χ², including that of the errors under their prior."""
 
 
 def solved(cases: list[Case], directions: Directions, spread: Numbers, start: Numbers) -> Solution:
-    """Gauss-Newton for errors along directions that all sweeps share, from a start, phases anew at
-    each step; friction is free in each sweep that states none.
+    """Gauss-Newton for errors along directions that all sweeps share, from a start, with the phases
+    found anew at each step; friction is free in each sweep that states none.
     """
     size = change = start
-    # What is known well may still be misstated.
+    # What is thought to be well known may still be misstated.
     wide = np.maximum(spread, cases[0].spreads(directions))
     for _ in range(_STEPS):
         cases = [case.about(case.errors + directions @ change) for case in cases]
@@ -344,7 +346,7 @@ def solved(cases: list[Case], directions: Directions, spread: Numbers, start: Nu
             slope = case.slopes.constraints @ np.hstack([directions, RUBBING])
             design = misfit.whitened(slope)
             matrix, vector = design.T @ design, design.T @ misfit.value
-            # Friction is the sweep's own: Schur's complement.
+            # Each sweep has its own friction: Schur complement.
             own = matrix[-1, -1] + case.spread[FRICTION] ** -2.0
             gain = matrix[:-1, -1] / own
             information = information + matrix[:-1, :-1] - np.outer(gain, matrix[-1, :-1])

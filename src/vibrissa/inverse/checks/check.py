@@ -15,29 +15,29 @@ from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.work import work_warnings
 
 _OUTSIDE = 0.05
-"""Probability outside of the ellipsoids."""
+"""Probability of lying outside the ellipsoids."""
 
 
 def check_setup(found: Reconstruction) -> SetupCheck:
-    """What the contacts of a recording say of rod, clamp and sensor, with no object known.
+    """What the contacts of a recording say about rod, clamp and sensor, with the object unknown.
 
     Parameters
     ----------
     found
-        Contacts of one sweep (n, …) or several (m, n, …), sample by sample or smoothed; the
-        reactions tell, not the smoothed contacts.
+        Contacts of one sweep (n, …) or several (m, n, …), sample by sample or smoothed; the check
+        uses the reactions, not the smoothed contacts.
 
     Returns
     -------
     SetupCheck
-        Empty where the noise is not known, or too little of the sweep is in contact.
+        Empty if the noise is unknown, or too little of the sweep is in contact.
 
     Notes
     -----
     Each contact obeys more conditions than it has unknowns (`vibrissa.inverse.checks.constraints`).
-    What is left of them is explained by one cause at a time, by generalised least squares under the
-    noise, the error of the zero, a model error of 2e-4 L and errors that the setup tolerates
-    (mechanics.md, "What the data say of the setup").
+    One cause at a time is fitted to their residuals, by generalised least squares under the noise,
+    the zero error, a model error of 2e-4 L and the tolerated setup errors (mechanics.md,
+    "What the data say of the setup").
     """
     if found.kind.ndim == 1:
         return judged(found)
@@ -54,8 +54,8 @@ def check_setup(found: Reconstruction) -> SetupCheck:
 
 
 def checked(found: Reconstruction) -> Reconstruction:
-    """The same contacts with what they say against the setup: `setup_check`, `warnings` (each also
-    a `RecordingWarning`), and statuses as by `with_contradictions`.
+    """The same contacts with what contradicts the setup: `setup_check`, `warnings` (each also a
+    `RecordingWarning`), and statuses as from `with_contradictions`.
     """
     said, (lines, misread) = check_setup(found), work_warnings(found)
     misread = misread or said.misread or bool(found.reactions.misread)
@@ -64,8 +64,8 @@ def checked(found: Reconstruction) -> Reconstruction:
 
 
 def with_delay(found: Reconstruction) -> Reconstruction:
-    """The same contacts of one trail, with a delay of the poses among the causes where passes to
-    and fro tell one that is not named yet.
+    """The contacts of one trail, with a pose delay added to the causes if back-and-forth passes
+    show one that is not named yet.
     """
     said = found.setup_check
     if said is None or said.misread or any("pose_delay" in names for names in said.named):
@@ -93,8 +93,8 @@ def _told(found: Reconstruction, said: SetupCheck, *lines: str) -> Reconstructio
 
 
 def with_contradictions(found: Reconstruction) -> Reconstruction:
-    """`SETUP_CONTRADICTED` on rows that the likeliest causes of the check move out of their 95 %
-    ellipsoid, where nothing else is found against them.
+    """`SETUP_CONTRADICTED` on rows that the likeliest causes move out of their 95 % ellipsoid,
+    where no other finding applies.
     """
     said, status = found.setup_check, found.status
     if said is None or not (said.warnings or said.misread) or found.covariance is None:

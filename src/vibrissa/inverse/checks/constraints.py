@@ -1,10 +1,10 @@
 """What over-determines a contact, and how each cause of error would show in it.
 
-A straight uniform rod with one contact force bends in a plane, so m·n̂ = 0 (one force carries no
-couple) and m·t = 0 (no torsion); and either s₁ = L (tip) or t·n̂ = 0 (tangential contact without
-friction: incidence ½), of which the rod obeys one. All are taken where the ideal rod's curvature
-vanishes; the tip's as g (L − s₁), with g = ‖t × n‖ the slope of the moment there, which is linear
-in the noise through first contact.
+A straight uniform rod under a single contact force bends in a plane, so m·n̂ = 0 (a single force
+carries no couple) and m·t = 0 (no torsion). It also obeys either s₁ = L (tip) or t·n̂ = 0
+(tangential contact without friction: incidence ½). All are taken where the ideal rod's curvature
+vanishes; that of the tip as g (L − s₁), with g = ‖t × n‖ the slope of the moment there, which is
+linear in the noise through first contact.
 """
 
 from typing import Any, NamedTuple
@@ -26,8 +26,8 @@ COUPLE, TORSION, TIP, TANGENT = range(4)
 
 
 class Slopes(NamedTuple):
-    """Of the constraints and the contact point, clamp axes and model units, by what could be
-    wrong.
+    """Of the constraints and the contact point, clamp axes and model units, with respect to what
+    could be wrong.
     """
 
     constraints: Float[AnyArray, "*k 4 p"]
@@ -35,7 +35,7 @@ class Slopes(NamedTuple):
 
 
 class Constraints(NamedTuple):
-    """Values at the stretches in contact (k, …), and their derivatives."""
+    """Values for the stretches in contact (k, …), and their derivatives."""
 
     value: Float[AnyArray, "*k 4"]
     """Of m·n̂, m·t, g (1 − s₁) and t·n̂."""
@@ -48,13 +48,13 @@ class Constraints(NamedTuple):
     steepness: Float[AnyArray, "*k"]
     """g."""
     by_rod: Slopes
-    """By the numbers of `Imperfect` in turn, clamp axes: base wrench (6), share of the radius lost at
-    the tip (1), rest curvature (2), load per length (3).
+    """With respect to the numbers of `Imperfect` in turn, clamp axes: base wrench (6), fraction of
+    the radius lost at the tip (1), rest curvature (2), load per length (3).
     """
 
     @property
     def by_wrench(self) -> Slopes:
-        """By the base wrench alone."""
+        """With respect to the base wrench alone."""
         return Slopes(*(part[..., :6] for part in self.by_rod))
 
 
@@ -66,7 +66,7 @@ def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
 
 @lanes(width=96, blocks=1)
 def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
-    """Constraints for rods by their base wrenches, clamp axes, of this length."""
+    """Constraints for rods given by their base wrenches, clamp axes, of this length."""
     wrench = jnp.asarray(rod.wrench)
     ideal = invert(wrench[:3], wrench[3:], jnp.array([0.0, 0.0, 1.0])).arc_length
     off_ideal = jnp.any(rod.load != 0) | jnp.any(rod.curvature != 0) | (rod.taper != 0)
@@ -76,8 +76,8 @@ def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
     t, f = here.tangent, jnp.sqrt(jnp.sum(here.force**2))
     rate = -jnp.cross(t, here.force)
     g = jnp.sqrt(jnp.sum(rate**2))
-    # Where the constraints hold, the moment is zero: what turns its axes says nothing, and noise
-    # times it would look like a cause.
+    # Where the constraints hold the moment is zero: rotating its axes says nothing, and noise times
+    # that rotation would look like a cause.
     axes = jnp.stack([here.force / f, t, rate / g])
     flat, unravel = ravel_pytree(rod)
 

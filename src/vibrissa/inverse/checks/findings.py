@@ -1,4 +1,4 @@
-"""What a sweep says of its setup: the findings."""
+"""What a sweep says about its setup: the findings."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ from vibrissa.rod import Rod
 
 @dataclass(frozen=True)
 class Cause:
-    """What one cause of error would have to be to explain a sweep's misfit.
+    """How large one cause of error would have to be to explain a sweep's misfit.
 
     Attributes
     ----------
     name, unit
         Such as `bending_stiffness`, relative ("1").
     estimate, deviation
-        One number or several: what is true less what is stated, and its standard deviation.
+        One number or several: true minus stated value, and its standard deviation.
     significance
         Of the misfit that it explains, in standard deviations.
     explained
-        Share of the misfit that it explains.
+        Fraction of the misfit that it explains.
     shift
         Median shift of the contacts that it implies, in units of the rod.
     """
@@ -35,30 +35,30 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class SetupCheck:
-    """What a sweep says of its setup.
+    """What a sweep says about its setup.
 
     Attributes
     ----------
     causes
-        Each cause by itself, those that explain most first. They are candidates: several explain
-        the same.
+        Each cause by itself, those that explain most first. They are candidates: several may
+        explain the same misfit.
     reduced_chi_square
-        Mean square of what the constraints leave, in that of noise; 1 where all is as stated.
+        Mean square of the constraints' residuals, relative to the noise; 1 if all is as stated.
     friction
         Coefficient that tangential contacts show if all else is as stated, or the one given.
     apart
-        (…) whether a row belongs to no single contact while all others agree with the setup, as
-        where the rod touches two places.
+        (…) whether a row fits no single contact while all others agree with the setup, as where the
+        rod touches in two places.
     named
-        Names of causes that explain about as much as each other, one tuple a warning.
+        Names of causes that explain about the same, one tuple per warning.
     warnings
         One line each.
     shift
-        (…, 3) by how far contacts are off if the likeliest causes are right, of those named
-        together the largest; units of the rod, world axes; 0 where none is named.
+        (…, 3) how far contacts are off if the likeliest causes are right, the largest of those
+        named together; units of the rod, world axes; 0 if none is named.
     misread
-        Whether the numbers contradict each other as a whole, as with other units, signs or axes, so
-        that no contact is to be trusted.
+        Whether the numbers contradict each other as a whole, as with wrong units, signs or axes, so
+        that no contact can be trusted.
     """
 
     shift: Vectors
@@ -72,5 +72,5 @@ class SetupCheck:
 
 
 def length_text(value: float, rod: Rod) -> str:
-    """A length as said in a sentence, without its sign."""
+    """A length as worded in a sentence, without its sign."""
     return f"{1e3 * abs(value):.2g} mm" if rod.units == "SI" else f"{abs(value):.2g} L"

@@ -1,5 +1,5 @@
-"""What one trail says of its setup: causes of error, each as large as explains most of the misfit,
-and what is concluded from them.
+"""What one trail says about its setup: causes of error, each sized to explain most of the misfit,
+and the conclusions.
 """
 
 from operator import attrgetter
@@ -27,40 +27,42 @@ from vibrissa.numerics.runs import runs
 from vibrissa.rod import Rod
 
 _HOPELESS = 0.5
-"""Share of what the best explains, below which a cause need not be solved for."""
+"""Fraction of what the best explains, below which a cause is not worth solving for."""
 _POOR = 3.0
-"""χ² a row above which a solution is sought from the other side, too."""
+"""χ² per row above which a solution is also sought from the other side."""
 _FURTHER = 0.1
-"""Share of what the first cause explained that a further one has to explain: less may be what is
-not linear in the first.
+"""Fraction of what the first cause explained that a further one must explain: less may be the
+nonlinear part of the first.
 """
 _MOST = 3
 _GROSS = 0.15
-"""Size of the best cause, in standard deviations before the data, from which causes are solved for:
-EI off by more than 5 %.
+"""Size of the best cause, in prior standard deviations, from which causes are solved for: EI off by
+more than 5 %.
 """
 _NEARLY_ALL = 0.75
-"""Share of the misfit beyond noise that a cause explains which is real: 0.8 and more of single
-causes that were measured, half of a second contact.
+"""Fraction of the misfit beyond noise that a real cause explains: 0.8 and more for the single
+causes that were measured, half for a second contact.
 """
 _MOST_APART = 0.3
-"""Share of the stretches that may be set apart: what concerns more of them is no exception."""
+"""Fraction of the stretches that may be set apart: what affects more of them is no exception."""
 _WINDOW, _GROSSLY, _SURELY, _PERHAPS = 3, 50.0, 12.0, 6.0
-"""Stretches together, and means of their three squares, of which noise makes 3 ± 1.4: from which a
-part contradicts the rest, where no cause is found (swinging makes 15) and where one is, and to
-which it then extends."""
+"""Stretches averaged together, and means of their three squares, of which noise makes 3 ± 1.4: from
+which a part contradicts the rest, if no cause is found (swinging makes 15) and if one is, and down
+to which it then extends.
+"""
 
 
-# Readings that no rod has make numbers without bound; what is not finite is left out.
+# Readings that no rod produces lead to unbounded numbers; non-finite ones are left out.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def judged(found: Reconstruction) -> SetupCheck:
-    """Findings of one trail: none where the noise is not known, or too little is in contact."""
+    """Findings of one trail: none if the noise is unknown, or too little is in contact."""
     reactions = found.reactions
     if reactions.covariance is not None and reactions.time is not None:
         averaged = stretches_of(found)
         (turn, arm, _), factor, _ = prepared(found.rod, reactions.setup_errors)
         tolerated = np.zeros((ERRORS, factor.shape[1]))
-        # The clamp's place is stated in sensor axes, and what comes after the gains is the clocks'.
+        # The clamp position is stated in sensor axes, and the parameters after the gains are the
+        # clocks'.
         tolerated[: GAIN.stop] = factor[: GAIN.stop]
         tolerated[POSITION] = turn @ factor[POSITION]
         to_sensor = sensor_matrix(turn.T, turn.T @ arm)
@@ -98,8 +100,8 @@ def _of_case(found: Reconstruction, case: Case) -> SetupCheck:
 
 
 def _explained(first: Weighed) -> list[Weighed]:
-    """Up to three groups of causes, one after the other, each with the likeliest before taken
-    off.
+    """Up to three groups of causes, one after the other, each with the likeliest of those before
+    removed.
     """
     told, least, here = list[Weighed](), _FURTHER * first.tried[0].score, first
     while len(told) < _MOST and here.explains(least):
@@ -112,9 +114,7 @@ def _explained(first: Weighed) -> list[Weighed]:
 
 
 def _solved_if_gross(first: Weighed) -> Weighed:
-    """Causes solved for where the best is gross, those that the linear fit finds hopeless left
-    out.
-    """
+    """Causes solved for if the best is gross, except those that the linear fit finds hopeless."""
     case, misfit = first.case, first.misfit
     best = next((one for one in first.alike if one.name in TELLING), None)
     if best is None or not np.any(np.abs(best.size) > _GROSS * case.spreads(SUSPECTS[best.name])):
@@ -138,8 +138,8 @@ def _solved_if_gross(first: Weighed) -> Weighed:
 
 
 def _tolerable(case: Case) -> bool:
-    """Whether errors of the sizes that the setup states explain it after all: solved for, as they
-    are not linear.
+    """Whether errors within the stated tolerances explain it after all: solved for, as they are
+    nonlinear.
     """
     spread = np.linalg.norm(case.tolerated, axis=0)
     # A delay shows in no single contact.
@@ -154,8 +154,8 @@ def _tolerable(case: Case) -> bool:
 
 
 def _apart(found: Reconstruction, first: Weighed, *, contradicted: bool) -> Flags:
-    """Samples of one part of the sweep that alone contradict the rest, which agrees with the setup;
-    none if the best cause, where there is one, explains nearly all.
+    """Samples of one part of the sweep that alone contradicts the rest, which agrees with the
+    setup; none if the best cause, if there is one, explains nearly all.
     """
     case, misfit, samples = first.case, first.misfit, np.zeros(len(found.kind), dtype=bool)
     rows = len(misfit.value)
@@ -170,7 +170,7 @@ def _apart(found: Reconstruction, first: Weighed, *, contradicted: bool) -> Flag
         rest = case_of(stretches.chosen(~apart), to_sensor, found.friction, case.tolerated)
         if rest and not _of_case(found, rest).warnings:
             for start, stop in runs(apart):
-                # Those between neighbours, too.
+                # Including those between neighbours.
                 samples[stretches.first[start] : stretches.last[stop - 1]] = True
     return samples
 
@@ -189,7 +189,7 @@ def _cause(rod: Rod, one: Tried, total: float) -> Cause:
 
 
 def _shift_of_rows(found: Reconstruction, case: Case, told: list[Weighed]) -> Vectors:
-    """World axes and units of the rod: of each group the largest, all together."""
+    """World axes and units of the rod: the largest of each group, summed."""
     stretches, time = case.bench.stretches, found.reactions.time
     assert time is not None
     total = np.zeros((len(stretches.time), 3))

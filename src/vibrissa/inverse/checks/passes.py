@@ -1,15 +1,15 @@
-"""Poses that come late, told by passes to and fro over the same object.
+"""Pose delay, detected from back-and-forth passes over the same object.
 
-The wrench seen from the clamp does not change with the clock of the poses, so one pass at constant
-speed shows no delay: all contacts are shifted alike. Two passes in opposite directions are shifted
-against each other. With poses late by τ a contact lies at p + v τ, where v is the velocity of the
-clamp's frame at p, and near points a, b of two passes lie on one surface:
+The wrench in clamp axes does not depend on the clock of the poses, so one pass at constant speed
+shows no delay: all contacts shift alike. Two passes in opposite directions shift against each
+other. If poses come late by τ, a contact lies at p + v τ, where v is the velocity of the clamp's
+frame at p, and neighbouring points a, b of two passes lie on one surface:
 
     n̂·(p_a − p_b) = −τ n̂·(v_a − v_b),    n̂ the mean of both normals.
 
-On a sphere the chord of two points is square to the mean of their normals, so the distance of a and
-b enters in third order only; friction turns the forces of opposite passes by opposite angles, and
-the mean not at all.
+On a sphere the chord of two points is perpendicular to the mean of their normals, so the distance
+between a and b enters only at third order; friction tilts the forces of opposite passes by opposite
+angles, and the mean not at all.
 """
 
 import numpy as np
@@ -22,43 +22,44 @@ from vibrissa.inverse.checks.findings import Cause
 from vibrissa.inverse.result import Reconstruction
 
 _POINTS = 400
-"""Means along a sweep: an error of the mean by curvature is below that of noise, and pairs are
-dense.
+"""Means along a sweep: the error that curvature makes in a mean is below that of noise, and pairs
+are dense.
 """
 _NEAR = 0.02
-"""Distance of two points that are compared [L]: beyond it third orders of a radius of a third of L
-exceed 1e-5 L.
+"""Largest distance between compared points [L]: beyond it third-order terms for a radius of a third
+of L exceed 1e-5 L.
 """
 _OPPOSED = -0.5
 _ALIKE = 0.9
 """Cosines between velocities and between normals."""
 _MOVING = 0.1
-"""Share of the usual speed below which the clamp is about to turn back, and a delay shifts nothing.
+"""Fraction of the usual speed below which the clamp is about to turn back, and a delay shifts
+nothing.
 """
 _BLOCKS = 12
-"""Parts of the sweep: errors that last, of the tare and of the model, are about the same within a
-twelfth, and differ from one to another.
+"""Parts of the sweep: lasting errors, of tare and model, are about the same within a twelfth, and
+differ from one to another.
 """
 _FEWEST = 6
-"""Pairs in a block, and blocks, below which nothing is told."""
+"""Pairs in a block, and blocks, below which nothing is reported."""
 _ALL_ALIKE = 4e-6
 """Share of the slopes' square about their mean below which an offset explains as much as a delay: a
-condition of 1e6.
+condition number of 1e6.
 """
 _CERTAIN = 5.0
 """Standard deviations: as for the other causes."""
 _MATTERS = 5e-4
-"""Shift of the contacts [L] from which a delay is a warning: 25 µm on 50 mm, half of what smoothed
-contacts are known to.
+"""Shift of the contacts [L] from which a delay is worth a warning: 25 µm on 50 mm, half the error
+of smoothed contacts.
 """
 _TOLERATED = 3.0
-"""Stated standard deviations up to which a delay is as stated."""
+"""Stated standard deviations up to which a delay agrees with the setup."""
 
 
 def contradicting_delay(found: Reconstruction) -> Cause | None:
-    """Delay [s] of the poses that the contacts of one trail (n, …) tell, positive where they come
-    late, if it is certain, matters, and is more than the setup tolerates; None where there is no
-    time, or no two passes in opposite directions over the same places.
+    """Pose delay [s] shown by the contacts of one trail (n, …), positive if poses are late,
+    provided it is certain, matters, and exceeds the setup's tolerance; else None, as without time,
+    or without two passes in opposite directions over the same places.
     """
     if found.reactions.time is None or found.kind.ndim != 1:
         return None
@@ -69,7 +70,7 @@ def contradicting_delay(found: Reconstruction) -> Cause | None:
     )
     if len(rows) < _FEWEST * _BLOCKS:
         return None
-    # Means over short stretches of contact, none of which holds a gap.
+    # Means over short stretches of contact, none of which contains a gap.
     size = max(1, len(rows) // _POINTS)
     starts = np.flatnonzero((np.diff(rows, prepend=-2) > 1) | (np.arange(len(rows)) % size == 0))
     count = np.diff(starts, append=len(rows))[:, None]
@@ -96,8 +97,8 @@ def contradicting_delay(found: Reconstruction) -> Cause | None:
 
 
 def carried(found: Reconstruction) -> Vectors:
-    """Velocity of the clamp's frame at the contacts (n, 3): what a delay of one second shifts them
-    by, units of the rod.
+    """Velocity of the clamp's frame at the contacts (n, 3): how far a delay of one second shifts
+    them, units of the rod.
     """
     velocity = found.reactions.clamp_velocity()
     arm = found.point - found.reactions.trail.position
@@ -114,7 +115,7 @@ def _pairs(
     velocity: Vectors,
     length: float,
 ) -> Int[np.ndarray, "2 p"]:
-    """Each point with the nearest of an opposite pass; each pair once."""
+    """Each point with the nearest one of an opposite pass; each pair once."""
     speed = np.linalg.norm(velocity, axis=1)
     moving = speed > _MOVING * float(np.median(speed))
     a, b = pairs = cKDTree(place).query_pairs(_NEAR * length, output_type="ndarray").T
@@ -126,8 +127,8 @@ def _pairs(
 
 
 def _by_blocks(slope: Scalars, apart: Scalars) -> tuple[float, float]:
-    """Delay and its standard deviation: least squares with an offset, as of a zero that drifts, and
-    the scatter between parts of the sweep; without bound where the offset does as well.
+    """Delay and its standard deviation: least squares with an offset, as from a drifting zero, and
+    the scatter between parts of the sweep; infinite if an offset explains as much.
     """
     own = slope - slope.mean()
     square = own @ own
@@ -137,6 +138,6 @@ def _by_blocks(slope: Scalars, apart: Scalars) -> tuple[float, float]:
     left = apart - apart.mean() - seconds * own
     starts = -(-np.arange(_BLOCKS) * len(slope) // _BLOCKS)
     scores = np.add.reduceat(own * left, starts)
-    # Blocks scatter about a fit to themselves: two numbers of twelve are spent.
+    # Blocks scatter about a fit to themselves: it uses up two of twelve degrees of freedom.
     variance = scores @ scores * _BLOCKS / (_BLOCKS - 2)
     return float(seconds), float(np.sqrt(variance) / square)

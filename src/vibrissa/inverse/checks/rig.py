@@ -1,9 +1,9 @@
 """What rod, clamp and sensor may be off by, as one vector; causes of error as users know them; and
-what the constraints say when errors are taken off, with their derivatives.
+the constraints with errors removed, with their derivatives.
 
-Errors are what is true less what is stated, in model units and clamp axes, but for gains, zeros and
-drifts, which are the sensor's: the share by which a channel reads too much, its reading at rest in
-model units, and the rate of that.
+Errors are true minus stated values, in model units and clamp axes, except gains, zeros and drifts,
+which are the sensor's: the fraction by which a channel reads too much, its reading at rest in model
+units, and the rate of that.
 """
 
 from typing import NamedTuple
@@ -22,9 +22,9 @@ STIFFNESS, LENGTH, TAPER, FRICTION = 0, 1, 14, 32
 POSITION, ROTATION, GAIN, CURVATURE, LOAD, DRIFT, ZERO = (
     slice(*pair) for pair in ((2, 5), (5, 8), (8, 14), (15, 17), (17, 20), (20, 26), (26, 32))
 )
-"""ln EI; ln L; the clamp's place [L] and turn; gains; share of the radius lost at the tip; rest
-curvature [1/L]; load per length, world axes [EI/L³]; drift; zero; and Coulomb's coefficient, which
-is no error.
+"""ln EI; ln L; the clamp's position [L] and rotation; gains; fraction of the radius lost at the
+tip; rest curvature [1/L]; load per length, world axes [EI/L³]; drift; zero; and the friction
+coefficient, which is not an error.
 """
 ERRORS = 33
 BenchErrors = Float[np.ndarray, "errors"]
@@ -52,29 +52,29 @@ SUSPECTS: dict[str, Directions] = {
     for name, where in (("gain", GAIN), ("drift", DRIFT), ("zero", ZERO))
     for index, channel in enumerate(("fx", "fy", "fz", "tx", "ty", "tz"))
 }
-"""Causes of error, and the errors for a unit of each of their numbers. In the order in which they
-are named where they explain as much: what is known least comes first.
+"""Causes of error, and the errors for one unit of each of their numbers, in the order in which they
+are named if they explain as much: the least well known comes first.
 """
 TELLING = list(SUSPECTS)[:10]
-"""Those that change all stretches alike: all but single channels. By these, phases are told."""
+"""Those that affect all stretches alike, all but single channels: these decide the phases."""
 RUBBING: Directions = _UNIT[:, [FRICTION]]
 _SPREADS = np.repeat([0.3, 0.05, 0.04, 0.1, 0.1, 0.3], [1, 1, 3, 3, 6, 6])
-"""Standard deviations before the data: gross mistakes are three of them. A stiffness by 30 %, a
-length by 5 %, a clamp by 0.04 L and 6°, a gain by 10 %, taper, curvature and load by 0.3.
+"""Prior standard deviations; gross mistakes are three of them. A stiffness by 30 %, a length by
+5 %, a clamp by 0.04 L and 6°, a gain by 10 %, taper, curvature and load by 0.3.
 """
 _DRIFT_SPREAD, _ZERO_SPREAD = 20.0, 10.0
-"""The same in standard deviations of a sample: of what a zero may drift over a contact, and be off
+"""The same in standard deviations of a sample: how much a zero may drift over a contact, and be off
 by.
 """
 _UNKNOWN_FRICTION, _KNOWN_FRICTION = 0.3, 0.2
-"""The same of the coefficient: where none is stated, and of one that is, relative."""
+"""The same for the friction coefficient: if none is stated, and relative to one that is."""
 NOTHING = 1e-6
-"""What leaves a number where it is: a spread, or a step."""
+"""What keeps a number where it is: a spread, or a step."""
 
 
 def spreads_of(sample: Wrench, duration: float, friction: float | None) -> BenchErrors:
-    """Standard deviations before the data, for the noise of a sample (6), model units, the
-    contact's duration, and friction as stated, if any.
+    """Prior standard deviations, given the noise of a sample (6), model units, the contact's
+    duration, and the stated friction, if any.
     """
     rubbing = _UNKNOWN_FRICTION if friction is None else max(_KNOWN_FRICTION * friction, NOTHING)
     zero = _DRIFT_SPREAD * sample / duration, _ZERO_SPREAD * sample
@@ -82,9 +82,9 @@ def spreads_of(sample: Wrench, duration: float, friction: float | None) -> Bench
 
 
 def sensor_matrix(turn: Frame, arm: Vector) -> Spread:
-    """What takes (f, m) about the clamp in its axes to readings, τ = m + arm × f: from the rotation
-    from clamp to sensor axes, and the arm from where torques are read to the clamp, sensor axes
-    [L].
+    """Matrix from (f, m) about the clamp, in its axes, to readings, τ = m + arm × f: given the
+    rotation from clamp to sensor axes, and the arm from the torque reference point to the clamp,
+    sensor axes [L].
     """
     matrix = np.kron(np.eye(2), turn)
     matrix[3:, :3] = cross_matrices(arm) @ turn
@@ -97,22 +97,22 @@ class Bench(NamedTuple):
     stretches: Stretches
     """In contact, all of them."""
     to_sensor: Spread
-    """By `sensor_matrix`."""
+    """From `sensor_matrix`."""
     tared: float
-    """Time to which the zero belongs."""
+    """Time at which the zero was taken."""
     rest: Frame
-    """From clamp to world axes as the zero was taken."""
+    """From clamp to world axes when the zero was taken."""
     rubbing: Scalars | float = 0.0
-    """t·n̂ that a coefficient of 1 makes."""
+    """t·n̂ for a friction coefficient of 1."""
 
     @property
     def to_clamp(self) -> Spread:
-        """The other way."""
+        """The inverse."""
         return np.linalg.inv(self.to_sensor)
 
     def taken(self, errors: BenchErrors) -> Spread:
-        """What takes measured wrenches, and their noise, to those with the errors taken off, but
-        for what is added to them.
+        """Matrix that removes the errors from measured wrenches, and from their noise, except for
+        additive ones.
         """
         turned = scipy.spatial.transform.Rotation.from_rotvec(-errors[ROTATION]).as_matrix()
         moved = sensor_matrix(turned, -turned @ errors[POSITION])
@@ -120,16 +120,14 @@ class Bench(NamedTuple):
         return np.asarray(np.exp(-errors[STIFFNESS]) * moved @ gained)
 
     def wrench(self, errors: BenchErrors) -> Wrenches:
-        """Base wrenches in true clamp axes and in units of the true stiffness and the stated
-        length.
-        """
+        """Base wrenches, true clamp axes, in units of the true stiffness and the stated length."""
         offset = errors[ZERO] + self._elapsed[:, None] * errors[DRIFT]
         seen = self.stretches.wrench - offset @ self.to_clamp.T
         return seen @ self.taken(errors).T + self.reaction @ errors[LOAD]
 
     @property
     def _elapsed(self) -> Scalars:
-        """Since the zero was taken."""
+        """Time since the zero was taken."""
         return self.stretches.time - self.tared
 
     @property
@@ -139,11 +137,11 @@ class Bench(NamedTuple):
 
     @property
     def reaction(self) -> Float[np.ndarray, "6 3"]:
-        """By load: what the straight rod's load made of the zero."""
+        """Derivative with respect to the load: what it did to the zero on the straight rod."""
         return -sensor_matrix(self.rest.T, np.array([0.0, 0.0, 0.5]))[:, :3]
 
     def constraints(self, errors: BenchErrors) -> Constraints:
-        """Of the rod with these errors taken off; s₁ and lengths in the stated one's."""
+        """Of the rod with these errors removed; s₁ and lengths in units of the stated length."""
         wrench = self.wrench(errors)
         count, taper = len(wrench), min(errors[TAPER], _MOST_TAPER)
         bend = np.tile(errors[CURVATURE], (count, 1))
@@ -157,13 +155,13 @@ class Bench(NamedTuple):
         """Derivatives of constraints (k, 4, 33) and points (k, 3, 33) by the errors."""
         wrench, back = self.wrench(errors), self.to_clamp
         f, m = cross_matrices(wrench[:, :3]), cross_matrices(wrench[:, 3:])
-        # By the least change that leaves neither couple nor torsion. They are proportional to the
-        # wrench: their own noise must not look like a stiffness, or like the gain of a channel
+        # About the nearest wrench with neither couple nor torsion. The derivatives are proportional
+        # to the wrench: its noise must not look like a stiffness, or like the gain of a channel
         # that should read nothing.
         slope = here.by_wrench.constraints[:, :2]
         spread = self.stretches.noise @ np.swapaxes(slope, 1, 2)
         near = wrench - (spread @ np.linalg.solve(slope @ spread, here.value[:, :2, None]))[:, :, 0]
-        # By the numbers of the rod: wrench, taper, curvature, load.
+        # With respect to the rod's numbers: wrench, taper, curvature, load.
         step = np.zeros((len(wrench), 12, ERRORS))
         step[:, :6, STIFFNESS] = -near
         step[:, 3:6, POSITION] = step[:, :3, ROTATION] = f

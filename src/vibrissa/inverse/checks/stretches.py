@@ -1,8 +1,8 @@
-"""Short stretches of a sweep, each averaged to one wrench: tame noise, few rows.
+"""Short stretches of a sweep, each averaged to one wrench: less noise, fewer rows.
 
-The motion is slow against the samples, so that over a hundredth of a contact the wrench is a
-straight line, and its mean that of the middle. The arc length, a ratio of moment and force, is all
-but linear in a mean's noise where it is not in a sample's.
+The motion is slow compared with the sampling, so over a hundredth of a contact the wrench follows a
+straight line, and its mean is the value in the middle. The arc length, a ratio of moment to force,
+is all but linear in the noise of a mean, but not of a sample.
 """
 
 from itertools import pairwise
@@ -31,33 +31,34 @@ from vibrissa.numerics.runs import runs
 
 _MOST = 96
 """Stretches in contact: an elastica's curves through so many are straight to 3e-5 of their range,
-and dense equations of three rows each take milliseconds.
+and dense equations with three rows each take milliseconds.
 """
 _MOST_AT_REST = 20
 _FEWEST = 30
 """Samples in contact below which a sweep is not judged."""
 _OUTLYING = 4.0
-"""Samples farther off the line than this many deviations, by the median, count for nothing: noise
-alone reaches it once in ten thousand.
+"""Samples farther off the line than this many deviations, by the median, are ignored: noise alone
+gets there once in ten thousand.
 """
 _MARGIN = 0.1
-"""Share of the contact's duration before and after it that is not counted as rest: contact not yet
-told from noise, and a wire that swings.
+"""Fraction of the contact's duration before and after it that does not count as rest: contact still
+hidden in noise, and a wire that swings.
 """
 _WINDOW = 9
-"""Samples of which most are in contact where the rod touches: single false alarms and misses do not
+"""Samples of which most are in contact when the rod touches: single false alarms and misses do not
 count.
 """
 _LINE = 4
-"""Fewest samples through which a line is laid."""
+"""Fewest samples for fitting a line."""
 _UNSTEADY = 6.0
-"""Standard deviations of their variance about it from which samples are on no line: the rod swings,
-or the contact has jumped.
+"""Standard deviations of the variance about the line from which samples follow no line: the rod
+swings, or the contact has jumped.
 """
 _UNKNOWN_ZERO = 0.02
-"""Variance of the zero's error in that of a sample where no rest is seen: that of a mean of 50."""
+"""Variance of the zero's error, relative to a sample's, if no rest is seen: that of a mean of 50.
+"""
 _WHITE = 0.2
-"""Share of the variance by which differences of neighbours may fall short of white noise's by
+"""Fraction of the variance by which differences of neighbours may fall short of white noise by
 chance and rounding.
 """
 _LEAST_WHITE = 0.05
@@ -67,22 +68,22 @@ class Stretches(NamedTuple):
     """Means over short stretches of one trail, in clamp axes and model units."""
 
     time: Scalars
-    """[s], or the number of the sample."""
+    """[s], or the sample number."""
     wrench: Wrenches
     """Support reactions."""
     noise: Spreads
-    """Covariance of what is independent from stretch to stretch."""
+    """Covariance of the part that is independent from stretch to stretch."""
     zero: Spreads
-    """Factor of what an error of the zero adds, one for all samples."""
+    """Factor of what a zero error adds, the same for all samples."""
     position: Vectors
     """Of the clamp, world axes, in rod lengths."""
     turn: Frames
     """From clamp to world axes."""
     contact: Flags
-    """Whether the rod touches; else it is at rest."""
+    """Whether the rod touches; otherwise it is at rest."""
     first: Codes
     last: Codes
-    """Samples, the last not included."""
+    """Samples; the last is excluded."""
 
     def chosen(self, rows: Any) -> "Stretches":
         """Some of them."""
@@ -90,8 +91,8 @@ class Stretches(NamedTuple):
 
 
 def stretches_of(found: Reconstruction) -> Stretches | None:
-    """Averaged rows of one trail (n, …) with known noise, in contact and at rest; None with too few
-    in contact.
+    """Averaged rows of one trail (n, …) with known noise, in contact and at rest; None if too few
+    are in contact.
     """
     reactions, trail = found.reactions, found.reactions.trail
     wrench, covariance = in_clamp_axes(reactions, found.rod)
@@ -101,7 +102,7 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
     touching = (uniform_filter1d((found.in_contact & sound).astype(float), _WINDOW) > 0.5) & sound
     if min(np.count_nonzero(found.in_contact), np.count_nonzero(touching)) < _FEWEST:
         return None
-    # Before and after all contact, by a margin.
+    # Before and after all contact, with a margin.
     begin, end = time[touching][[0, -1]]
     margin = _MARGIN * (end - begin)
     resting = sound & ((time < begin - margin) | (time > end + margin))
@@ -127,14 +128,14 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
         first=first,
         last=last,
     )
-    # Without unsteady ones and their neighbours: a jump, or what is left of swinging.
+    # Without unsteady ones and their neighbours: jumps, or residual swinging.
     steady = excess < _UNSTEADY * np.sqrt(2 / np.maximum(count - 2, 1))
     bad = averaged.contact & ~steady
     return averaged.chosen(~(binary_dilation(bad) & averaged.contact))
 
 
 def _spans(rows: Flags, most: int) -> list[tuple[int, int]]:
-    """Runs of rows [first, last), cut into about equal parts, `most` in all."""
+    """Runs of rows [first, last), cut into roughly equal parts, about `most` in all."""
     size = max(1, -(-int(np.count_nonzero(rows)) // most))
     cuts = [
         np.linspace(start, stop, max(1, round((stop - start) / size)) + 1).astype(int)
@@ -144,8 +145,8 @@ def _spans(rows: Flags, most: int) -> list[tuple[int, int]]:
 
 
 def _white(whitened: Wrenches, rows: Flags) -> Wrench:
-    """Variance of the noise from sample to sample, in that which is stated, by second differences;
-    1 where there are too few.
+    """Sample-to-sample variance of the noise relative to the stated one, from second differences; 1
+    if there are too few.
     """
     inner = rows[:-2] & rows[1:-1] & rows[2:]
     second = np.diff(whitened, 2, axis=0)[inner] / np.sqrt(6)
@@ -159,8 +160,8 @@ def _white(whitened: Wrenches, rows: Flags) -> Wrench:
 def _means(
     values: Wrenches, time: Scalars, first: Int[np.ndarray, "k"], last: Int[np.ndarray, "k"]
 ) -> tuple[Float[np.ndarray, "k 6"], Int[np.ndarray, "k"], Float[np.ndarray, "k 6"]]:
-    """Middles of straight lines through the rows of each span, how many of them count, and their
-    variance about the line.
+    """Midpoints of lines fitted to the rows of each span, how many rows count, and their variance
+    about the line.
     """
     place = first[:, None] + np.arange((last - first).max())
     good = inside = place < last[:, None]

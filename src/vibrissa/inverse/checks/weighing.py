@@ -1,5 +1,5 @@
-"""Causes of error, each as large as explains most of what the constraints of a sweep leave, the best
-first.
+"""Causes of error, each as large as explains most of what the constraints of a sweep leave; the
+best first.
 """
 
 from operator import attrgetter
@@ -14,20 +14,21 @@ from vibrissa.inverse.checks.rig import ERRORS, FRICTION, RUBBING, SUSPECTS
 
 MATTERS = 1e-3
 """Shift of the contacts [L], in a fifth of the sweep, below which a cause does not matter: 50 µm on
-50 mm, as smoothed error bars have it.
+50 mm, like smoothed error bars.
 """
 _LEAST = 20.0
-"""Of χ² that a cause has to explain: four and a half standard deviations, of some thirty causes
-that are tried; sound recordings show 3.6 at most.
+"""χ² that a cause must explain: four and a half standard deviations, for some thirty causes tried;
+sound recordings show 3.6 at most.
 """
 _PRICE = 6.0
-"""Of χ² for each further number that a cause may choose (BIC for some four hundred rows)."""
+"""χ² charged for each further number that a cause may choose (BIC for some four hundred rows)."""
 _ALIKE, _ALIKE_BY = 0.05, 10.0
-"""Causes are named beside the best that explain less by at most this share of it, and this of χ².
+"""Causes are named along with the best if they explain less by at most this fraction of it, plus
+this much χ².
 """
 _WITH_FRICTION = 100.0
-"""Of χ² that a cause has to explain where friction leaves open what s₁ and k² should be: what then
-remains is told less safely.
+"""χ² that a cause must explain where friction leaves s₁ and k² open: the remaining constraints tell
+less reliably.
 """
 
 
@@ -38,13 +39,13 @@ class Tried(NamedTuple):
     size: Numbers
     covariance: Square
     explained: float
-    """Of χ²."""
+    """Drop in χ²."""
     shifts: Float[np.ndarray, "n 3 errors"]
     """Derivatives of the contacts by the errors."""
 
     @property
     def score(self) -> float:
-        """What it explains, less a price for its numbers."""
+        """What it explains, less a penalty for its numbers."""
         return self.explained - _PRICE * (len(self.size) - 1)
 
     @property
@@ -53,19 +54,19 @@ class Tried(NamedTuple):
         return self.shifts @ (SUSPECTS[self.name] @ self.size)
 
     def shift(self, share: float) -> float:
-        """Its size: a share of the sweep is shifted by no more."""
+        """Size of the shift that this fraction of the sweep does not exceed."""
         return float(np.quantile(np.linalg.norm(self.moved, axis=1), share))
 
 
 class Weighed(NamedTuple):
-    """A case in its phases, and all causes beside friction, the best first."""
+    """A case in its phases, and all causes on top of friction, the best first."""
 
     case: Case
     tip: Phases
     misfit: Misfit
-    """Under as much noise as it shows, and as uneven a friction."""
+    """With noise scaled up to what the case shows, and friction as uneven as it shows."""
     friction: float
-    """Coefficient that shows."""
+    """Apparent coefficient."""
     tried: list[Tried]
 
     @property
@@ -76,7 +77,7 @@ class Weighed(NamedTuple):
 
     def explains(self, least: float) -> bool:
         """Whether causes that explain about the same explain enough, and would move contacts by
-        more than error bars hold: a length shows, and matters, in tip contact alone.
+        more than error bars hold: a length shows, and matters, in tip contact only.
         """
         largest = max((one.shift(0.8) for one in self.alike), default=0.0)
         return largest >= MATTERS and self.tried[0].score >= max(_LEAST, least)
@@ -92,7 +93,7 @@ def weighed(case: Case, tip: Phases) -> Weighed:
     misfit, friction, inflation = case.misfit(tip, case.tolerated), 0.0, 1.0
     for _ in range(2):
         best = case.fitted(misfit, np.eye(ERRORS))
-        # Friction is no error.
+        # Friction is not an error.
         freedom = max(len(misfit.value) - ERRORS + 1, 1)
         inflation = max(1.0, inflation * (misfit.square - best.explained) / freedom)
         shown = abs(best.size[FRICTION]) - 2 * np.sqrt(best.covariance[FRICTION, FRICTION])

@@ -1,4 +1,4 @@
-"""Findings of a sweep, each as one line."""
+"""Findings of a sweep, in one line each."""
 
 import math
 
@@ -15,9 +15,9 @@ from vibrissa.numerics.runs import runs
 from vibrissa.rod import Rod
 
 _SHOWN = 4
-"""Causes in a line; more is no help."""
+"""Causes per line; more would not help."""
 _CLOSE = 0.3
-"""Share of the largest component from which others of a vector are told."""
+"""Fraction of the largest component from which other components of a vector are named."""
 _SIGNED = {
     "bending_stiffness": ("bending stiffness (EI) {size} {way}", "higher", "lower"),
     "length": ("length {size} {way}", "longer", "shorter"),
@@ -30,17 +30,17 @@ _SIGNED = {
     "drift_": ("the zero of {channel} drifts by {way}{size}/s", "", "-"),
     "zero_": ("the zero of {channel} is off by {way}{size}", "", "-"),
 }
-"""Causes of one number: the clause, and `way` where it is positive and where it is negative."""
+"""Causes with one number: the clause, and `way` for a positive and for a negative one."""
 _VECTORS = {
     "clamp_position": ("clamp shifted by {} of its axes", " along "),
     "clamp_orientation": ("clamp turned by {} of its axes", " about "),
     "rest_curvature": ("a rod that is not straight, sagitta {} of the clamp's axes", " along "),
 }
-"""Causes of several: the clause, and what leads to the axis of each number."""
+"""Causes with several: the clause, and the word before the axis of each number."""
 
 
 def unit_of(rod: Rod, name: str) -> tuple[str, float]:
-    """Unit of a cause's numbers, and what takes them there from model units."""
+    """Unit of a cause's numbers, and the factor to it from model units."""
     kind, _, channel = name.partition("_")
     if kind in ("drift", "zero"):
         force = channel.startswith("f")
@@ -57,7 +57,7 @@ def unit_of(rod: Rod, name: str) -> tuple[str, float]:
 
 
 def apart_line(found: Reconstruction, misfit: Misfit, rows: Flags) -> str:
-    """On rows that contradict the rest of the sweep."""
+    """Line on rows that contradict the rest of the sweep."""
     time = found.reactions.time
     assert time is not None
     when = " and ".join(
@@ -71,7 +71,7 @@ def apart_line(found: Reconstruction, misfit: Misfit, rows: Flags) -> str:
 
 
 def causes_line(rod: Rod, here: Weighed) -> str:
-    """On causes that explain about the same: what is seen, how surely, and by how much each would
+    """Line on causes that explain about the same: what is seen, how surely, and how far they would
     move contacts.
     """
     case, best, together = here.case, here.tried[0], here.alike
@@ -92,7 +92,7 @@ def causes_line(rod: Rod, here: Weighed) -> str:
 
 
 def unexplained_line(rod: Rod, here: Weighed) -> str:
-    """On a misfit that no cause explains."""
+    """Line on a misfit that no cause explains."""
     case, misfit = here.case, here.misfit
     value = np.abs(case.here.value) / case.deviations * misfit.told
     row = int(np.argmax(np.max(value, axis=0)))
@@ -104,7 +104,7 @@ def unexplained_line(rod: Rod, here: Weighed) -> str:
 
 
 def delay_told(rod: Rod, delay: Cause) -> str:
-    """Of poses that come late, by passes to and fro that disagree by twice their shift."""
+    """Line on late poses, from back-and-forth passes that disagree by twice their shift."""
     deviation = f"{delay.deviation[0] * 1e3:.1g} ms"
     late = _named(rod, delay.name, np.array(delay.estimate)).replace(" ms", f" ± {deviation}")
     return (

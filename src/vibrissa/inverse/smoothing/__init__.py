@@ -1,1 +1,1 @@
-"""Contacts of a sweep, smoothed along it: what neighbouring samples say of one another."""
+"""Contacts smoothed along their sweep: what neighbouring samples say about each other."""

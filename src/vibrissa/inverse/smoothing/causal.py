@@ -1,8 +1,8 @@
-"""Smoothing as the samples come: a filter of fixed cost a sample, for live sensing.
+"""Causal smoothing for live sensing: a filter of fixed cost per sample.
 
-Three hypotheses run side by side: no contact, tip contact, tangential contact. Each is the same
-filter as the fixed-interval smoother's way forward, and they mix by their probabilities
-(interacting multiple models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
+Three hypotheses run side by side: no contact, tip contact, tangential contact. Each is the forward
+pass of the fixed-interval smoother, and they mix by their probabilities (interacting multiple
+models: Blom & Bar-Shalom, *IEEE Trans. Automatic Control* 33, 1988).
 """
 
 from __future__ import annotations
@@ -67,23 +67,25 @@ from vibrissa.tolerances import SetupErrors
 from vibrissa.trail import Trail
 
 _BATCH = 64
-"""Samples of a call: they take far longer than the call itself."""
+"""Samples per call: they take far longer than the call itself."""
 _SPEED = 0.2
-"""Rod lengths a second, of a clamp of unknown speed."""
+"""Rod lengths per second, for a clamp of unknown speed."""
 _RATES = np.array([30.0, 30.0, 30.0, 3.0, TILT_SPREAD])
-"""Standard deviations of unknown rates, at a speed of a rod length a second: ten times those of a
-sweep."""
+"""Standard deviations of unknown rates, at a speed of one rod length per second: ten times those of
+a sweep.
+"""
 _BEND = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-"""Of them where a phase changes: the rate of s₁ is then another one."""
+"""Factors on them at a change of phase: only the rate of s₁ is new."""
 _ARC_LENGTH_VARIANCE = 0.1
-"""Of a contact that begins with the flank: that of a uniform s₁ about 1."""
+"""Of a contact that begins on the flank: that of a uniform s₁ about 1."""
 _JUMP = 2.0
 """Standard deviation of unknown loads: those of a strongly bent rod."""
 _SWITCH = 1e-2
-"""Probability a sample that the hypothesis changes, to each of the others: contacts last hundreds
-of samples, and a wrong hypothesis is left within some."""
+"""Probability per sample of a switch to each other hypothesis: contacts last hundreds of samples,
+and a wrong hypothesis is left within a few.
+"""
 _PATIENCE = 4
-"""Consecutive outliers that are taken for a jump of the contact."""
+"""Consecutive outliers that count as a jump of the contact."""
 
 
 class _Settings(NamedTuple):
@@ -94,9 +96,9 @@ class _Settings(NamedTuple):
     entries: tuple[Any, ...]
     """How the state of each kind (rows) enters each other (columns)."""
     jump: Float[Any, "state"]
-    """Variances of the state added where the contact jumps."""
+    """Variances added to the state if the contact jumps."""
     incidence_variance: Float[Any, ""]
-    """Of k² about ½ in tangential contact; infinite where friction may make it another one."""
+    """Of k² about ½ in tangential contact; infinite if friction may change it."""
     rig: Rig
 
 
@@ -104,15 +106,15 @@ class _Hypotheses(NamedTuple):
     """What the filter carries from sample to sample."""
 
     state: Gaussian
-    """Of each `ContactKind`. Further columns of the means are their derivatives by the setup's
-    numbers for given readings: the same filter, with what they change in the wrench in the place
+    """Of each `ContactKind`. Further columns of the means are their derivatives with respect to the
+    setup's parameters for given readings: the same filter, with the change of the wrench in place
     of the readings.
     """
     probability: Float[Any, "kinds"]
     strange: Float[Any, ""]
     """Consecutive outliers."""
     recent: Float[Any, "samples wrench"]
-    """Last wrenches, whitened; NaN where there was none."""
+    """Latest wrenches, whitened; NaN where there was none."""
 
 
 class CausalSmoother:
@@ -128,30 +130,30 @@ class CausalSmoother:
     position_covariance
         Of the clamp point (3, 3), or None.
     speed
-        Of the clamp along the object, in units of the rod a second: how quickly contacts are
-        expected to change. Default: a fifth of the length a second.
+        Of the clamp along the object, in units of the rod per second: how quickly contacts are
+        expected to change. Default: a fifth of the length per second.
     intensities
-        (5,) as `Smoothing.intensities`, in place of those that follow from the speed.
+        (5,) as `Smoothing.intensities`, instead of those that follow from the speed.
     friction
-        Coulomb's coefficient between rod and object: 0 for none, None where it is not known.
-        Where it is 0, tangential contacts are square to their force.
+        Coulomb friction coefficient between rod and object: 0 for none, None if unknown. If it is
+        0, tangential contacts are perpendicular to their force.
     false_alarm
-        Share of samples without contact that may be taken for contact: the mean of five samples has
-        to pass the chi-square test at that level, the drift of the zero and its error taken into
-        account.
+        Fraction of samples without contact that may be mistaken for contact: the mean of five
+        samples has to exceed the chi-square limit at that level, allowing for the drift of the zero
+        and its error.
     model_error
         As for `smooth`.
     setup_errors
-        What all samples share, as for `Reactions`; None for nothing.
+        Errors that all samples share, as for `Reactions`; None for none.
 
     Raises
     ------
     ValueError
-        If a figure is not allowed, or the covariance is not positive definite.
+        If a value is not allowed, or the covariance is not positive definite.
 
     Notes
     -----
-    One call costs the same whatever came before. `reset` forgets all.
+    Each call costs the same, whatever came before. `reset` forgets everything.
     """
 
     def __init__(
@@ -208,7 +210,7 @@ class CausalSmoother:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all samples: a new recording begins, free of contact, with its zero as good as a
+        """Forget all samples: a new recording begins, free of contact, with a zero as good as a
         tare over 50 samples.
         """
         start = kalman.at_rest(TARED)
@@ -234,27 +236,27 @@ class CausalSmoother:
         """Take one sample: time [s], the clamp's position (3,) and quaternion x, y, z, w (4,),
         force and moment on the rod about the clamp (3,), world axes.
 
-        `velocity` is that of the clamp point and of its rotation (6,), a second; only what poses
-        that come late do depends on it.
+        `velocity` is that of the clamp point and of its rotation (6,), per second; only the effect
+        of late poses depends on it.
 
         Raises
         ------
         ValueError
-            If the time does not increase, the pose is not finite, or a shape is another one.
+            If the time does not increase, the pose is not finite, or a shape is wrong.
         """
         f, m, t, v = (np.array([part]) for part in (force, moment, time, velocity))
         trail = Trail(np.array([position]), np.array([orientation]))
         return self.update_all(Reactions(trail, f, m, time=t, velocity=v))[0]
 
     def update_all(self, reactions: Reactions) -> LiveContact:
-        """Take several samples of one trail (n, …) with time, in one call: as `update` does one by
-        one, at a fraction of its cost for each.
+        """Take several samples of one trail (n, …) with time, in one call: the same as `update` one
+        by one, at a fraction of its cost per sample.
 
         Raises
         ------
         ValueError
-            If the reactions are of several trails or have no time, or the first is not after the
-            last sample before.
+            If the reactions are of several trails or have no time, or the first does not come after
+            the previous sample.
         """
         rod, time, trail = self._rod, reactions.time, reactions.trail
         if time is None or time.ndim != 1:
@@ -290,13 +292,13 @@ class CausalSmoother:
 
 
 class _Found(NamedTuple):
-    """What the hypotheses in contact say together, and whether the rod is loaded at all."""
+    """What the contact hypotheses say together, and whether the rod is loaded at all."""
 
     linear: Linear
     errors: Float[Any, "*n coordinates coordinates"]
     seen: Changes
     moved: Float[Any, "*n coordinates setup"]
-    """Derivatives of the coordinates by the setup's numbers."""
+    """Derivatives of the coordinates with respect to the setup's parameters."""
     kind: Int[Any, "*n"]
     probability: Float[Any, "*n"]
     """Of contact."""
@@ -305,14 +307,14 @@ class _Found(NamedTuple):
 
 
 def _with_columns(mean: Float[np.ndarray, "*n state"]) -> Float[np.ndarray, "*n state columns"]:
-    """With derivatives of zero by the setup's numbers."""
+    """With zero derivatives with respect to the setup's parameters."""
     return mean[..., None] * np.eye(1, 1 + COUNT)[0]
 
 
 @compiled
 def _advanced(settings: _Settings, state: _Hypotheses, samples: Any, count: Int[Any, ""]) -> Any:
-    """The first `count` samples taken, one after the other: wrenches in clamp axes and model units,
-    times since the one before, velocities of the clamp.
+    """The first `count` samples, taken one by one: wrenches in clamp axes and model units, times
+    since the previous one, velocities of the clamp.
     """
     return kalman.scanned(partial(_one, settings), state, samples, count)
 
@@ -338,7 +340,8 @@ def _one(
             state._replace(covariance=state.covariance + jump), step, settings.intensities
         )
         mean = mean.at[ARC_LENGTH, 0].set(jnp.clip(mean[ARC_LENGTH, 0], 0.05, 1.0))
-        # The sample about the prediction, its squared distance from it, and its errors by setup.
+        # The sample linearised about the prediction, its squared distance from it, and its setup
+        # errors.
         linear = linear_at(mean[PLACE, 0])
         target, slope = observed(linear, wrench, settings.whitening, jnp)
         value, slope = linear.value, slope * (kind != FREE)

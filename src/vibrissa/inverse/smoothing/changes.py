@@ -1,5 +1,5 @@
-"""Where a contact begins, ends and changes its phase, which phases it has, and which else it may
-have: all by the likelihood of the samples around, of candidates that differ in their labels.
+"""Where a contact begins, ends and changes phase, which phases it has, and which others it may
+have: all by the likelihood of the surrounding samples under candidates for the labels.
 """
 
 from itertools import combinations, compress
@@ -33,47 +33,48 @@ from vibrissa.inverse.smoothing.phases import raw_arc_lengths
 from vibrissa.numerics.runs import runs
 
 _MARGIN = 96
-"""Samples about a place within which others of it are told from each other."""
+"""Samples about a place, within which rival places can be told apart."""
 _MOST_ROWS = 1536
-"""Compared at most in groups of four: some seconds."""
+"""Most samples compared, in groups of four: some seconds."""
 _SWEEPS, _REACHES = 2, 3
 _REACH, _SPACING, _FINE = 160, 8, 32
-"""Samples within which a change is looked for, at first, their spacing, and most places after."""
+"""Samples within which a change is first sought, their spacing, and the most places tried next."""
 _NEGLIGIBLE = 8.0
-"""Log-likelihood by which places are behind that are left out: three in ten thousand."""
+"""Places this far behind in log-likelihood are left out: three in ten thousand."""
 _LEAST_RUN, _SHORT_RUN = 4, 96
-"""Least samples of a phase, and most of one that may be noise."""
+"""Fewest samples of a phase, and most of one that may be noise."""
 _LEAST_GAIN = 3.0
-"""Log-likelihood by which a phase has to be better than its neighbours, as by Akaike: its changes
-have two places and its motion one more rate."""
+"""Log-likelihood that a phase must gain over its neighbours, as in Akaike's criterion: its changes
+have two places and its motion one more rate.
+"""
 _CLEARLY = 3.0
-"""Standard deviations of a mean below the rod's length from which tangential contact is tried."""
+"""Standard deviations that a mean must lie below the rod's length to try tangential contact."""
 _SIZES, _WIDER = (32, 64, 128, 256, 384), (1.0, 1.5, 2.25)
-"""Samples over which that mean is taken, and widths of the phases tried in terms of them."""
+"""Samples over which that mean is taken, and widths of the phases tried, relative to them."""
 _BEFORE, _AFTER = 96, 128
-"""Samples about a start from which its likelihood is taken."""
+"""Samples before and after a start that enter its likelihood."""
 _ABOUT_GUESS, _ABOUT_BEST = np.arange(-64.0, 33.0, 4.0), np.arange(-8.0, 8.0, 0.5)
 """Starts tried [samples] about the first guess, then about the best one."""
 _OUTERMOST = 1e-3
-"""Probability of the outermost starts at which no more need be tried."""
+"""Probability of the outermost starts below which no more need be tried."""
 _LEAST_SHARE = 0.1
-"""Of the time to the first sample: a shorter one is no motion to the filter."""
+"""Of the time to the first sample: with less, the filter sees no motion."""
 _DRAWN = 8
-"""Of the labels: a power of two, so that odd multiples permute them."""
+"""Number of labels drawn: a power of two, so that odd multiples permute them."""
 _EDGES = np.arange(7) / 6
-"""Where a tangential phase may begin and end, in shares of the contact."""
+"""Where a tangential phase may begin and end, as fractions of the contact."""
 _BENDS = (1.0, 1 / 4, 1 / 16)
-"""Of unknown rates."""
+"""Factors on the unknown rates."""
 _GROUPS, _ROUGH_GROUPS = 350, 120
-"""Groups of a contact in which rivals are compared, and are at first."""
+"""Groups per contact in which rivals are compared, and in the first rough comparison."""
 _HOPELESS = 40.0
-"""Logarithm of the likelihood by which a rival may be behind at first, with few groups and one
-scale: the scales change it by up to 28.
+"""Log-likelihood by which a rival may be behind at first, with few groups and one scale: the scales
+change it by up to 28.
 """
 _ALWAYS = 2
-"""The given phases, and the tip throughout, with which all are compared."""
+"""The given phases, and tip contact throughout, with which all are compared."""
 _LEAST_ROWS = 24
-"""Samples of a contact that may have a tangential phase of four in the least of its sixths."""
+"""Fewest samples of a contact that leave four for a tangential phase in one of its sixths."""
 
 
 def log_likelihoods(
@@ -84,11 +85,11 @@ def log_likelihoods(
     together: int = TOGETHER,
     bends: tuple[float, ...] = (1.0,),
 ) -> Samples:
-    """Log-likelihoods of the rows from `first` to before `stop` by candidates for the labels; the
-    drift before them is what the samples before tell.
+    """Log-likelihoods of the rows from `first` to before `stop` under candidate labels; the drift
+    before them is what earlier samples tell.
 
-    With several `bends`, factors of the unknown rates, those of all candidates for the first one
-    come first.
+    With several `bends`, factors on the unknown rates, the values of all candidates for the first
+    one come first.
     """
     first = max(first, 0)
     rows = slice(first, min(stop, first + _MOST_ROWS * together // TOGETHER))
@@ -116,7 +117,7 @@ class Places(NamedTuple):
     probability: Samples
 
     def quantile(self, share: float) -> int:
-        """Place before which, with this probability, it has begun."""
+        """Place before which it has begun with this probability."""
         number = int(np.searchsorted(np.cumsum(self.probability), share))
         return int(self.place[min(number, len(self.place) - 1)])
 
@@ -127,15 +128,15 @@ class Places(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """Standard deviation, in samples, of places that are each as wide as they are apart."""
+        """Standard deviation, in samples, of places each as wide as their spacing."""
         spacing = float(np.median(np.diff(self.place))) if len(self.place) > 1 else 1.0
         variance = self.probability @ (self.place - self.mean) ** 2
         return float(np.sqrt(variance + spacing**2 / 12))
 
 
 def with_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
-    """The fit with the phases that are most probable, each change between tip and tangential
-    contact at the median of its likelihood; and where else each may be, given the others.
+    """The fit with the most probable phases, each change between tip and tangential contact at the
+    median of its likelihood; and where else each may be, given the others.
     """
     fit = _with_tangential_phases(_with_fewer_phases(fit))
     places = dict[int, Places]()
@@ -145,15 +146,15 @@ def with_phases(fit: Fit) -> tuple[Fit, dict[int, Places]]:
             found = _places_of(fit, change)
             median = found.quantile(0.5)
             fit, places[median] = fit._replace(labels=fit.labels.moved(change, median)), found
-        # Only a change near to another depends on where that is.
+        # A change depends on the place of another only if they are close.
         if len(before) < 2 or np.diff(before).min() > _REACH + _MARGIN:
             break
     return fit, places
 
 
 def _places_of(fit: Fit, change: int) -> Places:
-    """Likelihood of a change's place as a density: over all places within reach, then more closely
-    where it is not negligible.
+    """Likelihood of a change's place as a density: over all places within reach, then on a finer
+    grid where it is not negligible.
     """
     low, high = _room(fit.labels, change)
 
@@ -178,7 +179,7 @@ def _places_of(fit: Fit, change: int) -> Places:
 
 
 def _room(labels: Labels, change: int) -> tuple[int, int]:
-    """Between the neighbouring changes of any kind."""
+    """Range between the neighbouring changes of any kind."""
     edges = np.flatnonzero(labels.begins | (labels.link == JUMP))
     low = max(edges[edges < change], default=0) + _LEAST_RUN
     high = min(edges[edges > change], default=len(labels.phase)) - _LEAST_RUN
@@ -186,7 +187,7 @@ def _room(labels: Labels, change: int) -> tuple[int, int]:
 
 
 def _with_fewer_phases(fit: Fit) -> Fit:
-    """Short phases that the likelihood does not ask for are taken into the other phase; and tip
+    """Short phases that the likelihood does not ask for are merged into the other phase; and tip
     contact is tried where a contact begins or ends tangentially.
     """
     given = fit.labels.phase
@@ -204,8 +205,8 @@ def _with_fewer_phases(fit: Fit) -> Fit:
 
 
 def _with_tangential_phases(fit: Fit) -> Fit:
-    """Tangential contact is tried within each stretch of tip contact, about where the samples by
-    themselves put the contact most clearly before the tip.
+    """Tangential contact is tried within each stretch of tip contact, around where the samples by
+    themselves put the contact most clearly short of the tip.
     """
     value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
     for run in runs(fit.labels.phase == TIP):
@@ -217,14 +218,14 @@ def _with_tangential_phases(fit: Fit) -> Fit:
         tried = [fit.labels, *(fit.labels.in_phase(TANGENTIAL, part) for part in parts)]
         begin, stop = int(edges.min()) - _MARGIN // 2, int(edges.max()) + _MARGIN // 2
         values = log_likelihoods(fit, tried, min(begin, rows.start - 1), stop)
-        # Tip contact all along and tangential contact in the middle are equally usual.
+        # Tip contact throughout and tangential contact in the middle are equally likely a priori.
         fit = fit._replace(labels=tried[int(np.argmax(values))])
     return fit
 
 
 def _clearly_short(value: Samples, weight: Samples) -> Int[np.ndarray, "k 2"]:
-    """Stretches (k, 2), first and after the last, about those over which the weighted mean of the
-    arc lengths lies most clearly below the rod's: as s₁ leaves and returns slowly, longer ones too.
+    """Stretches (k, 2), first and one past the last, around those whose weighted mean arc length
+    lies most clearly below the rod's; longer ones too, as s₁ leaves and returns slowly.
     """
     sums = np.cumsum(np.stack([weight, weight * (1 - value)]), axis=1)
     sums, count, found = np.pad(sums, ((0, 0), (1, 0))), len(value), set[tuple[int, int]]()
@@ -242,21 +243,21 @@ def _clearly_short(value: Samples, weight: Samples) -> Int[np.ndarray, "k 2"]:
 
 def reversed_fit(fit: Fit) -> Fit:
     """The same series run backwards: an end becomes a beginning. An integrated Wiener process has
-    the same law both ways.
+    the same law in both directions.
     """
     back = fit.rows(slice(None, None, -1))
-    # A break between two samples stays between them; all else begins with whole steps.
+    # A break between two samples stays between them; all else begins on whole steps.
     link = np.append(GO_ON, fit.labels.link[:0:-1])
     return back._replace(
         series=back.series._replace(time=fit.series.time[-1] - back.series.time),
         labels=back.labels._replace(link=link, share=np.ones(len(link))).copy(),
-        # What later samples alone tell of the drift is not kept.
+        # The drift given later samples alone is not kept.
         states=back.states._replace(expected_zero=back.states.zero),
     )
 
 
 def onset_at(labels: Labels, first: int, place: float) -> Labels:
-    """Labels with the contact that begins at sample `first` beginning at `place` instead."""
+    """Labels with the start of the contact at sample `first` moved to `place`."""
     begins = int(np.floor(place)) + 1
     placed = labels.moved(first, begins)
     placed.pace[begins:first] = labels.pace[first]
@@ -265,12 +266,12 @@ def onset_at(labels: Labels, first: int, place: float) -> Labels:
 
 
 def with_onset(fit: Fit, first: int) -> tuple[Fit, int, Samples]:
-    """The fit with the contact whose first sample is `first` beginning where it most probably
-    does, no earlier than the rod ceases to swing; its first sample then; and the time, its
-    deviation, that of the likelihood taken as a density, and the least that noise allows [s].
+    """The fit with the contact that begins at sample `first` beginning where it most probably does,
+    but no earlier than the rod stops swinging; its first sample then; and the time, its deviation
+    from the likelihood taken as a density, and the least that noise allows [s].
     """
     labels, place = fit.labels, first - 0.5
-    # From the contact before to the next break of this one.
+    # From the previous contact to the next break of this one.
     low = np.flatnonzero(labels.phase[:first]).max(initial=-2) + 2.0
     high = labels.breaks[labels.breaks > first].min(initial=len(labels.phase)) - 3.0
     for offsets in (_ABOUT_GUESS, _ABOUT_BEST, _ABOUT_BEST):
@@ -290,8 +291,8 @@ def with_onset(fit: Fit, first: int) -> tuple[Fit, int, Samples]:
 
 
 def _limit(fit: Fit, first: int) -> float:
-    """Cramér-Rao: (gᵀ P⁻¹ g)^(−½), g the rates of the loads at the beginning, P the covariance with
-    which what follows tells the loads there [s].
+    """Cramér-Rao: (gᵀ P⁻¹ g)^(−½), with g the rates of the loads at the beginning and P the
+    covariance of the loads there given what follows [s].
     """
     cut = fit.rows(slice(first, None))
     cut = cut._replace(labels=cut.labels.copy())
@@ -304,8 +305,8 @@ def _limit(fit: Fit, first: int) -> float:
 
 
 def drawn(fit: Fit, places: dict[int, Places]) -> list[Labels]:
-    """Equally probable labels: for each contact one of its rivals, each change at one quantile of
-    its places; those of different contacts and changes unrelated.
+    """Equally probable labels: for each contact one of its rivals, for each change one quantile of
+    its places; unrelated between different contacts and changes.
     """
     contacts = fit.labels.contacts
     rivals = [_rivals_of(fit, rows) for rows in contacts]
@@ -328,8 +329,8 @@ def drawn(fit: Fit, places: dict[int, Places]) -> list[Labels]:
 
 
 def _rivals_of(fit: Fit, rows: slice) -> tuple[list[Labels], Samples]:
-    """Labels of a contact and their probabilities, the given ones first: beside them, tip contact
-    throughout and one tangential phase, long or short, early or late; all are as usual.
+    """Labels of a contact and their probabilities, the given ones first: besides them, tip contact
+    throughout and one tangential phase, long or short, early or late; all equally likely a priori.
     """
     first, count = rows.start, rows.stop - rows.start
     alone = [fit.labels], np.ones(1)
@@ -348,8 +349,8 @@ def _rivals_of(fit: Fit, rows: slice) -> tuple[list[Labels], Samples]:
         return alone
     likely[:_ALWAYS] = True
     candidates = list(compress(candidates, likely))
-    # How sharply a motion bends is not known beforehand, and must not decide: all orders of
-    # magnitude are as probable.
+    # How sharply a motion bends is not known in advance, and must not decide: all orders of
+    # magnitude are equally probable.
     together = max(TOGETHER, -(-count // _GROUPS))
     each = log_likelihoods(fit, candidates, *around, together, _BENDS).reshape(len(_BENDS), -1)
     values = logsumexp(each - each[:, 1:2], axis=0)

@@ -1,12 +1,12 @@
-"""Contacts of a smoothed series: points, normals, their covariances, how errors of the setup move
-them, and which rows can be trusted: the model has to explain the data, and to explain away what
-single samples were flagged for.
+"""Contacts of a smoothed series: points, normals, their covariances, how setup errors move them,
+and which rows can be trusted: the model must explain the data, and account for what single samples
+were flagged for.
 
-Once linearised the smoother is linear, so an error θ that adds a known column to what is observed
-moves its states by the same gains with which it weighs the readings: one more pass, in which the
-columns take the place of the readings (the augmented Kalman filter: de Jong, *Annals of Statistics*
-19, 1991). What the drift of the zero, the tilt or the arc length take up of an error is so taken
-into account, and what is known exactly, such as the arc length at the tip, stays known.
+Once linearised, the smoother is linear, so an error θ that adds a known column to the observations
+moves its states through the same gains as the readings: one more pass, with the columns in place of
+the readings (augmented Kalman filter: de Jong, *Annals of Statistics* 19, 1991). This accounts for
+what the drift of the zero, the tilt or the arc length absorb of an error, and what is known
+exactly, such as the arc length at the tip, stays known.
 """
 
 from collections.abc import Callable
@@ -40,25 +40,26 @@ from vibrissa.rod import Rod
 from vibrissa.trail import Trail
 
 _FLAGGED_STRETCH, _FLAGGED_CONTACT = 0.3, 0.15
-"""Shares of flagged samples from which on noise is no explanation: it flags less than one in fifty.
+"""Fractions of flagged samples above which noise is no explanation: it flags less than one in
+fifty.
 """
 _EXCESS = 1.6
-"""Mean squared residual of a stretch, in terms of that of the stated noise. Converters whose steps
-are as large as the noise add 8 %.
+"""Mean squared residual of a stretch, relative to the stated noise. A/D converters whose steps are
+as large as the noise add 8 %.
 """
 _LEVEL = 6.0
 """The same in standard deviations of the mean over a stretch."""
 _COUPLE = 3.0
-"""Mean violation of m0·f0 = 0, in standard deviations, from which on it is named as the finding."""
+"""Mean violation of m0·f0 = 0, in standard deviations, above which it is named as the finding."""
 _LEAST_ROWS = 6
-"""Samples between two breaks of the motion: fewer tell little more than each by itself."""
+"""Samples between two breaks of the motion: fewer tell little more than each one alone."""
 _LITTLE = 1e4
-"""Sum of the squares of the force over a contact up to a jump, in its deviations, from which its
+"""Squared force in its deviations, summed over a contact or its part up to a jump, above which its
 samples together tell arc lengths, moment over force, to a hundredth.
 """
 _ELSEWHERE, _FARTHER = 5.0, 2.0
 """Mean distance of the samples' own arc lengths from the smoothed one, in its standard deviations,
-and in stated errors of the points, from which on they disagree.
+and in stated errors of the points, above which they disagree.
 """
 _SMALLEST = 2e-3
 """The same in rod lengths: the least that counts."""
@@ -72,13 +73,13 @@ _FIELDS = (
     "kind",
     "energy",
 )
-"""Of a reconstruction: those that smoothing gives anew, beside covariances and what goes with them.
+"""Fields of a reconstruction that smoothing replaces, besides covariances and what belongs to them.
 """
 
 
 def by_itself(found: Reconstruction) -> dict[str, Any]:
-    """What samples by themselves say, where smoothing says nothing: covariances without what the
-    sweep shares.
+    """What single samples say, where smoothing says nothing: covariances without what the sweep
+    shares.
     """
     fine = found.in_contact & (found.status == Status.OK)
     return {name: getattr(found, name) for name in _FIELDS} | {
@@ -99,10 +100,10 @@ def located(
     given: Reactions,
     model_error: float,
 ) -> dict[str, np.ndarray]:
-    """Contacts at coordinates with these errors, world axes and units of the rod: fields of a
-    reconstruction. An error of the setup changes what is `seen` at given coordinates, and moves
-    the coordinates. Covariances are without what the sweep shares; they hold the model's error, and
-    errors of the robot's pose as `given`: not taken to be others in each sample, they stay in full.
+    """Contacts at coordinates with these errors, world axes and units of the rod, as fields of a
+    reconstruction. A setup error changes what is `seen` at given coordinates, and moves the
+    coordinates. Covariances exclude what the sweep shares; they include the model error, and pose
+    errors as `given`: in full, as these are not assumed to be independent from sample to sample.
     """
     value, turn = linear.value, trail.rotation
     reach, direction = ((turn @ part[..., None])[..., 0] for part in (value.reach, value.direction))
@@ -127,8 +128,8 @@ def located(
 def contacts_of(
     found: Reconstruction, fit: Fit, smoothest: Fit, model_error: float
 ) -> dict[str, Any]:
-    """Fields of the smoothed reconstruction: the contacts of a fit where that before averaging is
-    to be trusted. Covariances are without what the sweep shares.
+    """Fields of the smoothed reconstruction: the contacts of a fit, where the one before averaging
+    can be trusted. Covariances exclude what the sweep shares.
     """
     rod, reactions, series, linear = found.rod, found.reactions, fit.series, fit.linear
     value, errors = linear.value, fit.states.covariance[:, PLACE, PLACE]
@@ -147,7 +148,7 @@ def contacts_of(
     }
     if raw.any():
         rows = chosen(raw, by_itself(found), rows) | {"status": status}
-    # Beside the contacts: drift of the zero, weights and tilts.
+    # Besides the contacts: drift of the zero, weights and tilts.
     drift = np.linalg.solve(series.whitening, fit.states.zero.mean[..., None])[..., 0]
     return rows | {
         "drift": drift * np.repeat([rod.force_scale, rod.moment_scale], 3),
@@ -157,25 +158,26 @@ def contacts_of(
 
 
 def _moved(fit: Fit, seen: Changes) -> Float[np.ndarray, "n coordinates setup"]:
-    """Derivatives of the coordinates by `vibrissa.tolerances.PARAMETERS` for given readings."""
-    # A larger wrench for the same contact makes of the same readings a smaller one; samples for
-    # which there is no rod are not seen.
+    """Derivatives of the coordinates with respect to `vibrissa.tolerances.PARAMETERS`, for given
+    readings.
+    """
+    # A larger wrench for the same contact acts like smaller readings; samples for which there is no
+    # rod are not observed.
     steps, shows = steps_of(fit), fit.labels.touching & finite(fit.linear)
     target = np.zeros((*steps.target.shape, COUNT))
     target[:, :WRENCH] = chosen(shows, -fit.series.whitening @ seen.wrench, 0.0)
     columns = steps._replace(begin=np.zeros_like(steps.begin), target=target)
-    # As if the series began after a tare: what earlier segments tell of its zero has errors of the
-    # setup, too.
+    # As if the series began after a tare: the zero from earlier segments has setup errors, too.
     return smoothed_states(fit._replace(zero=TARED), columns).mean[:, PLACE]
 
 
 def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags]:
-    """Statuses of the smoothed rows, and which of them keep the contact of the sample by itself, as
-    do those in contact that are not known.
+    """Statuses of the smoothed rows, and which of them keep the contact of the single sample, as do
+    contacts that are not `known`.
     """
     labels, given = fit.labels, found.status
     touching, kept = labels.touching & fit.series.sound, np.isin(given, _KEPT)
-    # What tells against the setup is judged anew, in terms of the smoothed errors.
+    # Evidence against the setup is judged anew, relative to the smoothed errors.
     flagged = ~np.isin(given, (Status.OK, Status.SETUP_CONTRADICTED, *_KEPT))
     status = np.where(kept | (touching & flagged & (fit.weight < 1)), given, Status.OK)
     rows = touching & ~kept
@@ -194,7 +196,7 @@ def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags
     status = np.where(wrong, np.where(flagged, given, worse), status)
     elsewhere = _elsewhere(found, fit, touching) & (status == Status.OK)
     status = np.where(elsewhere, Status.SETUP_CONTRADICTED, status)
-    # Contacts and their parts between jumps, of which each may be too weak or too short.
+    # Contacts, or their parts between jumps, any of which may be too weak or too short.
     total = _sums(np.cumsum(labels.link == JUMP) + labels.contact, labels.touching)
     force = fit.series.whiten(np.nan_to_num(fit.linear.value.wrench))[:, :3]
     weak = touching & (total(np.sum(force**2, axis=1)) < _LITTLE)
@@ -205,13 +207,13 @@ def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags
 
 
 def _elsewhere(found: Reconstruction, fit: Fit, touching: Flags) -> Flags:
-    """Rows of stretches over which the samples by themselves, together, put the contact elsewhere
-    on the rod than smoothing does.
+    """Rows of stretches over which the single samples, taken together, put the contact elsewhere on
+    the rod than smoothing does.
     """
     value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
     weight = np.where(fit.weight == 1, deviation**-2.0, 0.0)
     assert found.covariance is not None
-    # What errors of the setup do to the points, they may do to the arc lengths.
+    # What setup errors do to the points, they may do to the arc lengths.
     shared = np.trace(found.covariance - found.covariance_noise, axis1=1, axis2=2)
     stated = fit.states.covariance[:, ARC_LENGTH, ARC_LENGTH]
     stated = stated + np.nan_to_num(shared) / found.rod.length**2
@@ -224,6 +226,6 @@ def _elsewhere(found: Reconstruction, fit: Fit, touching: Flags) -> Flags:
 
 
 def _sums(number: Codes, rows: Flags) -> Callable[[ArrayLike], Samples]:
-    """Sums of values over these rows, of each the sum over all that have its number."""
+    """Function that sums values over these rows: for each, over all rows with the same number."""
     _, place = np.unique(number, return_inverse=True)
     return lambda values: np.bincount(place, np.where(rows, values, 0.0))[place]

@@ -1,5 +1,5 @@
-"""The iteration that smooths one series: linearise, smooth, weigh outliers, estimate how freely the
-contact moves and the sensor's zero drifts; and averages over what the labels may be.
+"""The iteration that smooths one series: linearise, smooth, down-weight outliers, estimate how
+freely the contact moves and the sensor's zero drifts; and averages over possible labels.
 """
 
 from typing import Any
@@ -43,38 +43,39 @@ from vibrissa.inverse.smoothing.model import (
 from vibrissa.inverse.smoothing.phases import first_labels
 
 OUTLIER = 28.0
-"""Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples;
-further ones weigh less.
+"""Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; larger
+ones are down-weighted.
 """
 _START = np.array([1.0, 1.0, 0.01, 1e-6, 1e-3])
-"""Intensities of a contact that crosses its range in some seconds."""
+"""Intensities of a contact that crosses its range in a few seconds."""
 _ROUGH_STEPS, MOST_STEPS = 5, 12
-"""Steps of Gauss-Newton: usually four are enough for `_ROUGHLY`, six for `_CLOSE`."""
+"""Gauss-Newton steps: four usually suffice for `_ROUGHLY`, six for `_CLOSE`."""
 _FLANK_STEPS = 3
 _NEAR = 1
 """Steps after which the intensities are estimated."""
 _CLOSE, _ROUGHLY = 1e-5, 1e-3
-"""Change of the coordinates at which to stop: a hundredth of the noise's errors, and about them."""
+"""Change of the coordinates at which to stop: a hundredth of the errors from noise, or about them.
+"""
 _AVERAGE = 0.04
 """[s] over which the first guess is averaged."""
 _MEDIAN = 9
-"""Samples whose median no outlier moves."""
+"""Window of a median that no outlier moves."""
 _STRETCH = 48
-"""Samples of one pace."""
+"""Samples that share a pace."""
 _USUALLY = 1.5
-"""Standard deviation of the logarithm of s₁'s intensity."""
+"""Prior standard deviation of the logarithm of s₁'s intensity."""
 _BOUNDS = [(-18.0, 16.0)] * (INTENSITIES - 1) + [(-25.0, 3.0)]
 _PACE_BOUNDS = (-14.0, 14.0)
 """Of logarithms, beyond which the likelihood is flat."""
 _OF_LENGTH = ARC_LENGTH - 1
-"""The arc length's among the intensities."""
+"""Index of the arc length among the intensities."""
 
 
 def first_guess(
     series: Series, zero: Gaussian, false_alarm: float, incidence_spread: float | None
 ) -> Fit:
-    """Phases, and coordinates from moving averages of the wrench over 40 ms; nothing is known of
-    the states yet.
+    """Phases, and coordinates from moving averages of the wrench over 40 ms; the states are not
+    known yet.
     """
     phase, arc_length = first_labels(series, zero, false_alarm)
     steady = median_filter(series.wrench, (_MEDIAN, 1), mode="nearest")
@@ -82,7 +83,7 @@ def first_guess(
     load = uniform_filter1d(steady, size, axis=0, mode="nearest")
     labels = Labels.of(phase)
     touching = labels.touching
-    # A series that begins in contact begins with any load.
+    # A series that begins in contact may begin with any load.
     labels.link[0] = JUMP if touching[0] else GO_ON
     x = np.column_stack([load[:, 3:5], -load[:, 2], arc_length, np.zeros(len(phase))])
     linear = linearised(np.where(touching[:, None], x, AT_REST))
@@ -90,7 +91,7 @@ def first_guess(
     longest = max(_longest_of(series.time, labels) or 1.0, series.step)
     most = float(np.ptp(linear.x[touching, :LOADS], axis=0).max()) if touching.any() else 1.0
     rates = np.array([*[max(most, 1e-2)] * LOADS, 0.3, TILT_SPREAD / 10]) * 30 / longest
-    # No outlier is followed from the start.
+    # So that no outlier is followed from the start.
     residual = series.whitened - median_filter(series.whitened, (_MEDIAN, 1), mode="nearest")
     weight = _robust(np.sum(residual**2, axis=1))
     unknown: Any = None
@@ -100,7 +101,7 @@ def first_guess(
 
 
 def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> Fit:
-    """Gauss-Newton with robust weights, and with the intensities estimated once it is near."""
+    """Gauss-Newton with robust weights; the intensities are estimated once it is close."""
     close, rough = _CLOSE if most_steps > _ROUGH_STEPS else _ROUGHLY, True
     for iteration in range(most_steps):
         if iteration == _NEAR:
@@ -120,20 +121,20 @@ def fitted(fit: Fit, *, local: bool = True, most_steps: int = _ROUGH_STEPS) -> F
 
 
 def _coordinates(states: States) -> Coordinates:
-    """About which to linearise."""
+    """Coordinates about which to linearise."""
     values = states.mean[:, PLACE].copy()
     values[:, ARC_LENGTH] = np.clip(values[:, ARC_LENGTH], 0.02, 1.2)
     return values
 
 
 def _stepped(fit: Fit, new: Coordinates) -> Fit:
-    """About the new coordinates; about the old ones where there is no rod with the new."""
+    """About the new coordinates, or about the old ones where no rod has the new."""
     there = linearised(new)
     return fit._replace(linear=chosen(finite(there), there, fit.linear))
 
 
 def squared_residuals(fit: Fit) -> Samples:
-    """Of the whitened wrench about the smoothed one: six degrees of freedom, a little fewer as the
+    """Of the whitened wrench about the smoothed one: six degrees of freedom, slightly fewer as the
     motion follows the noise.
     """
     series = fit.series
@@ -143,8 +144,8 @@ def squared_residuals(fit: Fit) -> Samples:
 
 
 def _robust(squared: Samples) -> Samples:
-    """1 up to the limit, beyond it the limit over the squared residual: the farther an outlier, the
-    less it pulls, and no intensity has to explain it.
+    """1 up to the limit, then the limit over the squared residual: the farther out, the weaker the
+    pull, and no intensity has to explain it.
     """
     return np.minimum(1.0, OUTLIER / np.maximum(squared, OUTLIER))
 
@@ -153,9 +154,9 @@ def most_probable(fit: Fit, *, local: bool) -> Fit:
     """The fit with intensities, and the pace of each sample, that maximise the marginal likelihood.
 
     The pace is constant over stretches of 48 samples of a contact; its logarithm is a random walk
-    from each to the next, with a standard deviation of 1. A short tangential phase tells little of
+    from one to the next, with a standard deviation of 1. A short tangential phase says little about
     how freely s₁ moves: the logarithm of that intensity has a normal prior about the one with which
-    s₁ crosses its range in the time of a contact. Without `local`, all paces are 1.
+    s₁ crosses its range during a contact. Without `local`, all paces are 1.
     """
     labels, start, stretch = fit.labels, kalman.at_rest(fit.zero), stretches(fit.labels)
     steps = steps_of(fit)
@@ -167,11 +168,11 @@ def most_probable(fit: Fit, *, local: bool) -> Fit:
     linked = np.diff(labels.contact[first]) == 0
     time = np.cumsum(steps.duration)
     longest = max(_longest_of(time, labels), 1e-3 * (time[-1] - time[0]), 1e-9)
-    # That of an integrated Wiener process of this deviation at the end of the longest contact.
+    # That of an integrated Wiener process with this deviation at the end of the longest contact.
     expected = np.log(3 * ARC_LENGTH_SPREAD**2 / longest**3)
 
     def paces(walk: Samples, of: Codes) -> Samples:
-        # Without contact, number -1, the pace is 1.
+        # Without contact, number −1, the pace is 1.
         return np.exp(np.append(walk, 0.0))[of]
 
     def objective(values: Samples) -> tuple[float, Samples]:
@@ -184,7 +185,7 @@ def most_probable(fit: Fit, *, local: bool) -> Fit:
         away = (logarithms[_OF_LENGTH] - expected) / _USUALLY
         total = states.score.sum(axis=0)
         total[_OF_LENGTH] -= away / _USUALLY
-        # All standard deviations are equally probable (Gelman, *Bayesian Analysis* 1, 2006): none
+        # Uniform prior on standard deviations (Gelman, *Bayesian Analysis* 1, 2006), so that none
         # collapses to zero. Those of the loads have paces.
         total[_OF_LENGTH:] += 0.5
         known = np.sum(states.log_likelihood) + np.sum(logarithms[_OF_LENGTH:]) / 2
@@ -217,13 +218,13 @@ def stretches(labels: Labels) -> Codes:
 
 
 def _longest_of(time: Samples, labels: Labels) -> float:
-    """Time [s] that the longest contact takes; 0 without contact."""
+    """Duration [s] of the longest contact; 0 without contact."""
     return float(max((np.ptp(time[rows]) for rows in labels.contacts), default=0.0))
 
 
 def as_flank(fit: Fit) -> Fit:
-    """The fit with what would be its coordinates in tangential contact where the contact is taken
-    for one at the tip: rivals are compared about their own.
+    """The fit with tip contacts linearised about the coordinates that they would have in tangential
+    contact, so that rivals are compared about their own.
     """
     labels, tip = fit.labels, fit.labels.phase == TIP
     if not tip.any():
@@ -238,12 +239,12 @@ def as_flank(fit: Fit) -> Fit:
 
 
 def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
-    """Mean and covariance of the coordinates over equally probable labels and intensities of the
-    drift: that within each, and that between them.
+    """Mean and covariance of the coordinates over equally probable labels and drift intensities:
+    covariance within each, and between them.
     """
     means, squares, count = [], [], len(candidates)
-    # Factors with a log-normal distribution, in an order unrelated to that of the alternatives:
-    # each is followed by the one half the range off.
+    # Log-normally distributed factors, in an order unrelated to that of the alternatives: each is
+    # followed by the one half the range away.
     order = np.arange(count).reshape(2, -1).T.ravel()
     factors = np.exp(_drift_deviation(fit) * ndtri((order + 0.5) / count))
     for labels, factor in zip(candidates, factors, strict=True):
@@ -260,18 +261,18 @@ def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
 
 
 def _with_drift(fit: Fit, factor: float) -> Fit:
-    """With the intensity of the drift times a factor."""
+    """With the drift intensity multiplied by a factor."""
     intensities = np.append(fit.intensities[:-1], factor * fit.intensities[-1])
     return fit._replace(intensities=intensities)
 
 
 def _drift_deviation(fit: Fit) -> float:
-    """Standard deviation of the logarithm of the drift's intensity, by the curvature of the
+    """Standard deviation of the logarithm of the drift intensity, from the curvature of the
     likelihood.
     """
     less, more = (
         smoothed_states(_with_drift(fit, factor), steps_of(fit)).score[:, -1].sum()
         for factor in np.exp([-0.5, 0.5])
     )
-    # At least that of an e-fold: the likelihood tells nothing of a drift that is not there.
+    # Curvature of at least one e-fold: the likelihood says nothing about a drift that is not there.
     return float(1 / np.sqrt(max(less - more, 1.0)))

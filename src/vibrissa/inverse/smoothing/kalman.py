@@ -1,4 +1,4 @@
-"""Fixed-interval smoothing of a linear Gaussian model, one scalar observation after the other.
+"""Fixed-interval smoothing of a linear Gaussian model, one scalar observation at a time.
 
 Durbin & Koopman, *Time Series Analysis by State Space Methods*, 2nd ed., sections 4.4 and 6.4. No
 matrix is inverted, so states may be known exactly: a rod in tip contact, or without contact.
@@ -41,10 +41,11 @@ INTENSITIES = 5
 length and the tilt, and of the drift in standard deviations of a sample."""
 
 _SOFT = 1e-9
-"""Variance of k² above which it is a soft constraint: far above that of one that holds exactly,
-1e-12, far below any of friction or of a setup's tolerances."""
+"""Variance of k² above which it is a soft constraint: far above that of an exact one, 1e-12, and
+far below any from friction or from a setup's tolerances.
+"""
 _BUCKET = 512
-"""Rows are filled up to multiples of it: a recording has some, and each length is compiled anew."""
+"""Rows are padded to multiples of it: each length is compiled anew, and a recording has several."""
 
 Tree = TypeVar("Tree")
 Intensities = Float[Any, "intensities"]
@@ -52,8 +53,9 @@ Vector = Float[Array, "state"]
 State = Float[Array, "state *k"]
 Square = Float[Array, "state state"]
 Seen = tuple[Array, ...]
-"""What the observations of a sample did, one a row: innovation (observed, *k) and its variance
-(observed), infinite where nothing was observed."""
+"""Outcome of a sample's observations, one per row: innovation (observed, *k) and its variance
+(observed), infinite where nothing was observed.
+"""
 
 
 class Gaussian(NamedTuple):
@@ -64,50 +66,52 @@ class Gaussian(NamedTuple):
 
 
 class Step(NamedTuple):
-    """How the state enters a sample and comes to it, and what the sample shows; of a series, one
-    row a sample.
+    """How the state enters a sample and moves to it, and what the sample shows; for a series, one
+    row per sample.
     """
 
     keep: Float[Any, "*n state"]
-    """1 for entries that go on, 0 for entries that begin anew."""
+    """1 for entries that continue, 0 for entries that start anew."""
     begin: Float[Any, "*n state"]
-    """Values of those that begin anew."""
+    """Values of those that start anew."""
     spread: Float[Any, "*n state"]
     """Variances added."""
     active: Float[Any, "*n coordinates"]
-    """Share of the time since the sample before in which each coordinate moves; 0 for known ones.
+    """Fraction of the time since the previous sample in which each coordinate moves; 0 for known
+    ones.
     """
     duration: Float[Any, "*n"]
-    """Since the sample before [s]."""
+    """Since the previous sample [s]."""
     pace: Float[Any, "*n"]
-    """Factor of the intensities of moment and axial force."""
+    """Factor on the intensities of moment and axial force."""
     target: Float[Any, "*n observed"]
-    """Observed values; with a further axis, those of several series that differ in them alone."""
+    """Observed values; with a further axis, those of several series that differ only in them."""
     slope: Float[Any, "*n observed coordinates"]
-    """Their derivatives by the coordinates; the wrench shows the drift, too."""
+    """Their derivatives with respect to the coordinates; the wrench also shows the drift."""
     variance: Float[Any, "*n observed"]
     """Of the observations; infinite where there is none."""
 
 
 class States(NamedTuple):
-    """States given all samples, and what the samples from each one on say against its prediction
+    """States given all samples, and how the samples from each one on contradict its prediction
     (Durbin & Koopman, eq. 4.44).
     """
 
     mean: Float[Any, "n state *k"]
     covariance: Float[Any, "n state state"]
     pull: Float[Any, "n state *k"]
-    """r: zero on average, with the covariance `information`. Large where the state jumps on the way
-    to the sample (section 7.5).
+    """r: zero on average, with covariance `information`. Large where the state jumps on the way to
+    the sample (section 7.5).
     """
     information: Float[Any, "n state state"]
     score: Float[Any, "n intensities"]
-    """Of the log-likelihood: what each step adds to its derivative by the logarithms of the
-    intensities, half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992)."""
+    """Of the log-likelihood: each step's share of its derivative with respect to the logarithms of
+    the intensities, half the trace of (r rᵀ − N) ∂Q (Koopman & Shephard, *Biometrika* 79, 1992).
+    """
     log_likelihood: Float[Any, "n *k"]
-    """Of each sample, given those before."""
+    """Of each sample, given the previous ones."""
     expected_zero: Gaussian
-    """Drift of the sensor's zero given the samples before alone."""
+    """Drift of the sensor's zero given the previous samples only."""
 
     @property
     def zero(self) -> Gaussian:
@@ -116,7 +120,7 @@ class States(NamedTuple):
 
 
 def at_rest(zero: Gaussian) -> Gaussian:
-    """State of a rod free of contact, for what is known of the drift."""
+    """State of a rod free of contact, given what is known about the drift."""
     covariance = np.zeros((SIZE, SIZE))
     covariance[DRIFT, DRIFT] = zero.covariance
     return Gaussian(np.concatenate([AT_REST, np.zeros(COORDINATES), zero.mean]), covariance)
@@ -125,30 +129,30 @@ def at_rest(zero: Gaussian) -> Gaussian:
 def entered(
     state: Gaussian, keep: Vector, begin: Float[Array, "state *columns"], spread: Vector
 ) -> Gaussian:
-    """State as it enters a sample; several columns, if they begin anew with other values."""
+    """State as it enters a sample; several columns if they start anew with different values."""
     mean, covariance = state
     covariance = keep[:, None] * covariance * keep + jnp.diag(spread)
     return Gaussian((keep * mean.T + begin.T).T, covariance)
 
 
 def predicted(state: Gaussian, step: Step, intensities: Intensities) -> Gaussian:
-    """State before the sample is seen, from that which entered it."""
+    """State before the sample is seen, from the state that entered it."""
     spread = moved(step, moved(step, state.covariance).T)
     return Gaussian(moved(step, state.mean), spread + _process_noise(step, intensities))
 
 
 def arriving(state: Gaussian, step: Step, intensities: Intensities) -> Gaussian:
-    """State before the sample is seen, from that after the sample before."""
+    """State before the sample is seen, from that after the previous sample."""
     return predicted(entered(state, *step[:3]), step, intensities)
 
 
 def moved(step: Step, rows: State) -> State:
-    """From the sample before to this one: x + v dt, for each column."""
+    """From the previous sample to this one: x + v dt, for each column."""
     return rows.at[PLACE].add((step.active * step.duration * rows[RATE].T).T)
 
 
 def updated(state: Gaussian, step: Step) -> tuple[Gaussian, Seen]:
-    """State after the sample is seen, and what its observations did, one after the other."""
+    """State after the sample is seen, and the outcome of its observations, one after the other."""
     (mean, covariance), told = state, []
     for z, target, variance in zip(design(step), step.target, step.variance, strict=True):
         known, direction = jnp.isfinite(variance), covariance @ z
@@ -163,14 +167,14 @@ def updated(state: Gaussian, step: Step) -> tuple[Gaussian, Seen]:
 
 
 def design(step: Step) -> Float[Array, "observed state"]:
-    """What the observations show of the state."""
+    """Observation matrix: what the observations show of the state."""
     drift = jnp.eye(ROWS, WRENCH)
     return jnp.concatenate([step.slope, jnp.zeros((ROWS, COORDINATES)), drift], axis=1)
 
 
 def log_likelihood(step: Step, seen: Seen) -> Float[Array, "*k"]:
-    """Of a sample, given those before. A soft constraint is no datum: it weighs the states, and one
-    that does not restrict them costs nothing.
+    """Of a sample, given those before. A soft constraint is not a datum: it weights the states, and
+    one that does not restrict them costs nothing.
     """
     soft = jnp.asarray(step.variance) > jnp.full(ROWS, jnp.inf).at[-1].set(_SOFT)
     return _log_density(seen, jnp.where(soft, seen[1] / step.variance, 2 * jnp.pi * seen[1]))
@@ -183,7 +187,7 @@ def _log_density(seen: Seen, size: Float[Array, "observed"]) -> Float[Array, "*k
 
 
 def filled(rows: Tree, size: int = _BUCKET) -> Tree:
-    """With rows, which loops leave out, up to a multiple of a size."""
+    """Padded to a multiple of a size with rows that loops skip."""
     whole = -(-len(jax.tree.leaves(rows)[0]) // size) * size
     return jax.tree.map(lambda part: np.resize(part, (whole, *part.shape[1:])), rows)
 
@@ -191,8 +195,8 @@ def filled(rows: Tree, size: int = _BUCKET) -> Tree:
 def scanned(
     one: Callable[..., Any], carry: Any, rows: Any, count: Any, *, back: bool = False
 ) -> Any:
-    """`lax.scan` over the first `count` rows, from the last to the first if `back`: compiled for
-    any number of rows up to those that there are.
+    """`lax.scan` over the first `count` rows, in reverse if `back`: compiled once for any number of
+    rows up to those present.
     """
 
     def step(number: Array, state: Any) -> Any:
@@ -222,7 +226,7 @@ def _smoothed(
     def backward(slope: Gaussian, row: Any) -> tuple[Gaussian, States]:
         step, (before, likelihood) = row
         mean, covariance = before
-        # Derivatives of the log-likelihood by the prediction: r, and half of r rᵀ − N.
+        # Derivatives of the log-likelihood with respect to the prediction: r, and half of r rᵀ − N.
         _, to_prediction = jax.vjp(lambda state: seeing(state, step), before)
         (slope,) = to_prediction((slope, jnp.ones_like(likelihood)))
         pulls = slope.mean.reshape(SIZE, -1)
@@ -258,11 +262,11 @@ def smoothed(steps: Step, intensities: Intensities, start: Gaussian) -> States:
 def log_likelihoods(
     series: list[Step], intensities: Intensities, start: Gaussian
 ) -> Float[np.ndarray, "series"]:
-    """Logarithms of the marginal likelihoods of several time series of one length: of the wrenches,
-    given the constraints.
+    """Log marginal likelihoods of several time series of equal length: of the wrenches, given the
+    constraints.
 
-    Other labels have other constraints, whose densities are no evidence: of k² = ½ each further
-    sample would add its own, and tangential phases would come out too long.
+    Different labels have different constraints, whose densities are no evidence: that of k² = ½
+    would be counted again for each further sample, and tangential phases would come out too long.
     """
     rows = jax.tree.map(lambda *parts: np.stack(parts), *map(filled, series))
     count = np.asarray(len(series[0].duration))
@@ -278,7 +282,7 @@ def _log_likelihoods(
     def one(carry: tuple[Gaussian, Array], step: Step) -> tuple[Any, None]:
         state, total = carry
         state, seen = updated(arriving(state, step, intensities), step)
-        # s₁ and k² lie between 0 and 1: however vague, their densities are not below 1.
+        # s₁ and k² lie between 0 and 1: however vague, their densities are at least 1.
         size = (2 * jnp.pi * seen[1]).at[WRENCH:].min(1.0)
         return (state, total + _log_density(seen, size)), None
 

@@ -1,23 +1,23 @@
-"""All wrenches of a single contact, by coordinates that change evenly along a sweep. Clamp axes,
-model units.
+"""The manifold of single-contact wrenches, in coordinates that vary smoothly along a sweep. Clamp
+axes, model units.
 
-The moment along a straight rod is constant and zero at its free end, so m0 is square to t0 as well
-as to the force (mechanics.md, "The elastic line is plane"). In the clamp's axes, t0 = e_z, a single
-contact then leaves four numbers: the moment (m_x, m_y), the axial force F_z and the arc length s₁,
-with
+The torsional moment of a straight rod is constant and zero at its free end, so m0 is perpendicular
+to t0 as well as to the force (mechanics.md, "The elastic line is plane"). In clamp axes, t0 = e_z,
+a single contact then leaves four numbers: the moment (m_x, m_y), the axial force F_z and the arc
+length s₁, with
 
     F_⊥ = γ t0 × m0,
 
-where γ is the one for which the curvature first vanishes at s₁. On a straight rod without axial
-force γ = 1/s₁, and 1/s₁ rises with γ throughout. The coordinates are regular through first contact
+where γ is such that the curvature first vanishes at s₁. On a straight rod without axial force
+γ = 1/s₁, and 1/s₁ rises with γ throughout. The coordinates are regular through first contact
 (m0 = 0), and where the force passes behind the clamp's axis (γ = 0).
 
-A rod that is not quite straight, or a clamp not quite true, tilts m0 a little out of the plane
-square to t0. The fifth coordinate is that tilt ε:
+A rod that is not quite straight, or a clamp that is not quite true, tilts m0 slightly out of the
+plane perpendicular to t0. The fifth coordinate is that tilt ε:
 
     m0 = (m_x, m_y, ε m),    F = γ t0 × m0 + F_z (t0 − ε m̂),    m = ‖(m_x, m_y)‖,
 
-which keeps m0·F = 0, what any single contact obeys.
+which keeps m0·F = 0, as in any single contact.
 """
 
 from typing import Any, NamedTuple, TypeVar
@@ -40,15 +40,15 @@ LOADS = ARC_LENGTH = 3
 """Moment and axial force come first, then the arc length."""
 TILT = 4
 AT_REST = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-"""Coordinates of a rod that touches nothing, as it meets an object with its tip."""
+"""Coordinates of a rod that touches nothing, as when it meets an object with its tip."""
 _NEWTON_STEPS = 6
-"""From the start below to rounding for s₁ > 0.02, with one more that carries the derivatives."""
+"""Enough to reach rounding from the start below if s₁ > 0.02; one more carries the derivatives."""
 _LEAST_MOMENT = 1e-6
-"""Added in squares, so that directions have derivatives without a load: far below any noise."""
+"""Added in squares, so that directions are differentiable without load: far below any noise."""
 
 
 class Bent(NamedTuple):
-    """What the coordinates imply; or the derivatives of it, with the coordinates as last axis."""
+    """What the coordinates imply; or its derivatives, with the coordinates as last axis."""
 
     wrench: Float[Any, "*n wrench"]
     """Support reactions (f0, m0)."""
@@ -57,25 +57,25 @@ class Bent(NamedTuple):
     uniform straight rod.
     """
     reach: Float[Any, "*n 3"]
-    """Contact point seen from the clamp."""
+    """Contact point relative to the clamp."""
     direction: Float[Any, "*n 3"]
     """Unit vector of the contact force on the rod."""
     energy: Float[Any, "*n"]
 
 
 class Linear(NamedTuple):
-    """The manifold to first order about coordinates, one row a sample; not finite where there is no
-    rod with these: a curvature without a zero (k² ≥ 1) has no contact.
+    """The manifold linearised about coordinates, one row per sample; not finite where no rod has
+    them: without a zero of the curvature (k² ≥ 1) there is no contact.
     """
 
     x: Float[Any, "*n coordinates"]
     value: Bent
     slope: Bent
-    """Derivatives by the coordinates."""
+    """Derivatives with respect to the coordinates."""
 
 
 def linear_at(x: Float[Array, "coordinates"]) -> Linear:
-    """The manifold about one sample's coordinates."""
+    """The manifold linearised about one sample's coordinates."""
     slope, value = jax.jacfwd(lambda x: (bent(x),) * 2, has_aux=True)(x)
     return Linear(x, value, slope)
 
@@ -84,21 +84,21 @@ _LINEAR = lanes()(lambda _, x: linear_at(x))
 
 
 def linearised(x: Float[np.ndarray, "n coordinates"]) -> Linear:
-    """The manifold about the coordinates of many samples."""
+    """The manifold linearised about the coordinates of many samples."""
     loaded = np.any(x != AT_REST, axis=1)
-    # Rods at rest are all alike: the first row is one.
+    # Rods at rest are all alike: the first row stands for them.
     found: Linear = _LINEAR(None, np.concatenate([[AT_REST], x[loaded]]))
     return jax.tree.map(lambda part: part[loaded * np.cumsum(loaded)], found)
 
 
 def finite(rows: Any) -> Bool[np.ndarray, "n"]:
-    """Rows of a tree of arrays that hold finite numbers alone."""
+    """Rows of a tree of arrays that hold only finite numbers."""
     parts = (np.isfinite(part).reshape(len(part), -1) for part in jax.tree.leaves(rows))
     return np.all([part.all(axis=1) for part in parts], axis=0)
 
 
 def chosen(rows: Bool[np.ndarray, "n"], first: Tree, second: Tree | float) -> Tree:
-    """The first tree of arrays in these rows; in the others the second, or a number."""
+    """The first tree of arrays in these rows; elsewhere the second, or a number."""
     return jax.tree.map(
         lambda one, other: np.where(rows, one.T, np.transpose(other)).T,
         first,
@@ -125,8 +125,8 @@ def bent(x: Float[Array, "coordinates"]) -> Bent:
 
 
 def lateral_ratio(moment: Scalar, axial: Scalar, arc_length: Scalar) -> Scalar:
-    """γ for which the curvature vanishes at an arc length: Newton's method on 1/s₁, which is nearly
-    linear in γ. Differentiable.
+    """γ for which the curvature vanishes at a given arc length: Newton's method on 1/s₁, which is
+    nearly linear in γ. Differentiable.
     """
     fixed = lax.stop_gradient((moment, axial, arc_length))
 
@@ -145,7 +145,7 @@ def lateral_ratio(moment: Scalar, axial: Scalar, arc_length: Scalar) -> Scalar:
     start = (1 + jnp.maximum(fixed[1] * fixed[2] ** 2, 0.0) / 3) / fixed[2]
     root = lax.stop_gradient(lax.fori_loop(0, _NEWTON_STEPS, step, (start, start))[0])
     _, slope = jax.jvp(excess, (root,), (jnp.ones_like(root),))
-    # One step more, with the derivatives of what is given (implicit function theorem).
+    # One more step, which carries the derivatives of the arguments (implicit function theorem).
     return root - _excess(root, moment, axial, arc_length) / slope
 
 

@@ -1,6 +1,6 @@
 """The model of a sweep: a recording as a time series of whitened wrenches in clamp axes, what
 happens at each sample, how states enter a sample, what a contact shows, and which constraints hold.
-Stated once for offline and live smoothing.
+Shared by offline and live smoothing.
 """
 
 import math
@@ -49,36 +49,37 @@ Coordinates = Float[np.ndarray, "n coordinates"]
 
 FREE, TIP, TANGENTIAL = (int(kind) for kind in ContactKind)
 UNSEEN = -1
-"""The phase before a series: one that begins in contact begins with any load."""
+"""The phase before a series: if it begins in contact, it may begin with any load."""
 GO_ON, KINK, JUMP = 0, 1, 2
-"""How a sample continues the one before: evenly, with other rates, or not at all."""
+"""How a sample continues the previous one: smoothly, with other rates, or not at all."""
 TARED = Gaussian(np.zeros(WRENCH), 0.02 * np.eye(WRENCH))
 """The zero of a recording that begins at rest, in standard deviations of a sample: a tare over 50
 samples."""
 TILT_SPREAD = 3e-3
-"""Standard deviation [rad] of the tilt where nothing else is known of it: a sixth of a degree, as
-rods are straight and clamps are true.
+"""Standard deviation [rad] of the tilt if nothing else is known about it: a sixth of a degree,
+typical of straight rods and true clamps.
 """
 ARC_LENGTH_SPREAD = 0.3
-"""Standard deviation of an unknown s₁: about that of a uniform one."""
+"""Standard deviation of an unknown s₁: about that of a uniform distribution."""
 TINY = 1e-300
-"""In place of a divisor of zero."""
+"""Stands in for a divisor of zero."""
 TOGETHER, _TOGETHER_FREE = 4, 32
-"""Samples of a group in contact, and without: a sensor logs some hundred a second, contacts move
-within tenths of one, and drifts within seconds."""
+"""Samples per group in contact, and without: sensors log some hundreds per second, contacts move
+within tenths of a second, and zeros drift within seconds.
+"""
 _ROUGH_GROUPS, _GROUPS = 600, 2400
-"""Most groups of a contact: time grows no further."""
+"""Most groups per contact: beyond them, computing time grows no further."""
 _FAINT = 0.03
 """Weight of the whitened wrench of a swinging rod: its inertia is a hundred times the noise."""
 _BEND = np.array([1 / 15, 1 / 15, 1 / 15, 1 / 6, 0])
-"""By how much the rates of loads and s₁ change at a change of phase, in standard deviations of
-unknown rates: three times what a sphere makes of them.
+"""How much the rates of loads and s₁ change at a change of phase, in standard deviations of unknown
+rates: three times the change on a sphere.
 """
 _PINNED, _EXACT = 1e-12, 1e-6
 """Variance, and standard deviation, of what holds exactly: far below the noise, far above rounding.
 """
 _FRICTION, _UNRELATED = 0.2, 4
-"""Standard deviation of k² about ½ in tangential contact, that of a coefficient of friction of 0.4
+"""Standard deviation of k² about ½ in tangential contact, as for a friction coefficient of 0.4
 ((sin atan μ)/2), and how many independent values it takes in a contact.
 """
 _LOAD_SPREAD = 2.0
@@ -86,7 +87,7 @@ _LOAD_SPREAD = 2.0
 
 
 class NoMotionError(ArithmeticError):
-    """No motion of a contact has finite likelihood: the samples are not those of a rod that slides
+    """No motion of a contact has finite likelihood: the samples are not those of a rod sliding
     along an object.
     """
 
@@ -105,7 +106,7 @@ class Series(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Usual time from one sample to the next, without stamps that repeat or nearly so."""
+        """Typical time from one sample to the next, ignoring stamps that repeat or nearly so."""
         steps = np.diff(self.time)
         return float(np.median(steps[steps > 0.01 * steps.mean()])) if steps.size else 1.0
 
@@ -120,7 +121,7 @@ class Series(NamedTuple):
 
 
 def series_of(found: Reconstruction, time: Samples) -> Series:
-    """Rows of one trail with known noise. Those at which the free rod swings show no load, and
+    """Rows of one trail with known noise. Rows in which the free rod swings show no load, and
     little of the zero's drift.
     """
     wrench, covariance = in_clamp_axes(found.reactions, found.rod)
@@ -148,20 +149,20 @@ class Labels(NamedTuple):
     link: Codes
     """GO_ON, KINK or JUMP; at a change of phase other rates need no KINK."""
     share: Samples
-    """Of the time since the sample before in which the contact moved; less than 1 where it began on
-    the way.
+    """Fraction of the time since the previous sample in which the contact moved; less than 1 if it
+    began in between.
     """
     pace: Samples
-    """Factor of the intensities of moment and axial force."""
+    """Factor on the intensities of moment and axial force."""
 
     @classmethod
     def of(cls, phase: Codes) -> "Labels":
-        """These phases, and nothing else that happens."""
+        """These phases, with nothing else happening."""
         one = np.ones(len(phase))
         return cls(phase, np.full(len(phase), GO_ON), one, one)
 
     def copy(self) -> "Labels":
-        """Labels to write into."""
+        """Labels that may be written to."""
         return jax.tree.map(np.copy, self)
 
     def in_phase(self, phase: int, rows: slice) -> "Labels":
@@ -171,7 +172,7 @@ class Labels(NamedTuple):
         return other
 
     def moved(self, change: int, place: int) -> "Labels":
-        """Labels with the change of phase at sample `change` at `place` instead, with its link."""
+        """Labels with the change of phase at sample `change` moved to `place`, with its link."""
         other = self.copy()
         other.phase[place:change], other.phase[change:place] = self.phase[[change, change - 1]]
         other.link[change], other.link[place] = GO_ON, self.link[change]
@@ -189,7 +190,7 @@ class Labels(NamedTuple):
 
     @property
     def begins(self) -> Flags:
-        """Where the phase is another one than that before, contact or not."""
+        """Where the phase differs from the one before, contact or not."""
         return np.diff(self.phase, prepend=self.phase[:1]) != 0
 
     @property
@@ -206,7 +207,7 @@ class Labels(NamedTuple):
 
     @property
     def contact(self) -> Codes:
-        """Number of the contact, or of the stretch without, that each sample belongs to."""
+        """Number of the contact, or of the stretch without one, that each sample belongs to."""
         return np.cumsum(np.diff(self.touching, prepend=False))
 
 
@@ -217,7 +218,7 @@ class Fit(NamedTuple):
     labels: Labels
     linear: Linear
     at_tip: Linear
-    """About the same loads in tip contact."""
+    """About the same loads, but in tip contact."""
     weight: Samples
     """1, less for outliers."""
     states: States
@@ -227,34 +228,32 @@ class Fit(NamedTuple):
     zero: Gaussian
     """The sensor's zero where the series begins, in standard deviations of a sample."""
     incidence_spread: float | None
-    """Standard deviation of k² about ½ in tangential contact; None where friction may make it
-    another one.
-    """
+    """Standard deviation of k² about ½ in tangential contact; None if friction may change it."""
 
     def rows(self, rows: slice) -> "Fit":
-        """Some of the samples; of the zero, what the samples before these tell."""
+        """Some of the samples; the zero as known from the samples before them."""
         part = Fit._make([*jax.tree.map(lambda part: part[rows], self[:6]), *self[6:]])
         return part._replace(zero=Gaussian(*(each[0] for each in part.states.expected_zero)))
 
     def about(self, linear: Linear) -> "Fit":
-        """About other coordinates."""
+        """Linearised about other coordinates."""
         tip = linear.x.copy()
         tip[:, ARC_LENGTH] = 1
         return self._replace(linear=linear, at_tip=linearised(tip))
 
     def with_phases(self, labels: Labels) -> "Fit":
-        """With other labels, each sample about coordinates of its phase."""
+        """With other labels, each sample linearised about coordinates of its phase."""
         linear = chosen(labels.phase == TIP, self.at_tip, self.linear)
         return self._replace(labels=labels, linear=linear)
 
 
 def incidence_spread_of(friction: float | None, errors: SetupErrors | None) -> float | None:
-    """Standard deviation of k² about ½ in tangential contact by what the setup tolerates; None
-    where friction may make it another one.
+    """Standard deviation of k² about ½ in tangential contact within the setup's tolerances; None if
+    friction may change it.
 
-    k² = ½ + (m0²/2EI − f0·t0)/2f, whose two parts cancel there, and each is at most ½: in the
-    readings of another rod it is off by at most half of 2 δm + δf + δEI, relative, and of the
-    clamp's turn [rad].
+    k² = ½ + (m0²/2EI − f0·t0)/2f, whose two parts cancel there, and each is at most ½: from
+    readings of a different rod it is off by at most half of 2 δm + δf + δEI, relative, and half the
+    rotation of the clamp [rad].
     """
     if friction != 0 or errors is None:
         return None if friction != 0 else _EXACT
@@ -270,7 +269,7 @@ def incidence_spread_of(friction: float | None, errors: SetupErrors | None) -> f
 
 
 def observed(linear: Linear, wrench: Any, whitening: Any, xp: ModuleType = np) -> tuple[Any, Any]:
-    """What a contact shows, linear in its coordinates, and the derivatives by them: the whitened
+    """Observations of a contact, linear in its coordinates, and their derivatives: the whitened
     wrench, s₁ = 1 and k² = ½. `xp` is NumPy or its JAX counterpart.
     """
     x, value, slope = linear
@@ -291,9 +290,9 @@ def entries(
     bend: Rates = _BEND,
     arc_length_variance: float = ARC_LENGTH_SPREAD**2,
 ) -> tuple[Any, Any, Any, Any]:
-    """How states enter samples after those of phase `before`: at rest where there is no contact, at
-    the tip in tip contact, with new rates where a contact begins or breaks. The first four fields
-    of `Step`.
+    """How states enter samples that follow those of phase `before`: at rest without contact, at the
+    tip in tip contact, with new rates where a contact begins or breaks. The first four fields of
+    `Step`.
     """
     phase, link, share, _ = labels
     tip, touching = phase == TIP, labels.touching
@@ -301,7 +300,7 @@ def entries(
     begins = anew | touching & (before == FREE)
     changed = touching & ~begins & (phase != before)
     new_rates = begins | (touching & (link > GO_ON) & ~changed)
-    # A contact that begins with the flank begins anywhere on the rod.
+    # A contact that begins on the flank may begin anywhere on the rod.
     flank = begins & ~tip
     keep, (begin, spread) = np.ones((len(x), SIZE)), np.zeros((2, len(x), SIZE))
     keep[anew, PLACE], spread[anew, :LOADS] = 0, _LOAD_SPREAD**2
@@ -322,13 +321,13 @@ def steps_of(fit: Fit) -> Step:
     """The model linearised about the coordinates of a fit."""
     series, labels, x = fit.series, fit.labels, fit.linear.x
     phase, contact, tangential = labels.phase, labels.contact, labels.phase == TANGENTIAL
-    # Without contact, or without a rod of such coordinates, nothing depends on them.
+    # Without contact, or where no rod has such coordinates, nothing depends on them.
     shows = series.sound & finite(fit.linear)
     linear = chosen(shows & labels.touching, fit.linear, 0.0)
     target, slope = observed(linear, series.wrench, series.whitening)
     variance = np.full((len(phase), ROWS), np.inf)
     variance[shows, :WRENCH] = 1 / fit.weight[shows, None]
-    # Where tangential contact passes over into tip contact, the arc length is the rod's.
+    # Where tangential contact turns into tip contact, the arc length is the rod's.
     arrives = tangential[:-1] & (phase[1:] == TIP) & (labels.link[1:] != JUMP)
     variance[:-1][arrives, WRENCH] = _PINNED
     within = (
@@ -348,8 +347,8 @@ def steps_of(fit: Fit) -> Step:
 
 
 def together_for(labels: Labels, *, rough: bool = True) -> int:
-    """How many samples of a contact to take together: 4 where it is rough, else 1, and more in long
-    contacts, which have so many groups at most.
+    """How many samples of a contact to group: 4 if `rough`, else 1, and more in long contacts, to
+    cap the number of groups.
     """
     longest = max((rows.stop - rows.start for rows in labels.contacts), default=0)
     return max(TOGETHER, -(-longest // _ROUGH_GROUPS)) if rough else max(1, -(-longest // _GROUPS))
@@ -358,8 +357,8 @@ def together_for(labels: Labels, *, rough: bool = True) -> int:
 def group_starts(
     candidates: list[Labels], *also: Codes, together: int = TOGETHER
 ) -> Int[np.ndarray, "groups"]:
-    """First samples of groups of 4, or of 32 without contact; in none of the candidates something
-    changes within a group or where one begins, nor does the number `also`.
+    """First samples of groups of 4, or of 32 without contact. A sample at which any candidate
+    changes is a group by itself, and no group spans a change of a number in `also`.
     """
     touching = np.any([labels.touching for labels in candidates], axis=0)
     size, place = np.where(touching, together, _TOGETHER_FREE), np.arange(len(touching))
@@ -372,8 +371,8 @@ def group_starts(
 
 
 def merged(steps: Step, starts: Codes) -> Step:
-    """One step for each group of neighbouring samples, at their mean time: what they show, averaged
-    by its precision. They say as much of a motion that is slow against them, in fewer steps.
+    """One step per group of neighbouring samples, at their mean time: their observations, averaged
+    by precision. They say as much about a motion that is slow by comparison, in fewer steps.
     """
     precision = 1 / steps.variance
 
@@ -383,7 +382,7 @@ def merged(steps: Step, starts: Codes) -> Step:
 
     with np.errstate(divide="ignore"):
         variance = 1 / np.add.reduceat(precision, starts)
-    # Groups without observations have a middle, too.
+    # Groups without observations need a middle, too.
     middle = averaged(np.cumsum(steps.duration), precision[:, 0] + 1e-12)
     first: Step = jax.tree.map(lambda part: part[starts], steps)
     return first._replace(
@@ -395,8 +394,8 @@ def merged(steps: Step, starts: Codes) -> Step:
 
 
 def spread_out(states: States, groups: Step, steps: Step, starts: Codes) -> States:
-    """States of groups, for each of their samples: coordinates go on at their rates, all else is
-    the same.
+    """States of groups, spread to each of their samples: coordinates continue at their rates, all
+    else stays the same.
     """
     number = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(steps.duration)))
     parts = jax.tree.map(lambda part: part[number], states)
@@ -408,8 +407,8 @@ def spread_out(states: States, groups: Step, steps: Step, starts: Codes) -> Stat
 
 
 def smoothed_states(fit: Fit, steps: Step, *, rough: bool = True) -> States:
-    """States at these steps, from a rod at rest on. Samples without contact are taken together, and
-    others too where it is rough.
+    """States at these steps, starting from a rod at rest. Samples without contact are grouped, and
+    if `rough` the others too.
     """
     starts = group_starts([fit.labels], together=together_for(fit.labels, rough=rough))
     start = kalman.at_rest(fit.zero)

@@ -1,6 +1,6 @@
-"""What the samples themselves show: where a recording is in contact, and where with the tip, a first
-division into phases, which the likelihood then refines; and where the motion of a contact breaks:
-steps of the wrench, shocks that are no noise.
+"""What the samples themselves show: where a recording is in contact, and a first division into tip
+and tangential phases, which the likelihood then refines; and where the motion of a contact breaks:
+steps of the wrench, shocks beyond the noise.
 """
 
 from itertools import accumulate
@@ -43,36 +43,36 @@ from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.runs import runs
 
 DETECTION_SAMPLES = 5
-"""Averaged before a load is tested, so that one outlier in a thousand is no contact."""
+"""Averaged before a load is tested, so that one outlier in a thousand is not a contact."""
 _LEAST_SAMPLES, _LONGEST_GAP = 8, 8
 _FIT_SAMPLES = 51
-"""Over which s₁ changes evenly: some tenths of a second."""
+"""Over which s₁ changes linearly: some tenths of a second."""
 _MOST_COST = 6.0
 """Log-likelihood beyond which a sample's arc length is an outlier."""
 _CHANGE_COST = 6.0
 _FREEDOM_COST = 0.1
 _MOST_DEVIATION = 0.05
-"""Rod lengths: of arc lengths that tell a phase."""
+"""In rod lengths: arc lengths less certain than this do not tell the phase."""
 _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
 _APART = 12
-"""Least samples between two breaks: closer ones are one."""
+"""Fewest samples between two breaks: closer ones count as one."""
 _SIDE, _HALF = 3, 25
-"""Samples to either side of a step, and of its neighbourhood."""
+"""Samples on either side of a step, and of its neighbourhood."""
 _STEP, _UNUSUAL = 12.0, 6.0
-"""Standard deviations of a step, and its size over the usual difference: a contact that slides on,
-also through a change of phase, is far from both.
+"""Size of a step, in standard deviations and relative to the usual difference: a contact that keeps
+sliding, even through a change of phase, stays far below both.
 """
 
 
 def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
     """Samples at which the rod is loaded: the mean of five whitened wrenches, less the drift of the
-    zero, is more than noise and the drift's own error explain, and it does not swing freely.
+    zero, exceeds what noise and the drift's own error explain, and the rod does not swing freely.
 
-    Without contact its square in the metric of that covariance follows chi-square with six degrees
-    of freedom, and exceeds the limit with the probability `false_alarm`. Loads of fewer than eight
-    samples are no contacts, and gaps of up to eight no lift-offs, nor are samples without numbers
-    between loaded ones.
+    Without contact, its squared Mahalanobis distance under that covariance follows chi-square with
+    six degrees of freedom, and exceeds the limit with probability `false_alarm`. Loads of fewer
+    than eight samples are not contacts; gaps of up to eight, or bad samples between loaded ones,
+    are not lift-offs.
     """
     load = (series.whitened - zero.mean) * series.sound[:, None]
     count = _running_sum(series.sound.astype(float), DETECTION_SAMPLES)
@@ -90,8 +90,8 @@ def detected(series: Series, zero: Gaussian, false_alarm: float) -> Flags:
 def load_chi_square(
     mean: Float[Any, "*n wrench"], count: Float[Any, "*n"], zero: Gaussian, xp: ModuleType = np
 ) -> Any:
-    """Of means of so many whitened wrenches, less the drift of the zero, being noise and that
-    drift's error alone: six degrees of freedom. `xp` is NumPy or its JAX counterpart.
+    """χ² of means of `count` whitened wrenches each, less the drift of the zero, under noise and
+    that drift's error alone: six degrees of freedom. `xp` is NumPy or its JAX counterpart.
     """
     covariance = xp.eye(WRENCH) / count[..., None, None] + zero.covariance
     solved = xp.linalg.solve(covariance, mean[..., None])[..., 0]
@@ -99,7 +99,7 @@ def load_chi_square(
 
 
 def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
-    """Sums of `size` rows about each."""
+    """Sums of `size` rows around each."""
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="constant") * size)
 
 
@@ -118,7 +118,7 @@ def _raw(
 def raw_arc_lengths(
     series: Series, drift: Float[np.ndarray, "*n wrench"]
 ) -> tuple[Samples, Samples]:
-    """Arc length of each sample by itself, also beyond the tip, and its standard deviation;
+    """Arc length of each sample by itself, also beyond the tip, and its standard deviation,
     infinite where it says nothing.
     """
     unwhitening = np.linalg.inv(series.whitening)
@@ -129,7 +129,7 @@ def raw_arc_lengths(
 
 
 def first_labels(series: Series, zero: Gaussian, false_alarm: float) -> tuple[Codes, Samples]:
-    """Phase and rough arc length (model units) of each sample, for what is known of the zero."""
+    """Phase and rough arc length (model units) of each sample, given what is known of the zero."""
     phase, arc_length = np.full(len(series.time), FREE), np.ones(len(series.time))
     value, deviation = raw_arc_lengths(series, zero.mean)
     for run in runs(detected(series, zero, false_alarm)):
@@ -143,15 +143,15 @@ def _phases_of(value: Samples, deviation: Samples) -> tuple[Codes, Samples]:
     """Most probable sequence of tip and tangential contact from the arc lengths of one contact, and
     the arc lengths averaged.
 
-    Tip contact says s₁ = L, tangential contact that s₁ ≤ L changes evenly; each change costs six
-    units of log-likelihood, and each sample of the freer tangential contact a tenth.
+    Tip contact means s₁ = L, tangential contact that s₁ ≤ L varies linearly; each change costs six
+    units of log-likelihood, and each tangential sample, being freer, a tenth.
     """
     weight = 1 / deviation**2
     average = np.minimum(_running_line(value, weight), 1.0)
     cost = np.minimum(np.stack([value - 1, value - average]) ** 2 * weight / 2, _MOST_COST)
-    # Viterbi's path through two states needs no more than by how much the second one costs more so
-    # far, and never more than a change: where that is reached, the state there is known, and before
-    # it goes on to the next known one.
+    # With two states, Viterbi needs only the extra cost of the second so far, capped at that of a
+    # change: where the cap is reached the state is known, and before it, it is that of the next
+    # known one.
     more = np.array(
         list(
             accumulate(
@@ -166,20 +166,20 @@ def _phases_of(value: Samples, deviation: Samples) -> tuple[Codes, Samples]:
 
 
 def _running_line(value: Samples, weight: Samples) -> Samples:
-    """Weighted least-squares lines over 51 samples, at their middles."""
+    """Weighted least-squares lines over 51 samples, at their midpoints."""
     place, size = np.arange(len(value), dtype=float), min(_FIT_SAMPLES, len(value))
     products = np.stack([place**0, place, place**2, value, place * value], axis=1)
     w, wx, wxx, wy, wxy = _running_sum(weight[:, None] * products, size).T
     determinant = w * wxx - wx**2
-    # Where one sample alone weighs anything, any line fits.
+    # If only one sample has any weight, any line fits.
     sound = determinant > 1e-9 * np.maximum(w * wxx, TINY)
     slope = np.where(sound, (w * wxy - wx * wy) / np.where(sound, determinant, 1.0), 0.0)
     return np.where(w > 0, (wy - slope * wx) / np.maximum(w, TINY) + slope * place, 1.0)
 
 
 def with_snaps(fit: Fit) -> Labels:
-    """Jumps where the wrench steps from one sample to the next, far from its noise and from its
-    course before and after; a change of phase beside one is moved there.
+    """Jumps where the wrench steps from one sample to the next, far beyond its noise and its course
+    before and after; a change of phase near one is moved there.
     """
     labels, sound, count = fit.labels, fit.series.sound, len(fit.labels.phase)
     if count < 2 * _HALF or not sound.any():
@@ -187,7 +187,7 @@ def with_snaps(fit: Fit) -> Labels:
     known, touching = np.flatnonzero(sound), labels.touching & sound
     parts = fit.series.whitened[known].T
     load = np.column_stack([np.interp(np.arange(count), known, part) for part in parts])
-    # Medians of some samples to either side: a spike is no step.
+    # Medians of a few samples on either side: a spike is not a step.
     around = np.median(sliding_window_view(load, _SIDE, axis=0), axis=-1)
     step = np.linalg.norm(around[_SIDE:] - around[:-_SIDE], axis=1)
     step = np.pad(step, (_SIDE, _SIDE - 1))

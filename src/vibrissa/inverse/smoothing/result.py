@@ -1,4 +1,4 @@
-"""What smoothing says: beside the contacts of a sweep, and of each sample as it comes."""
+"""Results of smoothing: about a sweep, besides its contacts, and for each sample as it comes."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -20,7 +20,7 @@ class Touch:
     Attributes
     ----------
     first, last
-        Samples within the contact, both included.
+        First and last sample of the contact.
     start, end
         Time [s] at which it began and ended; None where the recording begins or ends in contact.
     start_deviation, end_deviation
@@ -28,12 +28,12 @@ class Touch:
     start_limit, end_limit
         The least that the noise allows [s] (Cramér-Rao; mechanics.md, "Where a contact begins").
     changes
-        Samples at which the phase (tip, tangential) changes: the first of the new phase.
+        Samples at which the phase (tip, tangential) changes: the first of each new phase.
     jumps
         Samples at which the contact jumped, or its motion broke: nothing is smoothed across them.
     change_deviations
-        Standard deviations [s] of the places of the changes of phase, from the likelihood. Points
-        and covariances near a change are averaged over its places.
+        Standard deviations [s] of the times of the changes of phase, from the likelihood. Points
+        and covariances near a change are averaged over where it may be.
     """
 
     first: int
@@ -64,10 +64,10 @@ class Smoothing:
     drift
         (n, 6) estimated drift of the zero of (force, moment), clamp axes, units of the reactions.
     weight
-        (n,) of each sample: 1, less where it is an outlier.
+        (n,) of each sample: 1, or less for outliers.
     tilt
-        (n,) angle [rad] by which the base moment leaves the plane square to the rod: 0 for an ideal
-        rod and mount.
+        (n,) angle [rad] by which the base moment leaves the plane perpendicular to the rod: 0 for
+        an ideal rod and mounting.
     model_error
         Standard deviation in rod lengths that was added on each axis.
     log_likelihood
@@ -84,14 +84,14 @@ class Smoothing:
 
     @property
     def outlier(self) -> Bool[np.ndarray, "n"]:
-        """(n,) samples that were given less weight."""
+        """(n,) samples that were down-weighted."""
         return self.weight < 1
 
 
 @dataclass(frozen=True, eq=False)
 class LiveContact:
-    """Contacts of samples (…), each given the samples so far: of one, or of several in a row, which
-    can be indexed and run through. World axes, units of the rod.
+    """Contacts of one sample, or of several in a row (…), each given the samples so far; several
+    can be indexed and iterated over. World axes, units of the rod.
 
     Attributes
     ----------
@@ -104,16 +104,16 @@ class LiveContact:
     arc_length, modulus
         (…) s₁ and k².
     covariance, normal_covariance
-        (…, 3, 3): from sample to sample, and of what the whole sweep shares.
+        (…, 3, 3): from sample to sample, plus what the whole sweep shares.
     covariance_noise, normal_covariance_noise
-        (…, 3, 3): from sample to sample alone.
+        (…, 3, 3): from sample to sample only.
     sensitivity
-        (…, 6, 15): as that of `Reconstruction`.
+        (…, 6, 15): as in `Reconstruction`.
     probability
         (…) of contact, among the hypotheses.
     status
-        (…) values of `Status`: BAD_DATA where the sample holds numbers that are not finite; the
-        contact is then that predicted from the samples before.
+        (…) values of `Status`: BAD_DATA if the sample is not finite; the contact is then predicted
+        from the samples before.
     """
 
     time: Numbers
@@ -139,7 +139,7 @@ class LiveContact:
 
     @property
     def contacts(self) -> Contacts:
-        """The same as scans and reconstructions hand them out."""
+        """The same contacts in the form that scans and reconstructions return."""
         return Contacts.of(self, self.time)
 
     def __getitem__(self, rows: Any) -> "LiveContact":
@@ -150,5 +150,5 @@ class LiveContact:
         return LiveContact(**parts)
 
     def __len__(self) -> int:
-        """How many samples there are."""
+        """Return the number of samples."""
         return len(self.point)

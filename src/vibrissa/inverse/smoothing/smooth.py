@@ -1,7 +1,7 @@
 """Smoothing's entry point: contacts of a sweep in, the same contacts smoothed along it out.
 
-Long recordings are smoothed in segments, so that memory is bounded and time grows with the samples:
-cut at rest, or overlapping within a contact.
+Long recordings are smoothed in segments, cut at rest or overlapping within a contact, so that
+memory is bounded and time grows with the samples.
 """
 
 from collections.abc import Callable
@@ -41,9 +41,9 @@ from vibrissa.numerics.runs import runs
 _ROUNDS = 4
 """Of looking for jumps: each finds all that are not close to others."""
 _LONGEST, _OVERLAP = 16384, 2048
-"""Samples: some hundred MB of states, and an overlap in whose middle a cut is not felt."""
+"""Samples: some hundred MB of states, and enough overlap for a cut in its middle not to show."""
 _REST = 128
-"""Samples without contact in the middle of which two segments may meet."""
+"""Samples without contact in whose middle two segments may meet."""
 
 
 def smooth(
@@ -53,45 +53,44 @@ def smooth(
     model_error: float = 2e-4,
     progress: Callable[[int, int], None] | None = None,
 ) -> Reconstruction:
-    """Contacts smoothed along their sweep: each uses all samples of it, the noise of the wrench is
-    known, and a contact moves evenly until it changes.
+    """Contacts smoothed along their sweep: each uses all samples of it, given the noise of
+    the wrench, and assumes that a contact moves smoothly until it changes.
 
     Parameters
     ----------
     found
-        Contacts of one sweep (n, …) or of several (m, n, …), with the covariance of their
-        reactions. Where its `friction` is 0, tangential contacts are square to their force; where
-        it is not known (None), or greater, their incidence is free.
+        Contacts of one sweep (n, …) or several (m, n, …), with the covariance of their reactions.
+        If their `friction` is 0, tangential contacts are perpendicular to their force; if it is
+        unknown (None), or greater, their incidence is free.
     false_alarm
-        Share of samples without contact that may be taken for contact.
+        Fraction of samples without contact that may be mistaken for contact.
     model_error
-        Standard deviation in rod lengths, on each axis, of what statics of an ideal rod leaves out.
-        It is added to the covariances.
+        Standard deviation in rod lengths, on each axis, of what the statics of an ideal rod leave
+        out. It is added to the covariances.
     progress
-        Called with the samples done and all of them, now and then, in long recordings.
+        Called with the samples done and their total, now and then, in long recordings.
 
     Returns
     -------
     Reconstruction
-        The same rows. `point`, `normal`, `arc_length`, `energy` and `modulus` given all samples,
+        The same rows: `point`, `normal`, `arc_length`, `energy` and `modulus` given all samples,
         their covariances, and `smoothing`: starts and ends of contacts, changes of phase, jumps,
         outliers, drift.
 
     Raises
     ------
     ValueError
-        If the noise is not known, `false_alarm` is not between 0 and 1, or `model_error` is
-        negative.
+        If the noise is unknown, `false_alarm` is not between 0 and 1, or `model_error` is negative.
 
     Notes
     -----
     A fixed-interval smoother on the manifold of single contacts (mechanics.md, "Smoothing along a
-    sweep"). Nothing is smoothed across starts and ends of contacts and jumps; at changes between
-    tip and tangential contact the point is continuous and its motion is not. Where the signal does
-    not tell in which phase a contact is, points and covariances are those of the mixture. Rows that
-    the model does not explain keep or get a status, and rows that it cannot smooth keep the contact
-    of the sample by itself, AMBIGUOUS. Recordings of more than 16384 samples are smoothed in
-    segments: time grows with the samples, memory hardly.
+    sweep"). Nothing is smoothed across starts and ends of contacts, or across jumps; at changes
+    between tip and tangential contact the point is continuous and its motion is not. Where the
+    signal does not tell which phase a contact is in, points and covariances are those of the
+    mixture. Rows that the model does not explain keep or get a status, and rows that it cannot
+    smooth keep the contact of the single sample, AMBIGUOUS. Recordings of more than 16384 samples
+    are smoothed in segments: time grows with the samples, memory hardly.
     """
     share(false_alarm, "false_alarm")
     model_error = not_negative(model_error, "model_error")
@@ -109,7 +108,7 @@ def smooth(
     errors = prepared(found.rod, found.reactions.setup_errors).covariance
     smoothed = replace(found, **with_shared(rows, found.rod.length, errors), smoothing=told)
     smoothed = with_delay(smoothed) if alone else smoothed
-    # What the check of the setup says of these errors, beside what smoothing found.
+    # What the setup check says in terms of these errors, plus what smoothing found.
     checked, ours = with_contradictions(smoothed), smoothed.status == Status.SETUP_CONTRADICTED
     status = np.where(ours, Status.SETUP_CONTRADICTED, checked.status).astype(np.int8)
     return replace(checked, status=status)
@@ -121,7 +120,7 @@ def _smoothed(
     model_error: float,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[str, Any], Smoothing]:
-    """Contacts of one trail, segment by segment, and what is said beside them."""
+    """Contacts of one trail, segment by segment, and what is reported besides."""
     count, zero, likelihood = len(found.kind), TARED, 0.0
     time = np.arange(count, dtype=float) if found.reactions.time is None else found.reactions.time
     segments, pieces, intensities = _segments_of(found.kind == ContactKind.NONE), [], []
@@ -161,7 +160,7 @@ def _smoothed(
 
 
 def _segments_of(resting: Flags) -> list[tuple[slice, slice]]:
-    """Rows of each segment, and those of them that are kept."""
+    """Rows of each segment, and which of them are kept."""
     count, low, kept, segments = len(resting), 0, 0, []
     while count - low > _LONGEST:
         high, middle = low + _LONGEST, low + _LONGEST // 2
@@ -178,17 +177,17 @@ def _segments_of(resting: Flags) -> list[tuple[slice, slice]]:
 def _smoothed_segment(
     found: Reconstruction, time: Samples, zero: Gaussian, false_alarm: float, model_error: float
 ) -> tuple[dict[str, Any], Fit]:
-    """One series: phases guessed, motion fitted, jumps and phases found in it, starts and ends
-    placed, the rest judged.
+    """One series: guess phases, fit the motion, find jumps and phases in it, place starts and ends,
+    judge the rest.
     """
     series = series_of(found, time)
     spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
     fit = fitted(first_guess(series, zero, false_alarm, spread), local=False)
-    # Once more, now that the drift of the zero is known.
+    # Again, now that the drift of the zero is known.
     guess = first_guess(series, fit.states.zero, false_alarm, spread)
     fit = fit._replace(labels=guess.labels, linear=guess.linear)
     fit = fitted(fit._replace(labels=with_snaps(fit)))
-    # What is tangential is no jump.
+    # So that tangential contact is not taken for a jump.
     phased, places = with_phases(fit)
     if not np.array_equal(phased.labels.phase, fit.labels.phase):
         fit = fitted(phased)
@@ -200,13 +199,13 @@ def _smoothed_segment(
         fit, jumped = fitted(fit._replace(labels=labels)), True
     if jumped:
         fit, places = with_phases(fit)
-    # Time, deviation and limit of starts and of ends; deviations of changes of phase [s].
+    # Time, deviation and limit of starts and of ends; deviations of phase changes [s].
     edges = np.full((len(time), 2, 3), np.nan)
     change_deviation = np.full(len(time), series.step)
     for change, place in places.items():
         change_deviation[change] *= place.deviation
     for rows in fit.labels.contacts:
-        # The end is looked for after the beginning is placed, so that they cannot pass each other.
+        # The end is sought once the beginning is placed, so that they cannot pass each other.
         if rows.start > 0:
             fit, begin, told = with_onset(fit, rows.start)
             edges[begin, 0] = told

@@ -75,7 +75,8 @@ def _whisks() -> vb.Trail:
     """Three clamps beside each other that turn towards a wall."""
     motion = {"axis": (0, -1, 0), "start_angle": -0.2, "stop_angle": 1.2, "count": 141}
     return vb.Trail.stack([
-        vb.Trail.whisk(pivot=(0, y, 0), position=(0, y, 0.01), rod_axis=(0, 20 * y, 1), **motion) for y in (-0.01, 0.0, 0.01)
+        vb.Trail.whisk(pivot=(0, y, 0), position=(0, y, 0.01), rod_axis=(0, 20 * y, 1), **motion)
+        for y in (-0.01, 0.0, 0.01)
     ])  # fmt: skip
 
 

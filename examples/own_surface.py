@@ -1,4 +1,4 @@
-"""A surface of your own: any function that JAX can trace, as a height field or as a level function."""
+"""A surface of your own: any function that JAX can trace, as a height field or a level function."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +27,8 @@ def main() -> dict[str, int]:
         scan = vb.scan(rod, surface, trail)
         counts[name] = int(np.sum(scan.in_contact & (scan.status == vb.Status.OK)))
         print(
-            f"{name}: {counts[name]} of {scan.kind.size} positions in contact with all checks passed, {len(scan.events)} events"
+            f"{name}: {counts[name]} of {scan.kind.size} positions in contact with all checks "
+            f"passed, {len(scan.events)} events"
         )
     return counts
 

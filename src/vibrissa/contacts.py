@@ -177,21 +177,65 @@ class Status(IntEnum):
 
 _TEXTS = {
     Status.OK: "All checks passed.",
-    Status.OVERSTRAINED: "The largest bending strain exceeds the rod's yield strain; take a thinner or longer rod, or move the clamp away from the object.",
-    Status.LATERALLY_UNSTABLE: "The equilibrium is unstable, a real rod leaves its bending plane here; offset the trail a little to follow the stable branch.",
-    Status.PENETRATING: "The rod also touches the object, at `second_contact`, or passes through it there: its reactions are not those of a single contact.",
-    Status.HEAD_ON: "The contact force acts along the clamp's axis: nothing determines to which side the rod buckles or stays bent; offset or tilt the clamp.",
-    Status.NOT_CONVERGED: "The equations could not be solved to their tolerance; refine the trail or check the level function's smoothness.",
-    Status.NO_EQUILIBRIUM: "No admissible equilibrium with a single contact was found; the rod may be jammed, or touch in more than one place.",
+    Status.OVERSTRAINED: (
+        "The largest bending strain exceeds the rod's yield strain; take a thinner or longer "
+        "rod, or move the clamp away from the object."
+    ),
+    Status.LATERALLY_UNSTABLE: (
+        "The equilibrium is unstable, a real rod leaves its bending plane here; offset the trail "
+        "a little to follow the stable branch."
+    ),
+    Status.PENETRATING: (
+        "The rod also touches the object, at `second_contact`, or passes through it there: its "
+        "reactions are not those of a single contact."
+    ),
+    Status.HEAD_ON: (
+        "The contact force acts along the clamp's axis: nothing determines to which side the rod "
+        "buckles or stays bent; offset or tilt the clamp."
+    ),
+    Status.NOT_CONVERGED: (
+        "The equations could not be solved to their tolerance; refine the trail or check the "
+        "level function's smoothness."
+    ),
+    Status.NO_EQUILIBRIUM: (
+        "No admissible equilibrium with a single contact was found; the rod may be jammed, or "
+        "touch in more than one place."
+    ),
     Status.CLAMP_INSIDE: "The clamp lies inside the object; move the trail out of it.",
-    Status.NOT_SINGLE_CONTACT: "Force and moment do not belong to one contact force (m0·f0 ≠ 0 beyond the noise); check the tare, the mount, or for a second contact.",
-    Status.BEYOND_TIP: "The first zero of the curvature lies beyond the rod's tip; check the rod's length and stiffness, the tare and the mount.",
-    Status.NO_CURVATURE_ZERO: "The curvature has no zero for these reactions, so no single contact explains them; check the rod, the tare and the sign of the wrench.",
-    Status.STEEP_TANGENT: "At the contact the rod would come out of the object (k² > 0.8, more than any friction explains); check the sign of the wrench and the rod.",
+    Status.NOT_SINGLE_CONTACT: (
+        "Force and moment do not belong to one contact force (m0·f0 ≠ 0 beyond the noise); check "
+        "the tare, the mount, or for a second contact."
+    ),
+    Status.BEYOND_TIP: (
+        "The first zero of the curvature lies beyond the rod's tip; check the rod's length and "
+        "stiffness, the tare and the mount."
+    ),
+    Status.NO_CURVATURE_ZERO: (
+        "The curvature has no zero for these reactions, so no single contact explains them; "
+        "check the rod, the tare and the sign of the wrench."
+    ),
+    Status.STEEP_TANGENT: (
+        "At the contact the rod would come out of the object (k² > 0.8, more than any friction "
+        "explains); check the sign of the wrench and the rod."
+    ),
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
-    Status.NOT_UNIQUE: "More than one contact explains the channels that were used; add channels, such as the lateral forces.",
-    Status.SETUP_CONTRADICTED: "The sweep contradicts the setup by more than the error bar of this contact; see the warnings, then calibrate or state [tolerances].",
-    Status.AMBIGUOUS: "Smoothing cannot tell here which phase, start or branch is the right one, and they lie apart; use the raw contact, or a stronger signal.",
-    Status.RINGING: "The rod swings freely after it was released; these loads are its inertia, not a contact.",
-    Status.TOUCHES_TWICE: "No single contact has this force and moment, while the rest of the sweep agrees with the setup: the rod touches two places, or is caught.",
+    Status.NOT_UNIQUE: (
+        "More than one contact explains the channels that were used; add channels, such as the "
+        "lateral forces."
+    ),
+    Status.SETUP_CONTRADICTED: (
+        "The sweep contradicts the setup by more than the error bar of this contact; see the "
+        "warnings, then calibrate or state [tolerances]."
+    ),
+    Status.AMBIGUOUS: (
+        "Smoothing cannot tell here which phase, start or branch is the right one, and they lie "
+        "apart; use the raw contact, or a stronger signal."
+    ),
+    Status.RINGING: (
+        "The rod swings freely after it was released; these loads are its inertia, not a contact."
+    ),
+    Status.TOUCHES_TWICE: (
+        "No single contact has this force and moment, while the rest of the sweep agrees with "
+        "the setup: the rod touches two places, or is caught."
+    ),
 }

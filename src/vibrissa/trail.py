@@ -65,18 +65,21 @@ class Trail:
         points = finite_array(position, "position", last=3)
         if points.ndim not in (2, 3):
             raise ValueError(
-                f"position has shape {points.shape}; allowed is (n, 3) for one trail or (m, n, 3) for several"
+                f"position has shape {points.shape}; allowed is (n, 3) for one trail or (m, "
+                "n, 3) for several"
             )
         if points.size == 0:
             raise ValueError(
-                f"position has shape {points.shape}: an empty trail; allowed is at least one position"
+                f"position has shape {points.shape}: an empty trail; allowed is at least one "
+                "position"
             )
         turns = unit_quaternions(orientation, "orientation")
         try:
             turns = np.array(np.broadcast_to(turns, (*points.shape[:-1], 4)))
         except ValueError as error:
             raise ValueError(
-                f"orientation has shape {turns.shape}; allowed is (4,) or {(*points.shape[:-1], 4)}, as position has"
+                f"orientation has shape {turns.shape}; allowed is (4,) or "
+                f"{(*points.shape[:-1], 4)}, as position has"
             ) from error
         object.__setattr__(self, "position", points)
         object.__setattr__(self, "orientation", turns)
@@ -265,7 +268,8 @@ class Trail:
         turns = _one_of(orientations, rod_axis, "orientations")
         if turns.shape not in ((4,), (len(through), 4)):
             raise ValueError(
-                f"orientations has shape {turns.shape}; allowed is (4,) or {(len(through), 4)}, as points has"
+                f"orientations has shape {turns.shape}; allowed is (4,) or "
+                f"{(len(through), 4)}, as points has"
             )
         each = np.broadcast_to(turns, (len(through), 4))
         return cls(*along_spline(through, each, whole_number(count, "count")))

@@ -5,7 +5,7 @@ whatever the contact law adds. The line of action of the force fixes the lever a
 whole rod. For any rod and any law these conditions remain:
 
     g(p) = 0                 the point lies on the object,
-    misses = 0               the rod lies in the plane of clamp axis and force, and gets to the point,
+    misses = 0               the rod lies in the plane of clamp axis and force, and meets the point,
     min(1 − s₁, away) = 0    tip contact, or the rod tangent to the object,
 
 and those of the law. With friction a state depends on the previous one.

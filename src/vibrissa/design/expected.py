@@ -141,7 +141,8 @@ def expected_error(
     """
     if sensor.force_noise is None:
         raise ValueError(
-            "sensor.force_noise = None; allowed is a sensor with force_noise and torque_noise, or a preset"
+            "sensor.force_noise = None; allowed is a sensor with force_noise and "
+            "torque_noise, or a preset"
         )
     if tolerances is not None and not isinstance(tolerances, Tolerances):
         raise TypeError(f"tolerances = {tolerances!r}; allowed is vibrissa.Tolerances")

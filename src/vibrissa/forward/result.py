@@ -217,7 +217,8 @@ class Scan:
         if self.kind[index] == ContactKind.NONE:
             if not self.solved[index]:
                 raise ValueError(
-                    f"index = {index}: this position was not solved: {Status(int(self.status[index])).text}"
+                    f"index = {index}: this position was not solved: "
+                    f"{Status(int(self.status[index])).text}"
                 )
             return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
         force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale

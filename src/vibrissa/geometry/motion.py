@@ -18,7 +18,8 @@ def equal_angles(start: float, stop: float, count: int) -> Float[np.ndarray, "co
     if count > 1 and abs(stop - start) >= np.pi * (count - 1):
         least = int(abs(stop - start) / np.pi) + 2
         raise ValueError(
-            f"count = {count}: steps of half a turn or more from {start:g} to {stop:g} rad; allowed is at least {least}"
+            f"count = {count}: steps of half a turn or more from {start:g} to {stop:g} rad; "
+            f"allowed is at least {least}"
         )
     return np.linspace(start, stop, count)
 
@@ -49,7 +50,8 @@ def matrix_parts(
     matrices = finite_array(value, name, last=4)
     if matrices.ndim not in (3, 4) or matrices.shape[-2] != 4:
         raise ValueError(
-            f"{name} has shape {matrices.shape}; allowed is (n, 4, 4) for one trail or (m, n, 4, 4) for several"
+            f"{name} has shape {matrices.shape}; allowed is (n, 4, 4) for one trail or (m, n, "
+            "4, 4) for several"
         )
     turn = matrices[..., :3, :3]
     uneven = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(-1, -2))

@@ -39,7 +39,8 @@ def reconstruct_by_integration(
 
     Notes
     -----
-    Eq. (16) is taken with κ(0) = +m0·eψ, as eqs. (7) and (14) imply (mechanics.md, "Signs").
+    Eq. (16) is taken with κ(0) = +m0·eψ, as eqs. (7) and (14) imply (mechanics.md,
+    "Two sign errors in the printed paper").
     """
     trail = reactions.trail
     force, moment = reactions.force / rod.force_scale, reactions.moment / rod.moment_scale

@@ -33,7 +33,7 @@ def towards(
 
 def single_contact(wrench: Wrench, covariance: Spread) -> tuple[Wrench, Scalar]:
     """Most probable wrench of a single contact, in two steps, and by how many standard deviations
-    the measured one violates the condition m0·f0 = 0 (mechanics.md, "Statics alone").
+    the measured one violates the condition m0·f0 = 0 (mechanics.md, "Statics gives a line").
     """
 
     def step(at: Wrench) -> tuple[Wrench, Scalar]:

@@ -2,8 +2,8 @@
 
 A rod that starts free takes up the work W = ∫ f0·dx + m0·dω of its clamp. Whatever is not bending
 energy U has been lost, by friction or in a snap, and losses never come back: W − U starts at zero
-and does not fall. U follows from each wrench by itself (mechanics.md, "Uniform straight rod"), W
-from wrenches and clamp motion: mistaken units, signs or axes drive the two apart.
+and does not fall. U follows from each wrench by itself (mechanics.md, "The uniform rod in closed
+form"), W from wrenches and clamp motion: mistaken units, signs or axes drive the two apart.
 """
 
 import math

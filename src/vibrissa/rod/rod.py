@@ -84,7 +84,8 @@ class Rod:
                 object.__setattr__(self, name, positive(value, name))
         if self.yield_strain is not None and self.radius is None:
             raise ValueError(
-                f"yield_strain = {self.yield_strain}: needs radius, since bending strain is radius times curvature"
+                f"yield_strain = {self.yield_strain}: needs radius, since bending strain is "
+                "radius times curvature"
             )
 
     @classmethod
@@ -106,7 +107,8 @@ class Rod:
         second_moment = math.pi / 4 * math.pow(min(positive(radius, "radius"), _LARGEST_RADIUS), 4)
         if radius > _LARGEST_RADIUS:
             raise ValueError(
-                f"radius = {radius!r}; allowed is a number greater than 0 and at most {_LARGEST_RADIUS:g}"
+                f"radius = {radius!r}; allowed is a number greater than 0 and at most "
+                f"{_LARGEST_RADIUS:g}"
             )
         stiffness = positive(youngs_modulus, "youngs_modulus") * second_moment
         linear_density = (
@@ -155,8 +157,8 @@ class Rod:
         """Tip sag [m] of the horizontal rod under its own weight, ρA g L⁴/(8 EI); None if unknown.
 
         Without a density, a round SI rod is taken to be of a light or common metal, ρ = E/(25
-        MJ/kg) as for steel, aluminium and titanium: about the least that a wire of this stiffness weighs,
-        since most other metals are heavier.
+        MJ/kg) as for steel, aluminium and titanium: about the least that a wire of this stiffness
+        weighs, since most other metals are heavier.
         """
         weight = self.linear_density
         if weight is None and self.units == "SI" and self.radius is not None:

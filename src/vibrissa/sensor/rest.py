@@ -236,7 +236,10 @@ def share_of_load(step: Wrench, load: Wrenches) -> float:
 
 def contact_misfits(wrench: Wrenches, covariance: Covariance) -> Float[np.ndarray, "loaded"]:
     """|m0·f0| over its standard deviation, m0·f0 being zero for a single contact (mechanics.md,
-    "Statics alone"), in rows with forces of more than ten deviations; empty if fewer than 20.
+    (
+        "Statics gives "
+        "a line"
+    )), in rows with forces of more than ten deviations; empty if fewer than 20.
     """
     covariance = np.broadcast_to(covariance, (len(wrench), 6, 6))
     deviation = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3)

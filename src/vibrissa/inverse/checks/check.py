@@ -37,7 +37,7 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     Each contact obeys more conditions than it has unknowns (`vibrissa.inverse.checks.constraints`).
     One cause at a time is fitted to their residuals, by generalised least squares under the noise,
     the zero error, a model error of 2e-4 L and the tolerated setup errors (mechanics.md,
-    "What the data say of the setup").
+    "What the data say about the setup").
     """
     if found.kind.ndim == 1:
         return judged(found)

@@ -79,7 +79,8 @@ def suspects(linear: Linear, rod: Rod, tolerances: Tolerances) -> list[Suspect]:
         ),
         Suspect(
             "object_position", step.shift, 1 / length, 0.002,
-            float(tolerances.object_position.max()), place, "state its place, or free object_position", ("object_position",),
+            float(tolerances.object_position.max()), place,
+            "state its place, or free object_position", ("object_position",),
         ),
         Suspect(
             "torque_gain", step.gain[..., 3:].sum(axis=-1, keepdims=True), 1.0, 0.004,

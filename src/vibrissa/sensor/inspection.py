@@ -67,8 +67,8 @@ class Inspection:
         Rate of change of the offset from rest at the start to rest at the end (6,) [N/s], [N m/s],
         known drift subtracted, and its standard deviation; NaN unless both rests exist.
     single_contact_misfit
-        Median size of m0·f0 over its standard deviation in the loaded rows: 0.67 for a single contact
-        and noise alone. NaN without a load.
+        Median size of m0·f0 over its standard deviation in the loaded rows: 0.67 for a single
+        contact and noise alone. NaN without a load.
     sensor
         As stated, but with the observed noise of readings and poses where that is larger: what the
         error bars use.

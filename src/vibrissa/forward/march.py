@@ -21,7 +21,7 @@ from vibrissa.contact import Law, Reached, Scene, State, step_from, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.bracket import POINTS
-from vibrissa.numerics.lanes import Lanes, lanes
+from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
 from vibrissa.numerics.vectors import joined
 
 Scalar = Float[Any, ""]
@@ -208,8 +208,8 @@ def march_ahead(scene: Scene, law: Law, clamps: Clamp) -> None:
 def _sized(legs: Legs) -> tuple[Lanes[Any, Any], Legs]:
     """The kernel that walks such lanes, and legs padded to its size."""
     count, n = legs.clear.shape
-    # Each size is compiled separately: a few short lanes share that of a trail.
-    short = n <= _FAN and count > SINGLE
+    # Each size is compiled separately: up to a block of short lanes share that of a trail.
+    short = n <= _FAN and count > WIDTH
     size = _FAN if short else max(_SHORTEST_TRAIL, 1 << (n - 1).bit_length())
 
     def padded(rows: np.ndarray) -> np.ndarray:

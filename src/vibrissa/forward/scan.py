@@ -15,7 +15,7 @@ from vibrissa.forward.search import caught
 from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
 from vibrissa.mechanics.model import NEUTRAL, Clamp
-from vibrissa.numerics.lanes import WIDTH, in_threads, threads
+from vibrissa.numerics.lanes import FEW, WIDTH, in_threads, threads
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
@@ -86,9 +86,9 @@ def scan(
     count = len(path.point)
 
     # Kernels that every scan needs are compiled in parallel.
-    few = chosen(path.clamps, np.s_[: SINGLE + 1])
-    march_ahead(scene, law, few)
-    assess.ahead(scene, nowhere(law, 1).state, chosen(few, np.s_[:1, 0]), law)
+    march_ahead(scene, law, chosen(path.clamps, np.s_[: SINGLE + 1]))
+    some = Clamp(*(part.reshape(-1, 3)[: FEW + 1] for part in path.clamps))
+    assess.ahead(scene, nowhere(law, len(some.point)).state, some, law)
 
     # Whole blocks of lanes, and work for every thread.
     share = min(_TRAILS, WIDTH * -(-count // (WIDTH * threads())))

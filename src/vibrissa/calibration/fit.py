@@ -127,11 +127,11 @@ def _descended(start: Linear, scale: float) -> Linear:
 
 
 def disturbed(linear: Linear) -> Chosen:
-    """Rows in contact (n,) where many in succession do not fit, with as many before and after:
-    there the rod swings, or sticks and slips.
+    """Rows in contact (n,) where many in succession do not fit, with two such stretches before and
+    after: there the rod swings, or sticks and slips.
 
-    None if that would be more than three rows in ten: then the motion is not disturbed, but rod or
-    object are not as stated.
+    Those found before if that would be more than three rows in ten: then the motion is not
+    disturbed, but rod or object are not as stated.
     """
     problem, square = linear.problem, linear.spread**2
     cap = square * chi2.isf(OUTLYING, problem.freedom)

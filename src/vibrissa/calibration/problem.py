@@ -227,7 +227,7 @@ class Linear:
         return flat.T @ flat + np.diag(self.problem.known**2)
 
     def downhill(self, weight: Numbers) -> Unknowns:
-        """Σ JᵀWr with the priors: the negative gradient of half the cost."""
+        """Σ JᵀWr with the priors: the negative gradient of the cost."""
         pull = np.einsum("n,nku,nk->u", weight, self.jacobian, self.residual, optimize=True)
         return pull - self.problem.known**2 * self.point.values
 

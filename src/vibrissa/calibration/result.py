@@ -189,8 +189,8 @@ class Calibration(Generic[SetupType]):
         Each recording, or alternate stretches of a single one, predicted from the rest; without an
         object, each of several recordings.
     first_contact
-        (recordings,) distance [m] by which the straight rod as calibrated contradicts where the
-        loads begin; 0 where it agrees.
+        (recordings,) distance [m, or the rod's unit] by which the straight rod as calibrated
+        contradicts where the loads begin; 0 where it agrees, NaN without an object.
     tolerances
         Those that entered the covariance, or None.
     """

@@ -39,7 +39,7 @@ def scores(linear: Linear, rod: Rod, tolerances: Tolerances, inflation: float) -
 
     All rows count, even those left out as disturbed: leaving them out may be what hides the cause.
     With friction given those do not count: where the rod sticks, no coefficient explains the
-    readings. Each row's cost is at most Huber's.
+    readings. Each row's cost is Huber's.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ _FEWEST = 6
 # contact.
 _SIGN_CHANGES = 3
 # Squared mean over squared oscillation: over one and a half periods or more, the mean of a sine is
-# below a fifth of its amplitude.
+# at most about a fifth of its amplitude.
 _SLOW = 0.1
 _FALSE_ALARM = 1e-6
 # Without stated noise: fraction of the largest load.

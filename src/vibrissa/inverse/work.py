@@ -143,7 +143,7 @@ class _Load:
     reactions: Reactions
     loaded: Flags
     spans: list[tuple[int, int]]
-    """[start, stop) of contacts that begin and last long enough, split where the rod is free for
+    """[start, stop) of contacts that last long enough, split where the rod is free for
     several consecutive rows.
     """
 

@@ -30,7 +30,7 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     Returns
     -------
     SetupCheck
-        Empty if the noise is unknown, or too little of the sweep is in contact.
+        Empty if noise or time are unknown, or too little of the sweep is in contact.
 
     Notes
     -----

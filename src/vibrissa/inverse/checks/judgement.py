@@ -55,7 +55,7 @@ to which it then extends.
 # Readings that no rod produces lead to unbounded numbers; non-finite ones are left out.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def judged(found: Reconstruction) -> SetupCheck:
-    """Findings of one trail: none if the noise is unknown, or too little is in contact."""
+    """Findings of one trail: none if noise or time are unknown, or too little is in contact."""
     reactions = found.reactions
     if reactions.covariance is not None and reactions.time is not None:
         averaged = stretches_of(found)

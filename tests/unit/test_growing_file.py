@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from vibrissa.io import InputError
 from vibrissa.io.rosbag import growing, mend
-from vibrissa.io.rosbag.disk import FileDisk
+from vibrissa.io.disk import FileDisk
 from vibrissa.io.rosbag.growing import PAGE, Channel, GrowingFile, Messages
 
 CHANNELS = [

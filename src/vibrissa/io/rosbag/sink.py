@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.rosbag.disk import whole_file
+from vibrissa.io.disk import whole_file
 from vibrissa.io.rosbag.growing import GrowingFile, Messages, Stamps
 from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
 from vibrissa.sensor.raw import RawRecording, Vectors

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Steps:
-    """Called with the name of a step as it begins; `count` reports how many of how many are done."""
+    """Called with the name of a step as it begins; `count` tells how many of them are done."""
 
     begin: Callable[[str], None]
     count: Callable[[int, int], None]

@@ -65,7 +65,7 @@ def write_vtp(file: Path, table: "pandas.DataFrame", unit: str) -> None:
         "VTKFile", type="PolyData", version="1.0", byte_order="LittleEndian", header_type="UInt64"
     )
     root.append(ElementTree.Comment(f" contacts of an elastic rod, unit {unit} "))
-    numbers = {f"NumberOf{part}": "0" for part in ("Lines", "Strips", "Polys")}
+    numbers: dict[str, Any] = {f"NumberOf{part}": "0" for part in ("Lines", "Strips", "Polys")}
     piece = ElementTree.SubElement(
         ElementTree.SubElement(root, "PolyData"), "Piece",
         NumberOfPoints=str(count), NumberOfVerts=str(count), **numbers,
@@ -85,7 +85,7 @@ def write_vtp(file: Path, table: "pandas.DataFrame", unit: str) -> None:
 def _append(parent: ElementTree.Element, name: str, values: np.ndarray) -> None:
     """Add an array, in base64 with its number of bytes in front."""
     kinds = {np.dtype(code): kind for kind, code in _TYPES.items()}
-    width = {} if values.ndim == 1 else {"NumberOfComponents": str(values.shape[1])}
+    width: dict[str, Any] = {} if values.ndim == 1 else {"NumberOfComponents": str(values.shape[1])}
     array = ElementTree.SubElement(
         parent, "DataArray", type=kinds[values.dtype], Name=name, format="binary", **width
     )

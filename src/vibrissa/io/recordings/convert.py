@@ -68,7 +68,7 @@ def convert_recording(path: str | Path, setup: str | Path, target: str | Path) -
     fitting = Path(setup)
     if loaded.recording is not None:
         fitting = out.with_name(f"{out.stem}_setup.toml")
-    written = [out] if fitting == Path(setup) else [out, fitting]
+    written = [out] if loaded.recording is None else [out, fitting]
     sources = {Path(path).resolve(), Path(setup).resolve()}
     for file in written:
         if file.resolve() in sources:

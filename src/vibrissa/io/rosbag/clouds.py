@@ -1,6 +1,7 @@
 """Contacts as `PointCloud2` in an MCAP file, and back."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -59,7 +60,7 @@ def read_clouds(file: Path) -> Columns:
         topics = [one.topic for one in channels if kinds[one.schema_id].name == TYPES[CONTACTS]]
         if not topics:
             raise InputError(f"{file}: no topic of {TYPES[CONTACTS]}; allowed is at least one")
-        clouds = [
+        clouds: list[Any] = [
             types.deserialize_cdr(message.data, TYPES[CONTACTS])
             for _, _, message in reader.iter_messages(topics)
         ]
@@ -67,14 +68,13 @@ def read_clouds(file: Path) -> Columns:
     nothing = np.zeros(0, POINT)
     parts = [{name.replace("normal_", "n"): nothing[name] for name in POINT.names or ()}]
     for cloud in clouds:
-        kind = np.dtype(
-            {
-                "names": [field.name for field in cloud.fields],
-                "formats": [formats[field.datatype] for field in cloud.fields],
-                "offsets": [field.offset for field in cloud.fields],
-                "itemsize": cloud.point_step,
-            }
-        )
+        layout: Any = {
+            "names": [field.name for field in cloud.fields],
+            "formats": [formats[field.datatype] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_step,
+        }
+        kind = np.dtype(layout)
         points = np.frombuffer(cloud.data, kind)
         stamp = cloud.header.stamp
         part = {name.replace("normal_", "n"): points[name] for name in kind.names or ()}

@@ -90,6 +90,6 @@ def _line(summary: dict[str, Any], sensor: str) -> str:
     if summary["detected"]:
         text += (
             f", median ±{1e3 * summary['median_root_mean_square']:.2g} mm "
-            f"(95 % within {1e3 * summary['median_longest_semi_axis']:.2g} mm)"
+            f"(longest semi-axis at 95 %: {1e3 * summary['median_longest_semi_axis']:.2g} mm)"
         )
     return text

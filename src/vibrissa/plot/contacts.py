@@ -7,8 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
 from vibrissa.contacts import Status
+from vibrissa.drawing import KIND_COLOURS, KIND_NAMES, length_factor
 from vibrissa.inverse import Reconstruction
-from vibrissa.plot.style import KIND_COLOURS, KIND_NAMES, PAGE, length_factor, length_label
+from vibrissa.plot.style import PAGE, length_label
 
 # Square root of the 95 % quantile of χ² with two degrees of freedom.
 _TWO_DIMENSIONS_95 = 2.4477

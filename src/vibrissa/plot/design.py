@@ -6,7 +6,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from vibrissa.design import ExpectedError
-from vibrissa.plot.style import PAGE, length_factor, length_label
+from vibrissa.drawing import length_factor
+from vibrissa.plot.style import PAGE, length_label
 
 _UNDETECTED, _SATURATED = "0.8", "black"
 

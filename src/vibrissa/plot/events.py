@@ -5,8 +5,9 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from vibrissa.contacts import Status
+from vibrissa.drawing import length_factor
 from vibrissa.forward import EventKind, Scan
-from vibrissa.plot.style import COLUMN, length_factor, length_label
+from vibrissa.plot.style import COLUMN, length_label
 
 _MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
 

@@ -7,9 +7,10 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from vibrissa.contacts import ContactKind
+from vibrissa.drawing import KIND_COLOURS, KIND_NAMES, length_factor
 from vibrissa.forward import Scan
 from vibrissa.inverse import Reconstruction
-from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor, length_label
+from vibrissa.plot.style import COLUMN, length_label
 from vibrissa.rod import Rod
 
 _STRAIGHT = "black"

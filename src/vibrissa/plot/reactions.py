@@ -7,8 +7,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import CenteredNorm
 from matplotlib.ticker import MaxNLocator
 
+from vibrissa.drawing import length_factor
 from vibrissa.forward import Scan
-from vibrissa.plot.style import PAGE, length_factor, length_label
+from vibrissa.plot.style import PAGE, length_label
 
 # Symbols, SI units, and the model's units.
 _PANELS = [(f"f_{{0{axis}}}", "N", "$EI/L^2$") for axis in "xyz"]

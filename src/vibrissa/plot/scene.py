@@ -10,24 +10,30 @@ from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d import Axes3D, proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from vibrissa.contacts import ContactKind, Status
+from vibrissa.contacts import Status
+from vibrissa.drawing import (
+    FREE,
+    KIND_COLOURS,
+    KIND_NAMES,
+    STRAIGHT,
+    drawn_rods,
+    half_axes,
+    length_factor,
+)
 from vibrissa.forward import Scan
 from vibrissa.inverse import Reconstruction
 from vibrissa.plot.lines import dress
-from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor
+from vibrissa.plot.style import COLUMN
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.surfaces.outline import box_of, outline
 
 _PAINT = np.array([0.84, 0.87, 0.90])
-_STRAIGHT, _FREE = "black", "0.6"
 _FORCE, _NORMAL, _UNCERTAIN = "#d97706", "#2a7f3f", "0.3"
 _SAMPLES = 90
 """Points of a drawn rod: its segments are invisible at the width of a page."""
 _RODS = 20
 """Rods drawn of a trail, unless told otherwise."""
-_AXES_95 = 2.7955
-"""Square root of the 95 % quantile of χ² with three degrees of freedom."""
 _ARROW = 0.2
 """Length of a drawn direction, in rod lengths."""
 
@@ -127,7 +133,7 @@ def scene(
     if surface is not None:
         shown.append(_draw_object(axes, surface, seen_from, rod))
     for trail in position.reshape(-1, count, 3):
-        axes.plot(*(length_factor(rod) * trail).T, color=_FREE, linewidth=0.6, zorder=0)
+        axes.plot(*(length_factor(rod) * trail).T, color=FREE, linewidth=0.6, zorder=0)
     handles = _draw_contacts(axes, what, seen_from)
     if directions:
         handles += _draw_directions(axes, what, rows, seen_from)
@@ -152,9 +158,7 @@ def _drawn_rows(what: Scan | Reconstruction, every: int) -> Bool[np.ndarray, "*t
     return rows
 
 
-def _draw_object(
-    axes: Axes3D, surface: Surface, view: _View, rod: Rod
-) -> Float[np.ndarray, "n 3"]:
+def _draw_object(axes: Axes3D, surface: Surface, view: _View, rod: Rod) -> Float[np.ndarray, "n 3"]:
     """The object, shaded; returns its corners as drawn."""
     own, cut = outline(surface, *view.box)
     towards, factor = view.towards, length_factor(rod)
@@ -171,7 +175,9 @@ def _draw_object(
             continue
         # Cuts are seen from outside only: the sign of their normals is that of the box's side.
         middle = triangles.mean(axis=1) - np.mean(view.box, axis=0)
-        outwards = normals if order == 1.0 else normals * np.sign((normals * middle).sum(-1))[:, None]
+        outwards = (
+            normals if order == 1.0 else normals * np.sign((normals * middle).sum(-1))[:, None]
+        )
         facing = outwards @ towards > 0 if order > 1 or not len(cut) else np.ones(len(own), bool)
         colours = np.clip(_PAINT * (0.55 + 0.5 * np.abs(normals[facing] @ light)[:, None]), 0, 1)
         polygons = Poly3DCollection(
@@ -191,13 +197,9 @@ def _draw_rods(
 ) -> Float[np.ndarray, "n 3"]:
     """Rods at some rows; returns their points as drawn."""
     rod, pieces, colours = what.rod, [], []
-    s = np.linspace(0, rod.length, _SAMPLES)[:-1]
-    for at in zip(*np.nonzero(rows), strict=True):
-        line = what.elastic_line(at if len(at) > 1 else at[0], _SAMPLES)
-        bent = s < np.nan_to_num(what.arc_length[at])
-        rest = _STRAIGHT if what.in_contact[at] else _FREE
-        pieces.append(np.stack([line[:-1], line[1:]], axis=1))
-        colours.append(np.where(bent, KIND_COLOURS.get(ContactKind(int(what.kind[at])), rest), rest))
+    for _, drawn in drawn_rods(what, rows, _SAMPLES):
+        pieces.append(np.stack([drawn.line[:-1], drawn.line[1:]], axis=1))
+        colours.append(np.where(drawn.bent, drawn.paint, drawn.rest))
     if not pieces:
         return np.zeros((0, 3))
     segments, colour = np.concatenate(pieces), np.concatenate(colours)
@@ -250,8 +252,7 @@ def _draw_uncertainty(
     the rod.
     """
     assert found.covariance is not None
-    variances, axes_of = np.linalg.eigh(found.covariance[rows])
-    half = _AXES_95 * np.sqrt(np.maximum(variances, 0))[:, None] * axes_of
+    half = half_axes(found.covariance[rows])
     center = found.point[rows][:, None]
     ends = np.stack([center - half.swapaxes(1, 2), center + half.swapaxes(1, 2)], axis=2)
     wide = np.linalg.norm(half[..., -1], axis=1) > found.rod.length / 10
@@ -305,6 +306,6 @@ def _frame(
     across, up, _ = proj3d.proj_transform(*np.array(limits).reshape(3, -1), axes.get_proj())
     corners = axes.transData.transform(np.column_stack([across, up]))
     top = axes.transAxes.inverted().transform(corners)[:, 1].max()
-    handles.append(Line2D([], [], color=_STRAIGHT, linewidth=0.6, label="straight part"))
+    handles.append(Line2D([], [], color=STRAIGHT, linewidth=0.6, label="straight part"))
     place = {"loc": "lower center", "bbox_to_anchor": (0.5, float(top) + 0.02)}
     axes.legend(handles=handles, ncols=2, handlelength=1.4, columnspacing=1.4, **place)

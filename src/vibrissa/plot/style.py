@@ -10,12 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from vibrissa.contacts import ContactKind
 from vibrissa.rod import Rod
-
-KIND_COLOURS = {ContactKind.TIP: "#c1121f", ContactKind.TANGENTIAL: "#1d5fa8"}
-"""Tip contact red, tangential contact blue (paper, figure 3)."""
-KIND_NAMES = {ContactKind.TIP: "tip contact", ContactKind.TANGENTIAL: "tangential contact"}
 
 COLUMN, PAGE = 3.5, 7.2
 """Widths of one and of two journal columns [inch]."""
@@ -66,8 +61,3 @@ def save_as(axes: Axes | Sequence[Axes], path: Path) -> Path:
 def length_label(symbol: str, rod: Rod) -> str:
     """Axis label of a length: millimetres for SI rods, rod lengths in the model's units."""
     return f"${symbol}$ [mm]" if rod.units == "SI" else f"${symbol}/L$"
-
-
-def length_factor(rod: Rod) -> float:
-    """Factor by which lengths are multiplied for `length_label`."""
-    return 1e3 if rod.units == "SI" else 1.0

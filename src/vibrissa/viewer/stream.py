@@ -15,6 +15,7 @@ from vibrissa.sensor import RawRecording
 from vibrissa.surfaces import Surface
 from vibrissa.viewer.content import Content, Instant, Rows
 from vibrissa.viewer.page import Viewer, address, serve, stop
+from vibrissa.viewer.scene import Scene
 from vibrissa.viewer.sweeps import WHOLE, contact_rows, rods_at, rods_known, triangles_of
 
 _PERIOD = 0.1
@@ -120,17 +121,17 @@ class ViewerSink(Sink):
         if len(scene.instants) > _MOST:
             self._period *= 2
             scene.replace(_halved(scene.instants))
-        self._make_room(instant)
+        self._make_room(scene, instant)
         self._viewer.grew()
 
-    def _make_room(self, instant: Instant) -> None:
+    def _make_room(self, scene: Scene, instant: Instant) -> None:
         """Draw larger axes if an instant lies outside, with room for those to come."""
         shown = replace(self._content, instants=(instant,))
         inner = replace(shown, room=0.0).box
         if (inner[0] < self._low).any() or (inner[1] > self._high).any():
             self._low = np.minimum(self._low, shown.box[0])
             self._high = np.maximum(self._high, shown.box[1])
-            self._viewer.scene.draw_axes(self._low, self._high)
+            scene.draw_axes(self._low, self._high)
 
     def _begin(self, instant: Instant) -> None:
         """Show the first instants."""

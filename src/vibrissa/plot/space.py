@@ -36,10 +36,11 @@ Points = Float[np.ndarray, "n 3"]
 
 
 class Segments(NamedTuple):
-    """Straight pieces: their ends (n, 2, 3), and the colour of each (n,)."""
+    """Straight pieces: their ends (n, 2, 3), the colour of each (n,), and their width [pt]."""
 
     ends: Float[np.ndarray, "n 2 3"]
     colours: Any
+    width: float = 0.7
 
 
 class Arrows(NamedTuple):
@@ -138,7 +139,7 @@ class Stage:
         seen = self.sees(rods.ends.mean(axis=1))
         for part, alpha, layer in ((~seen, _HIDDEN, 2), (seen, 1.0, 3)):
             if part.any():
-                style = {"linewidths": 0.7, "alpha": alpha, "capstyle": "round"}
+                style = {"linewidths": rods.width, "alpha": alpha, "capstyle": "round"}
                 self._strokes(rods.ends[part], rods.colours[part], layer, **style)
         for colour, name in ((STRAIGHT, "straight part"), (FREE, "unbent rod")):
             if np.any(rods.colours == colour):

@@ -226,4 +226,4 @@ def triangles_of(
     if surface is None:
         return _NOTHING
     box = box_of(surface, around, reach * float(rod.length))
-    return length_factor(rod) * np.concatenate(outline(surface, *box))
+    return length_factor(rod) * outline(surface, *box)

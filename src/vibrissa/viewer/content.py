@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 
 SAMPLES = 40
 """Points of a drawn rod: its pieces are a few pixels long."""
+WIDE = 0.1
+"""Error of a contact, in rod lengths, from which it says little."""
 UNKNOWN = ""
 """Unit of contacts whose file does not say it."""
 
@@ -128,7 +130,12 @@ class Content:
         """Least and largest coordinates of all there is, and of the room around it."""
         rods = [rod for instant in self.instants for rod in instant.rods.values()]
         poses = [pose.position for pose in self.poses]
-        parts = [self.triangles, *self.trails, *rods, self.contacts.point, *poses]
+        contacts = self.contacts
+        # Contacts that could be anywhere do not decide what is shown, if there is anything else.
+        sound = contacts[~(contacts.deviation > WIDE * self.size)]
+        parts = [self.triangles, *self.trails, *rods, sound.point, *poses]
+        if not sum(part.size for part in parts):
+            parts = [contacts.point]
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
         if not len(points):
             raise ValueError("nothing to show: no object, no rod and no contact")

@@ -186,8 +186,10 @@ class Panel:
             self._by = self._gui.add_dropdown("by", modes, initial_value=colour)
             self._legend = self._gui.add_html(scene.legend)
         self._by.on_update(lambda _: self._recolour())
-        for name, node in (("object", "/object"), ("ellipsoids", "/ellipsoids")):
-            self._add_switch(server, name, node)
+        if len(content.triangles):
+            self._add_switch(server, "object")
+        if growing or "uncertainty" in modes:
+            self._add_switch(server, "ellipsoids")
         with self._gui.add_folder("Contact"):
             self._numbers = self._gui.add_html(numbers_html(None, content))
         server.scene.on_click()(self._pick)
@@ -202,14 +204,14 @@ class Panel:
         self._button.on_click(lambda _: self._toggle())
         self._moved()
 
-    def _add_switch(self, server: viser.ViserServer, name: str, node: str) -> None:
-        handle = server.scene.get_handle_by_name(node)
-        if handle is None:
-            return
+    def _add_switch(self, server: viser.ViserServer, name: str) -> None:
         box = self._gui.add_checkbox(name, initial_value=True)
 
         @box.on_update
         def _(_: object) -> None:
+            # Looked up anew: a stream replaces its nodes from time to time.
+            handle = server.scene.get_handle_by_name(f"/{name}")
+            assert handle is not None
             handle.visible = box.value
 
     def _moved(self) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from vibrissa.drawing import half_axes
 from vibrissa.viewer.axes import ticked_box
 from vibrissa.viewer.colours import By, Painter, rgb
-from vibrissa.viewer.content import Content, Instant, Rows
+from vibrissa.viewer.content import WIDE, Content, Instant, Rows
 from vibrissa.viewer.html import legend_html
 
 if TYPE_CHECKING:
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 _PAINT, _TRAIL, _AXIS, _UNCERTAIN = rgb("#c9d1d9"), rgb("#999999"), rgb("#555555"), rgb("#444444")
 _POINT, _LINE = 0.012, 3.0
 """Diameter of a contact, in rod lengths, and width of a rod in pixels."""
-_WIDE = 0.1
-"""Length of an ellipsoid's half axis, in rod lengths, from which it is faint; beyond ten times as
-much it would hide all else, and is left out.
+_HIDING = 1.0
+"""Length of an ellipsoid's half axis, in rod lengths, from which it would hide all else and is left
+out.
 """
 _MOST_ELLIPSOIDS = 1500
 """Shown at once: a browser draws as many without slowing down."""
@@ -64,6 +64,7 @@ class Scene:
         self._count = 0
         self._lock = threading.RLock()
         self.shown = -1
+        self._towards = _towards(content)
         self._still()
         self.replace(content.instants)
 
@@ -103,9 +104,11 @@ class Scene:
         center = (low + high) / 2
         camera = self._server.initial_camera
         camera.look_at, camera.fov = center, _FIELD
-        camera.position = center + 0.72 * span / np.tan(_FIELD / 2) * _towards(content)
+        camera.position = center + 0.62 * span / np.tan(_FIELD / 2) * self._towards
         camera.near, camera.far = 1e-3 * span, 1e2 * span
         scene.configure_default_lights(cast_shadow=False)
+        # Rods often come from below, where the default lights leave an object dark.
+        scene.add_light_ambient("/light", intensity=0.4)
         if len(content.triangles):
             vertices, faces = smoothed(content.triangles)
             scene.add_mesh_simple("/object", vertices, faces, color=_PAINT, side="double")
@@ -128,7 +131,7 @@ class Scene:
 
     def draw_axes(self, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> None:
         """Axes with their unit around a box, in place of those there."""
-        lines, labels = ticked_box(low, high, self._content.unit)
+        lines, labels = ticked_box(low, high, self._content.unit, self._towards)
         self._scene.remove_by_name("/axes") if self._scene.get_handle_by_name("/axes") else None
         self._scene.add_frame("/axes", show_axes=False)
         self._scene.add_line_segments(
@@ -176,7 +179,7 @@ class Scene:
         rows = rows[np.isfinite(rows.covariance).all(axis=(1, 2))]
         axes = half_axes(rows.covariance)
         half = np.linalg.norm(axes, axis=1)
-        shown = half[:, -1] < 10 * _WIDE * size
+        shown = half[:, -1] < _HIDING * size
         rows, axes, half = rows[shown], axes[shown], half[shown]
         if not len(rows):
             return None
@@ -190,7 +193,7 @@ class Scene:
             # A length of zero would leave no normal to shade by.
             batched_scales=np.maximum(half, 1e-4 * size),
             batched_colors=_UNCERTAIN,
-            batched_opacities=np.where(half[:, -1] > _WIDE * size, 0.05, 0.3),
+            batched_opacities=np.where(half[:, -1] > WIDE * size, 0.05, 0.3),
             lod="off",
             cast_shadow=False,
             receive_shadow=False,
@@ -288,12 +291,12 @@ def _turns(axes: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 4"]:
 
 
 def _towards(content: Content) -> Float[np.ndarray, "3"]:
-    """Direction towards the eye: in front, and above or below, from where the object is touched."""
+    """Direction towards the eye: in front, moved to the side from where the object is touched."""
     facing = content.contacts.normal
     facing = facing[np.isfinite(facing).all(axis=1)]
     if not len(facing):
         rods = [rod for instant in content.instants for rod in instant.rods.values() if len(rod)]
-        facing = np.array([[0.0, 0.0, 0.0], *(rod[0, 0] - rod[-1, 1] for rod in rods)])
-        facing = facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
-    towards = np.array([0.45, -0.8, 0.25 + 0.6 * facing[:, 2].mean()])
+        ends = np.array([np.zeros(3), *(rod[0, 0] - rod[-1, 1] for rod in rods)])
+        facing = ends / np.maximum(np.linalg.norm(ends, axis=1, keepdims=True), 1e-12)
+    towards = np.array([0.45, -0.8, 0.25]) + np.array([2.0, 2.0, 0.4]) * facing.mean(axis=0)
     return np.asarray(towards / np.linalg.norm(towards))

@@ -51,11 +51,11 @@ def drawn_rods(
 ) -> Iterator[tuple[tuple[int, ...], DrawnRod]]:
     """Rods at some rows, with `count` points each, and their rows."""
     s = np.linspace(0, what.rod.length, count)[:-1]
-    for at in zip(*np.nonzero(rows), strict=True):
+    for at in map(tuple, np.argwhere(rows).tolist()):
         kind = ContactKind(int(what.kind[at]))
         rest = FREE if kind is ContactKind.NONE else STRAIGHT
         bent = s < np.nan_to_num(what.arc_length[at])
-        line = what.elastic_line(at if len(at) > 1 else at[0], count)
+        line = what.elastic_line((at[0], at[1]) if len(at) > 1 else at[0], count)
         yield at, DrawnRod(line, bent, KIND_COLOURS.get(kind, rest), rest)
 
 

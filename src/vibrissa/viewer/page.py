@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import socket
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from vibrissa.files import InputError, writable
 from vibrissa.libraries import extra_library
@@ -34,6 +37,8 @@ def serve(host: str, port: int) -> viser.ViserServer:
     OSError
         If the address cannot be used.
     """
+    # viser would wait forever for a server at an address that is not of this machine.
+    socket.create_server((host, 0)).close()
     library = extra_library("viser", extra="view", need="the viewer needs it")
     # It prints its address in a box; standard output may belong to a sink.
     with contextlib.redirect_stdout(io.StringIO()):
@@ -79,6 +84,12 @@ class Viewer:
     def instant(self) -> int:
         """Which position of the time slider is shown, from 0."""
         return self.scene.shown
+
+    @property
+    def cameras(self) -> list[viser.CameraHandle]:
+        """From where each browser looks, once it has said so."""
+        cameras = [client.camera for client in self._server.get_clients().values()]
+        return [camera for camera in cameras if camera.update_timestamp > 0]
 
     def show(self, instant: int) -> None:
         """Move the time slider.
@@ -269,7 +280,8 @@ class Panel:
         self._legend.content = self._scene.legend
 
     def _pick(self, event: Any) -> None:
-        rows = self._scene.picked(event.ray_origin, event.ray_direction)
+        ray = np.array(event.ray_origin), np.array(event.ray_direction)
+        rows = self._scene.picked(*ray)
         self._scene.mark(rows)
         self._numbers.content = numbers_html(rows, self._content)
 

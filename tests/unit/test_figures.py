@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+from command_line import vibrissa
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
@@ -322,6 +323,32 @@ def test_another_suffix_is_refused(tmp_path: Path) -> None:
     axes = plt.figure().add_subplot()
     with pytest.raises(ValueError, match=r"suffix '.gif'; allowed are .png, .pdf, .svg"):
         vb.plot.save_as(axes, tmp_path / "figure.gif")
+
+
+def test_a_command_says_why_there_is_no_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The warning with the likeliest cause comes first; nothing is written."""
+    case, figure = tmp_path / "case.toml", tmp_path / "scan.svg"
+    near = """
+    rod = {kind = "unit"}
+    object = {kind = "sphere", center = [0, 0, 1.15], radius = 0.6}
+    trail = [{kind = "line", start = [0.2, 0.8, 0], stop = [0.2, -0.8, 0], count = 41}]
+    """
+    case.write_text(near.replace("1.15", "3.15"), encoding="utf-8")
+    run = vibrissa(capsys, "scan", case, "--figure", figure)
+    assert run.status == 2
+    assert run.err.index("likeliest cause") < run.err.index(
+        f"{figure}: nothing to draw: no contact"
+    )
+    assert not figure.exists()
+    case.write_text(near, encoding="utf-8")
+    run = vibrissa(capsys, "scan", case, "--figure", figure)
+    assert run.status == 0
+    assert figure.read_bytes().startswith(b"<?xml")
+    run = vibrissa(capsys, "scan", case, "--figure", tmp_path / "scan.gif")
+    assert run.status == 2
+    assert "suffix '.gif'; allowed are .png, .pdf, .svg" in run.err
 
 
 def test_figures_are_wide_enough_for_their_letters(found: vb.Reconstruction) -> None:

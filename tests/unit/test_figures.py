@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 
 import vibrissa as vb
-from vibrissa.sensor import CHANNELS
+from vibrissa.sensor import CHANNELS, preset
 
 FOLDER = Path(__file__).parents[2] / "examples/recordings/sphere_60mm"
 UNIT = vb.Rod.unit()
@@ -294,6 +294,29 @@ def test_rows_that_are_not_used_are_counted(setup: vb.Setup, tmp_path: Path) -> 
     silent = replace(inspection, raw=raw.with_wrench(np.full((901, 6), np.nan)))
     with pytest.raises(ValueError, match="901 rows, of which 0 hold readings"):
         vb.plot.recording_figure(silent, setup.sensor)
+
+
+# Design
+
+
+def test_a_map_marks_unstable_positions_and_scales_without_them() -> None:
+    """The best contacts of the map, if they are of an unstable branch, do not decide its colours."""
+    rod = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+    ball = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
+    trail = vb.Trail.line(start=(0.02, 0.005, 0), stop=(-0.02, 0.005, 0), count=41)
+    sensor = preset("ati_nano17_si_12_0_12", clamp_position=(0, 0, 0.025))
+    error = vb.expected_error(rod, ball, trail, sensor)
+    longest = 1e3 * error.semi_axes[..., -1]
+    status = np.where(longest < np.nanmedian(longest), 2, 0)
+    panels = vb.plot.expected_error_map(replace(error, scan=replace(error.scan, status=status)))
+    count, missed = np.count_nonzero(status), np.count_nonzero(~error.detected)
+    named = [f"not detected ({missed})"] if missed else []
+    assert legend(panels)[1] == [*named, f"laterally unstable ({count})"]
+    for axes in panels:
+        assert axes.collections[0].norm.vmin == pytest.approx(longest[status == 0].min())
+        assert count in [len(line.get_xdata()) for line in axes.lines]
+    bar = panels[0].get_figure(root=True).axes[-1]
+    assert bar.get_ylabel() == "longest semi-axis,\n95 % [mm]"
 
 
 # Files

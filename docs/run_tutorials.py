@@ -21,6 +21,7 @@ def run(path: Path) -> nbformat.NotebookNode:
             timeout=300,
             kernel_name="python3",
             record_timing=False,
+            coalesce_streams=True,
             resources={"metadata": {"path": folder}},
         )
         client.execute()

@@ -44,8 +44,14 @@ _SETTINGS: dict[Any, Any] = {
 @contextmanager
 def journal() -> Iterator[None]:
     """Set the style of figures made within."""
-    with mpl.rc_context(_SETTINGS):
+    # Only these are put back: a notebook's backend has settings of its own, made with its first
+    # figure, without which it shows no further ones.
+    before = {name: mpl.rcParams[name] for name in _SETTINGS}
+    mpl.rcParams.update(_SETTINGS)
+    try:
         yield
+    finally:
+        mpl.rcParams.update(before)
 
 
 def save(axes: Axes | Sequence[Axes], folder: Path, name: str) -> list[Path]:

@@ -8,17 +8,14 @@ from .contacts import contacts_figure
 from .coverage import coverage_figure
 from .design import expected_error_map
 from .events import reactions_along
-from .lines import contact_sequences, elastic_lines
 from .reactions import reactions_over_plane
 from .recording import recording_figure
 from .scene import scene
 from .style import journal, save, save_as
 
 __all__ = [
-    "contact_sequences",
     "contacts_figure",
     "coverage_figure",
-    "elastic_lines",
     "expected_error_map",
     "journal",
     "parameter_correlation",

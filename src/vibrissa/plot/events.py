@@ -8,7 +8,7 @@ from vibrissa.contacts import Status
 from vibrissa.forward import EventKind, Scan
 from vibrissa.plot.style import COLUMN, length_factor, length_label
 
-_MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
+MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
 
 
 def reactions_along(scan: Scan) -> list[Axes]:
@@ -37,7 +37,7 @@ def reactions_along(scan: Scan) -> list[Axes]:
         for event in scan.events:
             at, name = factor * event.clamp[0], event.kind.name.lower().replace("_", " ")
             value = np.interp(at, x[known][order], values[known][order])
-            marker = _MARKERS[event.kind]
+            marker = MARKERS[event.kind]
             axes.plot(at, value, marker, color="#c1121f", markersize=5, label=name, clip_on=False)
     panels[-1].set_xlabel(length_label("x_0", scan.rod))
     panels[-1].invert_xaxis()

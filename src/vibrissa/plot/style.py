@@ -21,8 +21,7 @@ COLUMN, PAGE = 3.5, 7.2
 """Widths of one and of two journal columns [inch]."""
 
 _SETTINGS: dict[Any, Any] = {
-    "font.family": "serif",
-    "font.serif": ["STIXGeneral", "DejaVu Serif"],
+    "font.family": ["STIXGeneral", "DejaVu Serif"],
     "mathtext.fontset": "stix",
     "font.size": 9,
     "axes.labelsize": 9,

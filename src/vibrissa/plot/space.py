@@ -263,11 +263,7 @@ def _half_axes(contacts: Contacts) -> Float[np.ndarray, "n 3 3"]:
 def dress(axes: Axes3D, rod: Rod) -> None:
     """Labels, equal aspect, and a quiet background."""
     extents = np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1)
-    for name, pad, extent in (
-        ("x", 2, extents[0]),
-        ("y", 2, extents[1]),
-        ("z", -2, 2 * extents[2]),
-    ):
+    for name, pad, extent in (("x", 2, extents[0]), ("y", 2, extents[1]), ("z", -2, 2 * extents[2])):
         getattr(axes, f"set_{name}label")(length_label(name, rod), labelpad=pad)
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(MaxNLocator(nbins=4 if extent > 0.7 * extents.max() else 2))

@@ -54,7 +54,7 @@ def oracle() -> Numbers:
         name: np.abs(values[at] - rows[columns].to_numpy()).max(axis=1)
         for name, (values, columns) in found.items()
     }
-    figure, axes = plt.subplots(figsize=(COLUMN, 2.6), layout="constrained")
+    _, axes = plt.subplots(figsize=(COLUMN, 2.6), layout="constrained")
     share = np.arange(1, len(rows) + 1) / len(rows)
     for style, (name, error) in zip(STYLES, errors.items(), strict=True):
         # What agrees to the last digit has no logarithm.
@@ -84,6 +84,7 @@ def engine() -> Numbers:
     """Differences from a chain of capsules in MuJoCo, by the length of its segments."""
     sys.path.insert(0, str(HERE.parent / "benchmarks"))
     import mujoco  # noqa: PLC0415
+
     from chains import (  # noqa: PLC0415
         CENTER,
         RADIUS,
@@ -108,7 +109,7 @@ def engine() -> Numbers:
     table = {name: np.array([row[name] for row in medians]) for name in medians[0]}
     table["point"] = table["point"] / (1e3 * ROD.length)
     names = {"force": "force", "moment": "moment", "point": "contact point / L"}
-    figure, axes = plt.subplots(figsize=(COLUMN, 2.6), layout="constrained")
+    _, axes = plt.subplots(figsize=(COLUMN, 2.6), layout="constrained")
     for marker, (name, values) in zip(MARKERS, table.items(), strict=False):
         axes.loglog(counts, values, marker + "-", markersize=4, label=names[name])
     guide = table["force"][0] * 1.8 * (counts[0] / counts) ** 2
@@ -188,7 +189,7 @@ def coverage() -> Numbers:
     repeats, nominal = 40, np.linspace(0, 1, 101)
     factor = np.sqrt(np.diag(TOLERANCES.covariance))
     cases = {sweep.name: sweep for sweep in sweeps() if sweep.name in ("ball", "capsule")}
-    figure, panels = plt.subplots(
+    _, panels = plt.subplots(
         1, 2, figsize=(0.75 * PAGE, 2.8), sharex=True, sharey=True, layout="constrained"
     )
     numbers: Numbers = {"coverage_sweeps": repeats * len(cases)}
@@ -223,8 +224,8 @@ def coverage() -> Numbers:
         axes.legend(loc="lower right")
     panels[0].set_ylabel("share of true points inside")
     save_as(list(panels), IMAGES / "coverage.png")
-    for name in shares:
-        mean, spread = _mean(shares[name])
+    for name, curves in shares.items():
+        mean, spread = _mean(curves)
         numbers[f"coverage_{name}"] = f"{100 * mean[95]:.0f}"
         numbers[f"coverage_{name}_error"] = f"{100 * spread[95]:.0f}"
     return numbers

@@ -97,9 +97,14 @@ def _names(enumeration: type[ContactKind] | type[EventKind]) -> str:
     return ", ".join(f"`{member.name}` {int(member)}" for member in enumeration)
 
 
+def _measured(name: str) -> dict[str, Any]:
+    numbers = json.loads((Path(__file__).parent / f"{name}.json").read_text(encoding="utf-8"))
+    return dict(numbers)
+
+
 def _accuracy() -> dict[str, str]:
     """What docs/make_accuracy.py measured."""
-    numbers = json.loads((Path(__file__).parent / "accuracy.json").read_text(encoding="utf-8"))
+    numbers = _measured("accuracy")
     head = ("recording", "contacts", "median, raw [mm]", "95 % of them below [mm]")
     head += ("inside 95 % ellipsoids [%]", "median, smoothed [mm]", "95 % below [mm]", "inside [%]")
     table = _table(head, [tuple(row) for row in numbers.pop("recordings")])
@@ -108,6 +113,7 @@ def _accuracy() -> dict[str, str]:
 
 myst_substitutions = {
     **_accuracy(),
+    **_measured("comparison"),
     "contact_kinds": _names(ContactKind),
     "event_kinds": _names(EventKind),
     "rooms_table": _rooms_table(),

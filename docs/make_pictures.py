@@ -39,6 +39,15 @@ def guide() -> Panels:
     return vb.plot.scene(vb.scan(vb.Rod.unit(), bowl, line), rods=24)
 
 
+def bowl() -> Panels:
+    """Contacts of eleven sweeps, from the reactions alone."""
+    rod, object_ = vb.Rod.unit(), vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
+    first, last = (1.2, -0.5, 0), (-1.2, -0.5, 0)
+    lines = vb.Trail.raster(start=first, stop=last, count=241, step=(0, 0.1, 0), trails=11)
+    found = vb.reconstruct(rod, vb.scan(rod, object_, lines).reactions)
+    return vb.plot.scene(found, surface=object_, rods=0)
+
+
 def contacts() -> Panels:
     """What `vibrissa reconstruct --figure` draws of the shipped recording."""
     return vb.plot.contacts_figure(_found())
@@ -283,7 +292,7 @@ def rooms() -> Panels:
 DRAWN: dict[str, Callable[[], Panels]] = {
     picture.__name__: picture
     for picture in (
-        *(guide, contacts, smoothed, inspection, expected, clocks),
+        *(guide, bowl, contacts, smoothed, inspection, expected, clocks),
         *(elastica, api, live, walk, rooms),
     )
 }

@@ -1,3 +1,4 @@
+from .animation import animation
 from .calibration import (
     parameter_correlation,
     residual_histogram,
@@ -14,6 +15,7 @@ from .scene import scene
 from .style import journal, save, save_as
 
 __all__ = [
+    "animation",
     "contacts_figure",
     "coverage_figure",
     "expected_error_map",

@@ -25,7 +25,7 @@ _ARROW = 0.15
 """Length of a drawn direction, and of the largest force of a recording, in rod lengths."""
 
 
-class _Shown(NamedTuple):
+class Shown(NamedTuple):
     """What a scene holds, in units of the rod."""
 
     path: Float[np.ndarray, "trail n 3"]
@@ -101,7 +101,25 @@ def scene(
     if isinstance(what, Scan | Surface):
         surface = surface or (what.surface if isinstance(what, Scan) else what)
     chosen = None if trails is None else list(trails)
-    shown = _shown(what, rod, chosen, rods, directions=directions)
+    shown = shown_of(what, rod, chosen, rods, directions=directions)
+    stage, around = staged(shown, rod, surface, box, view, axes)
+    draw_moving(stage, shown)
+    for arrows in shown.arrows:
+        stage.draw_arrows(arrows)
+    if events:
+        stage.draw_events(shown.events)
+    return stage.framed(around)
+
+
+def staged(
+    shown: Shown,
+    rod: Rod,
+    surface: Surface | None,
+    box: tuple[Sequence[float], Sequence[float]] | None,
+    view: tuple[float, float],
+    axes: Axes3D | None = None,
+) -> tuple[space.Stage, space.Points]:
+    """Axes with the object and the paths of the clamp, and points that they are to hold."""
     touched = shown.path[:0, 0]
     if shown.contacts is not None and len(shown.contacts):
         # Contacts that could be anywhere do not decide what is shown.
@@ -120,31 +138,38 @@ def scene(
     if surface is not None:
         around = np.vstack([around, stage.draw_object(outline(surface, *edges))])
     stage.draw_paths(shown.path)
+    return stage, around
+
+
+def draw_moving(stage: space.Stage, shown: Shown) -> None:
+    """Contacts and rods."""
     if shown.contacts is not None:
         stage.draw_contacts(shown.contacts)
     stage.draw_rods(shown.rods)
-    for arrows in shown.arrows:
-        stage.draw_arrows(arrows)
-    if events:
-        stage.draw_events(shown.events)
-    return stage.framed(around)
 
 
-def _shown(
+def shown_of(
     what: Scan | Reconstruction | Reactions | Contacts | Surface,
     rod: Rod,
     trails: list[int] | None,
     rods: int,
     *,
     directions: bool,
-) -> _Shown:
+) -> Shown:
+    """What a scene holds of a result.
+
+    Raises
+    ------
+    ValueError
+        If that is nothing.
+    """
     if isinstance(what, Surface):
-        return _Shown(np.zeros((0, 1, 3)))
+        return Shown(np.zeros((0, 1, 3)))
     if isinstance(what, Contacts):
-        contacts = _known(what, np.ones(what.point.shape[:-1], dtype=bool))
+        contacts = known(what, np.ones(what.point.shape[:-1], dtype=bool))
         every = max(1, len(contacts.point) // max(rods, 1))
         arrows = _directions(contacts[::every], rod) if directions else ()
-        return _Shown(np.zeros((0, 1, 3)), contacts, arrows=arrows)
+        return Shown(np.zeros((0, 1, 3)), contacts, arrows=arrows)
     trail = what.trail if isinstance(what, Scan | Reactions) else what.reactions.trail
     chosen = np.zeros(trail.shape, dtype=bool)
     chosen[slice(None) if trails is None or chosen.ndim == 1 else trails] = True
@@ -161,8 +186,8 @@ def _shown(
         forces = -_ARROW * rod.length * what.force[drawn] / largest
         name = f"force on the clamp, up to {largest:.3g} {'N' if rod.units == 'SI' else 'EI/L²'}"
         pushes = space.Arrows(trail.position[drawn], forces, space.FORCE, name)
-        return _Shown(path, rods=straight, arrows=(pushes,))
-    contacts = _known(what.contacts, chosen & what.in_contact)
+        return Shown(path, rods=straight, arrows=(pushes,))
+    contacts = known(what.contacts, chosen & what.in_contact)
     drawn &= np.isfinite(what.energy)
     if isinstance(what, Reconstruction):
         drawn &= what.in_contact & np.isfinite(what.point).all(axis=-1)
@@ -173,10 +198,11 @@ def _shown(
     arrows = _directions(what.contacts[drawn & what.in_contact], rod) if directions else ()
     listed = tuple(what.events) if isinstance(what, Scan) else ()
     kept = tuple(event for event in listed if trails is None or event.trail in trails)
-    return _Shown(path, contacts, _lines(what, drawn), arrows, kept)
+    return Shown(path, contacts, lines(what, drawn), arrows, kept)
 
 
-def _known(contacts: Contacts, rows: Bool[np.ndarray, "*rows"]) -> Contacts:
+def known(contacts: Contacts, rows: Bool[np.ndarray, "*rows"]) -> Contacts:
+    """Some contacts, as far as their point is known, in one row each."""
     return contacts[rows & np.isfinite(contacts.point).all(axis=-1)]
 
 
@@ -192,7 +218,7 @@ def _directions(contacts: Contacts, rod: Rod) -> tuple[space.Arrows, ...]:
     )
 
 
-def _lines(what: Scan | Reconstruction, rows: Bool[np.ndarray, "*trail n"]) -> space.Segments:
+def lines(what: Scan | Reconstruction, rows: Bool[np.ndarray, "*trail n"]) -> space.Segments:
     """Elastic lines at some rows."""
     s = np.linspace(0, what.rod.length, _SAMPLES)[:-1]
     ends, colours = [np.zeros((0, 2, 3))], [np.zeros(0, dtype="U7")]

@@ -36,10 +36,11 @@ Points = Float[np.ndarray, "n 3"]
 
 
 class Segments(NamedTuple):
-    """Straight pieces: their ends (n, 2, 3), and the colour of each (n,)."""
+    """Straight pieces: their ends (n, 2, 3), the colour of each (n,), and their width [pt]."""
 
     ends: Float[np.ndarray, "n 2 3"]
     colours: Any
+    width: float = 0.7
 
 
 class Arrows(NamedTuple):
@@ -138,7 +139,7 @@ class Stage:
         seen = self.sees(rods.ends.mean(axis=1))
         for part, alpha, layer in ((~seen, _HIDDEN, 2), (seen, 1.0, 3)):
             if part.any():
-                style = {"linewidths": 0.7, "alpha": alpha, "capstyle": "round"}
+                style = {"linewidths": rods.width, "alpha": alpha, "capstyle": "round"}
                 self._strokes(rods.ends[part], rods.colours[part], layer, **style)
         for colour, name in ((STRAIGHT, "straight part"), (FREE, "unbent rod")):
             if np.any(rods.colours == colour):
@@ -263,7 +264,11 @@ def _half_axes(contacts: Contacts) -> Float[np.ndarray, "n 3 3"]:
 def dress(axes: Axes3D, rod: Rod) -> None:
     """Labels, equal aspect, and a quiet background."""
     extents = np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1)
-    for name, pad, extent in (("x", 2, extents[0]), ("y", 2, extents[1]), ("z", -2, 2 * extents[2])):
+    for name, pad, extent in (
+        ("x", 2, extents[0]),
+        ("y", 2, extents[1]),
+        ("z", -2, 2 * extents[2]),
+    ):
         getattr(axes, f"set_{name}label")(length_label(name, rod), labelpad=pad)
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(MaxNLocator(nbins=4 if extent > 0.7 * extents.max() else 2))

@@ -113,7 +113,7 @@ def _figures(
             found, surface=case.SURFACE, trails=others, rods=0, view=(8, -60)
         ),
         "plane_case": lambda: plot.reactions_along(plane),
-        "coverage": lambda: plot.coverage_figure(case.region(), covered),
+        "coverage": lambda: plot.coverage_figure(case.region(), covered, within=COVERED_WITHIN),
     }
     files = []
     for name, draw in drawings.items():

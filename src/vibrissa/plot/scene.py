@@ -222,11 +222,11 @@ def lines(what: Scan | Reconstruction, rows: Bool[np.ndarray, "*trail n"]) -> sp
     """Elastic lines at some rows."""
     s = np.linspace(0, what.rod.length, _SAMPLES)[:-1]
     ends, colours = [np.zeros((0, 2, 3))], [np.zeros(0, dtype="U7")]
-    for at in zip(*np.nonzero(rows), strict=True):
-        line = what.elastic_line(at if len(at) > 1 else at[0], _SAMPLES)
-        bent = s < np.nan_to_num(what.arc_length[at])
-        rest = _STRAIGHT if what.in_contact[at] else _FREE
+    for at in np.argwhere(rows).tolist():
+        line = what.elastic_line((at[0], at[1]) if len(at) > 1 else at[0], _SAMPLES)
+        bent = s < np.nan_to_num(what.arc_length[*at])
+        rest = _STRAIGHT if what.in_contact[*at] else _FREE
         ends.append(np.stack([line[:-1], line[1:]], axis=1))
-        colour = KIND_COLOURS.get(ContactKind(int(what.kind[at])), rest)
+        colour = KIND_COLOURS.get(ContactKind(int(what.kind[*at])), rest)
         colours.append(np.where(bent, colour, rest))
     return space.Segments(np.concatenate(ends), np.concatenate(colours))

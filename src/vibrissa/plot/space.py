@@ -231,9 +231,12 @@ class Stage:
     def _strokes(
         self, ends: Float[np.ndarray, "n 2 3"], colours: Any, layer: float, **style: Any
     ) -> None:
-        style = {"clip_on": False, **style}
-        strokes = length_factor(self.rod) * ends
-        self.axes.add_collection3d(Line3DCollection(strokes, colors=colours, zorder=layer, **style))
+        if len(ends):  # else matplotlib finds no limits
+            style = {"clip_on": False, **style}
+            strokes = Line3DCollection(
+                length_factor(self.rod) * ends, colors=colours, zorder=layer, **style
+            )
+            self.axes.add_collection3d(strokes)
 
     def _points(self, points: Points, **style: Any) -> None:
         style = {"linestyle": "none", "zorder": 4, **style}

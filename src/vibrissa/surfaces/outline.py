@@ -69,18 +69,26 @@ def box_of(
     lies within an eighth of `reach` of them.
     """
     near_low, near_high = points.min(axis=0), points.max(axis=0)
-    low, high = near_low - reach, near_high + reach
+    searched = near_low - reach, near_high + reach
+    low, high = _extent(surface, *searched)
+    low = np.where(low > searched[0], low, near_low - reach / 8)
+    return low, np.where(high < searched[1], high, near_high + reach / 8)
+
+
+def _extent(surface: Surface, low: Vector, high: Vector) -> tuple[Vector, Vector]:
+    """Least and largest coordinates of an object, or of the box where it reaches beyond that."""
+    own = _own_faces(surface)
+    if own is not None:
+        return np.maximum(own.bounds[0], low), np.minimum(own.bounds[1], high)
     inside = surface.levels(_grid(low, high, np.full(3, _COARSE))) <= 0
-    cell = (high - low) / (_COARSE - 1)
+    ticks, sides = np.linspace(low, high, _COARSE), np.array([low, high])
     for axis in range(3):
-        other = tuple(k for k in range(3) if k != axis)
-        filled = np.flatnonzero(inside.any(axis=other))
-        first, last = (filled[0], filled[-1]) if len(filled) else (0, _COARSE - 1)
-        near = near_low[axis] - reach / 8, near_high[axis] + reach / 8
-        begin, end = low[axis], low[axis]
-        low[axis] = begin + (first - 1) * cell[axis] if first > 0 else near[0]
-        high[axis] = end + (last + 1) * cell[axis] if last < _COARSE - 1 else near[1]
-    return low, high
+        filled = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
+        if len(filled):
+            # The surface lies between the last point inside and the next one.
+            ends = [max(filled[0] - 1, 0), min(filled[-1] + 1, _COARSE - 1)]
+            sides[:, axis] = ticks[ends, axis]
+    return sides[0], sides[1]
 
 
 def _grid(low: Vector, high: Vector, counts: Int[np.ndarray, "3"]) -> Float[np.ndarray, "i j k 3"]:

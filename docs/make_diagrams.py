@@ -142,7 +142,7 @@ def _chart(
         )
     places = np.array([(box.x, box.y) for box in boxes.values()])
     low, high = places.min(axis=0), places.max(axis=0)
-    axes.set(xlim=(low[0] - 0.6, high[0] + 0.6), ylim=(low[1] - 0.5, high[1] + 0.5))
+    axes.set(xlim=(low[0] - 0.8, high[0] + 0.8), ylim=(low[1] - 0.5, high[1] + 0.5))
     axes.axis("off")
     return axes
 

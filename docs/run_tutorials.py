@@ -13,7 +13,7 @@ from nbclient import NotebookClient
 from PIL import Image
 
 TUTORIALS = Path(__file__).parent / "tutorials"
-COLOURS = 128  # a quarter of the bytes, and no difference that the eye can see
+COLOURS = 256  # a third of the bytes, and no difference that the eye can see
 
 
 def run(path: Path) -> nbformat.NotebookNode:
@@ -41,7 +41,8 @@ def pictures(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
 def _small(png: str) -> str:
     buffer = BytesIO()
     picture = Image.open(BytesIO(b64decode(png))).convert("RGB")
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+    few = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(buffer, "PNG", optimize=True)
     return b64encode(buffer.getvalue()).decode()
 
 

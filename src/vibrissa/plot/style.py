@@ -35,8 +35,7 @@ _METADATA: dict[str, dict[str, None]] = {
 _MOST_STATUSES = 3
 
 _SETTINGS: dict[Any, Any] = {
-    "font.family": "serif",
-    "font.serif": ["STIXGeneral", "DejaVu Serif"],
+    "font.family": ["STIXGeneral", "DejaVu Serif"],
     "mathtext.fontset": "stix",
     "font.size": 10,
     "axes.labelsize": 10,
@@ -58,8 +57,14 @@ _SETTINGS: dict[Any, Any] = {
 @contextmanager
 def journal() -> Iterator[None]:
     """Set the style of figures made within."""
-    with mpl.rc_context(_SETTINGS):
+    # Only these are put back: a notebook's backend has settings of its own, made with its first
+    # figure, without which it shows no further ones.
+    before = {name: mpl.rcParams[name] for name in _SETTINGS}
+    mpl.rcParams.update(_SETTINGS)
+    try:
         yield
+    finally:
+        mpl.rcParams.update(before)
 
 
 def save(axes: Axes | Sequence[Axes], folder: str | Path, name: str) -> list[Path]:

@@ -19,6 +19,7 @@ from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
 from vibrissa.cli.simulate_sensor import simulate_sensor
+from vibrissa.cli.view import view
 
 app = typer.Typer(
     name="vibrissa",
@@ -33,6 +34,7 @@ for command in (
     demo,
     scan,
     reconstruct,
+    view,
     inspect,
     convert,
     calibrate,

@@ -11,7 +11,8 @@ from matplotlib.ticker import LogLocator
 
 from vibrissa.contacts import Status
 from vibrissa.design import ExpectedError
-from vibrissa.plot.style import PAGE, length_factor, length_label, status_words
+from vibrissa.drawing import length_factor
+from vibrissa.plot.style import PAGE, length_label, status_words
 
 _UNDETECTED, _MARKED = "0.8", "black"
 # Letters in a line of the legend.

@@ -13,8 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from vibrissa.contacts import Status
+from vibrissa.drawing import length_factor
 from vibrissa.forward import Scan
-from vibrissa.plot.style import PAGE, length_factor, length_label, no_contact, status_words
+from vibrissa.plot.style import PAGE, length_label, no_contact, status_words
 from vibrissa.rod import Rod
 
 # Symbols, SI units with their factors, and the model's units.

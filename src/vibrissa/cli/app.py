@@ -12,6 +12,7 @@ import vibrissa as vb
 from vibrissa.cli.calibrate import calibrate
 from vibrissa.cli.common import contradictions
 from vibrissa.cli.demo import demo
+from vibrissa.cli.example import example
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
@@ -27,7 +28,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, scan, reconstruct, inspect, live, simulate_sensor, calibrate):
+for command in (demo, example, scan, reconstruct, inspect, live, simulate_sensor, calibrate):
     app.command(command.__name__.replace("_", "-"))(command)
 
 

@@ -1,9 +1,11 @@
 """Contacts to CSV, PLY and NetCDF, and back by other readers."""
 
+import base64
 import csv
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -211,6 +213,88 @@ def test_contacts_of_a_scan_are_read(tmp_path: Path, suffix: str) -> None:
         np.testing.assert_array_equal(got.force_direction, scan.force_direction)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "digits"), [(".vtp", 0.0), (".pcd", 2.0**-23), (".mcap", 2.0**-23)]
+)
+def test_clouds_for_other_programs_are_read(
+    found: vb.Reconstruction, tmp_path: Path, suffix: str, digits: float
+) -> None:
+    """Contacts alone, to the digits of the format; MCAP holds deviations in place of covariances."""
+    got = vb.read_contacts(vb.write_contacts(tmp_path / f"contacts{suffix}", found))
+    rows = found.in_contact
+    for name in ("point", "normal", "arc_length"):
+        np.testing.assert_allclose(getattr(got, name), getattr(found, name)[rows], rtol=digits)
+    for name in ("kind", "status"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(found, name)[rows])
+    np.testing.assert_allclose(got.time, found.reactions.time[rows], atol=1e-9)
+    if found.covariance is None or suffix == ".mcap":
+        assert got.covariance is None
+    else:
+        scale = np.abs(found.covariance[rows]).max()
+        np.testing.assert_allclose(
+            got.covariance, found.covariance[rows], rtol=digits, atol=1e-15 * scale
+        )
+
+
+@pytest.mark.parametrize("suffix", [".vtp", ".pcd", ".mcap"])
+def test_clouds_without_a_point_or_a_time(tmp_path: Path, suffix: str) -> None:
+    trail, zero = vb.Trail(np.zeros((3, 3))), np.zeros((3, 3))
+    found = vb.reconstruct(ROD, vb.Reactions(trail, zero, zero))
+    got = vb.read_contacts(vb.write_contacts(tmp_path / f"contacts{suffix}", found))
+    assert got.point.shape == (0, 3)
+    untimed = replace(reactions(noise=True), time=None)
+    some = vb.read_contacts(
+        vb.write_contacts(tmp_path / f"some{suffix}", vb.reconstruct(ROD, untimed))
+    )
+    assert some.time is None
+    assert len(some) > 5
+
+
+def test_a_vtp_by_its_specification(found: vb.Reconstruction, tmp_path: Path) -> None:
+    """Each array is base64 of its number of bytes, in 64 bits, and its values; a vertex a point."""
+    root = ElementTree.parse(vb.write_contacts(tmp_path / "contacts.vtp", found)).getroot()
+    assert (root.get("type"), root.get("header_type")) == ("PolyData", "UInt64")
+    piece = root.find("PolyData/Piece")
+    count = np.count_nonzero(found.in_contact)
+    assert piece.get("NumberOfPoints") == piece.get("NumberOfVerts") == str(count)
+    kinds = {"Float64": "<f8", "UInt8": "u1", "Int64": "<i8"}
+    arrays = {}
+    for array in root.iter("DataArray"):
+        content = base64.b64decode(array.text)
+        assert int.from_bytes(content[:8], "little") == len(content) - 8
+        arrays[array.get("Name")] = np.frombuffer(content[8:], kinds[array.get("type")])
+    np.testing.assert_array_equal(arrays["Points"].reshape(-1, 3), found.point[found.in_contact])
+    np.testing.assert_array_equal(arrays["connectivity"], np.arange(count))
+    np.testing.assert_array_equal(arrays["offsets"], 1 + np.arange(count))
+    if found.covariance is not None:
+        np.testing.assert_allclose(
+            arrays["covariance"].reshape(-1, 3, 3), found.covariance[found.in_contact], rtol=1e-12
+        )
+
+
+def test_a_pcd_by_its_specification(found: vb.Reconstruction, tmp_path: Path) -> None:
+    """A header of lines, then rows of bytes; places and normals are what PCL's points hold."""
+    content = vb.write_contacts(tmp_path / "contacts.pcd", found).read_bytes()
+    text, _, data = content.partition(b"DATA binary\n")
+    header = dict(line.split(" ", 1) for line in text.decode().splitlines() if line[0] != "#")
+    names, sizes, types = (header[name].split() for name in ("FIELDS", "SIZE", "TYPE"))
+    assert names[:6] == ["x", "y", "z", "normal_x", "normal_y", "normal_z"]
+    kind = np.dtype(
+        [
+            (name, f"{'f' if of == 'F' else 'u'}{size}")
+            for name, of, size in zip(names, types, sizes, strict=True)
+        ]
+    )
+    assert kind["x"] == kind["normal_z"] == np.float32
+    points = np.frombuffer(data, kind)
+    assert header["POINTS"] == str(len(points))
+    np.testing.assert_array_equal(
+        np.stack([points[axis] for axis in "xyz"], axis=1),
+        found.point[found.in_contact].astype(np.float32),
+    )
+    assert ("standard_deviation" in names) == (found.covariance is not None)
+
+
 def test_no_contact_and_no_time_is_read(tmp_path: Path) -> None:
     trail, zero = vb.Trail(np.zeros((3, 3))), np.zeros((3, 3))
     found = vb.reconstruct(ROD, vb.Reactions(trail, zero, zero))
@@ -230,6 +314,10 @@ DAMAGE = {
     "cut ply": (".ply", lambda content: content[:-5], "damaged"),
     "no ply": (".ply", lambda _: b"x,y,z\n1,2,3\n", "damaged"),
     "another cloud": (".ply", lambda content: content.replace(b" nx", b" qx", 1), "nx: missing"),
+    "cut vtp": (".vtp", lambda content: content[:-40], "damaged"),
+    "another vtp": (".vtp", lambda content: content.replace(b"binary", b"ascii"), "write_contacts"),
+    "cut pcd": (".pcd", lambda content: content[:-5], "damaged"),
+    "cut mcap": (".mcap", lambda content: content[: len(content) // 2], "damaged"),
     "cut nc": (".nc", lambda content: content[: len(content) // 2], "damaged"),
     "another dataset": (".nc", None, "arc_length, contact_point, kind, normal, status: missing"),
 }  # fmt: skip
@@ -268,7 +356,7 @@ def test_columns_of_others_are_ignored_and_large_numbers_read(
 
 def test_contacts_that_are_not_there(tmp_path: Path) -> None:
     assert "cannot be read" in refusal(lambda: vb.read_contacts(tmp_path / "none.csv"))
-    assert "suffix '.txt'; allowed are .ply, .csv, .nc, .parquet" in refusal(
+    assert "suffix '.txt'; allowed are .ply, .csv, .nc, .parquet, .vtp, .pcd, .mcap" in refusal(
         lambda: vb.read_contacts(tmp_path / "none.txt")
     )
 

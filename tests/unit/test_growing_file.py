@@ -14,8 +14,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 
 from vibrissa.io import InputError
+from vibrissa.io.disk import FileDisk
 from vibrissa.io.rosbag import growing, mend
-from vibrissa.io.rosbag.disk import FileDisk
 from vibrissa.io.rosbag.growing import PAGE, Channel, GrowingFile, Messages
 
 CHANNELS = [

@@ -11,8 +11,10 @@ import typer
 import vibrissa as vb
 from vibrissa.cli.calibrate import calibrate
 from vibrissa.cli.common import contradictions
+from vibrissa.cli.convert import convert
 from vibrissa.cli.demo import demo
 from vibrissa.cli.example import example
+from vibrissa.cli.expect import expect
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
@@ -28,7 +30,18 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (demo, example, scan, reconstruct, inspect, live, simulate_sensor, calibrate):
+for command in (
+    demo,
+    example,
+    scan,
+    reconstruct,
+    inspect,
+    convert,
+    calibrate,
+    expect,
+    live,
+    simulate_sensor,
+):
     app.command(command.__name__.replace("_", "-"))(command)
 
 

@@ -103,7 +103,12 @@ def calibrate(
             write_summary(report, found)
             for name in _FIGURES:
                 common.draw(report / f"{name}.png", partial(getattr(vb.plot, name), found))
-    common.show(summary(found), lambda _: _text(found), as_json=as_json)
+    files = [path for path in (output, report) if path is not None]
+    last = (
+        f"{len(found.estimates)} parameters from {len(recordings)} recordings, residuals "
+        f"{found.fitness.reduced_chi_square**0.5:.2f} times the noise" + common.into(*files)
+    )
+    common.show(summary(found), lambda _: f"{_text(found)}\n{last}", as_json=as_json)
 
 
 def _priors(texts: list[str]) -> dict[str, float]:

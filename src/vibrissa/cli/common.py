@@ -116,6 +116,47 @@ def status_lines(status: dict[str, int]) -> list[str]:
     ]
 
 
+def into(*files: object) -> str:
+    """The end of a command's last line: what it wrote."""
+    return " → " + ", ".join(map(str, files)) if files else ""
+
+
+def warn(line: str) -> None:
+    """Print a warning on stderr."""
+    typer.echo(f"warning: {line}", err=True)
+
+
+def contacts_line(count: int, sound: int, deviation: float | None = None, unit: str = "mm") -> str:
+    """How many contacts, how many of them sound, and how well they are known in the median."""
+    spread = "" if deviation is None else f", median ±{deviation:.2g} {unit}"
+    return f"{count} contacts, {sound} sound{spread}"
+
+
+def doubt(count: int, sound: int, status: dict[str, int], causes: list[str], without: str) -> None:
+    """Warn if there is no contact, or if most are not sound, and name the likeliest cause.
+
+    Parameters
+    ----------
+    count, sound
+        Contacts, and those whose status is OK.
+    status
+        Contacts by name of their status.
+    causes
+        What contradicts the setup, likeliest first.
+    without
+        The likeliest cause of there being no contact, if nothing contradicts the setup.
+    """
+    if count and 2 * sound >= count:
+        return
+    bad = {name: number for name, number in status.items() if name != "OK"}
+    usual = vb.Status[max(bad, key=lambda name: bad[name])].text if bad else ""
+    likely = causes[0] if causes else usual if count else without
+    found = (
+        f"{count - sound} of {count} contacts are not sound" if count else "no contact was found"
+    )
+    warn(f"{found}; likeliest cause: {likely}")
+
+
 def show(summary: dict[str, Any], text: Callable[[dict[str, Any]], str], *, as_json: bool) -> None:
     """Print a summary."""
     typer.echo(json.dumps(summary, indent=1) if as_json else text(summary))

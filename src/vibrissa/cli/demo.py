@@ -56,4 +56,8 @@ def _print(result: Demo, folder: Path) -> None:
     common.table_console().print(table)
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result.coverage.items())
     typer.echo(f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}")
-    typer.echo(f"{len(result.files)} files in {folder}")
+    held = sum(part.holds for part in result.statements)
+    typer.echo(
+        f"{held} of {len(result.statements)} statements hold, {len(result.files)} files"
+        + common.into(folder)
+    )

@@ -48,6 +48,12 @@ def inspect(
         common.show(summary, str, as_json=True)
     else:
         _print(found, summary)
+        counts = summary["counts"]
+        what = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "no faults"
+        typer.echo(
+            f"{summary['rows']} rows, {summary['usable_rows']} usable, {what}"
+            + common.into(*([] if figure is None else [figure]))
+        )
     if found.unusable:
         raise typer.Exit(1)
 
@@ -108,7 +114,6 @@ def _print(found: Inspection, summary: dict[str, Any]) -> None:
         table.add_row(f"{channel} [{unit}]", *cells, end_section=number == 2)
     console.print(table)
     if not found.faults:
-        typer.echo("no faults found")
         return
     table = Table("finding", "channels")
     for name in ("from [s]", "to [s]", "count"):

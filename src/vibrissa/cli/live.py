@@ -111,7 +111,14 @@ def live(
             stop=stop,
             notice=say,
         )
-    text = json.dumps(asdict(report), indent=1) if as_json else _text(report)
+    count, sound = sum(report.statuses.values()), report.statuses.get("OK", 0)
+    causes = [*common.contradictions, *report.warnings]
+    common.doubt(
+        count, sound, report.statuses, causes, "the loads never exceed the noise, or the rod was "
+        "not free during the tare",
+    )  # fmt: skip
+    last = common.contacts_line(count, sound) + common.into(*filter(None, (p for _, p in targets)))
+    text = json.dumps(asdict(report), indent=1) if as_json else f"{_text(report)}\n{last}"
     typer.echo(text, err=not as_json or None in places)
     if report.silent:
         raise typer.Exit(1)

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Steps:
-    """Called with the name of a step as it begins; `share` reports how much of it is done, from 0
-    to 1.
-    """
+    """Called with the name of a step as it begins; `count` tells how many of them are done."""
 
     begin: Callable[[str], None]
-    share: Callable[[float], None]
+    count: Callable[[int, int], None]
 
     def __call__(self, step: str) -> None:
         """Begin a step."""
@@ -26,19 +24,27 @@ def reporting() -> Iterator[Steps]:
 
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
-        yield Steps(lambda step: console.print(step, soft_wrap=True, markup=False), lambda _: None)
+        yield Steps(lambda step: console.print(step, soft_wrap=True, markup=False), lambda *_: None)
         return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415
+    from rich.progress import (  # noqa: PLC0415
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=30),
         TimeElapsedColumn(),
+        TimeRemainingColumn(compact=True),
     )
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=None)
         yield Steps(
             lambda step: bar.reset(task, description=step, total=None),
-            lambda done: bar.update(task, completed=done, total=1.0),
+            lambda done, total: bar.update(task, completed=done, total=total),
         )

@@ -31,7 +31,8 @@ def reconstruct(
         typer.Option(
             "--output",
             "-o",
-            help="Contacts to write: .ply, .csv or .nc; repeatable.",
+            help="Contacts to write: .ply, .csv, .nc, .parquet, .vtp (ParaView), .pcd (PCL) or "
+            ".mcap; repeatable.",
             callback=common.written(),
         ),
     ] = None,
@@ -64,15 +65,51 @@ def reconstruct(
         estimated = _estimated(found) if find_friction else {}
         if smooth:
             report("smoothing")
-            found = vb.smooth(found, progress=lambda done, count: report.share(done / count))
+            found = vb.smooth(found, progress=report.count)
         for path in output or []:
             report(f"writing {path}")
-            vb.write_contacts(path, found, progress=report.share)
+            vb.write_contacts(path, found, progress=report.count)
         if figure is not None:
             report(f"drawing {figure}")
             common.draw(figure, lambda: vb.plot.contacts_figure(found))
     warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
-    common.show(_summary(found) | estimated | {"warnings": warnings}, _text, as_json=as_json)
+    summary = _summary(found) | estimated | {"warnings": warnings}
+    _doubt(found, warnings)
+    files = [*(output or []), *([] if figure is None else [figure])]
+    last = _last_line(found) + common.into(*files)
+    common.show(summary, lambda said: f"{_text(said)}\n{last}", as_json=as_json)
+
+
+def _doubt(found: vb.Reconstruction, warnings: list[str]) -> None:
+    """Warn if most contacts are bad or there is none: units, sign and clamp come first, then what
+    the contacts say about the setup.
+    """
+    contact = found.in_contact
+    sound = contact & (found.status == vb.Status.OK)
+    causes = list(dict.fromkeys([*found.reactions.misread, *warnings]))
+    common.doubt(
+        int(contact.sum()),
+        int(sound.sum()),
+        common.counted(found.status[contact], vb.Status),
+        causes,
+        "the loads never exceed the noise: the rod missed the object, the tare was taken in "
+        "contact, or force_noise and torque_noise are too large",
+    )
+
+
+def _last_line(found: vb.Reconstruction) -> str:
+    import numpy as np  # noqa: PLC0415
+
+    contact = found.in_contact
+    sound = contact & (found.status == vb.Status.OK)
+    deviation = None
+    factor, unit = (1e3, "mm") if found.rod.units == "SI" else (1.0, "L")
+    if found.covariance is not None and contact.any():
+        # Of the contacts that can be trusted, if there are any.
+        rows = sound if sound.any() else contact
+        spread = np.sqrt(np.trace(found.covariance[rows], axis1=-2, axis2=-1))
+        deviation = factor * float(np.median(spread))
+    return common.contacts_line(int(contact.sum()), int(sound.sum()), deviation, unit)
 
 
 def _summary(found: vb.Reconstruction) -> dict[str, Any]:

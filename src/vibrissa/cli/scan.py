@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,8 @@ import typer
 import vibrissa as vb
 from vibrissa.cli import common
 from vibrissa.cli.progress import reporting
+
+_SHOWN = 6
 
 
 def scan(
@@ -53,7 +56,15 @@ def scan(
             several = result.kind.ndim == 2
             along = vb.plot.reactions_over_plane if several else vb.plot.reactions_along
             common.draw(figure, lambda: along(result))
-    common.show(_summary(result, speed), lambda said: _text(result, said), as_json=as_json)
+    contact = result.in_contact
+    sound = contact & (result.status == vb.Status.OK)
+    found = int(contact.sum()), int(sound.sum())
+    common.doubt(*found, common.counted(result.status[contact], vb.Status), [], _missed(loaded))
+    files = [path for path in (output, figure) if path is not None]
+    last = common.contacts_line(*found) + common.into(*files)
+    common.show(
+        _summary(result, speed), lambda said: f"{_text(result, said)}\n{last}", as_json=as_json
+    )
     if not result.solved.any():
         raise typer.Exit(1)
 
@@ -69,6 +80,19 @@ def _check_start(case: Path, loaded: vb.Case) -> None:
                 f"{case}: trail[{lane}] starts at {starts[lane].tolist()}, where the rod is "
                 "clamped inside the object; allowed is outside"
             )
+
+
+def _missed(loaded: vb.Case) -> str:
+    """Why the rod may have touched nothing: its length against its distance from the object."""
+    unit = loaded.rod.unit_of("length").replace("1", "L")
+    nearest = float(loaded.surface.distances(loaded.trail.position.reshape(-1, 3)).min())
+    text = f"the clamp comes no closer than {nearest:.3g} {unit} to the object"
+    if nearest > loaded.rod.length:
+        return (
+            f"{text}, and the rod is {loaded.rod.length:.3g} {unit} long: is a length or a place "
+            "in millimetres?"
+        )
+    return f"{text}, which the rod could reach: check the trail's axis and where it runs"
 
 
 def _summary(result: vb.Scan, speed: float | None) -> dict[str, Any]:
@@ -98,6 +122,21 @@ def _summary(result: vb.Scan, speed: float | None) -> dict[str, Any]:
     return summary
 
 
+def _event_lines(result: vb.Scan) -> list[str]:
+    """Events by kind, and the first few one by one."""
+    kinds = Counter(event.kind.name for event in result.events)
+    lines = [f"{len(result.events)} events: {common.listed(kinds)}"] if kinds else []
+    for event in result.events[:_SHOWN]:
+        place = ", ".join(f"{value:.9g}" for value in event.clamp)
+        lines.append(
+            f"trail {event.trail}: {event.kind.name} at {event.parameter:.9f} of it, "
+            f"clamp ({place})"
+        )
+    if len(result.events) > _SHOWN:
+        lines.append(f"and {len(result.events) - _SHOWN} more events: --json lists all")
+    return lines
+
+
 def _text(result: vb.Scan, summary: dict[str, Any]) -> str:
     lines = [f"{summary['positions']} positions: {common.listed(summary['kinds'])}"]
     if result.friction > 0:
@@ -107,12 +146,7 @@ def _text(result: vb.Scan, summary: dict[str, Any]) -> str:
         unit = result.rod.unit_of("force").replace("1", "EI/L²")
         lines.append(f"largest support force {summary['largest_force']:.6g} {unit}")
     lines += common.status_lines(summary["status"])
-    for event in result.events:
-        place = ", ".join(f"{value:.9g}" for value in event.clamp)
-        lines.append(
-            f"trail {event.trail}: {event.kind.name} at {event.parameter:.9f} of it, "
-            f"clamp ({place})"
-        )
+    lines += _event_lines(result)
     validity = summary.get("quasi_static")
     if validity:
         verdict = "holds" if validity["holds"] else "does not hold"

@@ -6,6 +6,7 @@ from vibrissa.io.calibration import write_calibration
 from vibrissa.io.case import Case, load_case
 from vibrissa.io.contacts import read_contacts, write_contacts, write_dataset
 from vibrissa.io.recordings.align import Recording
+from vibrissa.io.recordings.convert import convert_recording
 from vibrissa.io.recordings.read import inspect_recording, read_raw, read_recording
 from vibrissa.io.recordings.write import write_recording
 from vibrissa.io.setup import Setup, load_setup
@@ -16,6 +17,7 @@ __all__ = [
     "Recording",
     "RecordingWarning",
     "Setup",
+    "convert_recording",
     "inspect_recording",
     "load_case",
     "load_setup",

@@ -182,7 +182,7 @@ def write_calibration(
     _set_numbers(document, calibration)
     folders = Path(setup).parent.resolve(), file.parent.resolve()
     if folders[0] != folders[1]:
-        _set_files(document, *folders)
+        set_files(document, *folders)
     found = summary(calibration) | {
         "format": FORMAT,
         "vibrissa": __version__,
@@ -234,11 +234,11 @@ def _change(table: MutableMapping[str, Any], **values: Any) -> None:
             table[name] = np.asarray(value).tolist()
 
 
-def _set_files(value: Any, old: Path, new: Path) -> None:
+def set_files(value: Any, old: Path, new: Path) -> None:
     """Adapt paths of meshes and motions: they are relative to the TOML file that names them."""
     table = dict(enumerate(value)) if isinstance(value, list) else value
     for key, part in dict(table if isinstance(table, MutableMapping) else {}).items():
         if key not in {"file", "path"}:
-            _set_files(part, old, new)
+            set_files(part, old, new)
         elif not Path(part).is_absolute():
             value[key] = Path(os.path.relpath(old / part, new)).as_posix()

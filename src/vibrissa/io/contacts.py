@@ -1,4 +1,4 @@
-"""Write contacts to PLY, CSV, Parquet or NetCDF and read them back, by the file's suffix."""
+"""Write contacts to files and read them back, in the format that the suffix says."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -21,16 +21,22 @@ from vibrissa.files import (
 )
 from vibrissa.forward.result import Scan
 from vibrissa.inverse import Reconstruction
+from vibrissa.io.clouds import (
+    COVARIANCE,
+    MATRIX,
+    PLACE,
+    read_pcd,
+    read_vtp,
+    write_pcd,
+    write_vtp,
+)
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-SUFFIXES = (".ply", ".csv", ".nc", ".parquet")
-PLACE = ("x", "y", "z", "nx", "ny", "nz", "arc_length")
+SUFFIXES = (".ply", ".csv", ".nc", ".parquet", ".vtp", ".pcd", ".mcap")
 DEVIATIONS = tuple(f"deviation_{axis}" for axis in "xyz")
-COVARIANCE = ("cxx", "cxy", "cxz", "cyy", "cyz", "czz")
-"""Upper triangle, row by row."""
 COLUMNS = ("time", *PLACE, "kind", "status", *COVARIANCE)
 _NEEDED = (*PLACE, "kind", "status")
 _VARIABLES = ("contact_point", "normal", "arc_length", "kind", "status")
@@ -61,27 +67,40 @@ def write_contacts(
     path: str | Path,
     found: Reconstruction | Scan,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write the contacts of a reconstruction or scan as PLY (points with normals), CSV or Parquet
-    (one row per sample) or NetCDF (everything), by the suffix, in the rod's units.
+    """Write the contacts of a reconstruction or scan, in the rod's units and the format that the
+    suffix says.
 
-    In CSV, Parquet and PLY a row whose point is not finite counts as without contact, and its
-    status is never OK. `progress` is called with the fraction of rows written to CSV.
+    CSV and Parquet: one row per sample. NetCDF: everything. PLY, VTK's `.vtp` (ParaView), `.pcd`
+    (PCL) and MCAP (a ROS `PointCloud2` for each trail): the contacts as points with normals.
+
+    A row whose point is not finite counts as without contact, and its status is never OK, except
+    in NetCDF. `progress` is called with the rows written to CSV and their total.
 
     Raises
     ------
     InputError
-        If the suffix is not one of these, or the file cannot be written.
+        If the suffix is not one of these, the file cannot be written, or a library that the format
+        needs is not installed.
     """
     file, unit = checked_output(path), "metre" if found.rod.units == "SI" else "rod length"
     writers: dict[str, Callable[[], object]] = {
         ".ply": lambda: cloud(_points(found), unit).write(str(file)),
         ".csv": lambda: _write_csv(file, _table(found), progress),
         ".parquet": lambda: _table(found).to_parquet(file, index=False),
+        ".vtp": lambda: write_vtp(file, _table(found), unit),
+        ".pcd": lambda: write_pcd(file, _table(found)),
+        ".mcap": lambda: _write_mcap(file, found),
         ".nc": lambda: write_dataset(file, found.to_dataset()),
     }
     return _written(file, writers[_suffix(file)])
+
+
+def _write_mcap(file: Path, found: Reconstruction | Scan) -> None:
+    from vibrissa.io.rosbag.clouds import write_clouds  # noqa: PLC0415
+
+    write_clouds(file, found)
 
 
 def write_dataset(path: str | Path, dataset: "xarray.Dataset") -> Path:
@@ -99,6 +118,8 @@ def write_dataset(path: str | Path, dataset: "xarray.Dataset") -> Path:
 def _written(file: Path, write: Callable[[], object]) -> Path:
     try:
         write()
+    except ImportError as error:
+        raise InputError(f"{file}: {error}") from error
     except OSError as error:
         raise InputError(
             f"{file}: cannot be written ({error.strerror or error}); "
@@ -108,7 +129,7 @@ def _written(file: Path, write: Callable[[], object]) -> Path:
 
 
 def _write_csv(
-    file: Path, table: "pandas.DataFrame", progress: Callable[[float], None] | None
+    file: Path, table: "pandas.DataFrame", progress: Callable[[int, int], None] | None
 ) -> None:
     with file.open("w", newline="", encoding="utf-8") as stream:
         for first in range(0, max(len(table), 1), _BLOCK):
@@ -116,7 +137,7 @@ def _write_csv(
                 stream, header=first == 0, index=False, lineterminator="\r\n"
             )
             if progress is not None:
-                progress(min(1.0, (first + _BLOCK) / max(len(table), 1)))
+                progress(min(first + _BLOCK, len(table)), len(table))
 
 
 def _table(found: Reconstruction | Scan) -> "pandas.DataFrame":
@@ -203,26 +224,33 @@ def read_contacts(path: str | Path) -> Contacts:
     Parameters
     ----------
     path
-        PLY, CSV, Parquet or NetCDF, by the suffix.
+        CSV, Parquet, NetCDF, PLY, .vtp, .pcd or MCAP, by the suffix.
 
     Returns
     -------
     Contacts
         In the file's units, with what it holds. CSV and Parquet: one row per sample, with the
-        point's covariance and the time where these were known, NaN in rows without contact. PLY:
-        only rows with a contact, without time and covariance. NetCDF: over trails and positions as
-        written, with the covariance of the normal and, for a scan, the direction of the force.
+        point's covariance and the time where these were known, NaN in rows without contact. The
+        others hold only rows with a contact: `.vtp` and `.pcd` (in single precision) with both,
+        MCAP (in single precision, also as a stream wrote it) with the time, PLY with neither.
+        NetCDF: over trails and positions as written, with the covariance of the normal and, for a
+        scan, the direction of the force.
 
     Raises
     ------
     InputError
-        If the suffix is not one of these, or the file cannot be read, is damaged or lacks a name.
+        If the suffix is not one of these, the file cannot be read, is damaged or lacks a name, or a
+        library that the format needs is not installed.
     """
     file = Path(path)
     suffix = _suffix(file)
     with reading(readable(file), "contacts"):
-        columns, is_dataset = _columns(file, suffix), suffix == ".nc"
-        needed = _VARIABLES if is_dataset else COLUMNS if "cxx" in columns else _NEEDED
+        try:
+            columns, is_dataset = _columns(file, suffix), suffix == ".nc"
+        except ImportError as error:
+            raise InputError(f"{file}: {error}") from error
+        needed = (*_NEEDED, *(COVARIANCE if "cxx" in columns else ()))
+        needed = _VARIABLES if is_dataset else needed
         missing = sorted(set(needed) - columns.keys())
         if missing:
             raise InputError(
@@ -230,6 +258,19 @@ def read_contacts(path: str | Path) -> Contacts:
                 "allowed is a file that `write_contacts` wrote"
             )
         return _of_dataset(columns) if is_dataset else _of_table(columns)
+
+
+def _read_mcap(file: Path) -> Mapping[str, np.ndarray]:
+    from vibrissa.io.rosbag.clouds import read_clouds  # noqa: PLC0415
+
+    return read_clouds(file)
+
+
+_CLOUDS: dict[str, Callable[[Path], Mapping[str, np.ndarray]]] = {
+    ".vtp": read_vtp,
+    ".pcd": read_pcd,
+    ".mcap": _read_mcap,
+}
 
 
 def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
@@ -244,6 +285,8 @@ def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
 
         points = PlyData.read(str(file))["vertex"].data
         return {name: points[name] for name in points.dtype.names}
+    if suffix in _CLOUDS:
+        return _CLOUDS[suffix](file)
     if suffix == ".parquet":
         import pandas  # noqa: PLC0415
 
@@ -262,10 +305,15 @@ def _of_table(columns: Mapping[str, np.ndarray]) -> Contacts:
 
     given = {name: columns[name] for name in ("arc_length", "kind", "status")}
     if "cxx" in columns:
-        # Rows of the matrix, by index into the upper triangle.
-        covariance = vectors(*COVARIANCE)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
-        optional = {"time": columns["time"], "covariance": covariance}
-        given |= {name: part for name, part in optional.items() if not np.isnan(part).all()}
+        given["covariance"] = vectors(*COVARIANCE)[:, MATRIX]
+    if "time" in columns:
+        given["time"] = columns["time"]
+    optional = ("covariance", "time")
+    given = {
+        name: part
+        for name, part in given.items()
+        if name not in optional or not np.isnan(part).all()
+    }
     return Contacts(vectors(*PLACE[:3]), vectors(*PLACE[3:6]), **given)
 
 

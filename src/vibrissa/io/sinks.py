@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse import Reconstruction
 from vibrissa.io.contacts import VERTEX, cloud, columns, deviations, structured
-from vibrissa.io.rosbag.disk import naming_file, whole_file
-from vibrissa.io.rosbag.growing import Stamps
+from vibrissa.io.disk import naming_file, whole_file
 from vibrissa.sensor import RawRecording
 
 _COUNT_DIGITS = 20  # digits of the largest 64-bit number
 _RAW = ("position", "orientation", "force", "torque")
 _FOUND = ("point", "normal", "arc_length")
+
+Stamps = Int[np.ndarray, "n"]
+"""[ns]."""
 
 
 class _ContactsAlone:

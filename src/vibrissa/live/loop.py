@@ -9,7 +9,7 @@ from queue import Empty, Full, Queue
 
 import numpy as np
 
-from vibrissa.contacts import ContactKind
+from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative, positive
 from vibrissa.live.process import Processor
 from vibrissa.live.report import Latency, Report, SilenceWatch
@@ -214,6 +214,9 @@ class _Loop:
             self._report.rows += len(result.stamp)
             for kind in ContactKind:
                 self._report.contacts[kind.name] += int(np.sum(result.found.kind == kind))
+            for status in result.found.status[result.found.in_contact].tolist():
+                name = Status(status).name
+                self._report.statuses[name] = self._report.statuses.get(name, 0) + 1
             for sink in self._sinks:
                 sink.contacts(result.stamp, result.raw, result.found)
             self._flush()

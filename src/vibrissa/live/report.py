@@ -27,6 +27,8 @@ class Report:
         Counts of the source.
     contacts
         Rows with a contact, by kind.
+    statuses
+        Rows with a contact, by status.
     rows
         Rows given to the sinks.
     unused
@@ -62,6 +64,7 @@ class Report:
 
     counts: Counts = field(default_factory=Counts)
     contacts: dict[str, int] = field(default_factory=lambda: {kind.name: 0 for kind in ContactKind})
+    statuses: dict[str, int] = field(default_factory=dict)
     rows: int = 0
     unused: int = 0
     overflow: int = 0

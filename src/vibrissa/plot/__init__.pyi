@@ -11,6 +11,7 @@ from .events import reactions_along
 from .lines import contact_sequences, elastic_lines
 from .reactions import reactions_over_plane
 from .recording import recording_figure
+from .scene import scene
 from .style import journal, save, save_as
 
 __all__ = [
@@ -29,4 +30,5 @@ __all__ = [
     "residuals_over_time",
     "save",
     "save_as",
+    "scene",
 ]

@@ -10,6 +10,7 @@ from vibrissa.contacts import ContactKind
 from vibrissa.forward import Scan
 from vibrissa.inverse import Reconstruction
 from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor, length_label
+from vibrissa.rod import Rod
 
 _STRAIGHT = "black"
 _POINTS = 80  # per elastic line: its segments are invisible at column width
@@ -53,7 +54,7 @@ def elastic_lines(scan: Scan, *, every: int = 10, lanes: tuple[int, ...] | None 
     axes.legend(
         loc="upper center", bbox_to_anchor=(0.5, 0.92), ncols=3, handlelength=1.4, columnspacing=1.2
     )
-    dress(axes, scan)
+    dress(axes, scan.rod)
     return axes
 
 
@@ -87,14 +88,14 @@ def contact_sequences(
     axes.legend(
         loc="upper center", bbox_to_anchor=(0.5, 0.95), ncols=2, markerscale=4, handletextpad=0.2
     )
-    dress(axes, scan)
+    dress(axes, scan.rod)
     return axes
 
 
-def dress(axes: Axes3D, scan: Scan) -> None:
+def dress(axes: Axes3D, rod: Rod) -> None:
     """Labels, equal aspect, and a quiet background."""
     for name, pad in (("x", 2), ("y", 2), ("z", -2)):
-        getattr(axes, f"set_{name}label")(length_label(name, scan.rod), labelpad=pad)
+        getattr(axes, f"set_{name}label")(length_label(name, rod), labelpad=pad)
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(MaxNLocator(nbins=4))
         axis.set_pane_color((1, 1, 1, 0))

@@ -26,7 +26,7 @@ from jaxtyping import Int
 from mcap import records
 from mcap.data_stream import RecordBuilder
 
-from vibrissa.io.rosbag.disk import FileDisk
+from vibrissa.io.disk import FileDisk
 
 PAGE = 4096
 """Bytes of the smallest memory page in use: a write within a page is never torn by a kill."""

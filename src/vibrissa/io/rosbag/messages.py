@@ -8,6 +8,7 @@ from mcap.records import Message
 from rosbags.typesys import Stores, get_typestore
 
 from vibrissa.inverse import Reconstruction
+from vibrissa.io.clouds import Columns
 from vibrissa.io.contacts import DEVIATIONS, columns, structured
 from vibrissa.io.rosbag.growing import Channel, Messages, Stamps, packed
 
@@ -60,7 +61,8 @@ _HEAD = {
     "sec": "<i4",
     "nanosec": "<u4",
 }
-_DATATYPES = {"<f4": 7, "<f8": 8, "|u1": 2}  # of sensor_msgs/msg/PointField
+DATATYPES = {"<f4": 7, "<f8": 8, "|u1": 2}
+"""Of sensor_msgs/msg/PointField."""
 
 
 class MessageWriter:
@@ -83,7 +85,7 @@ class MessageWriter:
             POSE: self._pattern(POSE, 7, world_frame),
         }
         self._fields = [
-            self._new("sensor_msgs/msg/PointField", name, offset, _DATATYPES[kind.str], 1)
+            self._new("sensor_msgs/msg/PointField", name, offset, DATATYPES[kind.str], 1)
             for name, (kind, offset, *_) in (POINT.fields or {}).items()
         ]
         # rosbags generates the code for a type on first use.
@@ -140,18 +142,28 @@ class MessageWriter:
         """One cloud of the rows with a contact, with the stamp of the first; empty if there are
         none.
         """
-        rows, nothing = found.in_contact, np.empty(0, dtype=np.int64)
-        if not rows.any():
+        rows = found.in_contact
+        named = {name: part[rows] for name, part in columns(found).items()}
+        return self.points(stamp[rows], named, log_time, is_dense=found.covariance is not None)
+
+    def points(
+        self, stamp: Stamps, named: Columns, log_time: int | None = None, *, is_dense: bool
+    ) -> Messages:
+        """One cloud of these contacts, columns by name; by default, its log time is its stamp."""
+        if not len(stamp):
+            nothing = np.empty(0, dtype=np.int64)
             return Messages(CONTACTS, nothing, nothing, b"")
-        first = int(stamp[rows][0])
-        named = columns(found) | {"time": (stamp - first) * 1e-9}
-        named |= {f"normal_{axis}": named[f"n{axis}"] for axis in "xyz"}
-        points = structured(POINT, named, rows)
-        data = self._cloud_data(points, first, is_dense=found.covariance is not None)
+        first = int(stamp[0])
+        known = {f"normal_{axis}": named[f"n{axis}"] for axis in "xyz"}
+        known |= {**named, "time": (stamp - first) * 1e-9}
+        points = structured(POINT, known, np.ones(len(stamp), dtype=bool))
+        data = self._cloud_data(points, first, is_dense=is_dense)
         sequence = self._counts[CONTACTS]
         self._counts[CONTACTS] += 1
-        record = packed(Message(CONTACTS + 1, log_time, data, max(first, 0), sequence))
-        return Messages(CONTACTS, np.array([log_time]), np.array([0]), record)
+        published = max(first, 0)
+        logged = published if log_time is None else log_time
+        record = packed(Message(CONTACTS + 1, logged, data, published, sequence))
+        return Messages(CONTACTS, np.array([logged]), np.array([0]), record)
 
     def _cloud_data(self, points: np.ndarray, stamp: int, *, is_dense: bool) -> bytes:
         header, size, step = self._header(self._world, stamp), len(points), points.itemsize

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from vibrissa.inverse import Reconstruction
-from vibrissa.io.rosbag.disk import whole_file
+from vibrissa.io.disk import whole_file
 from vibrissa.io.rosbag.growing import GrowingFile, Messages, Stamps
 from vibrissa.io.rosbag.messages import POSE, QOS, WRENCH, MessageWriter
-from vibrissa.sensor.raw import RawRecording, Vectors
+from vibrissa.sensor.raw import Quaternions, RawRecording, Vectors
 
 _MOST_HELD = 1 << 20  # bytes buffered: what a file grows by
 _VERSION = 5  # of the metadata, as in ROS 2 Humble
@@ -62,11 +62,15 @@ class McapSink:
 
     def contacts(self, stamp: Stamps, raw: RawRecording, found: Reconstruction) -> None:
         """Buffer poses and contacts for the next chunk."""
-        known = np.isfinite(raw.position[:, 0])
-        log_time = np.full(int(np.count_nonzero(known)), self._log_time)
-        pose = np.hstack([raw.position, raw.orientation])[known]
-        self._keep(self._writer.stamped(POSE, stamp[known], log_time, pose))
+        self.poses(stamp, raw.position, raw.orientation)
         self._keep(self._writer.cloud(stamp, found, self._log_time))
+
+    def poses(self, stamp: Stamps, position: Vectors, orientation: Quaternions) -> None:
+        """Buffer known poses for the next chunk."""
+        known = np.isfinite(position[:, 0])
+        log_time = np.full(int(np.count_nonzero(known)), self._log_time)
+        pose = np.hstack([position, orientation])[known]
+        self._keep(self._writer.stamped(POSE, stamp[known], log_time, pose))
 
     def _keep(self, messages: Messages) -> None:
         self._held.append(messages)

@@ -1,0 +1,127 @@
+"""What commands say at their end: one line, a likely cause if most is bad, one exit code each."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import vibrissa
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LOG = EXAMPLES / "recordings/sphere_60mm/trail.csv"
+SETUP = EXAMPLES / "recordings/sphere_60mm/setup.toml"
+CASE = EXAMPLES / "cases/steel_wire_sphere.toml"
+NANO = "ati_nano17_si_12_0_12"
+
+
+def test_reconstruct_ends_with_contacts_their_deviation_and_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cloud = tmp_path / "new" / "contacts.vtp"
+    run = vibrissa(capsys, "reconstruct", LOG, "--setup", SETUP, "-o", cloud)
+    assert run.out.splitlines()[-1] == f"566 contacts, 566 sound, median ±0.76 mm → {cloud}"
+    assert "warning" not in run.err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "cause"),
+    [
+        ('"on_sensor"', '"on_rod"', "a wrench of the other sign"),
+        ("[0.0, 0.002, 0.025] ", "[0.0, 0.0, 0.0] ", "check clamp_position"),
+    ],
+)
+def test_reconstruct_names_the_likeliest_cause(
+    old: str, new: str, cause: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setup = tmp_path / "setup.toml"
+    text = SETUP.read_text(encoding="utf-8")
+    assert old in text
+    setup.write_text(text.replace(old, new), encoding="utf-8")
+    run = vibrissa(capsys, "reconstruct", LOG, "--setup", setup)
+    line = run.err.splitlines()[-1]
+    assert line.startswith("warning: 566 of 566 contacts are not sound; likeliest cause: ")
+    assert cause in line
+    assert run.out.splitlines()[-1].startswith("566 contacts, 0 sound")
+
+
+def test_a_recording_without_contact_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "rest.csv"
+    log.write_text("".join(LOG.read_text(encoding="utf-8").splitlines(keepends=True)[:130]))
+    run = vibrissa(capsys, "reconstruct", log, "--setup", SETUP)
+    assert "warning: no contact was found; likeliest cause: the loads never exceed" in run.err
+    assert run.out.splitlines()[-1] == "0 contacts, 0 sound"
+
+
+def test_a_scan_that_touches_nothing_and_a_list_of_events(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = vibrissa(capsys, "scan", CASE)
+    lines = run.out.splitlines()
+    assert "32 events: 9 first_contact, 8 detach, 7 tip_to_tangential" in run.out
+    assert sum(line.startswith("trail ") for line in lines) == 6
+    assert "and 26 more events: --json lists all" in lines
+    assert lines[-1] == "1909 contacts, 1748 sound"
+    case = tmp_path / "case.toml"
+    case.write_text(
+        '[rod]\nkind = "cylinder"\nlength = 0.05\nradius = 0.25e-3\nyoungs_modulus = 206e9\n'
+        '[object]\nkind = "sphere"\ncenter = [0.0, 0.0, 57.5]\nradius = 30.0\n'
+        '[[trail]]\nkind = "line"\nstart = [0.04, 0.0, 0.0]\nstop = [-0.04, 0.0, 0.0]\ncount = 9\n'
+    )
+    run = vibrissa(capsys, "scan", case)
+    assert "closer than 27.5 m to the object, and the rod is 0.05 m long" in run.err
+    assert "millimetres?" in run.err
+
+
+def test_expect_maps_the_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    figure = tmp_path / "map.png"
+    run = vibrissa(capsys, "expect", CASE, "--sensor", NANO, "--figure", figure)
+    assert run.status == 0
+    assert run.out.startswith(f"{NANO}: 1900 of 1909 contacts detected, median ±1.1 mm")
+    assert run.out.endswith(f"→ {figure}\n")
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    summary = json.loads(vibrissa(capsys, "expect", CASE, "--sensor", NANO, "--json").out)
+    assert summary["median_root_mean_square"] == pytest.approx(1.1e-3, rel=0.05)
+
+
+WRONG = {
+    "scan": ("scan", "none.toml"),
+    "reconstruct": ("reconstruct", "none.csv", "--setup", SETUP),
+    "inspect": ("inspect", "none.csv", "--setup", SETUP),
+    "convert": ("convert", "none.csv", "--setup", SETUP, "-o", "x.csv"),
+    "convert to nothing": ("convert", LOG, "--setup", SETUP, "-o", "x.doc"),
+    "calibrate": ("calibrate", "none.csv", "--setup", SETUP),
+    "expect": ("expect", CASE, "--sensor", "none"),
+    "expect without noise": ("expect", CASE, "--sensor", "ati_axia80_m20_si_500_20"),
+    "live": ("live", "--source", "replay:none.csv", "--setup", SETUP),
+    "simulate-sensor": ("simulate-sensor", "none.toml", "--setup", SETUP),
+    "usage": ("scan", CASE, "--none"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_invalid_input_has_status_2(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = vibrissa(capsys, *WRONG[what])
+    assert (run.status, run.out) == (2, "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_json_lines_need_no_mcap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("mcap", "mcap.records", "mcap.data_stream", "vibrissa.io.rosbag"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delitem(sys.modules, "vibrissa.io.sinks", raising=False)
+    lines = tmp_path / "x.jsonl"
+    run = vibrissa(
+        capsys, "live", "--source", f"replay:{LOG}?speed=max", "--setup", SETUP, "--sink", lines
+    )
+    assert run.status == 0, run.err
+    rows = [json.loads(line) for line in lines.read_text(encoding="utf-8").splitlines()]
+    assert np.sum([row["kind"] != "NONE" for row in rows]) > 500
+    assert run.err.splitlines()[-1].endswith(f"sound → {lines}")

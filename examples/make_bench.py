@@ -14,8 +14,8 @@ FOLDER = Path(__file__).parent / "bench"
 SOURCES = {
     "ball_1": "trail_y-0.20.csv",
     "ball_2": "trail_y+0.30.csv",
-    "pen_1": "cyl_s3.csv.gz",
-    "pen_2": "cylobl.csv.gz",
+    "bar_1": "cyl_s3.csv.gz",
+    "bar_2": "cylobl.csv.gz",
 }
 EVERY = 2
 """The robot logs at half the sensor's rate."""
@@ -25,6 +25,7 @@ def main(logs: Path, folder: Path = FOLDER) -> None:
     """Write two files for each log."""
     for name, source in SOURCES.items():
         log = pd.read_csv(next(logs.rglob(source)))
+        log = log[: len(log) - (len(log) - 1) % EVERY]  # up to the last pose
         wrench = pd.DataFrame({"t_ms": 1e3 * log["time"]})
         for axis in "xyz":
             wrench[f"F{axis} (N)"] = log[f"f{axis}"]

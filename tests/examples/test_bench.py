@@ -1,4 +1,4 @@
-"""The bench that `vibrissa example bench` hands out, from its logs to points on the pen."""
+"""The bench that `vibrissa example bench` hands out, from its logs to points on the bar."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from command_line import status_of, vibrissa
 import vibrissa as vb
 
 
-def test_bench_calibrates_on_the_ball_and_finds_the_pen(
+def test_bench_calibrates_on_the_ball_and_finds_the_bar(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The truth is in examples/bench/README.md."""
@@ -21,7 +21,7 @@ def test_bench_calibrates_on_the_ball_and_finds_the_pen(
     setup = vb.load_setup(calibrated)
     assert setup.rod.length == pytest.approx(0.05, abs=2e-4)
     assert setup.rod.bending_stiffness == pytest.approx(206e9 * np.pi / 4 * 0.25e-3**4, rel=0.01)
-    for name in ("pen_1", "pen_2"):
+    for name in ("bar_1", "bar_2"):
         found = vb.reconstruct(setup.rod, vb.read_recording(f"bench/{name}.csv", setup))
         sound = found.in_contact & (found.status == vb.Status.OK)
         x, _, z = found.point[sound].T

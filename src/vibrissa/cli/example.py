@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 import typer
 
 import vibrissa as vb
+from vibrissa.cli import common
 
 _NESTED = {"sphere_60mm": "recordings/sphere_60mm"}
 _MESHES = {"mug": ("../meshes", "mug.ply")}
@@ -52,7 +54,7 @@ def example(
         case = folder / source.name
         text = case.read_text(encoding="utf-8").replace(f"{mesh_folder}/{mesh}", mesh)
         case.write_text(text, encoding="utf-8")
-    typer.echo(f"{len(files)} files → {folder}")
+    typer.echo(f"{len(files)} file{'s' * (len(files) > 1)}{common.into(folder)}")
 
 
 def _examples() -> dict[str, Path]:
@@ -67,7 +69,7 @@ def _examples() -> dict[str, Path]:
 
 
 def _described(source: Path) -> str:
-    """First sentence of its README, setup or case."""
+    """What the first line of its README, setup or case says."""
     texts = (source / "README.md", source / "setup.toml", source)
     text = next(file for file in texts if file.is_file()).read_text(encoding="utf-8")
-    return text.partition("\n")[0].lstrip("# ").partition(". ")[0]
+    return re.split(r"[.:;]( |$)| \(", text.partition("\n")[0].lstrip("# "))[0]

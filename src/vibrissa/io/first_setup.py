@@ -1,7 +1,7 @@
 """A commented setup as text, for a bench that has none yet."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,17 +90,27 @@ def _sign(wrench: WrenchSign, found: Decision) -> list[str]:
 
 
 def _noise(found: Decision, name: str) -> list[str]:
-    """Noise at rest, unless a data sheet states it."""
-    if found.inspection is not None and found.inspection.sensor.noise.known:
-        return []
-    noise = np.zeros(6) if found.inspection is None else found.inspection.noise
-    if not (noise > 0).all():
-        return ["# Error bars need force_noise [N] and torque_noise [N m], measured at rest."]
-    force, torque = ([float(f"{one:.2g}") for one in part] for part in np.split(noise, 2))
-    return [
-        _line("force_noise", force, f"N, standard deviation at rest in {name}"),
-        _line("torque_noise", torque, "N m"),
-    ]
+    """Noise of readings at rest, unless a data sheet states it, and of the poses."""
+    seen = found.inspection
+    noise = np.zeros(6) if seen is None else seen.noise
+    lines: list[str] = []
+    if seen is not None and not seen.sensor.noise.known:
+        if not (noise > 0).all():
+            return ["# Error bars need force_noise [N] and torque_noise [N m], measured at rest."]
+        force, torque = (_rounded(part) for part in np.split(noise, 2))
+        lines += [
+            _line("force_noise", force, f"N, standard deviation at rest in {name}"),
+            _line("torque_noise", torque, "N m"),
+        ]
+    for key, unit in (("position_noise", "m"), ("orientation_noise", "rad")):
+        if seen is not None and (size := getattr(seen.sensor, key)):
+            lines.append(_line(key, _rounded([size])[0], f"{unit}, of the poses, about each axis"))
+    return lines
+
+
+def _rounded(numbers: Iterable[float]) -> list[float]:
+    """To the two digits to which noise is known."""
+    return [float(f"{one:.2g}") for one in numbers]
 
 
 def _recording(keys: Mapping[str, Any]) -> list[str]:
@@ -113,6 +123,8 @@ def _recording(keys: Mapping[str, Any]) -> list[str]:
 
 def _line(key: str, value: Any, remark: str = "") -> str:
     """A key of TOML; its strings, numbers and lists are written as in JSON."""
-    shown = f"{value:.12g}" if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+    shown = json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float) and float(f"{value:g}") == value:
+        shown = f"{value:g}"  # 2e+11 rather than its twelve digits
     text = f"{key} = {shown}"
     return f"{text:24} # {remark}" if remark else text

@@ -169,7 +169,10 @@ def _trial(file: Path, keys: dict[str, Any], rod: Rod, sensor: Sensor) -> _Trial
     """Read a recording in one way, and compare work and energy of its contacts."""
     setup = Setup(rod, sensor, recording=RecordingTable.model_validate(keys))
     try:
-        found = inspect_raw(read_raw(file, setup).marked, sensor, rod)
+        recording = read_raw(file, setup)
+        poses = recording.poses
+        own = (poses.time, poses.position, poses.orientation) if poses else None
+        found = inspect_raw(recording.marked, sensor, rod, poses=own)
     except InputError:
         raise
     except ValueError as error:

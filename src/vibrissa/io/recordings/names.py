@@ -4,7 +4,7 @@ orientation.
 
 import unicodedata
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from re import finditer, sub
 from typing import NamedTuple
 
@@ -53,11 +53,14 @@ class Group(NamedTuple):
     unit: str | None = None
 
 
-def groups(names: Sequence[str]) -> dict[str, list[Group]]:
-    """All sets of columns that may be each quantity, by their names; none if nothing fits."""
+def groups(names: Sequence[str], arrays: Collection[str] = ()) -> dict[str, list[Group]]:
+    """All sets of columns that may be each quantity, by their names; none if nothing fits.
+    `arrays` are the names that hold several columns each.
+    """
     together = defaultdict[tuple[str, str], dict[str, Part]](dict)
     for part in filter(None, map(_part, names)):
-        together[part.quantity, part.template].setdefault(part.component, part)
+        if part.component or part.quantity == "time" or part.name in arrays:
+            together[part.quantity, part.template].setdefault(part.component, part)
     found: dict[str, list[Group]] = {quantity: [] for quantity in QUANTITIES}
     for (quantity, _), parts in together.items():
         for group in _of(quantity, parts):
@@ -92,7 +95,7 @@ def _part(name: str) -> Part | None:
             return Part(name, quantity, template, component, unit_of(name, quantity))
     quantity = next((kind for word in words[::-1] for kind in _kinds(word, "")), None)
     # A name without a component is one array, or the time.
-    return quantity and Part(name, quantity, name, "", unit_of(name, quantity))
+    return None if quantity is None else Part(name, quantity, name, "", unit_of(name, quantity))
 
 
 def _tokens(name: str) -> list[tuple[str, tuple[int, int]]]:

@@ -111,8 +111,14 @@ class _Log:
     file: Path
     names: tuple[str, ...]
     numbers: Mapping[str, Any]
+    arrays: tuple[str, ...] = ()
     stated: Mapping[str, str | None] = field(default_factory=dict)
     keys: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def groups(self) -> dict[str, list[Group]]:
+        """Sets of columns that may be each quantity."""
+        return groups(self.names, self.arrays)
 
 
 def _read(file: Path) -> _Log:
@@ -136,7 +142,8 @@ def _arrays(file: Path, kind: str) -> _Log:
             own = name if column is None else f"{name}[{column}]"
             numbers[own] = array if column is None else array[:, column]
             stated[own] = one.units.get(name)
-    return _Log(file, tuple(numbers), numbers, stated)
+    arrays = tuple(name for name, held in numbers.items() if np.ndim(held) == 2)
+    return _Log(file, tuple(numbers), numbers, arrays, stated)
 
 
 def _text(file: Path) -> _Log:
@@ -176,7 +183,7 @@ def _text(file: Path) -> _Log:
         numbers = {
             name: [cell.replace(",", ".") for cell in column] for name, column in numbers.items()
         }
-    return _Log(file, tuple(name for name in names if name), numbers, stated, keys)
+    return _Log(file, tuple(name for name in names if name), numbers, (), stated, keys)
 
 
 def _decoded(file: Path) -> tuple[str, str]:
@@ -191,7 +198,7 @@ def _decoded(file: Path) -> tuple[str, str]:
 
 def _proposed(log: _Log, keys: Mapping[str, Any], wanted: tuple[str, ...]) -> Layout:
     """What the names of one file say, as far as it is not known already."""
-    found, layout = groups(log.names), Layout(dict(log.keys), names=log.names)
+    found, layout = log.groups, Layout(dict(log.keys), names=log.names)
     for quantity in wanted:
         options = found[quantity]
         if quantity in keys:
@@ -275,7 +282,7 @@ def _poses_beside(file: Path, keys: Mapping[str, Any], log: _Log) -> _Log | None
     """A file of poses: the one named, or the only one whose name begins with the recording's."""
     if "pose_file" in keys:
         return _read(file.parent / keys["pose_file"].replace("{name}", file.stem))
-    if any(groups(log.names)[quantity] for quantity in POSE) or set(POSE) & set(keys):
+    if any(log.groups[quantity] for quantity in POSE) or set(POSE) & set(keys):
         return None
     beside = sorted(file.parent.glob(f"{file.stem}?*{file.suffix}"))
     fitting = []
@@ -284,7 +291,7 @@ def _poses_beside(file: Path, keys: Mapping[str, Any], log: _Log) -> _Log | None
             one = _read(other)
         except InputError:
             continue
-        if all(groups(one.names)[quantity] for quantity in POSE):
+        if all(one.groups[quantity] for quantity in POSE):
             fitting.append(one)
     return fitting[0] if len(fitting) == 1 else None
 

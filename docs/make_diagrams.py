@@ -1,11 +1,13 @@
-"""Draw the frames and signs of a bench: `python docs/make_diagrams.py` writes docs/images/frames-*.
-
-Nothing is drawn from memory: the wire is a scan's elastic line, poses and readings are what
-`vibrissa.sensor.Sensor` makes of that scan, and `bench` checks them.
+"""Draw the diagrams of the pages: `uv run python docs/make_diagrams.py [NAME ...]` writes them into
+docs/images/pages.
 """
 
+import sys
+import tomllib
+from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib as mpl
 
@@ -14,250 +16,239 @@ mpl.use("Agg")
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Rectangle
-from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
-from vibrissa.plot import journal
-from vibrissa.sensor import Sensor
+from vibrissa.plot import journal, save_as
+from vibrissa.plot.style import COLUMN, PAGE
 
-IMAGES = Path(__file__).parent / "images"
-MM = 1e3
-WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
-BAR = (0.07, 0.0, 0.115)
-"""Axis of the bar, which runs along y: all forces lie in the plane y = 0."""
-CLAMP = np.array([0.0, 0.0, 0.025])
-"""In sensor axes."""
-_X, _Z, _FORCE, _WIRE, _INK, _PALE = "#c1121f", "#1d5fa8", "#d97706", "black", "0.25", "0.93"
-_AXIS, _NEWTON = 11.0, 42.0
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "docs" / "images" / "pages"
+INK, RED, BLUE, GREEN, SAND = "0.15", "#c1121f", "#1d5fa8", "#2a7f3f", "#f4ead5"
+PALE = {"data": "#e8eef6", "step": SAND, "file": "#eef3ea"}
 
 
-class Bench(NamedTuple):
-    """One position of a sweep: in world axes but for the readings; SI units.
-
-    `point`, `normal`: of the contact. `force`, `moment`: support reaction on the rod at the clamp.
-    `readings`: of a sensor whose wrench is "on_sensor" and of one whose wrench is "on_rod".
-    """
-
-    line: np.ndarray
-    clamp: np.ndarray
-    sensor: np.ndarray
-    point: np.ndarray
-    normal: np.ndarray
-    force: np.ndarray
-    moment: np.ndarray
-    readings: dict[str, np.ndarray]
-
-
-def bench() -> Bench:
-    """Sweep the wire under the bar and look at one position."""
-    bar = vb.surfaces.Cylinder(center=BAR, axis=(0, 1, 0), radius=0.015, length=0.2)
-    trail = vb.Trail.line(start=(0.09, 0, 0.065), stop=(0.062, 0, 0.065), count=29)
-    scan = vb.scan(WIRE, bar, trail)
-    reactions = scan.reactions[-1:]
-    readings = {}
-    for sign in ("on_sensor", "on_rod"):
-        sensor = Sensor(CLAMP, (0, 0, 0, 1), sign)
-        pose = sensor.frame(reactions.trail)
-        readings[sign] = sensor.to_readings(pose.orientation)[0] @ reactions.wrench[0]
-    found = Bench(
-        scan.elastic_line(-1),
-        trail.position[-1],
-        pose.position[0],
-        scan.point[-1],
-        scan.normal[-1],
-        reactions.force[0],
-        reactions.moment[0],
-        readings,
-    )
-    # The wire is pushed along the normal out of the object; "on_sensor" reads that force.
-    np.testing.assert_allclose(
-        found.readings["on_sensor"][:3], found.normal * np.linalg.norm(found.force), atol=1e-9
-    )
-    np.testing.assert_allclose(found.readings["on_rod"], -found.readings["on_sensor"])
-    return found
+def clocks() -> Axes:
+    """How poses at their own rate are brought to the stamps of the wrenches."""
+    _, axes = plt.subplots(figsize=(PAGE, 1.7), layout="constrained")
+    wrench, poses = np.arange(0, 1.001, 0.02), np.array([*np.arange(0.1, 0.5, 0.07), 0.78, 0.85])
+    before, gap = wrench < poses[0], (wrench > poses[5]) & (wrench < 0.78)
+    after = wrench > poses[-1]
+    kinds = [
+        (before | after, "0.75", "left out: no pose before or after"),
+        (gap, RED, "in a gap: no reactions (BAD_DATA)"),
+        (~(before | gap | after), BLUE, "wrench with interpolated pose"),
+    ]
+    for rows, colour, label in reversed(kinds):
+        axes.plot(wrench[rows], np.ones(rows.sum()), "o", color=colour, markersize=4, label=label)
+    axes.plot(poses, np.zeros(len(poses)), "s", color=INK, markersize=5, label="pose")
+    axes.axvspan(poses[5], 0.78, color=RED, alpha=0.08, linewidth=0)
+    arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.7}
+    axes.annotate("", (poses[5], 0.45), (0.78, 0.45), arrowprops=arrow)
+    axes.text(0.615, 0.5, "more than longest_gap", ha="center", va="bottom", fontsize=8)
+    for stamp in wrench[(wrench > poses[1]) & (wrench < poses[2])]:
+        for pose in poses[1:3]:
+            axes.plot((pose, stamp), (0.08, 0.92), color="0.6", linewidth=0.5)
+    axes.set(yticks=(0, 1), yticklabels=("robot", "sensor"), ylim=(-0.4, 1.4), xlim=(-0.02, 1.02))
+    axes.set_xlabel("time on the clock of the wrenches [s]: stamps of poses + time_offset")
+    axes.spines[["left", "top", "right"]].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    axes.figure.legend(loc="outside upper center", ncols=4, handletextpad=0.2, columnspacing=1.2)
+    return axes
 
 
-def torque_about(found: Bench, point: np.ndarray) -> np.ndarray:
-    """Torque that the contact exerts about a point given in sensor axes, as a sensor whose
-    wrench_point is there reads it.
-    """
-    sensor = Sensor(CLAMP, (0, 0, 0, 1), "on_sensor", wrench_point=point)
-    wrench = sensor.to_readings(np.array([[0.0, 0.0, 0.0, 1.0]]))[0] @ [*found.force, *found.moment]
-    push = found.readings["on_sensor"][:3]
-    np.testing.assert_allclose(wrench[3:], np.cross(found.point - found.sensor - point, push))
-    return wrench[3:]
+def elastica() -> Axes:
+    """The symbols of the mechanics, on a computed shape in the plane of bending."""
+    ball = vb.surfaces.Sphere(center=(0, 0, 1.15), radius=0.6)
+    trail = vb.Trail.line(start=(0.8, 0, 0), stop=(-0.4, 0, 0), count=121)
+    scan = vb.scan(vb.Rod.unit(), ball, trail)
+    row = int(np.argmin(np.abs(trail.position[:, 0] + 0.02)))
+    line, clamp = scan.elastic_line(row)[:, ::2], scan.trail.position[row, ::2]
+    touch, normal = scan.point[row, ::2], scan.normal[row, ::2]
+    across = np.array([-normal[1], normal[0]])
+    foot = clamp + ((touch - clamp) @ across) * across
+    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    bent = arc <= scan.arc_length[row]
 
-
-def _arrow(axes: Axes, start: Any, by: Any, colour: str, width: float = 1.2) -> None:
-    """An arrow in the plane x, z [mm]."""
-    tip = (start[0] + by[0], start[1] + by[1])
-    style = {"arrowstyle": "-|>", "color": colour, "lw": width, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tip, tuple(start), arrowprops=style | {"mutation_scale": 7 + 2 * width})
-
-
-def _frame(
-    axes: Axes, origin: Any, name: str, turn: Rotation | None = None, at: Any = (-2, -2)
-) -> None:
-    """A frame's x and z axes with their letters, and its name."""
-    turn = turn or Rotation.identity()
-    for letter, colour, axis in (("x", _X, (1, 0, 0)), ("z", _Z, (0, 0, 1))):
-        along = turn.apply(axis)[[0, 2]]
-        _arrow(axes, origin, _AXIS * along, colour)
-        axes.text(*(origin + (_AXIS + 2.2) * along), letter, color=colour, ha="center", va="center")
-    axes.plot(*origin, "o", color=_INK, markersize=2.5)
-    side = "right" if at[0] < 0 else "left"
-    axes.text(origin[0] + at[0], origin[1] + at[1], name, ha=side, va="center", color=_INK)
-
-
-def _stage(size: tuple[float, float], panels: int = 1) -> tuple[Any, list[Axes]]:
-    figure, axes = plt.subplots(1, panels, figsize=size, squeeze=False, layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
-    for one in axes[0]:
-        one.set_aspect("equal")
-        one.axis("off")
-    return figure, list(axes[0])
-
-
-def _rig(axes: Axes, found: Bench, *, object_name: str = "object") -> None:
-    """Flange, sensor, clamp, wire and bar, seen along +y."""
-    x, z = found.sensor[[0, 2]] * MM
-    parts = ((-34, 12, "robot's flange", "0.86"), (-22, 38, "sensor", _PALE))
-    for (below, height, name, grey), half in zip(parts, (9, 8), strict=True):
-        box = Rectangle((x - half, z + below), 2 * half, height, facecolor=grey, edgecolor=_INK)
-        axes.add_patch(box)
-        axes.text(x + half + 3, z + below + height / 3, name, ha="left", va="center", color="0.4")
-    clamp = found.clamp[[0, 2]] * MM
-    axes.add_patch(Rectangle((clamp[0] - 2, clamp[1] - 9), 4, 9, facecolor="0.6", edgecolor=_INK))
-    axes.add_patch(Circle((BAR[0] * MM, BAR[2] * MM), 15, facecolor=_PALE, edgecolor=_INK))
-    axes.text(BAR[0] * MM, BAR[2] * MM + 3, object_name, ha="center", va="center", color="0.4")
-    axes.plot(*(found.line[:, [0, 2]].T * MM), color=_WIRE, lw=1.4)
-
-
-def draw_frames(found: Bench) -> Any:
-    """World, flange, sensor and clamp, and the numbers that relate them."""
-    figure, (axes,) = _stage((4.0, 4.7))
-    _rig(axes, found)
-    sensor, clamp = (part[[0, 2]] * MM for part in (found.sensor, found.clamp))
-    _frame(axes, np.zeros(2), "world: the robot's base", at=(2, -5))
-    _arrow(axes, (0, 0), sensor, "0.45", 0.9)
-    axes.text(19, 17, "pose in the log:\nposition, orientation", ha="right", color="0.35")
-    _frame(axes, sensor, "sensor frame", at=(-13, 2))
-    _frame(axes, sensor + [0, -22], "flange frame", at=(-13, -7))
-    _frame(axes, clamp, "clamp frame", at=(-4, 2))
-    axes.annotate(
-        "clamp_position\n= [0, 0, 0.025]",
-        (sensor[0] - 5, (sensor[1] + clamp[1]) / 2),
-        (sensor[0] - 42, (sensor[1] + clamp[1]) / 2 + 2),
-        color=_INK,
-        va="center",
-        arrowprops={"arrowstyle": "-", "color": "0.6", "lw": 0.7},
-    )
-    _arrow(axes, (sensor[0] - 5, sensor[1]), (0, clamp[1] - sensor[1]), _INK, 0.9)
-    axes.set(xlim=(-18, 100), ylim=(-9, 133))
-    return figure
-
-
-def draw_clamp(_: Bench) -> Any:
-    """How clamp_orientation turns the wire."""
-    figure, panels = _stage((6.0, 2.3), 3)
-    half = np.sqrt(0.5)
-    for axes, turn, text in zip(
-        panels,
-        ((0, 0, 0, 1), (0, half, 0, half), (1, 0, 0, 0)),
-        ("[0, 0, 0, 1]", "[0, 0.7071, 0, 0.7071]", "[1, 0, 0, 0]"),
-        strict=True,
+    _, axes = plt.subplots(figsize=(1.4 * COLUMN, 1.15 * COLUMN), layout="constrained")
+    turn = np.linspace(0, 2 * np.pi, 400)
+    axes.fill(0.6 * np.cos(turn), 1.15 + 0.6 * np.sin(turn), color="0.9", linewidth=0)
+    axes.plot(*line[bent].T, color=BLUE, linewidth=2)
+    axes.plot(*line[~bent].T, color=INK, linewidth=2)
+    ends = touch - 0.3 * normal, min(foot, touch, key=lambda end: end[1]) + 0.2 * normal
+    axes.plot(*np.transpose(ends), color=RED, linewidth=0.7, linestyle="--")
+    axes.plot(*np.transpose([clamp, foot]), color=GREEN, linewidth=1)
+    axes.fill_between((clamp[0] - 0.05, clamp[0] + 0.05), -0.09, 0, color=INK, linewidth=0)
+    _arrow(axes, clamp, clamp + (0, 0.2), INK)
+    _arrow(axes, touch, touch + 0.25 * normal, RED)
+    for point in (clamp, touch):
+        axes.plot(*point, "o", color=INK, markersize=4, zorder=5)
+    for text, place, shift, colour in (
+        ("clamp $P_0$", clamp, (16, -12), INK),
+        ("$t_0$", clamp + (0, 0.2), (-14, -4), INK),
+        ("$P_1$", touch, (-4, 8), INK),
+        (r"$F = f\,\hat{n}$", touch + 0.25 * normal, (6, 2), RED),
+        (r"$\ell = \|m_0\|/f$", (clamp + foot) / 2, (4, -12), GREEN),
+        ("arc length $s_1$ from $P_0$ to $P_1$", line[np.searchsorted(arc, 0.4)], (-132, 6), BLUE),
+        ("straight to the tip", line[-1], (6, -2), INK),
+        ("object: $g(p) < 0$", np.array([-0.3, 1.05]), (0, 0), "0.35"),
+        ("line of the force", ends[1], (5, -6), RED),
     ):
-        rotation = Rotation.from_quat(turn)
-        out = rotation.apply((0, 0, 1))[[0, 2]]
-        axes.add_patch(Rectangle((-9, -6), 18, 12, facecolor=_PALE, edgecolor=_INK))
-        start = out * (9 if abs(out[0]) > 0.5 else 6)
-        axes.plot(*np.transpose([start, start + 26 * out]), color=_WIRE, lw=1.4)
-        _frame(axes, np.array([-24.0, -14.0]), "", None)
-        axes.text(-24, -20, "sensor", ha="center", va="center", color=_INK)
-        axes.set_title(f"clamp_orientation =\n{text}", fontsize="medium")
-        axes.set(xlim=(-34, 38), ylim=(-34, 34))
-    return figure
+        axes.annotate(text, place, xytext=shift, textcoords="offset points", color=colour)
+    axes.set(aspect="equal", xlim=(-0.85, 1.05), ylim=(-0.2, 1.3))
+    axes.axis("off")
+    return axes
 
 
-def draw_signs(found: Bench) -> Any:
-    """What a sensor reads while the object pushes the wire, for both signs."""
-    figure, panels = _stage((6.4, 4.2), 2)
-    titles = {
-        "on_sensor": 'wrench = "on_sensor"\nwhat the wire does to the sensor',
-        "on_rod": 'wrench = "on_rod"\nwhat holds the wire',
-    }
-    point, clamp = found.point[[0, 2]] * MM, found.clamp[[0, 2]] * MM
-    for axes, (sign, title) in zip(panels, titles.items(), strict=True):
-        _rig(axes, found, object_name="")
-        push = _NEWTON * found.readings["on_sensor"][[0, 2]]
-        _arrow(axes, point, push, "0.45", 1.2)
-        axes.text(*(point + push + [2, 0]), "push of the\nobject", color="0.35", va="center")
-        read = found.readings[sign]
-        shown = _NEWTON * read[[0, 2]]
-        _arrow(axes, clamp, shown, _FORCE, 1.8)
-        axes.text(
-            found.sensor[0] * MM - 12,
-            found.sensor[2] * MM - 2,
-            f"fx = {read[0]:+.2f} N\nfz = {read[2]:+.2f} N".replace("-", "−"),
-            color=_FORCE,
-            ha="right",
-            va="center",
+def _arrow(axes: Axes, start: np.ndarray, stop: np.ndarray, colour: str) -> None:
+    style = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", stop, start, arrowprops=style, zorder=6)
+
+
+class Box(NamedTuple):
+    """A box of a chart: where its middle is, what it says, and what it is."""
+
+    x: float
+    y: float
+    text: str
+    kind: str = "data"
+
+
+def _chart(
+    boxes: dict[str, Box], arrows: list[tuple[str, str, str]], size: tuple[float, float]
+) -> Axes:
+    """Boxes, and arrows between them with labels."""
+    _, axes = plt.subplots(figsize=size, layout="constrained")
+    drawn = {}
+    for name, box in boxes.items():
+        look = {"boxstyle": "round,pad=0.45", "facecolor": PALE[box.kind], "edgecolor": "0.55"}
+        drawn[name] = axes.text(
+            box.x, box.y, box.text, ha="center", va="center", fontsize=8.5, bbox=look | {"lw": 0.7}
         )
-        _frame(axes, np.array([17.0, 62.0]), "", None)
-        axes.text(17, 55, "sensor axes", ha="center", color=_INK)
-        axes.set_title(title, fontsize="medium", pad=8)
-        axes.set(xlim=(5, 112), ylim=(3, 133))
-    return figure
-
-
-def draw_wrench_point(found: Bench) -> Any:
-    """The same push, read about three points."""
-    figure, (axes,) = _stage((4.8, 4.3))
-    _rig(axes, found, object_name="")
-    point = found.point[[0, 2]] * MM
-    push = _NEWTON * found.readings["on_sensor"][[0, 2]]
-    _arrow(axes, point, push, "0.45", 1.2)
-    axes.text(*(point + push + [2, 0]), "push of the object", color="0.35", va="center")
-    names = {
-        "wrench_point = [0, 0, 0]\nthe sensor's origin": np.zeros(3),
-        "wrench_point = [0, 0, 0.016]\nits upper face": np.array([0, 0, 0.016]),
-        "the clamp: what vibrissa\ncomputes with": CLAMP,
-    }
-    for (name, place), height in zip(names.items(), (-2, 26, 54), strict=True):
-        at = (found.sensor + place)[[0, 2]] * MM
-        torque = torque_about(found, place)[1] * 1e3
-        axes.plot(*at, "o", color=_Z, markersize=4, zorder=5)
+    for start, stop, label in arrows:
+        one, other = boxes[start], boxes[stop]
+        patches = {"patchA": drawn[start].get_bbox_patch(), "patchB": drawn[stop].get_bbox_patch()}
+        style = {"arrowstyle": "-|>", "color": INK, "lw": 0.9, "shrinkA": 1, "shrinkB": 1}
+        axes.annotate("", (other.x, other.y), (one.x, one.y), arrowprops=style | patches)
+        upright = one.x == other.x
         axes.annotate(
-            f"{name}\nty = {torque:+.1f} N mm",
-            at,
-            (found.sensor[0] * MM - 26, found.sensor[2] * MM + height - 8),
-            ha="right",
-            va="center",
-            color=_INK,
-            arrowprops={"arrowstyle": "-", "color": "0.6", "lw": 0.7},
+            label,
+            ((one.x + other.x) / 2, (one.y + other.y) / 2),
+            xytext=(5, 0) if upright else (0, 3),
+            textcoords="offset points",
+            ha="left" if upright else "center",
+            va="center" if upright else "bottom",
+            fontsize=7.5,
+            color="0.3",
         )
-    axes.set(xlim=(-28, 118), ylim=(3, 133))
-    return figure
+    places = np.array([(box.x, box.y) for box in boxes.values()])
+    low, high = places.min(axis=0), places.max(axis=0)
+    axes.set(xlim=(low[0] - 0.8, high[0] + 0.8), ylim=(low[1] - 0.5, high[1] + 0.5))
+    axes.axis("off")
+    return axes
 
 
-DIAGRAMS = {
-    "bench": draw_frames,
-    "clamp": draw_clamp,
-    "signs": draw_signs,
-    "wrench-point": draw_wrench_point,
+def api() -> Axes:
+    """Which function leads from what to what."""
+    boxes = {
+        "parts": Box(0, 2, "Rod, surfaces.*, Trail"),
+        "scan": Box(2.4, 2, "Scan"),
+        "error": Box(4.8, 2, "ExpectedError"),
+        "log": Box(0, 1, "your log\n+ setup.toml", "file"),
+        "reactions": Box(2.4, 1, "Reactions"),
+        "calibration": Box(4.8, 1, "Calibration"),
+        "found": Box(2.4, 0, "Reconstruction"),
+        "contacts": Box(4.8, 0, "Contacts"),
+        "out": Box(0, 0, "files, figures", "file"),
+    }
+    arrows = [
+        ("parts", "scan", "scan"),
+        ("scan", "error", "Sensor, expected_error"),
+        ("scan", "reactions", ".reactions, Sensor.measure"),
+        ("log", "reactions", "read_recording"),
+        ("reactions", "calibration", "calibrate"),
+        ("reactions", "found", "reconstruct, smooth"),
+        ("found", "contacts", ".contacts"),
+        ("found", "out", "write_contacts, plot.*"),
+    ]
+    return _chart(boxes, arrows, (PAGE, 2.5))
+
+
+def live() -> Axes:
+    """From sources to sinks."""
+    boxes = {
+        "netft": Box(0, 2, "sensor: RDT over UDP", "file"),
+        "lines": Box(0, 1, "CSV lines: TCP, serial", "file"),
+        "replay": Box(0, 0, "replay of a recording", "file"),
+        "clock": Box(1.9, 1, "clock,\nlost samples", "step"),
+        "pose": Box(1.9, 2, "pose: UDP,\ntrail, constant", "file"),
+        "tare": Box(3.1, 1, "tare,\nreactions", "step"),
+        "contacts": Box(4.3, 1, "contacts,\nsmoothing", "step"),
+        "mcap": Box(6.1, 2, "MCAP, rosbag2", "file"),
+        "jsonl": Box(6.1, 1, "JSON lines, PLY", "file"),
+        "own": Box(6.1, 0, "your own function", "file"),
+    }
+    arrows = [(name, "clock", "") for name in ("netft", "lines", "replay")]
+    arrows += [("clock", "tare", ""), ("pose", "tare", ""), ("tare", "contacts", "")]
+    arrows += [("contacts", name, "") for name in ("mcap", "jsonl", "own")]
+    return _chart(boxes, arrows, (PAGE, 2.0))
+
+
+def walk() -> Axes:
+    """One position forward, one sample inverse."""
+    forward = (
+        "trail, object, rod",
+        "where does the\nstraight rod touch?",
+        "march, Newton\nat each position",
+    )
+    forward += ("snaps, events", "reactions,\nchecks: Scan")
+    inverse = (
+        "log",
+        "columns,\nunits, clocks",
+        "tare, mount:\nreactions",
+        "most probable\nsingle contact",
+    )
+    inverse += ("check of the setup:\nReconstruction",)
+    boxes, arrows = {}, []
+    for y, names in ((1, forward), (0, inverse)):
+        for x, name in enumerate(names):
+            kind = "data" if x in (0, len(names) - 1) else "step"
+            boxes[name] = Box(1.5 * x, y, name, kind)
+        arrows += [(one, other, "") for one, other in pairwise(names)]
+    return _chart(boxes, arrows, (PAGE, 1.6))
+
+
+def rooms() -> Axes:
+    """The import contract, as a house."""
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    contracts = tomllib.loads(text)["tool"]["importlinter"]["contracts"]
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+    _, axes = plt.subplots(figsize=(PAGE, 0.27 * len(layers)), layout="constrained")
+    for y, layer in enumerate(reversed(layers)):
+        names = [name.strip() for name in layer.replace(":", "|").split("|")]
+        for x, name in enumerate(names):
+            width = 1 / len(names)
+            axes.barh(y, width, left=x * width, height=0.86, color=PALE["data"], edgecolor="white")
+            axes.text((x + 0.5) * width, y, name, ha="center", va="center", fontsize=8.5)
+    axes.annotate("", (1.03, -0.4), (1.03, len(layers) - 0.6), arrowprops={"arrowstyle": "-|>"})
+    axes.text(1.05, len(layers) / 2 - 0.5, "may import", rotation=270, va="center", fontsize=8.5)
+    axes.set(xlim=(0, 1.09), ylim=(-0.6, len(layers) - 0.4))
+    axes.axis("off")
+    return axes
+
+
+DRAWN: dict[str, Callable[[], Axes]] = {
+    drawing.__name__: drawing for drawing in (clocks, elastica, api, live, walk, rooms)
 }
 
 
-def main(folder: Path = IMAGES) -> None:
-    """Write all diagrams."""
-    found = bench()
-    with journal(), mpl.rc_context({"svg.hashsalt": "vibrissa", "font.size": 8}):
-        for name, draw in DIAGRAMS.items():
-            figure = draw(found)
-            figure.savefig(folder / f"frames-{name}.svg", metadata={"Date": None})
-            plt.close(figure)
+def main(names: list[str]) -> None:
+    """Draw these, or all."""
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    for name in names or DRAWN:
+        with journal():
+            mpl.rcParams["savefig.dpi"] = 200
+            save_as(DRAWN[name](), IMAGES / f"{name}.png")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

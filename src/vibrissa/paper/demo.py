@@ -105,12 +105,15 @@ def _figures(
 
     shown = tuple(np.flatnonzero(np.isin(np.abs(case.Y0), (0.2, 0.5))).tolist())
     skip = (case.PLANE,)
+    others = tuple(k for k in range(len(case.Y0)) if k not in skip)
     drawings: dict[str, Callable[[], Axes | list[Axes]]] = {
         "figure2_reactions": lambda: plot.reactions_over_plane(paper, skip=skip),
-        "figure3a_elastic_lines": lambda: plot.elastic_lines(paper, lanes=shown),
-        "figure3b_contacts": lambda: plot.contact_sequences(paper, found, case.patch(), skip=skip),
+        "figure3a_elastic_lines": lambda: plot.scene(paper, trails=shown, rods=24, events=False),
+        "figure3b_contacts": lambda: plot.scene(
+            found, surface=case.SURFACE, trails=others, rods=0, view=(8, -60)
+        ),
         "plane_case": lambda: plot.reactions_along(plane),
-        "coverage": lambda: plot.coverage_figure(case.region(), covered),
+        "coverage": lambda: plot.coverage_figure(case.region(), covered, within=COVERED_WITHIN),
     }
     files = []
     for name, draw in drawings.items():

@@ -13,7 +13,9 @@ from vibrissa.cli.calibrate import calibrate
 from vibrissa.cli.common import contradictions
 from vibrissa.cli.convert import convert
 from vibrissa.cli.demo import demo
+from vibrissa.cli.example import example
 from vibrissa.cli.expect import expect
+from vibrissa.cli.init import init
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
@@ -32,6 +34,8 @@ app = typer.Typer(
 )
 for command in (
     demo,
+    example,
+    init,
     scan,
     reconstruct,
     view,

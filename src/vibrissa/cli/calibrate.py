@@ -76,18 +76,26 @@ def calibrate(
     for recording, place in zip(recordings, places, strict=True):
         if places.count(place) > 1:
             raise vb.io.InputError(f"{recording}: is given twice; allowed is each recording once")
-    loaded = vb.load_setup(setup)
-    if output is not None:
-        source_document(setup)
     priors = _priors(prior or [])
-    reactions = [vb.read_recording(recording, loaded) for recording in recordings]
     names = None if free is None else [name.strip() for name in free.split(",")]
     with reporting() as step:
+        step("reading")
+        loaded = vb.load_setup(setup, progress=step.count)
+        if output is not None:
+            source_document(setup)
+        reactions = [vb.read_recording(recording, loaded) for recording in recordings]
         step("calibrating")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", vb.RecordingWarning)
-                found = vb.calibrate(reactions, loaded, free=names, prior=priors, friction=friction)
+                found = vb.calibrate(
+                    reactions,
+                    loaded,
+                    free=names,
+                    prior=priors,
+                    friction=friction,
+                    progress=step.count,
+                )
         except vb.CalibrationError as error:
             typer.echo(f"vibrissa: error: {_named(str(error), recordings)}", err=True)
             raise typer.Exit(1) from None

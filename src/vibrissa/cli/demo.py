@@ -30,7 +30,7 @@ def demo(
         report("loading")
         from vibrissa.paper import run_demo  # noqa: PLC0415
 
-        result = run_demo(folder, report)
+        result = run_demo(folder, report, report.count)
     if as_json:
         summary = {
             "statements": [part._asdict() for part in result.statements],

@@ -28,8 +28,9 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Report tare, drift, noise and faults of a recording, each with its interval and count."""
-    loaded = vb.load_setup(setup)
     with reporting() as report:
+        report("reading")
+        loaded = vb.load_setup(setup, progress=report.count)
         report("inspecting")
         found = vb.io.inspect_recording(recording, loaded)
         if figure is not None:

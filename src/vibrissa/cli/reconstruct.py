@@ -51,14 +51,14 @@ def reconstruct(
     as_json: common.AsJson = False,
 ) -> None:
     """Find where the rod touched, from a recording of forces and torques alone."""
-    loaded = vb.load_setup(setup)
-    if smooth and loaded.sensor.force_noise is None:
-        raise vb.io.InputError(
-            f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and "
-            "torque_noise"
-        )
     with reporting() as report:
         report("reading")
+        loaded = vb.load_setup(setup, progress=report.count)
+        if smooth and loaded.sensor.force_noise is None:
+            raise vb.io.InputError(
+                f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and "
+                "torque_noise"
+            )
         reactions = vb.read_recording(recording, loaded)
         report("reconstructing")
         found = vb.reconstruct(loaded.rod, reactions, friction=friction)

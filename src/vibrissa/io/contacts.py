@@ -30,6 +30,7 @@ from vibrissa.io.clouds import (
     write_pcd,
     write_vtp,
 )
+from vibrissa.numerics.progress import Progress
 
 if TYPE_CHECKING:
     import pandas
@@ -67,7 +68,7 @@ def write_contacts(
     path: str | Path,
     found: Reconstruction | Scan,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write the contacts of a reconstruction or scan, in the rod's units and the format that the
     suffix says.
@@ -128,9 +129,7 @@ def _written(file: Path, write: Callable[[], object]) -> Path:
     return file
 
 
-def _write_csv(
-    file: Path, table: "pandas.DataFrame", progress: Callable[[int, int], None] | None
-) -> None:
+def _write_csv(file: Path, table: "pandas.DataFrame", progress: Progress | None) -> None:
     with file.open("w", newline="", encoding="utf-8") as stream:
         for first in range(0, max(len(table), 1), _BLOCK):
             table[first : first + _BLOCK].to_csv(

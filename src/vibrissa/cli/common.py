@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -121,9 +123,22 @@ def into(*files: object) -> str:
     return " → " + ", ".join(map(str, files)) if files else ""
 
 
+def say(text: str, *, err: bool = False) -> None:
+    """Print lines on stdout or stderr, wrapped between words if that is a terminal."""
+    if (sys.stderr if err else sys.stdout).isatty():
+        width = shutil.get_terminal_size().columns
+        fitted = TextWrapper(
+            width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        )
+        text = "\n".join(
+            line if len(line) <= width else fitted.fill(line) for line in text.splitlines()
+        )
+    typer.echo(text, err=err)
+
+
 def warn(line: str) -> None:
     """Print a warning on stderr."""
-    typer.echo(f"warning: {line}", err=True)
+    say(f"warning: {line}", err=True)
 
 
 def contacts_line(count: int, sound: int, deviation: float | None = None, unit: str = "mm") -> str:
@@ -159,4 +174,7 @@ def doubt(count: int, sound: int, status: dict[str, int], causes: list[str], wit
 
 def show(summary: dict[str, Any], text: Callable[[dict[str, Any]], str], *, as_json: bool) -> None:
     """Print a summary."""
-    typer.echo(json.dumps(summary, indent=1) if as_json else text(summary))
+    if as_json:
+        typer.echo(json.dumps(summary, indent=1))
+    else:
+        say(text(summary))

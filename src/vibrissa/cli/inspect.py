@@ -51,7 +51,7 @@ def inspect(
         _print(found, summary)
         counts = summary["counts"]
         what = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "no faults"
-        typer.echo(
+        common.say(
             f"{summary['rows']} rows, {summary['usable_rows']} usable, {what}"
             + common.into(*([] if figure is None else [figure]))
         )
@@ -104,7 +104,7 @@ def _print(found: Inspection, summary: dict[str, Any]) -> None:
     from rich.table import Table  # noqa: PLC0415
 
     console = common.table_console()
-    typer.echo("\n".join(_lines(found, summary)))
+    common.say("\n".join(_lines(found, summary)))
     table = Table("channel")
     for name in ("tare", "noise at rest", "stated", "drift a second", "± one standard deviation"):
         table.add_column(name, justify="right")
@@ -134,7 +134,7 @@ def _print(found: Inspection, summary: dict[str, Any]) -> None:
     console.print(table)
     for kind, count in seen.items():
         if count > _SHOWN:
-            typer.echo(f"and {count - _SHOWN} more of {kind}: --json lists all")
+            common.say(f"and {count - _SHOWN} more of {kind}: --json lists all")
 
 
 def _lines(found: Inspection, summary: dict[str, Any]) -> list[str]:

@@ -34,11 +34,16 @@ def reporting() -> Iterator[Steps]:
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.table import Column  # noqa: PLC0415
 
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=30),
+        TextColumn(
+            "{task.description}",
+            markup=False,
+            table_column=Column(max_width=44, no_wrap=True, overflow="ellipsis"),
+        ),
+        BarColumn(bar_width=16),
         TimeElapsedColumn(),
         TimeRemainingColumn(compact=True),
     )

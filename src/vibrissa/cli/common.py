@@ -172,6 +172,31 @@ def doubt(count: int, sound: int, status: dict[str, int], causes: list[str], wit
     warn(f"{found}; likeliest cause: {likely}")
 
 
+def doubt_contacts(found: vb.Reconstruction) -> None:
+    """Warn if most contacts of a recording are bad, known no better than to half the rod's length,
+    or if there is none: units, sign and clamp come first, then what the contacts say of the setup.
+    """
+    import numpy as np  # noqa: PLC0415
+
+    contact = found.in_contact
+    sound = contact & (found.status == vb.Status.OK)
+    causes = list(dict.fromkeys([*found.reactions.misread, *contradictions, *found.warnings]))
+    doubt(
+        int(contact.sum()),
+        int(sound.sum()),
+        counted(found.status[contact], vb.Status),
+        causes,
+        "the loads never exceed the noise: the rod missed the object, the tare was taken in "
+        "contact, or force_noise and torque_noise are too large",
+    )
+    if found.covariance is not None and sound.any():
+        spread = np.median(np.sqrt(np.trace(found.covariance[sound], axis1=-2, axis2=-1)))
+        if spread > found.rod.length / 2:
+            likely = causes[0] if causes else "loads that hardly exceed the stated noise"
+            share = spread / found.rod.length
+            warn(f"contacts are known to {share:.2g} rod lengths only; likeliest cause: {likely}")
+
+
 def show(summary: dict[str, Any], text: Callable[[dict[str, Any]], str], *, as_json: bool) -> None:
     """Print a summary."""
     if as_json:

@@ -74,27 +74,10 @@ def reconstruct(
             common.draw(figure, lambda: vb.plot.contacts_figure(found))
     warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
     summary = _summary(found) | estimated | {"warnings": warnings}
-    _doubt(found, warnings)
+    common.doubt_contacts(found)
     files = [*(output or []), *([] if figure is None else [figure])]
     last = _last_line(found) + common.into(*files)
     common.show(summary, lambda said: f"{_text(said)}\n{last}", as_json=as_json)
-
-
-def _doubt(found: vb.Reconstruction, warnings: list[str]) -> None:
-    """Warn if most contacts are bad or there is none: units, sign and clamp come first, then what
-    the contacts say about the setup.
-    """
-    contact = found.in_contact
-    sound = contact & (found.status == vb.Status.OK)
-    causes = list(dict.fromkeys([*found.reactions.misread, *warnings]))
-    common.doubt(
-        int(contact.sum()),
-        int(sound.sum()),
-        common.counted(found.status[contact], vb.Status),
-        causes,
-        "the loads never exceed the noise: the rod missed the object, the tare was taken in "
-        "contact, or force_noise and torque_noise are too large",
-    )
 
 
 def _last_line(found: vb.Reconstruction) -> str:

@@ -10,6 +10,7 @@ from vibrissa.contacts import Status
 from vibrissa.forward import Scan, scan
 from vibrissa.geometry.checks import not_negative, positive, whole_number
 from vibrissa.inverse import Reconstruction, reconstruct
+from vibrissa.numerics.progress import Progress
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
@@ -51,6 +52,20 @@ class ExpectedError:
     covariance: Float[np.ndarray, "*trail n 3 3"]
     lag: Float[np.ndarray, "*trail n 3"]
     saturated: Bool[np.ndarray, "*trail n"]
+
+    def __repr__(self) -> str:
+        """Return five lines: contacts, those detected, those saturated, and their errors."""
+        seen, unit = self.detected, self.scan.rod.unit_of("length").replace("1", "L")
+        errors = (self.root_mean_square[seen], self.semi_axes[..., -1][seen])
+        spread, longest = (f"{np.median(x):.3g} {unit}" if seen.any() else "none" for x in errors)
+        return (
+            f"ExpectedError at {seen.size} positions {seen.shape}, "
+            f"{self.scan.in_contact.sum()} in contact\n"
+            f"  detected: {seen.sum()}\n"
+            f"  saturated: {self.saturated.sum()}\n"
+            f"  root mean square, median: {spread}\n"
+            f"  longest semi-axis at 95 %, median: {longest}"
+        )
 
     @property
     def detected(self) -> Bool[np.ndarray, "*trail n"]:
@@ -95,6 +110,7 @@ def expected_error(
     finite_radius: bool = False,
     false_alarm: float = 1e-3,
     tolerances: Tolerances | None = None,
+    progress: Progress | None = None,
 ) -> ExpectedError:
     """Will this sensor do for this rod? The expected contact error at every position of a scene.
 
@@ -104,7 +120,7 @@ def expected_error(
 
     Parameters
     ----------
-    rod, surface, trail, friction, finite_radius
+    rod, surface, trail, friction, finite_radius, progress
         As for `vibrissa.scan`, in SI units like the sensor's.
     sensor
         With known noise.
@@ -153,7 +169,9 @@ def expected_error(
         not_negative(rest, "rest"),
         whole_number(samples, "samples"),
     )
-    swept = scan(rod, surface, trail, friction=friction, finite_radius=finite_radius)
+    swept = scan(
+        rod, surface, trail, friction=friction, finite_radius=finite_radius, progress=progress
+    )
     exact, shape = swept.reactions, swept.trail.shape
     averaged, rate = _averaged(sensor, samples), rate / samples
     trails = [exact] if len(shape) == 1 else [exact[index] for index in range(len(exact.force))]

@@ -1,5 +1,6 @@
 """All the checks that a recording undergoes before it is trusted."""
 
+from collections import Counter
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -88,6 +89,20 @@ class Inspection:
     single_contact_misfit: float = np.nan
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        """Return five lines: rows, tare, noise, faults, and whether it can be used."""
+        kinds = Counter(str(fault.kind) for fault in self.faults)
+        found = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        force, torque = self.noise[:3].max(), self.noise[3:].max()
+        return (
+            f"Inspection of {len(self.usable)} rows, {self.rate:.5g} a second, "
+            f"{self.usable.sum()} usable\n"
+            f"  tare: {'none' if self.tare is None else self.tare.found}\n"
+            f"  noise at rest: up to {1e3 * force:.3g} mN, {1e3 * torque:.3g} N mm\n"
+            f"  findings: {found or 'none'}\n"
+            f"  unusable: {'; '.join(fault.text for fault in self.unusable) or 'no'}"
+        )
+
     @property
     def usable(self) -> Rows:
         """Rows (n,) whose wrench and pose can be used."""
@@ -110,6 +125,12 @@ class Inspection:
         """
         found = (fault for fault in self.faults if fault.unusable)
         return tuple(sorted(found, key=lambda fault: fault.kind is not FaultKind.UNITS))
+
+    @property
+    def misread(self) -> tuple[str, ...]:
+        """Findings that let no contact be trusted: units, signs, axes, clamp."""
+        kinds = {FaultKind.UNITS, FaultKind.MOUNT}
+        return tuple(fault.text for fault in self.faults if fault.kind in kinds)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -59,7 +59,13 @@ def _holds_contacts(file: Path, kind: str, setup: Setup | None) -> bool:
     as a stream writes it, is a recording if there is a setup for it.
     """
     if kind == BAG:
-        return setup is None and file.suffix.lower() == ".mcap"
+        if file.suffix.lower() != ".mcap":
+            return False
+        if setup is None:
+            return True
+        from vibrissa.io.rosbag.clouds import only_clouds  # noqa: PLC0415
+
+        return only_clouds(file)
     if kind == TEXT:
         header = text_of(file).partition("\n")[0]
     elif file.suffix.lower() == ".parquet":

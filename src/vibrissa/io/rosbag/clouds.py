@@ -43,6 +43,17 @@ def write_clouds(file: Path, found: Reconstruction | Scan) -> None:
         mcap.close()
 
 
+def only_clouds(file: Path) -> bool:
+    """Whether all messages of an MCAP file are clouds, as `write_clouds` writes them."""
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    if summary is None or summary.statistics is None:
+        return False
+    counts = summary.statistics.channel_message_counts
+    used = [summary.channels[channel].schema_id for channel, count in counts.items() if count]
+    return {summary.schemas[schema].name for schema in used} == {TYPES[CONTACTS]}
+
+
 def read_clouds(file: Path) -> Columns:
     """Columns of all clouds of contacts in an MCAP file, also of one that a stream wrote.
 

@@ -34,14 +34,13 @@ def ticked_box(
         Line segments, and places with their labels.
     """
     step = tick_step(float((high - low).max()) or 1.0)
-    first, last = np.floor(low / step - 1e-9), np.ceil(high / step + 1e-9)
-    low, high = step * first, step * last
+    low, high = rounded(low, high)
     span = float((high - low).max())
     lines, labels = [], []
     for axis, (corner, outwards) in enumerate(_edges(low, high, towards)):
         along = np.eye(3)[axis]
         lines.append([np.where(along, low, corner), np.where(along, high, corner)])
-        for value in step * np.arange(first[axis], last[axis] + 1):
+        for value in step * np.arange(round(low[axis] / step), round(high[axis] / step) + 1):
             place = np.where(along, value, corner)
             lines.append([place, place + _TICK * span * outwards])
             if axis < 2:
@@ -74,6 +73,14 @@ def _edges(
         (near, np.array([side[0], 0.0, 0.0])),
         (left_corner, left),
     ]
+
+
+def rounded(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """The box from tick to tick that holds another one."""
+    step = tick_step(float((high - low).max()) or 1.0)
+    return step * np.floor(low / step + 1e-9), step * np.ceil(high / step - 1e-9)
 
 
 def tick_step(span: float) -> float:

@@ -16,7 +16,11 @@ _FONT = "font-size:12px;line-height:1.35;padding:2px 10px;"
 
 def legend_html(legend: Legend, instants: Sequence[Instant], notes: Sequence[str]) -> str:
     """What the colours of contacts and rods mean, and what is left out."""
-    lines = [f"<div style='margin-bottom:2px'><b>Contacts: {escape(legend.title)}</b></div>"]
+    lines = []
+    if any(len(instant.contacts) for instant in instants):
+        lines.append(
+            f"<div style='margin-bottom:2px'><b>Contacts: {escape(legend.title)}</b></div>"
+        )
     if legend.scale is not None:
         low, high = (f"{value:.3g}" for value in legend.scale)
         bar = f"height:10px;background:linear-gradient(to right,{','.join(Painter.gradient())})"

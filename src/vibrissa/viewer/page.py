@@ -201,9 +201,10 @@ class Panel:
             self._add_switch(server, "object")
         if growing or "uncertainty" in modes:
             self._add_switch(server, "ellipsoids")
-        with self._gui.add_folder("Contact"):
-            self._numbers = self._gui.add_html(numbers_html(None, content))
-        server.scene.on_click()(self._pick)
+        if growing or len(content.contacts):
+            with self._gui.add_folder("Contact"):
+                self._numbers = self._gui.add_html(numbers_html(None, content))
+            server.scene.on_click()(self._pick)
 
     def _add_time(self) -> None:
         last = len(self._scene.instants) - 1

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from vibrissa.drawing import half_axes
-from vibrissa.viewer.axes import ticked_box
+from vibrissa.viewer.axes import rounded, ticked_box
 from vibrissa.viewer.colours import By, Painter, rgb
 from vibrissa.viewer.content import WIDE, Content, Instant, Rows
 from vibrissa.viewer.html import legend_html
@@ -27,6 +27,7 @@ out.
 """
 _MOST_ELLIPSOIDS = 1500
 """Shown at once: a browser draws as many without slowing down."""
+_NO_PIECES = np.zeros((0, 2, 3))
 _FIELD = 0.6
 """Height of the field of view [rad]: little perspective."""
 _PICK = 0.006
@@ -61,7 +62,7 @@ class Scene:
         self._nodes: list[_Nodes] = []
         self._rods: dict[str, Any] = {}
         self._every = -(-len(content.contacts) // _MOST_ELLIPSOIDS)
-        self._count = 0
+        self._count, self._most = 0, 0
         self._lock = threading.RLock()
         self.shown = -1
         self._towards = _towards(content)
@@ -92,6 +93,8 @@ class Scene:
             self._instants, self._nodes, self._rods, self._count = [], [], {}, 0
             for name in ("/rods", "/contacts", "/ellipsoids"):
                 self._scene.add_frame(name, show_axes=False)
+            pieces = [sum(map(len, instant.rods.values())) for instant in instants]
+            self._most = max([0, *pieces])
             for instant in instants:
                 self.append(instant)
             self.show(len(self._instants) - 1)
@@ -99,12 +102,12 @@ class Scene:
     def _still(self) -> None:
         """What does not change: object, trails, frames, axes, camera."""
         content, scene = self._content, self._scene
-        low, high = content.box
+        low, high = rounded(*content.box)
         span = float(np.linalg.norm(high - low)) or content.size
         center = (low + high) / 2
         camera = self._server.initial_camera
         camera.look_at, camera.fov = center, _FIELD
-        camera.position = center + 0.7 * span / np.tan(_FIELD / 2) * self._towards
+        camera.position = center + 0.62 * span / np.tan(_FIELD / 2) * self._towards
         camera.near, camera.far = 1e-3 * span, 1e2 * span
         scene.configure_default_lights(cast_shadow=False)
         # Rods often come from below, where the default lights leave an object dark.
@@ -149,7 +152,7 @@ class Scene:
                 if colour not in self._rods and len(pieces):
                     self._rods[colour] = self._scene.add_line_segments(
                         f"/rods/{len(self._rods)}",
-                        pieces,
+                        self._padded(pieces),
                         rgb(colour),
                         thickness=_LINE,
                         thickness_units="screen",
@@ -158,6 +161,13 @@ class Scene:
             nodes = self._contact_nodes(len(self._instants), instant.contacts)
             self._instants.append(instant)
             self._nodes.append(nodes)
+
+    def _padded(self, pieces: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "most 2 3"]:
+        """As many pieces as a colour ever has, so that the browser's buffers keep their size; spare
+        ones are points of the first.
+        """
+        spare = np.broadcast_to(pieces[:1, :1], (max(self._most - len(pieces), 0), 2, 3))
+        return np.concatenate([pieces, spare]).astype(np.float32)
 
     def _contact_nodes(self, number: int, rows: Rows) -> _Nodes:
         if not len(rows):
@@ -206,10 +216,10 @@ class Scene:
                 return
             rods = self._instants[number].rods
             for colour, node in self._rods.items():
-                pieces = rods.get(colour, ())
+                pieces = rods.get(colour, _NO_PIECES)
                 node.visible = len(pieces) > 0
                 if len(pieces):
-                    node.points = np.asarray(pieces, dtype=np.float32)
+                    node.points = self._padded(pieces)
             for other, nodes in enumerate(self._nodes):
                 for node in nodes:
                     if node is not None:

@@ -87,7 +87,7 @@ def of_contacts(contacts: Contacts, surface: Surface | None, rod: Rod | None) ->
     return Content(
         UNKNOWN if rod is None else length_unit(rod),
         "",
-        extent if rod is None else factor * rod.length,
+        extent / 2 if rod is None else factor * rod.length,
         np.zeros((0, 3, 3)) if rod is None else triangles_of(surface, rows.point / factor, rod),
         instants=instants,
         notes=notes,

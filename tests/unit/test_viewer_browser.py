@@ -20,7 +20,7 @@ from vibrissa.viewer.colours import rgb
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SIZE = {"width": 900, "height": 600}
-PATIENCE = 30.0  # [s]: a browser that draws in software, on a busy machine
+PATIENCE = 60.0  # [s]: a browser that draws in software, on a busy machine
 if CHROMIUM is None:
     pytest.skip("no Chromium is installed", allow_module_level=True)
 playwright = pytest.importorskip(
@@ -141,7 +141,7 @@ def test_colours_change_with_their_legend(page: Any, viewer: Viewer) -> None:
 def test_a_saved_page_plays_from_a_file(browser: Any, viewer: Viewer, tmp_path: Path) -> None:
     file = viewer.save(tmp_path / "scene.html")
     assert 5e5 < file.stat().st_size < 5e6
-    context = browser.new_context(viewport={"width": 600, "height": 400}, offline=True)
+    context = browser.new_context(viewport={"width": 700, "height": 560}, offline=True)
     saved, asked = context.new_page(), []
     saved.on("request", lambda request: asked.append(request.url))
     saved.goto(file.as_uri())
@@ -154,9 +154,9 @@ def test_a_saved_page_plays_from_a_file(browser: Any, viewer: Viewer, tmp_path: 
     for share in (0.3, 0.6):
         # It pauses where it is put.
         saved.mouse.click(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
-        wait_for(lambda: is_still(saved) and coloured(saved) > 50)
+        wait_for(lambda: is_still(saved) and coloured(saved) > 20)
         views.append(drawn(saved))
-    assert np.abs(views[0] - views[1]).max(axis=-1)[50:330].astype(bool).sum() > 200
+    assert np.abs(views[0] - views[1]).max(axis=-1)[50:480].astype(bool).sum() > 200
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
     context.close()
 
@@ -170,6 +170,6 @@ def is_still(page: Any) -> bool:
 
 def coloured(page: Any) -> int:
     """Number of pixels in the colours of contacts and bent rods."""
-    pixels = drawn(page)[:, :420]
+    pixels = drawn(page)[:, :500]
     near = [np.abs(pixels - rgb(colour)).max(axis=-1) < 40 for colour in KIND_COLOURS.values()]
     return int(np.logical_or(*near).sum())

@@ -3,6 +3,7 @@ has a picture, and every public name is in it.
 """
 
 import re
+import socket
 import subprocess
 import sys
 from functools import cache
@@ -55,17 +56,21 @@ class Site(NamedTuple):
     pages: dict[Path, Page]
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    folder = tmp_path_factory.mktemp("html")
+def _build(builder: str, folder: Path) -> None:
     result = subprocess.run(
-        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", DOCS, folder],
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", builder, DOCS, folder],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
     )
     assert result.returncode == 0, (result.stdout + result.stderr)[-4000:]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
+    folder = tmp_path_factory.mktemp("html")
+    _build("html", folder)
     return Site(folder, {path: Page(path) for path in folder.rglob("*.html")})
 
 
@@ -88,6 +93,21 @@ def test_links_anchors_and_pictures_resolve(site: Site) -> None:
             ):
                 dead.append(f"{path.relative_to(site.folder)}: {link}")
     assert dead == []
+
+
+@pytest.mark.slow
+def test_external_links_resolve(tmp_path: Path) -> None:
+    try:
+        socket.create_connection(("docs.scipy.org", 443), timeout=5).close()
+    except OSError:
+        pytest.skip("no network")
+    _build("linkcheck", tmp_path)
+
+
+def test_every_room_is_in_the_map(site: Site) -> None:
+    text = (site.folder / "rooms.html").read_text(encoding="utf-8")
+    for folder in (ROOT / "src" / "vibrissa").glob("*/__init__.py"):
+        assert f'<span class="pre">{folder.parent.name}</span>' in text
 
 
 @pytest.mark.parametrize("name", PAGES)

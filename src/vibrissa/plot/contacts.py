@@ -108,8 +108,9 @@ def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -
         for layer in layers:
             _draw(axes, layer, points[:, view], size)
         for chosen, alpha in zip(ellipses, (0.9, _FAINT), strict=True):
-            spread = covariance[chosen][:, view][:, :, view]
-            _ellipses(axes, points[chosen][:, view], spread, alpha)
+            if len(chosen):
+                spread = covariance[chosen][:, view][:, :, view]
+                _ellipses(axes, points[chosen][:, view], spread, alpha)
     outside = drawn & ~np.all((points >= frame[0]) & (points <= frame[1]), axis=1)
     title = f"{outside.sum()} of {drawn.sum()} contacts lie outside" if outside.any() else None
     handles, labels = panels[0].get_legend_handles_labels()
@@ -165,14 +166,16 @@ def _frame(
     path: Float[np.ndarray, "n 3"],
     reach: float,
 ) -> Float[np.ndarray, "2 3"]:
-    """Least and largest coordinates to show, within the rod's reach from its clamp; `ends` are
-    those of the ellipses.
+    """Least and largest coordinates to show: of contacts within the rod's reach from its clamp, and
+    `ends` of ellipses.
     """
     others = points[drawn & ~trusted]
     tails = np.percentile(others, [_TAIL, 100 - _TAIL], axis=0) if len(others) else others
-    every = np.concatenate([points[trusted], tails, ends])
+    every = np.concatenate([points[trusted], tails])
     low = np.maximum(every.min(axis=0), path.min(axis=0) - reach)
     high = np.minimum(every.max(axis=0), path.max(axis=0) + reach)
+    low = np.concatenate([[low], ends]).min(axis=0)
+    high = np.concatenate([[high], ends]).max(axis=0)
     longest = max(np.max(high - low), _LEAST_FRAME * reach)
     half = np.maximum((high - low) / 2, _LEAST_SIDE / 2 * longest) + _MARGIN * longest
     return (low + high) / 2 + np.array([[-1.0], [1.0]]) * half

@@ -73,7 +73,7 @@ def coverage_figure(
         )
         points = contacts[np.isfinite(contacts).all(axis=1), :2]
         own = points[np.all((points >= low) & (points <= high), axis=1)]
-        axes.plot(*own.T, ".", color=_CONTACT, markersize=1.0, markeredgewidth=0, rasterized=True)
+        axes.plot(*own.T, ".", color=_CONTACT, markersize=0.6, markeredgewidth=0, rasterized=True)
         axes.set(title=f"{name}:\n{share:.0%} covered", xlabel="$x/L$")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     panels[0, 0].set_ylabel("$y/L$")

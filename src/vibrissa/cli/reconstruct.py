@@ -31,8 +31,8 @@ def reconstruct(
         typer.Option(
             "--output",
             "-o",
-            help="Contacts to write: .ply, .csv, .nc, .parquet, .vtp (ParaView), .pcd (PCL) or "
-            ".mcap; repeatable.",
+            help="Contacts to write: .ply, .csv, .nc, .parquet, .vtp (ParaView), .pcd (PCL), "
+            ".mcap (ROS) or .mat; repeatable.",
             callback=common.written(),
         ),
     ] = None,

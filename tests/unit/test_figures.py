@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 
 import vibrissa as vb
-from vibrissa.sensor import CHANNELS
+from vibrissa.calibration import Identifiability, Residuals
+from vibrissa.sensor import CHANNELS, preset
 
 FOLDER = Path(__file__).parents[2] / "examples/recordings/sphere_60mm"
 UNIT = vb.Rod.unit()
@@ -294,6 +295,81 @@ def test_rows_that_are_not_used_are_counted(setup: vb.Setup, tmp_path: Path) -> 
     silent = replace(inspection, raw=raw.with_wrench(np.full((901, 6), np.nan)))
     with pytest.raises(ValueError, match="901 rows, of which 0 hold readings"):
         vb.plot.recording_figure(silent, setup.sensor)
+
+
+# Design
+
+
+def test_a_map_marks_unstable_positions_and_scales_without_them() -> None:
+    """The best contacts of the map, if they are of an unstable branch, do not decide its colours."""
+    rod = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+    ball = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
+    trail = vb.Trail.line(start=(0.02, 0.005, 0), stop=(-0.02, 0.005, 0), count=41)
+    sensor = preset("ati_nano17_si_12_0_12", clamp_position=(0, 0, 0.025))
+    error = vb.expected_error(rod, ball, trail, sensor)
+    longest = 1e3 * error.semi_axes[..., -1]
+    status = np.where(longest < np.nanmedian(longest), 2, 0)
+    panels = vb.plot.expected_error_map(replace(error, scan=replace(error.scan, status=status)))
+    count, missed = np.count_nonzero(status), np.count_nonzero(~error.detected)
+    named = [f"not detected ({missed})"] if missed else []
+    assert legend(panels)[1] == [*named, f"laterally unstable ({count})"]
+    for axes in panels:
+        assert axes.collections[0].norm.vmin == pytest.approx(longest[status == 0].min())
+        assert count in [len(line.get_xdata()) for line in axes.lines]
+    bar = panels[0].get_figure(root=True).axes[-1]
+    assert bar.get_ylabel() == "longest semi-axis,\n95 % [mm]"
+
+
+# Calibrations
+
+
+def test_residuals_that_lie_outside_are_counted(setup: vb.Setup) -> None:
+    """Three outliers do not decide the limits; the legend counts them, and names what is drawn."""
+    rng, count = np.random.default_rng(5), 400
+    noise = rng.normal(size=(count, 6))
+    noise[[20, 150, 300], [0, 2, 5]] = 80.0
+    residuals = Residuals(
+        recording=np.repeat([0, 1], count // 2),
+        time=np.linspace(0, 8, count),
+        contact=np.ones(count, dtype=bool),
+        reading=noise,
+        predicted=np.zeros((count, 6)),
+        whitened=noise,
+        weight=np.ones(count),
+        chi_square=(noise**2).sum(axis=1),
+    )
+    calibration = object.__new__(vb.Calibration)
+    vars(calibration).update(residuals=residuals, setup=setup)
+    over_time = vb.plot.residuals_over_time(calibration)
+    outside = int((np.abs(noise) > 5).sum())
+    title, labels = legend(over_time)
+    assert title == f"{outside} of {6 * count} residuals lie outside"
+    assert labels == ["one row", "running mean, recording 1", "running mean, recording 2"]
+    over_force = vb.plot.residuals_over_force(calibration)
+    assert legend(over_force) == (title, ["one row", "running mean"])
+    for axes in (*over_time, *over_force):
+        assert axes.get_ylim() == (-5, 5)
+    assert [axes.get_ylabel()[1] for axes in over_time] == [*"fffmmm"]
+    assert legend([vb.plot.residual_histogram(calibration)])[1] == [
+        "residuals",
+        "normal distribution",
+    ]
+
+
+def test_correlations_are_written_out_with_readable_names() -> None:
+    correlation = np.array([[1.0, -0.9], [-0.9, 1.0]])
+    names = ("youngs_modulus", "clamp_position_x")
+    calibration = object.__new__(vb.Calibration)
+    one = np.ones(2)
+    vars(calibration)["identifiability"] = Identifiability(
+        names, correlation, np.eye(2), one, one, {}
+    )
+    axes = vb.plot.parameter_correlation(calibration)
+    assert [text.get_text() for text in axes.get_xticklabels()] == [
+        "Young's modulus",
+        "clamp position x",
+    ]
+    assert [text.get_text() for text in axes.texts] == ["1.00", "−0.90", "−0.90", "1.00"]
 
 
 # Files

@@ -21,6 +21,7 @@ from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
 from vibrissa.cli.simulate_sensor import simulate_sensor
+from vibrissa.cli.view import view
 
 app = typer.Typer(
     name="vibrissa",
@@ -37,6 +38,7 @@ for command in (
     init,
     scan,
     reconstruct,
+    view,
     inspect,
     convert,
     calibrate,

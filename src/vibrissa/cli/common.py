@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")]
+View = Annotated[bool, typer.Option("--view", help="Show it in the browser, until Ctrl-C.")]
 CaseFile = Annotated[Path, typer.Argument(help="TOML file with [rod], [object] and [[trail]].")]
 SetupFile = Annotated[Path, typer.Option(help="TOML file with [rod] and [sensor].")]
 

@@ -241,8 +241,8 @@ def read_contacts(path: str | Path) -> Contacts:
         point's covariance and the time where these were known, NaN in rows without contact. The
         others hold only rows with a contact: `.vtp` and `.pcd` (in single precision) with both,
         MCAP (in single precision, also as a stream wrote it) with the time, PLY with neither.
-        NetCDF: over trails and positions as written, with the covariance of the normal and, for a
-        scan, the direction of the force.
+        NetCDF: over trails and positions as written, with the covariance of the normal and the
+        direction of the force.
 
     Raises
     ------

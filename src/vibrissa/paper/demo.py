@@ -24,8 +24,10 @@ COVERED_WITHIN = 0.05
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo found and wrote."""
+    """What the demo found and wrote: the paper's sweeps, and what their reactions alone give."""
 
+    scan: Scan
+    found: Reconstruction
     statements: list[Statement]
     coverage: dict[str, float]
     files: list[Path]
@@ -68,7 +70,7 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
     files.append(folder / "statements.csv")
     table.to_csv(files[-1], index=False)
     files += _figures(folder, report, paper, found, plane, covered)
-    return Demo(checked, {name: share for name, _, _, share in covered}, files)
+    return Demo(paper, found, checked, {name: share for name, _, _, share in covered}, files)
 
 
 def _covered(

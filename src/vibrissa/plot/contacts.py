@@ -12,16 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from vibrissa.contacts import Status
+from vibrissa.drawing import KIND_COLOURS, KIND_NAMES, length_factor
 from vibrissa.inverse import Reconstruction
-from vibrissa.plot.style import (
-    KIND_COLOURS,
-    KIND_NAMES,
-    PAGE,
-    length_factor,
-    length_label,
-    no_contact,
-    status_words,
-)
+from vibrissa.plot.style import PAGE, length_label, no_contact, status_words
 
 # Square root of the 95 % quantile of χ² with two degrees of freedom.
 _TWO_DIMENSIONS_95 = 2.4477

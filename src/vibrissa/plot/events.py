@@ -8,9 +8,10 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from vibrissa.contacts import Status
+from vibrissa.drawing import length_factor
 from vibrissa.forward import Event, EventKind, Scan
 from vibrissa.numerics.runs import runs
-from vibrissa.plot.style import COLUMN, length_factor, length_label, no_contact, status_words
+from vibrissa.plot.style import COLUMN, length_label, no_contact, status_words
 
 MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
 # At these the rod is straight.

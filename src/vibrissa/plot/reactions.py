@@ -13,8 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from vibrissa.contacts import Status
+from vibrissa.drawing import length_factor
 from vibrissa.forward import Scan
-from vibrissa.plot.style import PAGE, length_factor, length_label, no_contact, status_words
+from vibrissa.plot.style import PAGE, length_label, no_contact, status_words
 from vibrissa.rod import Rod
 
 # Symbols, SI units with their factors, and the model's units.
@@ -76,7 +77,8 @@ def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes
         factor, unit = (factor, unit) if rod.units == "SI" else (1.0, own)
         axes.set(title=f"${symbol}$ [{unit}]", xlim=limits[:, 0], ylim=limits[:, 1])
         axes.set_aspect("equal", adjustable="box")
-        axes.plot(*np.moveaxis(clamp[shown], -1, 0).swapaxes(1, 2), color=_PATH, linewidth=0.5)
+        paths = np.moveaxis(clamp[shown], -1, 0).swapaxes(1, 2)
+        axes.plot(*paths, color=_PATH, linewidth=0.5, zorder=0.5)
         axes.plot(*np.moveaxis(clamp[list(skip)], -1, 0).swapaxes(1, 2), ":", color=_LEFT_OUT)
         _colour(axes, stretches, factor * values[..., number], contact, factor * sizes[number])
         flagged = stretches[contact & ~sound]
@@ -136,6 +138,9 @@ def _colour(
         cmap="RdBu_r",
         norm=Normalize(-largest, largest),
         linewidth=5,
+        # Smoothed edges would show as seams between neighbours.
+        antialiased=False,
+        rasterized=True,
         capstyle="butt" if stretches.shape[1] > 1 else "projecting",
     )
     axes.add_collection(line)

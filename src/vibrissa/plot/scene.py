@@ -7,18 +7,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from mpl_toolkits.mplot3d import Axes3D
 
-from vibrissa.contacts import ContactKind, Contacts, Status
+from vibrissa.contacts import Contacts, Status
+from vibrissa.drawing import FREE, drawn_rods
 from vibrissa.forward import Scan
 from vibrissa.forward.events import Event
 from vibrissa.inverse import Reconstruction
 from vibrissa.plot import space
-from vibrissa.plot.style import KIND_COLOURS
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.surfaces.outline import box_of, outline
 
-_STRAIGHT, _FREE = space.STRAIGHT, space.FREE
 _SAMPLES = 90
 """Points of a drawn rod: its segments are invisible at the width of a page."""
 _ARROW = 0.15
@@ -181,7 +180,7 @@ def shown_of(
         largest = np.nanmax(np.linalg.norm(what.force[chosen], axis=-1))
         tips = trail.position[drawn] + rod.length * trail.axis[drawn]
         straight = space.Segments(
-            np.stack([trail.position[drawn], tips], axis=1), np.full(len(tips), _FREE)
+            np.stack([trail.position[drawn], tips], axis=1), np.full(len(tips), FREE)
         )
         forces = -_ARROW * rod.length * what.force[drawn] / largest
         name = f"force on the clamp, up to {largest:.3g} {'N' if rod.units == 'SI' else 'EI/L²'}"
@@ -220,13 +219,8 @@ def _directions(contacts: Contacts, rod: Rod) -> tuple[space.Arrows, ...]:
 
 def lines(what: Scan | Reconstruction, rows: Bool[np.ndarray, "*trail n"]) -> space.Segments:
     """Elastic lines at some rows."""
-    s = np.linspace(0, what.rod.length, _SAMPLES)[:-1]
     ends, colours = [np.zeros((0, 2, 3))], [np.zeros(0, dtype="U7")]
-    for at in np.argwhere(rows).tolist():
-        line = what.elastic_line((at[0], at[1]) if len(at) > 1 else at[0], _SAMPLES)
-        bent = s < np.nan_to_num(what.arc_length[*at])
-        rest = _STRAIGHT if what.in_contact[*at] else _FREE
-        ends.append(np.stack([line[:-1], line[1:]], axis=1))
-        colour = KIND_COLOURS.get(ContactKind(int(what.kind[*at])), rest)
-        colours.append(np.where(bent, colour, rest))
+    for _, rod in drawn_rods(what, rows, _SAMPLES):
+        ends.append(np.stack([rod.line[:-1], rod.line[1:]], axis=1))
+        colours.append(np.where(rod.bent, rod.paint, rod.rest))
     return space.Segments(np.concatenate(ends), np.concatenate(colours))

@@ -14,18 +14,16 @@ from mpl_toolkits.mplot3d import Axes3D, proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from vibrissa.contacts import Contacts, Status
+from vibrissa.drawing import FREE, KIND_COLOURS, KIND_NAMES, STRAIGHT, half_axes, length_factor
 from vibrissa.forward.events import Event
 from vibrissa.plot.events import MARKERS
-from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor, length_label
+from vibrissa.plot.style import COLUMN, length_label
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 
-STRAIGHT, FREE = "black", "0.6"
 FORCE, NORMAL = "#d97706", "#2a7f3f"
 _UNCERTAIN = "0.3"
 _PAINT = np.array([0.84, 0.87, 0.90])
-_AXES_95 = 2.7955
-"""Square root of the 95 % quantile of χ² with three degrees of freedom."""
 _WIDE = 0.1
 """Half-axis of an ellipsoid, in rod lengths, from which a contact says little."""
 _HIDDEN = 0.22
@@ -259,9 +257,7 @@ def _half_axes(contacts: Contacts) -> Float[np.ndarray, "n 3 3"]:
     the covariance is unknown.
     """
     assert contacts.covariance is not None
-    variances, vectors = np.linalg.eigh(np.nan_to_num(contacts.covariance))
-    half = _AXES_95 * np.sqrt(np.maximum(variances, 0))[:, None] * vectors
-    return np.asarray(half.swapaxes(1, 2))
+    return half_axes(np.nan_to_num(contacts.covariance)).swapaxes(1, 2)
 
 
 def dress(axes: Axes3D, rod: Rod) -> None:

@@ -11,12 +11,8 @@ from jaxtyping import Int
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from vibrissa.contacts import ContactKind, Status
+from vibrissa.contacts import Status
 from vibrissa.rod import Rod
-
-KIND_COLOURS = {ContactKind.TIP: "#c1121f", ContactKind.TANGENTIAL: "#1d5fa8"}
-"""Tip contact red, tangential contact blue (paper, figure 3)."""
-KIND_NAMES = {ContactKind.TIP: "tip contact", ContactKind.TANGENTIAL: "tangential contact"}
 
 AXIS_COLOURS = ("#d55e00", "#009e73", "#0072b2")
 """x, y and z, told apart by colour-blind readers too (Okabe and Ito)."""
@@ -116,8 +112,3 @@ def no_contact(status: Int[np.ndarray, "..."], rows: str) -> ValueError:
 def length_label(symbol: str, rod: Rod) -> str:
     """Axis label of a length: millimetres for SI rods, rod lengths in the model's units."""
     return f"${symbol}$ [mm]" if rod.units == "SI" else f"${symbol}/L$"
-
-
-def length_factor(rod: Rod) -> float:
-    """Factor by which lengths are multiplied for `length_label`."""
-    return 1e3 if rod.units == "SI" else 1.0

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from mpl_toolkits.mplot3d import Axes3D
-from PIL import Image, ImageChops
+from PIL import Image
 
 import vibrissa as vb
 from vibrissa.plot import journal, save_as
@@ -238,18 +238,10 @@ def picture(exhibit: Exhibit) -> tuple[Axes3D, vb.Scan]:
     return axes, scan
 
 
-def _trimmed(path: Path) -> Path:
-    """Cut the picture's white margins off: the box of a figure in space reaches beyond what it
-    shows.
-    """
+def _small(path: Path) -> Path:
+    """Keep 256 colours; without k-means the few pixels of a thin line would lose theirs."""
     with Image.open(path) as image:
-        opaque = image.convert("RGB")
-    left, top, right, bottom = ImageChops.invert(opaque).getbbox() or (0, 0, *opaque.size)
-    margin = 12
-    canvas = Image.new("RGB", (right - left + 2 * margin, bottom - top + 2 * margin), "white")
-    canvas.paste(opaque.crop((left, top, right, bottom)), (margin, margin))
-    # Without k-means the few pixels of a thin line would lose their colour.
-    canvas.quantize(256, kmeans=4).save(path, optimize=True)
+        image.convert("RGB").quantize(256, kmeans=4).save(path, optimize=True)
     return path
 
 
@@ -261,7 +253,7 @@ def main(names: list[str]) -> list[Path]:
         with journal():
             mpl.rcParams["savefig.dpi"] = 180
             axes, scan = picture(exhibit)
-            paths.append(_trimmed(save_as(axes, IMAGES / f"{name}.png")))
+            paths.append(_small(save_as(axes, IMAGES / f"{name}.png")))
         kinds = ", ".join(
             f"{kind.name} {int(np.sum(scan.kind == kind))}" for kind in vb.ContactKind
         )

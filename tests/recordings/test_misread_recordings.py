@@ -106,7 +106,7 @@ def test_work_and_energy_of_a_sound_recording_agree(sphere_60mm: Path, name: str
         assert work.ratio == pytest.approx(1, abs=0.01)
         assert abs(work.remainder) < 0.03
     assert work.gained < 0.03
-    assert work_warnings(found) == ([], False)
+    assert work_warnings(found) == ([], False, False)
 
 
 def test_a_file_that_is_told_rightly_is_read_without_a_word(

@@ -33,6 +33,7 @@ from vibrissa.calibration.verdict import moved, warnings_of
 from vibrissa.contacts import RecordingWarning
 from vibrissa.geometry.checks import not_negative
 from vibrissa.inverse import reconstruct
+from vibrissa.numerics.progress import Guess, Progress
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording
@@ -41,6 +42,8 @@ from vibrissa.surfaces.base import Placed
 from vibrissa.tolerances import Tolerances
 from vibrissa.trail import Trail
 
+_USUAL_STEPS = 40
+"""Linearisations, 7 to 40 in the recordings of the tests, and score tests."""
 _WORST_SPREAD = 8.0
 """Median residual, relative to noise, beyond which no fit explains the data."""
 _MOST_ROUNDS = 10
@@ -69,6 +72,7 @@ def calibrate(
     prior: Mapping[str, float] | None = None,
     friction: float = 0.0,
     tolerances: Tolerances | None = None,
+    progress: Progress | None = None,
 ) -> Calibration[SetupType]:
     """Calibrate rod, mount, sensor and object pose from sweeps over a known object, by least
     squares on the six reactions.
@@ -105,6 +109,9 @@ def calibrate(
         so that estimates, covariance and setup allow for it; `object_scale` as a `standoff`. A
         delay is not fitted but enters the covariance. What is named in `free` is not held back by
         its tolerance. An estimate that moves by more than three tolerances gives a warning.
+    progress
+        `progress(done, total)` is called after each step of the fit; the total is a guess, which
+        grows if more steps are needed.
 
     Returns
     -------
@@ -150,9 +157,10 @@ def calibrate(
     known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     coefficient = not_negative(friction, "friction")
     sweeps = sweeps_of(listed, setup.sensor)
+    steps = Guess(progress, _USUAL_STEPS)
     if surface is None:
         result = calibrated_without_object(
-            sweeps, setup, names, chosen, deviations, coefficient, known or Tolerances()
+            sweeps, setup, names, chosen, deviations, coefficient, known or Tolerances(), steps
         )
     else:
         start = bench_of(setup.rod, setup.sensor)
@@ -161,7 +169,7 @@ def calibrate(
         priors = [deviations.get(one.group, math.inf) / one.slope(given) for one in chosen]
         problem = Problem(
             surface, rows, start, chosen, np.array(priors), "drift" in names, coefficient,
-            np.zeros(len(rows.time), dtype=bool),
+            np.zeros(len(rows.time), dtype=bool), steps=steps,
         )  # fmt: skip
         try:
             result = _calibrated(problem, setup, names, known)
@@ -170,6 +178,7 @@ def calibrate(
                 f"the equations of the fit cannot be solved ({error}): friction = {coefficient:g} "
                 "and the standard deviations in `prior` have to be physically plausible"
             ) from error
+    steps.end()
     for line in result.warnings:
         warnings.warn(line, RecordingWarning, stacklevel=2)
     return result

@@ -6,7 +6,7 @@ force is known, the friction coefficient: it adds to the row's covariance, and t
 follows from the row's residual (a Gaussian unknown, marginalised).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from vibrissa.calibration.bench import Bench, moved_at_once
 from vibrissa.calibration.equilibrium import Reading, State, readings
 from vibrissa.calibration.parameters import Parameter, stepped
 from vibrissa.calibration.rows import Rows
+from vibrissa.numerics.progress import Guess
 from vibrissa.surfaces import Surface
 
 WRENCH = 6
@@ -60,6 +61,8 @@ class Problem:
     unevenness
         Standard deviation assumed for the gap at which the rod touches the object as given, along
         the normal and varying along the sweep; 0 for none.
+    steps
+        Counts the linearisations, and the score tests.
     """
 
     surface: Surface
@@ -71,6 +74,7 @@ class Problem:
     friction: float
     disturbed: Chosen
     unevenness: float = 0.0
+    steps: Guess = field(default_factory=lambda: Guess(None, 0))
 
     @property
     def freedom(self) -> int:
@@ -300,6 +304,7 @@ def linearised(problem: Problem, point: Point) -> Linear:
     explained = covariance @ np.linalg.inv(whole)
     root, white = (np.linalg.inv(np.linalg.cholesky(part)) for part in (whole, covariance))
     sound = reading.sound | ~rows.contact
+    problem.steps.step()
     return Linear(
         problem=problem,
         point=Point(point.values, found.state),

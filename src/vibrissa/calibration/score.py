@@ -58,6 +58,7 @@ def scores(linear: Linear, rod: Rod, tolerances: Tolerances, inflation: float) -
         noise = max(1.0, inflation * cost / base if cost > expected else 1.0, cost / expected)
         significance = float(np.sqrt(max(0.0, base - cost) * every / noise))
         found.append(Score(suspect, value, significance))
+        problem.steps.step()
     return sorted(found, key=lambda score: -score.significance)
 
 

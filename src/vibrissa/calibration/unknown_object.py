@@ -32,6 +32,7 @@ from vibrissa.inverse.checks.rig import (
     sensor_matrix,
 )
 from vibrissa.inverse.checks.stretches import stretches_of
+from vibrissa.numerics.progress import Guess
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import Tolerances
@@ -76,6 +77,7 @@ def calibrated_without_object(
     deviations: dict[str, float],
     friction: float,
     tolerances: Tolerances,
+    steps: Guess,
 ) -> Calibration[SetupType]:
     """Rod, clamp and gains from sweeps over an unknown object.
 
@@ -96,7 +98,10 @@ def calibrated_without_object(
                 f"free: {one.group!r} needs the object, and surface = None; allowed are parameters "
                 "of rod, clamp and sensor, tare and drift"
             )
-    cases = [_case(index, sweep, setup, friction) for index, sweep in enumerate(sweeps)]
+    cases = []
+    for index, sweep in enumerate(sweeps):
+        cases.append(_case(index, sweep, setup, friction))
+        steps.step()
     within = {
         one: deviation
         for one, deviation in uncertain(setup.rod, tolerances).items()

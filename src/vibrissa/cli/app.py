@@ -10,7 +10,7 @@ import typer
 
 import vibrissa as vb
 from vibrissa.cli.calibrate import calibrate
-from vibrissa.cli.common import contradictions
+from vibrissa.cli.common import contradictions, say
 from vibrissa.cli.convert import convert
 from vibrissa.cli.demo import demo
 from vibrissa.cli.example import example
@@ -67,7 +67,7 @@ def main() -> None:
     except ValueError as error:
         if not isinstance(error, vb.io.InputError):
             raise
-        typer.echo(f"vibrissa: error: {error}", err=True)
+        say(f"vibrissa: error: {error}", err=True)
         sys.exit(2)
 
 
@@ -92,7 +92,7 @@ def _warnings_in_one_line() -> Iterator[None]:
         if issubclass(category, RecordingWarning) and not issubclass(category, RecordingNote):
             prefix = ""
             contradictions.append(line)
-        typer.echo(f"{prefix}warning: {line}", err=True)
+        say(f"{prefix}warning: {line}", err=True)
 
     with warnings.catch_warnings():
         # Every line, even one that two files share; `show` skips repetitions.

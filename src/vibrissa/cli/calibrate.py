@@ -76,20 +76,28 @@ def calibrate(
     for recording, place in zip(recordings, places, strict=True):
         if places.count(place) > 1:
             raise vb.io.InputError(f"{recording}: is given twice; allowed is each recording once")
-    loaded = vb.load_setup(setup)
-    if output is not None:
-        source_document(setup)
     priors = _priors(prior or [])
-    reactions = [vb.read_recording(recording, loaded) for recording in recordings]
     names = None if free is None else [name.strip() for name in free.split(",")]
     with reporting() as step:
+        step("reading")
+        loaded = vb.load_setup(setup, progress=step.count)
+        if output is not None:
+            source_document(setup)
+        reactions = [vb.read_recording(recording, loaded) for recording in recordings]
         step("calibrating")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", vb.RecordingWarning)
-                found = vb.calibrate(reactions, loaded, free=names, prior=priors, friction=friction)
+                found = vb.calibrate(
+                    reactions,
+                    loaded,
+                    free=names,
+                    prior=priors,
+                    friction=friction,
+                    progress=step.count,
+                )
         except vb.CalibrationError as error:
-            typer.echo(f"vibrissa: error: {_named(str(error), recordings)}", err=True)
+            common.say(f"vibrissa: error: {_named(str(error), recordings)}", err=True)
             raise typer.Exit(1) from None
         except ValueError as error:
             raise vb.io.InputError(str(error)) from error
@@ -104,9 +112,11 @@ def calibrate(
             for name in _FIGURES:
                 common.draw(report / f"{name}.png", partial(getattr(vb.plot, name), found))
     files = [path for path in (output, report) if path is not None]
+    logs = "1 recording" if len(recordings) == 1 else f"{len(recordings)} recordings"
+    ratio = found.fitness.reduced_chi_square**0.5
     last = (
-        f"{len(found.estimates)} parameters from {len(recordings)} recordings, residuals "
-        f"{found.fitness.reduced_chi_square**0.5:.2f} times the noise" + common.into(*files)
+        f"{len(found.estimates)} parameters from {logs}, residuals {ratio:.2f} times the noise"
+        + common.into(*files)
     )
     common.show(summary(found), lambda _: f"{_text(found)}\n{last}", as_json=as_json)
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -128,9 +130,22 @@ def into(*files: object) -> str:
     return " → " + ", ".join(map(str, files)) if files else ""
 
 
+def say(text: str, *, err: bool = False) -> None:
+    """Print lines on stdout or stderr, wrapped between words if that is a terminal."""
+    if (sys.stderr if err else sys.stdout).isatty():
+        width = shutil.get_terminal_size().columns
+        fitted = TextWrapper(
+            width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        )
+        text = "\n".join(
+            line if len(line) <= width else fitted.fill(line) for line in text.splitlines()
+        )
+    typer.echo(text, err=err)
+
+
 def warn(line: str) -> None:
     """Print a warning on stderr."""
-    typer.echo(f"warning: {line}", err=True)
+    say(f"warning: {line}", err=True)
 
 
 def contacts_line(count: int, sound: int, deviation: float | None = None, unit: str = "mm") -> str:
@@ -164,6 +179,34 @@ def doubt(count: int, sound: int, status: dict[str, int], causes: list[str], wit
     warn(f"{found}; likeliest cause: {likely}")
 
 
+def doubt_contacts(found: vb.Reconstruction) -> None:
+    """Warn if most contacts of a recording are bad, known no better than to half the rod's length,
+    or if there is none: units, sign and clamp come first, then what the contacts say of the setup.
+    """
+    import numpy as np  # noqa: PLC0415
+
+    contact = found.in_contact
+    sound = contact & (found.status == vb.Status.OK)
+    causes = list(dict.fromkeys([*found.reactions.misread, *contradictions, *found.warnings]))
+    doubt(
+        int(contact.sum()),
+        int(sound.sum()),
+        counted(found.status[contact], vb.Status),
+        causes,
+        "the loads never exceed the noise: the rod missed the object, the tare was taken in "
+        "contact, or force_noise and torque_noise are too large",
+    )
+    if found.covariance is not None and sound.any():
+        spread = np.median(np.sqrt(np.trace(found.covariance[sound], axis1=-2, axis2=-1)))
+        if spread > found.rod.length / 2:
+            likely = causes[0] if causes else "loads that hardly exceed the stated noise"
+            share = spread / found.rod.length
+            warn(f"contacts are known to {share:.2g} rod lengths only; likeliest cause: {likely}")
+
+
 def show(summary: dict[str, Any], text: Callable[[dict[str, Any]], str], *, as_json: bool) -> None:
     """Print a summary."""
-    typer.echo(json.dumps(summary, indent=1) if as_json else text(summary))
+    if as_json:
+        typer.echo(json.dumps(summary, indent=1))
+    else:
+        say(text(summary))

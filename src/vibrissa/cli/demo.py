@@ -34,7 +34,7 @@ def demo(
         report("loading")
         from vibrissa.paper import run_demo  # noqa: PLC0415
 
-        result = run_demo(folder, report)
+        result = run_demo(folder, report, report.count)
         viewer = vb.view(result.found, surface=result.scan.surface) if see else None
     if as_json:
         summary = {
@@ -65,9 +65,9 @@ def _print(result: Demo, folder: Path) -> None:
         table.add_row(part.statement, part.measured, "yes" if part.holds else "NO")
     common.table_console().print(table)
     shares = ", ".join(f"{name} {share:.1%}" for name, share in result.coverage.items())
-    typer.echo(f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}")
+    common.say(f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}")
     held = sum(part.holds for part in result.statements)
-    typer.echo(
+    common.say(
         f"{held} of {len(result.statements)} statements hold, {len(result.files)} files"
         + common.into(folder)
     )

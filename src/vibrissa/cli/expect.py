@@ -30,12 +30,13 @@ def expect(
     """Map the contact error to expect from a sensor along the trails of a case."""
     from vibrissa.sensor import preset  # noqa: PLC0415
 
-    loaded = vb.load_case(case)
-    if loaded.rod.units != "SI":
-        raise vb.io.InputError(
-            f"{case}: rod.kind = 'unit'; allowed are cylinder and uniform: a sensor has units"
-        )
     with reporting() as report:
+        report("loading")
+        loaded = vb.load_case(case, progress=report.count)
+        if loaded.rod.units != "SI":
+            raise vb.io.InputError(
+                f"{case}: rod.kind = 'unit'; allowed are cylinder and uniform: a sensor has units"
+            )
         report("scanning")
         try:
             error = vb.expected_error(
@@ -47,6 +48,7 @@ def expect(
                 speed=speed,
                 friction=loaded.friction,
                 finite_radius=loaded.finite_radius,
+                progress=report.count,
             )
         except ValueError as failure:
             raise vb.io.InputError(str(failure)) from failure

@@ -6,6 +6,7 @@ import json
 import math
 import warnings
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from vibrissa.sensor import Inspection
 
 _SHOWN = 8
+_SPOILING = ("saturation", "drop-out", "stuck channel", "held readings", "duplicate stamp", "gap")
+"""Kinds of faults that make single rows unusable."""
 
 
 def inspect(
@@ -28,21 +31,24 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
     """Report tare, drift, noise and faults of a recording, each with its interval and count."""
-    loaded = vb.load_setup(setup)
     with reporting() as report:
+        report("reading")
+        loaded = vb.load_setup(setup, progress=report.count)
         report("inspecting")
         found = vb.io.inspect_recording(recording, loaded)
         if figure is not None:
             report("drawing")
             common.draw(figure, lambda: vb.plot.recording_figure(found, loaded.sensor))
-    for line in found.warnings:
+    # What makes a recording unusable, such as a wrong unit, may cause whatever else is found.
+    for line in [fault.text for fault in found.unusable] or found.warnings:
         warnings.warn(f"{recording}: {line}", vb.RecordingWarning, stacklevel=2)
+    _doubt_rows(found)
     if not found.unusable and found.sensor.force_noise is not None:
         # The checks of the contacts issue their own warnings, as in `reconstruct`.
         tolerances = loaded.parameter_covariance
-        vb.reconstruct(
-            loaded.rod, found.sensor.reactions(found.cleaned, found.tare, tolerances=tolerances)
-        )
+        reactions = found.sensor.reactions(found.cleaned, found.tare, tolerances=tolerances)
+        reactions = replace(reactions, misread=found.misread)
+        common.doubt_contacts(vb.reconstruct(loaded.rod, reactions))
     summary = _summary(found, loaded) | {"warnings": common.contradictions}
     if as_json:
         common.show(summary, str, as_json=True)
@@ -50,12 +56,30 @@ def inspect(
         _print(found, summary)
         counts = summary["counts"]
         what = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "no faults"
-        typer.echo(
-            f"{summary['rows']} rows, {summary['usable_rows']} usable, {what}"
+        use = "not usable as read" if found.unusable else f"{summary['usable_rows']} usable"
+        common.say(
+            f"{summary['rows']} rows, {use}, {what}"
             + common.into(*([] if figure is None else [figure]))
         )
     if found.unusable:
         raise typer.Exit(1)
+
+
+def _doubt_rows(found: Inspection) -> None:
+    """Warn if most rows are unusable, with the fault that most of them have."""
+    lost = int((~found.usable).sum())
+    if 2 * lost <= len(found.usable) or found.unusable:
+        return
+    spoilt = {fault.kind: 0 for fault in found.faults if fault.kind in _SPOILING}
+    for fault in found.faults:
+        if fault.kind in spoilt:
+            spoilt[fault.kind] += fault.count
+    kind = max(spoilt, key=lambda kind: spoilt[kind])
+    example = next(fault.text for fault in found.faults if fault.kind == kind)
+    common.warn(
+        f"{lost} of {len(found.usable)} rows are unusable; likeliest cause: {kind}, such as "
+        f"{example}"
+    )
 
 
 def _summary(found: Inspection, loaded: vb.Setup) -> dict[str, Any]:
@@ -103,7 +127,7 @@ def _print(found: Inspection, summary: dict[str, Any]) -> None:
     from rich.table import Table  # noqa: PLC0415
 
     console = common.table_console()
-    typer.echo("\n".join(_lines(found, summary)))
+    common.say("\n".join(_lines(found, summary)))
     table = Table("channel")
     for name in ("tare", "noise at rest", "stated", "drift a second", "± one standard deviation"):
         table.add_column(name, justify="right")
@@ -133,7 +157,7 @@ def _print(found: Inspection, summary: dict[str, Any]) -> None:
     console.print(table)
     for kind, count in seen.items():
         if count > _SHOWN:
-            typer.echo(f"and {count - _SHOWN} more of {kind}: --json lists all")
+            common.say(f"and {count - _SHOWN} more of {kind}: --json lists all")
 
 
 def _lines(found: Inspection, summary: dict[str, Any]) -> list[str]:

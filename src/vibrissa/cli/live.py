@@ -129,8 +129,10 @@ def live(
         "not free during the tare",
     )  # fmt: skip
     last = common.contacts_line(count, sound) + common.into(*filter(None, (p for _, p in targets)))
-    text = json.dumps(asdict(report), indent=1) if as_json else f"{_text(report)}\n{last}"
-    typer.echo(text, err=not as_json or None in places)
+    if as_json:
+        typer.echo(json.dumps(asdict(report), indent=1), err=None in places)
+    else:
+        say(f"{_text(report)}\n{last}")
     if viewer is not None:
         # An interrupt that ended the stream ends the page, too.
         if not stop.is_set():

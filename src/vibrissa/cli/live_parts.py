@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 import typer
 
 import vibrissa as vb
+from vibrissa.cli import common
 
 if TYPE_CHECKING:
     from vibrissa.io.setup import RdtTable
 
 _COUNTS, _RATE = 1e6, 1000.0
-say = partial(typer.echo, err=True)
+say = partial(common.say, err=True)
 """Print a line on stderr."""
 
 

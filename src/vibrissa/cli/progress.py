@@ -1,4 +1,4 @@
-"""Progress on stderr: a spinner and a bar on a terminal, one line per step elsewhere."""
+"""Progress: a spinner, a bar and the time left on stderr if that is a terminal, else nothing."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,7 +24,7 @@ def reporting() -> Iterator[Steps]:
 
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
-        yield Steps(lambda step: console.print(step, soft_wrap=True, markup=False), lambda *_: None)
+        yield Steps(lambda _: None, lambda *_: None)
         return
     from rich.progress import (  # noqa: PLC0415
         BarColumn,
@@ -34,11 +34,16 @@ def reporting() -> Iterator[Steps]:
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.table import Column  # noqa: PLC0415
 
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=30),
+        TextColumn(
+            "{task.description}",
+            markup=False,
+            table_column=Column(max_width=44, no_wrap=True, overflow="ellipsis"),
+        ),
+        BarColumn(bar_width=16),
         TimeElapsedColumn(),
         TimeRemainingColumn(compact=True),
     )

@@ -51,14 +51,14 @@ def reconstruct(
     as_json: common.AsJson = False,
 ) -> None:
     """Find where the rod touched, from a recording of forces and torques alone."""
-    loaded = vb.load_setup(setup)
-    if smooth and loaded.sensor.force_noise is None:
-        raise vb.io.InputError(
-            f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and "
-            "torque_noise"
-        )
     with reporting() as report:
         report("reading")
+        loaded = vb.load_setup(setup, progress=report.count)
+        if smooth and loaded.sensor.force_noise is None:
+            raise vb.io.InputError(
+                f"--smooth: {setup} gives no noise; allowed is a [sensor] with force_noise and "
+                "torque_noise"
+            )
         reactions = vb.read_recording(recording, loaded)
         report("reconstructing")
         found = vb.reconstruct(loaded.rod, reactions, friction=friction)
@@ -71,7 +71,7 @@ def reconstruct(
             vb.write_contacts(path, found, progress=report.count)
     warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
     summary = _summary(found) | estimated | {"warnings": warnings}
-    _doubt(found, warnings)
+    common.doubt_contacts(found)
     if figure is not None:
         with reporting() as report:
             report(f"drawing {figure}")
@@ -79,23 +79,6 @@ def reconstruct(
     files = [*(output or []), *([] if figure is None else [figure])]
     last = _last_line(found) + common.into(*files)
     common.show(summary, lambda said: f"{_text(said)}\n{last}", as_json=as_json)
-
-
-def _doubt(found: vb.Reconstruction, warnings: list[str]) -> None:
-    """Warn if most contacts are bad or there is none: units, sign and clamp come first, then what
-    the contacts say about the setup.
-    """
-    contact = found.in_contact
-    sound = contact & (found.status == vb.Status.OK)
-    causes = list(dict.fromkeys([*found.reactions.misread, *warnings]))
-    common.doubt(
-        int(contact.sum()),
-        int(sound.sum()),
-        common.counted(found.status[contact], vb.Status),
-        causes,
-        "the loads never exceed the noise: the rod missed the object, the tare was taken in "
-        "contact, or force_noise and torque_noise are too large",
-    )
 
 
 def _last_line(found: vb.Reconstruction) -> str:

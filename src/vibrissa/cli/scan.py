@@ -33,13 +33,14 @@ def scan(
     as_json: common.AsJson = False,
 ) -> None:
     """Sweep a rod along an object: equilibria, support reactions and events."""
-    loaded = vb.load_case(case)
-    if speed is not None and loaded.rod.linear_density is None:
-        raise vb.io.InputError(
-            f"{case}: rod.density: missing; allowed is a number greater than 0, needed for --speed"
-        )
     with reporting() as report:
         report("loading")
+        loaded = vb.load_case(case, progress=report.count)
+        if speed is not None and loaded.rod.linear_density is None:
+            raise vb.io.InputError(
+                f"{case}: rod.density: missing; allowed is a number greater than 0, needed for "
+                "--speed"
+            )
         _check_start(case, loaded)
         report("scanning")
         result = vb.scan(
@@ -48,6 +49,7 @@ def scan(
             loaded.trail,
             friction=loaded.friction,
             finite_radius=loaded.finite_radius,
+            progress=report.count,
         )
         if output is not None:
             report("writing")

@@ -10,6 +10,7 @@ import typer
 import vibrissa as vb
 from vibrissa.cli import common
 from vibrissa.cli.live_parts import rdt_of, say, working
+from vibrissa.cli.progress import reporting
 
 
 def simulate_sensor(
@@ -69,7 +70,9 @@ def simulate_sensor(
     from vibrissa.live.process import TARE_SECONDS  # noqa: PLC0415
     from vibrissa.live.scene import measured, swept  # noqa: PLC0415
 
-    loaded, setting = vb.load_case(case), vb.load_setup(setup)
+    with reporting() as report:
+        report("loading")
+        loaded, setting = vb.load_case(case, progress=report.count), vb.load_setup(setup)
     table, tared = rdt_of(setting), setting.sensor.tare_seconds
     every = rate or table.rate
     resting = (TARE_SECONDS if tared is None else tared) + 0.1

@@ -10,6 +10,7 @@ from vibrissa.contacts import Status
 from vibrissa.forward import Scan, scan
 from vibrissa.geometry.checks import not_negative, positive, whole_number
 from vibrissa.inverse import Reconstruction, reconstruct
+from vibrissa.numerics.progress import Progress
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.sensor import RawRecording, Sensor
@@ -109,6 +110,7 @@ def expected_error(
     finite_radius: bool = False,
     false_alarm: float = 1e-3,
     tolerances: Tolerances | None = None,
+    progress: Progress | None = None,
 ) -> ExpectedError:
     """Will this sensor do for this rod? The expected contact error at every position of a scene.
 
@@ -118,7 +120,7 @@ def expected_error(
 
     Parameters
     ----------
-    rod, surface, trail, friction, finite_radius
+    rod, surface, trail, friction, finite_radius, progress
         As for `vibrissa.scan`, in SI units like the sensor's.
     sensor
         With known noise.
@@ -167,7 +169,9 @@ def expected_error(
         not_negative(rest, "rest"),
         whole_number(samples, "samples"),
     )
-    swept = scan(rod, surface, trail, friction=friction, finite_radius=finite_radius)
+    swept = scan(
+        rod, surface, trail, friction=friction, finite_radius=finite_radius, progress=progress
+    )
     exact, shape = swept.reactions, swept.trail.shape
     averaged, rate = _averaged(sensor, samples), rate / samples
     trails = [exact] if len(shape) == 1 else [exact[index] for index in range(len(exact.force))]

@@ -16,6 +16,7 @@ from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
 from vibrissa.mechanics.model import NEUTRAL, Clamp
 from vibrissa.numerics.lanes import FEW, WIDTH, in_threads, threads
+from vibrissa.numerics.progress import Progress, Tally
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
@@ -30,7 +31,13 @@ in some 30 MB of memory.
 
 
 def scan(
-    rod: Rod, surface: Surface, trail: Trail, *, friction: float = 0.0, finite_radius: bool = False
+    rod: Rod,
+    surface: Surface,
+    trail: Trail,
+    *,
+    friction: float = 0.0,
+    finite_radius: bool = False,
+    progress: Progress | None = None,
 ) -> Scan:
     """Quasi-static equilibria of a rod swept along an object, with a single contact (paper,
     sections II and III).
@@ -52,6 +59,8 @@ def scan(
         be smooth. With friction the force still acts on the centre line, whose path stands in for
         the skin's: the couple of the force about the centre line and the rotation of the section
         are neglected, both of first order in the radius.
+    progress
+        `progress(done, total)` is called now and then with the steps done and their total.
 
     Returns
     -------
@@ -92,11 +101,12 @@ def scan(
 
     # Whole blocks of lanes, and work for every thread.
     share = min(_TRAILS, WIDTH * -(-count // (WIDTH * threads())))
+    tally = Tally(progress, path.point[..., 0].size)
 
     def part(first: int) -> tuple[dict[str, np.ndarray], list[Happening]]:
         own = np.s_[first : first + share]
         some = type(path)(path.point[own], path.orientation[own], path.stride)
-        found = sweep(scene, some, law)
+        found = sweep(scene, some, law, tally)
         return _fields(rod, scene, law, some.clamps, path.stride, found), found.happenings
 
     parts = in_threads(part, range(0, count, share))

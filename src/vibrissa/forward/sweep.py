@@ -4,7 +4,7 @@ then the events.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -25,6 +25,7 @@ from vibrissa.forward.follow import Outcome, follow
 from vibrissa.forward.locate import Indicator, Place, located
 from vibrissa.forward.march import STABLE, Mode, Steps, entering, march, nowhere
 from vibrissa.forward.path import Path, chosen, extended_back
+from vibrissa.numerics.progress import Tally
 
 _AT_ONCE = 1e-9
 """Fraction of a step within which events count as one, to rounding."""
@@ -41,13 +42,13 @@ class Sweep:
     happenings: list[Happening] = field(default_factory=list)
 
 
-def sweep(scene: Scene, path: Path, law: Law) -> Sweep:
-    """Equilibria at all positions of the path, and the events between them."""
+def sweep(scene: Scene, path: Path, law: Law, tally: Tally) -> Sweep:
+    """Equilibria at all positions of the path, which are tallied, and the events between them."""
     straight = along_path(scene, path)
     inside = straight.at_clamp < 0
     clear = (straight.distance >= CLEAR) & ~inside
     meetings = first_meetings(scene, path, clear, straight.distance)
-    walk = _Walk(scene, path, law, clear, inside, meetings)
+    walk = _Walk(scene, path, law, clear, inside, meetings, tally)
     walk.begin()
     while walk.pending:
         walk.march()
@@ -100,7 +101,9 @@ class _Walk:
         clear: Bool[np.ndarray, "m n"],
         inside: Bool[np.ndarray, "m n"],
         meetings: Meetings,
+        tally: Tally,
     ) -> None:
+        self._tally, self._left = tally, np.full(len(clear), clear.shape[1])
         self._scene, self._path, self._law = scene, path, law
         self._clear, self._inside, self._meetings = clear, inside, meetings
         shape = clear.shape
@@ -150,12 +153,18 @@ class _Walk:
             own = whole[lanes]
             np.copyto(own, part, where=kept.reshape(*kept.shape, *(1,) * (part.ndim - 2)))
             whole[lanes] = own
+        self._go_on(lanes, n - ends)
         failed = np.flatnonzero(ends < n)
         self.found.steps.mode[lanes[failed], ends[failed]] = int(Mode.LOST)
         for which in failed.tolist() if resolve else ():
             lane, at = int(lanes[which]), int(ends[which])
             before = Mode(int(self.found.steps.mode[lane, at - 1])) if at else Mode.LOST
             self._resolve(lane, at, before, starts[which].patience)
+
+    def _go_on(self, lanes: Any, left: Any) -> None:
+        """Tally what lanes have passed, given the positions they have left."""
+        self._tally.add(int(np.sum(self._left[lanes] - left)))
+        self._left[lanes] = left
 
     def _marched(
         self, starts: list[_Start], lanes: Int[np.ndarray, "k"], first: Int[np.ndarray, "k"]
@@ -211,9 +220,11 @@ class _Walk:
             Happening(kind, lane, index, fraction, np.asarray(point))
             for kind, fraction, point in outcome.happened
         ]
+        last = self._clear.shape[1] - 1
+        self._go_on(lane, last - index)
         if outcome.mode == Mode.LOST:
             self._pass_over(lane, index, outcome.status, patience)
-        elif index < self._clear.shape[1] - 1:
+        elif index < last:
             sign = float(np.sign(outcome.figure)) if outcome.mode == Mode.CONTACT else STABLE
             self.pending.append(_Start(lane, index, outcome.mode, outcome.reached, sign, patience))
 
@@ -235,6 +246,7 @@ class _Walk:
         inside = self._inside[passed]
         self.found.status[passed] = np.where(inside, int(Status.CLAMP_INSIDE), int(status))
         self.by_hand[lane, index + 1 : stop + 1] = True
+        self._go_on(lane, n - stop)
         if stop < n:
             self._resolve(lane, stop, Mode.LOST, patience * 2)
 
@@ -257,7 +269,7 @@ def _entered(scene: Scene, path: Path, law: Law, lanes: Int[np.ndarray, "k"]) ->
     way = Path(way.point[needed], way.orientation[needed], 1)
     clear, inside = clear[needed], straight.at_clamp[needed] < 0
     meetings = first_meetings(scene, way, clear, straight.distance[needed])
-    walk = _Walk(scene, way, law, clear, inside, meetings)
+    walk = _Walk(scene, way, law, clear, inside, meetings, Tally(None, 0))
     walk.start_at(last_clear[found] - int(last_clear[found].min()))
     walk.march(resolve=False)
     last = chosen(walk.found.steps, np.s_[:, -1])

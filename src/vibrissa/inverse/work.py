@@ -70,14 +70,14 @@ _KNOWN_RATIOS = {
     "small?",
     1e-3: "forces and torques in mN and N mm, or positions a thousand times too small?",
     39.370: "positions in inches, taken for metres?",
-    9.80665: "forces and torques in kgf and kgf m, taken for N and N m?",
-    4.4482: "forces and torques in lbf, taken for N?",
+    9.80665: "forces and torques in kgf and kgf m, taken for N and N m, or EI ten times too large?",
+    4.4482: "forces and torques in lbf, taken for N, or EI four times too large?",
     16.0: "the rod's diameter, taken for its radius?",
     -1.0: "the other sign of the wrench, or a sensor turned by half a turn?",
 }
 _ELSE = (
     "check the units, the order of the quaternions, sign and axes of the wrench, the gain, EI and "
-    "length of the rod, and the tare"
+    "length of the rod, the clamp's place and orientation, and the tare"
 )
 
 
@@ -190,9 +190,10 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     return found
 
 
-def work_warnings(found: Reconstruction) -> tuple[list[str], bool]:
-    """Lines on clamp work and travel that contradict the reactions, and whether no contact can be
-    trusted; empty for sound sweeps, also with friction.
+def work_warnings(found: Reconstruction) -> tuple[list[str], bool, bool]:
+    """Lines on clamp work and travel that contradict the reactions, whether no contact can be
+    trusted, and whether the work is off by so much that small errors of the setup are no cause;
+    empty for sound sweeps, also with friction.
 
     One line for work that no contact explains, with the likeliest mistake if its ratio to the rod's
     energy matches a known one. One where the rod is loaded and released while its clamp hardly
@@ -205,12 +206,13 @@ def work_warnings(found: Reconstruction) -> tuple[list[str], bool]:
         lines: `clamp_work` gives the figures.
     """
     if found.reactions.time is None or found.reactions.covariance is None:
-        return [], False
-    told = {line: bad for trail in found.trails for line, bad in _told(trail.rod, trail.reactions)}
-    return list(told), any(told.values())
+        return [], False, False
+    told = {line: how for trail in found.trails for line, *how in _told(trail.rod, trail.reactions)}
+    untrusted, gross = (any(how[kind] for how in told.values()) for kind in (0, 1))
+    return list(told), untrusted, gross
 
 
-def _told(rod: Rod, reactions: Reactions) -> Iterator[tuple[str, bool]]:
+def _told(rod: Rod, reactions: Reactions) -> Iterator[tuple[str, bool, bool]]:
     wrong = [work for work in clamp_work(rod, reactions) if work.impossible]
     if wrong:
         worst = max(wrong, key=lambda work: work.energy.max())
@@ -225,7 +227,8 @@ def _told(rod: Rod, reactions: Reactions) -> Iterator[tuple[str, bool]]:
         known = (
             words for ratio, words in _KNOWN_RATIOS.items() if low < worst.ratio / ratio < high
         )
-        yield f"{text}: {next(known, _ELSE)}", True
+        gross = not 1 / _MOST_BY_FRICTION < worst.ratio < _MOST_BY_FRICTION
+        yield f"{text}: {next(known, _ELSE)}", True, gross
     load = _load(reactions)
     contacts = [span for span in load.spans if span[0] > 0]
     ways = [load.way(rod, span) for span in contacts]
@@ -245,6 +248,7 @@ def _told(rod: Rod, reactions: Reactions) -> Iterator[tuple[str, bool]]:
         yield (
             f"the clamp moves by no more than {size} while the rod is loaded and released: "
             f"{causes}",
+            moves,
             moves,
         )
 

@@ -13,6 +13,7 @@ from vibrissa.io.config import (
     NotNegative,
     Quaternion,
     RodTable,
+    Site,
     Table,
     Vector,
     load,
@@ -21,6 +22,7 @@ from vibrissa.io.config import (
     table_of,
 )
 from vibrissa.io.objects import ObjectTable
+from vibrissa.numerics.progress import Progress
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.trail import Trail
@@ -31,9 +33,9 @@ Count = Annotated[int, number("a whole number of at least 1", ge=1)]
 class MotionTable(Table):
     """Where the clamp goes; a list of one orientation holds for all positions."""
 
-    def arguments(self, folder: Path) -> dict[str, Any]:
+    def arguments(self, site: Site) -> dict[str, Any]:
         """Keys of the table, with a single orientation taken out of its list."""
-        given = super().arguments(folder)
+        given = super().arguments(site)
         for name in given.keys() & {"orientation", "orientations"}:
             given[name] = given[name][0] if len(given[name]) == 1 else given[name]
         return given
@@ -123,17 +125,17 @@ class CaseFile(Table):
             )
         return self
 
-    def build(self, folder: Path) -> Case:
+    def build(self, site: Site) -> Case:
         """Return the case; several trails are stacked into one."""
-        given = self.arguments(folder)
+        given = self.arguments(site)
         first, *others = given["trail"]
         trail = Trail.stack([first, *others]) if others else first
         return Case(given["rod"], given["object"], trail, **self.contact.model_dump())
 
 
-def load_case(path: str | Path) -> Case:
+def load_case(path: str | Path, *, progress: Progress | None = None) -> Case:
     """Read a case from TOML: tables [rod] and [object], one or more [[trail]] of equal length, and
-    [contact] if there is friction or a finite radius.
+    [contact] if there is friction or a finite radius. `progress` is as for `Mesh`.
 
     Raises
     ------
@@ -141,4 +143,4 @@ def load_case(path: str | Path) -> Case:
         If the file cannot be read, a key is unknown, missing or out of range, or the trails differ
         in length or hold more than 10,000,000 positions.
     """
-    return load(path, CaseFile)
+    return load(path, CaseFile, progress)

@@ -6,12 +6,13 @@ from difflib import get_close_matches
 from inspect import signature
 from pathlib import Path
 from reprlib import repr as shortened
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Union, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, WrapValidator, create_model
 from pydantic_core import ErrorDetails
 
 from vibrissa.files import InputError, readable
+from vibrissa.numerics.progress import Progress
 from vibrissa.rod import Rod
 
 
@@ -48,6 +49,13 @@ ORIGIN = (0.0, 0.0, 0.0)
 _SHOWN = 3  # findings listed in a line; the rest are only counted
 
 
+class Site(NamedTuple):
+    """Where tables are built: the folder of their file, and who wants to know how far that is."""
+
+    folder: Path
+    progress: Progress | None = None
+
+
 class Table(BaseModel):
     """A TOML table: unknown keys are errors.
 
@@ -64,26 +72,26 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
     noun: ClassVar[Any] = None
 
-    def arguments(self, folder: Path) -> dict[str, Any]:
-        """Keys that the file gives, except `kind`: tables built, paths relative to `folder`."""
+    def arguments(self, site: Site) -> dict[str, Any]:
+        """Keys that the file gives, except `kind`: tables built, paths from the site's folder."""
         return {
-            name: _built(getattr(self, name), folder) for name in self.model_fields_set - {"kind"}
+            name: _built(getattr(self, name), site) for name in self.model_fields_set - {"kind"}
         }
 
-    def build(self, folder: Path) -> Any:
-        """Return what the table describes, paths relative to `folder`; raise ValueError as the
-        noun's constructor does.
+    def build(self, site: Site) -> Any:
+        """Return what the table describes, paths relative to the site's folder; raise ValueError
+        as the noun's constructor does.
         """
         noun = type(self).noun
-        return self if noun is None else noun(**self.arguments(folder))
+        return self if noun is None else noun(**self.arguments(site))
 
 
-def _built(value: Any, folder: Path) -> Any:
+def _built(value: Any, site: Site) -> Any:
     if isinstance(value, Table):
-        return value.build(folder)
+        return value.build(site)
     if isinstance(value, list):
-        return [_built(part, folder) for part in value]
-    return folder / value if isinstance(value, Path) else value
+        return [_built(part, site) for part in value]
+    return site.folder / value if isinstance(value, Path) else value
 
 
 def table_of(
@@ -126,8 +134,8 @@ _ROD = dict.fromkeys(
 )
 
 
-def load(path: str | Path, model: type[Table]) -> Any:
-    """Read a TOML file and return what its tables describe.
+def load(path: str | Path, model: type[Table], progress: Progress | None = None) -> Any:
+    """Read a TOML file and return what its tables describe; `progress` is for meshes.
 
     Raises
     ------
@@ -143,7 +151,7 @@ def load(path: str | Path, model: type[Table]) -> Any:
             f"{file}: not valid TOML ({error}); allowed is a TOML file in UTF-8"
         ) from error
     try:
-        return model.model_validate(content).build(file.parent)
+        return model.model_validate(content).build(Site(file.parent, progress))
     except ValidationError as error:
         raise InputError(f"{file}: {one_line(error, model)}") from error
     except ValueError as error:

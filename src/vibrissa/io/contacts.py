@@ -30,6 +30,7 @@ from vibrissa.io.clouds import (
     write_pcd,
     write_vtp,
 )
+from vibrissa.numerics.progress import Progress
 
 if TYPE_CHECKING:
     import pandas
@@ -67,13 +68,14 @@ def write_contacts(
     path: str | Path,
     found: Reconstruction | Scan,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write the contacts of a reconstruction or scan, in the rod's units and the format that the
     suffix says.
 
-    CSV, Parquet and MATLAB's `.mat`, a struct `contacts`: one row per sample. NetCDF: everything. PLY, VTK's `.vtp` (ParaView), `.pcd`
-    (PCL) and MCAP (a ROS `PointCloud2` for each trail): the contacts as points with normals.
+    CSV, Parquet and MATLAB's `.mat`, a struct `contacts`: one row per sample. NetCDF: everything.
+    PLY, VTK's `.vtp` (ParaView), `.pcd` (PCL) and MCAP (a ROS `PointCloud2` for each trail): the
+    contacts as points with normals.
 
     A row whose point is not finite counts as without contact, and its status is never OK, except
     in NetCDF. `progress` is called with the rows written to CSV and their total.
@@ -136,9 +138,7 @@ def _written(file: Path, write: Callable[[], object]) -> Path:
     return file
 
 
-def _write_csv(
-    file: Path, table: "pandas.DataFrame", progress: Callable[[int, int], None] | None
-) -> None:
+def _write_csv(file: Path, table: "pandas.DataFrame", progress: Progress | None) -> None:
     with file.open("w", newline="", encoding="utf-8") as stream:
         for first in range(0, max(len(table), 1), _BLOCK):
             table[first : first + _BLOCK].to_csv(

@@ -15,6 +15,7 @@ from vibrissa.io.config import (
     NotNegative,
     Positive,
     Quaternion,
+    Site,
     Table,
     Vector,
     number,
@@ -33,9 +34,9 @@ class PlacedTable(Table):
     rotation: Quaternion = NO_TURN
     translation: Vector = ORIGIN
 
-    def build(self, folder: Path) -> Any:
+    def build(self, site: Site) -> Any:
         """Return the surface, placed as the table says."""
-        given = self.arguments(folder)
+        given = self.arguments(site)
         shape = {name: given[name] for name in given.keys() - PlacedTable.model_fields}
         surface = type(self).noun(**shape)
         if (self.rotation, self.translation) == (NO_TURN, ORIGIN):
@@ -55,15 +56,19 @@ class MeshTable(PlacedTable):
     crease_angle: CreaseAngle | None = None
     reach: NotNegative | None = None
 
-    def build(self, folder: Path) -> Any:
+    def arguments(self, site: Site) -> dict[str, Any]:
+        """Keys of the table, and who is told of the progress."""
+        return super().arguments(site) | {"progress": site.progress}
+
+    def build(self, site: Site) -> Any:
         """Return the surface; raise ValueError also if a mesh library is missing."""
         try:
-            return super().build(folder)
+            return super().build(site)
         except (ValueError, ImportError) as error:
             raise ValueError(f"file = {str(self.file)!r}: {error}") from error
 
     @staticmethod
-    def noun(file: Path, **options: float) -> surfaces.Mesh:
+    def noun(file: Path, **options: Any) -> surfaces.Mesh:
         """Load the mesh."""
         return surfaces.Mesh.load(file, **options)
 

@@ -20,6 +20,7 @@ from vibrissa.io.config import (
     Positive,
     Quaternion,
     RodTable,
+    Site,
     Table,
     Vector,
     load,
@@ -29,6 +30,7 @@ from vibrissa.io.config import (
 )
 from vibrissa.io.objects import ObjectTable
 from vibrissa.io.recordings.table import RecordingTable
+from vibrissa.numerics.progress import Progress
 from vibrissa.rod import Rod
 from vibrissa.sensor import LowPass, Mount, Sensor
 from vibrissa.sensor.presets import PRESETS
@@ -228,9 +230,9 @@ class SensorTable(Table):
     mount: MountTable | None = None  # type: ignore[valid-type]
     gain: Gain = (1.0,) * 6
 
-    def build(self, folder: Path) -> Sensor:
+    def build(self, site: Site) -> Sensor:
         """Return the sensor."""
-        given = {"tare_seconds": None} | PRESETS.get(self.preset, {}) | self.arguments(folder)
+        given = {"tare_seconds": None} | PRESETS.get(self.preset, {}) | self.arguments(site)
         given.pop("preset", None)
         if given.get("cross_talk") is not None:
             given["cross_talk"] = np.array(given["cross_talk"])
@@ -251,19 +253,19 @@ class SetupFile(Table):
     calibration: CalibrationTable | None = None
     tolerances: TolerancesTable | None = None  # type: ignore[valid-type]
 
-    def build(self, folder: Path) -> Setup:
+    def build(self, site: Site) -> Setup:
         """Return the setup."""
-        given = self.arguments(folder)
+        given = self.arguments(site)
         return Setup(surface=given.pop("object", None), **given)
 
 
-def load_setup(path: str | Path) -> Setup:
+def load_setup(path: str | Path, *, progress: Progress | None = None) -> Setup:
     """Read a setup from TOML: tables [rod], [sensor] and, optionally, [object], [recording], [rdt],
-    [pose], [tolerances] and, if it was calibrated, [calibration].
+    [pose], [tolerances] and, if it was calibrated, [calibration]. `progress` is as for `Mesh`.
 
     Raises
     ------
     InputError
         If the file cannot be read, or a key is unknown, missing or out of range.
     """
-    return load(path, SetupFile)
+    return load(path, SetupFile, progress)

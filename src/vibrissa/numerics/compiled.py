@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache, wraps
+from functools import cache, lru_cache, wraps
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
@@ -115,16 +115,20 @@ def compiled(
     return call
 
 
+@cache
+def _tell() -> None:
+    sys.stderr.write("vibrissa: compiling, once on a machine for each kind of object …\n")
+
+
 @contextmanager
 def telling() -> Iterator[None]:
-    """Say on a terminal that kernels are being compiled, if the block takes long; once, however
-    many threads wait.
+    """Say on a terminal that kernels are being compiled, if the block takes long; once in a
+    process.
     """
     if not sys.stderr.isatty() or not _told.acquire(blocking=False):
         yield
         return
-    message = "vibrissa: compiling for this kind of object, once per machine …\n"
-    timer = threading.Timer(_PATIENCE, sys.stderr.write, (message,))
+    timer = threading.Timer(_PATIENCE, _tell)
     timer.daemon = True
     timer.start()
     try:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import pandas as pd
 from vibrissa.forward import Scan, scan
 from vibrissa.inverse import Reconstruction, reconstruct
 from vibrissa.io import write_dataset
+from vibrissa.numerics.progress import Progress
 from vibrissa.paper import case
 from vibrissa.paper.statements import Statement, statements
 from vibrissa.shape import coverage
@@ -33,7 +35,7 @@ class Demo:
     files: list[Path]
 
 
-def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
+def run_demo(folder: Path, report: Callable[[str], None], progress: Progress | None = None) -> Demo:
     """The paper, forward and inverse: figures 2, 3a and 3b, the plane case, further sweeps, and the
     table of statements.
 
@@ -43,15 +45,18 @@ def run_demo(folder: Path, report: Callable[[str], None]) -> Demo:
         Where figures (PNG, PDF), datasets (NetCDF) and the table (CSV) go; it must exist.
     report
         Called with the name of each step as it begins.
+    progress
+        As for `scan`.
     """
+    swept = partial(scan, case.ROD, case.SURFACE, progress=progress)
     report("forward: eleven trails")
-    paper = scan(case.ROD, case.SURFACE, case.trails())
+    paper = swept(case.trails())
     report("inverse: contacts from reactions alone")
     found = reconstruct(case.ROD, paper.reactions)
     report("forward: the plane case y0 = 0")
-    plane = scan(case.ROD, case.SURFACE, case.plane_trail())
+    plane = swept(case.plane_trail())
     report("further sweeps: across the trails, and at other distances")
-    further = {name: scan(case.ROD, case.SURFACE, trail) for name, trail in case.further().items()}
+    further = {name: swept(trail) for name, trail in case.further().items()}
     covered = _covered(found, further)
     checked = statements(paper, plane, found)
     report("datasets")

@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Int
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from vibrissa.contacts import Status
 from vibrissa.rod import Rod
@@ -83,9 +85,24 @@ def save_as(axes: Axes | Sequence[Axes], path: str | Path) -> Path:
     figure = np.ravel(np.asarray(axes, dtype=object))[0].get_figure(root=True)
     # Without a date and random names the same figure gives the same file.
     with mpl.rc_context({"svg.hashsalt": "vibrissa"}):
-        figure.savefig(path, bbox_inches="tight", pad_inches=0.04, metadata=_METADATA[suffix])
+        shown = _shown(figure) if any(one.name == "3d" for one in figure.axes) else "tight"
+        figure.savefig(path, bbox_inches=shown, pad_inches=0.04, metadata=_METADATA[suffix])
     plt.close(figure)
     return path
+
+
+def _shown(figure: Figure) -> Bbox:
+    """What a figure in space shows [inch]: the square of its axes, which a tight box would keep,
+    is mostly empty.
+    """
+    figure.canvas.draw()
+    boxes = []
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        boxes += [axis.get_tightbbox() for axis in axes._axis_map.values()]
+        boxes += [legend.get_window_extent()] if legend else []
+    around = Bbox.union([box for box in boxes if box is not None])
+    return around.transformed(figure.dpi_scale_trans.inverted()).padded(0.04)
 
 
 def status_words(status: Int[np.ndarray, "..."]) -> str:

@@ -127,6 +127,12 @@ class Inspection:
         return tuple(sorted(found, key=lambda fault: fault.kind is not FaultKind.UNITS))
 
     @property
+    def misread(self) -> tuple[str, ...]:
+        """Findings that let no contact be trusted: units, signs, axes, clamp."""
+        kinds = {FaultKind.UNITS, FaultKind.MOUNT}
+        return tuple(fault.text for fault in self.faults if fault.kind in kinds)
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Findings that contradict the setup or spoil contacts, a line each, which `read_recording`
         warns of; none for snippets of fewer than 250 rows.

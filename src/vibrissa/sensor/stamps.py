@@ -64,7 +64,9 @@ def stamp_faults(time: Times, *, rounded: bool = False) -> Iterator[Fault]:
         count = int(np.count_nonzero(late & ~equal)) or len(falling)
         text = f"time = {after} after {before} ({len(falling)} such); allowed are increasing times"
         yield _fault(FaultKind.BACKWARD, (after, before), text, count, unusable=True)
-    if not _SLOWEST <= 1 / usual <= _FASTEST:
+    # Rows in disorder say nothing about the unit of their stamps.
+    ordered = len(falling) <= _MANY * len(steps)
+    if ordered and not _SLOWEST <= 1 / usual <= _FASTEST:
         guess = " (milliseconds, microseconds or nanoseconds?)" if usual > 1 else ""
         text = (
             f"{1 / usual:.3g} samples a second, which no sensor sends{guess}; allowed are seconds"

@@ -94,8 +94,10 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
     """
     extent = np.max(np.fmax.reduce(raw.position) - np.fmin.reduce(raw.position))
     if extent > _LONGEST_SWEEP * rod.length:
+        guess = " (in mm?)" if extent * 1e-3 < _LONGEST_SWEEP * rod.length else ""
         text = (
-            f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m; allowed are metres"
+            f"px,py,pz extend over {extent:.3g} with a rod of {rod.length:g} m{guess}; allowed are "
+            "metres"
         )
         yield Fault.over(("position",), FaultKind.UNITS, raw.time, text, unusable=True)
     yield from norm_faults(raw.time, raw.orientation)
@@ -250,7 +252,8 @@ def mount_faults(reactions: Reactions, rod: Rod) -> Iterator[Fault]:
     if away > _FURTHEST:
         yield found(
             f"the contact forces act along lines {away:.3g} rod lengths from the clamp in the "
-            "median, where no rod is: check clamp_position, wrench_point and length"
+            "median, where no rod is: check clamp_position, wrench_point, length, and signs and "
+            "axes of forces and torques"
         )
     elif ahead < _BEHIND and away > _FAR:
         yield found(

@@ -114,7 +114,7 @@ class Content:
     force_unit: str
     size: float
     triangles: Float[np.ndarray, "f 3 3"]
-    trails: tuple[Float[np.ndarray, "n 3"], ...] = ()
+    trails: tuple[Float[np.ndarray, "_ 3"], ...] = ()
     poses: tuple[Pose, ...] = ()
     instants: tuple[Instant, ...] = ()
     notes: tuple[str, ...] = ()

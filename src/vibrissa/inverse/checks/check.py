@@ -57,7 +57,10 @@ def checked(found: Reconstruction) -> Reconstruction:
     """The same contacts with what contradicts the setup: `setup_check`, `warnings` (each also a
     `RecordingWarning`), and statuses as from `with_contradictions`.
     """
-    said, (lines, misread) = check_setup(found), work_warnings(found)
+    said, (lines, misread, gross) = check_setup(found), work_warnings(found)
+    if gross or found.reactions.misread:
+        # Sizes of small errors that would explain a gross one are wrong: what is gross is named.
+        said = replace(said, named=(), warnings=())
     misread = misread or said.misread or bool(found.reactions.misread)
     told = _told(found, replace(said, misread=misread), *said.warnings, *lines)
     return with_contradictions(with_delay(told))

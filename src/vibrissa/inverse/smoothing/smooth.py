@@ -4,7 +4,6 @@ Long recordings are smoothed in segments, cut at rest or overlapping within a co
 memory is bounded and time grows with the samples.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -36,12 +35,15 @@ from vibrissa.inverse.smoothing.model import (
 )
 from vibrissa.inverse.smoothing.phases import with_jumps, with_snaps
 from vibrissa.inverse.smoothing.result import Smoothing, Touch
+from vibrissa.numerics.progress import Progress, Stages, Tally
 from vibrissa.numerics.runs import runs
 
 _ROUNDS = 4
 """Of looking for jumps: each finds all that are not close to others."""
 _LONGEST, _OVERLAP = 16384, 2048
 """Samples: some hundred MB of states, and enough overlap for a cut in its middle not to show."""
+_STAGES = 6
+"""Of a segment: two fits to first guesses, phases, jumps, starts and ends, the result."""
 _REST = 128
 """Samples without contact in whose middle two segments may meet."""
 
@@ -51,7 +53,7 @@ def smooth(
     *,
     false_alarm: float = 1e-3,
     model_error: float = 2e-4,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Reconstruction:
     """Contacts smoothed along their sweep: each uses all samples of it, given the noise of
     the wrench, and assumes that a contact moves smoothly until it changes.
@@ -68,7 +70,8 @@ def smooth(
         Standard deviation in rod lengths, on each axis, of what the statics of an ideal rod leave
         out. It is added to the covariances.
     progress
-        Called with the samples done and their total, now and then, in long recordings.
+        `progress(done, total)` is called now and then with the samples done and their total, a
+        sixth of them after each of the six stages that all samples of a segment go through.
 
     Returns
     -------
@@ -99,9 +102,9 @@ def smooth(
             "found.reactions.covariance = None: smoothing needs the noise of the wrench; "
             "give the sensor force_noise and torque_noise"
         )
-    alone = found.kind.ndim == 1
+    alone, tally = found.kind.ndim == 1, Tally(progress, found.kind.size)
     parts, told = zip(
-        *(_smoothed(trail, false_alarm, model_error, progress) for trail in found.trails),
+        *(_smoothed(trail, false_alarm, model_error, tally) for trail in found.trails),
         strict=True,
     )
     rows: dict[str, Any] = jax.tree.map(lambda *of: of[0] if alone else np.stack(of), *parts)
@@ -118,16 +121,17 @@ def _smoothed(
     found: Reconstruction,
     false_alarm: float,
     model_error: float,
-    progress: Callable[[int, int], None] | None,
+    tally: Tally,
 ) -> tuple[dict[str, Any], Smoothing]:
     """Contacts of one trail, segment by segment, and what is reported besides."""
     count, zero, likelihood = len(found.kind), TARED, 0.0
     time = np.arange(count, dtype=float) if found.reactions.time is None else found.reactions.time
     segments, pieces, intensities = _segments_of(found.kind == ContactKind.NONE), [], []
     for number, (segment, kept) in enumerate(segments):
+        stages = Stages(tally, kept.stop - kept.start, _STAGES)
         try:
             piece, fit = _smoothed_segment(
-                found[segment], time[segment], zero, false_alarm, model_error
+                found[segment], time[segment], zero, false_alarm, model_error, stages
             )
         except (NoMotionError, np.linalg.LinAlgError):
             size = segment.stop - segment.start
@@ -150,8 +154,7 @@ def _smoothed(
         inside = slice(kept.start - segment.start, kept.stop - segment.start)
         # Copied, so that the rows of the overlap are freed.
         pieces.append(jax.tree.map(lambda part, inside=inside: part[inside].copy(), piece))
-        if progress is not None and len(segments) > 1:
-            progress(kept.stop, count)
+        stages.end()
     rows = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
     touches = _touches(*map(rows.pop, ("labels", "edges", "change_deviation")))
     drift, weight, tilt = map(rows.pop, ("drift", "weight", "tilt"))
@@ -175,7 +178,12 @@ def _segments_of(resting: Flags) -> list[tuple[slice, slice]]:
 
 
 def _smoothed_segment(
-    found: Reconstruction, time: Samples, zero: Gaussian, false_alarm: float, model_error: float
+    found: Reconstruction,
+    time: Samples,
+    zero: Gaussian,
+    false_alarm: float,
+    model_error: float,
+    stages: Stages,
 ) -> tuple[dict[str, Any], Fit]:
     """One series: guess phases, fit the motion, find jumps and phases in it, place starts and ends,
     judge the rest.
@@ -183,14 +191,17 @@ def _smoothed_segment(
     series = series_of(found, time)
     spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
     fit = fitted(first_guess(series, zero, false_alarm, spread), local=False)
+    stages.end_one()
     # Again, now that the drift of the zero is known.
     guess = first_guess(series, fit.states.zero, false_alarm, spread)
     fit = fit._replace(labels=guess.labels, linear=guess.linear)
     fit = fitted(fit._replace(labels=with_snaps(fit)))
+    stages.end_one()
     # So that tangential contact is not taken for a jump.
     phased, places = with_phases(fit)
     if not np.array_equal(phased.labels.phase, fit.labels.phase):
         fit = fitted(phased)
+    stages.end_one()
     jumped = False
     for _ in range(_ROUNDS):
         labels = with_jumps(fit)
@@ -199,6 +210,7 @@ def _smoothed_segment(
         fit, jumped = fitted(fit._replace(labels=labels)), True
     if jumped:
         fit, places = with_phases(fit)
+    stages.end_one()
     # Time, deviation and limit of starts and of ends; deviations of phase changes [s].
     edges = np.full((len(time), 2, 3), np.nan)
     change_deviation = np.full(len(time), series.step)
@@ -213,6 +225,7 @@ def _smoothed_segment(
             back, begin, told = with_onset(reversed_fit(fit), len(time) - rows.stop)
             fit = fit._replace(labels=reversed_fit(back).labels)
             edges[-1 - begin, 1] = time[-1] - told[0], *told[1:]
+    stages.end_one()
     smoothest = fit = fitted(fit, most_steps=MOST_STEPS)
     if fit.labels.touching.any():
         flank = as_flank(fit)

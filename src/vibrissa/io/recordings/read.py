@@ -56,9 +56,7 @@ def read_recording(path: str | Path, setup: Setup) -> Reactions:
     reactions = found.sensor.reactions(
         found.cleaned, found.tare, tolerances=setup.parameter_covariance
     )
-    kinds = {FaultKind.UNITS, FaultKind.MOUNT}
-    misread = tuple(fault.text for fault in found.faults if fault.kind in kinds)
-    return replace(reactions, misread=misread)
+    return replace(reactions, misread=found.misread)
 
 
 def read_cleaned(path: str | Path, setup: Setup) -> RawRecording:

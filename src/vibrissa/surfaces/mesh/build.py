@@ -8,6 +8,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.progress import Guess
 from vibrissa.surfaces.mesh.creases import Sheets
 from vibrissa.surfaces.mesh.field import CORNERS, Field, Triangles, field_level
 from vibrissa.surfaces.mesh.libraries import library
@@ -26,13 +27,17 @@ _BAND, _STENCIL = 2.5, 5.0
 _BLUR, _ROUNDING = 0.05, 1e-9
 
 
-def build(sheet: Sheets, reach: float) -> Field:
+STEPS = 4
+"""Steps counted for a mesh without creases."""
+
+
+def build(sheet: Sheets, reach: float, steps: Guess) -> Field:
     """Sample the mesh on a grid; keep its triangles where, within `reach` of the surface, the
     spline is off by more than a twentieth of their chordal error.
     """
     grid = _grid(sheet, reach)
     reach = max(reach, _BAND * grid.spacing)
-    level = node_levels(grid, sheet, reach + _STENCIL * grid.spacing).reshape(grid.size)
+    level = node_levels(grid, sheet, reach + _STENCIL * grid.spacing, steps).reshape(grid.size)
     coefficients = level
     for axis in range(3):
         # Quasi-interpolation: exact for cubics, and the effect of a crease stays within two nodes
@@ -61,9 +66,10 @@ def build(sheet: Sheets, reach: float) -> Field:
     np.maximum.at(at_fan, sheet.fans, sheet.sag()[:, None])
     allowed = _BLUR * at_fan[sheet.fans].max(axis=1) + _ROUNDING * grid.spacing
     blurred = np.abs(error) > allowed[triangle]
+    steps.step()
     if not blurred.any():
         return plain
-    return plain._replace(triangles=_triangles(grid, sheet, cells, blurred))
+    return plain._replace(triangles=_triangles(grid, sheet, cells, blurred, steps))
 
 
 @lanes(width=1, blocks=1 << 15)
@@ -94,7 +100,11 @@ def _grid(sheet: Sheets, reach: float) -> Grid:
 
 
 def _triangles(
-    grid: Grid, sheet: Sheets, cells: Int[np.ndarray, "c"], blurred: Bool[np.ndarray, "c"]
+    grid: Grid,
+    sheet: Sheets,
+    cells: Int[np.ndarray, "c"],
+    blurred: Bool[np.ndarray, "c"],
+    steps: Guess,
 ) -> Triangles:
     """Triangles of the cells with a sharp corner, that is, a corner of a blurred cell."""
     nodes = np.prod(grid.size)
@@ -102,7 +112,7 @@ def _triangles(
     sharp = np.zeros(nodes, dtype=bool)
     sharp[corners[blurred]] = True
     used = cells[sharp[corners].any(axis=1)]
-    cell, triangle = candidates(grid, sheet, used)
+    cell, triangle = candidates(grid, sheet, used, steps)
     first = np.searchsorted(used[cell], np.arange(nodes + 1))
     chosen, nearby = np.unique(triangle, return_inverse=True)
     return Triangles(

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite
+from vibrissa.numerics.progress import Guess, Progress
 from vibrissa.surfaces.base import ExactSurface, Point, Scalar
-from vibrissa.surfaces.mesh.build import build
+from vibrissa.surfaces.mesh.build import STEPS, build
 from vibrissa.surfaces.mesh.creases import sheets
 from vibrissa.surfaces.mesh.field import Field, field_level
 from vibrissa.surfaces.mesh.libraries import Faces, Vertices
@@ -51,6 +52,9 @@ class Mesh(ExactSurface):
     reach
         Distance from the surface up to which creases keep their shape [units of the rod]; default 2
         % of the diagonal, and at least 2.5 grid cells.
+    progress
+        `progress(done, total)` is called after each step of building the level, of about a second
+        in large meshes; the total is a guess until it is known whether there are creases.
 
     Raises
     ------
@@ -77,13 +81,16 @@ class Mesh(ExactSurface):
         *,
         crease_angle: float = 0.7,
         reach: float | None = None,
+        progress: Progress | None = None,
     ) -> None:
         angle = finite(crease_angle, "crease_angle")
         if not 0 < angle <= np.pi:
             raise ValueError(
                 f"crease_angle = {crease_angle!r}; allowed is an angle between 0 and π [rad]"
             )
+        steps = Guess(progress, STEPS + 2)
         self.source = _Source(*mended(vertices, faces))
+        steps.step()
         diagonal = float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
         distance = 0.02 * diagonal if reach is None else finite(reach, "reach")
         if not 0 <= distance <= diagonal:
@@ -93,7 +100,10 @@ class Mesh(ExactSurface):
             )
         if self.repairs:
             _LOG.warning("mesh mended: %s", self.repairs)
-        self.field = build(sheets(self.vertices, self.faces, angle), distance)
+        smooth = sheets(self.vertices, self.faces, angle)
+        steps.step()
+        self.field = build(smooth, distance, steps)
+        steps.end()
 
     @classmethod
     def load(
@@ -103,6 +113,7 @@ class Mesh(ExactSurface):
         *,
         crease_angle: float = 0.7,
         reach: float | None = None,
+        progress: Progress | None = None,
     ) -> Mesh:
         """Read STL, OBJ, PLY, glTF or GLB.
 
@@ -113,7 +124,7 @@ class Mesh(ExactSurface):
         scale
             Length of the file's unit, in units of the rod: 1e-3 for millimetres and a rod in SI.
             Required for STL, OBJ and PLY, which have no unit; glTF is in metres, so 1 unless given.
-        crease_angle, reach
+        crease_angle, reach, progress
             As for `Mesh`.
 
         Raises
@@ -126,7 +137,7 @@ class Mesh(ExactSurface):
         """
         vertices, faces = read(path, scale)
         try:
-            return cls(vertices, faces, crease_angle=crease_angle, reach=reach)
+            return cls(vertices, faces, crease_angle=crease_angle, reach=reach, progress=progress)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 

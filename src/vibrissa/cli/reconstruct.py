@@ -72,9 +72,9 @@ def reconstruct(
         if figure is not None:
             report(f"drawing {figure}")
             common.draw(figure, lambda: vb.plot.contacts_figure(found))
+    common.doubt_contacts(found)
     warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
     summary = _summary(found) | estimated | {"warnings": warnings}
-    common.doubt_contacts(found)
     files = [*(output or []), *([] if figure is None else [figure])]
     last = _last_line(found) + common.into(*files)
     common.show(summary, lambda said: f"{_text(said)}\n{last}", as_json=as_json)

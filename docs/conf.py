@@ -1,6 +1,7 @@
 """Sphinx configuration: the documentation builds, and reads, without a network."""
 
 import ast
+import json
 import re
 import tomllib
 import warnings
@@ -28,13 +29,13 @@ author = "The vibrissa developers"
 copyright = "The vibrissa developers, Apache-2.0"
 version = release = vibrissa.__version__
 
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "myst_parser"]
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "myst_nb"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "vibrissa"
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
-html_css_files = ["math.css"]
+html_css_files = ["math.css", "pages.css"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
@@ -45,6 +46,7 @@ napoleon_use_rtype = False
 
 myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath", "substitution"]
 myst_heading_anchors = 3
+nb_execution_mode = "off"  # outputs are stored: docs/run_tutorials.py
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -95,7 +97,23 @@ def _names(enumeration: type[ContactKind] | type[EventKind]) -> str:
     return ", ".join(f"`{member.name}` {int(member)}" for member in enumeration)
 
 
+def _measured(name: str) -> dict[str, Any]:
+    numbers = json.loads((Path(__file__).parent / f"{name}.json").read_text(encoding="utf-8"))
+    return dict(numbers)
+
+
+def _accuracy() -> dict[str, str]:
+    """What docs/make_accuracy.py measured."""
+    numbers = _measured("accuracy")
+    head = ("recording", "contacts", "median, raw [mm]", "95 % of them below [mm]")
+    head += ("inside 95 % ellipsoids [%]", "median, smoothed [mm]", "95 % below [mm]", "inside [%]")
+    table = _table(head, [tuple(row) for row in numbers.pop("recordings")])
+    return {name: str(value) for name, value in numbers.items()} | {"recordings_table": table}
+
+
 myst_substitutions = {
+    **_accuracy(),
+    **_measured("comparison"),
     "contact_kinds": _names(ContactKind),
     "event_kinds": _names(EventKind),
     "rooms_table": _rooms_table(),

@@ -1,9 +1,5 @@
-"""Draw the gallery: `uv run --group gallery --extra mesh python docs/make_gallery.py [NAME ...]`
-writes one picture for each kind of object into docs/images/gallery.
-
-An object is drawn by its own faces where it has edges, else as the zero of its level function
-within a box, by marching cubes; parts of the rods behind it are found by the same function, and
-drawn faintly.
+"""Draw the gallery: `uv run python docs/make_gallery.py [NAME ...]` writes one picture for each
+kind of object into docs/images/gallery.
 """
 
 import sys
@@ -17,34 +13,17 @@ mpl.use("Agg")
 
 import jax.numpy as jnp
 import numpy as np
-import trimesh
-from contourpy import contour_generator
 from jax import Array
-from matplotlib import pyplot as plt
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d import Axes3D, proj3d
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
-from PIL import Image, ImageChops
-from skimage.measure import marching_cubes
+from mpl_toolkits.mplot3d import Axes3D
+from PIL import Image
 
 import vibrissa as vb
 from vibrissa.plot import journal, save_as
-from vibrissa.plot.lines import dress
-from vibrissa.plot.style import COLUMN, KIND_COLOURS, KIND_NAMES, length_factor
 
 IMAGES = Path(__file__).parent / "images" / "gallery"
 CASES = Path(__file__).parents[1] / "examples" / "cases"
 UNIT = vb.Rod.unit()
 WIRE = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
-
-_CELLS = 90
-_PAINT = np.array([0.84, 0.87, 0.90])
-_SAMPLES = 90
-_STRAIGHT, _FREE = "black", "0.6"
-_FORCE, _NORMAL = "#d97706", "#2a7f3f"
-_ARROW = 0.2
-_SECTIONS = 180
 
 
 class Exhibit(NamedTuple):
@@ -240,280 +219,29 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
 
 
 def picture(exhibit: Exhibit) -> tuple[Axes3D, vb.Scan]:
-    """The object, elastic lines red in tip contact, blue in tangential contact and black where
-    straight, and all contact points.
-    """
-    surface, factor = exhibit.surface(), length_factor(exhibit.rod)
+    """The exhibit, scanned and drawn."""
     scan = vb.scan(
         exhibit.rod,
-        surface,
+        exhibit.surface(),
         exhibit.trail,
         friction=exhibit.friction,
         finite_radius=exhibit.finite_radius,
     )
-    figure = plt.figure(figsize=(1.7 * COLUMN, 1.25 * COLUMN))
-    axes: Axes3D = figure.add_subplot(projection="3d", computed_zorder=False)
-    axes.set_proj_type("ortho")
-    elevation, azimuth = np.radians(exhibit.view)
-    towards = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
-    corners = _draw_object(axes, surface, exhibit, towards)
-    lines = _draw_rods(axes, scan, surface, exhibit, towards)
-    everything = np.vstack([corners, lines, factor * scan.trail.position.reshape(-1, 3)])
-    handles = [
-        Line2D([], [], color=colour, label=KIND_NAMES[kind])
-        for kind, colour in KIND_COLOURS.items()
-        if np.any(scan.kind == kind)
-    ]
-    handles.append(Line2D([], [], color=_STRAIGHT, linewidth=0.6, label="straight part"))
-    handles.append(Line2D([], [], color=_FREE, linewidth=0.6, label="without contact"))
-    handles.append(
-        Line2D(
-            [], [], color="0.2", marker=".", linestyle="none", markersize=4, label="contact point"
-        )
-    )
-    if exhibit.friction > 0:
-        _draw_forces(axes, scan, surface, exhibit, towards)
-        handles += [
-            Line2D([], [], color=colour, label=label)
-            for colour, label in ((_FORCE, "force on the rod"), (_NORMAL, "normal"))
-        ]
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    dress(axes, scan)
-    axes.view_init(*exhibit.view)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=3))
-    axes.legend(
-        handles=handles,
-        loc="lower center",
-        bbox_to_anchor=(0.5, _top(axes) + 0.02),
-        ncols=2,
-        handlelength=1.4,
-        columnspacing=1.4,
+    axes = vb.plot.scene(
+        scan,
+        rods=exhibit.trail.count // exhibit.every,
+        directions=exhibit.friction > 0,
+        events=False,
+        box=exhibit.box,
+        view=exhibit.view,
     )
     return axes, scan
 
 
-def _top(axes: Axes3D) -> float:
-    """Height of the highest corner of the drawn box, as a share of the axes'."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    figure.canvas.draw()
-    corners = np.array(np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())).reshape(
-        3, -1
-    )
-    across, up, _ = proj3d.proj_transform(*corners, axes.get_proj())
-    shown = axes.transAxes.inverted().transform(
-        axes.transData.transform(np.column_stack([across, up]))
-    )
-    return float(shown[:, 1].max())
-
-
-def _draw_object(
-    axes: Axes3D, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
-) -> np.ndarray:
-    """The object, shaded; returns all corners. Without faces of its own: the part within the box,
-    and what the box's faces cut.
-    """
-    own = _faces(surface)
-    if own is not None:
-        facing = own.face_normals @ towards > 0
-        triangles = length_factor(exhibit.rod) * own.triangles[facing]
-        _paint(
-            axes, list(triangles), surface.normal(own.triangles_center[facing]), towards, order=1
-        )
-        return triangles.reshape(-1, 3)
-    low, high = np.array(exhibit.box)
-    counts = np.maximum(np.ceil(_CELLS * (high - low) / (high - low).max()).astype(int), 2) + 1
-    ticks = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
-    levels = surface.levels(np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1))
-    corners, faces, _, _ = marching_cubes(levels, 0.0, spacing=tuple((high - low) / (counts - 1)))
-    triangles, factor = (low + corners)[faces], length_factor(exhibit.rod)
-    _paint(axes, list(factor * triangles), surface.normal(triangles.mean(axis=1)), towards, order=1)
-    drawn = [factor * triangles.reshape(-1, 3)]
-    for axis in range(3):
-        # Of two opposite faces the one towards the eye: nothing of the solid is in front of it.
-        end = -1 if towards[axis] > 0 else 0
-        first, second = (other for other in range(3) if other != axis)
-        cut = contour_generator(
-            ticks[first], ticks[second], np.take(levels, end, axis=axis).T, fill_type="OuterOffset"
-        )
-        pieces = []
-        for points, offsets in zip(*cut.filled(-np.inf, 0.0), strict=True):
-            piece = np.full((offsets[1], 3), ticks[axis][end])
-            piece[:, [first, second]] = points[: offsets[1]]
-            pieces.append(factor * piece)
-        _paint(axes, pieces, np.tile(np.eye(3)[axis], (len(pieces), 1)), towards, order=1.5)
-        drawn += pieces
-    return np.vstack(drawn)
-
-
-def _faces(surface: vb.surfaces.Surface) -> trimesh.Trimesh | None:
-    """Triangles of an object that a grid would blur: of a mesh, or with edges."""
-    s, create = vb.surfaces, trimesh.creation
-    match surface:
-        case s.Placed():
-            inner, motion = _faces(surface.surface), np.eye(4)
-            motion[:3, :3], motion[:3, 3] = surface.rotation, surface.translation
-            return None if inner is None else inner.apply_transform(motion)
-        case s.Mesh():
-            return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-        case s.Box():
-            return create.box(2 * np.asarray(surface.half_extents)).apply_translation(
-                surface.center
-            )
-        case s.Cylinder():
-            return _upon(
-                surface,
-                create.cylinder(float(surface.radius), float(surface.length), sections=_SECTIONS),
-            )
-        case s.Cone():
-            return _upon(
-                surface,
-                create.cone(float(surface.radius), float(surface.height), sections=_SECTIONS),
-            )
-        case _:
-            return None
-
-
-def _upon(
-    solid: vb.surfaces.Cylinder | vb.surfaces.Cone, upright: trimesh.Trimesh
-) -> trimesh.Trimesh:
-    """A mesh about +z, turned to the solid's axis and moved to its centre."""
-    return upright.apply_transform(
-        trimesh.geometry.align_vectors((0, 0, 1), solid.axis)
-    ).apply_translation(solid.center)
-
-
-def _paint(
-    axes: Axes3D, polygons: list[np.ndarray], normals: np.ndarray, towards: np.ndarray, order: float
-) -> None:
-    if not polygons:
-        return
-    upwards = np.array([0, 0, 1]) - towards[2] * towards
-    light = towards + (0.6 * upwards - 0.3 * np.cross(upwards, towards)) / np.linalg.norm(upwards)
-    brightness = np.abs(normals @ light) / np.linalg.norm(light)
-    colours = np.clip(_PAINT * (0.55 + 0.5 * brightness[:, None]), 0, 1)
-    axes.add_collection3d(
-        Poly3DCollection(
-            polygons,
-            facecolors=colours,
-            edgecolors=colours,
-            linewidths=0.25,
-            zorder=order,
-            clip_on=False,
-        )
-    )
-
-
-def _draw_rods(
-    axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
-) -> np.ndarray:
-    """Trails, rods and contact points; returns the points of the rods."""
-    factor, rod = length_factor(exhibit.rod), exhibit.rod
-    pieces, colours, widths = [], [], []
-    for lane in range(len(scan.kind)):
-        axes.plot(*(factor * scan.trail.position[lane]).T, color="0.6", linewidth=0.6, zorder=0)
-        for index in range(0, scan.trail.count, exhibit.every):
-            if not scan.solved[lane, index]:
-                continue
-            line = scan.elastic_line((lane, index), _SAMPLES)
-            kind = vb.ContactKind(int(scan.kind[lane, index]))
-            bent = np.linspace(0, rod.length, _SAMPLES)[:-1] < np.nan_to_num(
-                scan.arc_length[lane, index]
-            )
-            pieces.append(np.stack([line[:-1], line[1:]], axis=1))
-            colours.append(
-                np.where(
-                    bent,
-                    KIND_COLOURS.get(kind, _FREE),
-                    _STRAIGHT if scan.in_contact[lane, index] else _FREE,
-                )
-            )
-            widths.append(np.where(bent, 0.8, 0.5))
-    segments, colour, width = (
-        np.concatenate(pieces),
-        np.concatenate(colours),
-        np.concatenate(widths),
-    )
-    seen = _seen(segments.mean(axis=1), surface, exhibit, towards)
-    for part, alpha, order in ((~seen, 0.22, 2), (seen, 1.0, 3)):
-        if not part.any():
-            continue
-        axes.add_collection3d(
-            Line3DCollection(
-                factor * segments[part],
-                colors=colour[part],
-                linewidths=width[part],
-                alpha=alpha,
-                zorder=order,
-                capstyle="round",
-                clip_on=False,
-            )
-        )
-    for kind, paint in KIND_COLOURS.items():
-        points = scan.point[scan.kind == kind]
-        points = points[_seen(points, surface, exhibit, towards)] if len(points) else points
-        axes.plot(
-            *(factor * points).T,
-            linestyle="none",
-            marker=".",
-            markersize=1.6,
-            markeredgewidth=0,
-            color=np.array(mpl.colors.to_rgb(paint)) * 0.6,
-            zorder=4,
-        )
-    return factor * segments.reshape(-1, 3)
-
-
-def _draw_forces(
-    axes: Axes3D, scan: vb.Scan, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
-) -> None:
-    """Directions of the contact force and of the normal, at the rods that are drawn."""
-    rows = np.zeros(scan.kind.shape, dtype=bool)
-    rows[:, :: exhibit.every] = True
-    rows &= scan.in_contact
-    rows[rows] = _seen(scan.point[rows], surface, exhibit, towards)
-    for directions, colour in ((scan.normal, _NORMAL), (scan.force_direction, _FORCE)):
-        ends = scan.point[rows] + _ARROW * exhibit.rod.length * directions[rows]
-        arrows = length_factor(exhibit.rod) * np.stack([scan.point[rows], ends], axis=1)
-        axes.add_collection3d(
-            Line3DCollection(arrows, colors=colour, linewidths=0.9, zorder=5, clip_on=False)
-        )
-
-
-def _seen(
-    points: np.ndarray, surface: vb.surfaces.Surface, exhibit: Exhibit, towards: np.ndarray
-) -> np.ndarray:
-    """Whether nothing of the object, as far as it is drawn, lies between the points (n, 3) and the
-    eye.
-    """
-    low, high = np.array(exhibit.box)
-    reach = np.linspace(0.012, 2.5, 250) * max(exhibit.rod.length, np.linalg.norm(high - low) / 2.5)
-    way = points[:, None] + reach[:, None] * towards
-    drawn = np.all((way > low) & (way < high), axis=-1)
-    hidden = np.zeros(drawn.shape, dtype=bool)
-    hidden[drawn] = surface.levels(way[drawn]) < 0
-    return ~hidden.any(axis=1)
-
-
-def _trimmed(path: Path) -> Path:
-    """Cut the picture's white margins off: the box of a figure in space reaches beyond what it
-    shows.
-    """
+def _small(path: Path) -> Path:
+    """Keep 256 colours; without k-means the few pixels of a thin line would lose theirs."""
     with Image.open(path) as image:
-        opaque = image.convert("RGB")
-    left, top, right, bottom = ImageChops.invert(opaque).getbbox() or (0, 0, *opaque.size)
-    margin = 12
-    canvas = Image.new("RGB", (right - left + 2 * margin, bottom - top + 2 * margin), "white")
-    canvas.paste(opaque.crop((left, top, right, bottom)), (margin, margin))
-    # Without k-means the few pixels of a thin line would lose their colour.
-    canvas.quantize(256, kmeans=4).save(path, optimize=True)
+        image.convert("RGB").quantize(256, kmeans=4).save(path, optimize=True)
     return path
 
 
@@ -525,7 +253,7 @@ def main(names: list[str]) -> list[Path]:
         with journal():
             mpl.rcParams["savefig.dpi"] = 180
             axes, scan = picture(exhibit)
-            paths.append(_trimmed(save_as(axes, IMAGES / f"{name}.png")))
+            paths.append(_small(save_as(axes, IMAGES / f"{name}.png")))
         kinds = ", ".join(
             f"{kind.name} {int(np.sum(scan.kind == kind))}" for kind in vb.ContactKind
         )

@@ -30,6 +30,7 @@ from .rod import Rod
 from .sensor import Sensor
 from .tolerances import Tolerances
 from .trail import Trail
+from .viewer import view
 
 __all__ = [
     "Calibration",
@@ -75,6 +76,7 @@ __all__ = [
     "scan",
     "smooth",
     "surfaces",
+    "view",
     "write_contacts",
 ]
 

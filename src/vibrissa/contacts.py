@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
+from vibrissa.brief import counts, point
+
 
 class RecordingWarning(UserWarning):
     """A recording contradicts its setup, or part of it was left out, recovered or estimated."""
@@ -101,6 +103,21 @@ class Contacts:
             **{each.name: getattr(result, each.name, None) for each in fields(cls)}
             | {"time": time, "sweep": np.indices(rows)[0] if len(rows) > 1 else None}
         )
+
+    def __repr__(self) -> str:
+        """Return up to five lines: rows, kinds, statuses, extent, and what else is known."""
+        known = np.isfinite(self.point).all(axis=-1)
+        lines = [f"Contacts in {known.sum()} of {known.size} rows {known.shape}"]
+        if self.kind is not None:
+            lines.append(f"  kind: {counts(self.kind, ContactKind)}")
+        if self.status is not None:
+            lines.append(f"  status: {counts(self.status, Status)}")
+        if known.any():
+            corners = (edge(self.point[known], axis=0) for edge in (np.min, np.max))
+            lines.append(f"  from {' to '.join(map(point, corners))}")
+        more = [name for name in list(vars(self))[2:] if name not in ("kind", "status")]
+        given = [name for name in more if getattr(self, name) is not None]
+        return "\n".join([*lines, f"  with: {', '.join(given) or 'nothing else'}"])
 
     def __getitem__(self, rows: Any) -> "Contacts":
         """Return the chosen rows, all fields together."""

@@ -105,6 +105,24 @@ class Reactions:
         ):
             fields[name] = None if given[name] is None else _covariance(given[name], name, shape)
 
+    def __repr__(self) -> str:
+        """Return five lines: poses, loads, time, errors, and doubts."""
+        loads = (np.linalg.norm(part, axis=-1) for part in (self.force, self.moment))
+        force, moment = (
+            f"{np.nanmax(load):.4g}" if np.isfinite(load).any() else "unknown" for load in loads
+        )
+        time = (
+            "unknown" if self.time is None else f"{self.time.min():.6g} to {self.time.max():.6g} s"
+        )
+        return (
+            f"Reactions at {self.trail.position.size // 3} poses {self.trail.shape}\n"
+            f"  largest force: {force}, largest moment: {moment}\n"
+            f"  time: {time}\n"
+            f"  noise: {'un' * (self.covariance is None)}known, errors of the setup: "
+            f"{'un' * (self.setup_errors is None)}known\n"
+            f"  misread: {'; '.join(self.misread) or 'no'}"
+        )
+
     def __getitem__(self, index: Index) -> "Reactions":
         """Rows of one trail, or some of several trails, with all that belongs to them; what all
         rows share is kept.

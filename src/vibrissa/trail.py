@@ -12,6 +12,7 @@ import scipy
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from vibrissa.brief import point
 from vibrissa.files import InputError, check_increasing, read_table
 from vibrissa.geometry.checks import finite, finite_array, unit_vector, whole_number
 from vibrissa.geometry.motion import arm_of, equal_angles, matrix_parts
@@ -83,6 +84,15 @@ class Trail:
             ) from error
         object.__setattr__(self, "position", points)
         object.__setattr__(self, "orientation", turns)
+
+    def __repr__(self) -> str:
+        """Return one line: how many poses, from where to where."""
+        poses = "pose" if self.position.size == 3 else "poses"
+        ends = self.position.reshape(-1, 3)[[0, -1]]
+        return (
+            f"Trail of {self.position.size // 3} {poses} {self.shape} from "
+            f"{' to '.join(map(point, ends))}"
+        )
 
     @classmethod
     def line(

@@ -175,7 +175,7 @@ def test_no_contact_at_all_gives_files_without_points(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".ply", ".nc"])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat", ".ply", ".nc"])
 def test_what_is_written_is_read(found: vb.Reconstruction, tmp_path: Path, suffix: str) -> None:
     """To the last digit, as `Contacts`; PLY holds contacts alone, the others a row a sample."""
     got = vb.read_contacts(vb.write_contacts(tmp_path / f"contacts{suffix}", found))
@@ -200,7 +200,7 @@ def test_what_is_written_is_read(found: vb.Reconstruction, tmp_path: Path, suffi
         )
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".ply", ".nc"])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat", ".ply", ".nc"])
 def test_contacts_of_a_scan_are_read(tmp_path: Path, suffix: str) -> None:
     trail = vb.Trail.line(start=(1.2, 0.2, 0), stop=(-1.2, 0.2, 0), count=21)
     scan = vb.scan(vb.Rod.unit(), vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4), trail)
@@ -356,8 +356,9 @@ def test_columns_of_others_are_ignored_and_large_numbers_read(
 
 def test_contacts_that_are_not_there(tmp_path: Path) -> None:
     assert "cannot be read" in refusal(lambda: vb.read_contacts(tmp_path / "none.csv"))
-    assert "suffix '.txt'; allowed are .ply, .csv, .nc, .parquet, .vtp, .pcd, .mcap" in refusal(
-        lambda: vb.read_contacts(tmp_path / "none.txt")
+    assert (
+        "suffix '.txt'; allowed are .ply, .csv, .nc, .parquet, .vtp, .pcd, .mcap, .mat"
+        in refusal(lambda: vb.read_contacts(tmp_path / "none.txt"))
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import norm
 
+from vibrissa.brief import brief
 from vibrissa.calibration.arrays import Square
 from vibrissa.calibration.bench import Bench, SetupLike, SetupType, bench_of
 from vibrissa.calibration.held_out import HeldOut
@@ -143,6 +144,8 @@ class Residuals:
     weight: Float[np.ndarray, "n"]
     chi_square: Float[np.ndarray, "n"]
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Generic[SetupType]):
@@ -215,6 +218,20 @@ class Calibration(Generic[SetupType]):
     held_out: tuple[HeldOut, ...]
     first_contact: Float[np.ndarray, "recordings"]
     tolerances: Tolerances | None
+
+    def __repr__(self) -> str:
+        """Return five lines: data, estimates, what stays open, fit, and warnings."""
+        found = [one for one in self.estimates.values() if one.determined]
+        known = ", ".join(f"{one.name} {one.value:.5g} ± {one.deviation:.2g}" for one in found)
+        still = ", ".join(name for name, one in self.estimates.items() if not one.determined)
+        return (
+            f"Calibration of {len(self.estimates)} parameters from {len(self.tare)} "
+            f"recording{'s' * (len(self.tare) > 1)}, {len(self.residuals.time)} rows\n"
+            f"  found: {known or 'nothing'}\n"
+            f"  not determined: {still or 'none'}\n"
+            f"  residuals: {self.fitness.reduced_chi_square**0.5:.3g} times the noise\n"
+            f"  warnings: {len(self.warnings)}"
+        )
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of an estimate.

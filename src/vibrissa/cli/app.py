@@ -13,12 +13,15 @@ from vibrissa.cli.calibrate import calibrate
 from vibrissa.cli.common import contradictions, say
 from vibrissa.cli.convert import convert
 from vibrissa.cli.demo import demo
+from vibrissa.cli.example import example
 from vibrissa.cli.expect import expect
+from vibrissa.cli.init import init
 from vibrissa.cli.inspect import inspect
 from vibrissa.cli.live import live
 from vibrissa.cli.reconstruct import reconstruct
 from vibrissa.cli.scan import scan
 from vibrissa.cli.simulate_sensor import simulate_sensor
+from vibrissa.cli.view import view
 
 app = typer.Typer(
     name="vibrissa",
@@ -31,8 +34,11 @@ app = typer.Typer(
 )
 for command in (
     demo,
+    example,
+    init,
     scan,
     reconstruct,
+    view,
     inspect,
     convert,
     calibrate,

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")]
+View = Annotated[bool, typer.Option("--view", help="Show it in the browser, until Ctrl-C.")]
 CaseFile = Annotated[Path, typer.Argument(help="TOML file with [rod], [object] and [[trail]].")]
 SetupFile = Annotated[Path, typer.Option(help="TOML file with [rod] and [sensor].")]
 
@@ -75,14 +76,20 @@ def written(*suffixes: str) -> Callable[[Any], Any]:
 
 Figure = Annotated[
     Path | None,
-    typer.Option(help="Figure to write (PNG or PDF).", callback=written(".png", ".pdf")),
+    typer.Option(
+        help="Figure to write (PNG, PDF or SVG).", callback=written(".png", ".pdf", ".svg")
+    ),
 ]
 
 
 def draw(path: Path, make: Callable[[], Any]) -> None:
-    """Write the figure whose axes `make` returns."""
+    """Write the figure whose axes `make` returns; raise InputError if there is nothing to draw."""
     with vb.plot.journal():
-        vb.plot.save_as(make(), path)
+        try:
+            axes = make()
+        except ValueError as error:
+            raise vb.io.InputError(f"{path}: {error}") from error
+        vb.plot.save_as(axes, path)
 
 
 def table_console() -> Console:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import vibrissa as vb
 from vibrissa.cli import common
 from vibrissa.cli.progress import reporting
+from vibrissa.cli.view import opened, until_interrupt
 
 if TYPE_CHECKING:
     from vibrissa.paper import Demo
@@ -18,6 +21,7 @@ def demo(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for figures, tables and datasets.")
     ] = Path("demo"),
+    see: common.View = False,
     as_json: common.AsJson = False,
 ) -> None:
     """Reproduce the whole paper: figures 2, 3a and 3b, checks of its statements, and the sweeps it
@@ -26,11 +30,12 @@ def demo(
     from vibrissa.files import writable_folder  # noqa: PLC0415
 
     folder = writable_folder(output)
-    with reporting() as report:
+    with opened() if see else nullcontext(), reporting() as report:
         report("loading")
         from vibrissa.paper import run_demo  # noqa: PLC0415
 
         result = run_demo(folder, report, report.count)
+        viewer = vb.view(result.found, surface=result.scan.surface) if see else None
     if as_json:
         summary = {
             "statements": [part._asdict() for part in result.statements],
@@ -40,6 +45,11 @@ def demo(
         common.show(summary, str, as_json=True)
     else:
         _print(result, folder)
+    if viewer is not None:
+        with viewer:
+            viewer.play()
+            typer.echo(viewer.url, err=True)
+            until_interrupt()
     if not all(part.holds for part in result.statements):
         raise typer.Exit(1)
 

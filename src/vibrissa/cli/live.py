@@ -7,16 +7,21 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import vibrissa as vb
 from vibrissa.cli import common
 from vibrissa.cli.live_parts import poses_of, rdt_of, say, working
+from vibrissa.cli.view import opened, until_interrupt
+
+if TYPE_CHECKING:
+    from vibrissa.viewer import ViewerSink
 
 SINKS = "FILE.mcap, rosbag2:FOLDER, FILE.ply, FILE.jsonl, jsonl:FILE and jsonl:- (standard output)"
 
@@ -56,6 +61,7 @@ def live(
             "--smooth", help="Smooth the contacts as they come: each from all samples up to it."
         ),
     ] = False,
+    see: common.View = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
     as_json: Annotated[
         bool,
@@ -92,8 +98,13 @@ def live(
         friction=friction,
         tolerances=loaded.parameter_covariance,
     )
+    with opened() if see else nullcontext():
+        viewer = _viewer(loaded) if see else None
     with working() as stop:
+        makers: list[tuple[Callable[[Any], vb.live.Sink], Any]]
         makers = [(_maker(kind, loaded), path) for kind, path in targets]
+        if viewer is not None:
+            makers.append((lambda _: viewer, None))
         processor.warm_up()
         # No collection of garbage among what was made so far, and short turns: the reading thread
         # must not wait for the working one.
@@ -125,8 +136,21 @@ def live(
         typer.echo(json.dumps(asdict(report), indent=1), err=None in places)
     else:
         say(f"{_text(report)}\n{last}")
+    if viewer is not None:
+        # An interrupt that ended the stream ends the page, too.
+        if not stop.is_set():
+            until_interrupt()
+        viewer.end()
     if report.silent:
         raise typer.Exit(1)
+
+
+def _viewer(loaded: vb.Setup) -> ViewerSink:
+    from vibrissa.viewer import ViewerSink  # noqa: PLC0415
+
+    sink = ViewerSink(loaded.rod, loaded.surface)
+    say(f"view: {sink.url}")
+    return sink
 
 
 def _source(address: vb.live.Address, loaded: vb.Setup) -> vb.live.Source:

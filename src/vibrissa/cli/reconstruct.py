@@ -31,8 +31,8 @@ def reconstruct(
         typer.Option(
             "--output",
             "-o",
-            help="Contacts to write: .ply, .csv, .nc, .parquet, .vtp (ParaView), .pcd (PCL) or "
-            ".mcap; repeatable.",
+            help="Contacts to write: .ply, .csv, .nc, .parquet, .vtp (ParaView), .pcd (PCL), "
+            ".mcap (ROS) or .mat; repeatable.",
             callback=common.written(),
         ),
     ] = None,
@@ -69,12 +69,13 @@ def reconstruct(
         for path in output or []:
             report(f"writing {path}")
             vb.write_contacts(path, found, progress=report.count)
-        if figure is not None:
-            report(f"drawing {figure}")
-            common.draw(figure, lambda: vb.plot.contacts_figure(found))
     common.doubt_contacts(found)
     warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
     summary = _summary(found) | estimated | {"warnings": warnings}
+    if figure is not None:
+        with reporting() as report:
+            report(f"drawing {figure}")
+            common.draw(figure, lambda: vb.plot.contacts_figure(found))
     files = [*(output or []), *([] if figure is None else [figure])]
     last = _last_line(found) + common.into(*files)
     common.show(summary, lambda said: f"{_text(said)}\n{last}", as_json=as_json)

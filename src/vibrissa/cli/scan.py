@@ -54,14 +54,16 @@ def scan(
         if output is not None:
             report("writing")
             vb.io.write_dataset(output, result.to_dataset())
-        if figure is not None:
-            several = result.kind.ndim == 2
-            along = vb.plot.reactions_over_plane if several else vb.plot.reactions_along
-            common.draw(figure, lambda: along(result))
     contact = result.in_contact
     sound = contact & (result.status == vb.Status.OK)
     found = int(contact.sum()), int(sound.sum())
     common.doubt(*found, common.counted(result.status[contact], vb.Status), [], _missed(loaded))
+    if figure is not None:
+        with reporting() as report:
+            report("drawing")
+            several = result.kind.ndim == 2
+            along = vb.plot.reactions_over_plane if several else vb.plot.reactions_along
+            common.draw(figure, lambda: along(result))
     files = [path for path in (output, figure) if path is not None]
     last = common.contacts_line(*found) + common.into(*files)
     common.show(

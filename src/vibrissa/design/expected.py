@@ -53,6 +53,20 @@ class ExpectedError:
     lag: Float[np.ndarray, "*trail n 3"]
     saturated: Bool[np.ndarray, "*trail n"]
 
+    def __repr__(self) -> str:
+        """Return five lines: contacts, those detected, those saturated, and their errors."""
+        seen, unit = self.detected, self.scan.rod.unit_of("length").replace("1", "L")
+        errors = (self.root_mean_square[seen], self.semi_axes[..., -1][seen])
+        spread, longest = (f"{np.median(x):.3g} {unit}" if seen.any() else "none" for x in errors)
+        return (
+            f"ExpectedError at {seen.size} positions {seen.shape}, "
+            f"{self.scan.in_contact.sum()} in contact\n"
+            f"  detected: {seen.sum()}\n"
+            f"  saturated: {self.saturated.sum()}\n"
+            f"  root mean square, median: {spread}\n"
+            f"  longest semi-axis at 95 %, median: {longest}"
+        )
+
     @property
     def detected(self) -> Bool[np.ndarray, "*trail n"]:
         """Where the load exceeds the noise by enough to detect a contact (…); false where the scan

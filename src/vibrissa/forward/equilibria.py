@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from vibrissa.brief import brief
 from vibrissa.contact import FRICTIONLESS, Scene, State, touching
 from vibrissa.contacts import ContactKind
 from vibrissa.forward.assess import DEPTH_TOLERANCE
@@ -72,6 +73,8 @@ class Equilibrium:
     second_variation: float
     inflections: int
     elastic_line: Float[np.ndarray, "401 3"]
+
+    __repr__ = brief
 
 
 def equilibria(

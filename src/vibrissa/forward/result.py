@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.brief import counts
 from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.forward.events import Event, EventKind
 from vibrissa.forward.slip import Slip, led, slip_along
@@ -91,6 +92,21 @@ class Scan:
     friction: float
     offset: float
     second_contact: Float[np.ndarray, "*trail n 3"]
+
+    def __repr__(self) -> str:
+        """Return five lines: rod and object, kinds, statuses, loads, and events."""
+        force = np.linalg.norm(self.reactions.force, axis=-1)
+        largest = f"{np.nanmax(force):.4g}" if np.isfinite(force).any() else "unknown"
+        unit = self.rod.unit_of("force").replace("1", "EI/L²")
+        happened = counts([event.kind for event in self.events], EventKind)
+        return (
+            f"Scan of {type(self.surface).__name__} at {self.kind.size} positions "
+            f"{self.kind.shape}\n"
+            f"  kind: {counts(self.kind, ContactKind)}\n"
+            f"  status: {counts(self.status, Status)}\n"
+            f"  friction: {self.friction:g}, largest support force: {largest} {unit}\n"
+            f"  events: {happened or 'none'}"
+        )
 
     @property
     def contacts(self) -> Contacts:

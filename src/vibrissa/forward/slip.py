@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from vibrissa.brief import brief
+
 
 @dataclass(frozen=True, eq=False)
 class Slip:
@@ -29,6 +31,8 @@ class Slip:
     longitudinal: Float[np.ndarray, "*trail n"]
     lateral: Float[np.ndarray, "*trail n"]
     sliding: Float[np.ndarray, "*trail n 3"]
+
+    __repr__ = brief
 
 
 def slip_along(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from vibrissa.brief import brief
 from vibrissa.geometry.checks import finite_array, not_negative
 from vibrissa.inverse.arrays import Covariances
 from vibrissa.inverse.parameters import prepared
@@ -39,6 +40,8 @@ class ContactErrors:
     by_cause: dict[str, Covariances]
     shared: tuple[str, ...]
     sensitivity: dict[str, Float[np.ndarray, "*trail n 3 k"]]
+
+    __repr__ = brief
 
     @property
     def total(self) -> Covariances:

@@ -15,7 +15,17 @@ _VARIABLES = (
         "normal",
         "axis",
         "number",
-        "unit vector of the contact force on the rod; the object's outward normal without friction",
+        "outward unit normal of the object, as far as it is known",
+    ),
+    Variable(
+        "force_direction",
+        "force_direction",
+        "axis",
+        "number",
+        "unit vector of the contact force on the rod",
+    ),
+    Variable(
+        "incidence", "modulus", "", "number", "(1 + t·d)/2 of rod tangent t and force direction d"
     ),
     Variable(
         "single_contact_residual", "single_contact_residual", "", "number", "violation of m0·f0 = 0"

@@ -15,6 +15,7 @@ import scipy
 from scipy.ndimage import morphological_gradient
 from scipy.signal import savgol_filter
 
+from vibrissa.brief import brief
 from vibrissa.contacts import Status
 from vibrissa.inverse.arrays import Vectors
 from vibrissa.inverse.result import Reconstruction
@@ -55,6 +56,8 @@ class FrictionEstimate:
     normal: Vectors
     sliding: Vectors
     window: int
+
+    __repr__ = brief
 
 
 def estimate_friction(found: Reconstruction, *, window: int | None = None) -> FrictionEstimate:

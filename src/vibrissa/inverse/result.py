@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from vibrissa.brief import counts
 from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.inverse.arrays import Codes, Covariances, Flags, Scalars, Vectors
 from vibrissa.inverse.checks.findings import SetupCheck
@@ -136,17 +137,12 @@ class Reconstruction:
         return [self] if self.kind.ndim == 1 else [self[j] for j in range(len(self.kind))]
 
     def __repr__(self) -> str:
-        """Return a few lines: rows, contacts, statuses, noise and warnings."""
-
-        def counted(codes: Codes, of: Any) -> str:
-            pairs = zip(*np.unique(codes, return_counts=True), strict=True)
-            return ", ".join(f"{count} {of(code).name}" for code, count in pairs)
-
+        """Return five lines: rows, kinds, statuses, noise and warnings."""
         return (
             f"Reconstruction of {self.kind.size} samples {self.kind.shape}, "
             f"{'sample by sample' if self.smoothing is None else 'smoothed'}\n"
-            f"  kind: {counted(self.kind, ContactKind)}\n"
-            f"  status: {counted(self.status, Status)}\n"
+            f"  kind: {counts(self.kind, ContactKind)}\n"
+            f"  status: {counts(self.status, Status)}\n"
             f"  friction: {self.friction}, noise: {'un' * (self.covariance is None)}known\n"
             f"  warnings: {len(self.warnings)}"
         )

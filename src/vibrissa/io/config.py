@@ -153,12 +153,12 @@ def load(path: str | Path, model: type[Table], progress: Progress | None = None)
     try:
         return model.model_validate(content).build(Site(file.parent, progress))
     except ValidationError as error:
-        raise InputError(f"{file}: {_one_line(error, model)}") from error
+        raise InputError(f"{file}: {one_line(error, model)}") from error
     except ValueError as error:
         raise InputError(f"{file}: {error}") from error
 
 
-def _one_line(error: ValidationError, model: type[Table]) -> str:
+def one_line(error: ValidationError, model: type[Table]) -> str:
     """Unknown keys first, as they explain what is missing, then the others in order."""
     ranks = {"extra_forbidden": 0, "union_tag_not_found": 1, "missing": 1}
     errors = sorted(

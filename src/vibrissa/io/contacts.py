@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-SUFFIXES = (".ply", ".csv", ".nc", ".parquet", ".vtp", ".pcd", ".mcap")
+SUFFIXES = (".ply", ".csv", ".nc", ".parquet", ".vtp", ".pcd", ".mcap", ".mat")
 DEVIATIONS = tuple(f"deviation_{axis}" for axis in "xyz")
 COLUMNS = ("time", *PLACE, "kind", "status", *COVARIANCE)
 _NEEDED = (*PLACE, "kind", "status")
@@ -80,8 +80,9 @@ def write_contacts(
     """Write the contacts of a reconstruction or scan, in the rod's units and the format that the
     suffix says.
 
-    CSV and Parquet: one row per sample. NetCDF: everything. PLY, VTK's `.vtp` (ParaView), `.pcd`
-    (PCL) and MCAP (a ROS `PointCloud2` for each trail): the contacts as points with normals.
+    CSV, Parquet and MATLAB's `.mat`, a struct `contacts`: one row per sample. NetCDF: everything.
+    PLY, VTK's `.vtp` (ParaView), `.pcd` (PCL) and MCAP (a ROS `PointCloud2` for each trail): the
+    contacts as points with normals.
 
     A row whose point is not finite counts as without contact, and its status is never OK, except
     in NetCDF. `progress` is called with the rows written to CSV and their total.
@@ -97,12 +98,20 @@ def write_contacts(
         ".ply": lambda: cloud(_points(found), unit).write(str(file)),
         ".csv": lambda: _write_csv(file, _table(found), progress),
         ".parquet": lambda: _table(found).to_parquet(file, index=False),
+        ".mat": lambda: _write_mat(file, _table(found)),
         ".vtp": lambda: write_vtp(file, _table(found), unit),
         ".pcd": lambda: write_pcd(file, _table(found)),
         ".mcap": lambda: _write_mcap(file, found),
         ".nc": lambda: write_dataset(file, found.to_dataset()),
     }
     return _written(file, writers[_suffix(file)])
+
+
+def _write_mat(file: Path, table: "pandas.DataFrame") -> None:
+    from scipy.io import savemat  # noqa: PLC0415
+
+    columns = {str(name): part.to_numpy() for name, part in table.items()}
+    savemat(file, {"contacts": columns}, oned_as="column")
 
 
 def _write_mcap(file: Path, found: Reconstruction | Scan) -> None:
@@ -230,17 +239,17 @@ def read_contacts(path: str | Path) -> Contacts:
     Parameters
     ----------
     path
-        CSV, Parquet, NetCDF, PLY, .vtp, .pcd or MCAP, by the suffix.
+        CSV, Parquet, .mat, NetCDF, PLY, .vtp, .pcd or MCAP, by the suffix.
 
     Returns
     -------
     Contacts
-        In the file's units, with what it holds. CSV and Parquet: one row per sample, with the
+        In the file's units, with what it holds. CSV, Parquet and .mat: one row per sample, with the
         point's covariance and the time where these were known, NaN in rows without contact. The
         others hold only rows with a contact: `.vtp` and `.pcd` (in single precision) with both,
         MCAP (in single precision, also as a stream wrote it) with the time, PLY with neither.
-        NetCDF: over trails and positions as written, with the covariance of the normal and, for a
-        scan, the direction of the force.
+        NetCDF: over trails and positions as written, with the covariance of the normal and the
+        direction of the force.
 
     Raises
     ------
@@ -297,6 +306,11 @@ def _columns(file: Path, suffix: str) -> Mapping[str, np.ndarray]:
         import pandas  # noqa: PLC0415
 
         return {name: part.to_numpy() for name, part in pandas.read_parquet(file).items()}
+    if suffix == ".mat":
+        from scipy.io import loadmat  # noqa: PLC0415
+
+        columns: dict[str, np.ndarray] = loadmat(file, simplify_cells=True).get("contacts", {})
+        return {name: np.atleast_1d(part) for name, part in columns.items()}
     text = text_of(file)
     names = [name.strip() for name in text.partition("\n")[0].split(",")]
     known = [name for name in names if name in COLUMNS]

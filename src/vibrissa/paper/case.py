@@ -64,8 +64,3 @@ def region(step: float = 0.015) -> Float[np.ndarray, "n 3"]:
     area = np.sqrt(1 + (2 * SURFACE.a * x) ** 2 + (2 * SURFACE.b * y) ** 2)
     kept = np.random.default_rng(0).random(x.shape) < area / area.max()
     return np.column_stack(on_surface(x[kept], y[kept]))
-
-
-def patch() -> tuple[Grid, Grid, Grid]:
-    """Grids x, y, z of the surface for figures."""
-    return on_surface(*np.meshgrid(np.linspace(-1.15, 1.15, 61), np.linspace(-0.8, 0.8, 61)))

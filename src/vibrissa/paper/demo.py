@@ -26,8 +26,10 @@ COVERED_WITHIN = 0.05
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo found and wrote."""
+    """What the demo found and wrote: the paper's sweeps, and what their reactions alone give."""
 
+    scan: Scan
+    found: Reconstruction
     statements: list[Statement]
     coverage: dict[str, float]
     files: list[Path]
@@ -73,7 +75,7 @@ def run_demo(folder: Path, report: Callable[[str], None], progress: Progress | N
     files.append(folder / "statements.csv")
     table.to_csv(files[-1], index=False)
     files += _figures(folder, report, paper, found, plane, covered)
-    return Demo(checked, {name: share for name, _, _, share in covered}, files)
+    return Demo(paper, found, checked, {name: share for name, _, _, share in covered}, files)
 
 
 def _covered(
@@ -110,12 +112,15 @@ def _figures(
 
     shown = tuple(np.flatnonzero(np.isin(np.abs(case.Y0), (0.2, 0.5))).tolist())
     skip = (case.PLANE,)
+    others = tuple(k for k in range(len(case.Y0)) if k not in skip)
     drawings: dict[str, Callable[[], Axes | list[Axes]]] = {
         "figure2_reactions": lambda: plot.reactions_over_plane(paper, skip=skip),
-        "figure3a_elastic_lines": lambda: plot.elastic_lines(paper, lanes=shown),
-        "figure3b_contacts": lambda: plot.contact_sequences(paper, found, case.patch(), skip=skip),
+        "figure3a_elastic_lines": lambda: plot.scene(paper, trails=shown, rods=24, events=False),
+        "figure3b_contacts": lambda: plot.scene(
+            found, surface=case.SURFACE, trails=others, rods=0, view=(8, -60)
+        ),
         "plane_case": lambda: plot.reactions_along(plane),
-        "coverage": lambda: plot.coverage_figure(case.region(), covered),
+        "coverage": lambda: plot.coverage_figure(case.region(), covered, within=COVERED_WITHIN),
     }
     files = []
     for name, draw in drawings.items():

@@ -1,3 +1,4 @@
+from .animation import animation
 from .calibration import (
     parameter_correlation,
     residual_histogram,
@@ -8,17 +9,15 @@ from .contacts import contacts_figure
 from .coverage import coverage_figure
 from .design import expected_error_map
 from .events import reactions_along
-from .lines import contact_sequences, elastic_lines
 from .reactions import reactions_over_plane
 from .recording import recording_figure
 from .scene import scene
 from .style import journal, save, save_as
 
 __all__ = [
-    "contact_sequences",
+    "animation",
     "contacts_figure",
     "coverage_figure",
-    "elastic_lines",
     "expected_error_map",
     "journal",
     "parameter_correlation",

@@ -1,47 +1,132 @@
 """Reactions along one trail, with its events."""
 
+from collections.abc import Iterator
+
 import numpy as np
+from jaxtyping import Float, Int
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from vibrissa.contacts import Status
-from vibrissa.forward import EventKind, Scan
-from vibrissa.plot.style import COLUMN, length_factor, length_label
+from vibrissa.drawing import length_factor
+from vibrissa.forward import Event, EventKind, Scan
+from vibrissa.numerics.runs import runs
+from vibrissa.plot.style import COLUMN, length_label, no_contact, status_words
 
-_MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
+MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
+# At these the rod is straight.
+_STRAIGHT = (EventKind.FIRST_CONTACT, EventKind.DETACH, EventKind.HEAD_ON)
+_EVENT_COLOUR = "#c1121f"
 
 
 def reactions_along(scan: Scan) -> list[Axes]:
-    """Contact force and arc length over the clamp's x0 on one trail (n, …), with its events; dashed
-    where the branch is laterally unstable.
+    """Contact force and arc length along one trail (n, …), with its events; dashed where the branch
+    is laterally unstable, dotted where a row's status is not OK for another reason.
+
+    They are drawn over the clamp's coordinate that changes most, in the direction of the sweep, or
+    over the share of the trail if the clamp turns back. Curves break off at snaps.
+
+    Raises
+    ------
+    ValueError
+        If the scan has several trails, or no contact.
     """
-    factor = length_factor(scan.rod)
-    x = factor * scan.trail.position[:, 0]
+    if scan.kind.ndim != 1:
+        raise ValueError(f"scan has the shape {scan.kind.shape}; allowed is one trail (n,)")
     force = np.where(scan.in_contact, np.linalg.norm(scan.reactions.force, axis=-1), np.nan)
-    rows = [
-        (force, "$f$ [N]" if scan.rod.units == "SI" else "$f$ [$EI/L^2$]"),
-        (factor * scan.arc_length, length_label("s_1", scan.rod)),
-    ]
+    if not np.isfinite(force).any():
+        raise no_contact(scan.status, "positions")
+    factor = length_factor(scan.rod)
+    reach = np.array([factor * np.linalg.norm(event.point - event.clamp) for event in scan.events])
+    place, label = _abscissa(scan)
     figure, panels = plt.subplots(
-        2, 1, figsize=(COLUMN * 1.25, COLUMN * 1.25), sharex=True, layout="constrained"
+        2, 1, figsize=(COLUMN * 1.4, COLUMN * 1.3), sharex=True, layout="constrained"
     )
-    unstable = scan.status == Status.LATERALLY_UNSTABLE
-    branches = ((unstable, "-", "stable"), (~unstable, (0, (3, 2)), "laterally unstable"))
-    for axes, (values, label) in zip(panels, rows, strict=True):
-        for left_out, style, name in branches[: 1 + unstable.any()]:
-            shown = np.where(left_out, np.nan, values)
-            axes.plot(x, shown, color="black", linestyle=style, label=name)
-        axes.set_ylabel(label)
-        known = np.isfinite(values)
-        order = np.argsort(x[known])
-        for event in scan.events:
-            at, name = factor * event.clamp[0], event.kind.name.lower().replace("_", " ")
-            value = np.interp(at, x[known][order], values[known][order])
-            marker = _MARKERS[event.kind]
-            axes.plot(at, value, marker, color="#c1121f", markersize=5, label=name, clip_on=False)
-    panels[-1].set_xlabel(length_label("x_0", scan.rod))
-    panels[-1].invert_xaxis()
+    _draw(panels[0], scan, place, force, np.zeros(len(reach)))
+    _draw(panels[1], scan, place, factor * scan.arc_length, reach)
+    panels[0].set_ylabel("$f$ [N]" if scan.rod.units == "SI" else "$f$ [$EI/L^2$]")
+    panels[1].set(xlabel=label, ylabel=length_label("s_1", scan.rod))
+    if place[0] > place[-1]:
+        panels[1].invert_xaxis()
     handles, names = panels[0].get_legend_handles_labels()
     once = dict(zip(names, handles, strict=True))
     figure.legend(once.values(), once.keys(), loc="outside upper center", ncols=2, handlelength=1.8)
     return list(panels)
+
+
+def _abscissa(scan: Scan) -> tuple[Float[np.ndarray, "n"], str]:
+    """Where on the trail each row is, and the label of that axis."""
+    position = scan.trail.position
+    axis = int(np.argmax(np.ptp(position, axis=0)))
+    steps = np.diff(position[:, axis])
+    if np.all(steps > 0) or np.all(steps < 0):
+        label = length_label(f"{'xyz'[axis]}_0", scan.rod)
+        return length_factor(scan.rod) * position[:, axis], label
+    return scan.trail.parameter, "share of the trail"
+
+
+def _draw(
+    axes: Axes,
+    scan: Scan,
+    place: Float[np.ndarray, "n"],
+    values: Float[np.ndarray, "n"],
+    straight: Float[np.ndarray, "events"],
+) -> None:
+    """A curve in the style of its rows' statuses, with the events on it; `straight` are its values
+    at those events at which the rod is straight.
+    """
+    along, known = scan.trail.parameter, np.isfinite(values)
+    at = np.array([event.parameter for event in scan.events])
+    marked = [
+        _value(event, along, values, end) for event, end in zip(scan.events, straight, strict=True)
+    ]
+    # The curve begins and ends where the contact does, and breaks off where the rod snaps.
+    ends = np.array([event.kind in _STRAIGHT for event in scan.events], dtype=bool)
+    snaps = np.array([event.kind == EventKind.SNAP for event in scan.events], dtype=bool)
+    vertices = np.concatenate([along[known], at[ends], at[snaps]])
+    course = np.concatenate([values[known], straight[ends], np.full(snaps.sum(), np.nan)])
+    order = np.argsort(vertices, kind="stable")
+    vertices, course = vertices[order], course[order]
+    rows = np.flatnonzero(known)
+    before = np.maximum(np.searchsorted(along[known], vertices, side="right") - 1, 0)
+    status, x = scan.status[rows[before]], np.interp(vertices, along, place)
+    for codes, style, label in _styles(scan.status[known]):
+        for first, last in runs(np.isin(status, codes)):
+            # Each step belongs to the row that it begins at.
+            drawn = slice(first, last + 1)
+            axes.plot(x[drawn], course[drawn], color="black", linestyle=style, label=label)
+    for event, value in zip(scan.events, marked, strict=True):
+        axes.plot(
+            np.interp(event.parameter, along, place),
+            value,
+            MARKERS[event.kind],
+            color=_EVENT_COLOUR,
+            markersize=6,
+            markeredgecolor="white",
+            markeredgewidth=0.5,
+            label=event.kind.name.lower().replace("_", " "),
+            clip_on=False,
+        )
+
+
+def _value(
+    event: Event, along: Float[np.ndarray, "n"], values: Float[np.ndarray, "n"], straight: float
+) -> float:
+    """What a curve is at an event: as far as it is known, between its neighbours; before a snap."""
+    if event.kind in _STRAIGHT:
+        return straight
+    after = int(np.searchsorted(along, event.parameter))
+    pair = np.clip([after - 1, after], 0, len(along) - 1)
+    pair = pair[:1] if event.kind == EventKind.SNAP else pair
+    pair = pair[np.isfinite(values[pair])]
+    return float(np.interp(event.parameter, along[pair], values[pair])) if len(pair) else np.nan
+
+
+def _styles(status: Int[np.ndarray, "k"]) -> Iterator[tuple[list[int], object, str]]:
+    """Statuses that are drawn alike, with their line style and label."""
+    unstable, present = int(Status.LATERALLY_UNSTABLE), set(status.tolist())
+    others = sorted(present - {int(Status.OK), unstable})
+    for codes, style in (([0], "-"), ([unstable], (0, (3, 2))), (others, ":")):
+        own = np.isin(status, codes)
+        if own.any():
+            yield codes, style, "stable" if codes == [0] else status_words(status[own])

@@ -1,31 +1,35 @@
 """A recording with its tare, faults, noise and pose."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator
 from scipy.signal import welch
 
 from vibrissa.geometry.rotation import rotation_vectors
-from vibrissa.plot.style import PAGE
+from vibrissa.plot.style import AXIS_COLOURS, PAGE
 from vibrissa.sensor import CHANNELS, FaultKind, Inspection, Sensor
 
-_AXIS_COLOURS = ("#c1121f", "#2b7a3d", "#1d5fa8")
 _TARE_COLOUR = "#bcd9ea"
-_FAULT_COLOURS = {
-    FaultKind.SATURATION: "#e07b00",
-    FaultKind.DROP_OUT: "#7a3e9d",
-    FaultKind.STUCK: "#8c6d31",
-    FaultKind.HELD: "#c77cba",
-    FaultKind.GAP: "#555555",
-    FaultKind.DUPLICATE: "#d0a000",
-    FaultKind.BACKWARD: "#a00000",
-    FaultKind.POSE_JUMP: "#00808a",
+# Hatched too, for colour-blind readers.
+_FAULTS = {
+    FaultKind.SATURATION: ("#e07b00", "///"),
+    FaultKind.DROP_OUT: ("#7a3e9d", ""),
+    FaultKind.STUCK: ("#8c6d31", "\\\\\\"),
+    FaultKind.HELD: ("#c77cba", "---"),
+    FaultKind.GAP: ("#555555", "xxx"),
+    FaultKind.DUPLICATE: ("#d0a000", "|||"),
+    FaultKind.BACKWARD: ("#a00000", "..."),
+    FaultKind.POSE_JUMP: ("#00808a", "+++"),
 }
+_UNUSED = 0.35
 # Channels, name, symbol, factor and unit of the readings, factor and unit of their noise.
 _KINDS = (
     (slice(0, 3), "force", "f", 1.0, "N", 1e3, r"mN/$\sqrt{\mathrm{Hz}}$"),
@@ -40,7 +44,7 @@ _LEAST_SPAN = 10**0.5
 _FEW_DECADES = 1e3
 
 
-@mpl.rc_context({"axes.prop_cycle": f"cycler(color={_AXIS_COLOURS})", "lines.linewidth": 0.8})
+@mpl.rc_context({"axes.prop_cycle": f"cycler(color={AXIS_COLOURS})", "lines.linewidth": 0.8})
 def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     """Force and torque over time as logged, with tare intervals and faults shaded; the sensor's
     pose; and the noise's amplitude spectral density at rest.
@@ -51,11 +55,23 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
         Result of `vibrissa.sensor.inspect_raw`; unusable rows are drawn faint.
     sensor
         Gives the stated noise.
+
+    Raises
+    ------
+    ValueError
+        If the recording has a single row, or no number in any of its readings.
     """
+    rows = len(found.raw.time)
+    if rows < 2 or not np.isfinite(found.raw.wrench).any():
+        raise ValueError(
+            f"nothing to draw: {rows} row{'s' * (rows > 1)}, of which "
+            f"{np.isfinite(found.raw.wrench).any(axis=1).sum()} hold readings; allowed are at "
+            "least two rows, and readings"
+        )
     figure, axes = plt.subplot_mosaic(
         [["force"] * 2, ["torque"] * 2, ["pose"] * 2, ["noise of force", "noise of torque"]],
-        figsize=(PAGE, 6.6),
-        height_ratios=(1.25, 1.25, 1, 1.25),
+        figsize=(PAGE, 5.8),
+        height_ratios=(1.2, 1.2, 0.9, 1.1),
         layout="constrained",
     )
     time = found.cleaned.time - found.cleaned.time[0]
@@ -63,7 +79,7 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     for channels, name, symbol, factor, unit, of_noise, density in _KINDS:
         lines, spectrum = axes[name], axes[f"noise of {name}"]
         lines.sharex(axes["pose"])
-        lines.plot(time, factor * logged[:, channels], alpha=0.35)
+        lines.plot(time, factor * logged[:, channels], alpha=_UNUSED)
         labels = [f"${symbol}_{axis}$" for axis in "xyz"]
         lines.plot(time, factor * found.cleaned.wrench[:, channels], label=labels)
         lines.set_ylabel(f"{name} [{unit}]")
@@ -72,14 +88,17 @@ def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
         _spectrum(spectrum, found, sensor, channels, of_noise)
         spectrum.set(xlabel="frequency [Hz]", ylabel=f"{name} [{density}]")
     _pose(axes["pose"], found)
-    colours = {str(kind): colour for kind, colour in _FAULT_COLOURS.items()}
-    shown = [name for name in colours if name in {str(fault.kind) for fault in found.faults}]
-    handles = [Patch(color=colours[name], alpha=0.45, label=name) for name in shown]
+    found_kinds = {fault.kind for fault in found.faults}
+    handles: list[Artist] = [
+        Patch(**_filled(kind), label=str(kind)) for kind in _FAULTS if kind in found_kinds
+    ]
     if found.tared:
         handles.insert(0, Patch(color=_TARE_COLOUR, label="tare"))
+    if not found.usable.all():
+        label = f"rows not used ({np.count_nonzero(~found.usable)})"
+        handles.append(Line2D([], [], color="black", alpha=_UNUSED, label=label))
     if handles:
-        columns = min(6, len(handles))
-        figure.legend(handles=handles, loc="outside upper center", ncols=columns, handlelength=1.2)
+        figure.legend(handles=handles, loc="outside upper center", ncols=4, handlelength=1.4)
     return list(axes.values())
 
 
@@ -91,16 +110,24 @@ def _shade(axes: Axes, found: Inspection, names: Sequence[str], right: float = 1
             start - first, stop - first, linewidth=0, color=_TARE_COLOUR, alpha=0.6, zorder=0
         )
     for fault in found.faults:
-        if fault.kind in _FAULT_COLOURS and set(names) & set(fault.channels):
+        if fault.kind in _FAULTS and set(names) & set(fault.channels):
             middle, wide = (fault.start + fault.stop) / 2 - first, abs(fault.stop - fault.start)
             half = max(wide / 2, 0.002 * (last - first))
             # A fault that fills the figure must not hide it.
-            alpha = 0.45 if half < (last - first) / 4 else 0.15
-            colour = _FAULT_COLOURS[fault.kind]
-            axes.axvspan(
-                middle - half, middle + half, linewidth=0, color=colour, alpha=alpha, zorder=0.5
-            )
+            style = _filled(fault.kind) | ({} if half < (last - first) / 4 else {"alpha": 0.15})
+            axes.axvspan(middle - half, middle + half, zorder=0.5, **style)
     axes.legend(loc="upper left", bbox_to_anchor=(right, 1.0), handlelength=1.2, borderaxespad=0)
+
+
+def _filled(kind: FaultKind) -> dict[str, Any]:
+    colour, hatch = _FAULTS[kind]
+    return {
+        "facecolor": colour,
+        "edgecolor": "white",
+        "hatch": hatch,
+        "alpha": 0.45,
+        "linewidth": 0,
+    }
 
 
 def _pose(axes: Axes, found: Inspection) -> None:

@@ -1,5 +1,6 @@
 """All the checks that a recording undergoes before it is trusted."""
 
+from collections import Counter
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -87,6 +88,20 @@ class Inspection:
     sensor: Sensor
     single_contact_misfit: float = np.nan
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return five lines: rows, tare, noise, faults, and whether it can be used."""
+        kinds = Counter(str(fault.kind) for fault in self.faults)
+        found = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        force, torque = self.noise[:3].max(), self.noise[3:].max()
+        return (
+            f"Inspection of {len(self.usable)} rows, {self.rate:.5g} a second, "
+            f"{self.usable.sum()} usable\n"
+            f"  tare: {'none' if self.tare is None else self.tare.found}\n"
+            f"  noise at rest: up to {1e3 * force:.3g} mN, {1e3 * torque:.3g} N mm\n"
+            f"  findings: {found or 'none'}\n"
+            f"  unusable: {'; '.join(fault.text for fault in self.unusable) or 'no'}"
+        )
 
     @property
     def usable(self) -> Rows:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from vibrissa.brief import brief
+
 CHANNELS = ("fx", "fy", "fz", "tx", "ty", "tz")
 """The six channels of a wrench, in the order of arrays (…, 6)."""
 CHANNEL_UNITS = ("N", "N", "N", "N m", "N m", "N m")
@@ -53,6 +55,8 @@ class RawRecording:
     def wrench(self) -> Wrenches:
         """Force and torque side by side (n, 6), in the order of `CHANNELS`."""
         return np.concatenate([self.force, self.torque], axis=1)
+
+    __repr__ = brief
 
     @cached_property
     def rate(self) -> float:

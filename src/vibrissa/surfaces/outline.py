@@ -10,20 +10,22 @@ from vibrissa.libraries import extra_library
 from vibrissa.surfaces.base import Placed, Surface
 from vibrissa.surfaces.mesh import Mesh
 from vibrissa.surfaces.primitives import Box, Cone, Cylinder
+from vibrissa.surfaces.quadrics import EllipticParaboloid
 
 _CELLS = 90
-"""Cells along the longest side of a box: smooth at the size of a page."""
-_SECTIONS = 180
-"""Sides of a drawn circle."""
+"""Cells along the longest side of a box, and half the sides of a circle: smooth on a page."""
 _COARSE = 48
 """Cells along the side of a cube in which a part of an object is looked for."""
 
 Triangles = Float[np.ndarray, "f 3 3"]
+Vector = Float[np.ndarray, "3"]
 
 
-def outline(surface: Surface, low: ArrayLike, high: ArrayLike) -> tuple[Triangles, Triangles]:
-    """Triangles of an object: those of its own faces if it has edges, else of its zero level within
-    a box, closed where the box cuts it.
+def outline(surface: Surface, low: ArrayLike, high: ArrayLike) -> Triangles:
+    """Triangles of an object's surface within a box, open where the box cuts it.
+
+    They are the object's own faces if it has edges and lies within the box, else those of its zero
+    level on a grid.
 
     Parameters
     ----------
@@ -34,60 +36,80 @@ def outline(surface: Surface, low: ArrayLike, high: ArrayLike) -> tuple[Triangle
 
     Returns
     -------
-    tuple
-        Corners (f, 3, 3) of the triangles of the object's own surface, and of the cuts.
+    np.ndarray
+        Their corners (f, 3, 3).
 
     Raises
     ------
     ImportError
-        If the libraries of `vibrissa[mesh]` are not installed.
+        If the libraries of `vibrissa[mesh]` are not installed; an elliptic paraboloid needs none.
     """
-    own = _own_faces(surface)
-    if own is not None:
-        return np.array(own.triangles), np.zeros((0, 3, 3))
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-    cells = np.maximum(np.ceil(_CELLS * (high - low) / (high - low).max()), 1)
-    cell = (high - low) / cells
-    # Half a cell beyond the box on each side, so that its faces lie between two points.
-    counts = cells.astype(int) + 2
-    grid = _grid(low - cell / 2, high + cell / 2, counts)
-    beyond = np.max(np.maximum(low - grid, grid - high), axis=-1)
-    values = np.maximum(surface.levels(grid), beyond)
+    if isinstance(surface, EllipticParaboloid) and min(surface.a, surface.b) > 0:
+        return _bowl(surface, float(high[2]))
+    own = _own_faces(surface)
+    if own is not None and np.all(own.bounds >= low) and np.all(own.bounds <= high):
+        return np.array(own.triangles)
+    counts = np.ceil(_CELLS * (high - low) / (high - low).max()).astype(int) + 2
+    grid = _grid(low, high, counts)
     igl = extra_library("igl", extra="mesh", need="drawing an object needs it")
-    flat = (part.reshape(-1, *part.shape[3:], order="F") for part in (values, grid))
+    levels = surface.levels(grid)
+    flat = (part.reshape(-1, *part.shape[3:], order="F") for part in (levels, grid))
     corners, faces, _ = igl.marching_cubes(*map(np.ascontiguousarray, flat), *map(int, counts))
     triangles: Triangles = corners[faces]
-    centers = triangles.mean(axis=1)
-    cut = np.min(np.minimum(centers - low, high - centers) / cell, axis=1) < 1e-3
-    return triangles[~cut], triangles[cut]
+    return triangles
 
 
 def box_of(
     surface: Surface, points: Float[np.ndarray, "n 3"], reach: float
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+) -> tuple[Vector, Vector]:
     """Least and largest coordinates of a box that shows what was touched of an object.
 
     On each side it holds the whole object where that ends within `reach` of the points, else what
     lies within an eighth of `reach` of them.
     """
     near_low, near_high = points.min(axis=0), points.max(axis=0)
-    low, high = near_low - reach, near_high + reach
+    searched = near_low - reach, near_high + reach
+    low, high = _extent(surface, *searched)
+    low = np.where(low > searched[0], low, near_low - reach / 8)
+    return low, np.where(high < searched[1], high, near_high + reach / 8)
+
+
+def _extent(surface: Surface, low: Vector, high: Vector) -> tuple[Vector, Vector]:
+    """Least and largest coordinates of an object, or of the box where it reaches beyond that."""
+    own = _own_faces(surface)
+    if own is not None:
+        return np.maximum(own.bounds[0], low), np.minimum(own.bounds[1], high)
     inside = surface.levels(_grid(low, high, np.full(3, _COARSE))) <= 0
-    cell = (high - low) / (_COARSE - 1)
+    ticks, sides = np.linspace(low, high, _COARSE), np.array([low, high])
     for axis in range(3):
-        other = tuple(k for k in range(3) if k != axis)
-        filled = np.flatnonzero(inside.any(axis=other))
-        first, last = (filled[0], filled[-1]) if len(filled) else (0, _COARSE - 1)
-        near = near_low[axis] - reach / 8, near_high[axis] + reach / 8
-        begin, end = low[axis], low[axis]
-        low[axis] = begin + (first - 1) * cell[axis] if first > 0 else near[0]
-        high[axis] = end + (last + 1) * cell[axis] if last < _COARSE - 1 else near[1]
-    return low, high
+        filled = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
+        if len(filled):
+            # The surface lies between the last point inside and the next one.
+            ends = [max(filled[0] - 1, 0), min(filled[-1] + 1, _COARSE - 1)]
+            sides[:, axis] = ticks[ends, axis]
+    return sides[0], sides[1]
 
 
-def _grid(low: Any, high: Any, counts: Int[np.ndarray, "3"]) -> Float[np.ndarray, "i j k 3"]:
+def _grid(low: Vector, high: Vector, counts: Int[np.ndarray, "3"]) -> Float[np.ndarray, "i j k 3"]:
     ticks = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)
+
+
+def _bowl(surface: EllipticParaboloid, top: float) -> Triangles:
+    """Rings of an elliptic paraboloid up to a height, spaced as their radii."""
+    a, b, h = float(surface.a), float(surface.b), float(surface.h)
+    radius, turn = np.meshgrid(
+        np.linspace(0, np.sqrt(max(top - h, 0)), _CELLS // 2),
+        np.linspace(0, 2 * np.pi, 2 * _CELLS + 1),
+        indexing="ij",
+    )
+    x, y = radius * np.cos(turn) / np.sqrt(a), radius * np.sin(turn) / np.sqrt(b)
+    corners = np.stack([x, y, h + radius**2], axis=-1)
+    inner, outer = corners[:-1], corners[1:]
+    quads = [inner[:, :-1], outer[:, :-1], outer[:, 1:], inner[:, 1:]]
+    halves = [np.stack([quads[k] for k in half], axis=2) for half in ((0, 1, 2), (0, 2, 3))]
+    return np.concatenate(halves).reshape(-1, 3, 3)
 
 
 def _own_faces(surface: Surface) -> Any:
@@ -106,8 +128,10 @@ def _own_faces(surface: Surface) -> Any:
         sides = 2 * np.asarray(surface.half_extents)
         return create.box(sides).apply_translation(surface.center)
     if isinstance(surface, Cylinder):
-        upright = create.cylinder(float(surface.radius), float(surface.length), sections=_SECTIONS)
+        round_part = float(surface.radius), float(surface.length)
+        upright = create.cylinder(*round_part, sections=2 * _CELLS)
     else:
-        upright = create.cone(float(surface.radius), float(surface.height), sections=_SECTIONS)
+        round_part = float(surface.radius), float(surface.height)
+        upright = create.cone(*round_part, sections=2 * _CELLS)
     turned = upright.apply_transform(trimesh.geometry.align_vectors((0, 0, 1), surface.axis))
     return turned.apply_translation(surface.center)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from vibrissa.brief import brief
 from vibrissa.inverse.arrays import Flags, Vectors
 from vibrissa.rod import Rod
 
@@ -69,6 +70,8 @@ class SetupCheck:
     named: tuple[tuple[str, ...], ...] = ()
     warnings: tuple[str, ...] = ()
     misread: bool = False
+
+    __repr__ = brief
 
 
 def length_text(value: float, rod: Rod) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrissa.brief import brief
 from vibrissa.contacts import ContactKind, Contacts, Status
 
 Numbers = Float[np.ndarray, "*rows"] | float
@@ -82,6 +83,8 @@ class Smoothing:
     model_error: float
     log_likelihood: float
 
+    __repr__ = brief
+
     @property
     def outlier(self) -> Bool[np.ndarray, "n"]:
         """(n,) samples that were down-weighted."""
@@ -129,6 +132,8 @@ class LiveContact:
     sensitivity: Float[np.ndarray, "*rows 6 15"]
     probability: Numbers
     status: Int[np.ndarray, "*rows"] | Status
+
+    __repr__ = brief
 
     @property
     def normal(self) -> Vectors:

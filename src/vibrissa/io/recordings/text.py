@@ -10,10 +10,10 @@ from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.units import is_unit
 
 _COMMENTS = ("#", "%")
-_DELIMITERS = ",;\t| "
+DELIMITERS = ",;\t| "
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
 # Loggers put up to a few dozen lines before the header line.
-_LONGEST_PREAMBLE = 200
+LONGEST_PREAMBLE = 200
 
 
 def columns(
@@ -105,13 +105,13 @@ def _header(
     wanted names, for the delimiter that gives the most; a comment, as NumPy writes it, only if it
     has more of them than any other line.
     """
-    delimiters, skip = table.delimiter or _DELIMITERS.replace(table.decimal, ""), table.skip_lines
+    delimiters, skip = table.delimiter or DELIMITERS.replace(table.decimal, ""), table.skip_lines
     if exactly:
         stated = match(r'"?sep=(.)', "".join(lines[:1]))
         delimiters = stated[1] if stated else ","
     found = [
         (number, [name.strip() for name in split(line.lstrip("#% \t"), delimiter)], delimiter)
-        for number, line in enumerate(lines[skip : skip + _LONGEST_PREAMBLE], skip)
+        for number, line in enumerate(lines[skip : skip + LONGEST_PREAMBLE], skip)
         for delimiter in delimiters
         if line.strip("#% \t")
     ]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cache
-from re import search, sub
+from re import fullmatch, search, split, sub
 from typing import Any, Literal, get_args
 
 Force = Literal["N", "mN", "uN", "kN", "gf", "kgf", "lbf"]
@@ -80,6 +80,28 @@ def known_or_none(text: str, allowed: Sequence[str]) -> str | None:
         return known(text, allowed)
     except ValueError:
         return None
+
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+
+
+def numbers_in(text: str, unit: str) -> list[float]:
+    """Numbers with commas or blanks between them, in `unit` unless another stands at the end, as in
+    `0, 0, 25.5 mm`.
+
+    Raises
+    ------
+    ValueError
+        If the text is something else, or its unit is of another kind.
+    """
+    found = fullmatch(rf"\s*({_NUMBER}(?:[,\s]+{_NUMBER})*)\s*([A-Za-zµμ]\w*)?\s*", text)
+    own = _unit((found[2] or unit).replace("μ", "µ")) if found else None
+    if found is None or own is None or own.dimensionality != _unit(unit).dimensionality:
+        raise ValueError(text)
+    return [
+        float(_registry().Quantity(Fraction(part), own).to(unit).magnitude)
+        for part in split(r"[,\s]+", found[1])
+    ]
 
 
 def is_unit(text: str) -> bool:

@@ -1,0 +1,70 @@
+"""Files of any kind as contents of a page."""
+
+import tomllib
+from pathlib import Path
+
+from vibrissa.files import InputError, readable, reading, text_of
+from vibrissa.inverse import reconstruct
+from vibrissa.io import Setup, load_case, load_setup, read_contacts, read_recording
+from vibrissa.io.contacts import COLUMNS
+from vibrissa.io.recordings.containers import library
+from vibrissa.io.recordings.formats import BAG, TEXT, kind_of
+from vibrissa.io.sweeps import is_sweep, read_sweep
+from vibrissa.surfaces import Surface
+from vibrissa.viewer.content import Content
+from vibrissa.viewer.sweeps import of_case, of_contacts, of_setup, of_sweep
+
+_CLOUDS = (".ply", ".vtp", ".pcd")
+
+
+def of_file(file: Path, setup: Setup | None, surface: Surface | None) -> Content:
+    """A scan, reconstruction, contacts, recording, setup or case, by its content; the object is for
+    those that know none.
+
+    Raises
+    ------
+    InputError
+        If the file is none of these, cannot be read, shows nothing, or is a recording without a
+        setup.
+    """
+    try:
+        return _of_file(file, setup, surface)
+    except InputError:
+        raise
+    except (ValueError, ImportError) as error:
+        raise InputError(f"{file}: {error}") from error
+
+
+def _of_file(file: Path, setup: Setup | None, surface: Surface | None) -> Content:
+    rod = None if setup is None else setup.rod
+    suffix = file.suffix.lower()
+    if suffix == ".toml":
+        with reading(readable(file), "TOML"):
+            tables = tomllib.loads(text_of(file))
+        return of_case(load_case(file)) if "trail" in tables else of_setup(load_setup(file))
+    if suffix in _CLOUDS:
+        return of_contacts(read_contacts(file), surface, rod)
+    kind = kind_of(file)
+    if suffix == ".nc" and is_sweep(file):
+        return of_sweep(read_sweep(file), surface)
+    if _holds_contacts(file, kind, setup):
+        return of_contacts(read_contacts(file), surface, rod)
+    if setup is None:
+        raise InputError(f"{file}: is a recording; allowed is one with a setup (--setup)")
+    return of_sweep(reconstruct(setup.rod, read_recording(file, setup)), surface)
+
+
+def _holds_contacts(file: Path, kind: str, setup: Setup | None) -> bool:
+    """Whether a table or a bag holds contacts rather than a recording: a bag that may hold both,
+    as a stream writes it, is a recording if there is a setup for it.
+    """
+    if kind == BAG:
+        return setup is None and file.suffix.lower() == ".mcap"
+    if kind == TEXT:
+        header = text_of(file).partition("\n")[0]
+    elif file.suffix.lower() == ".parquet":
+        header = ",".join(library("pyarrow.parquet").read_schema(file).names)
+    else:
+        return False
+    names = {name.strip() for name in header.split(",")}
+    return {"arc_length", "kind", "status"} <= names & set(COLUMNS)

@@ -1,0 +1,317 @@
+"""`vibrissa init`: foreign logs of one and the same sweep give setups that read them to the same
+reactions.
+"""
+
+import io
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import status_of, vibrissa
+from scipy.io import savemat
+from scipy.spatial.transform import Rotation
+
+import vibrissa as vb
+from vibrissa.io.recordings.names import groups
+from vibrissa.sensor import RawRecording
+
+BENCH = Path(__file__).parents[2] / "examples/bench"
+MEASURED = (
+    *("--length", "49.5mm", "--radius", "0.25mm", "--youngs-modulus", "200 GPa"),
+    *("--clamp-position", "0, 0, 25.5 mm"),
+)
+
+
+@pytest.fixture(scope="module")
+def raw() -> RawRecording:
+    """A sweep under a ball, the sensor turned by 30° about z; readings are the load on it."""
+    return vb.io.read_raw(BENCH / "ball_1.csv", vb.load_setup(BENCH / "setup.toml")).raw
+
+
+@pytest.fixture(scope="module")
+def truth() -> vb.Reactions:
+    setup = vb.load_setup(BENCH / "setup.toml")
+    found: vb.Reactions = vb.read_recording(
+        BENCH / "ball_1.csv", replace(setup, sensor=setup.sensor.updated(tare_seconds=None))
+    )
+    return found
+
+
+def german(raw: RawRecording, folder: Path) -> Path:
+    """A logger's preamble, semicolons and decimal commas, Latin letters, a robot's angles A, B, C."""
+    angles = Rotation.from_quat(raw.orientation).as_euler("ZYX", degrees=True)
+    table = pd.DataFrame({"Zeit [ms]": 1e3 * raw.time})
+    for place, axis in enumerate("XYZ"):
+        table[f"Kraft {axis} [N]"] = raw.force[:, place]
+        table[f"Drehmoment {axis} [Nmm]"] = 1e3 * raw.torque[:, place]
+        table[f"Position {axis} [mm]"] = 1e3 * raw.position[:, place]
+    for place, axis in enumerate("ABC"):
+        table[f"{axis} [°]"] = angles[:, place]
+    table["Temperatur [°C]"] = 21.5
+    text = "Messung 3;Prüfer: Müller\nGerät;K6D\n\n" + table.to_csv(
+        sep=";", decimal=",", index=False
+    )
+    path = folder / "messung.csv"
+    path.write_bytes(text.encode("cp1252"))
+    return path
+
+
+def unlabelled(raw: RawRecording, folder: Path) -> Path:
+    """The support reaction, in mN and N mm, positions in mm, q0 to q3 with w first, stamps in µs:
+    no unit is stated.
+    """
+    table = pd.DataFrame({"timestamp": np.round(1e6 * raw.time)})
+    for place in range(3):
+        table[f"F{place}"] = -1e3 * raw.force[:, place]
+    for place in range(3):
+        table[f"T{place}"] = -1e3 * raw.torque[:, place]
+    for place, axis in enumerate("XYZ"):
+        table[axis] = 1e3 * raw.position[:, place]
+    for place in range(4):
+        table[f"q{place}"] = np.roll(raw.orientation, 1, axis=1)[:, place]
+    path = folder / "log.txt"
+    table.to_csv(path, sep="\t", index=False)
+    return path
+
+
+def robot(raw: RawRecording, folder: Path) -> Path:
+    """Poses as a rotation vector and a wrench of six numbers, beside those of the target."""
+    turns = Rotation.from_quat(raw.orientation).as_rotvec()
+    table = pd.DataFrame({"timestamp": raw.time})
+    six = {
+        "target_TCP_pose": np.hstack([raw.position + 0.01, turns]),
+        "actual_TCP_pose": np.hstack([raw.position, turns]),
+        "actual_TCP_force": raw.wrench,
+    }
+    for name, numbers in six.items():
+        for place in range(6):
+            table[f"{name}_{place}"] = numbers[:, place]
+    path = folder / "record.csv"
+    table.to_csv(path, sep=" ", index=False)
+    return path
+
+
+def units_below(raw: RawRecording, folder: Path) -> Path:
+    """Names with suffixes, units in the line below, w of the quaternion in front."""
+    turn = np.roll(raw.orientation, 1, axis=1)
+    numbers = np.column_stack([raw.time, 1e3 * raw.force, 1e3 * raw.torque, 1e2 * raw.position])
+    names = "t F_x F_y F_z M_x M_y M_z pos_x pos_y pos_z quat_w quat_x quat_y quat_z"
+    table = pd.DataFrame(np.column_stack([numbers, turn]), columns=names.split())
+    head, _, rows = table.to_csv(index=False).partition("\n")
+    stated = ",".join(["s", *["mN"] * 3, *["mN*m"] * 3, *["cm"] * 3, *["-"] * 4])
+    path = folder / "export.csv"
+    path.write_text(f"{head}\n{stated}\n{rows}")
+    return path
+
+
+def hdf5(raw: RawRecording, folder: Path) -> Path:
+    """Arrays of six and seven columns in a group, and others that mean nothing."""
+    path = folder / "log.h5"
+    with h5py.File(path, "w") as file:
+        file["log/t"] = raw.time
+        file["log/ft"] = raw.wrench
+        file["log/pose"] = np.hstack([raw.position, raw.orientation])
+        file["log/joints"] = np.zeros((len(raw.time), 7))
+        file["log/operator"] = "me"
+    return path
+
+
+def matlab(raw: RawRecording, folder: Path) -> Path:
+    """A struct of matrices."""
+    path = folder / "log.mat"
+    held = {
+        "time": raw.time,
+        "force": raw.force,
+        "torque": raw.torque,
+        "position": raw.position,
+        "quaternion": raw.orientation,
+    }
+    savemat(path, {"trial": held})
+    return path
+
+
+@pytest.mark.parametrize("write", [german, unlabelled, robot, units_below, hdf5, matlab])
+def test_a_foreign_log_is_understood(
+    write: Callable[[RawRecording, Path], Path],
+    raw: RawRecording,
+    truth: vb.Reactions,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Names, units, decimal sign, encoding, quaternion order and sign, none of them given."""
+    log, setup = write(raw, tmp_path), tmp_path / "setup.toml"
+    done = vibrissa(capsys, "init", log, "-o", setup, *MEASURED)
+    assert done.status == 0, done.err
+    assert "warning" not in done.err
+    assert done.out.endswith(f"→ {setup}\n") and len(done.out.splitlines()) == 1
+    loaded = vb.load_setup(setup)
+    assert loaded.rod.length == 0.0495 and loaded.rod.bending_stiffness == pytest.approx(
+        200e9 * np.pi / 4 * 0.25e-3**4
+    )
+    assert loaded.sensor.wrench == ("on_rod" if write is unlabelled else "on_sensor")
+    found = vb.read_recording(log, loaded)
+    np.testing.assert_allclose(found.force, truth.force, atol=1e-6)
+    np.testing.assert_allclose(found.moment, truth.moment, atol=1e-8)
+    np.testing.assert_allclose(found.trail.position, truth.trail.position, atol=1e-8)
+    np.testing.assert_allclose(found.time, truth.time, atol=1e-8)
+    noise = np.array(loaded.sensor.force_noise)
+    assert np.all(abs(noise / 2.05e-3 - 1) < 0.2)
+
+
+def test_poses_in_a_file_of_their_own(
+    truth: vb.Reactions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file whose name begins with the log's, with another delimiter; names are printed too."""
+    monkeypatch.chdir(tmp_path)
+    assert status_of("example", "bench") == 0
+    assert status_of("init", "bench/ball_1.csv", "-o", "bench/first.toml", *MEASURED) == 0
+    setup = vb.load_setup("bench/first.toml")
+    assert setup.recording is not None and setup.recording.pose_file == "{name}_robot.csv"
+    for name in ("ball_1", "bar_2"):
+        assert len(vb.read_recording(f"bench/{name}.csv", setup).force) > 2000
+    np.testing.assert_allclose(
+        vb.read_recording("bench/ball_1.csv", setup).force, truth.force, atol=1e-9
+    )
+    text = Path("bench/first.toml").read_text(encoding="utf-8")
+    assert "1.00 for on_sensor, -0.77 for on_rod; 1 is right" in text
+
+
+def test_the_sign_is_asked_for_if_the_data_cannot_tell(
+    raw: RawRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log that begins under load: nobody knows what the rod took up before."""
+    log, setup = tmp_path / "late.csv", tmp_path / "setup.toml"
+    rest = raw.time > 9.0
+    late = rest | (raw.time > 4.0)
+    parts = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
+    vb.io.write_recording(log, RawRecording(*(part[late] for part in parts)))
+    refused = vibrissa(capsys, "init", log, "-o", setup, *MEASURED)
+    assert refused.status == 2 and not setup.exists()
+    assert "--wrench: missing; allowed is on_sensor or on_rod" in refused.err
+    assert len(refused.err.splitlines()) == 1
+    given = vibrissa(capsys, "init", log, "-o", setup, *MEASURED, "--wrench", "on_sensor")
+    assert given.status == 0 and "wrench on_sensor → " in given.out
+    assert vb.load_setup(setup).sensor.sign == -1
+
+
+def test_a_sign_that_the_work_contradicts_is_warned_of(
+    raw: RawRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, setup = unlabelled(raw, tmp_path), tmp_path / "setup.toml"
+    wrong = (
+        "--wrench",
+        "on_sensor",
+        *(
+            f"--layout={key}"
+            for key in (
+                "orientation_form=wxyz",
+                "force_unit=mN",
+                "torque_unit=N mm",
+                "position_unit=mm",
+            )
+        ),
+    )
+    said = vibrissa(capsys, "init", log, "-o", setup, *MEASURED, *wrong)
+    assert said.status == 0 and "-0.77 (on_sensor) times the rod's bending energy" in said.err
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ((), "--length: missing; allowed is the rod's free length"),
+        (("--length", "50 kg"), "--length = '50 kg'; allowed is a number in m"),
+        ((*MEASURED, "--length", "-1"), "length = -1.0"),
+        ((*MEASURED, "--sensor", "nano"), "--sensor = 'nano'; allowed is ati_nano17_si_12_0_12"),
+        ((*MEASURED, "--clamp-position", "0,25"), "allowed is 3 numbers in m"),
+        ((*MEASURED, "--wrench", "up"), "--wrench = 'up'; allowed is on_sensor, on_rod"),
+        ((*MEASURED, "--layout", "forces=a"), "did you mean 'force'?"),
+        ((*MEASURED, "--layout", "force"), "allowed is KEY=VALUE"),
+        ((*MEASURED, "--layout", "force=a,b,c"), "force = 'a' is not in the file"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_one_line(
+    more: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a terminal nothing is asked, and nothing is written."""
+    refused = vibrissa(capsys, "init", BENCH / "ball_1.csv", "-o", tmp_path / "x.toml", *more)
+    assert refused.status == 2 and said in refused.err
+    assert len(refused.err.splitlines()) == 1 and not (tmp_path / "x.toml").exists()
+
+
+def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    there = tmp_path / "setup.toml"
+    there.write_text("mine")
+    refused = vibrissa(capsys, "init", BENCH / "ball_1.csv", "-o", there, *MEASURED)
+    assert refused.status == 2 and "exists already" in refused.err
+    assert there.read_text() == "mine"
+
+
+def test_two_sets_of_columns_are_never_guessed(
+    raw: RawRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, setup = units_below(raw, tmp_path), tmp_path / "setup.toml"
+    table = pd.read_csv(log, skiprows=[1])
+    for axis in "xyz":
+        table[f"F_{axis}_raw"] = table[f"F_{axis}"] + 3.0
+    table.to_csv(log, index=False)
+    refused = vibrissa(capsys, "init", log, "-o", setup, *MEASURED)
+    assert refused.status == 2
+    assert "--layout force=NAMES: missing" in refused.err
+    assert "F_x, F_y, F_z or of F_x_raw, F_y_raw, F_z_raw" in refused.err
+
+
+class Terminal(io.StringIO):
+    """A terminal at which answers are typed, one a line."""
+
+    def isatty(self) -> bool:
+        """It is one."""
+        return True
+
+
+def test_at_a_terminal_it_asks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Columns are confirmed with a return, a wrong answer is asked for again."""
+    answers = ["", "", "", "", "", "5 cats", "50 mm", "0.25 mm", "206 GPa", "0,0,25mm", "", ""]
+    monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
+    setup = tmp_path / "setup.toml"
+    done = vibrissa(
+        capsys, "init", BENCH / "ball_1.csv", "-o", setup, "--layout", "pose_file=ball_1_robot.csv"
+    )
+    assert done.status == 0, done.err
+    said = done.out + done.err
+    assert "the columns of force" in said and "[Fx (N),Fy (N),Fz (N)]" in said
+    assert "--length = '5 cats'; allowed is a number in m" in said
+    loaded = vb.load_setup(setup)
+    assert loaded.rod.length == 0.05 and loaded.sensor.wrench == "on_sensor"
+    assert loaded.recording is not None and loaded.recording.time_unit == "ms"
+
+
+@pytest.mark.parametrize(
+    ("header", "orientation"),
+    [
+        ("t,x,y,z,W,P,R,fx,fy,fz,tx,ty,tz", ("W", "P", "R")),
+        ("t,TcpX,TcpY,TcpZ,Roll,Pitch,Yaw,Fx,Fy,Fz,Mx,My,Mz", ("Roll", "Pitch", "Yaw")),
+        (
+            "stamp.sec,stamp.nanosec,force.x,force.y,force.z,torque.x,torque.y,torque.z,"
+            "position.x,position.y,position.z,"
+            "orientation.x,orientation.y,orientation.z,orientation.w",
+            ("orientation.x", "orientation.y", "orientation.z", "orientation.w"),
+        ),
+        (
+            "Temps,Force X,Force Y,Force Z,Couple X,Couple Y,Couple Z,X,Y,Z,qw,qx,qy,qz",
+            ("qx", "qy", "qz", "qw"),
+        ),
+    ],
+)
+def test_names(header: str, orientation: tuple[str, ...]) -> None:
+    """One set of columns for each quantity."""
+    found = groups(header.split(","))
+    assert {key: len(sets) for key, sets in found.items()} == dict.fromkeys(found, 1)
+    assert found["orientation"][0].names == orientation
+    assert [len(found[key][0].names) for key in ("force", "torque", "position")] == [3, 3, 3]

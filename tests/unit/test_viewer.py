@@ -1,0 +1,384 @@
+"""What the viewer shows, as numbers; the browser itself is in test_viewer_browser.py."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import vibrissa
+
+import vibrissa as vb
+from vibrissa.drawing import FREE, KIND_COLOURS, STRAIGHT, half_axes
+from vibrissa.io.recordings.read import read_cleaned
+from vibrissa.io.sweeps import read_sweep
+from vibrissa.viewer.axes import tick_step, ticked_box
+from vibrissa.viewer.colours import Painter, modes_of, rgb
+from vibrissa.viewer.content import Content, Instant, Rows, joined
+from vibrissa.viewer.html import legend_html, numbers_html
+from vibrissa.viewer.page import Viewer, serve, stop
+from vibrissa.viewer.stream import ViewerSink
+from vibrissa.viewer.sweeps import of_contacts, of_setup, of_sweep
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LOG = EXAMPLES / "recordings/sphere_60mm/trail.csv"
+SETUP = EXAMPLES / "recordings/sphere_60mm/setup.toml"
+ROD = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+SPHERE = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
+TRAILS = vb.Trail.raster(
+    start=(0.04, 0.005, 0), stop=(-0.04, 0.005, 0), count=21, step=(0, 0.004, 0), trails=2
+)
+
+
+@pytest.fixture(scope="module")
+def scan() -> vb.Scan:
+    return vb.scan(ROD, SPHERE, TRAILS)
+
+
+@pytest.fixture(scope="module")
+def setup() -> vb.Setup:
+    return vb.load_setup(SETUP)
+
+
+@pytest.fixture(scope="module")
+def found(setup: vb.Setup) -> vb.Reconstruction:
+    return vb.reconstruct(setup.rod, vb.read_recording(LOG, setup))
+
+
+def pieces(instant: Instant) -> np.ndarray:
+    return np.concatenate([*instant.rods.values()])
+
+
+def test_rods_are_those_of_the_scan_in_millimetres(scan: vb.Scan) -> None:
+    content = of_sweep(scan, SPHERE)
+    assert (content.unit, content.force_unit, content.size) == ("mm", "N", 50.0)
+    assert len(content.instants) == 21
+    for number, instant in enumerate(content.instants):
+        lengths = np.linalg.norm(np.diff(pieces(instant), axis=1), axis=-1)
+        assert lengths.sum() == pytest.approx(2 * 50, rel=1e-3)
+        for trail in range(2):
+            for end in scan.elastic_line((trail, number), 2):
+                apart = np.linalg.norm(pieces(instant) - 1e3 * end, axis=-1)
+                assert apart.min() < 1e-9
+    assert content.instants[0].rods.keys() == {FREE}
+    kinds = {KIND_COLOURS[vb.ContactKind(k)] for k in scan.kind[:, 10]}
+    assert content.instants[10].rods.keys() <= kinds | {STRAIGHT}
+
+
+def test_the_object_is_drawn_where_it_is(scan: vb.Scan) -> None:
+    corners = of_sweep(scan, SPHERE).triangles.reshape(-1, 3)
+    assert len(corners) > 10_000
+    radius = np.linalg.norm(corners - [0, 0, 57.5], axis=1)
+    assert np.abs(radius - 30).max() < 0.1
+    np.testing.assert_allclose(corners.max(axis=0), [30, 30, 87.5], atol=0.1)
+
+
+def test_contacts_come_with_the_rods_that_make_them(scan: vb.Scan) -> None:
+    content = of_sweep(scan, None)
+    assert len(content.contacts) == scan.in_contact.sum()
+    for number, instant in enumerate(content.instants):
+        touching = scan.in_contact[:, number]
+        np.testing.assert_array_equal(instant.contacts.point, 1e3 * scan.point[touching, number])
+        force = np.linalg.norm(scan.reactions.force[touching, number], axis=-1)
+        np.testing.assert_array_equal(instant.contacts.force, force)
+
+
+def test_long_recordings_are_thinned_in_rods_but_not_in_contacts(found: vb.Reconstruction) -> None:
+    content = of_sweep(found, None)
+    assert len(content.instants) == 240 < found.kind.size == 901
+    assert len(content.contacts) == found.in_contact.sum()
+    assert (content.instants[0].label, content.instants[-1].label) == ("0.00 s", "9.00 s")
+    trace = np.trace(found.covariance[found.in_contact], axis1=1, axis2=2)
+    np.testing.assert_allclose(content.contacts.deviation, 1e3 * np.sqrt(trace))
+
+
+def test_files_show_what_the_results_show(
+    scan: vb.Scan, found: vb.Reconstruction, tmp_path: Path
+) -> None:
+    for name, result in (("scan.nc", scan), ("found.nc", found)):
+        vb.io.write_dataset(tmp_path / name, result.to_dataset())
+        stored, own = of_sweep(read_sweep(tmp_path / name), None), of_sweep(result, None)
+        assert stored.unit == own.unit
+        for one, other in zip(stored.instants, own.instants, strict=True):
+            assert one.label == other.label
+            np.testing.assert_allclose(pieces(one), pieces(other), atol=1e-9)
+            np.testing.assert_array_equal(one.contacts.point, other.contacts.point)
+            np.testing.assert_array_equal(one.contacts.force, other.contacts.force)
+
+
+def test_a_rod_of_finite_radius_is_drawn_beside_the_object(tmp_path: Path) -> None:
+    scan = vb.scan(ROD, SPHERE, TRAILS[0], finite_radius=True)
+    vb.io.write_dataset(tmp_path / "scan.nc", scan.to_dataset())
+    row = int(np.flatnonzero(scan.in_contact)[3])
+    stored = read_sweep(tmp_path / "scan.nc")
+    np.testing.assert_allclose(stored.elastic_line(row), scan.elastic_line(row), atol=1e-12)
+
+
+def test_contacts_alone_have_no_unit_unless_a_rod_gives_it(
+    found: vb.Reconstruction, tmp_path: Path
+) -> None:
+    contacts = vb.read_contacts(vb.write_contacts(tmp_path / "contacts.csv", found))
+    alone, with_rod = of_contacts(contacts, None, None), of_contacts(contacts, None, found.rod)
+    assert (alone.unit, with_rod.unit) == ("", "mm")
+    np.testing.assert_allclose(1e3 * alone.contacts.point, with_rod.contacts.point)
+    # They come in the order of their rows.
+    np.testing.assert_array_equal(
+        with_rod.contacts.point, 1e3 * contacts.point[contacts.kind != vb.ContactKind.NONE]
+    )
+
+
+def test_sweeps_of_several_results_run_side_by_side(
+    scan: vb.Scan, found: vb.Reconstruction
+) -> None:
+    one, other = of_sweep(scan, SPHERE), of_sweep(found, None)
+    both = joined([one, other])
+    assert len(both.instants) == 240
+    assert len(both.contacts) == len(one.contacts) + len(other.contacts)
+    assert len(both.trails) == 3
+    for number, source in ((0, 0), (239, -1)):
+        drawn = pieces(both.instants[number])
+        own = [*one.instants[source].rods.values(), *other.instants[source].rods.values()]
+        assert len(drawn) == sum(map(len, own))
+    assert both.instants[-1].label == "100 %"
+
+
+def test_lengths_in_two_units_are_refused(scan: vb.Scan) -> None:
+    unit = of_contacts(scan.contacts, None, vb.Rod.unit())
+    with pytest.raises(ValueError, match="lengths in L and in mm on one page"):
+        joined([of_sweep(scan, None), unit])
+
+
+def test_nothing_to_show_says_why(found: vb.Reconstruction) -> None:
+    empty = vb.Contacts(np.full((3, 3), np.nan), np.full((3, 3), np.nan))
+    with pytest.raises(ValueError, match="nothing to show: none of"):
+        vb.view(empty)
+    with pytest.raises(ValueError, match="nothing to show; allowed is at least one"):
+        vb.view()
+
+
+def test_a_setup_shows_its_rod_at_its_sensor(setup: vb.Setup) -> None:
+    bare = vb.Setup(setup.rod, setup.sensor)
+    content = of_setup(bare)
+    sensor, clamp = content.poses
+    np.testing.assert_allclose(sensor.position, 0)
+    np.testing.assert_allclose(clamp.position, 1e3 * setup.sensor.clamp_position)
+    line = pieces(content.instants[0])
+    np.testing.assert_allclose(line[0, 0], clamp.position)
+    assert np.linalg.norm(line[0, 1] - line[0, 0]) == pytest.approx(1e3 * setup.rod.length)
+
+
+def test_a_setup_with_an_object_but_no_pose_shows_the_object_only(setup: vb.Setup) -> None:
+    assert setup.surface is not None
+    assert setup.pose is None
+    content = of_setup(setup)
+    assert (content.poses, content.instants) == ((), ())
+    assert np.abs(setup.surface.levels(content.triangles.mean(axis=1) / 1e3)).max() < 1e-3
+    np.testing.assert_allclose(np.ptp(content.triangles.reshape(-1, 3), axis=0), 60, atol=0.2)
+    assert "does not say where the sensor is" in content.notes[0]
+
+
+def test_ellipsoids_hold_a_contact_with_95_percent() -> None:
+    rng, root = np.random.default_rng(1), np.array([[1.0, 0, 0], [0.5, 0.3, 0], [0.1, 0.2, 0.02]])
+    axes = half_axes((root @ root.T)[None])[0]
+    points = rng.standard_normal((200_000, 3)) @ root.T
+    inside = np.sum((np.linalg.solve(axes, points.T)) ** 2, axis=0) < 1
+    assert inside.mean() == pytest.approx(0.95, abs=0.002)
+
+
+def rows(**fields: list[float]) -> Rows:
+    count = len(next(iter(fields.values())))
+    nothing = Rows(
+        np.zeros((count, 3)),
+        np.tile([0.0, 0, 1], (count, 1)),
+        np.full(count, 2),
+        np.zeros(count, int),
+        *np.full((3, count), np.nan),
+        np.full((count, 3, 3), np.nan),
+    )
+    return Rows(**vars(nothing) | {name: np.array(part) for name, part in fields.items()})
+
+
+def content_of(contacts: Rows) -> Content:
+    instants = (Instant("now", {}, contacts),)
+    return Content("mm", "N", 50.0, np.zeros((0, 3, 3)), instants=instants)
+
+
+def test_colours_say_kind_status_force_and_uncertainty() -> None:
+    spread = np.array([1.0, 2.0, 3.0])[:, None, None] * np.eye(3)
+    contacts = rows(kind=[1, 2, 2], status=[0, 0, 13], force=[0.1, 0.2, np.nan], covariance=spread)
+    content = content_of(contacts)
+    assert modes_of(content) == ("kind", "status", "force", "uncertainty")
+    assert modes_of(content_of(rows(kind=[1]))) == ("kind", "status")
+
+    kind = Painter("kind", contacts, content)
+    tip, tangential, faint = kind(contacts).tolist()
+    assert (tuple(tip), tuple(tangential)) == tuple(map(rgb, KIND_COLOURS.values()))
+    assert min(faint) > max(tip[1:]) and faint[2] > faint[0]
+    said = [text for _, text in kind.legend.entries]
+    assert said == ["tip contact (1)", "tangential contact (2)", "faint: status not OK (1)"]
+
+    status = Painter("status", contacts, content)
+    assert [text for _, text in status.legend.entries] == ["OK (2)", "NOT_UNIQUE (1)"]
+    assert [rgb(colour) for colour, _ in status.legend.entries] == [
+        tuple(colour) for colour in status(contacts)[1:].tolist()
+    ]
+
+    force = Painter("force", contacts, content)
+    assert force.legend.title == "support force [N]"
+    assert force.legend.scale == pytest.approx((0.102, 0.198))
+    low, high, unknown = force(contacts).tolist()
+    assert (low, high) == ([68, 1, 84], [253, 231, 37])
+    assert len(set(unknown)) == 1
+    uncertain = Painter("uncertainty", contacts, content)
+    assert uncertain.legend.title == "standard deviation [mm]"
+    assert uncertain.legend.scale == pytest.approx((3**0.5, 3), rel=0.03)
+    html = legend_html(uncertain.legend, content.instants, ["One in 3."])
+    assert "≤ 1.7" in html and "One in 3." in html and "95 %" in html and "Rod" not in html
+
+
+def test_the_numbers_of_a_contact() -> None:
+    contact = rows(
+        point=[[1.25, -2.5, 40]],
+        status=[10],
+        arc_length=[33.25],
+        force=[0.125],
+        covariance=[np.diag([0.01, 0.04, 0.09])],
+    )
+    html = numbers_html(contact, content_of(contact))
+    for text in (
+        "(1.25, -2.5, 40) mm",
+        "tangential",
+        f"NO_CURVATURE_ZERO: {vb.Status.NO_CURVATURE_ZERO.text}".replace("'", "&#x27;"),
+        "33.25 mm",
+        "0.125 N",
+        "(0.1, 0.2, 0.3) mm",
+    ):
+        assert text in html
+    assert "time" not in html
+
+
+def test_ticks_are_round_numbers_around_the_scene() -> None:
+    assert [tick_step(span) for span in (0.7, 3, 100, 650)] == [0.1, 0.5, 20, 100]
+    low, high = np.array([-31.0, 2, 0]), np.array([44.0, 9, 61])
+    lines, labels = ticked_box(low, high, "mm", np.array([0.5, -0.8, 0.2]))
+    assert (lines.min(axis=(0, 1)) <= low).all()
+    assert (lines.max(axis=(0, 1)) >= high).all()
+    texts = [text for _, text in labels]
+    assert texts[:8] == ["−40", "−20", "0", "20", "40", "60", "x [mm]", "0"]
+    assert texts[-1] == "z [mm]"
+    # x runs along the side of the floor nearest to the eye.
+    assert all(place[1] < low[1] for place, text in labels[:7])
+
+
+def test_clicks_pick_the_foremost_contact_shown(scan: vb.Scan) -> None:
+    content = of_sweep(scan, SPHERE)
+    viewer = Viewer(serve("127.0.0.1", 8180), content, "kind")
+    with viewer:
+        assert viewer.instant == 20
+        assert viewer.url.startswith("http://127.0.0.1:")
+        contact = content.instants[10].contacts[:1]
+        origin = contact.point[0] + [0, 0, -100.0]
+        picked = viewer.scene.picked(origin, np.array([0, 0, 1.0]))
+        assert picked is not None
+        np.testing.assert_array_equal(picked.point, contact.point)
+        viewer.show(5)
+        assert viewer.scene.picked(origin, np.array([0, 0, 1.0])) is None
+        with pytest.raises(ValueError, match="instant = 21; allowed are 0 to 20"):
+            viewer.show(21)
+
+
+def test_view_takes_results_and_says_what_is_missing(
+    scan: vb.Scan, setup: vb.Setup, found: vb.Reconstruction
+) -> None:
+    with vb.view(found.reactions, setup=setup, port=8180, colour="uncertainty") as viewer:
+        assert len(viewer.content.contacts) == found.in_contact.sum()
+        assert len(viewer.content.triangles)
+        assert viewer.scene.painter.legend.title == "standard deviation [mm]"
+    with pytest.raises(ValueError, match="setup = None; reactions need it"):
+        vb.view(found.reactions)
+    with pytest.raises(vb.io.InputError, match="'uncertainty' is not known of these contacts"):
+        vb.view(scan, colour="uncertainty")
+
+
+def test_a_stream_grows_and_is_thinned(
+    found: vb.Reconstruction, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vibrissa.viewer.stream._PERIOD", 0.0)
+    monkeypatch.setattr("vibrissa.viewer.stream._MOST", 6)
+    sink = ViewerSink(setup.rod, setup.surface, port=8180)
+    assert sink.viewer is None
+    source = vb.live.ReplaySource(read_cleaned(LOG, setup), 4.0)
+    report = vb.live.stream(
+        source, vb.live.Processor(setup.rod, setup.sensor, vb.live.ConstantPose()), [sink]
+    )
+    assert report.rows == found.kind.size
+    viewer = sink.viewer
+    assert viewer is not None
+    instants = viewer.scene.instants
+    assert 2 <= len(instants) <= 6
+    assert viewer.instant == len(instants) - 1
+    assert instants[-1].label == "9.00 s"
+    end = 1e3 * found.reactions.trail.position[-1]
+    assert np.linalg.norm(pieces(instants[-1]) - end, axis=-1).min() < 1e-9
+    contacts = viewer.scene.contacts
+    assert 0 < len(contacts) <= 4 * len(instants)
+    every = 1e3 * found.point[found.in_contact]
+    assert all((np.abs(every - point).max(axis=1) < 1e-6).any() for point in contacts.point)
+    sink.end()
+
+
+def test_view_from_the_command_line(
+    scan: vb.Scan, found: vb.Reconstruction, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, ply, log = tmp_path / "scene.html", tmp_path / "contacts.ply", tmp_path / "contacts.csv"
+    vb.write_contacts(ply, found)
+    vb.write_contacts(log, found)
+    vb.write_contacts(tmp_path / "scan.nc", scan)
+    for files, contacts, instants in (
+        ((LOG, "--setup", SETUP), 566, 240),
+        ((tmp_path / "scan.nc",), scan.in_contact.sum(), 21),
+        ((ply,), 566, 240),
+        ((log,), 566, 240),
+        ((SETUP,), 0, 0),
+    ):
+        run = vibrissa(capsys, "view", *files, "--save", page)
+        assert run.status == 0, run.err
+        assert run.out == f"{contacts} contacts, {instants} instants → {page}\n"
+        assert page.read_text(encoding="utf-8").startswith("<!")
+
+
+WRONG = {
+    "no file": (("none.nc",), "none.nc: cannot be read"),
+    "no setup": ((LOG,), "is a recording; allowed is one with a setup (--setup)"),
+    "suffix": ((SETUP, "--save", "x.png"), "x.png: suffix '.png'; allowed is .html"),
+    "colour": ((SETUP, "--colour", "force"), "'force' is not known of these contacts"),
+    "no colour": ((SETUP, "--colour", "red"), "colour = 'red'; allowed are kind, status"),
+    "address": ((SETUP, "--host", "192.0.2.1"), "allowed is an address of this machine"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_invalid_input_is_one_line(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments, message = WRONG[what]
+    run = vibrissa(capsys, "view", *arguments)
+    assert (run.status, run.out) == (2, "")
+    assert message in run.err.splitlines()[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_viser_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    run = vibrissa(capsys, "view", SETUP)
+    assert run.status == 2
+    assert "viser is not installed; the viewer needs it: " in run.err
+    assert "'vibrissa[view]'" in run.err
+
+
+def test_a_server_is_found_on_this_machine_only() -> None:
+    server = serve("127.0.0.1", 8180)
+    assert server.get_host() == "127.0.0.1"
+    stop(server)

@@ -11,6 +11,10 @@ import pytest
 from command_line import vibrissa
 from scipy.spatial.transform import Rotation
 
+import vibrissa as vb
+from vibrissa.paper.demo import Demo
+from vibrissa.paper.statements import Statement
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LOG = EXAMPLES / "recordings/sphere_60mm/trail.csv"
 SETUP = EXAMPLES / "recordings/sphere_60mm/setup.toml"
@@ -49,6 +53,36 @@ def test_reconstruct_names_the_likeliest_cause(
     assert line.startswith("warning: 566 of 566 contacts are not sound; likeliest cause: ")
     assert cause in line
     assert run.out.splitlines()[-1].startswith("566 contacts, 0 sound")
+
+
+def test_inspect_and_calibrate_end_with_what_they_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figure, calibrated = tmp_path / "log.png", tmp_path / "calibrated.toml"
+    run = vibrissa(capsys, "inspect", LOG, "--setup", SETUP, "--figure", figure)
+    assert run.out.splitlines()[-1] == f"901 rows, 901 usable, no faults → {figure}"
+    command = ("calibrate", LOG, "--setup", SETUP, "--free", "youngs_modulus,length")
+    run = vibrissa(capsys, *command, "-o", calibrated)
+    last = f"2 parameters from 1 recording, residuals 0.99 times the noise → {calibrated}"
+    assert run.out.splitlines()[-1] == last
+    assert vb.load_setup(calibrated).rod.length == pytest.approx(0.05, abs=1e-4)
+
+
+def test_demo_ends_with_its_statements_and_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = vb.load_case(CASE)
+    scan = vb.scan(case.rod, case.surface, case.trail)
+
+    def small(folder: Path, *_: object) -> Demo:
+        held = [Statement("the rod bends", "it does", holds) for holds in (True, False)]
+        found = vb.reconstruct(case.rod, scan.reactions)
+        return Demo(scan, found, held, {"ten trails": 0.25}, [folder / "statements.csv"])
+
+    monkeypatch.setattr("vibrissa.paper.run_demo", small)
+    run = vibrissa(capsys, "demo", "-o", tmp_path / "demo")
+    last = f"1 of 2 statements hold, 1 file → {tmp_path / 'demo'}"
+    assert (run.status, run.out.splitlines()[-1]) == (1, last)
 
 
 def _swapped(rows: pd.DataFrame) -> None:
@@ -100,11 +134,11 @@ def test_inspect_says_what_spoils_most_rows(
     assert "px,py,pz extend over 80 with a rod of 0.05 m (in mm?)" in run.err
     assert run.out.splitlines()[-1].startswith("901 rows, not usable as read, 1 units")
     rows = pd.read_csv(LOG)
-    rows["fx"] = rows["fx"].clip(0.3, 0.32)
+    rows["fx"] = rows["fx"].clip(0.3, 0.32)  # about its value at rest
     rows.to_csv(log, index=False)
     run = vibrissa(capsys, "inspect", log, "--setup", SETUP)
     assert run.status == 0
-    assert " rows are unusable; likeliest cause: saturation, such as " in run.err
+    assert " rows are unusable; likeliest cause: stuck channel, such as fx is stuck at " in run.err
 
 
 def test_a_recording_without_contact_says_so(

@@ -113,6 +113,11 @@ def counts_of(result: vb.Scan | vb.Reconstruction) -> dict[str, dict[str, int]]:
     }
 
 
+def count_of(number: int, noun: str) -> str:
+    """A number and its noun."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def listed(counts: dict[str, int]) -> str:
     """Counts on one line."""
     return ", ".join(f"{count} {name.lower()}" for name, count in counts.items())

@@ -102,6 +102,28 @@ def test_what_a_page_prints(page: str) -> None:
     assert _differences(page) == []
 
 
+@pytest.mark.slow
+def test_readme_writes_into_one_folder_and_can_be_run_again(
+    beside_the_examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    commands = [
+        words
+        for kind, body in _blocks("README.md")
+        if kind == "sh"
+        for words in _commands(body)
+        if words[0] not in ("live", "simulate-sensor")
+    ]
+    assert len(commands) >= 6
+    for words in [*commands, *commands]:
+        assert status_of(*words) == 0, words
+        out = capsys.readouterr().out.splitlines()
+        assert not any(line.startswith(("{", "[")) for line in out)
+        # The last line says what was written, which is there.
+        assert " → out/" in out[-1]
+        assert all(Path(file).exists() for file in out[-1].rpartition(" → ")[2].split(", "))
+    assert {path.name for path in beside_the_examples.iterdir()} == {"examples", "out"}
+
+
 def _long(*names: str) -> list[list[str]]:
     return [
         words
@@ -117,7 +139,7 @@ def _long(*names: str) -> list[list[str]]:
 @pytest.mark.parametrize("words", _long("demo"), ids=" ".join)
 def test_the_demo(words: list[str], beside_the_examples: Path) -> None:
     assert status_of(*words) == 0
-    assert (beside_the_examples / "demo/statements.csv").exists()
+    assert list(beside_the_examples.rglob("demo/statements.csv"))
 
 
 @pytest.mark.slow

@@ -302,7 +302,7 @@ def test_view_takes_results_and_says_what_is_missing(
 def test_a_stream_grows_and_is_thinned(
     found: vb.Reconstruction, setup: vb.Setup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vibrissa.viewer.stream._PERIOD", 0.0)
+    monkeypatch.setattr("vibrissa.viewer.stream._PERIOD", 0.01)
     monkeypatch.setattr("vibrissa.viewer.stream._MOST", 6)
     sink = ViewerSink(setup.rod, setup.surface, port=8180)
     assert sink.viewer is None

@@ -104,7 +104,7 @@ class Scene:
         center = (low + high) / 2
         camera = self._server.initial_camera
         camera.look_at, camera.fov = center, _FIELD
-        camera.position = center + 0.62 * span / np.tan(_FIELD / 2) * self._towards
+        camera.position = center + 0.7 * span / np.tan(_FIELD / 2) * self._towards
         camera.near, camera.far = 1e-3 * span, 1e2 * span
         scene.configure_default_lights(cast_shadow=False)
         # Rods often come from below, where the default lights leave an object dark.
@@ -245,9 +245,7 @@ class Scene:
         if rows is None:
             return
         size = self._content.size
-        self._scene.add_icosphere(
-            "/chosen", 0.8 * _POINT * size, (255, 170, 0), position=rows.point[0]
-        )
+        self._scene.add_icosphere("/chosen", 0.02 * size, (255, 170, 0), position=rows.point[0])
         if np.isfinite(rows.normal).all():
             arrow = np.stack([np.zeros((1, 3)), 0.15 * size * rows.normal], axis=1)
             self._scene.add_arrows(

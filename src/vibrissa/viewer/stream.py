@@ -1,7 +1,8 @@
 """A running stream in the browser."""
 
-import time
+import threading
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,16 @@ _PERIOD = 0.1
 """Seconds between instants at first: ten a second look smooth."""
 _MOST = 600
 """Instants kept: then every second one goes, and those to come are twice as far apart."""
+_NOTHING = np.zeros((0, 3, 3))
 _CONTACTS = 4
 """Contacts of one instant that are kept."""
+
+
+class _Batch(NamedTuple):
+    """Rows as the stream gives them."""
+
+    stamp: Nanoseconds
+    found: Reconstruction
 
 
 class ViewerSink(Sink):
@@ -59,11 +68,13 @@ class ViewerSink(Sink):
         self._server = serve(host, port)
         self.url = address(self._server)
         self._viewer: Viewer | None = None
-        self._batches: list[Reconstruction] = []
-        self._stamps: list[Nanoseconds] = []
+        self._batches: list[_Batch] = []
         self._first: list[Instant] = []
-        self._begun, self._shown = 0, 0.0
+        self._begun = 0
         self._low = self._high = np.zeros(3)
+        self._lock, self._closed = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="viewer sink", daemon=True)
+        self._thread.start()
 
     @property
     def viewer(self) -> Viewer | None:
@@ -75,39 +86,50 @@ class ViewerSink(Sink):
 
     def contacts(self, stamp: Nanoseconds, raw: RawRecording, found: Reconstruction) -> None:  # noqa: ARG002
         """Keep rows for the next instant."""
-        self._batches.append(found)
-        self._stamps.append(stamp)
+        with self._lock:
+            self._batches.append(_Batch(stamp, found))
 
     def flush(self) -> None:
-        """Show what came, ten times a second at most."""
-        if self._batches and time.monotonic() - self._shown >= self._period:
-            self._shown = time.monotonic()
-            self._show(self._instant())
+        """Nothing: a thread of its own draws, so that the stream does not wait for it."""
 
     def close(self) -> None:
         """Show the last rows; the page stays."""
-        if self._batches:
-            self._show(self._instant())
+        self._closed.set()
+        self._thread.join()
+        self._draw()
 
     def end(self) -> None:
         """Stop serving the page."""
+        self._closed.set()
+        self._thread.join()
         if self._viewer is not None:
             self._viewer.close()
         else:
             stop(self._server)
 
-    def _instant(self) -> Instant:
+    def _run(self) -> None:
+        while not self._closed.wait(self._period):
+            self._draw()
+
+    def _draw(self) -> None:
+        """Show what came since the last time."""
+        with self._lock:
+            batches, self._batches = self._batches, []
+        if batches:
+            self._show(self._instant(batches))
+
+    def _instant(self, batches: list[_Batch]) -> Instant:
         """The newest rod, and some of the contacts that came since the instant before."""
-        stamp, newest = self._stamps[-1], self._batches[-1]
-        self._begun = self._begun or int(self._stamps[0][0])
+        self._begun = self._begun or int(batches[0].stamp[0])
         parts = [Rows.none()]
-        for moments, found in zip(self._stamps, self._batches, strict=True):
-            contacts = Contacts.of(found, 1e-9 * (moments - self._begun))
+        for stamp, found in batches:
+            contacts = Contacts.of(found, 1e-9 * (stamp - self._begun))
             force = np.linalg.norm(found.reactions.force, axis=-1)
             parts.append(contact_rows(contacts, force, length_factor(self._rod))[0])
-        self._batches, self._stamps = [], []
-        known = np.flatnonzero(rods_known(newest))
-        rods = rods_at(newest, rods_known(newest), known[-1:])[0] if len(known) else {}
+        stamp, newest = batches[-1]
+        known = rods_known(newest)
+        last = np.flatnonzero(known)[-1:]
+        rods = rods_at(newest, known, last)[0] if len(last) else {}
         label = f"{1e-9 * (int(stamp[-1]) - self._begun):.2f} s"
         return Instant(label, rods, _thinned(Rows.joined(parts)))
 
@@ -126,11 +148,14 @@ class ViewerSink(Sink):
 
     def _make_room(self, scene: Scene, instant: Instant) -> None:
         """Draw larger axes if an instant lies outside, with room for those to come."""
-        shown = replace(self._content, instants=(instant,))
-        inner = replace(shown, room=0.0).box
-        if (inner[0] < self._low).any() or (inner[1] > self._high).any():
-            self._low = np.minimum(self._low, shown.box[0])
-            self._high = np.maximum(self._high, shown.box[1])
+        if not instant.rods:
+            return
+        shown = Content(self._content.unit, "", self._content.size, _NOTHING, instants=(instant,))
+        low, high = shown.box
+        if (low < self._low).any() or (high > self._high).any():
+            room = self._content.room
+            self._low = np.minimum(self._low, low - room)
+            self._high = np.maximum(self._high, high + room)
             scene.draw_axes(self._low, self._high)
 
     def _begin(self, instant: Instant) -> None:
@@ -150,8 +175,10 @@ def _thinned(rows: Rows) -> Rows:
 
 
 def _halved(instants: list[Instant]) -> list[Instant]:
-    """Every second instant, with contacts of both."""
-    return [
+    """Every second instant, the newest among them, with contacts of both."""
+    odd = len(instants) % 2
+    pairs = zip(instants[odd::2], instants[odd + 1 :: 2], strict=True)
+    return instants[:odd] + [
         Instant(two.label, two.rods, _thinned(Rows.joined([one.contacts, two.contacts])))
-        for one, two in zip(instants[0::2], instants[1::2], strict=False)
+        for one, two in pairs
     ]

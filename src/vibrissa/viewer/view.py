@@ -1,5 +1,7 @@
 """One call from results or files to a page in the browser."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import TypeAlias
 

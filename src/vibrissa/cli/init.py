@@ -250,7 +250,7 @@ def _report(recording: Path, decision: Decision, sign: str, output: Path) -> Non
     """Warn of what does not fit, and say what was found and written."""
     keys, found = decision.keys, decision.inspection
     if decision.reason:
-        common.warn(f"{recording}: check rod, clamp, sign and layout: {decision.reason}")
+        common.warn(f"{recording}: {decision.reason}")
     units = [
         f"{name} in {keys[f'{name}_unit']}"
         for name in ("time", "force", "torque", "position", "angle")

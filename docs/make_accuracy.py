@@ -30,7 +30,7 @@ IMAGES, NUMBERS = HERE / "images" / "accuracy", HERE / "accuracy.json"
 SHARED = HERE.parents[1] / "shared"
 RAW, SMOOTH = "#c77700", "#1d5fa8"
 MARKERS = "osD^v"
-STYLES = ("-", "--", "-.", ":", (0, (1, 1)))
+STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 Numbers = dict[str, Any]
 

@@ -136,7 +136,7 @@ def _rig(axes: Axes, found: Bench, *, object_name: str = "object") -> None:
 
 def draw_frames(found: Bench) -> Any:
     """World, flange, sensor and clamp, and the numbers that relate them."""
-    figure, (axes,) = _stage((4.0, 4.7))
+    figure, (axes,) = _stage((4.4, 5.2))
     _rig(axes, found)
     sensor, clamp = (part[[0, 2]] * MM for part in (found.sensor, found.clamp))
     _frame(axes, np.zeros(2), "world: the robot's base", at=(2, -5))
@@ -160,7 +160,7 @@ def draw_frames(found: Bench) -> Any:
 
 def draw_clamp(_: Bench) -> Any:
     """How clamp_orientation turns the wire."""
-    figure, panels = _stage((6.0, 2.3), 3)
+    figure, panels = _stage((6.6, 2.4), 3)
     half = np.sqrt(0.5)
     for axes, turn, text in zip(
         panels,
@@ -182,7 +182,7 @@ def draw_clamp(_: Bench) -> Any:
 
 def draw_signs(found: Bench) -> Any:
     """What a sensor reads while the object pushes the wire, for both signs."""
-    figure, panels = _stage((6.4, 4.2), 2)
+    figure, panels = _stage((7.2, 4.7), 2)
     titles = {
         "on_sensor": 'wrench = "on_sensor"\nwhat the wire does to the sensor',
         "on_rod": 'wrench = "on_rod"\nwhat holds the wire',
@@ -213,7 +213,7 @@ def draw_signs(found: Bench) -> Any:
 
 def draw_wrench_point(found: Bench) -> Any:
     """The same push, read about three points."""
-    figure, (axes,) = _stage((4.8, 4.3))
+    figure, (axes,) = _stage((5.6, 5.0))
     _rig(axes, found, object_name="")
     point = found.point[[0, 2]] * MM
     push = _NEWTON * found.readings["on_sensor"][[0, 2]]
@@ -252,7 +252,7 @@ DIAGRAMS = {
 def main(folder: Path = IMAGES) -> None:
     """Write all diagrams."""
     found = bench()
-    with journal(), mpl.rc_context({"svg.hashsalt": "vibrissa", "font.size": 8}):
+    with journal(), mpl.rc_context({"svg.hashsalt": "vibrissa", "font.size": 10}):
         for name, draw in DIAGRAMS.items():
             figure = draw(found)
             figure.savefig(folder / f"frames-{name}.svg", metadata={"Date": None})

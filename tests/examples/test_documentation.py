@@ -6,21 +6,19 @@ page's blocks share one folder, in which the checkout's examples lie.
 """
 
 import re
-import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
 
 import pytest
 from command_line import status_of
+from pages import blocks_of, commands_of
 
 import vibrissa as vb
 
 ROOT = Path(__file__).parents[2]
-_BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _FILE = re.compile(r"# (\w+\.toml)\n")
 _SETUP = """
 [rod]
@@ -41,7 +39,7 @@ _MANY_KINDS = ("README.md", "docs/guide.md")
 
 
 def _blocks(page: str) -> list[tuple[str, str]]:
-    return _BLOCK.findall((ROOT / page).read_text(encoding="utf-8"))
+    return blocks_of(ROOT / page)
 
 
 PAGES = [
@@ -52,19 +50,6 @@ PAGES = [
     ]
     if any(kind != "text" for kind, _ in _blocks(page))
 ]
-
-
-def _commands(body: str) -> Iterator[list[str]]:
-    """The words of each `vibrissa …` of a shell block; what installs or tests is passed over."""
-    for line in body.replace("\\\n", "").splitlines():
-        for command in line.split("&&"):
-            words = shlex.split(command, comments=True)
-            if words[:2] == ["uv", "run"]:
-                words = words[2:]
-            if words[0] == "vibrissa":
-                yield [word for word in words[1:] if word != "&"]
-            else:
-                assert words[0] == "pytest" or "pip" in words, command
 
 
 def _plain(text: str) -> str:
@@ -92,7 +77,7 @@ def _differences(page: str) -> list[str]:
                 exec(compile(body, page, "exec"), names)
             printed = output.getvalue()
         elif kind == "sh":
-            for words in _commands(body):
+            for words in commands_of(body):
                 if words[0] not in _LONG:
                     assert status_of(*words) == 0, words
         else:
@@ -117,13 +102,35 @@ def test_what_a_page_prints(page: str) -> None:
     assert _differences(page) == []
 
 
+@pytest.mark.slow
+def test_readme_writes_into_one_folder_and_can_be_run_again(
+    beside_the_examples: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    commands = [
+        words
+        for kind, body in _blocks("README.md")
+        if kind == "sh"
+        for words in _commands(body)
+        if words[0] not in ("live", "simulate-sensor")
+    ]
+    assert len(commands) >= 6
+    for words in [*commands, *commands]:
+        assert status_of(*words) == 0, words
+        out = capsys.readouterr().out.splitlines()
+        assert not any(line.startswith(("{", "[")) for line in out)
+        # The last line says what was written, which is there.
+        assert " → out/" in out[-1]
+        assert all(Path(file).exists() for file in out[-1].rpartition(" → ")[2].split(", "))
+    assert {path.name for path in beside_the_examples.iterdir()} == {"examples", "out"}
+
+
 def _long(*names: str) -> list[list[str]]:
     return [
         words
         for page in PAGES
         for kind, body in _blocks(page)
         if kind == "sh"
-        for words in _commands(body)
+        for words in commands_of(body)
         if words[0] in names
     ]
 
@@ -132,7 +139,7 @@ def _long(*names: str) -> list[list[str]]:
 @pytest.mark.parametrize("words", _long("demo"), ids=" ".join)
 def test_the_demo(words: list[str], beside_the_examples: Path) -> None:
     assert status_of(*words) == 0
-    assert (beside_the_examples / "demo/statements.csv").exists()
+    assert list(beside_the_examples.rglob("demo/statements.csv"))
 
 
 @pytest.mark.slow

@@ -2,11 +2,18 @@
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import vibrissa
+from scipy.spatial.transform import Rotation
+
+import vibrissa as vb
+from vibrissa.paper.demo import Demo
+from vibrissa.paper.statements import Statement
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LOG = EXAMPLES / "recordings/sphere_60mm/trail.csv"
@@ -29,6 +36,9 @@ def test_reconstruct_ends_with_contacts_their_deviation_and_files(
     [
         ('"on_sensor"', '"on_rod"', "a wrench of the other sign"),
         ("[0.0, 0.002, 0.025] ", "[0.0, 0.0, 0.0] ", "check clamp_position"),
+        ("206e9", "2060e9", "a bending stiffness (EI) 9.9 times too large?"),
+        ("206e9", "20.6e9", "a bending stiffness (EI) 10 times too small?"),
+        ("radius = 0.25e-3", "radius = 0.5e-3", "the rod's diameter, taken for its radius?"),
     ],
 )
 def test_reconstruct_names_the_likeliest_cause(
@@ -43,6 +53,92 @@ def test_reconstruct_names_the_likeliest_cause(
     assert line.startswith("warning: 566 of 566 contacts are not sound; likeliest cause: ")
     assert cause in line
     assert run.out.splitlines()[-1].startswith("566 contacts, 0 sound")
+
+
+def test_inspect_and_calibrate_end_with_what_they_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figure, calibrated = tmp_path / "log.png", tmp_path / "calibrated.toml"
+    run = vibrissa(capsys, "inspect", LOG, "--setup", SETUP, "--figure", figure)
+    assert run.out.splitlines()[-1] == f"901 rows, 901 usable, no faults → {figure}"
+    command = ("calibrate", LOG, "--setup", SETUP, "--free", "youngs_modulus,length")
+    run = vibrissa(capsys, *command, "-o", calibrated)
+    last = f"2 parameters from 1 recording, residuals 0.99 times the noise → {calibrated}"
+    assert run.out.splitlines()[-1] == last
+    assert vb.load_setup(calibrated).rod.length == pytest.approx(0.05, abs=1e-4)
+
+
+def test_demo_ends_with_its_statements_and_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = vb.load_case(CASE)
+    scan = vb.scan(case.rod, case.surface, case.trail)
+
+    def small(folder: Path, *_: object) -> Demo:
+        held = [Statement("the rod bends", "it does", holds) for holds in (True, False)]
+        found = vb.reconstruct(case.rod, scan.reactions)
+        return Demo(scan, found, held, {"ten trails": 0.25}, [folder / "statements.csv"])
+
+    monkeypatch.setattr("vibrissa.paper.run_demo", small)
+    run = vibrissa(capsys, "demo", "-o", tmp_path / "demo")
+    last = f"1 of 2 statements hold, 1 file → {tmp_path / 'demo'}"
+    assert (run.status, run.out.splitlines()[-1]) == (1, last)
+
+
+def _swapped(rows: pd.DataFrame) -> None:
+    rows[["fx", "fy", "tx", "ty"]] = rows[["fy", "fx", "ty", "tx"]].to_numpy()
+
+
+def _torques_against(rows: pd.DataFrame) -> None:
+    rows[["tx", "ty", "tz"]] *= -1
+
+
+def _turned(rows: pd.DataFrame) -> None:
+    half = Rotation.from_quat((1.0, 0.0, 0.0, 0.0))
+    turn = ["qx", "qy", "qz", "qw"]
+    rows[turn] = (Rotation.from_quat(rows[turn].to_numpy()) * half).as_quat()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "cause"),
+    [
+        (_swapped, "x and y of forces and torques swapped?"),
+        (_torques_against, "torques of the other sign?"),
+        (_turned, "poses turned by 180° about the sensor's x axis?"),
+    ],
+)
+def test_inspect_and_reconstruct_name_the_same_cause(
+    spoil: Callable[[pd.DataFrame], None],
+    cause: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows, log = pd.read_csv(LOG), tmp_path / "log.csv"
+    spoil(rows)
+    rows.to_csv(log, index=False)
+    for command in ("inspect", "reconstruct"):
+        run = vibrissa(capsys, command, log, "--setup", SETUP)
+        told = f"warning: 566 of 566 contacts are not sound; likeliest cause: {cause}"
+        assert run.err.splitlines()[-1] == told
+    assert "standard deviations: likely" not in run.err
+
+
+def test_inspect_says_what_spoils_most_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows, log = pd.read_csv(LOG), tmp_path / "log.csv"
+    rows["px"] *= 1e3
+    rows.to_csv(log, index=False)
+    run = vibrissa(capsys, "inspect", log, "--setup", SETUP)
+    assert run.status == 1
+    assert "px,py,pz extend over 80 with a rod of 0.05 m (in mm?)" in run.err
+    assert run.out.splitlines()[-1].startswith("901 rows, not usable as read, 1 units")
+    rows = pd.read_csv(LOG)
+    rows["fx"] = rows["fx"].clip(0.3, 0.32)  # about its value at rest
+    rows.to_csv(log, index=False)
+    run = vibrissa(capsys, "inspect", log, "--setup", SETUP)
+    assert run.status == 0
+    assert " rows are unusable; likeliest cause: stuck channel, such as fx is stuck at " in run.err
 
 
 def test_a_recording_without_contact_says_so(

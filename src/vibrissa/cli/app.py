@@ -5,8 +5,11 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 import vibrissa as vb
 from vibrissa.cli.calibrate import calibrate
@@ -23,30 +26,64 @@ from vibrissa.cli.scan import scan
 from vibrissa.cli.simulate_sensor import simulate_sensor
 from vibrissa.cli.view import view
 
-app = typer.Typer(
+_COMMANDS = {
+    command.__name__.replace("_", "-"): command
+    for command in (
+        demo,
+        example,
+        init,
+        scan,
+        reconstruct,
+        view,
+        inspect,
+        convert,
+        calibrate,
+        expect,
+        live,
+        simulate_sensor,
+    )
+}
+_plain = partial(
+    typer.Typer, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+
+class _Group(TyperGroup):
+    """The commands, each built from its function when it is asked for: that takes longer than all
+    else that `--help` does.
+    """
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Names of the commands."""
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+        """Build a command."""
+        if cmd_name not in _COMMANDS:
+            # Names to suggest instead.
+            self.commands.update(dict.fromkeys(_COMMANDS))  # type: ignore[arg-type]
+            return None
+        alone = _plain()
+        alone.command(cmd_name)(_COMMANDS[cmd_name])
+        return typer.main.get_command(alone)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+        """List what the commands do: the first sentence of each."""
+        rows = [
+            (name, " ".join((command.__doc__ or "").split("\n\n")[0].split()))
+            for name, command in _COMMANDS.items()
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text.split(". ")[0].rstrip(".")) for name, text in rows])
+
+
+app = _plain(
     name="vibrissa",
+    cls=_Group,
     help="Whisker-like tactile sensing: contact mechanics of a swept elastic rod, forward and "
     "inverse.",
     no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
 )
-for command in (
-    demo,
-    example,
-    init,
-    scan,
-    reconstruct,
-    view,
-    inspect,
-    convert,
-    calibrate,
-    expect,
-    live,
-    simulate_sensor,
-):
-    app.command(command.__name__.replace("_", "-"))(command)
 
 
 @app.callback(invoke_without_command=True)

@@ -112,10 +112,10 @@ def calibrate(
             for name in _FIGURES:
                 common.draw(report / f"{name}.png", partial(getattr(vb.plot, name), found))
     files = [path for path in (output, report) if path is not None]
-    logs = "1 recording" if len(recordings) == 1 else f"{len(recordings)} recordings"
     ratio = found.fitness.reduced_chi_square**0.5
     last = (
-        f"{len(found.estimates)} parameters from {logs}, residuals {ratio:.2f} times the noise"
+        f"{common.count_of(len(found.estimates), 'parameter')} from "
+        f"{common.count_of(len(recordings), 'recording')}, residuals {ratio:.2f} times the noise"
         + common.into(*files)
     )
     common.show(summary(found), lambda _: f"{_text(found)}\n{last}", as_json=as_json)

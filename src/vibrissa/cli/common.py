@@ -27,7 +27,9 @@ SetupFile = Annotated[Path, typer.Option(help="TOML file with [rod] and [sensor]
 
 
 contradictions: list[str] = []
-"""How recordings contradicted their setups since the command began, one line each."""
+"""What was warned of since the command began, one line each: how recordings contradict their
+setups, and whether most rows are bad.
+"""
 
 
 def positive(param: TyperOption, value: float | None) -> float | None:
@@ -111,6 +113,11 @@ def counts_of(result: vb.Scan | vb.Reconstruction) -> dict[str, dict[str, int]]:
     }
 
 
+def count_of(number: int, noun: str) -> str:
+    """A number and its noun."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def listed(counts: dict[str, int]) -> str:
     """Counts on one line."""
     return ", ".join(f"{count} {name.lower()}" for name, count in counts.items())
@@ -145,6 +152,7 @@ def say(text: str, *, err: bool = False) -> None:
 
 def warn(line: str) -> None:
     """Print a warning on stderr."""
+    contradictions.append(line)
     say(f"warning: {line}", err=True)
 
 
@@ -176,7 +184,13 @@ def doubt(count: int, sound: int, status: dict[str, int], causes: list[str], wit
     found = (
         f"{count - sound} of {count} contacts are not sound" if count else "no contact was found"
     )
-    warn(f"{found}; likeliest cause: {likely}")
+    warn(f"{found}; likeliest cause: {brief(likely)}")
+
+
+def brief(cause: str) -> str:
+    """The first sentence of a warning."""
+    question, asked, _ = cause.partition("? ")
+    return question.partition("; ")[0] + "?" * bool(asked)
 
 
 def doubt_contacts(found: vb.Reconstruction) -> None:
@@ -198,9 +212,9 @@ def doubt_contacts(found: vb.Reconstruction) -> None:
     )
     if found.covariance is not None and sound.any():
         spread = np.median(np.sqrt(np.trace(found.covariance[sound], axis1=-2, axis2=-1)))
-        if spread > found.rod.length / 2:
-            likely = causes[0] if causes else "loads that hardly exceed the stated noise"
-            share = spread / found.rod.length
+        share = spread / found.rod.length
+        if share > 1 / 2:
+            likely = brief([*causes, "loads that hardly exceed the stated noise"][0])
             warn(f"contacts are known to {share:.2g} rod lengths only; likeliest cause: {likely}")
 
 

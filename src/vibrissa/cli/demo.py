@@ -68,6 +68,6 @@ def _print(result: Demo, folder: Path) -> None:
     common.say(f"Coverage of |x| ≤ 1, |y| ≤ 0.7 within 0.05 L of a contact: {shares}")
     held = sum(part.holds for part in result.statements)
     common.say(
-        f"{held} of {len(result.statements)} statements hold, {len(result.files)} files"
-        + common.into(folder)
+        f"{held} of {len(result.statements)} statements hold, "
+        f"{common.count_of(len(result.files), 'file')}" + common.into(folder)
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -200,6 +199,8 @@ def _names(text: str) -> list[str]:
 
 def _toml(text: str) -> Any:
     """A number where the text is one, else the text."""
+    import tomllib  # noqa: PLC0415
+
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -250,7 +251,7 @@ def _report(recording: Path, decision: Decision, sign: str, output: Path) -> Non
     """Warn of what does not fit, and say what was found and written."""
     keys, found = decision.keys, decision.inspection
     if decision.reason:
-        common.warn(f"{recording}: check rod, clamp, sign and layout: {decision.reason}")
+        common.warn(f"{recording}: {decision.reason}")
     units = [
         f"{name} in {keys[f'{name}_unit']}"
         for name in ("time", "force", "torque", "position", "angle")

@@ -123,11 +123,14 @@ def live(
             notice=say,
         )
     count, sound = sum(report.statuses.values()), report.statuses.get("OK", 0)
-    causes = [*common.contradictions, *report.warnings]
-    common.doubt(
-        count, sound, report.statuses, causes, "the loads never exceed the noise, or the rod was "
-        "not free during the tare",
-    )  # fmt: skip
+    if report.rows:
+        causes = [*common.contradictions, *report.warnings]
+        common.doubt(
+            count, sound, report.statuses, causes, "the loads never exceed the noise, or the rod "
+            "was not free during the tare",
+        )  # fmt: skip
+    else:
+        common.warn("no row was processed: no samples came, or no tare or no poses")
     last = common.contacts_line(count, sound) + common.into(*filter(None, (p for _, p in targets)))
     if as_json:
         typer.echo(json.dumps(asdict(report), indent=1), err=None in places)

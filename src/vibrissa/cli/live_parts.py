@@ -26,7 +26,7 @@ say = partial(common.say, err=True)
 @contextmanager
 def working() -> Iterator[threading.Event]:
     """Give an event that SIGINT or SIGTERM sets. An error within becomes one line on stderr and
-    exit status 1.
+    exit status 1, or 2 if a library is not installed.
     """
     stop = threading.Event()
     before = {
@@ -34,7 +34,9 @@ def working() -> Iterator[threading.Event]:
     }
     try:
         yield stop
-    except (OSError, ImportError, ValueError, vb.live.SilentSourceError) as error:
+    except ImportError as error:
+        raise vb.io.InputError(str(error)) from error
+    except (OSError, ValueError, vb.live.SilentSourceError) as error:
         text = str(error)
         if isinstance(error, OSError) and error.filename is not None:
             text = f"{error.filename}: {error.strerror}"

@@ -69,9 +69,9 @@ def reconstruct(
         for path in output or []:
             report(f"writing {path}")
             vb.write_contacts(path, found, progress=report.count)
+    common.doubt_contacts(found)
     warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
     summary = _summary(found) | estimated | {"warnings": warnings}
-    common.doubt_contacts(found)
     if figure is not None:
         with reporting() as report:
             report(f"drawing {figure}")

@@ -99,6 +99,8 @@ def simulate_sensor(
             friction=loaded.friction,
             finite_radius=loaded.finite_radius,
         )
+        if not np.any(scene.force):
+            common.warn("the rod never touches the object: only noise is sent")
         rng = np.random.default_rng(seed)
         simulator = vb.live.SensorSimulator(
             measured(scene, setting.sensor, every, rng, tare=offsets, repeat=repeat),

@@ -30,6 +30,7 @@ from vibrissa.io.clouds import (
     write_pcd,
     write_vtp,
 )
+from vibrissa.libraries import writer
 from vibrissa.numerics.progress import Progress
 
 if TYPE_CHECKING:
@@ -53,8 +54,14 @@ _BLOCK = 8192  # rows between progress reports: some tens of milliseconds
 
 
 def checked_output(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path:
-    """Return the path; raise InputError unless its suffix is known and its folder is writable."""
-    _suffix(Path(path), suffixes)
+    """Return the path; raise InputError unless its suffix is known, what the format needs is
+    installed, and its folder is writable.
+    """
+    suffix = _suffix(Path(path), suffixes)
+    try:
+        writer(suffix)
+    except ImportError as error:
+        raise InputError(f"{path}: {error}") from error
     return writable(Path(path))
 
 

@@ -76,7 +76,7 @@ def setup_text(bench: Bench, wrench: WrenchSign, found: Decision, name: str) -> 
         "",
         *_recording(found.keys),
     ]
-    return "\n".join(lines) + _OBJECT
+    return "\n".join(lines).rstrip() + _OBJECT
 
 
 def _sign(wrench: WrenchSign, found: Decision) -> list[str]:

@@ -10,14 +10,14 @@ from jaxtyping import Bool, Float
 from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d import Axes3D, proj3d
+from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from vibrissa.contacts import Contacts, Status
 from vibrissa.drawing import FREE, KIND_COLOURS, KIND_NAMES, STRAIGHT, half_axes, length_factor
 from vibrissa.forward.events import Event
 from vibrissa.plot.events import MARKERS
-from vibrissa.plot.style import COLUMN, length_label
+from vibrissa.plot.style import COLUMN, corners_of, length_label
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 
@@ -26,6 +26,8 @@ _UNCERTAIN = "0.3"
 _PAINT = np.array([0.84, 0.87, 0.90])
 _WIDE = 0.1
 """Half-axis of an ellipsoid, in rod lengths, from which a contact says little."""
+_END_ON = 0.98
+"""Component of the line of sight along an axis, from which on the axis is not drawn."""
 _HIDDEN = 0.22
 """Opacity of a rod behind the object."""
 
@@ -215,13 +217,19 @@ class Stage:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
         dress(axes, self.rod)
         axes.view_init(*self.view)
+        # An axis seen end-on has all its ticks in one place.
+        for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), self.towards, strict=True):
+            if abs(share) > _END_ON:
+                axis.set_ticks([])
+                axis.label.set_visible(False)
         figure = axes.get_figure(root=True)
         assert figure is not None
         figure.canvas.draw()
-        limits = np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())
-        across, up, _ = proj3d.proj_transform(*np.array(limits).reshape(3, -1), axes.get_proj())
-        corners = axes.transData.transform(np.column_stack([across, up]))
-        top = float(axes.transAxes.inverted().transform(corners)[:, 1].max())
+        heights = corners_of(axes)[:, 1].tolist()
+        # Seen from below, the labels are above.
+        boxes = [one.get_tightbbox() for one in (axes.xaxis, axes.yaxis, axes.zaxis)]
+        heights += [box.y1 for box in boxes if box is not None]
+        top = float(axes.transAxes.inverted().transform((0, max(heights)))[1])
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, top + 0.02)}
         axes.legend(handles=self.handles, ncols=2, handlelength=1.4, columnspacing=1.4, **place)
         return axes

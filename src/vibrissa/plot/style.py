@@ -7,11 +7,12 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
+from mpl_toolkits.mplot3d import Axes3D, proj3d
 
 from vibrissa.contacts import Status
 from vibrissa.rod import Rod
@@ -91,6 +92,13 @@ def save_as(axes: Axes | Sequence[Axes], path: str | Path) -> Path:
     return path
 
 
+def corners_of(axes: Axes3D) -> Float[np.ndarray, "8 2"]:
+    """Where the corners of axes in space are on the canvas [pixel]."""
+    limits = np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())
+    across, up, _ = proj3d.proj_transform(*np.reshape(limits, (3, -1)), axes.get_proj())
+    return np.asarray(axes.transData.transform(np.column_stack([across, up])))
+
+
 def _shown(figure: Figure) -> Bbox:
     """What a figure in space shows [inch]: the square of its axes, which a tight box would keep,
     is mostly empty.
@@ -101,6 +109,7 @@ def _shown(figure: Figure) -> Bbox:
         legend = axes.get_legend()
         boxes += [axis.get_tightbbox() for axis in axes._axis_map.values()]
         boxes += [legend.get_window_extent()] if legend else []
+        boxes.append(Bbox(np.quantile(corners_of(axes), [0, 1], axis=0)))
     around = Bbox.union([box for box in boxes if box is not None])
     return around.transformed(figure.dpi_scale_trans.inverted()).padded(0.04)
 

@@ -11,7 +11,7 @@ from vibrissa.io.recordings.align import Recording
 from vibrissa.io.recordings.read import read_raw
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup, load_setup
-from vibrissa.libraries import extra_library
+from vibrissa.libraries import extra_library, writer
 from vibrissa.sensor import RawRecording
 
 if TYPE_CHECKING:
@@ -95,6 +95,10 @@ def checked_target(target: str | Path) -> Path:
         return writable_folder(Path(text.removeprefix(BAG_FOLDER)))
     if Path(text).suffix.lower() not in SUFFIXES:
         raise InputError(f"{text!r}: is no format to convert to; allowed are {TARGETS}")
+    try:
+        writer(Path(text).suffix.lower())
+    except ImportError as error:
+        raise InputError(f"{text}: {error}") from error
     return writable(Path(text))
 
 

@@ -135,7 +135,8 @@ def _judged(
         reason = ""
     elif told:
         shown = " and ".join(f"{ratio:.2g} ({name})" for name, ratio in told.items())
-        reason = f"the clamp's work is {shown} times the rod's bending energy, not 1"
+        ratios = f"the clamp's work is {shown} times the rod's bending energy, not 1"
+        reason = f"{ratios}: check rod and clamp"
     else:
         reason = unusable[0] if unusable else "no contact begins and ends with the rod free"
     keys = {key: value for key, value in chosen.keys.items() if key not in undecided}

@@ -159,8 +159,8 @@ class _Recording:
             off = self.given.rod.bending_stiffness / rod.bending_stiffness
             how = f"{off:.2g} times too large" if off > 1 else f"{1 / off:.2g} times too small"
             other = self.given._replace(words=f"a bending stiffness (EI) {how}", rod=rod)
-            works = self.works(other)
-            if not works:
+            plausible = other.is_plausible(self.tare, self.stated, _NOISE)
+            if not (plausible and (works := self.works(other))):
                 break
             if self.fits(other):
                 return [other]

@@ -138,7 +138,8 @@ def test_what_can_be_mended_is_and_said(
     with caplog.at_level(logging.WARNING):
         mended = Mesh(*damaged(vertices, faces))
     assert said in str(mended.repairs)
-    assert said in caplog.text
+    # Every STL has its vertices several times.
+    assert (said in caplog.text) == (said != "merged vertices")
     far = POINTS[np.linalg.norm(POINTS, axis=1) > 1.2]
     np.testing.assert_allclose(mended.levels(far), sound.levels(far), rtol=0, atol=0.08)
     assert mended.levels(np.zeros(3)) < 0

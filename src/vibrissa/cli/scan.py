@@ -13,6 +13,8 @@ from vibrissa.cli import common
 from vibrissa.cli.progress import reporting
 
 _SHOWN = 6
+_DEEP = 20.0
+"""Rod lengths: no object is so large beside its rod, unless it is in millimetres."""
 
 
 def scan(
@@ -80,9 +82,11 @@ def _check_start(case: Path, loaded: vb.Case) -> None:
     starts = loaded.trail.position.reshape(-1, loaded.trail.count, 3)[:, 0]
     for lane, level in enumerate(loaded.surface.levels(starts)):
         if level < 0:
+            deep = -level > _DEEP * loaded.rod.length
+            hint = f"; it is {-level:.3g} deep there: in millimetres?" if deep else ""
             raise vb.io.InputError(
                 f"{case}: trail[{lane}] starts at {starts[lane].tolist()}, where the rod is "
-                "clamped inside the object; allowed is outside"
+                f"clamped inside the object; allowed is outside{hint}"
             )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import equinox as eqx
@@ -98,7 +98,8 @@ class Mesh(ExactSurface):
                 f"reach = {reach!r}; allowed is a distance from 0 to the mesh's diagonal, "
                 f"{diagonal:.6g}"
             )
-        if self.repairs:
+        # Each triangle of an STL has its own vertices: merging those is no repair to speak of.
+        if replace(self.repairs, merged_vertices=0):
             _LOG.warning("mesh mended: %s", self.repairs)
         smooth = sheets(self.vertices, self.faces, angle)
         steps.step()

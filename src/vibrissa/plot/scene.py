@@ -7,12 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from mpl_toolkits.mplot3d import Axes3D
 
-from vibrissa.contacts import Contacts, Status
+from vibrissa.contacts import Contacts
 from vibrissa.drawing import FREE, drawn_rods
 from vibrissa.forward import Scan
 from vibrissa.forward.events import Event
 from vibrissa.inverse import Reconstruction
 from vibrissa.plot import space
+from vibrissa.plot.style import no_contact
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
@@ -191,9 +192,7 @@ def shown_of(
     if isinstance(what, Reconstruction):
         drawn &= what.in_contact & np.isfinite(what.point).all(axis=-1)
     if not len(contacts.point) and not drawn.any():
-        codes, counts = np.unique(what.status[chosen], return_counts=True)
-        said = [f"{n} {Status(code).name}" for code, n in zip(codes, counts, strict=True)]
-        raise ValueError(f"nothing to draw: no contact in {', '.join(said)} rows")
+        raise no_contact(what.status[chosen], "rows")
     arrows = _directions(what.contacts[drawn & what.in_contact], rod) if directions else ()
     listed = tuple(what.events) if isinstance(what, Scan) else ()
     kept = tuple(event for event in listed if trails is None or event.trail in trails)

@@ -86,7 +86,7 @@ def save_as(axes: Axes | Sequence[Axes], path: str | Path) -> Path:
     figure = np.ravel(np.asarray(axes, dtype=object))[0].get_figure(root=True)
     # Without a date and random names the same figure gives the same file.
     with mpl.rc_context({"svg.hashsalt": "vibrissa"}):
-        shown = _shown(figure) if any(one.name == "3d" for one in figure.axes) else "tight"
+        shown = _shown(figure) if all(one.name == "3d" for one in figure.axes) else "tight"
         figure.savefig(path, bbox_inches=shown, pad_inches=0.04, metadata=_METADATA[suffix])
     plt.close(figure)
     return path

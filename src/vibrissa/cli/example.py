@@ -31,7 +31,7 @@ def example(
     if name is None:
         width = max(map(len, known))
         for one, source in known.items():
-            typer.echo(f"{one:{width}}  {_described(source)}")
+            common.say(f"{one:{width}}  {_described(source)}")
         return
     if name not in known:
         raise vb.io.InputError(f"example = {name!r}; allowed are {', '.join(known)}")

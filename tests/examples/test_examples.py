@@ -26,6 +26,7 @@ def _load(name: str) -> ModuleType:
 def test_every_example_is_tested() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "first_steps",
+        "make_bench",
         "make_mug",
         "make_recording",
         "own_surface",
@@ -74,6 +75,17 @@ def test_recording_is_the_one_that_the_script_makes(tmp_path: Path) -> None:
     assert np.linalg.norm(scan.point[scan.in_contact] - SPHERE, axis=-1) == pytest.approx(
         0.03, abs=1e-12
     )
+
+
+def test_bench_is_what_the_script_makes_of_the_engines_logs(
+    sphere_60mm: Path, tmp_path: Path
+) -> None:
+    script = _load("make_bench")
+    script.main(sphere_60mm.parent, tmp_path)
+    made = sorted(tmp_path.iterdir())
+    assert len(made) == 2 * len(script.SOURCES)
+    for path in made:
+        assert path.read_bytes() == (script.FOLDER / path.name).read_bytes(), path.name
 
 
 def test_shipped_recording_gives_the_sphere() -> None:

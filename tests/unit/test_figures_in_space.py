@@ -70,7 +70,9 @@ def test_triangles_lie_on_the_object_and_close_around_it(solid: vb.surfaces.Surf
     triangles = outline(solid, LOW, HIGH)
     corners = triangles.reshape(-1, 3)
     assert abs(solid.distances(corners)).max() < 5e-3
-    low, high = box_of(solid, corners[:50], 2.0)
+    box = box_of(solid, corners[:50], 2.0, 0.1)
+    assert box is not None
+    low, high = box
     assert np.all(low <= corners.min(axis=0)) and np.all(high >= corners.max(axis=0))
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     # The vector areas of a closed surface sum to zero; the grid's slivers may face either way.
@@ -88,10 +90,23 @@ def test_a_bowl_is_drawn_up_to_the_box_and_an_endless_plane_to_its_sides() -> No
         2 * np.sqrt(0.5), rel=1e-3
     )
     plane = vb.surfaces.Plane(point=(0, 0, 0.5), normal=(1, 0, -1))
-    low, high = box_of(plane, np.array([[0.0, 0, 0.5], [0.2, 0, 0.7]]), 1.0)
-    corners = outline(plane, low, high).reshape(-1, 3)
+    box = box_of(plane, np.array([[0.0, 0, 0.5], [0.2, 0, 0.7]]), 1.0, beyond=0.125)
+    assert box is not None
+    corners = outline(plane, *box).reshape(-1, 3)
     np.testing.assert_allclose(corners.min(axis=0)[1:], [-0.125, 0.375], atol=1e-6)
     np.testing.assert_allclose(corners[:, 2] - corners[:, 0], 0.5, atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [1e-4, 0.03, 0.45])
+def test_a_ball_of_any_size_is_found_and_shown_whole(radius: float) -> None:
+    """Within a rod length of what was touched of it, beside a larger one, from a place off it."""
+    ball = vb.surfaces.Sphere(center=(0.2, 0.1, 0.9), radius=radius)
+    touched = np.array([[0.2, 0.1, 0.9 - radius]])
+    for solid in (ball, vb.surfaces.Union([ball, vb.surfaces.Sphere((0.4, -0.9, 0.9), 0.3)])):
+        box = box_of(solid, touched, 1.0, beyond=0.125)
+        assert box is not None
+        assert np.all(box[0] < ball.center - radius) and np.all(box[1] > ball.center + radius)
+    assert box_of(ball, np.array([[5.0, 0, 0]]), 1.0, beyond=0.125) is None
 
 
 def test_a_scan_is_drawn_with_its_object_rods_contacts_and_events(scan: vb.Scan) -> None:
@@ -170,8 +185,70 @@ def test_nothing_to_draw_is_an_error_that_says_why(scan: vb.Scan) -> None:
     free = vb.reconstruct(scan.rod, scan.reactions[0][:4])
     with pytest.raises(ValueError, match="no contact in 4 "):
         plot.scene(free)
+    with pytest.raises(ValueError, match=r"no contact in 4 rows \(4 OK\)"):
+        plot.scene(scan.contacts[0][:4], rod=scan.rod)
+    lost = vb.Reactions(scan.trail, scan.reactions.force * np.nan, scan.reactions.moment)
+    with pytest.raises(ValueError, match="none of 122 forces is known"):
+        plot.scene(lost, rod=scan.rod)
+    with pytest.raises(ValueError, match="no object is found within box"):
+        plot.scene(BALL, rod=scan.rod, box=((2, 2, 2), (3, 3, 3)))
     with pytest.raises(ValueError, match="rod = None: Sphere does not say its unit of length"):
         plot.scene(BALL)
+
+
+def test_what_cannot_be_meant_is_refused(scan: vb.Scan, tmp_path: Path) -> None:
+    for wrong, message in (
+        ({"rods": -1}, "rods = -1; allowed is 0 or more"),
+        ({"trails": [2]}, r"trails = \[2\]; allowed are some of 0 to 1"),
+        ({"trails": []}, "allowed are some of 0 to 1"),
+        ({"box": ((1, 1, 1), (0, 2, 2))}, "allowed are three least coordinates"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            plot.scene(scan, **wrong)
+    with pytest.raises(TypeError, match="what"):
+        plot.scene("scan.npz")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="what"):
+        plot.animation(scan.reactions, tmp_path / "a.gif")  # type: ignore[arg-type]
+
+
+def test_a_sweep_that_misses_the_object_shows_both_or_the_rods_alone() -> None:
+    for far in (0.8, 8.0):
+        path = vb.Trail.line(start=(far + 0.4, 0, 0.5), stop=(far, 0, 0.5), count=9)
+        axes = plot.scene(vb.scan(vb.Rod.unit(), BALL, path))
+        assert named(axes) == ["unbent rod"]
+        bodies = [one for one in axes.collections if isinstance(one, Poly3DCollection)]
+        assert len(bodies) == (far < 1)
+
+
+def test_rows_without_readings_are_counted(scan: vb.Scan) -> None:
+    force = scan.reactions.force.copy()
+    bad = scan.kind[0] == vb.ContactKind.TIP
+    force[0, bad] = np.nan
+    lacking = vb.Reactions(scan.trail, force, scan.reactions.moment)
+    found = vb.reconstruct(scan.rod, lacking)
+    assert f"not drawn: bad data ({bad.sum()})" in named(plot.scene(found))
+    drawn = strokes(plot.scene(lacking, rod=scan.rod, rods=4))
+    assert np.isfinite(drawn).all()
+
+
+def test_one_contact_is_framed_and_no_number_lies_on_another(scan: vb.Scan) -> None:
+    one = int(np.flatnonzero(scan.in_contact[0])[0])
+    for axes in (plot.scene(scan.contacts[0][[one]], rod=scan.rod), plot.scene(scan)):
+        figure = axes.get_figure(root=True)
+        assert figure is not None
+        figure.canvas.draw()
+        assert np.ptp(axes.get_xlim()) > 0.05
+        every = axes.xaxis, axes.yaxis, axes.zaxis
+        boxes = [tick.label1.get_window_extent() for a in every for tick in a.get_major_ticks()]
+        boxes += [axis.label.get_window_extent() for axis in every]
+        assert all(box.count_overlaps(boxes) == 1 for box in boxes)
+
+
+def test_the_eye_is_where_contacts_face_it() -> None:
+    for side in ((1.0, 0, 0), (0, 1.0, 0), (-1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0)):
+        normal = np.array([side])
+        touched = vb.Contacts(BALL.center + 0.6 * normal, normal)
+        assert dots(plot.scene(touched, rod=vb.Rod.unit(), surface=BALL), ".") == 1
 
 
 def test_a_film_shows_the_rod_at_one_position_after_the_other(
@@ -179,7 +256,9 @@ def test_a_film_shows_the_rod_at_one_position_after_the_other(
 ) -> None:
     """Each frame differs from the one before in the columns where the rod is."""
     for suffix in ("gif", "webp"):
-        path = plot.animation(scan, str(tmp_path / f"sweep.{suffix}"), trails=(1,), seconds=0.5)
+        path = plot.animation(
+            scan, str(tmp_path / f"new/s.{suffix}"), trails=(1,), seconds=0.5, view=(15, -55)
+        )
         with Image.open(path) as film:
             assert film.n_frames == 10
             frames = []

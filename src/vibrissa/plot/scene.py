@@ -4,20 +4,21 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from mpl_toolkits.mplot3d import Axes3D
 
-from vibrissa.contacts import Contacts
+from vibrissa.contacts import Contacts, Status
 from vibrissa.drawing import FREE, drawn_rods
 from vibrissa.forward import Scan
 from vibrissa.forward.events import Event
 from vibrissa.inverse import Reconstruction
 from vibrissa.plot import space
-from vibrissa.plot.style import no_contact
+from vibrissa.plot.style import no_contact, status_words
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.surfaces.outline import box_of, outline
+from vibrissa.trail import Trail
 
 _SAMPLES = 90
 """Points of a drawn rod: its segments are invisible at the width of a page."""
@@ -34,6 +35,8 @@ class Shown(NamedTuple):
     rods: space.Segments = space.NOTHING
     arrows: tuple[space.Arrows, ...] = ()
     events: tuple[Event, ...] = ()
+    lost: Int[np.ndarray, "lost"] = np.zeros(0, dtype=int)
+    """Status of the positions that have neither a contact nor none."""
 
 
 def scene(
@@ -46,7 +49,7 @@ def scene(
     directions: bool = False,
     events: bool = True,
     box: tuple[Sequence[float], Sequence[float]] | None = None,
-    view: tuple[float, float] = (15.0, -55.0),
+    view: tuple[float, float] | None = None,
     axes: Axes3D | None = None,
 ) -> Axes3D:
     """Object, rods, contact points with their uncertainty, trails and events.
@@ -74,9 +77,10 @@ def scene(
         Whether the events of a scan are marked.
     box
         Least and largest coordinates of the part of the object to draw, in units of the rod; by
-        default what surrounds the contacts, or lies within two rod lengths of the origin.
+        default what surrounds the contacts, or the origin if there are none.
     view
-        Elevation and azimuth of the eye [°].
+        Elevation and azimuth of the eye [°]; by default where most contacts face it, from above if
+        half of them do.
     axes
         Axes in space to draw in; by default those of a new figure.
 
@@ -87,11 +91,19 @@ def scene(
 
     Raises
     ------
+    TypeError
+        If `what` is something else.
     ValueError
-        If the rod is needed and not given, or there is nothing to draw.
+        If the rod is needed and not given, there are no such trails, `rods` is negative, the box is
+        none, or there is nothing to draw.
     ImportError
         If the object cannot be drawn without `vibrissa[mesh]`, and that is not installed.
     """
+    if not isinstance(what, Scan | Reconstruction | Reactions | Contacts | Surface):
+        raise TypeError(
+            f"what is a {type(what).__name__}; "
+            "allowed is a Scan, Reconstruction, Reactions, Contacts, or a surface"
+        )
     rod = what.rod if isinstance(what, Scan | Reconstruction) else rod
     if rod is None:
         raise ValueError(
@@ -100,8 +112,7 @@ def scene(
         )
     if isinstance(what, Scan | Surface):
         surface = surface or (what.surface if isinstance(what, Scan) else what)
-    chosen = None if trails is None else list(trails)
-    shown = shown_of(what, rod, chosen, rods, directions=directions)
+    shown = shown_of(what, rod, trails, rods, directions=directions)
     stage, around = staged(shown, rod, surface, box, view, axes)
     draw_moving(stage, shown)
     for arrows in shown.arrows:
@@ -116,7 +127,7 @@ def staged(
     rod: Rod,
     surface: Surface | None,
     box: tuple[Sequence[float], Sequence[float]] | None,
-    view: tuple[float, float],
+    view: tuple[float, float] | None,
     axes: Axes3D | None = None,
 ) -> tuple[space.Stage, space.Points]:
     """Axes with the object and the paths of the clamp, and points that they are to hold."""
@@ -127,31 +138,59 @@ def staged(
         touched = shown.contacts.point[~wide if not wide.all() else wide]
     places = touched, shown.rods.ends, shown.path, *(arrows.ends for arrows in shown.arrows)
     around = np.vstack([place.reshape(-1, 3) for place in places])
-    edges = np.zeros(3), np.zeros(3)
-    if box is not None:
-        edges = np.asarray(box[0], dtype=float), np.asarray(box[1], dtype=float)
-    elif surface is not None and len(around):
-        edges = box_of(surface, touched if len(touched) else around, rod.length)
-    elif surface is not None:
-        edges = box_of(surface, np.zeros((1, 3)), 2 * rod.length)
-    stage = space.Stage.at(view, rod, surface, edges, axes)
+    edges = None
     if surface is not None:
-        around = np.vstack([around, stage.draw_object(outline(surface, *edges))])
+        near = touched if len(touched) else around
+        edges = _checked(box) if box is not None else _around(surface, near, rod)
+    if edges is None:
+        surface, edges = None, (np.zeros(3), np.zeros(3))
+    triangles = np.zeros((0, 3, 3)) if surface is None else outline(surface, *edges)
+    around = np.vstack([around, triangles.reshape(-1, 3)])
+    if not len(around):
+        raise ValueError(
+            "nothing to draw: no object is found "
+            f"{'near the origin' if box is None else 'within box'}; "
+            "allowed is a box that its surface crosses"
+        )
+    eye = view or space.eye_of(shown.contacts)
+    stage = space.Stage.at(eye, rod, surface, edges, axes)
+    if len(triangles):
+        stage.draw_object(triangles)
     stage.draw_paths(shown.path)
     return stage, around
+
+
+def _around(surface: Surface, near: space.Points, rod: Rod) -> space.Box | None:
+    """The part of an object to draw: near some points, or, if there are none, where it is nearest
+    to the origin.
+    """
+    if len(near):
+        return box_of(surface, near, rod.length, beyond=rod.length / 8)
+    # The centre of a ball has no nearest point; what is beside it has.
+    nearest = surface.nearest(np.full(3, 1e-3 * rod.length))
+    return box_of(surface, nearest[None], 2 * rod.length, beyond=rod.length / 2)
+
+
+def _checked(box: tuple[Sequence[float], Sequence[float]]) -> space.Box:
+    low, high = np.asarray(box[0], dtype=float), np.asarray(box[1], dtype=float)
+    if low.shape != (3,) or high.shape != (3,) or not np.all(low < high):
+        raise ValueError(f"box = {box}; allowed are three least coordinates and three larger ones")
+    return low, high
 
 
 def draw_moving(stage: space.Stage, shown: Shown) -> None:
     """Contacts and rods."""
     if shown.contacts is not None:
-        stage.draw_contacts(shown.contacts)
+        stage.draw_contacts(shown.contacts, size=1.8 if len(shown.rods.ends) else 4.0)
     stage.draw_rods(shown.rods)
+    if len(shown.lost):
+        stage.explain(f"not drawn: {status_words(shown.lost)}", linestyle="none")
 
 
 def shown_of(
     what: Scan | Reconstruction | Reactions | Contacts | Surface,
     rod: Rod,
-    trails: list[int] | None,
+    trails: Sequence[int] | None,
     rods: int,
     *,
     directions: bool,
@@ -161,42 +200,79 @@ def shown_of(
     Raises
     ------
     ValueError
-        If that is nothing.
+        If that is nothing, there are no such trails, or `rods` is negative.
     """
+    if rods < 0:
+        raise ValueError(f"rods = {rods}; allowed is 0 or more")
     if isinstance(what, Surface):
         return Shown(np.zeros((0, 1, 3)))
     if isinstance(what, Contacts):
         contacts = known(what, np.ones(what.point.shape[:-1], dtype=bool))
+        if not len(contacts.point):
+            raise no_contact(np.asarray(what.status if what.status is not None else []), "rows")
         every = max(1, len(contacts.point) // max(rods, 1))
         arrows = _directions(contacts[::every], rod) if directions else ()
         return Shown(np.zeros((0, 1, 3)), contacts, arrows=arrows)
     trail = what.trail if isinstance(what, Scan | Reactions) else what.reactions.trail
-    chosen = np.zeros(trail.shape, dtype=bool)
-    chosen[slice(None) if trails is None or chosen.ndim == 1 else trails] = True
-    drawn = np.zeros_like(chosen)
-    drawn[..., :: max(1, trail.count // max(rods, 1))] = rods > 0
-    drawn &= chosen
+    chosen = _chosen(trail, trails)
     path = trail.position[chosen].reshape(-1, trail.count, 3)
     if isinstance(what, Reactions):
-        largest = np.nanmax(np.linalg.norm(what.force[chosen], axis=-1))
-        tips = trail.position[drawn] + rod.length * trail.axis[drawn]
-        straight = space.Segments(
-            np.stack([trail.position[drawn], tips], axis=1), np.full(len(tips), FREE)
-        )
-        forces = -_ARROW * rod.length * what.force[drawn] / largest
-        name = f"force on the clamp, up to {largest:.3g} {'N' if rod.units == 'SI' else 'EI/L²'}"
-        pushes = space.Arrows(trail.position[drawn], forces, space.FORCE, name)
-        return Shown(path, rods=straight, arrows=(pushes,))
+        return _forces(what, rod, path, _spread(chosen & np.isfinite(what.force).all(-1), rods))
     contacts = known(what.contacts, chosen & what.in_contact)
-    drawn &= np.isfinite(what.energy)
+    usable = chosen & np.isfinite(what.energy)
     if isinstance(what, Reconstruction):
-        drawn &= what.in_contact & np.isfinite(what.point).all(axis=-1)
+        usable &= what.in_contact & np.isfinite(what.point).all(axis=-1)
+    drawn = _spread(usable, rods)
     if not len(contacts.point) and not drawn.any():
         raise no_contact(what.status[chosen], "rows")
     arrows = _directions(what.contacts[drawn & what.in_contact], rod) if directions else ()
     listed = tuple(what.events) if isinstance(what, Scan) else ()
     kept = tuple(event for event in listed if trails is None or event.trail in trails)
-    return Shown(path, contacts, lines(what, drawn), arrows, kept)
+    lost = what.status[chosen & ~what.in_contact & (what.status != Status.OK)]
+    return Shown(path, contacts, lines(what, drawn), arrows, kept, lost)
+
+
+def _chosen(trail: Trail, trails: Sequence[int] | None) -> Bool[np.ndarray, "*trail n"]:
+    """The rows of some trails."""
+    count = 1 if len(trail.shape) == 1 else trail.shape[0]
+    if trails is None:
+        return np.ones(trail.shape, dtype=bool)
+    if not len(trails) or not set(trails) <= set(range(count)):
+        raise ValueError(f"trails = {list(trails)}; allowed are some of 0 to {count - 1}")
+    chosen = np.zeros((count, trail.count), dtype=bool)
+    chosen[list(trails)] = True
+    return chosen.reshape(trail.shape)
+
+
+def _spread(usable: Bool[np.ndarray, "*trail n"], rods: int) -> Bool[np.ndarray, "*trail n"]:
+    """About as many rows of each trail as rods are wanted, evenly among the usable ones."""
+    drawn = np.zeros_like(usable)
+    rows = drawn.reshape(-1, usable.shape[-1])
+    for row, known_ones in zip(rows, usable.reshape(rows.shape), strict=True):
+        numbers = np.flatnonzero(known_ones)
+        row[numbers[:: max(1, len(numbers) // max(rods, 1))]] = rods > 0
+    return drawn
+
+
+def _forces(
+    what: Reactions,
+    rod: Rod,
+    path: Float[np.ndarray, "trail n 3"],
+    drawn: Bool[np.ndarray, "*trail n"],
+) -> Shown:
+    """Forces on the straight rod."""
+    if not np.isfinite(what.force).all(axis=-1).any():
+        raise ValueError(
+            f"nothing to draw: none of {what.trail.position[..., 0].size} forces is known"
+        )
+    largest = float(np.nanmax(np.linalg.norm(what.force, axis=-1)))
+    clamps = what.trail.position[drawn]
+    tips = clamps + rod.length * what.trail.axis[drawn]
+    straight = space.Segments(np.stack([clamps, tips], axis=1), np.full(len(tips), FREE))
+    # A sensor at rest reads exactly zero only in a simulation.
+    forces = -_ARROW * rod.length * what.force[drawn] / max(largest, np.finfo(float).tiny)
+    name = f"force on the clamp, up to {largest:.3g} {'N' if rod.units == 'SI' else 'EI/L²'}"
+    return Shown(path, rods=straight, arrows=(space.Arrows(clamps, forces, space.FORCE, name),))
 
 
 def known(contacts: Contacts, rows: Bool[np.ndarray, "*rows"]) -> Contacts:

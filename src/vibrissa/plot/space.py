@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
@@ -31,6 +31,10 @@ _END_ON = 0.98
 _HIDDEN = 0.22
 """Opacity of a rod behind the object."""
 
+_EYES = tuple((height, -55.0 + turn) for height in (15.0, -15.0) for turn in (0, 90, 180, 270))
+"""Elevations and azimuths [°] of which one is chosen."""
+
+View = tuple[float, float]
 Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
 Points = Float[np.ndarray, "n 3"]
 
@@ -66,7 +70,7 @@ class Stage:
 
     axes: Axes3D
     rod: Rod
-    view: tuple[float, float]
+    view: View
     surface: Surface | None
     box: Box
     handles: list[Line2D] = field(default_factory=list)
@@ -74,7 +78,7 @@ class Stage:
     @classmethod
     def at(
         cls,
-        view: tuple[float, float],
+        view: View,
         rod: Rod,
         surface: Surface | None,
         box: Box,
@@ -92,9 +96,7 @@ class Stage:
     @property
     def towards(self) -> Float[np.ndarray, "3"]:
         """Unit vector towards the eye."""
-        elevation, azimuth = np.radians(self.view)
-        level = np.cos(elevation)
-        return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+        return _towards(self.view)
 
     def sees(self, points: Points) -> Bool[np.ndarray, "n"]:
         """Whether nothing of the object, as far as it is drawn, hides these points."""
@@ -143,25 +145,24 @@ class Stage:
                 self._strokes(rods.ends[part], rods.colours[part], layer, **style)
         for colour, name in ((STRAIGHT, "straight part"), (FREE, "unbent rod")):
             if np.any(rods.colours == colour):
-                self._explain(name, color=colour, linewidth=0.7)
+                self.explain(name, color=colour, linewidth=0.7)
 
-    def draw_contacts(self, contacts: Contacts) -> None:
-        """Contact points and their uncertainty."""
+    def draw_contacts(self, contacts: Contacts, size: float) -> None:
+        """Contact points, of some size [pt], and their uncertainty."""
         nothing = np.zeros(len(contacts), dtype=int)
         kinds = nothing if contacts.kind is None else contacts.kind
         sound = (nothing if contacts.status is None else contacts.status) == Status.OK
         seen = self.sees(contacts.point)
         for kind in np.unique(kinds):
             own, paint = kinds == kind, KIND_COLOURS.get(kind, "0.3")
-            self._explain(f"{KIND_NAMES.get(kind, 'contact')} ({own.sum()})", color=paint)
+            self.explain(f"{KIND_NAMES.get(kind, 'contact')} ({own.sum()})", color=paint)
             dark = np.array(mpl.colors.to_rgb(paint)) * 0.6
-            for good, marker, size in ((True, ".", 1.6), (False, "x", 2.0)):
-                edge = 0 if good else 0.4
+            for good, marker, edge in ((True, ".", 0), (False, "x", 0.4)):
                 style = {"marker": marker, "markersize": size, "markeredgewidth": edge}
                 self._points(contacts.point[own & seen & (sound == good)], color=dark, **style)
         if not sound.all():
             cross = {"color": "0.2", "marker": "x", "linestyle": "none", "markersize": 4}
-            self._explain(f"status not OK ({np.sum(~sound)})", **cross)
+            self.explain(f"status not OK ({np.sum(~sound)})", **cross)
         if contacts.covariance is not None:
             known = np.isfinite(contacts.covariance).all(axis=(-2, -1))
             self._draw_ellipsoids(contacts[known])
@@ -179,13 +180,13 @@ class Stage:
                 strokes = ends[part].reshape(-1, 2, 3)
                 self._strokes(strokes, _UNCERTAIN, 3.5, linewidths=0.4, alpha=alpha, clip_on=True)
                 label = f"{name} ({part.sum()})"
-                self._explain(label, color=_UNCERTAIN, alpha=alpha, linewidth=0.6)
+                self.explain(label, color=_UNCERTAIN, alpha=alpha, linewidth=0.6)
 
     def draw_arrows(self, arrows: Arrows) -> None:
         """Directions at points that the eye sees."""
         seen = self.sees(arrows.points)
         self._strokes(arrows.ends[seen], arrows.colour, 5, linewidths=0.9)
-        self._explain(arrows.name, color=arrows.colour)
+        self.explain(arrows.name, color=arrows.colour)
 
     def draw_events(self, events: Iterable[Event]) -> None:
         """Where something changed: at the contact, or at the clamp if there is none."""
@@ -204,14 +205,16 @@ class Stage:
             places = np.array(by_kind[kind])
             self._points(places[self.sees(places)], zorder=6, **style)
             label = f"{kind.name.lower().replace('_', ' ')} ({len(places)})"
-            self._explain(label, linestyle="none", **style)
+            self.explain(label, linestyle="none", **style)
 
     def framed(self, around: Points) -> Axes3D:
         """Limits that hold some points, labels, legend; returns the axes."""
         around = around[np.isfinite(around).all(axis=1)]
-        low, high = (length_factor(self.rod) * end for end in (around.min(0), around.max(0)))
-        # A sweep in a plane still needs room for the ticks across it.
-        narrow = np.maximum(0.2 * (high - low).max() - (high - low), 0) / 2
+        factor = length_factor(self.rod)
+        low, high = factor * around.min(axis=0), factor * around.max(axis=0)
+        # A sweep in a plane still needs room for the ticks across it, and a point for its error.
+        widest = max((high - low).max(), factor * self.rod.length / 2)
+        narrow = np.maximum(0.2 * widest - (high - low), 0) / 2
         low, high = low - narrow, high + narrow
         axes = self.axes
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
@@ -225,13 +228,16 @@ class Stage:
         figure = axes.get_figure(root=True)
         assert figure is not None
         figure.canvas.draw()
+        _declutter(axes)
         heights = corners_of(axes)[:, 1].tolist()
         # Seen from below, the labels are above.
         boxes = [one.get_tightbbox() for one in (axes.xaxis, axes.yaxis, axes.zaxis)]
         heights += [box.y1 for box in boxes if box is not None]
         top = float(axes.transAxes.inverted().transform((0, max(heights)))[1])
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, top + 0.02)}
-        axes.legend(handles=self.handles, ncols=2, handlelength=1.4, columnspacing=1.4, **place)
+        if self.handles:
+            style = {"ncols": 2, "handlelength": 1.4, "columnspacing": 1.4}
+            axes.legend(handles=self.handles, **style, **place)
         return axes
 
     def _strokes(
@@ -248,8 +254,38 @@ class Stage:
         style = {"linestyle": "none", "zorder": 4, **style}
         self.axes.plot(*(length_factor(self.rod) * points).T, **style)
 
-    def _explain(self, name: str, **style: Any) -> None:
+    def explain(self, name: str, **style: Any) -> None:
+        """Enter a name in the legend."""
         self.handles.append(Line2D([], [], label=name, **style))
+
+
+def eye_of(contacts: Contacts | None) -> View:
+    """From where most contacts face the eye; from above if half of them do."""
+    if contacts is None or not len(contacts.point):
+        return _EYES[0]
+    facing = {eye: np.mean(contacts.normal @ _towards(eye) > 0) for eye in _EYES}
+    above = max(_EYES[:4], key=lambda eye: facing[eye])
+    return above if facing[above] >= 0.5 else max(_EYES, key=lambda eye: facing[eye])
+
+
+def _towards(view: View) -> Float[np.ndarray, "3"]:
+    elevation, azimuth = np.radians(view)
+    level = np.cos(elevation)
+    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+
+
+def _declutter(axes: Axes3D) -> None:
+    """Take away the ticks of drawn axes whose numbers lie on other numbers or names."""
+    every = axes.zaxis, axes.xaxis, axes.yaxis
+    taken = [axis.label.get_window_extent() for axis in every if axis.label.get_visible()]
+    for axis in every:
+        kept = []
+        for tick in axis.get_major_ticks():
+            number = tick.label1.get_window_extent()
+            if not number.count_overlaps(taken):
+                taken.append(number)
+                kept.append(tick.get_loc())
+        axis.set_major_locator(FixedLocator(kept))
 
 
 def is_wide(contacts: Contacts, rod: Rod) -> Bool[np.ndarray, "n"]:

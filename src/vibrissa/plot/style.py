@@ -72,7 +72,8 @@ def save(axes: Axes | Sequence[Axes], folder: str | Path, name: str) -> list[Pat
 
 
 def save_as(axes: Axes | Sequence[Axes], path: str | Path) -> Path:
-    """Write the figure of some axes in the format of the path's suffix, and close it.
+    """Write the figure of some axes in the format of the path's suffix, and close it. Folders that
+    do not exist are made.
 
     Raises
     ------
@@ -84,6 +85,7 @@ def save_as(axes: Axes | Sequence[Axes], path: str | Path) -> Path:
     if suffix not in SUFFIXES:
         raise ValueError(f"{path}: suffix {path.suffix!r}; allowed are {', '.join(SUFFIXES)}")
     figure = np.ravel(np.asarray(axes, dtype=object))[0].get_figure(root=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     # Without a date and random names the same figure gives the same file.
     with mpl.rc_context({"svg.hashsalt": "vibrissa"}):
         shown = _shown(figure) if all(one.name == "3d" for one in figure.axes) else "tight"

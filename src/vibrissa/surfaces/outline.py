@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from vibrissa.libraries import extra_library
 from vibrissa.surfaces.base import Placed, Surface
+from vibrissa.surfaces.derived import Union
 from vibrissa.surfaces.mesh import Mesh
 from vibrissa.surfaces.primitives import Box, Cone, Cylinder
 from vibrissa.surfaces.quadrics import EllipticParaboloid
@@ -16,6 +17,8 @@ _CELLS = 90
 """Cells along the longest side of a box, and half the sides of a circle: smooth on a page."""
 _COARSE = 48
 """Cells along the side of a cube in which a part of an object is looked for."""
+_SEARCHES = 8
+"""Cubes, each a quarter of the one before: the last has cells of 1e-6 of the first."""
 
 Triangles = Float[np.ndarray, "f 3 3"]
 Vector = Float[np.ndarray, "3"]
@@ -61,33 +64,51 @@ def outline(surface: Surface, low: ArrayLike, high: ArrayLike) -> Triangles:
 
 
 def box_of(
-    surface: Surface, points: Float[np.ndarray, "n 3"], reach: float
-) -> tuple[Vector, Vector]:
-    """Least and largest coordinates of a box that shows what was touched of an object.
+    surface: Surface, points: Float[np.ndarray, "n 3"], reach: float, beyond: float
+) -> tuple[Vector, Vector] | None:
+    """Least and largest coordinates of a box that shows an object and some points on it.
 
-    On each side it holds the whole object where that ends within `reach` of the points, else what
-    lies within an eighth of `reach` of them.
+    It holds all of the object that ends within `reach` of the points, and what lies up to `beyond`
+    from them on a side where it does not; None if nothing of it is found.
     """
+    if isinstance(surface, Union):
+        each = [box_of(part, points, reach, beyond) for part in surface.parts]
+        boxes = [box for box in each if box is not None]
+        ends = np.array(boxes)
+        return (ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)) if boxes else None
     near_low, near_high = points.min(axis=0), points.max(axis=0)
-    searched = near_low - reach, near_high + reach
-    low, high = _extent(surface, *searched)
-    low = np.where(low > searched[0], low, near_low - reach / 8)
-    return low, np.where(high < searched[1], high, near_high + reach / 8)
+    # The coarse grid of a large box misses a small object.
+    for away in reach / 4.0 ** np.arange(_SEARCHES):
+        low, high = near_low - away, near_high + away
+        found = _extent(surface, low, high)
+        if found is not None:
+            break
+    else:
+        return None
+    cut_low, cut_high = found[0] <= low, found[1] >= high
+    low = np.where(cut_low, np.minimum(near_low, found[1]) - beyond, found[0])
+    high = np.where(cut_high, np.maximum(near_high, found[0]) + beyond, found[1])
+    # What is cut on one side may be smaller on the others.
+    within = _extent(surface, low, high) or (low, high)
+    low = np.where(cut_low, low, np.minimum(within[0], near_low))
+    return low, np.where(cut_high, high, np.maximum(within[1], near_high))
 
 
-def _extent(surface: Surface, low: Vector, high: Vector) -> tuple[Vector, Vector]:
-    """Least and largest coordinates of an object, or of the box where it reaches beyond that."""
+def _extent(surface: Surface, low: Vector, high: Vector) -> tuple[Vector, Vector] | None:
+    """Least and largest coordinates of an object within a box; None if a coarse grid misses it."""
     own = _own_faces(surface)
     if own is not None:
-        return np.maximum(own.bounds[0], low), np.minimum(own.bounds[1], high)
+        ends = np.maximum(own.bounds[0], low), np.minimum(own.bounds[1], high)
+        return ends if np.all(ends[0] < ends[1]) else None
     inside = surface.levels(_grid(low, high, np.full(3, _COARSE))) <= 0
+    if not inside.any():
+        return None
     ticks, sides = np.linspace(low, high, _COARSE), np.array([low, high])
     for axis in range(3):
         filled = np.flatnonzero(inside.any(axis=tuple(k for k in range(3) if k != axis)))
-        if len(filled):
-            # The surface lies between the last point inside and the next one.
-            ends = [max(filled[0] - 1, 0), min(filled[-1] + 1, _COARSE - 1)]
-            sides[:, axis] = ticks[ends, axis]
+        # The surface ends before the next point, or, bulging between points, before the one after.
+        first, last = max(filled[0] - 2, 0), min(filled[-1] + 2, _COARSE - 1)
+        sides[:, axis] = ticks[[first, last], axis]
     return sides[0], sides[1]
 
 

@@ -223,7 +223,11 @@ def triangles_of(
     surface: Surface | None, around: Float[np.ndarray, "n 3"], rod: Rod, reach: float = 1.0
 ) -> Float[np.ndarray, "f 3 3"]:
     """The part of the object within some rod lengths of these points, as shown."""
-    if surface is None:
+    box = (
+        None
+        if surface is None
+        else box_of(surface, around, reach * rod.length, reach / 8 * rod.length)
+    )
+    if surface is None or box is None:
         return _NOTHING
-    box = box_of(surface, around, reach * float(rod.length))
     return length_factor(rod) * outline(surface, *box)

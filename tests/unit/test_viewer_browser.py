@@ -20,7 +20,7 @@ from vibrissa.viewer.colours import rgb
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SIZE = {"width": 900, "height": 600}
-PATIENCE = 60.0  # [s]: a browser that draws in software, on a busy machine
+PATIENCE = 180.0  # [s]: a browser that draws in software, on a busy machine
 if CHROMIUM is None:
     pytest.skip("no Chromium is installed", allow_module_level=True)
 playwright = pytest.importorskip(

@@ -459,12 +459,22 @@ def test_a_command_says_why_there_is_no_figure(
     trail = [{kind = "line", start = [0.2, 0.8, 0], stop = [0.2, -0.8, 0], count = 41}]
     """
     case.write_text(near.replace("1.15", "3.15"), encoding="utf-8")
-    run = vibrissa(capsys, "scan", case, "--figure", figure)
-    assert run.status == 2
+    run = vibrissa(capsys, "scan", case, "-o", tmp_path / "scan.nc", "--figure", figure)
+    assert run.status == 1
     assert run.err.index("likeliest cause") < run.err.index(
         f"{figure}: nothing to draw: no contact"
     )
+    assert run.out.endswith(f"0 contacts, 0 sound → {tmp_path / 'scan.nc'}\n")
+    assert (tmp_path / "scan.nc").exists()
     assert not figure.exists()
+    rest = tmp_path / "rest.csv"
+    rows = (FOLDER / "trail.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    rest.write_text("".join(rows[:130]), encoding="utf-8")
+    setup, cloud = FOLDER / "setup.toml", tmp_path / "rest.ply"
+    run = vibrissa(capsys, "reconstruct", rest, "--setup", setup, "-o", cloud, "--figure", figure)
+    assert (run.status, cloud.exists(), figure.exists()) == (1, True, False)
+    assert run.out.endswith(f"0 contacts, 0 sound → {cloud}\n")
+    assert f"{figure}: nothing to draw: no contact in 129 samples" in run.err
     case.write_text(near, encoding="utf-8")
     run = vibrissa(capsys, "scan", case, "--figure", figure)
     assert run.status == 0

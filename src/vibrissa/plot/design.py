@@ -122,7 +122,7 @@ def _marks(
     words = fill(status_words(error.scan.status.ravel()[flagged]), _WIDTH)
     return [
         _Mark(~touching, ".", _FREE, 2, f"no contact ({np.sum(~touching)})"),
-        _Mark(missed, ".", _UNDETECTED, 2, f"contact not detected ({missed.sum()})"),
+        _Mark(missed, ".", _UNDETECTED, 3.5, f"contact not detected ({missed.sum()})"),
         _Mark(flagged, ".", _MARKED, 1.2, words),
         _Mark(full, "x", _MARKED, 3, f"saturated ({full.sum()})"),
     ]

@@ -1,6 +1,6 @@
 """What the figures show: everything there is, said in their legends, or why there is nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -417,6 +417,20 @@ def test_correlations_are_written_out_with_readable_names() -> None:
         "clamp position x",
     ]
     assert [text.get_text() for text in axes.texts] == ["1.00", "−0.90", "−0.90", "1.00"]
+
+
+@pytest.mark.parametrize(
+    ("figure", "said"),
+    [
+        (vb.plot.contacts_figure, "found is a str; allowed is Reconstruction"),
+        (vb.plot.reactions_along, "scan is a str; allowed is Scan"),
+        (vb.plot.expected_error_map, "error is a str; allowed is ExpectedError"),
+        (vb.plot.residual_histogram, "calibration is a str; allowed is Calibration"),
+    ],
+)
+def test_a_path_is_not_a_result(figure: Callable[[object], object], said: str) -> None:
+    with pytest.raises(TypeError, match=said):
+        figure("scan.nc")
 
 
 # Files

@@ -15,6 +15,7 @@ from matplotlib.ticker import LogLocator
 from vibrissa.contacts import Status
 from vibrissa.design import ExpectedError
 from vibrissa.drawing import length_factor
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import COLUMN, PAGE, length_label, status_words
 
 _FREE, _UNDETECTED, _MARKED = "0.8", "#d55e00", "black"
@@ -44,6 +45,7 @@ class _Mark(NamedTuple):
     label: str
 
 
+@checked
 def expected_error_map(error: ExpectedError) -> list[Axes]:
     """The 95 % ellipsoids' longest semi-axis over the clamp positions and over the contact points,
     in the two world axes along which the clamp moves farthest; if the clamp stands, over the

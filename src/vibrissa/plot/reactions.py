@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from vibrissa.contacts import Status
 from vibrissa.drawing import length_factor
 from vibrissa.forward import Scan
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import PAGE, length_label, no_contact, status_words
 from vibrissa.rod import Rod
 
@@ -35,6 +36,7 @@ _MOST_NAMES = 3
 _WIDTH = 24
 
 
+@checked
 def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes]:
     """Each support reaction, coloured along the trails over the clamp points, in the two world axes
     along which the clamps extend farthest.

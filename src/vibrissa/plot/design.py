@@ -1,7 +1,7 @@
 """Maps of how well a sensor will do."""
 
 from textwrap import fill
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -102,7 +102,12 @@ def expected_error_map(error: ExpectedError) -> list[Axes]:
         )  # fmt: skip
         for rows, marker, colour, size, label in marks:
             edge = 0.5 if marker == "x" else 0
-            style = {"color": colour, "markersize": size, "markeredgewidth": edge, "label": label}
+            style: dict[str, Any] = {
+                "color": colour,
+                "markersize": size,
+                "markeredgewidth": edge,
+                "label": label,
+            }
             axes.plot(x[rows], y[rows], marker, **style)
         axes.set_aspect("equal", adjustable="datalim")
         symbols = ["xyz"[axis] + "_0" * (name == "clamp") for axis in across]

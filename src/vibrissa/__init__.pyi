@@ -1,4 +1,4 @@
-from . import io, live, plot, surfaces
+from . import io, live, plot, shape, surfaces
 from .calibration import Calibration, CalibrationError, calibrate
 from .contacts import ContactKind, Contacts, Motion, RecordingWarning, Status
 from .design import ExpectedError, expected_error
@@ -74,6 +74,7 @@ __all__ = [
     "read_recording",
     "reconstruct",
     "scan",
+    "shape",
     "smooth",
     "surfaces",
     "view",

@@ -187,3 +187,11 @@ def test_without_a_force_the_rod_is_straight() -> None:
     np.testing.assert_allclose(
         line, CLAMP + np.outer(np.linspace(0, 0.05, 11), T0), rtol=0, atol=1e-16
     )
+
+
+def test_a_force_that_no_bent_rod_bears_gives_no_line() -> None:
+    """A wrench of the other sign pulls: the modulus is negative."""
+    reach, direction = np.array([0.1, 0.0, 0.8]), np.array([0.0, 0.0, -1.0])
+    line = sampled_line(CLAMP, -direction, 1.0, reach, direction, -3.0, 0.8, 5)
+    assert line.shape == (5, 3)
+    assert np.isnan(line).all()

@@ -1,6 +1,6 @@
 """What the figures show: everything there is, said in their legends, or why there is nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -198,6 +198,16 @@ def test_trails_in_any_direction_lie_in_their_own_plane(sweeps: vb.Scan) -> None
     assert panels[-1].get_title().endswith("[N mm]")
 
 
+def test_trails_that_cannot_be_shown_are_named(sweeps: vb.Scan) -> None:
+    """Those that do not exist, all of them, and clamps that only turn."""
+    for skip in ((0, 1, 2), (3,), (-1,)):
+        with pytest.raises(ValueError, match=f"skip = .*{skip[-1]}.*; allowed are numbers from 0 "):
+            vb.plot.reactions_over_plane(sweeps, skip=skip)
+    still = np.repeat(sweeps.trail.position[:, :1], 33, axis=1)
+    with pytest.raises(ValueError, match="nothing to draw: the clamp turns about one point"):
+        vb.plot.reactions_over_plane(replace(sweeps, trail=vb.Trail(still)))
+
+
 def test_curves_follow_the_sweep_and_begin_with_the_contact(sweep: vb.Scan) -> None:
     force, length = vb.plot.reactions_along(sweep)
     assert length.get_xlabel() == "$y_0/L$"
@@ -267,8 +277,23 @@ def test_coverage_shows_what_is_covered_and_names_it() -> None:
     assert max(axes.get_xlim()) < 1.1
     _, labels = legend([axes])
     assert labels == ["covered (within 0.05 $L$ of a contact)", "not covered", "contact"]
-    with pytest.raises(ValueError, match="441 samples, 0 cases"):
-        vb.plot.coverage_figure(samples[:441], [])
+
+
+def test_coverage_says_which_argument_is_wrong() -> None:
+    grid = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0]), axis=-1).reshape(-1, 3)
+
+    def case(count: int) -> list:
+        return [("one", grid, np.ones(count, dtype=bool), 1.0)]
+
+    for samples, cases, said in (
+        (grid, [], "0 cases; allowed is at least one"),
+        (grid[:1], case(1), "1 sample without an extent over x and y"),
+        (grid * [0, 1, 1], case(4), "4 samples without an extent"),
+        (np.full((4, 3), np.nan), case(4), "samples"),
+        (grid, case(3), r"covered of 'one' has the shape \(3,\); allowed is \(4,\)"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            vb.plot.coverage_figure(samples, cases)
 
 
 # Recordings
@@ -310,14 +335,36 @@ def test_a_map_marks_unstable_positions_and_scales_without_them() -> None:
     longest = 1e3 * error.semi_axes[..., -1]
     status = np.where(longest < np.nanmedian(longest), 2, 0)
     panels = vb.plot.expected_error_map(replace(error, scan=replace(error.scan, status=status)))
-    count, missed = np.count_nonzero(status), np.count_nonzero(~error.detected)
-    named = [f"not detected ({missed})"] if missed else []
-    assert legend(panels)[1] == [*named, f"laterally unstable ({count})"]
+    count, touching = np.count_nonzero(status), error.scan.in_contact
+    free, missed = np.count_nonzero(~touching), np.count_nonzero(touching & ~error.detected)
+    named = {"no contact": free, "contact not detected": missed, "laterally unstable": count}
+    assert legend(panels)[1] == [f"{word} ({n})" for word, n in named.items() if n]
     for axes in panels:
         assert axes.collections[0].norm.vmin == pytest.approx(longest[status == 0].min())
         assert count in [len(line.get_xdata()) for line in axes.lines]
     bar = panels[0].get_figure(root=True).axes[-1]
     assert bar.get_ylabel() == "longest semi-axis,\n95 % [mm]"
+    # Contacts whose load goes unnoticed are told apart from positions without any.
+    kind, noticed = error.scan.kind.copy(), error.found.kind.copy()
+    kind[:4], noticed[:7] = 0, 0
+    deaf = replace(
+        error, scan=replace(error.scan, kind=kind), found=replace(error.found, kind=noticed)
+    )
+    over, on = map(counts, vb.plot.expected_error_map(deaf))
+    assert over["no contact (4)"] == 4
+    assert over["contact not detected (3)"] == on["contact not detected (3)"] == 3
+
+
+@pytest.mark.parametrize("count", [1, 11])
+def test_a_map_of_a_standing_clamp_is_one_over_the_contact_point(count: int) -> None:
+    rod = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+    ball = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
+    place = (0.005, 0.001, 0)
+    sensor = preset("ati_nano17_si_12_0_12", clamp_position=(0, 0, 0.025))
+    trail = vb.Trail.line(start=place, stop=place, count=count)
+    (axes,) = vb.plot.expected_error_map(vb.expected_error(rod, ball, trail, sensor))
+    assert axes.get_title() == "over the contact point"
+    assert len(axes.collections[0].get_offsets()) == count
 
 
 # Calibrations
@@ -372,6 +419,20 @@ def test_correlations_are_written_out_with_readable_names() -> None:
     assert [text.get_text() for text in axes.texts] == ["1.00", "−0.90", "−0.90", "1.00"]
 
 
+@pytest.mark.parametrize(
+    ("figure", "said"),
+    [
+        (vb.plot.contacts_figure, "found is a str; allowed is Reconstruction"),
+        (vb.plot.reactions_along, "scan is a str; allowed is Scan"),
+        (vb.plot.expected_error_map, "error is a str; allowed is ExpectedError"),
+        (vb.plot.residual_histogram, "calibration is a str; allowed is Calibration"),
+    ],
+)
+def test_a_path_is_not_a_result(figure: Callable[[object], object], said: str) -> None:
+    with pytest.raises(TypeError, match=said):
+        figure("scan.nc")
+
+
 # Files
 
 
@@ -412,12 +473,22 @@ def test_a_command_says_why_there_is_no_figure(
     trail = [{kind = "line", start = [0.2, 0.8, 0], stop = [0.2, -0.8, 0], count = 41}]
     """
     case.write_text(near.replace("1.15", "3.15"), encoding="utf-8")
-    run = vibrissa(capsys, "scan", case, "--figure", figure)
-    assert run.status == 2
+    run = vibrissa(capsys, "scan", case, "-o", tmp_path / "scan.nc", "--figure", figure)
+    assert run.status == 1
     assert run.err.index("likeliest cause") < run.err.index(
         f"{figure}: nothing to draw: no contact"
     )
+    assert run.out.endswith(f"0 contacts, 0 sound → {tmp_path / 'scan.nc'}\n")
+    assert (tmp_path / "scan.nc").exists()
     assert not figure.exists()
+    rest = tmp_path / "rest.csv"
+    rows = (FOLDER / "trail.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    rest.write_text("".join(rows[:130]), encoding="utf-8")
+    setup, cloud = FOLDER / "setup.toml", tmp_path / "rest.ply"
+    run = vibrissa(capsys, "reconstruct", rest, "--setup", setup, "-o", cloud, "--figure", figure)
+    assert (run.status, cloud.exists(), figure.exists()) == (1, True, False)
+    assert run.out.endswith(f"0 contacts, 0 sound → {cloud}\n")
+    assert f"{figure}: nothing to draw: no contact in 129 samples" in run.err
     case.write_text(near, encoding="utf-8")
     run = vibrissa(capsys, "scan", case, "--figure", figure)
     assert run.status == 0

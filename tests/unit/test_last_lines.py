@@ -180,6 +180,13 @@ def test_expect_maps_the_error(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert figure.read_bytes().startswith(b"\x89PNG")
     summary = json.loads(vibrissa(capsys, "expect", CASE, "--sensor", NANO, "--json").out)
     assert summary["median_root_mean_square"] == pytest.approx(1.1e-3, rel=0.05)
+    far, text = tmp_path / "far.toml", CASE.read_text(encoding="utf-8")
+    assert "0.0575" in text
+    far.write_text(text.replace("0.0575", "0.5"), encoding="utf-8")
+    run = vibrissa(capsys, "expect", far, "--sensor", NANO, "--figure", tmp_path / "far.png")
+    assert (run.status, (tmp_path / "far.png").exists()) == (1, False)
+    assert run.out == f"{NANO}: 0 of 0 contacts detected\n"
+    assert "far.png: no contact of the scan is detected" in run.err.splitlines()[-1]
 
 
 WRONG = {

@@ -35,6 +35,13 @@ def test_every_format_gives_the_same_solid(suffix: str, tmp_path: Path) -> None:
     )
 
 
+def test_a_mesh_prints_on_one_line() -> None:
+    vertices, faces = octahedron()
+    mesh = Mesh(vertices / np.ptp(vertices, axis=0) * [2, 3, 0.5], faces)
+    assert repr(mesh) == "Mesh of 80 triangles, 2 × 3 × 0.5, watertight"
+    assert len(repr(mesh.placed(translation=(0, 0, 1))).splitlines()) == 1
+
+
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
 def test_a_format_without_units_needs_a_scale(suffix: str, tmp_path: Path) -> None:
     vertices, faces = octahedron()

@@ -147,6 +147,12 @@ def test_a_saved_page_plays_from_a_file(browser: Any, viewer: Viewer, tmp_path: 
     saved.goto(file.as_uri())
     saved.wait_for_selector("canvas")
     assert saved.get_by_text("tangential contact", exact=False).first.is_visible()
+    # Nothing lies over a corner of the legend.
+    free = """legend => { const {left, right, top, bottom} = legend.getBoundingClientRect();
+        return [[left, top], [right, top], [left, bottom], [right, bottom]].every(([x, y]) =>
+            legend.contains(document.elementFromPoint(x + (x == left ? 6 : -6),
+                                                      y + (y == top ? 6 : -6)))) }"""
+    assert saved.locator(".legend").evaluate(free)
     bar = saved.locator(".mantine-Slider-track").first
     bar.wait_for(timeout=1e3 * PATIENCE)
     box = bar.bounding_box()

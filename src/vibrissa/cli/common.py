@@ -82,14 +82,18 @@ Figure = Annotated[
 ]
 
 
-def draw(path: Path, make: Callable[[], Any]) -> None:
-    """Write the figure whose axes `make` returns; raise InputError if there is nothing to draw."""
+def draw(path: Path, make: Callable[[], Any]) -> bool:
+    """Write the figure whose axes `make` returns; if there is nothing to draw, say why, and return
+    False.
+    """
     with vb.plot.journal():
         try:
             axes = make()
         except ValueError as error:
-            raise vb.io.InputError(f"{path}: {error}") from error
+            say(f"vibrissa: error: {path}: {error}", err=True)
+            return False
         vb.plot.save_as(axes, path)
+        return True
 
 
 def table_console() -> Console:

@@ -52,17 +52,18 @@ def expect(
             )
         except ValueError as failure:
             raise vb.io.InputError(str(failure)) from failure
-        if figure is not None and error.detected.any():
-            report("drawing")
-            common.draw(figure, lambda: vb.plot.expected_error_map(error))
     summary = _summary(error)
     if not summary["detected"]:
         common.warn(
             "no contact is detected: the loads stay below this sensor's noise, or the rod misses "
             "the object; a stiffer rod, a closer trail or a finer sensor helps"
         )
-    written = [figure] if figure is not None and error.detected.any() else []
-    common.show(summary, lambda said: _line(said, sensor) + common.into(*written), as_json=as_json)
+    files = []
+    if figure is not None:
+        with reporting() as report:
+            report("drawing")
+            files += [figure] * common.draw(figure, lambda: vb.plot.expected_error_map(error))
+    common.show(summary, lambda said: _line(said, sensor) + common.into(*files), as_json=as_json)
     if not summary["detected"]:
         raise typer.Exit(1)
 

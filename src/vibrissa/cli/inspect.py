@@ -7,6 +7,7 @@ import math
 import warnings
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,9 +37,11 @@ def inspect(
         loaded = vb.load_setup(setup, progress=report.count)
         report("inspecting")
         found = vb.io.inspect_recording(recording, loaded)
+        files = []
         if figure is not None:
             report("drawing")
-            common.draw(figure, lambda: vb.plot.recording_figure(found, loaded.sensor))
+            figured = partial(vb.plot.recording_figure, found, loaded.sensor)
+            files += [figure] * common.draw(figure, figured)
     # What makes a recording unusable, such as a wrong unit, may cause whatever else is found.
     for line in [fault.text for fault in found.unusable] or found.warnings:
         warnings.warn(f"{recording}: {line}", vb.RecordingWarning, stacklevel=2)
@@ -57,11 +60,8 @@ def inspect(
         counts = summary["counts"]
         what = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "no faults"
         use = "not usable as read" if found.unusable else f"{summary['usable_rows']} usable"
-        common.say(
-            f"{summary['rows']} rows, {use}, {what}"
-            + common.into(*([] if figure is None else [figure]))
-        )
-    if found.unusable:
+        common.say(f"{summary['rows']} rows, {use}, {what}" + common.into(*files))
+    if found.unusable or (figure is not None and not files):
         raise typer.Exit(1)
 
 

@@ -72,13 +72,15 @@ def reconstruct(
     common.doubt_contacts(found)
     warnings = list(dict.fromkeys([*common.contradictions, *found.warnings]))
     summary = _summary(found) | estimated | {"warnings": warnings}
+    files = list(output or [])
     if figure is not None:
         with reporting() as report:
             report(f"drawing {figure}")
-            common.draw(figure, lambda: vb.plot.contacts_figure(found))
-    files = [*(output or []), *([] if figure is None else [figure])]
+            files += [figure] * common.draw(figure, lambda: vb.plot.contacts_figure(found))
     last = _last_line(found) + common.into(*files)
     common.show(summary, lambda said: f"{_text(said)}\n{last}", as_json=as_json)
+    if figure is not None and figure not in files:
+        raise typer.Exit(1)
 
 
 def _last_line(found: vb.Reconstruction) -> str:

@@ -60,18 +60,18 @@ def scan(
     sound = contact & (result.status == vb.Status.OK)
     found = int(contact.sum()), int(sound.sum())
     common.doubt(*found, common.counted(result.status[contact], vb.Status), [], _missed(loaded))
+    files = [] if output is None else [output]
     if figure is not None:
         with reporting() as report:
             report("drawing")
             several = result.kind.ndim == 2
             along = vb.plot.reactions_over_plane if several else vb.plot.reactions_along
-            common.draw(figure, lambda: along(result))
-    files = [path for path in (output, figure) if path is not None]
+            files += [figure] * common.draw(figure, lambda: along(result))
     last = common.contacts_line(*found) + common.into(*files)
     common.show(
         _summary(result, speed), lambda said: f"{_text(result, said)}\n{last}", as_json=as_json
     )
-    if not result.solved.any():
+    if not result.solved.any() or (figure is not None and figure not in files):
         raise typer.Exit(1)
 
 

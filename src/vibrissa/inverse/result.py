@@ -207,7 +207,7 @@ class Reconstruction:
         self, index: "int | tuple[int, int]", count: int = 200
     ) -> Float[np.ndarray, "count 3"]:
         """The rod's shape at a sample: `count` points equally spaced in arc length from clamp to
-        tip; straight without contact.
+        tip; straight without contact, NaN where the reactions are not those of a bent rod.
 
         Raises
         ------

@@ -65,7 +65,8 @@ def sampled_line(
     contact_arc_length: float,
     count: int,
 ) -> Float[np.ndarray, "count 3"]:
-    """`count` points of the rod, equally spaced in arc length from clamp to tip.
+    """`count` points of the rod, equally spaced in arc length from clamp to tip; NaN if no rod
+    takes this shape under this force.
 
     Parameters
     ----------
@@ -81,6 +82,8 @@ def sampled_line(
     side = reach - (reach @ direction) * direction
     lever_arm = float(np.linalg.norm(side))
     modulus = float((1 + direction @ axis) / 2 + force * lever_arm**2 / 4)
+    if not 0 <= modulus <= 1:
+        return np.full((count, 3), np.nan)
     line = elastic_line(reach, direction, side / lever_arm, force, modulus, contact_arc_length, s)
     return np.asarray(clamp + length * line)
 

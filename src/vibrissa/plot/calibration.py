@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from scipy.stats import norm
 
 from vibrissa.calibration import Calibration, Residuals
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import COLUMN, PAGE
 from vibrissa.sensor.deviations import deviation_by_differences
 
@@ -25,6 +26,7 @@ _GAP = 2.0
 _MOST_NUMBERS = 16
 
 
+@checked
 def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
     """Residuals of the six channels [standard deviations of a row] over time, with their running
     mean: white noise about zero if the model is right.
@@ -54,6 +56,7 @@ def residuals_over_time(calibration: Calibration[Any]) -> list[Axes]:
     return panels
 
 
+@checked
 def residual_histogram(calibration: Calibration[Any]) -> Axes:
     """Whitened residuals of all channels in contact, against the normal distribution."""
     residuals = calibration.residuals
@@ -69,6 +72,7 @@ def residual_histogram(calibration: Calibration[Any]) -> Axes:
     return axes
 
 
+@checked
 def residuals_over_force(calibration: Calibration[Any]) -> list[Axes]:
     """Residuals of the six channels [standard deviations of a row] over the contact force, with
     their running mean: a slope hints at a wrong gain or stiffness.
@@ -93,6 +97,7 @@ def residuals_over_force(calibration: Calibration[Any]) -> list[Axes]:
     return list(panels.flat)
 
 
+@checked
 def parameter_correlation(calibration: Calibration[Any]) -> Axes:
     """Correlation of the estimates' errors: near 1 or −1 two parameters are hard to tell apart."""
     known = calibration.identifiability

@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from vibrissa.contacts import Status
 from vibrissa.drawing import KIND_COLOURS, KIND_NAMES, length_factor
 from vibrissa.inverse import Reconstruction
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import PAGE, length_label, no_contact, status_words
 
 # Square root of the 95 % quantile of χ² with two degrees of freedom.
@@ -45,6 +46,7 @@ class _Layer(NamedTuple):
     label: str
 
 
+@checked
 def contacts_figure(found: Reconstruction, *, trusted_deviation: float = 0.05) -> list[Axes]:
     """Contacts from above (xy), from the side (zy) and from the front (xz), at one scale, with 95 %
     ellipses of some of them if the noise is known.

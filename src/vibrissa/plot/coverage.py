@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.spatial import KDTree
 
+from vibrissa.geometry.checks import finite_array
 from vibrissa.plot.style import PAGE
 
 _OPEN, _COVERED, _CONTACT = "#e3e3e3", "#9ecae1", "#08306b"
@@ -41,13 +42,10 @@ def coverage_figure(
     Raises
     ------
     ValueError
-        If there is no case, or no sample.
+        If there is no case, the samples do not extend over x and y or are not finite, or the flags
+        of a case are not one per sample.
     """
-    if not cases or not len(samples):
-        raise ValueError(
-            f"nothing to draw: {len(samples)} samples, {len(cases)} cases; allowed is at least one "
-            "of each"
-        )
+    _check(samples, cases)
     low, high = samples[:, :2].min(axis=0), samples[:, :2].max(axis=0)
     edge = _MARGIN * (high - low).max()
     low, high = low - edge, high + edge
@@ -85,6 +83,26 @@ def coverage_figure(
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=1.2)
     return list(panels[0])
+
+
+def _check(
+    samples: Float[np.ndarray, "n 3"],
+    cases: list[tuple[str, Float[np.ndarray, "_ 3"], Bool[np.ndarray, "_"], float]],
+) -> None:
+    if not cases:
+        raise ValueError("nothing to draw: 0 cases; allowed is at least one")
+    places = finite_array(samples, "samples", last=3, ndim=2)[:, :2]
+    if len(places) == 0 or not np.all(np.ptp(places, axis=0) > 0):
+        raise ValueError(
+            f"nothing to draw: {len(places)} sample{'s' * (len(places) != 1)} without an extent "
+            "over x and y; allowed are samples of a surface region"
+        )
+    for name, _, covered, _ in cases:
+        if np.shape(covered) != (len(samples),):
+            raise ValueError(
+                f"cases: covered of {name!r} has the shape {np.shape(covered)}; allowed is "
+                f"({len(samples)},), one flag per sample"
+            )
 
 
 def _nearest(

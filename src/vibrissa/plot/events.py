@@ -11,6 +11,7 @@ from vibrissa.contacts import Status
 from vibrissa.drawing import length_factor
 from vibrissa.forward import Event, EventKind, Scan
 from vibrissa.numerics.runs import runs
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import COLUMN, length_label, no_contact, status_words
 
 MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
@@ -19,6 +20,7 @@ _STRAIGHT = (EventKind.FIRST_CONTACT, EventKind.DETACH, EventKind.HEAD_ON)
 _EVENT_COLOUR = "#c1121f"
 
 
+@checked
 def reactions_along(scan: Scan) -> list[Axes]:
     """Contact force and arc length along one trail (n, …), with its events; dashed where the branch
     is laterally unstable, dotted where a row's status is not OK for another reason.

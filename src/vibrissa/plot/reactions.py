@@ -3,7 +3,7 @@
 from textwrap import fill
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from vibrissa.contacts import Status
 from vibrissa.drawing import length_factor
 from vibrissa.forward import Scan
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import PAGE, length_label, no_contact, status_words
 from vibrissa.rod import Rod
 
@@ -27,12 +28,15 @@ _ZERO = 1e-8
 _LEAST_ASPECT = 0.3
 _MARGIN = 0.05
 _PATH, _LEFT_OUT, _FLAGGED = "0.75", "0.35", "black"
+# In rod lengths: a clamp that moves less stands.
+_STILL = 1e-9
 # Left-out trails up to which each is named.
 _MOST_NAMES = 3
 # Letters in a line of the legend.
 _WIDTH = 24
 
 
+@checked
 def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes]:
     """Each support reaction, coloured along the trails over the clamp points, in the two world axes
     along which the clamps extend farthest.
@@ -50,11 +54,10 @@ def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes
     Raises
     ------
     ValueError
-        If the scan has only one trail, or no contact on those shown.
+        If the scan has only one trail, `skip` names one that there is not or leaves none, the
+        clamp does not move on those shown, or there is no contact on them.
     """
-    if scan.kind.ndim != 2:
-        raise ValueError(f"scan has the shape {scan.kind.shape}; allowed are several trails (m, n)")
-    rod, shown = scan.rod, np.delete(np.arange(len(scan.kind)), skip)
+    rod, shown = scan.rod, _shown(scan, skip)
     values = scan.reactions.wrench[shown]
     contact = scan.in_contact[shown] & np.isfinite(values).all(axis=-1)
     if not contact.any():
@@ -93,6 +96,26 @@ def reactions_over_plane(scan: Scan, *, skip: tuple[int, ...] = ()) -> list[Axes
         handles.append(Line2D([], [], color=_LEFT_OUT, linestyle=":", label=words))
     _legend(figure, grid, kept, handles)
     return [axes for axes, keep in zip(grid.flat, kept, strict=True) if keep]
+
+
+def _shown(scan: Scan, skip: tuple[int, ...]) -> Int[np.ndarray, "shown"]:
+    """Trails that are not left out, as far as there is something to draw of them."""
+    if scan.kind.ndim != 2:
+        raise ValueError(f"scan has the shape {scan.kind.shape}; allowed are several trails (m, n)")
+    trails = len(scan.kind)
+    shown = np.setdiff1d(np.arange(trails), skip)
+    if not set(skip) <= set(range(trails)) or not len(shown):
+        raise ValueError(
+            f"skip = {skip}; allowed are numbers from 0 to {trails - 1}, not all of the {trails} "
+            "trails"
+        )
+    moved = np.ptp(scan.trail.position[shown], axis=1).max()
+    if scan.trail.count > 1 and moved < _STILL * scan.rod.length:
+        raise ValueError(
+            "nothing to draw: the clamp turns about one point on each trail; allowed are clamps "
+            "that move, or `reactions_along` for one trail"
+        )
+    return shown
 
 
 def _limits(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 2"]:

@@ -14,6 +14,7 @@ from matplotlib.ticker import LogLocator
 from scipy.signal import welch
 
 from vibrissa.geometry.rotation import rotation_vectors
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import AXIS_COLOURS, PAGE
 from vibrissa.sensor import CHANNELS, FaultKind, Inspection, Sensor
 
@@ -45,6 +46,7 @@ _FEW_DECADES = 1e3
 
 
 @mpl.rc_context({"axes.prop_cycle": f"cycler(color={AXIS_COLOURS})", "lines.linewidth": 0.8})
+@checked
 def recording_figure(found: Inspection, sensor: Sensor) -> list[Axes]:
     """Force and torque over time as logged, with tare intervals and faults shaded; the sensor's
     pose; and the noise's amplitude spectral density at rest.

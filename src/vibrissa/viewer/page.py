@@ -156,11 +156,11 @@ class Viewer:
             serializer.insert_sleep(15 * _FRAME)
         page = serializer.as_html()
         scene.show(shown)
-        place = "position:fixed;top:12px;right:12px;padding:6px 2px;background:#ffffffd8;"
+        # Below viser's own button.
+        place = "position:fixed;top:54px;right:12px;max-width:45vw;padding:6px 2px;"
+        look = "background:#ffffffd8;border-radius:6px;font-family:sans-serif"
         end = page.rindex("</body>")
-        overlay = (
-            f"<div style='{place}border-radius:6px;font-family:sans-serif'>{scene.legend}</div>"
-        )
+        overlay = f"<div class='legend' style='{place}{look}'>{scene.legend}</div>"
         page = page[:end] + overlay + page[end:]
         file.write_text(page, encoding="utf-8")
         return file

@@ -71,8 +71,8 @@ class Mesh(ExactSurface):
     """
 
     heavy = True
-    field: Field
-    source: _Source = eqx.field(static=True)
+    field: Field = eqx.field(repr=False)
+    source: _Source = eqx.field(static=True, repr=False)
 
     def __init__(
         self,
@@ -105,6 +105,11 @@ class Mesh(ExactSurface):
         steps.step()
         self.field = build(smooth, distance, steps)
         steps.end()
+
+    def __repr__(self) -> str:
+        """Return one line: how many triangles, and how large in units of the rod."""
+        size = " × ".join(f"{extent:.4g}" for extent in np.ptp(self.vertices, axis=0))
+        return f"Mesh of {len(self.faces)} triangles, {size}, watertight"
 
     @classmethod
     def load(

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_files import SETUP, recording_table
+from bench_files import HEADER, SETUP, recording_table
 from command_line import vibrissa
 
 import vibrissa as vb
+from vibrissa.contacts import RecordingNote
 
 EXAMPLES = Path(__file__).parents[2] / "examples/recordings/sphere_60mm"
 LAYOUT = """
@@ -99,3 +100,74 @@ def test_what_is_converted_is_never_replaced(
     run = vibrissa(capsys, "convert", log, "--setup", own, "-o", log.with_name("new.mat"))
     assert run.status == 2
     assert (log.read_bytes(), own.read_bytes()) == before
+
+
+@pytest.mark.parametrize("target", ["x.mcap", "rosbag2:x"])
+@pytest.mark.parametrize(
+    ("row", "columns", "value", "said"),
+    [
+        (20, 0, "above", "of 40 rows 1 share a stamp with a row of another pose"),
+        (20, slice(1, 8), np.nan, "of 40 rows 1 have no pose"),
+        (39, slice(1, 8), np.nan, "of 40 rows 1 have no pose"),
+        (20, 0, np.nan, "of 40 rows 1 have no stamp"),
+    ],
+)
+def test_a_bag_refuses_rows_whose_pose_it_would_lose(
+    row: int,
+    columns: int | slice,
+    value: object,
+    said: str,
+    target: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Stamps lead to poses there: a row that shares one, or has no pose, would be given another's.
+    The other formats keep the row as it is.
+    """
+    monkeypatch.chdir(tmp_path)
+    table = recording_table()
+    table[row, columns] = table[row - 1, 0] if value == "above" else value
+    np.savetxt("log.csv", table, fmt="%.17g", delimiter=",", header=HEADER, comments="")
+    Path("setup.toml").write_text(SETUP, encoding="utf-8")
+    run = vibrissa(capsys, "convert", "log.csv", "--setup", "setup.toml", "-o", target)
+    assert run.status == 2 and said in run.err and len(run.err.splitlines()) == 1
+    assert run.err.endswith("allowed are x.csv, x.parquet, x.nc and x.mat\n")
+    setup = vb.load_setup("setup.toml")
+    expected = vb.io.read_raw("log.csv", setup).raw
+    for kept in ("x.csv", "x.parquet", "x.nc", "x.mat"):
+        vb.io.convert_recording("log.csv", "setup.toml", kept)
+        found = vb.io.read_raw(kept, setup).raw
+        for part in ("time", "position", "orientation", "force", "torque"):
+            np.testing.assert_array_equal(getattr(found, part), getattr(expected, part))
+
+
+@pytest.mark.parametrize("target", ["x.mcap", "rosbag2:x"])
+def test_a_gap_too_long_to_interpolate_stays_one_in_a_bag(
+    target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows without a pose for longer than longest_gap have no reactions on either side."""
+    monkeypatch.chdir(tmp_path)
+    table = recording_table()
+    table[15:20, 1:8] = np.nan
+    np.savetxt("log.csv", table, fmt="%.17g", delimiter=",", header=HEADER, comments="")
+    Path("setup.toml").write_text(f"{SETUP}[recording]\nlongest_gap = 0.3\n", encoding="utf-8")
+    vb.io.convert_recording("log.csv", "setup.toml", target)
+    setup = vb.load_setup("x_setup.toml")
+    with pytest.warns(RecordingNote, match="5 of 40 rows, first at"):
+        found = vb.read_recording(target.removeprefix("rosbag2:"), setup)
+    expected = vb.read_recording("log.csv", vb.load_setup("setup.toml"))
+    assert np.flatnonzero(np.isnan(found.force[:, 0])).tolist() == [15, 16, 17, 18, 19]
+    np.testing.assert_allclose(found.force, expected.force, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_one_row_is_read_back(target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row of three numbers is not taken for three rows of one."""
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("log.csv", recording_table()[:1], delimiter=",", header=HEADER, comments="")
+    Path("setup.toml").write_text(SETUP, encoding="utf-8")
+    assert vb.io.convert_recording("log.csv", "setup.toml", target).rows == 1
+    found = vb.io.read_raw(target.removeprefix("rosbag2:"), vb.load_setup("setup.toml")).raw
+    row = np.hstack([found.position, found.orientation, found.wrench])
+    np.testing.assert_allclose(row, recording_table()[:1, 1:], rtol=0, atol=1e-9)

@@ -5,8 +5,9 @@ reactions.
 import io
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -40,6 +41,11 @@ def truth() -> vb.Reactions:
         BENCH / "ball_1.csv", replace(setup, sensor=setup.sensor.updated(tare_seconds=None))
     )
     return found
+
+
+def rows_of(raw: RawRecording, rows: Any) -> RawRecording:
+    """Some rows of a recording."""
+    return RawRecording(*(part[rows] for part in astuple(raw)))
 
 
 def german(raw: RawRecording, folder: Path) -> Path:
@@ -135,7 +141,39 @@ def matlab(raw: RawRecording, folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("write", [german, unlabelled, robot, units_below, hdf5, matlab])
+def units_behind(raw: RawRecording, folder: Path) -> Path:
+    """Units behind a bar or underscore, of which N and m could be a name; comments above."""
+    table = pd.DataFrame({"elapsed_ms": 1e3 * raw.time})
+    angles = Rotation.from_quat(raw.orientation).as_euler("xyz", degrees=True)
+    for place, axis in enumerate("xyz"):
+        table[f"F_{axis}/mN"] = 1e3 * raw.force[:, place]
+        table[f"Kraft_Moment_{axis}_Nmm"] = 1e3 * raw.torque[:, place]
+        table[f"UR5_{axis}_m"] = raw.position[:, place]
+        table[("roll_deg", "pitch_deg", "yaw_deg")[place]] = angles[:, place]
+    table["temp_C"] = 21.5
+    path = folder / "log.csv"
+    path.write_text("# rig 3\n% time: 12:00\n" + table.to_csv(index=False))
+    return path
+
+
+def dates(raw: RawRecording, folder: Path) -> Path:
+    """Dates, a tool's rotation vector, names of nothing but a place in a tree."""
+    stamps = pd.to_datetime((1e9 * raw.time).round().astype("int64"))
+    table = pd.DataFrame({"Timestamp": stamps.strftime("%Y-%m-%dT%H:%M:%S.%fZ")})
+    turns = Rotation.from_quat(raw.orientation).as_rotvec()
+    for place, axis in enumerate("xyz"):
+        table[f"ft.{axis}"] = raw.force[:, place]
+        table[f"tq.{axis}"] = raw.torque[:, place]
+        table[f"Arm/{axis}"] = raw.position[:, place]
+        table[f"Arm/r{axis}"] = turns[:, place]
+    path = folder / "log.csv"
+    table.to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize(
+    "write", [german, unlabelled, robot, units_below, units_behind, dates, hdf5, matlab]
+)
 def test_a_foreign_log_is_understood(
     write: Callable[[RawRecording, Path], Path],
     raw: RawRecording,
@@ -184,12 +222,9 @@ def test_poses_in_a_file_of_their_own(
 def test_the_sign_is_asked_for_if_the_data_cannot_tell(
     raw: RawRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A log that begins under load: nobody knows what the rod took up before."""
-    log, setup = tmp_path / "late.csv", tmp_path / "setup.toml"
-    rest = raw.time > 9.0
-    late = rest | (raw.time > 4.0)
-    parts = (raw.time, raw.position, raw.orientation, raw.force, raw.torque)
-    vb.io.write_recording(log, RawRecording(*(part[late] for part in parts)))
+    """A log that ends before the first contact."""
+    log, setup = tmp_path / "early.csv", tmp_path / "setup.toml"
+    vb.io.write_recording(log, rows_of(raw, raw.time < 2.2))
     refused = vibrissa(capsys, "init", log, "-o", setup, *MEASURED)
     assert refused.status == 2 and not setup.exists()
     assert "--wrench: missing; allowed is on_sensor or on_rod" in refused.err
@@ -261,8 +296,90 @@ def test_two_sets_of_columns_are_never_guessed(
     table.to_csv(log, index=False)
     refused = vibrissa(capsys, "init", log, "-o", setup, *MEASURED)
     assert refused.status == 2
-    assert "--layout force=NAMES: missing" in refused.err
-    assert "F_x, F_y, F_z or of F_x_raw, F_y_raw, F_z_raw" in refused.err
+    assert "force may be that of F_x, F_y, F_z or of F_x_raw, F_y_raw, F_z_raw" in refused.err
+    assert "allowed is --layout force=NAMES, names separated by commas" in refused.err
+
+
+UNUSABLE: dict[str, tuple[Callable[[RawRecording], RawRecording], str]] = {
+    "descending": (
+        lambda raw: rows_of(raw, slice(None, None, -1)),
+        "no stamp is later than the one before; allowed are increasing stamps",
+    ),
+    "three rows": (
+        lambda raw: rows_of(raw, slice(3)),
+        "is too short, or begins in contact or under a changing load",
+    ),
+    "begins in contact": (
+        lambda raw: rows_of(raw, raw.time > 4.0),
+        "allowed is a log that begins at rest and free of contact; no setup is written",
+    ),
+    "no readings": (
+        lambda raw: raw.with_wrench(np.full((len(raw.time), 6), np.nan)),
+        "no row holds readings",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", UNUSABLE)
+def test_an_unusable_log_gives_no_setup(
+    what: str, raw: RawRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would be one that `inspect` refuses, even if the sign is given."""
+    damage, said = UNUSABLE[what]
+    log, setup = vb.io.write_recording(tmp_path / "log.csv", damage(raw)), tmp_path / "setup.toml"
+    refused = vibrissa(capsys, "init", log, "-o", setup, *MEASURED, "--wrench", "on_sensor")
+    assert refused.status == 2 and said in refused.err and not setup.exists()
+    assert refused.err.startswith(f"vibrissa: error: {log}: ")
+    assert len(refused.err.splitlines()) == 1
+
+
+def test_unusable_rows_are_counted(
+    raw: RawRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrench = raw.wrench.copy()
+    wrench[100:103] = np.nan
+    for held, said in ((raw, "2437 rows, time"), (raw.with_wrench(wrench), "2434 usable, time")):
+        log = vb.io.write_recording(tmp_path / "log.csv", held)
+        run = vibrissa(capsys, "init", log, "-o", tmp_path / f"{said[:4]}.toml", *MEASURED)
+        assert run.status == 0 and said in run.out
+
+
+def test_a_name_that_occurs_twice_is_said_at_once(
+    raw: RawRecording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = vb.io.write_recording(tmp_path / "log.csv", raw)
+    log.write_text(log.read_text().replace("fx,fy,fz", "fx,fx,fz", 1))
+    refused = vibrissa(capsys, "init", log, "-o", tmp_path / "x.toml", *MEASURED)
+    assert refused.status == 2
+    assert "log.csv, line 1: column 'fx' occurs 2 times; allowed is once" in refused.err
+
+
+def test_columns_without_a_known_name_are_listed_and_placed_by_options(
+    raw: RawRecording,
+    truth: vb.Reactions,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Even if no name of the log is known."""
+    log, setup = tmp_path / "log.csv", tmp_path / "setup.toml"
+    numbers = np.column_stack([raw.time, raw.wrench, raw.position, raw.orientation])
+    names = [f"ch{number}" for number in range(14)]
+    np.savetxt(log, numbers, delimiter=";", comments="", header="# rig\n" + ";".join(names))
+    table = {"time": 1, "force": 3, "torque": 3, "position": 3, "orientation": 4}
+    given, left = [], names
+    for quantity, count in table.items():
+        if quantity in {"position", "orientation"}:
+            refused = vibrissa(capsys, "init", log, "-o", setup, *MEASURED, *given)
+            assert refused.status == 2 and not setup.exists()
+            assert f"columns left over: {', '.join(left)}; allowed is --layout" in refused.err
+            assert f"--layout {quantity}=NAMES" in refused.err
+        given += ["--layout", f"{quantity}={','.join(left[:count])}"]
+        left = left[count:]
+    done = vibrissa(capsys, "init", log, "-o", setup, *MEASURED, *given)
+    assert done.status == 0, done.err
+    found = vb.read_recording(log, vb.load_setup(setup))
+    np.testing.assert_allclose(found.force, truth.force, atol=1e-6)
+    np.testing.assert_allclose(found.trail.position, truth.trail.position, atol=1e-8)
 
 
 class Terminal(io.StringIO):

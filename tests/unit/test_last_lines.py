@@ -228,3 +228,17 @@ def test_json_lines_need_no_mcap(
     rows = [json.loads(line) for line in lines.read_text(encoding="utf-8").splitlines()]
     assert np.sum([row["kind"] != "NONE" for row in rows]) > 500
     assert run.err.splitlines()[-1].endswith(f"sound → {lines}")
+
+
+def test_tables_and_lists_in_a_pipe_are_a_hundred_wide(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = LOG.read_text(encoding="utf-8").splitlines()
+    (tmp_path / "back.csv").write_text("\n".join([lines[0], *lines[:0:-1]]) + "\n")
+    for arguments, words in (
+        (("example",), "tilted_clamp_ellipsoid  A tilted clamp"),
+        (("inspect", tmp_path / "back.csv", "--setup", SETUP), "no stamp is later"),
+    ):
+        out = vibrissa(capsys, *arguments).out
+        assert words in out
+        assert 80 < max(map(len, out.splitlines())) <= 100

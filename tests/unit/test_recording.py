@@ -97,7 +97,6 @@ DAMAGE: dict[str, tuple[str | bytes, list[str]]] = {
         with_cell(ROWS - 1, "tx", "0.01_35"),
         ["line 41", "tx = '0.01_35'", "allowed is a number"],
     ),
-    "empty cell": (with_cell(0, "time", ""), ["line 2", "time = ''", "allowed is a number"]),
     "truncated last line": (RECORDING[:-40], ["line 41", "columns", "truncated"]),
     "truncated last number": (RECORDING[:-4], ["line 41", "tz", "truncated", "complete lines"]),
     "truncated to a comma": (RECORDING[: RECORDING.rindex(",") + 1], ["line 41", "tz"]),

@@ -78,13 +78,26 @@ def test_lines_are_named_as_an_editor_counts_them(tmp_path: Path) -> None:
         vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT))
 
 
+@pytest.mark.parametrize("layout", [LAYOUT, ""], ids=["recording", "no recording"])
 @pytest.mark.parametrize("missing", ["NA", "null", "N/A", "NaN", ""])
-def test_words_for_a_missing_number_mark_their_row(tmp_path: Path, missing: str) -> None:
+def test_words_for_a_missing_number_mark_their_row(
+    tmp_path: Path, missing: str, layout: str
+) -> None:
     cells = ROWS[20].split(",")
     lines = [LINES[0], *ROWS[:20], ",".join([*cells[:8], missing, *cells[9:]]), *ROWS[21:]]
     (tmp_path / "a.csv").write_text(joined(*lines))
-    found = vb.read_recording(tmp_path / "a.csv", load(tmp_path, LAYOUT))
+    found = vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout))
     assert np.flatnonzero(np.isnan(found.force).any(axis=1)).tolist() == [20]
+
+
+@pytest.mark.parametrize("channels", [slice(8, 14), slice(1, 14)], ids=["wrench", "all"])
+@pytest.mark.parametrize("layout", [LAYOUT, ""], ids=["recording", "no recording"])
+def test_a_log_without_readings_says_so(tmp_path: Path, channels: slice, layout: str) -> None:
+    table = TABLE.copy()
+    table[:, channels] = np.nan
+    (tmp_path / "a.csv").write_text(text(table))
+    with pytest.raises(InputError, match=r"a\.csv: no row holds readings; allowed are rows"):
+        vb.read_recording(tmp_path / "a.csv", load(tmp_path, layout))
 
 
 def scaled_names(form: str) -> tuple[list[str], str]:

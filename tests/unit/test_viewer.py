@@ -333,12 +333,15 @@ def test_view_from_the_command_line(
     vb.write_contacts(ply, found)
     vb.write_contacts(log, found)
     cloud = vb.write_contacts(tmp_path / "contacts.mcap", found)
+    matlab = vb.write_contacts(tmp_path / "contacts.mat", found)
     vb.write_contacts(tmp_path / "scan.nc", scan)
     for files, contacts, instants in (
         ((LOG, "--setup", SETUP), 566, 240),
         ((tmp_path / "scan.nc",), scan.in_contact.sum(), 21),
         ((ply,), 566, 240),
         ((log,), 566, 240),
+        ((matlab,), 566, 240),
+        ((matlab, "--setup", SETUP), 566, 240),
         ((cloud, "--setup", SETUP), 566, 240),
         ((SETUP,), 0, 0),
     ):

@@ -26,6 +26,9 @@ CaseFile = Annotated[Path, typer.Argument(help="TOML file with [rod], [object] a
 SetupFile = Annotated[Path, typer.Option(help="TOML file with [rod] and [sensor].")]
 
 
+_PIPED = 100
+"""Characters in a line of a table in a file or pipe: two side by side fit on a screen."""
+
 contradictions: list[str] = []
 """What was warned of since the command began, one line each: how recordings contradict their
 setups, and whether most rows are bad.
@@ -97,10 +100,11 @@ def draw(path: Path, make: Callable[[], Any]) -> bool:
 
 
 def table_console() -> Console:
-    """Standard output for tables, wide if it is not a terminal."""
+    """Standard output for tables and lists, of fixed width if it is not a terminal."""
     from rich.console import Console  # noqa: PLC0415
 
-    return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else 160)
+    width = None if sys.stdout.isatty() else _PIPED
+    return Console(highlight=False, markup=False, width=width)
 
 
 def counted(values: Any, words: type[IntEnum]) -> dict[str, int]:

@@ -32,4 +32,4 @@ def convert(
     for note in found.notes:
         warnings.warn(f"{recording}: {note}", vb.io.RecordingWarning, stacklevel=1)
     files = [found.recording] if found.setup == setup else [found.recording, found.setup]
-    common.say(f"{found.rows} rows{common.into(*files)}")
+    common.say(f"{common.count_of(found.rows, 'row')}{common.into(*files)}")

@@ -29,9 +29,13 @@ def example(
     """Copy an example, a bench with its logs or a case to scan, into a folder."""
     known = _examples()
     if name is None:
-        width = max(map(len, known))
+        from rich.table import Table  # noqa: PLC0415
+
+        table = Table.grid(padding=(0, 2))
+        table.add_column(no_wrap=True)
         for one, source in known.items():
-            common.say(f"{one:{width}}  {_described(source)}")
+            table.add_row(one, _described(source))
+        common.table_console().print(table)
         return
     if name not in known:
         raise vb.io.InputError(f"example = {name!r}; allowed are {', '.join(known)}")

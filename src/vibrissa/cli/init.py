@@ -214,20 +214,42 @@ def _layout(recording: Path, keys: dict[str, Any]) -> Layout:
     found = proposed_layout(recording, keys)
     if not found.names:
         return found
+    if found.missing and not sys.stdin.isatty():
+        raise vb.io.InputError(f"{recording}: {_unplaced(found)}")
     said: dict[str, Any] = {}
     for quantity in _quantities():
         if quantity in keys:
             continue
         proposed = found.keys.get(quantity)
-        several = [", ".join(names) for names in found.several.get(quantity, [])]
         words = f"the columns of {quantity}"
         if not proposed:
-            words += f", of {' or of '.join(several) or ', '.join(found.names)[:300]}"
+            words += f", of {_choices(found, quantity)}"
         default = ",".join(proposed) if proposed else None
         names = _value(f"--layout {quantity}=NAMES", None, words, _names, default)
         if names != proposed:
             said[quantity] = names
     return proposed_layout(recording, keys | said) if said else found
+
+
+def _choices(found: Layout, quantity: str) -> str:
+    """What may be the columns of a quantity: the sets that fit, else all that have no place."""
+    several = [", ".join(names) for names in found.several.get(quantity, [])]
+    return " or of ".join(several) or ", ".join(found.unplaced)[:300]
+
+
+def _unplaced(found: Layout) -> str:
+    """Which quantities have no columns, which columns have no place, and how to place them."""
+    options = " ".join(f"--layout {quantity}=NAMES" for quantity in found.missing)
+    several = [
+        f"{quantity} may be that of {_choices(found, quantity)}"
+        for quantity in found.missing
+        if quantity in found.several
+    ]
+    unknown = [quantity for quantity in found.missing if quantity not in found.several]
+    if unknown:
+        rest = ", ".join(found.unplaced)[:300] or "none"
+        several.append(f"no columns found for {', '.join(unknown)}, columns left over: {rest}")
+    return f"{'; '.join(several)}; allowed is {options}, names separated by commas"
 
 
 def _decided(recording: Path, found: Layout, bench: Bench, sign: Any) -> tuple[Decision, Any]:
@@ -236,6 +258,7 @@ def _decided(recording: Path, found: Layout, bench: Bench, sign: Any) -> tuple[D
 
     rod, sensor = _parts(bench)
     decision = decided(recording, found, rod, sensor, sign)
+    _check_usable(recording, decision)
     said: dict[str, Any] = {}
     for key, values in decision.undecided.items():
         option = "--wrench" if key == "wrench" else f"--layout {key}=VALUE"
@@ -247,6 +270,20 @@ def _decided(recording: Path, found: Layout, bench: Bench, sign: Any) -> tuple[D
     return decision, sign
 
 
+def _check_usable(recording: Path, decision: Decision) -> None:
+    """Raise InputError if no setup makes a recording of the log."""
+    from vibrissa.sensor import FaultKind  # noqa: PLC0415
+
+    for fault in decision.inspection.unusable if decision.inspection else ():
+        text = fault.text
+        if fault.kind is FaultKind.REST:
+            text = (
+                "is too short, or begins in contact or under a changing load; "
+                "allowed is a log that begins at rest and free of contact"
+            )
+        raise vb.io.InputError(f"{recording}: {text}; no setup is written")
+
+
 def _report(recording: Path, decision: Decision, sign: str, output: Path) -> None:
     """Warn of what does not fit, and say what was found and written."""
     keys, found = decision.keys, decision.inspection
@@ -255,7 +292,10 @@ def _report(recording: Path, decision: Decision, sign: str, output: Path) -> Non
     units = [
         f"{name} in {keys[f'{name}_unit']}"
         for name in ("time", "force", "torque", "position", "angle")
-        if f"{name}_unit" in keys
+        if keys.get(f"{name}_unit", "stamp") != "stamp"
     ]
-    rows = f"{len(found.usable)} rows, {int(found.usable.sum())} usable" if found else "no rows"
+    rows = "no rows"
+    if found:
+        rows = common.count_of(len(found.usable), "row")
+        rows += "" if found.usable.all() else f", {int(found.usable.sum())} usable"
     typer.echo(", ".join([rows, *units, f"wrench {sign}"]) + common.into(output))

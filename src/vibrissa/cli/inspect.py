@@ -142,7 +142,7 @@ def _print(found: Inspection, summary: dict[str, Any]) -> None:
     table = Table("finding", "channels")
     for name in ("from [s]", "to [s]", "count"):
         table.add_column(name, justify="right")
-    table.add_column("what", ratio=1, overflow="fold")
+    table.add_column("what", ratio=1, overflow="fold", min_width=36)
     seen: Counter[str] = Counter()
     for fault in found.faults:
         seen[fault.kind] += 1

@@ -85,7 +85,8 @@ def write_contacts(
     contacts as points with normals.
 
     A row whose point is not finite counts as without contact, and its status is never OK, except
-    in NetCDF. `progress` is called with the rows written to CSV and their total.
+    in NetCDF. `progress` is called with the rows written and their total while CSV is written, the
+    slowest; the other formats are written in one piece and do not call it.
 
     Raises
     ------

@@ -7,8 +7,7 @@ from vibrissa.files import InputError, readable, reading, text_of
 from vibrissa.inverse import reconstruct
 from vibrissa.io import Setup, load_case, load_setup, read_contacts, read_recording
 from vibrissa.io.contacts import COLUMNS
-from vibrissa.io.recordings.containers import library
-from vibrissa.io.recordings.formats import BAG, TEXT, kind_of
+from vibrissa.io.recordings.formats import BAG, TEXT, columns, kind_of
 from vibrissa.io.sweeps import is_sweep, read_sweep
 from vibrissa.surfaces import Surface
 from vibrissa.viewer.content import Content
@@ -68,8 +67,8 @@ def _holds_contacts(file: Path, kind: str, setup: Setup | None) -> bool:
         return only_clouds(file)
     if kind == TEXT:
         header = text_of(file).partition("\n")[0]
-    elif file.suffix.lower() == ".parquet":
-        header = ",".join(library("pyarrow.parquet").read_schema(file).names)
+    elif file.suffix.lower() in {".parquet", ".mat"}:
+        header = ",".join(columns(file, kind, ()).names).replace("contacts.", "")
     else:
         return False
     names = {name.strip() for name in header.split(",")}

@@ -67,9 +67,14 @@ def aligned(file: Path, streams: Streams, setup: Setup) -> Recording:
     Raises
     ------
     InputError
-        If no wrench has a pose, or the offset is to be estimated and the data do not determine it.
+        If no row holds readings, no wrench has a pose, or the offset is to be estimated and the
+        data do not determine it.
     """
     wrench, pose, notes = streams.wrench, streams.pose, list(streams.notes)
+    if not np.isfinite(wrench.channels).any():
+        raise InputError(
+            f"{file}: no row holds readings; allowed are rows with a force and a torque"
+        )
     table, length = setup.recording or RecordingTable(), setup.rod.length
     if table.time_offset != "estimate":
         offset = ClockOffset(table.time_offset, None)

@@ -1,4 +1,6 @@
-"""A recording in another format, which the same rod and sensor read back to the same numbers."""
+"""A recording in another format, which the same rod and sensor read back to the same numbers, but
+for the rounding of bags: stamps to a nanosecond, quaternions to unit norm.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,6 +11,8 @@ from vibrissa.files import InputError, writable, writable_folder
 from vibrissa.io.calibration import set_files
 from vibrissa.io.recordings.align import Recording
 from vibrissa.io.recordings.read import read_raw
+from vibrissa.io.recordings.streams import Poses, in_gap, usable
+from vibrissa.io.recordings.table import RecordingTable
 from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.io.setup import Setup, load_setup
 from vibrissa.libraries import extra_library, writer
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
 BAG_FOLDER = "rosbag2:"
 SUFFIXES = (".csv", ".parquet", ".nc", ".mat", ".mcap")
 TARGETS = "x.csv, x.parquet, x.nc, x.mat, x.mcap and rosbag2:FOLDER"
+_ROWS = "x.csv, x.parquet, x.nc and x.mat"
 _UNITS = {
     "time": "s",
     "position": "m",
@@ -62,7 +67,9 @@ def convert_recording(path: str | Path, setup: str | Path, target: str | Path) -
     ------
     InputError
         If a file cannot be read or written, the target is none of these, would replace the
-        recording or the setup, or a library that its format needs is not installed.
+        recording or the setup, or a library that its format needs is not installed; if the target
+        is a bag, whose poses are found by their stamps alone, and rows would lose theirs or be
+        given another.
     """
     loaded, out = load_setup(setup), checked_target(target)
     fitting = Path(setup)
@@ -116,6 +123,7 @@ def _write(target: str, out: Path, recording: Recording, loaded: Setup) -> None:
 
             savemat(out, {name: getattr(raw, name) for name in _UNITS}, oned_as="column")
         case suffix:
+            _check_poses(out, raw, loaded)
             _write_bag(out, raw, loaded.sensor.wrench_frame, folder=suffix == "")
 
 
@@ -136,6 +144,29 @@ def _write_netcdf(out: Path, raw: RawRecording) -> None:
             for name, unit in _UNITS.items()
         }
     ).to_netcdf(out, engine="h5netcdf")
+
+
+def _check_poses(out: Path, raw: RawRecording, loaded: Setup) -> None:
+    """Refuse rows that a bag would give another pose than their own, or leave out."""
+    time, table = np.round(raw.time * _SECOND) / _SECOND, loaded.recording or RecordingTable()
+    poses = Poses(time, raw.position, raw.orientation)
+    pose, known = np.hstack([raw.position, raw.orientation]), usable(poses)
+    _, first, same = np.unique(time, return_index=True, return_inverse=True)
+    unstamped = np.isnan(time)
+    # A gap that is too long to interpolate over is one in the bag, too.
+    gap = in_gap(known, time, table.longest_gap) if len(known.time) else unstamped
+    rows = {
+        "share a stamp with a row of another pose": poses.finite
+        & (pose[first[same]] != pose).any(axis=1),
+        "have no pose": ~poses.finite & ~unstamped & ~gap,
+        "have no stamp": unstamped,
+    }
+    found = [f"{lost.sum()} {words}" for words, lost in rows.items() if lost.any()]
+    if found:
+        raise InputError(
+            f"{out}: of {len(time)} rows {' and '.join(found)}; a bag finds poses by their stamps "
+            f"and would lose or invent some; allowed are {_ROWS}"
+        )
 
 
 def _write_bag(out: Path, raw: RawRecording, frame: str, *, folder: bool) -> None:

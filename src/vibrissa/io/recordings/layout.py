@@ -122,6 +122,9 @@ class _Layout:
         if key in held and names[0] not in held and key not in self.table.model_fields_set:
             names = (key,)
         arrays = [self.array(key, name) for name in names]
+        if len(names) == len(time) == 1:
+            # A matrix of one row has been read as a vector.
+            arrays[0] = arrays[0].reshape(1, -1)
         if len(time) != count and arrays[0].shape == (count, len(time)):
             arrays[0] = arrays[0].T
         lengths = sorted({len(array) for array in arrays})

@@ -14,11 +14,11 @@ XYZ, QUATERNION = ("x", "y", "z"), ("x", "y", "z", "w")
 QUANTITIES = ("time", "force", "torque", "position", "orientation")
 _WORDS = {
     "force": "f force forces kraft kraefte fuerza forza effort ft wrench",
-    "torque": "t m tau torque torques moment moments drehmoment couple par coppia mom",
+    "torque": "t m tau tq trq torque torques moment moments drehmoment couple par coppia mom",
     "position": "p pos position posicion posizione lage ort translation pose tcp tool flange robot "
-    "ee effector actual sensor",
+    "ee effector arm stage gantry actual sensor",
     "orientation": "q quat quaternion orientation ori rot rotation rotvec rv r euler rpy",
-    "time": "t time zeit temps tiempo tempo timestamp timestamps stamp clock seconds",
+    "time": "t time zeit temps tiempo tempo timestamp timestamps stamp clock elapsed seconds",
 }
 _MEANING = {
     quantity: frozenset(words.split()) for quantity, words in reversed(list(_WORDS.items()))
@@ -58,7 +58,7 @@ def groups(names: Sequence[str], arrays: Collection[str] = ()) -> dict[str, list
     `arrays` are the names that hold several columns each.
     """
     together = defaultdict[tuple[str, str], dict[str, Part]](dict)
-    for part in filter(None, map(_part, names)):
+    for part in filter(None, map(part_of, names)):
         if part.component or part.quantity == "time" or part.name in arrays:
             together[part.quantity, part.template].setdefault(part.component, part)
     found: dict[str, list[Group]] = {quantity: [] for quantity in QUANTITIES}
@@ -71,31 +71,48 @@ def groups(names: Sequence[str], arrays: Collection[str] = ()) -> dict[str, list
 
 
 def unit_of(name: str, quantity: str) -> str | None:
-    """Unit in brackets at the end of a name, or behind its last separator, as in `t_ms`."""
+    """Unit in brackets at the end of a name, or behind its last separator: `t_ms` or `t/ms`."""
     allowed = units.ALLOWED["angle" if quantity == "orientation" else quantity]
-    last = sub(r"[\[(].*", "", name).replace(" ", "_").rstrip("_").rpartition("_")
+    _, last = _cut(name)
     return units.in_brackets(name, allowed) or (
-        units.known_or_none(last[2], allowed) if last[0] and len(last[2]) < 6 else None
+        units.known_or_none(last, allowed) if last else None
     )
 
 
-def _part(name: str) -> Part | None:
+def _cut(name: str) -> tuple[str, str]:
+    """A name before its last separator, and what may be a unit behind it."""
+    plain = sub(r"[\[(].*", "", name)
+    first, _, last = sub(r"[ /]", "_", plain).rstrip("_").rpartition("_")
+    return first, last if first and len(last) < 6 else ""
+
+
+def part_of(name: str) -> Part | None:
     """What a column is, None if its name says nothing."""
     tokens = _tokens(name)
+    stem, last = _cut(name)
+    # The m of `x_m` is a unit, that of `log/m` a moment.
+    if units.is_unit(last) and any(_components(_tokens(stem))):
+        tokens = _tokens(stem)
     words = [token for token, _ in tokens]
     if _OTHERS.intersection(words):
         return None
     for component, place, joined in _components(tokens):
         told = [joined] if joined else words[::-1]
         quantity = next((kind for word in told for kind in _kinds(word, component)), None)
-        if quantity is None and words == [component] and component in XYZ:
-            quantity = "position"
+        if quantity is None and component in XYZ:
+            quantity = "position" if words == [component] else _told_by_unit(name)
         if quantity is not None:
             template = name[: place[0]] + "\0" + name[place[1] :]
             return Part(name, quantity, template, component, unit_of(name, quantity))
     quantity = next((kind for word in words[::-1] for kind in _kinds(word, "")), None)
     # A name without a component is one array, or the time.
     return None if quantity is None else Part(name, quantity, name, "", unit_of(name, quantity))
+
+
+def _told_by_unit(name: str) -> str | None:
+    """The vector that is in the unit of this name, if it states one: `UR5 X [mm]` is a position."""
+    vectors = ("force", "torque", "position")
+    return next((quantity for quantity in vectors if unit_of(name, quantity)), None)
 
 
 def _tokens(name: str) -> list[tuple[str, tuple[int, int]]]:
@@ -169,11 +186,13 @@ def _forms(quantity: str, names: tuple[str, ...], letters: Sequence[str]) -> tup
 
 def _angles(names: Sequence[str]) -> list[Group]:
     """Three angles named by their axes' letters or words."""
-    last = {
-        tokens[-1][0]: name
-        for name in names
-        if (tokens := _tokens(name)) and (len(tokens[-1][0]) > 1 or len(tokens) == 1)
-    }
+    last: dict[str, str] = {}
+    for name in names:
+        stem, unit = _cut(name)
+        in_angles = units.known_or_none(unit, units.ALLOWED["angle"])
+        tokens = _tokens(stem if in_angles else name)
+        if tokens and (len(tokens[-1][0]) > 1 or len(tokens) == 1):
+            last[tokens[-1][0]] = name
     chosen = [tuple(last[word] for word in words) for words in _ANGLES if set(words) <= set(last)]
     return [
         Group("orientation", three, ("roll_pitch_yaw",), unit_of(three[0], "orientation"))

@@ -1,6 +1,6 @@
 """What a recording's own names and numbers say about its layout: a first table [recording]."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from vibrissa.files import InputError, reading, split, text_of
 from vibrissa.io.recordings import formats, units
 from vibrissa.io.recordings.formats import BAG, TEXT, kind_of
-from vibrissa.io.recordings.names import QUANTITIES, Group, groups, unit_of
+from vibrissa.io.recordings.names import QUANTITIES, Group, groups, part_of, unit_of
 from vibrissa.io.recordings.text import DELIMITERS, LONGEST_PREAMBLE
 from vibrissa.io.recordings.write import COLUMNS
 
@@ -55,6 +55,12 @@ class Layout:
         """Quantities without columns; none for a bag, which has topics."""
         return [name for name in QUANTITIES if self.names and name not in self.keys]
 
+    @property
+    def unplaced(self) -> list[str]:
+        """Columns that belong to no quantity."""
+        placed = {name for quantity in QUANTITIES for name in self.keys.get(quantity, ())}
+        return [name for name in self.names if name not in placed]
+
     def all_keys(self) -> Iterator[dict[str, Any]]:
         """The keys, with each combination of values for those that are undecided."""
         for values in product(*self.undecided.values()):
@@ -87,12 +93,12 @@ def proposed_layout(path: str | Path, keys: Mapping[str, Any]) -> Layout:
     Raises
     ------
     InputError
-        If a file cannot be read, or a text has no line of names.
+        If a file cannot be read, or a text has no line of names, or a name twice.
     """
     file = Path(path)
     if kind_of(file) == BAG:
         return Layout(dict(keys))
-    log = _read(file)
+    log = _read(file, keys)
     found = _proposed(log, keys, QUANTITIES)
     if [name.lower() for name in log.names] == list(COLUMNS):
         # The layout that is read without [recording] is in SI units.
@@ -121,9 +127,9 @@ class _Log:
         return groups(self.names, self.arrays)
 
 
-def _read(file: Path) -> _Log:
+def _read(file: Path, keys: Mapping[str, Any]) -> _Log:
     kind = kind_of(file)
-    return _text(file) if kind == TEXT else _arrays(file, kind)
+    return _text(file, keys) if kind == TEXT else _arrays(file, kind)
 
 
 def _arrays(file: Path, kind: str) -> _Log:
@@ -146,23 +152,11 @@ def _arrays(file: Path, kind: str) -> _Log:
     return _Log(file, tuple(numbers), numbers, arrays, stated)
 
 
-def _text(file: Path) -> _Log:
-    """Names of a text file: the line, and the delimiter, that give the most quantities."""
+def _text(file: Path, given: Mapping[str, Any]) -> _Log:
+    """Names of a text file, and what it holds below them."""
     text, encoding = _decoded(file)
-    lines, score, header = text.splitlines(), 0, (0, "", [""])
-    for number, content in enumerate(lines[:LONGEST_PREAMBLE]):
-        for delimiter in DELIMITERS:
-            with reading(file, "text"):
-                names = [name.strip() for name in split(content.lstrip("#% \t"), delimiter)]
-            found = sum(map(bool, groups(names).values()))
-            if found > score:
-                score, header = found, (number, delimiter, names)
-    above, delimiter, names = header
-    if not score:
-        raise InputError(
-            f"{file}: no line names a time, a force or a position; allowed are columns with names, "
-            "or --layout KEY=NAMES"
-        )
+    lines = text.splitlines()
+    above, delimiter, names = _header(file, lines, given)
     keys: dict[str, Any] = {} if encoding == "utf-8" else {"encoding": encoding}
     rows = [split(line, delimiter) for line in lines[above + 1 :] if line.strip()][: _ROWS + 1]
     cells = {
@@ -184,6 +178,38 @@ def _text(file: Path) -> _Log:
             name: [cell.replace(",", ".") for cell in column] for name, column in numbers.items()
         }
     return _Log(file, tuple(name for name in names if name), numbers, (), stated, keys)
+
+
+def _header(
+    file: Path, lines: Sequence[str], given: Mapping[str, Any]
+) -> tuple[int, str, list[str]]:
+    """Index of the line of names, its delimiter and the names: those that give the most quantities,
+    or columns of them; names that the user gives count.
+    """
+    wanted = {name for quantity in QUANTITIES for name in given.get(quantity, ())}
+    best, header = (0, 0), (0, "", [""])
+    for number, content in enumerate(lines[:LONGEST_PREAMBLE]):
+        for delimiter in given.get("delimiter", DELIMITERS):
+            with reading(file, "text"):
+                names = [name.strip() for name in split(content.lstrip("#% \t"), delimiter)]
+            found = [sets[0].names for sets in groups(names).values() if sets]
+            found += [(name,) for name in wanted.intersection(names)]
+            score = len(found), sum(map(len, found))
+            if score > best:
+                best, header = score, (number, delimiter, names)
+    number, _, names = header
+    if not best[0]:
+        raise InputError(
+            f"{file}: no line names a time, a force or a position; allowed are columns with names "
+            "above the numbers, unknown ones by --layout KEY=NAMES"
+        )
+    for name in names:
+        if names.count(name) > 1 and (name in wanted or part_of(name)):
+            raise InputError(
+                f"{file}, line {number + 1}: column {name!r} occurs {names.count(name)} times; "
+                "allowed is once"
+            )
+    return header
 
 
 def _decoded(file: Path) -> tuple[str, str]:
@@ -281,14 +307,14 @@ def _time_units(group: Group, log: _Log) -> tuple[str, ...]:
 def _poses_beside(file: Path, keys: Mapping[str, Any], log: _Log) -> _Log | None:
     """A file of poses: the one named, or the only one whose name begins with the recording's."""
     if "pose_file" in keys:
-        return _read(file.parent / keys["pose_file"].replace("{name}", file.stem))
+        return _read(file.parent / keys["pose_file"].replace("{name}", file.stem), keys)
     if any(log.groups[quantity] for quantity in POSE) or set(POSE) & set(keys):
         return None
     beside = sorted(file.parent.glob(f"{file.stem}?*{file.suffix}"))
     fitting = []
     for other in beside:
         try:
-            one = _read(other)
+            one = _read(other, keys)
         except InputError:
             continue
         if all(one.groups[quantity] for quantity in POSE):

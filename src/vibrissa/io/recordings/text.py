@@ -36,8 +36,8 @@ def columns(
     wanted
         The columns to read; missing ones are left out.
     exactly
-        The names that the file must have, no others and in this order; then every line is a row, no
-        cell is empty, and the delimiter is a comma, or the one given by Excel's line `sep=;`.
+        The names that the file must have, no others and in this order; then every line is a row,
+        and the delimiter is a comma, or the one given by Excel's line `sep=;`.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def columns(
             file,
             name,
             cells[place],
-            missing=() if exactly else _MISSING,
+            missing=_MISSING,
             decimal=table.decimal,
             dates=times.get(name) == "stamp",
             hint=german * (table.decimal == "." and delimiter != ","),

@@ -19,6 +19,8 @@ STRAIGHT, FREE = "#000000", "#999999"
 """Colours of the straight part of a rod in contact, and of a rod without contact."""
 AXES_95 = 2.7955
 """Square root of the 95 % quantile of χ² with three degrees of freedom."""
+_MISSED = 0.01
+"""Rod lengths between clamp and line, from which on one sees that they do not meet."""
 
 
 def length_unit(rod: Rod) -> str:
@@ -49,14 +51,19 @@ class DrawnRod(NamedTuple):
 def drawn_rods(
     what: Swept, rows: Bool[np.ndarray, "*trail n"], count: int
 ) -> Iterator[tuple[tuple[int, ...], DrawnRod]]:
-    """Rods at some rows, with `count` points each, and their rows."""
+    """Rods at some rows, with `count` points each, and their rows.
+
+    A reconstruction that no rod explains has lines that miss the clamp: those are left out.
+    """
     s = np.linspace(0, what.rod.length, count)[:-1]
+    clamps = what.reactions.trail.position
     for at in map(tuple, np.argwhere(rows).tolist()):
         kind = ContactKind(int(what.kind[at]))
         rest = FREE if kind is ContactKind.NONE else STRAIGHT
         bent = s < np.nan_to_num(what.arc_length[at])
         line = what.elastic_line((at[0], at[1]) if len(at) > 1 else at[0], count)
-        yield at, DrawnRod(line, bent, KIND_COLOURS.get(kind, rest), rest)
+        if np.linalg.norm(line[0] - clamps[at]) < _MISSED * what.rod.length:
+            yield at, DrawnRod(line, bent, KIND_COLOURS.get(kind, rest), rest)
 
 
 def half_axes(covariance: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:

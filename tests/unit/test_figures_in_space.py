@@ -14,6 +14,7 @@ from PIL import Image
 
 import vibrissa as vb
 from vibrissa import plot
+from vibrissa.drawing import drawn_rods
 from vibrissa.surfaces.outline import box_of, outline
 
 BOWL = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
@@ -229,6 +230,18 @@ def test_rows_without_readings_are_counted(scan: vb.Scan) -> None:
     assert f"not drawn: bad data ({bad.sum()})" in named(plot.scene(found))
     drawn = strokes(plot.scene(lacking, rod=scan.rod, rods=4))
     assert np.isfinite(drawn).all()
+
+
+def test_each_drawn_rod_begins_at_its_clamp(scan: vb.Scan) -> None:
+    """With the wrong sign of the readings most lines do not: they are left out."""
+    turned = vb.Reactions(scan.trail, -scan.reactions.force, -scan.reactions.moment)
+    found = vb.reconstruct(scan.rod, turned)
+    rows = found.in_contact
+    drawn = list(drawn_rods(found, rows, 90))
+    for at, rod in drawn:
+        np.testing.assert_allclose(rod.line[0], scan.trail.position[at], atol=0.01)
+    assert len(drawn) < rows.sum()
+    assert len(list(drawn_rods(scan, scan.in_contact, 90))) == scan.in_contact.sum()
 
 
 def test_one_contact_is_framed_and_no_number_lies_on_another(scan: vb.Scan) -> None:

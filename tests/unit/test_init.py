@@ -382,6 +382,27 @@ def test_columns_without_a_known_name_are_listed_and_placed_by_options(
     np.testing.assert_allclose(found.trail.position, truth.trail.position, atol=1e-8)
 
 
+def test_a_linear_stage_states_by_numbers_what_does_not_change(
+    raw: RawRecording,
+    truth: vb.Reactions,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    log, setup = tmp_path / "log.csv", tmp_path / "setup.toml"
+    table = pd.DataFrame({"time": raw.time, "Stage [mm]": 1e3 * raw.position[:, 0]})
+    table[["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]] = raw.wrench
+    table.to_csv(log, index=False)
+    turned = ",".join(map(str, raw.orientation[0]))
+    given = [f"position=Stage [mm],{1e3 * raw.position[0, 1]},-25", f"orientation={turned}"]
+    options = [part for one in given for part in ("--layout", one)]
+    done = vibrissa(capsys, "init", log, "-o", setup, *MEASURED, *options)
+    assert done.status == 0, done.err
+    found = vb.read_recording(log, vb.load_setup(setup))
+    np.testing.assert_allclose(found.force, truth.force, atol=1e-6)
+    np.testing.assert_allclose(found.trail.axis, truth.trail.axis, atol=1e-12)
+    np.testing.assert_allclose(found.trail.position, truth.trail.position, atol=1e-4)
+
+
 class Terminal(io.StringIO):
     """A terminal at which answers are typed, one a line."""
 

@@ -13,7 +13,7 @@ from vibrissa.files import InputError
 from vibrissa.io.recordings import units
 from vibrissa.io.recordings.formats import Array, Columns
 from vibrissa.io.recordings.streams import Poses, Streams, Wrenches
-from vibrissa.io.recordings.table import RecordingTable
+from vibrissa.io.recordings.table import RecordingTable, constant
 from vibrissa.sensor.raw import Quaternions, Times, Vectors
 
 # Share of rows that lack the wrench or the pose: drop-outs give less, streams of two rates more.
@@ -112,6 +112,13 @@ class _Layout:
             raise self.wrong(key, name, finding, "are columns that count from 0")
         return array[:, column]
 
+    def numbers(self, key: str, name: str, rows: int) -> Array:
+        """An array, or a column of one, or of a number that stands in place of a pose's name."""
+        same = constant(name) if key in {"position", "orientation"} else None
+        if same is None or name in self.columns.arrays:
+            return self.array(key, name)
+        return np.full(rows, same)
+
     def block(self, key: str, time: Times, count: int) -> tuple[tuple[str, ...], Array]:
         """Names for a key and their numbers, one row per stamp. The names are those in the setup;
         by default those of the CSV header, or an array named like the key. An array may have one
@@ -121,7 +128,7 @@ class _Layout:
         held = self.columns.arrays
         if key in held and names[0] not in held and key not in self.table.model_fields_set:
             names = (key,)
-        arrays = [self.array(key, name) for name in names]
+        arrays = [self.numbers(key, name, len(time)) for name in names]
         if len(names) == len(time) == 1:
             # A matrix of one row has been read as a vector.
             arrays[0] = arrays[0].reshape(1, -1)

@@ -13,6 +13,7 @@ from vibrissa.files import InputError, reading, split, text_of
 from vibrissa.io.recordings import formats, units
 from vibrissa.io.recordings.formats import BAG, TEXT, kind_of
 from vibrissa.io.recordings.names import QUANTITIES, Group, groups, part_of, unit_of
+from vibrissa.io.recordings.table import constant
 from vibrissa.io.recordings.text import DELIMITERS, LONGEST_PREAMBLE
 from vibrissa.io.recordings.write import COLUMNS
 
@@ -234,7 +235,9 @@ def _proposed(log: _Log, keys: Mapping[str, Any], wanted: tuple[str, ...]) -> La
             ]
         if len(options) > 1:
             layout.several[quantity] = [one.names for one in options]
-        elif options and all(name in log.names for name in options[0].names):
+        elif options and all(
+            name in log.names or constant(name) is not None for name in options[0].names
+        ):
             _add(layout, options[0], log)
     return layout
 
@@ -244,7 +247,10 @@ def _named(quantity: str, names: tuple[str, ...]) -> Group:
     forms: tuple[str, ...] = ()
     if quantity == "orientation":
         forms = ("rotation_vector", "roll_pitch_yaw") if len(names) == 3 else ("xyzw", "wxyz")
-    return Group(quantity, names, forms, unit_of(names[0], quantity))
+        # Numbers are those of a setup.
+        forms = ("xyzw",) if len(names) == 4 and constant(names[3]) is not None else forms
+    measured = next((name for name in names if constant(name) is None), "")
+    return Group(quantity, names, forms, unit_of(measured, quantity))
 
 
 def _add(layout: Layout, group: Group, log: _Log) -> None:

@@ -2,6 +2,7 @@
 clock.
 """
 
+from math import isfinite
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field, StringConstraints
@@ -20,13 +21,35 @@ def _listed(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
+def constant(name: str) -> float | None:
+    """The number that stands in place of a name; None if it is a name."""
+    try:
+        number = float(name)
+    except ValueError:
+        return None
+    return number if isfinite(number) else None
+
+
+def _names_or_numbers(value: object) -> object:
+    listed = _listed(value)
+    if not isinstance(listed, list | tuple):
+        return listed
+    return [str(one) if type(one) in {int, float} else one for one in listed]
+
+
 def _one_or(count: str) -> str:
     return f"one name, of an array with a column for each, or a list of {count} names"
 
 
 Names = Annotated[tuple[Name, ...], BeforeValidator(_listed)]
 Names3 = Annotated[Names, several(3, _one_or("three"), least=1)]
-Names4 = Annotated[Names, several(4, _one_or("three or four"), least=1)]
+PoseNames = Annotated[tuple[Name, ...], BeforeValidator(_names_or_numbers)]
+Positions = Annotated[
+    PoseNames, several(3, f"{_one_or('three')}; numbers for what does not change", least=1)
+]
+Orientations = Annotated[
+    PoseNames, several(4, f"{_one_or('three or four')}, or numbers if it does not turn", least=1)
+]
 TimeNames = Annotated[
     Names,
     several(
@@ -59,7 +82,8 @@ class RecordingTable(Table):
     ----------
     time, force, torque, position, orientation
         Names of columns or arrays. `"log/ft[2]"` is the third column of the array `ft` in the group
-        or struct `log`. Two names for the time are whole seconds and nanoseconds.
+        or struct `log`. Two names for the time are whole seconds and nanoseconds. Numbers instead
+        of names of `position` and `orientation` hold for all rows, as on a linear stage.
     time_unit, force_unit, torque_unit, position_unit, angle_unit
         Their units; by default what the file's own attributes say, else SI.
     orientation_form
@@ -87,9 +111,9 @@ class RecordingTable(Table):
     force_unit: Annotated[units.Force, _one_of(units.Force)] | None = None
     torque: Names3 = ("tx", "ty", "tz")
     torque_unit: Annotated[units.Torque, _one_of(units.Torque)] | None = None
-    position: Names3 = ("px", "py", "pz")
+    position: Positions = ("px", "py", "pz")
     position_unit: Annotated[units.Length, _one_of(units.Length)] | None = None
-    orientation: Names4 = ("qx", "qy", "qz", "qw")
+    orientation: Orientations = ("qx", "qy", "qz", "qw")
     orientation_form: Annotated[
         Literal["xyzw", "wxyz", "rotation_vector", "roll_pitch_yaw"],
         Field(

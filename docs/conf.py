@@ -44,7 +44,7 @@ napoleon_use_ivar = True
 napoleon_attr_annotations = False
 napoleon_use_rtype = False
 
-myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath", "substitution"]
+myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 # These answer browsers only.
 linkcheck_ignore = [r"https://(www\.mdpi\.com|pmc\.ncbi\.nlm\.nih\.gov)/.*"]
@@ -105,14 +105,20 @@ def _accuracy() -> dict[str, str]:
     return {name: str(value) for name, value in numbers.items()} | {"recordings_table": table}
 
 
-myst_substitutions = {
-    **_accuracy(),
-    **_measured("comparison"),
-    "contact_kinds": _names(ContactKind),
-    "event_kinds": _names(EventKind),
-    "rooms_table": _rooms_table(),
-    "status_table": _status_table(),
+VALUES: dict[str, str] = {
+    name: str(value)
+    for name, value in (
+        _accuracy()
+        | _measured("comparison")
+        | {
+            "contact_kinds": _names(ContactKind),
+            "event_kinds": _names(EventKind),
+            "rooms_table": _rooms_table(),
+            "status_table": _status_table(),
+        }
+    ).items()
 }
+"""What `fill.py` writes into the pages."""
 
 
 def _inline_math(translator: Any, node: nodes.math) -> None:

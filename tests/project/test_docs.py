@@ -74,6 +74,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     return Site(folder, {path: Page(path) for path in folder.rglob("*.html")})
 
 
+@pytest.mark.parametrize("page", sorted(DOCS.glob("**/*.md")), ids=lambda page: page.stem)
+def test_pages_hold_the_values_that_were_measured(
+    page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(DOCS))
+    text = page.read_text(encoding="utf-8")
+    assert import_module("fill").filled(text) == text
+    assert "{{" not in text
+
+
 def test_every_page_is_built(site: Site) -> None:
     for name in PAGES:
         assert site.folder / f"{name}.html" in site.pages, name

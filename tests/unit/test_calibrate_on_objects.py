@@ -51,3 +51,13 @@ def test_rod_and_clamp_are_found_on_it(name: str) -> None:
     assert found.estimates["youngs_modulus"].deviation < 0.01 * 206e9
     assert found.fitness.reduced_chi_square == pytest.approx(1, abs=0.15)
     assert found.unevenness == 0
+
+
+def test_tips_on_a_plane_do_not_tell_length_from_clamp_under_noise() -> None:
+    """With twenty times the noise a ruler knows the length better."""
+    noisy, rng = sensor(noise=20.0), np.random.default_rng(0)
+    swept = [noisy.measure(independent(f"plane {y}"), rng) for y in ("+0.005", "-0.010")]
+    with pytest.warns(vb.RecordingWarning, match="with its tip only"):
+        found = vb.calibrate(swept, replace(setup(noisy), surface=Plane(*PLANE)))
+    length = found.estimates["length"]
+    assert not length.determined or length.deviation > 0.01 * length.value

@@ -3,11 +3,11 @@ it.
 """
 
 import re
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from calibration_bench import BALL, WIRE, recordings, sensor, setup
+from calibration_bench import BALL, WIRE, recordings, sensor, setup, swept
 
 import vibrissa as vb
 from vibrissa.calibration.imperfections import imperfect_moves
@@ -105,3 +105,15 @@ def test_taper_and_rest_curvature_move_a_cantilever_s_tip() -> None:
     np.testing.assert_allclose(moves[:, :2, 0], bent, rtol=5e-3, atol=1e-6)
     np.testing.assert_allclose(moves[:, 0, 1], 1 / 2, rtol=5e-3)
     np.testing.assert_allclose(moves[:, 1, 2], 1 / 2, rtol=5e-3)
+
+
+def test_sweeps_that_touch_with_the_flank_only_leave_the_length_open() -> None:
+    """The same sweeps without the rows in which the tip touches."""
+    noisy, cut = sensor(), []
+    for row, y in zip(recordings(noisy), (0.005, -0.01), strict=True):
+        true = vb.reconstruct(WIRE, swept(y), check=False)
+        kept = true.kind != vb.ContactKind.TIP
+        cut.append(type(row)(*(part[kept] for part in astuple(row))))
+    with pytest.warns(vb.RecordingWarning, match="flank only, which does not show its length"):
+        found = vb.calibrate(cut, setup(noisy))
+    assert not found.estimates["length"].determined

@@ -261,6 +261,10 @@ def test_a_sign_that_the_work_contradicts_is_warned_of(
         ((), "--length: missing; allowed is the rod's free length"),
         (("--length", "50 kg"), "--length = '50 kg'; allowed is a number in m"),
         ((*MEASURED, "--length", "-1"), "length = -1.0"),
+        (
+            (*MEASURED, "--length", "81"),
+            "--length = '81': that is in metres; allowed are up to 2 m",
+        ),
         ((*MEASURED, "--sensor", "nano"), "--sensor = 'nano'; allowed is ati_nano17_si_12_0_12"),
         ((*MEASURED, "--clamp-position", "0,25"), "allowed is 3 numbers in m"),
         ((*MEASURED, "--wrench", "up"), "--wrench = 'up'; allowed is on_sensor, on_rod"),

@@ -383,7 +383,9 @@ def _result(
         friction=problem.friction,
         unevenness=problem.unevenness,
         free=names,
-        warnings=warnings_of(linear, rod, moves, found, causes, parts, missed),
+        warnings=warnings_of(
+            linear, rod, estimates.get("length"), moves, found, causes, parts, missed
+        ),
         held_out=parts,
         first_contact=missed,
         tolerances=known,

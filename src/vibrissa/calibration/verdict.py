@@ -46,6 +46,13 @@ _UNPREDICTED = 2.0
 """Largest mean square of a part, relative to that of all residuals: sound benches show 1.2."""
 _INFLATED = 9.0
 """Mean square of the residuals, relative to noise, that gives a warning: three deviations."""
+_FEW = 0.1
+"""Share of rows touching with the tip, or with the flank, that tells too little: sound benches show
+a third of either.
+"""
+_ROUNDING = 1e-9
+_RULER = 0.01
+"""Relative error of a length by ruler, half a millimetre in 50: a calibration should do better."""
 _TOO_FAR_OFF = 0.01
 """Share of a rod length by which first contact may be missed."""
 
@@ -53,6 +60,7 @@ _TOO_FAR_OFF = 0.01
 def warnings_of(
     linear: Linear,
     rod: Rod,
+    length: Estimate | None,
     moves: list[str],
     fitness: Fitness,
     scores: list[Score],
@@ -62,6 +70,7 @@ def warnings_of(
     """One sentence per finding; empty if all is well."""
     causes = [score for score in scores if _matters(score)]
     share, lines = fitness.disturbed + fitness.outliers, list(moves)
+    lines += one_sided(linear, length)
     most = _MOST_SLIPPING if linear.problem.friction > 0 else _MOST_LEFT_OUT
     # Single outliers are given less weight in good fits, too; whole stretches are not.
     if share >= most or (causes and fitness.disturbed > most / 3):
@@ -94,6 +103,28 @@ def warnings_of(
         for index, gap in enumerate(missed)
         if gap > _TOO_FAR_OFF * rod.length
     ]
+
+
+def one_sided(linear: Linear, length: Estimate | None) -> list[str]:
+    """A sentence if the length stays unclear since the rod touches with its tip only, or never."""
+    if length is None or (length.determined and length.deviation < _RULER * length.value):
+        return []
+    contact = linear.problem.rows.contact & linear.sound
+    # Only with the tip in contact do readings depend on the rod's length.
+    by_length = np.linalg.norm(linear.reading.by_step.length[contact][..., 0], axis=1)
+    size = np.linalg.norm(linear.reading.wrench[contact], axis=1)
+    share = np.mean(by_length > _ROUNDING * size)
+    if share > 1 - _FEW:
+        return [
+            "the rod touches with its tip only: length, clamp and stiffness make up for each "
+            "other; add a sweep closer to the object, where its flank touches"
+        ]
+    if share < _FEW:
+        return [
+            "the rod touches with its flank only, which does not show its length: add a sweep "
+            "farther from the object, where its tip touches"
+        ]
+    return []
 
 
 def _matters(score: Score) -> bool:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from vibrissa.io.recordings.decide import Decision
     from vibrissa.io.recordings.propose import Layout
 
+_ARM = 2.0
+"""Longest length on a bench [m], a robot arm's reach: more is in millimetres."""
 _NONE = "none"
 _SIGNS = ("on_sensor", "on_rod")
 
@@ -153,6 +155,11 @@ def _numbers(option: str, unit: str, count: int) -> Callable[[str], tuple[float,
             many = "a number" if count == 1 else f"{count} numbers"
             plain = "" if unit == "dimensionless" else f" in {unit}, or with a unit behind"
             raise vb.io.InputError(f"{option} = {text!r}; allowed is {many}{plain}")
+        if unit == "m" and max(map(abs, found)) > _ARM:
+            raise vb.io.InputError(
+                f"{option} = {text!r}: that is in metres; allowed are up to {_ARM:g} m, or with a "
+                "unit behind, such as 50mm"
+            )
         return found
 
     return read

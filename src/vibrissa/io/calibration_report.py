@@ -118,9 +118,10 @@ def findings(calibration: "Calibration[Any]") -> list[str]:
     else:
         lines.append("The residuals are explained by the stated noise.")
     parts = ", ".join(f"{part.part} {part.reduced_chi_square:.3g}" for part in calibration.held_out)
-    lines.append(
-        f"Mean squares of the residuals, predicted from the rest, over the noise's: {parts}."
-    )
+    if parts:
+        lines.append(
+            f"Mean squares of the residuals, predicted from the rest, over the noise's: {parts}."
+        )
     if calibration.tolerances is None:
         lines.append(
             "No tolerances are stated: the intervals cover noise only; those of the object and of "

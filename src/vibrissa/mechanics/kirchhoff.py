@@ -47,8 +47,8 @@ def graded(taper: Scalar, steps: int = STEPS) -> Float[Any, "nodes"]:
     # (1 − (1 − τ)ˣ)/τ, and x for τ → 0.
     thin = jnp.log1p(-jnp.minimum(taper, _THINNEST))
     tiny = abs(thin) < _STRAIGHT
-    nodes = jnp.where(tiny, share, jnp.expm1(share * thin) / jnp.where(tiny, 1.0, jnp.expm1(thin)))
-    return nodes
+    whole = jnp.where(tiny, 1.0, jnp.expm1(thin))
+    return jnp.where(tiny, share, jnp.expm1(share * thin) / whole)
 
 
 class _State(NamedTuple):
@@ -95,7 +95,9 @@ class Line(NamedTuple):
         return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
 
     def energy_up_to(self, s: Scalar) -> Scalar:
-        """Bending and twisting energy between clamp and an arc length [EI/L]: cubic between nodes."""
+        """Energy of bending and twist between clamp and an arc length [EI/L], cubic between
+        nodes.
+        """
         place, step, x = self._between(s)
         start, rise = self.energy[place], self.energy[place + 1] - self.energy[place]
         first, last = step * self.power[place], step * self.power[place + 1]

@@ -25,12 +25,14 @@ SHOWN = (1, 3, 7, 9)
 """The trails y0 = ±0.2 and ±0.4."""
 RECORDING = ROOT / "examples" / "recordings" / "sphere_60mm"
 
+VIEW = (15.0, -55.0)
+"""From where one sees the inside of the bowl, too."""
 Panels = Axes | list[Axes]
 
 
 def elastic_lines() -> Panels:
     """The paper's sweep."""
-    return vb.plot.scene(_scan(), trails=SHOWN, events=False)
+    return vb.plot.scene(_scan(), trails=SHOWN, events=False, view=VIEW)
 
 
 def contacts() -> Panels:
@@ -38,12 +40,12 @@ def contacts() -> Panels:
     scan = _scan()
     others = [k for k in range(len(scan.kind)) if k != len(scan.kind) // 2]
     found = vb.reconstruct(CASE.rod, scan.reactions)
-    return vb.plot.scene(found, surface=CASE.surface, trails=others, rods=0)
+    return vb.plot.scene(found, surface=CASE.surface, trails=others, rods=0, view=VIEW)
 
 
 def sweep() -> None:
     """It moves."""
-    vb.plot.animation(_scan(), IMAGES / "sweep.webp", trails=SHOWN, seconds=6)
+    vb.plot.animation(_scan(), IMAGES / "sweep.webp", trails=SHOWN, seconds=6, view=VIEW)
 
 
 def _scan() -> vb.Scan:

@@ -115,7 +115,9 @@ def _figures(
     others = tuple(k for k in range(len(case.Y0)) if k not in skip)
     drawings: dict[str, Callable[[], Axes | list[Axes]]] = {
         "figure2_reactions": lambda: plot.reactions_over_plane(paper, skip=skip),
-        "figure3a_elastic_lines": lambda: plot.scene(paper, trails=shown, rods=24, events=False),
+        "figure3a_elastic_lines": lambda: plot.scene(
+            paper, trails=shown, rods=24, events=False, view=(15, -55)
+        ),
         "figure3b_contacts": lambda: plot.scene(
             found, surface=case.SURFACE, trails=others, rods=0, view=(8, -60)
         ),

@@ -131,7 +131,7 @@ def test_inspect_says_what_spoils_most_rows(
     rows.to_csv(log, index=False)
     run = vibrissa(capsys, "inspect", log, "--setup", SETUP)
     assert run.status == 1
-    assert "positions extend over 80 m (in mm?) with a rod of 0.05 m" in run.err
+    assert "positions px,py,pz extend over 80 m (in mm?) with a rod of 0.05 m" in run.err
     assert run.out.splitlines()[-1].startswith("901 rows, not usable as read, 1 units")
     rows = pd.read_csv(LOG)
     rows["fx"] = rows["fx"].clip(0.3, 0.32)  # about its value at rest

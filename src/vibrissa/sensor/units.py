@@ -96,8 +96,8 @@ def pose_unit_faults(raw: RawRecording, rod: Rod) -> Iterator[Fault]:
     if extent > _LONGEST_SWEEP * rod.length:
         guess = " (in mm?)" if extent * 1e-3 < _LONGEST_SWEEP * rod.length else ""
         text = (
-            f"positions px,py,pz extend over {extent:.3g} m{guess} with a rod of {rod.length:g} m; allowed "
-            "are metres, or position_unit in [recording]"
+            f"positions px,py,pz extend over {extent:.3g} m{guess} with a rod of {rod.length:g} m; "
+            "allowed are metres, or position_unit in [recording]"
         )
         yield Fault.over(("position",), FaultKind.UNITS, raw.time, text, unusable=True)
     yield from norm_faults(raw.time, raw.orientation)

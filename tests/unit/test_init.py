@@ -407,6 +407,20 @@ def test_a_linear_stage_states_by_numbers_what_does_not_change(
     np.testing.assert_allclose(found.trail.position, truth.trail.position, atol=1e-4)
 
 
+def test_a_number_is_a_name_where_columns_are_numbered(raw: RawRecording, tmp_path: Path) -> None:
+    """A column that is not there does not become a sensor that stands still."""
+    log, setup = tmp_path / "log.csv", tmp_path / "setup.toml"
+    numbers = np.column_stack([raw.time, raw.wrench, raw.position, raw.orientation])
+    np.savetxt(log, numbers, delimiter=",", comments="", header=",".join(map(str, range(14))))
+    names = {"time": [0], "force": [1, 2, 3], "torque": [4, 5, 6], "position": [7, 8, 99]}
+    keys = [f"{key} = {list(map(str, own))}" for key, own in names.items()]
+    keys += ["orientation = ['10', '11', '12', '13']", "orientation_form = 'xyzw'"]
+    text = (BENCH / "setup.toml").read_text().partition("[recording]")[0]
+    setup.write_text(text + "[recording]\n" + "\n".join(keys))
+    with pytest.raises(vb.io.InputError, match="position = '99' is not in the file"):
+        vb.read_recording(log, vb.load_setup(setup))
+
+
 class Terminal(io.StringIO):
     """A terminal at which answers are typed, one a line."""
 

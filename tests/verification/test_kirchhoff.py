@@ -56,6 +56,25 @@ def test_the_uniform_rod_is_that_of_the_closed_form(scan: vb.Scan) -> None:
     assert np.all(fine < 1e-12) and np.all(coarse / middle > 2**6)
 
 
+def test_line_energy_and_curvature_are_those_of_the_closed_form(scan: vb.Scan) -> None:
+    """Points between contact and clamp, at the fractions of each model; curvature at a node."""
+    at = (0, 15)
+    force = np.linalg.norm(scan.reactions.force[at])
+    clamp = Clamp(jnp.asarray(scan.trail.position[at]), AXIS)
+    rod = Kirchhoff.of(uniform, nodes=np.linspace(0, 1, 33))
+    bent = jax.jit(lambda *state: rod.bent(clamp, *state))(
+        jnp.asarray(scan.point[at]), force, jnp.asarray(scan.normal[at])
+    )
+    share = np.linspace(0, 1, 7)
+    nearest = scan.elastic_line(at, 4001)
+    exact = nearest[np.rint(4000 * (1 - share) * scan.arc_length[at]).astype(int)]
+    np.testing.assert_allclose(rod.points(bent, share), exact, atol=2e-4)
+    np.testing.assert_allclose(rod.points(bent, share)[0], scan.point[at], atol=1e-11)
+    np.testing.assert_allclose(rod.energy(bent), scan.energy[at], atol=1e-11)
+    np.testing.assert_allclose(rod.tangent(bent), scan.contact_tangent[at], atol=1e-9)
+    np.testing.assert_allclose(rod.largest_curvature(bent), scan.largest_curvature[at], rtol=1e-3)
+
+
 @pytest.mark.slow
 def test_equilibria_of_the_closed_form_meet_the_same_conditions(scan: vb.Scan) -> None:
     """Residual, and the sign of the determinant that tells stable from unstable."""

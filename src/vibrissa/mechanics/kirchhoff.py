@@ -29,13 +29,19 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 
 STEPS = 24
-"""Steps of the method of order 8 by Dormand and Prince: the uniform rod of the paper's case agrees
-with the closed form to 1e-11 L (`tests/verification/test_kirchhoff.py`).
+"""Steps of the method of order 8 by Dormand and Prince (E. Hairer, S. P. Nørsett, G. Wanner,
+Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy): the uniform rod of
+the paper's case agrees with the closed form to 1e-11 L (`tests/verification/test_kirchhoff.py`).
 """
 _STAGES, _NODES, _WEIGHTS = DOP853.A, DOP853.C, DOP853.B
 _THINNEST, _STRAIGHT = 1 - 1e-6, 1e-12
+"""Taper up to which the steps are graded further, and logarithm of the tip's share of the radius
+below which they are equal, to rounding.
+"""
 _CLOSEST_STEPS = 4
-"""Newton steps along the rod from the nearest node: cubic nearness after the first."""
+"""Newton steps along the rod, from within a step of it: they converge quadratically."""
+_FARTHEST = 4.0
+"""Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
 _TINY = 1e-300
 
 
@@ -330,7 +336,7 @@ def _zero(
 
     def newton(_: int, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
-        return jnp.clip(s - value / rate, 0.0, 4.0)
+        return jnp.clip(s - value / rate, 0.0, _FARTHEST)
 
     s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, s))
     value, rate = jax.jvp(function, (s,), (jnp.ones(()),))

@@ -14,6 +14,7 @@ from PIL import Image
 
 from vibrissa.forward import Scan
 from vibrissa.inverse import Reconstruction
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.scene import Shown, draw_moving, known, lines, shown_of, staged
 from vibrissa.plot.space import Stage
 from vibrissa.surfaces import Surface
@@ -31,6 +32,7 @@ _WIDTH = 1.6
 _WRITERS = {".gif": "pillow", ".webp": "pillow", ".mp4": "ffmpeg"}
 
 
+@checked
 def animation(
     what: Scan | Reconstruction,
     path: str | Path,
@@ -70,8 +72,6 @@ def animation(
     ImportError
         If the object cannot be drawn without `vibrissa[mesh]`, and that is not installed.
     """
-    if not isinstance(what, Scan | Reconstruction):
-        raise TypeError(f"what is a {type(what).__name__}; allowed is a Scan or Reconstruction")
     path = Path(path)
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:

@@ -13,6 +13,7 @@ from vibrissa.forward import Scan
 from vibrissa.forward.events import Event
 from vibrissa.inverse import Reconstruction
 from vibrissa.plot import space
+from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import no_contact, status_words
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -39,6 +40,7 @@ class Shown(NamedTuple):
     """Status of the positions that have neither a contact nor none."""
 
 
+@checked
 def scene(
     what: Scan | Reconstruction | Reactions | Contacts | Surface,
     *,
@@ -99,11 +101,6 @@ def scene(
     ImportError
         If the object cannot be drawn without `vibrissa[mesh]`, and that is not installed.
     """
-    if not isinstance(what, Scan | Reconstruction | Reactions | Contacts | Surface):
-        raise TypeError(
-            f"what is a {type(what).__name__}; "
-            "allowed is a Scan, Reconstruction, Reactions, Contacts, or a surface"
-        )
     rod = what.rod if isinstance(what, Scan | Reconstruction) else rod
     if rod is None:
         raise ValueError(

@@ -114,10 +114,8 @@ class _Layout:
 
     def numbers(self, key: str, name: str, rows: int) -> Array:
         """An array, or a column of one, or of a number that stands in place of a pose's name."""
-        same = constant(name) if key in {"position", "orientation"} else None
-        if same is None or name in self.columns.arrays:
-            return self.array(key, name)
-        return np.full(rows, same)
+        same = constant(name, self.columns.names) if key in {"position", "orientation"} else None
+        return self.array(key, name) if same is None else np.full(rows, same)
 
     def block(self, key: str, time: Times, count: int) -> tuple[tuple[str, ...], Array]:
         """Names for a key and their numbers, one row per stamp. The names are those in the setup;

@@ -231,25 +231,28 @@ def _proposed(log: _Log, keys: Mapping[str, Any], wanted: tuple[str, ...]) -> La
         if quantity in keys:
             names = tuple(keys[quantity])
             options = [
-                next((one for one in options if one.names == names), _named(quantity, names))
+                next(
+                    (one for one in options if one.names == names),
+                    _named(quantity, names, log.names),
+                )
             ]
         if len(options) > 1:
             layout.several[quantity] = [one.names for one in options]
         elif options and all(
-            name in log.names or constant(name) is not None for name in options[0].names
+            name in log.names or constant(name, log.names) is not None for name in options[0].names
         ):
             _add(layout, options[0], log)
     return layout
 
 
-def _named(quantity: str, names: tuple[str, ...]) -> Group:
+def _named(quantity: str, names: tuple[str, ...], held: tuple[str, ...]) -> Group:
     """Columns that the user names."""
     forms: tuple[str, ...] = ()
     if quantity == "orientation":
         forms = ("rotation_vector", "roll_pitch_yaw") if len(names) == 3 else ("xyzw", "wxyz")
         # Numbers are those of a setup.
-        forms = ("xyzw",) if len(names) == 4 and constant(names[3]) is not None else forms
-    measured = next((name for name in names if constant(name) is None), "")
+        forms = ("xyzw",) if len(names) == 4 and constant(names[3], held) is not None else forms
+    measured = next((name for name in names if constant(name, held) is None), "")
     return Group(quantity, names, forms, unit_of(measured, quantity))
 
 

@@ -2,6 +2,7 @@
 clock.
 """
 
+from collections.abc import Iterable
 from math import isfinite
 from typing import Annotated, Any, Literal, get_args
 
@@ -21,8 +22,12 @@ def _listed(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
-def constant(name: str) -> float | None:
-    """The number that stands in place of a name; None if it is a name."""
+def constant(name: str, names: Iterable[str]) -> float | None:
+    """The number that stands in place of a name, in a file with given names; None if it is a name,
+    as all are in a file that numbers its columns.
+    """
+    if any(constant(held, ()) is not None for held in names):
+        return None
     try:
         number = float(name)
     except ValueError:

@@ -111,7 +111,9 @@ def _touching(
     """The contact conditions, with the rod held off the object as given by the standoff."""
     scene = Scene(bench.placed(surface), jnp.asarray(bench.length))
     clamp = Clamp(
-        (pose.position + pose.axes @ bench.clamp) / bench.length, pose.axes @ bench.axes[:, 2]
+        (pose.position + pose.axes @ bench.clamp) / bench.length,
+        pose.axes @ bench.axes[:, 2],
+        pose.axes @ bench.axes[:, 0],
     )
     found = touching(scene, Leaning(leaning), x, clamp)
     return found._replace(residual=found.residual.at[0].add(-bench.standoff / bench.length))

@@ -1,4 +1,4 @@
-"""First contact of the straight rod with the object: geometry, before any mechanics.
+"""First contact of the free rod with the object: geometry, but for loads that bend it.
 
 Either the tip touches first, or the flank, where the rod meets the object tangentially.
 """
@@ -23,7 +23,7 @@ from vibrissa.numerics.vectors import dot
 Scalar = Float[Any, ""]
 
 CLEAR = -1e-10
-"""Least clearance [L] at which the straight rod counts as outside the object: rounding."""
+"""Least clearance [L] at which the free rod counts as outside the object: rounding."""
 HEAD_ON_COSINE = -1 + 1e-9
 """Cosine between normal and rod below which the rod meets the object along its own axis; the margin
 is the rounding of a normal.
@@ -33,12 +33,14 @@ _REFINEMENTS = 16
 """Newton steps, kept within a bracket: bisection alone would get to 3e-5 of the spacing."""
 _STILL = 1e-12
 """Step [L] that, at the minimum, changes the level by no more than rounding."""
+_FREE_POINTS = 193
+"""Points between which a free rod is interpolated linearly, to 3e-6 L where it is curved by 1/L."""
 _LOOKS = 16
 """Parts into which a step near the object is divided, so as not to pass through something thin."""
 
 
 class Clearance(NamedTuple):
-    """How close the straight rod comes to the object."""
+    """How close the free rod comes to the object."""
 
     distance: Scalar
     """Smallest first-order distance [L], negative inside the object."""
@@ -48,14 +50,19 @@ class Clearance(NamedTuple):
     """Level function at the clamp."""
     cosine: Scalar
     """Cosine between the object's normal there and the rod: −1 is head-on."""
+    point: Float[Any, "3"]
+    tangent: Float[Any, "3"]
+    """Of the rod there."""
 
 
 class _Looked(NamedTuple):
-    """Level and its gradient at one arc length of the straight rod."""
+    """Level and its gradient at one arc length of the free rod."""
 
     arc_length: Scalar
     value: Scalar
     gradient: Float[Array, "3"]
+    point: Float[Array, "3"]
+    tangent: Float[Array, "3"]
 
 
 class _Refined(NamedTuple):
@@ -72,23 +79,25 @@ class _Refined(NamedTuple):
 
 
 def clearance(scene: Scene, clamp: Clamp) -> Clearance:
-    """Clearance of the straight rod.
+    """Clearance of the free rod.
 
     The level function is sampled at 17 points; the lowest is refined by Newton's method on its
     derivative along the rod.
     """
-    base, tangent = clamp
+    free = scene.rod.free(clamp)
     samples = np.linspace(0, 1, _SAMPLES + 1)
-    sampled = scene.each(scene.level, base + samples[:, None] * tangent)
+    sampled = scene.each(scene.level, jax.vmap(lambda s: free.at(s)[0])(samples))
     start = jnp.argmin(sampled) / _SAMPLES
     sloped = jax.value_and_grad(scene.level)
 
     def refine(state: _Refined) -> _Refined:
         s = state.following
-        (value, gradient), (first, bend) = jax.jvp(sloped, (base + s * tangent,), (tangent,))
-        here = _Looked(s, value, gradient)
+        point, tangent, curved = free.at(s)
+        (value, gradient), (first, bend) = jax.jvp(sloped, (point,), (tangent,))
+        here = _Looked(s, value, gradient, point, tangent)
         begin = jax.tree.map(partial(jnp.where, state.looks == 0), here, state.begin)
         second = dot(bend, tangent)
+        second = second if curved is None else second + dot(gradient, curved)
         low, high = jnp.where(first < 0, s, state.low), jnp.where(first < 0, state.high, s)
         target = s - first / jnp.where(second > 0, second, 1.0)
         inside = (second > 0) & (target > low) & (target < high)
@@ -101,30 +110,38 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
         return (state.looks == 0) | (moves & (state.looks <= _REFINEMENTS))
 
     ends = jnp.maximum(start - 1 / _SAMPLES, 0.0), jnp.minimum(start + 1 / _SAMPLES, 1.0)
-    unknown = _Looked(start, sampled[0], tangent)
+    unknown = _Looked(start, sampled[0], *(clamp.tangent,) * 3)
     first = _Refined(start, *ends, unknown, unknown, jnp.zeros((), dtype=int))
     *_, begin, end, _ = lax.while_loop(moving, refine, first)
     found = jax.tree.map(partial(jnp.where, end.value <= begin.value), end, begin)
     steepness = jnp.sqrt(jnp.sum(found.gradient * found.gradient))
-    cosine = dot(found.gradient, tangent) / steepness
-    return Clearance(found.value / steepness, found.arc_length, sampled[0], cosine)
+    cosine = dot(found.gradient, found.tangent) / steepness
+    distance, place = found.value / steepness, (found.point, found.tangent)
+    return Clearance(distance, found.arc_length, sampled[0], cosine, *place)
 
 
 @lanes(blocks=8, alone=FEW)
 def clearances(scene: Scene, clamp: Clamp) -> Clearance:
-    """Clearance of the straight rod at several clamp poses."""
+    """Clearance of the free rod at several clamp poses."""
     return clearance(scene, clamp)
 
 
+@lanes(alone=FEW)
+def free_points(scene: Scene, clamp: Clamp) -> Float[Array, "n 3"]:
+    """The free rod at several clamp poses: points at equally spaced arc lengths [L]."""
+    free = scene.rod.free(clamp)
+    return jax.vmap(lambda s: free.at(s)[0])(np.linspace(0, 1, _FREE_POINTS))
+
+
 class Meeting(NamedTuple):
-    """First contact of the straight rod on a stretch."""
+    """First contact of the free rod on a stretch."""
 
     fraction: Scalar
     """Of the stretch."""
     point: Float[Any, "3"]
     arc_length: Scalar
     tangent: Float[Any, "3"]
-    """Of the rod, which is still straight."""
+    """Of the rod, which is still free."""
     cosine: Scalar
     """Cosine between normal and rod: −1 is head-on."""
 
@@ -140,7 +157,7 @@ def meetings_on(
     before: Float[np.ndarray, "k"],
     after: Float[np.ndarray, "k"],
 ) -> Meeting:
-    """First contacts on stretches (k, …). The straight rod has the clearance `before` at their
+    """First contacts on stretches (k, …). The free rod has the clearance `before` at their
     start, where it is clear, and `after` at their end, where it is not.
     """
 
@@ -154,10 +171,8 @@ def meetings_on(
     count = len(stretches.first.point)
     fraction = roots(distance, (np.zeros(count), np.ones(count)), (before, after))
     clamp = stretches.clamps(fraction[:, None])
-    straight = clearances(scene, clamp)
-    s = straight.arc_length
-    point = clamp.point + s[:, None] * clamp.tangent
-    return Meeting(fraction, point, s, clamp.tangent, straight.cosine)
+    at = clearances(scene, clamp)
+    return Meeting(fraction, at.point, at.arc_length, at.tangent, at.cosine)
 
 
 def begun(meeting: Meeting, unknowns: int) -> Reached:
@@ -176,10 +191,11 @@ class Meetings(NamedTuple):
 
 
 def along_path(scene: Scene, path: Path) -> Clearance:
-    """Clearance of the straight rod at all positions (m, n)."""
+    """Clearance of the free rod at all positions (m, n)."""
     clamps = Clamp(*(part.reshape(-1, 3) for part in path.clamps))
     shape = path.point.shape[:2]
-    return Clearance(*(part.reshape(shape) for part in clearances(scene, clamps)))
+    found = clearances(scene, clamps)
+    return Clearance(*(part.reshape(*shape, *part.shape[1:]) for part in found))
 
 
 def first_meetings(
@@ -204,7 +220,7 @@ def _passed_through(
 ) -> tuple[
     Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]
 ]:
-    """Steps between two clear positions on which the straight rod passes through something thin:
+    """Steps between two clear positions on which the free rod passes through something thin:
     lane, index of the end, and the fraction at which it is first found inside, with the clearance
     there.
     """

@@ -24,10 +24,15 @@ class Assessment(NamedTuple):
     force: Scalar
     normal: Vector
     arc_length: Scalar
+    support: Vector
+    """Support force on the rod."""
     moment: Vector
+    """Support moment on the rod."""
     energy: Scalar
     largest_curvature: Scalar
     """Along the rod [1/L]."""
+    largest_bend: Scalar
+    """As in `RodModel`."""
     phase: Scalar
     residual: Scalar
     depth: Scalar
@@ -51,7 +56,7 @@ class Deepest(NamedTuple):
 DEPTH_TOLERANCE = 1e-7
 """Depth [L] by which the elastic line may enter the object: the error of its points."""
 _BEND, _TAIL = np.linspace(0, 1, 25), np.linspace(0, 1, 9)
-"""Points of the bent part, from the contact back to the clamp, and of the straight rest: so few
+"""Points of the bent part, from the contact back to the clamp, and of the rest behind it: so few
 that one position in a hundred is left to `deepest`.
 """
 _FINE_BEND, _FINE_TAIL = np.linspace(0, 1, 385), np.linspace(0, 1, 193)
@@ -88,11 +93,13 @@ def assessment(
         state.force,
         push.normal,
         bent.arc_length,
+        bent.support_force,
         bent.base_moment,
         scene.rod.energy(bent),
         scene.rod.largest_curvature(bent),
+        scene.rod.largest_bend(bent),
         found.phase,
-        jnp.max(jnp.abs(found.residual)),
+        jnp.maximum(jnp.max(jnp.abs(found.residual)), _discretisation(scene.rod, clamp, bent)),
         jnp.zeros(()),
         found.tangent,
         across,
@@ -101,47 +108,54 @@ def assessment(
     return values, bent, push.steepness
 
 
+def _discretisation(rod: RodModel, clamp: Clamp, bent: Bent) -> Scalar:
+    """How far a rod with half the steps misses the contact point [L]."""
+    if rod.finer is None:
+        return jnp.zeros(())
+    finer = rod.finer.bent(clamp, bent.point, bent.force, bent.direction)
+    return jnp.max(jnp.abs(finer.misses))
+
+
 @lanes(blocks=64, alone=FEW)
 def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessment, Bent, Scalar]:
     """The same for states at several clamp poses, with the depth."""
     values, bent, steepness = assessment(scene, state, clamp, law)
     # Keeps XLA from evaluating the whole state again for each of the points.
-    bent, tangent, steepness = lax.optimization_barrier(  # type: ignore[no-untyped-call]
-        (bent, values.tangent, steepness)
+    bent, steepness = lax.optimization_barrier(  # type: ignore[no-untyped-call]
+        (bent, steepness)
     )
-    depth = _depth(scene, bent, tangent, steepness)
+    depth = _depth(scene, bent, steepness)
     return values._replace(depth=depth), bent, steepness
 
 
-def _line(
-    rod: RodModel, bent: Bent, tangent: Vector, bend: Float[np.ndarray, "b"], tail: np.ndarray
-) -> tuple[Float[Array, "b 3"], Float[Array, "t 3"]]:
-    """Points at fractions of the bent part, from the contact back, and of the straight rest."""
-    rest = jnp.maximum(1 - bent.arc_length, 0.0) * tail[:, None]
-    return rod.points(bent, bend), bent.point + rest * tangent
-
-
-def _depth(scene: Scene, bent: Bent, tangent: Vector, steepness: Scalar) -> Scalar:
+def _depth(scene: Scene, bent: Bent, steepness: Scalar) -> Scalar:
     """Upper bound on the rod's depth in the object, as far as a few of its points can tell."""
     s1, rest = bent.arc_length, jnp.maximum(1 - bent.arc_length, 0.0)
-    lines = [_line(scene.rod, bent, tangent, _BEND, _TAIL)]
+    bends, tails = [_BEND], [_TAIL]
     # Between points the object may come closer by half their spacing, which along the bend varies
     # by up to √2.
     near = [(steepness * s1 * _BEND[1] / np.sqrt(2), steepness * rest * _TAIL[1] / 2)]
     solids = scene.surface.solids
     if any(solid.may_crease for solid in solids):
-        lines.append(_line(scene.rod, bent, tangent, _NEAR_BEND, _NEAR_TAIL))
+        bends, tails = [*bends, _NEAR_BEND], [*tails, _NEAR_TAIL]
         closer = _FINE_BEND[1] * np.sqrt(2), _NEAR_TAIL[1] / 2
         near.append((steepness * s1 * closer[0], steepness * rest * closer[1]))
-    parts = [part for line in lines for part in line]
-    ends = np.cumsum([len(part) for part in parts])
-    found = jnp.split(scene.each(scene.part_levels, jnp.concatenate(parts)), ends[:-1])
-    bounds = [by for pair in near for by in pair]
+    points = jnp.concatenate(
+        [
+            scene.rod.points(bent, np.concatenate(bends)),
+            scene.rod.tail(bent, np.concatenate(tails)),
+        ]
+    )
+    ends = np.cumsum([len(part) for part in bends + tails])
+    found = jnp.split(scene.each(scene.part_levels, points), ends[:-1])
+    bounds = [by for pair in zip(*near, strict=True) for by in pair]
     least = reduce(jnp.minimum, map(_least, (jnp.min(part, axis=1) for part in found), bounds))
     if len(solids) > 1:
         # The tail begins at the contact.
-        touched = np.arange(len(solids)) == jnp.argmin(found[1][0])
-        for part, by in zip(found[:2], bounds[:2], strict=True):
+        first = len(bends)
+        touched = np.arange(len(solids)) == jnp.argmin(found[first][0])
+        for at in (0, first):
+            part, by = found[at], bounds[at]
             others = jnp.min(jnp.where(touched, jnp.inf, part), axis=1)
             least = jnp.minimum(least, jnp.min((others[1:] + others[:-1]) / 2) - by)
     return -least / steepness
@@ -163,17 +177,14 @@ def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
 
 
 def deepest(
-    scene: Scene,
-    bent: Bent,
-    tangent: Float[np.ndarray, "k 3"],
-    steepness: Float[np.ndarray, "k"],
+    scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]
 ) -> Deepest:
     """Deepest of many points of each rod: the second contact that was left out, if there is one.
 
     The depth is a lower bound, off by up to h²/(8R) for points h ≈ L/6000 apart at the deepest
     place and an object that is round with radius R there, and by h/2 where it is sharp.
     """
-    points = np.asarray(_fine_line(scene.rod, bent, tangent))
+    points = np.asarray(_fine_line(scene.rod, bent))
     coarse = levels(scene, points)
     padded = np.pad(coarse, ((0, 0), (1, 1)), constant_values=np.inf)
     lower = (coarse < padded[:, :-2]) & (coarse <= padded[:, 2:])
@@ -188,9 +199,9 @@ def deepest(
 
 
 @lanes(width=16, blocks=_AT_ONCE // 16)
-def _fine_line(rod: RodModel, bent: Bent, tangent: Vector) -> Float[Array, "n 3"]:
+def _fine_line(rod: RodModel, bent: Bent) -> Float[Array, "n 3"]:
     """Many points of a rod from tip to clamp, the contact only once."""
-    bend, tail = _line(rod, bent, tangent, _FINE_BEND, _FINE_TAIL)
+    bend, tail = rod.points(bent, _FINE_BEND), rod.tail(bent, _FINE_TAIL)
     return jnp.concatenate([tail[:0:-1], bend])
 
 
@@ -233,7 +244,7 @@ def assessed(
     left_open = np.flatnonzero(depth > DEPTH_TOLERANCE)
     for first in range(0, len(left_open), _AT_ONCE):
         rows = left_open[first : first + _AT_ONCE]
-        found = deepest(scene, *chosen((bent, values.tangent, steepness), rows))
+        found = deepest(scene, *chosen((bent, steepness), rows))
         depth[rows], places[rows] = found.depth, found.point
     return values._replace(depth=depth), places
 

@@ -14,12 +14,12 @@ from vibrissa.brief import brief
 from vibrissa.contact import FRICTIONLESS, Scene, State, touching
 from vibrissa.contacts import ContactKind
 from vibrissa.forward.assess import DEPTH_TOLERANCE
-from vibrissa.forward.path import chosen
+from vibrissa.forward.path import chosen, clamp_of
 from vibrissa.forward.scan import touched_surface
 from vibrissa.forward.search import eased, seeds_around, solutions
 from vibrissa.forward.second_variation import NODES, least_second_variation
 from vibrissa.geometry.checks import finite_array
-from vibrissa.geometry.rotation import Orientation, third_axis, unit_quaternions
+from vibrissa.geometry.rotation import Orientation, unit_quaternions
 from vibrissa.mechanics.elastic_line import directors, elastic_line
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.model import Clamp
@@ -101,7 +101,7 @@ def equilibria(
     Returns
     -------
     list
-        Empty if none was found, for instance where the object is out of reach. The straight rod
+        Empty if none was found, for instance where the object is out of reach. The free rod
         without contact is not listed.
 
     Raises
@@ -125,7 +125,7 @@ def equilibria(
             f"position = {clamp.tolist()}: the clamp is inside the object; allowed is outside"
         )
     pose, scene = Trail(clamp[None], turn[None]), Scene(touched, rod.length)
-    base = Clamp(clamp / rod.length, third_axis(turn))
+    base = clamp_of(clamp / rod.length, turn)
     found: list[Equilibrium] = []
     for inflections, forces in enumerate(_FORCES):
         bent = scene._replace(rod=Elastica(inflections))

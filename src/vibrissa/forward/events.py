@@ -11,7 +11,7 @@ class EventKind(IntEnum):
     """Kinds of events on a trail."""
 
     FIRST_CONTACT = 1
-    """The straight rod meets the object, with its tip or its flank; again after every loss of
+    """The free rod meets the object, with its tip or its flank; again after every loss of
     contact.
     """
     TIP_TO_TANGENTIAL = 2
@@ -25,7 +25,7 @@ class EventKind(IntEnum):
     LATERAL_RECOVERY = 7
     """The branch becomes stable again."""
     STARTED_IN_CONTACT = 8
-    """The trail begins with the straight rod inside the object, or resumes that way after unsolved
+    """The trail begins with the free rod inside the object, or resumes that way after unsolved
     positions. At the beginning of a trail the rod is brought in as if its first step had come from
     outside; where that does not go smoothly, the admissible equilibrium of least energy is taken.
     """

@@ -97,7 +97,7 @@ class _Follower:
             self._happened.append((EventKind.DETACH, fraction, state.point))
             return None, fraction
         if unloaded:
-            # The straight rod met the object along a line or at an edge: the contact begins
+            # The free rod met the object along a line or at an edge: the contact begins
             # somewhere other than where it was first seen.
             for ahead in _AFTER_CONTACT:
                 at = min(1.0, fraction + ahead)

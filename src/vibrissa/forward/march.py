@@ -2,7 +2,7 @@
 solved by Newton's method.
 
 The march handles what goes smoothly. Where a lane does not converge, jumps, changes the sign of its
-Jacobian determinant, or has the straight rod inside the object without a first contact, the march
+Jacobian determinant, or has the free rod inside the object without a first contact, the march
 marks that lane as lost; `follow` resolves the stretch, and the march resumes after it.
 """
 
@@ -41,9 +41,9 @@ class Legs(NamedTuple):
 
     clamp: Clamp
     clear: Bool[Any, "n"]
-    """The straight rod is outside the object."""
+    """The free rod is outside the object."""
     met: Bool[Any, "n"]
-    """The straight rod makes first contact on the stretch that ends here."""
+    """The free rod makes first contact on the stretch that ends here."""
     meeting: Reached
     """State at that first contact."""
     start: Int[Any, ""]
@@ -280,7 +280,7 @@ def _put(index: Array, whole: Array, row: Array) -> Array:
 def _advance(
     scene: Scene, law: Law, legs: Legs, begin: Clamp, index: Array, carry: _Carry
 ) -> tuple[_Carry, Steps]:
-    clamp = Clamp(legs.clamp.point[index], legs.clamp.tangent[index])
+    clamp = jax.tree.map(lambda part: part[index], legs.clamp)
     clear = legs.clear[index]
     free, touches = carry.mode == Mode.FREE, carry.mode == Mode.CONTACT
     entering = free & legs.met[index]

@@ -12,9 +12,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.geometry.rotation import lengths, third_axis
+from vibrissa.geometry.rotation import lengths, rotation_matrices
 from vibrissa.mechanics.model import Clamp
 from vibrissa.numerics.lanes import AnyArray
+from vibrissa.numerics.rotation import first_axis as traced_first_axis
 from vibrissa.numerics.rotation import third_axis as traced_third_axis
 from vibrissa.trail import Trail
 
@@ -54,12 +55,13 @@ class Stretch(NamedTuple):
     def clamp(self, fraction: Float[Array, ""]) -> Clamp:
         """Clamp at a fraction, in compiled code."""
         pose = self.at(fraction[None], jnp)
-        return Clamp(pose.point, traced_third_axis(pose.orientation))
+        turn = pose.orientation
+        return Clamp(pose.point, traced_third_axis(turn), traced_first_axis(turn))
 
     def clamps(self, fraction: Float[np.ndarray, "*n 1"]) -> Clamp:
         """Clamps at fractions (…, 1), as arrays."""
         pose = self.at(fraction)
-        return Clamp(pose.point, third_axis(pose.orientation))
+        return clamp_of(pose.point, pose.orientation)
 
     def part(self, start: Float[np.ndarray, "*n 1"], stop: Float[np.ndarray, "*n 1"]) -> "Stretch":
         """The part between fractions (…, 1)."""
@@ -76,20 +78,26 @@ class Path:
     orientation: Float[np.ndarray, "m n 4"]
     stride: int
 
-    @cached_property
+    @property
     def tangent(self) -> Float[np.ndarray, "m n 3"]:
         """Unit tangents of the rod at the clamp."""
-        return third_axis(self.orientation)
+        return self.clamps.tangent
 
-    @property
+    @cached_property
     def clamps(self) -> Clamp:
         """Clamps at all positions (m, n, 3)."""
-        return Clamp(self.point, self.tangent)
+        return clamp_of(self.point, self.orientation)
 
     def stretch(self, lane: Any, index: Any) -> Stretch:
         """The stretch that ends at position `index`; 0 gives one of zero length."""
         ends = (np.maximum(np.asarray(index) - 1, 0), index)
         return Stretch(*(Pose(self.point[lane, at], self.orientation[lane, at]) for at in ends))
+
+
+def clamp_of(point: Float[np.ndarray, "*n 3"], orientation: Float[np.ndarray, "*n 4"]) -> Clamp:
+    """Clamps of poses."""
+    turn = rotation_matrices(orientation)
+    return Clamp(point, turn[..., 2], turn[..., 0])
 
 
 def path_of(trail: Trail, length: float) -> Path:

@@ -50,6 +50,9 @@ class Scan:
     largest_curvature
         (…) [1/m] along the rod: at the clamp, or further out where the contact force passes behind
         the clamp axis.
+    largest_bend
+        (…) [1/m]: the largest change of curvature by load, times the radius there over that at the
+        clamp.
     contact_tangent, plane_normal
         Unit tangent of the rod at the contact and unit normal t0 × n of its bending plane (…, 3).
     residual
@@ -83,6 +86,7 @@ class Scan:
     reactions: Reactions
     energy: Float[np.ndarray, "*trail n"]
     largest_curvature: Float[np.ndarray, "*trail n"]
+    largest_bend: Float[np.ndarray, "*trail n"]
     contact_tangent: Float[np.ndarray, "*trail n 3"]
     plane_normal: Float[np.ndarray, "*trail n 3"]
     residual: Float[np.ndarray, "*trail n"]
@@ -127,7 +131,7 @@ class Scan:
 
     @property
     def bending_strain(self) -> Float[np.ndarray, "*trail n"]:
-        """Largest bending strain (…): radius times the largest curvature along the rod.
+        """Largest bending strain (…): of local radius times change of curvature along the rod.
 
         Raises
         ------
@@ -136,7 +140,7 @@ class Scan:
         """
         if self.rod.radius is None:
             raise ValueError("radius = None: a bending strain needs the rod's radius")
-        return self.rod.radius * self.largest_curvature
+        return self.rod.radius * self.largest_bend
 
     @cached_property
     def slip(self) -> Slip:

@@ -1,7 +1,10 @@
 """The forward problem's entry point."""
 
+from typing import NamedTuple
+
 import jax
 import numpy as np
+from jax import Array
 from jaxtyping import Float, Int
 
 from vibrissa.contact import COULOMB, FRICTIONLESS, Law, Scene
@@ -15,7 +18,8 @@ from vibrissa.forward.search import caught
 from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
 from vibrissa.mechanics.model import NEUTRAL, Clamp
-from vibrissa.numerics.lanes import FEW, WIDTH, in_threads, threads
+from vibrissa.mechanics.models import model_of
+from vibrissa.numerics.lanes import FEW, WIDTH, in_threads, lanes, threads
 from vibrissa.numerics.progress import Progress, Tally
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -45,7 +49,7 @@ def scan(
     Parameters
     ----------
     rod
-        Uniform straight rod.
+        Any rod. Reactions are what its support exerts, with its weight and the wind on it.
     surface
         Object; smooth, in units of the rod.
     trail
@@ -89,7 +93,7 @@ def scan(
     """
     friction = not_negative(friction, "friction")
     touched = touched_surface(rod, surface) if finite_radius else surface
-    scene = Scene(touched, rod.length, friction)
+    scene = Scene(touched, rod.length, friction, model_of(rod))
     law = COULOMB if friction > 0 else FRICTIONLESS
     path = path_of(trail, rod.length)
     count = len(path.point)
@@ -173,9 +177,13 @@ def _fields(
         whole[places] = rows
         return whole
 
-    def known(rows: np.ndarray) -> np.ndarray:
-        """A quantity that is zero without contact, and unknown on unsolved rows."""
+    free = _hanging(scene, clamps, np.flatnonzero(steps.mode == Mode.FREE))
+
+    def known(rows: np.ndarray, hanging: np.ndarray | None = None) -> np.ndarray:
+        """A quantity that is zero on a rod that nothing loads, and unknown on unsolved rows."""
         whole = spread(rows, 0.0)
+        if hanging is not None:
+            whole[free.rows] = hanging
         whole[lost] = np.nan
         return whole
 
@@ -186,10 +194,11 @@ def _fields(
         "force_direction": spread(values.direction),
         "motion": spread(_motion(kind, figure, friction), Motion.NONE),
         "arc_length": spread(values.arc_length * rod.length),
-        "force": known(-rod.force_scale * values.force[:, None] * values.direction),
-        "moment": known(values.moment * rod.moment_scale),
-        "energy": known(values.energy * rod.moment_scale),
+        "force": known(values.support * rod.force_scale, free.force * rod.force_scale),
+        "moment": known(values.moment * rod.moment_scale, free.moment * rod.moment_scale),
+        "energy": known(values.energy * rod.moment_scale, free.energy * rod.moment_scale),
         "largest_curvature": known(values.largest_curvature / rod.length),
+        "largest_bend": known(values.largest_bend / rod.length),
         "contact_tangent": spread(values.tangent),
         "plane_normal": spread(values.plane_normal),
         "residual": spread(values.residual),
@@ -197,6 +206,29 @@ def _fields(
         "status": status.astype(np.int8),
         "second_contact": spread(_second_contacts(scene, values, second, worst)),
     }
+
+
+class _Hanging(NamedTuple):
+    """What rods without contact exert, at some rows (k,)."""
+
+    rows: Int[np.ndarray, "k"]
+    force: Float[np.ndarray, "k 3"]
+    moment: Float[np.ndarray, "k 3"]
+    energy: Float[np.ndarray, "k"]
+
+
+def _hanging(scene: Scene, clamps: Clamp, rows: Int[np.ndarray, "k"]) -> _Hanging:
+    if not scene.rod.loaded:
+        rows = rows[:0]
+    reactions, energy = _free(scene, chosen(clamps, rows))
+    return _Hanging(rows, reactions[:, :3], reactions[:, 3:], energy)
+
+
+@lanes(alone=FEW)
+def _free(scene: Scene, clamp: Clamp) -> tuple[Float[Array, "6"], Float[Array, ""]]:
+    """Reactions and energy of the rod without contact."""
+    free = scene.rod.free(clamp)
+    return free.reactions, free.energy
 
 
 def _second_contacts(
@@ -232,7 +264,7 @@ def _worst(
         sine = np.linalg.norm(np.cross(axis, values.direction), axis=-1)
         findings += [(figure > 0, Status.LATERALLY_UNSTABLE), (sine < NEUTRAL, Status.HEAD_ON)]
     if rod.yield_strain is not None and rod.radius is not None:
-        strain = values.largest_curvature * rod.radius / rod.length
+        strain = values.largest_bend * rod.radius / rod.length
         findings.append((strain > rod.yield_strain, Status.OVERSTRAINED))
     sound = (values.residual <= _RESIDUAL_TOLERANCE) & (values.force >= 0)
     sound &= values.arc_length <= 1 + _RESIDUAL_TOLERANCE

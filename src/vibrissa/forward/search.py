@@ -14,6 +14,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State
+from vibrissa.forward.approach import free_points
 from vibrissa.forward.assess import (
     DEPTH_TOLERANCE,
     Assessment,
@@ -35,9 +36,9 @@ _CONE = 1.25
 _BESIDE = 0.04
 """Distance [L] of seeds to the sides of an expected contact."""
 _INWARD = 1e-4
-"""Distance [L] past the place where the straight rod enters the object."""
+"""Distance [L] past the place where the free rod enters the object."""
 _SIDES, _EVERY = 8, 6
-"""Directions tried out of the object, from every sixth point of the straight rod inside it."""
+"""Directions tried out of the object, from every sixth point of the free rod inside it."""
 FORCES = (0.05, 0.5, 1.5, 4.0)
 """Starting forces [EI/L²]: from a slight touch to beyond the buckling load π²/4."""
 _ROUNDS = 2
@@ -105,7 +106,7 @@ def stable_equilibria(
     first of the points `near` comes first.
 
     Newton's method starts, with four magnitudes of the force, where rays from the clamp meet the
-    object within the rod's length; where the straight rod lies inside it, and a little to the side;
+    object within the rod's length; where the free rod lies inside it, and a little to the side;
     and around the points `near` which a contact is expected.
     """
     seeds = seeds_around(scene, clamp, near, FORCES)
@@ -161,7 +162,7 @@ def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "
         state = _distinct(held, clamp, starts).state
         state = chosen(state, (state.lean[:, 0] > 0) & (state.lean[:, 0] < 1))
         _, (values, bent, steepness) = held(state)
-        depth = deepest(scene, bent, values.tangent, steepness).depth
+        depth = deepest(scene, bent, steepness).depth
         values = chosen(values._replace(depth=depth), depth < DEPTH_TOLERANCE)
         for row in np.argsort(values.energy)[:1]:
             if best is None or values.energy[row] < best[0].energy:
@@ -203,10 +204,11 @@ def seeds_around(
     """Starting states (k, …) for Newton's method: where rays from the clamp enter the object, and
     around expected places, with several magnitudes of the force.
     """
-    point, tangent = clamp
+    point, tangent, _ = clamp
     first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
     first /= np.linalg.norm(first)
     second = np.cross(tangent, first)
+    line = chosen(free_points(scene, Clamp(*(part[None] for part in clamp))), 0)
     # A Fibonacci spiral over the directions within 105° of the tangent.
     order = np.arange(_DIRECTIONS) + 0.5
     azimuth, cosine = np.pi * (1 + np.sqrt(5)) * order, 1 - _CONE * order / _DIRECTIONS
@@ -216,18 +218,18 @@ def seeds_around(
     values = levels(scene, point + distance[None, :, None] * rays[:, None, :])
     ray, sample = np.nonzero((values[:, 1:] < 0) & (values[:, :-1] >= 0))
     meets = point + _crossing(values, ray, sample, distance)[:, None] * rays[ray]
-    along = point + distance[:, None] * tangent
+    along = _along(line, distance)
     own = levels(scene, along[None])[0]
     inside = along[own < 0]
     expected = np.concatenate([np.reshape(near, (-1, 3)), inside])
     around = expected[:, None] + _BESIDE * np.stack([0 * first, first, -first, second, -second])
-    # From where the straight rod enters the object, and from inside it: the ways out sideways.
+    # From where the free rod enters the object, and from inside it: the ways out sideways.
     step = np.flatnonzero((own[1:] < 0) & (own[:-1] >= 0))
     depths = [_INWARD]
     if isinstance(scene.surface, Offset):
         depths += [share * scene.surface.radius / scene.length for share in _ROUND_AN_EDGE]
-    entered = _entered(scene, clamp, distance[step], distance[step + 1])
-    entries = point + (entered[:, None] + depths).reshape(-1, 1) * tangent
+    entered = _entered(scene, line, distance[step], distance[step + 1])
+    entries = _along(line, (entered[:, None] + depths).ravel())
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     sideways = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
     beside = _way_out(scene, np.concatenate([entries, inside[::_EVERY]]), sideways)
@@ -242,6 +244,16 @@ def seeds_around(
     return State(places, pushes, np.zeros((len(places), 0)))
 
 
+def _along(
+    line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "*k"]
+) -> Float[np.ndarray, "*k 3"]:
+    """Points at arc lengths of a line given at equally spaced ones; straight beyond its end."""
+    knots = np.linspace(0, 1, len(line))
+    within = np.stack([np.interp(s, knots, column) for column in line.T], axis=-1)
+    slope = (line[-1] - line[-2]) * (len(line) - 1)
+    return within + np.maximum(s - 1, 0.0)[..., None] * slope
+
+
 def _crossing(
     values: Float[np.ndarray, "rays samples"],
     ray: Int[np.ndarray, "k"],
@@ -254,15 +266,18 @@ def _crossing(
 
 
 def _entered(
-    scene: Scene, clamp: Clamp, low: Float[np.ndarray, "k"], high: Float[np.ndarray, "k"]
+    scene: Scene,
+    line: Float[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "k"],
+    high: Float[np.ndarray, "k"],
 ) -> Float[np.ndarray, "k"]:
-    """Arc lengths at which the straight rod enters the object, between one outside and one inside;
+    """Arc lengths at which the free rod enters the object, between one outside and one inside;
     accurate enough for an edge offset by a thin rod's radius.
     """
     share, rows = np.linspace(0, 1, _FINER), np.arange(len(low))
     for _ in range(2):
         samples = low[:, None] + (high - low)[:, None] * share
-        inside = levels(scene, clamp.point + samples[..., None] * clamp.tangent) < 0
+        inside = levels(scene, _along(line, samples)) < 0
         first = np.argmax(inside, axis=1)
         low, high = samples[rows, np.maximum(first, 1) - 1], samples[rows, np.maximum(first, 1)]
     return high

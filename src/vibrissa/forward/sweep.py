@@ -1,4 +1,4 @@
-"""The sweep: geometry of the straight rod, the march, and `follow` wherever the march lost a lane;
+"""The sweep: geometry of the free rod, the march, and `follow` wherever the march lost a lane;
 then the events.
 """
 
@@ -229,7 +229,7 @@ class _Walk:
             self.pending.append(_Start(lane, index, outcome.mode, outcome.reached, sign, patience))
 
     def _pass_over(self, lane: int, index: int, status: Status, patience: int) -> None:
-        """Give the rows after a failure its status, up to where the straight rod is clear again or
+        """Give the rows after a failure its status, up to where the free rod is clear again or
         another search is due.
         """
         n = self._clear.shape[1]

@@ -67,6 +67,11 @@ def third_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
     return rotation_matrices(quaternion)[..., 2]
 
 
+def first_axis(quaternion: Quaternions) -> Float[np.ndarray, "*batch 3"]:
+    """World direction of the body's +x axis."""
+    return rotation_matrices(quaternion)[..., 0]
+
+
 def rotation_vectors(first: Quaternions, last: Quaternions) -> Float[np.ndarray, "*batch 3"]:
     """Rotation vectors (…, 3) [rad], world axes, that take the orientations `first` to `last`."""
     turned = _rotations(last) * _rotations(first).inv()

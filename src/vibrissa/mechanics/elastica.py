@@ -25,7 +25,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.mechanics.model import Bent, Clamp, Contact, RodModel, is_neutral
+from vibrissa.mechanics.model import Bent, Clamp, Contact, RodModel, Straight, is_neutral
 from vibrissa.numerics.carlson import carlson_rf_rd
 from vibrissa.numerics.trigonometry import cosine, sine
 from vibrissa.numerics.vectors import dot, joined
@@ -140,6 +140,10 @@ class Elastica(RodModel):
     inflections: int = eqx.field(static=True, default=0)
     """How often the curvature changes sign between clamp and contact."""
 
+    def free(self, clamp: Clamp) -> Straight:
+        """As in `RodModel`."""
+        return Straight(clamp)
+
     def bent(
         self,
         clamp: Clamp,
@@ -177,6 +181,10 @@ class Elastica(RodModel):
         """As in `RodModel`."""
         return largest_curvature(bent.inner.plane, bent.inner.rod, bent.force)
 
+    def largest_bend(self, bent: Bent) -> Scalar:
+        """As in `RodModel`."""
+        return self.largest_curvature(bent)
+
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """As in `RodModel`.
 
@@ -192,14 +200,19 @@ class Elastica(RodModel):
         distance = 2 * jnp.sqrt(k2) / root * sine(span * share)
         return bent.point + advance[:, None] * bent.direction - distance[:, None] * self.side(bent)
 
-    def contact(self, force: Vector, moment: Vector, tangent: Vector) -> Contact:
+    def tail(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
+        """As in `RodModel`: it is straight."""
+        rest = jnp.maximum(1 - bent.arc_length, 0.0) * share[:, None]
+        return bent.point + rest * self.tangent(bent)
+
+    def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
         """As in `RodModel`: r = (m0 × F)/f² − I₁ d with F = −f0 = f d (paper, eqs. 14-16).
 
         The first term gives the wrench's central axis; only I₁, how far along it, depends on the
         rod. With noise the curvature may have no zero; the value is then that of the last wrench
         that has one, and the incidence shows it.
         """
-        F = -force
+        F, tangent = -force, clamp.tangent
         f = jnp.sqrt(jnp.sum(F * F))
         d = F / f
         # t' = t0 × m0 at the clamp: the rod bends towards it, with κ₀ = f ℓ.

@@ -1,20 +1,26 @@
-"""Spatial Kirchhoff rod under one contact force: an unshearable, inextensible rod whose stiffness
-and rest shape vary along its length.
+"""Spatial Kirchhoff rod: unshearable and inextensible, with a stiffness and a rest shape that vary
+along its length, under one contact force, distributed loads, and on a compliant support.
 
-The contact force F at p leaves the force in the rod constant, and the moment that the part ahead of
-s exerts on the part behind is m(s) = (p − r(s)) × F: known from the position alone. With d₃ the
-tangent, d₁ and d₂ the axes of the section, B₁, B₂ the bending stiffnesses and B₃ the torsional one,
+The part ahead of s exerts on the part behind the force F + Q(s) and the moment
 
-    r' = d₃,   d_i' = κ × d_i,   κ = Σ (u_i + m·d_i / B_i) d_i,
+    m(s) = (p − r(s)) × F + M(s),      Q' = −q,      M' = −t × Q,
 
-u the curvatures and twist of the unloaded rod (S. S. Antman, Nonlinear Problems of Elasticity, ch.
-8). An initial value problem: the clamp gives r and the axes at s = 0. Beyond its tip the rod is
-continued as a straight line, so that contacts near the tip have derivatives on both sides.
+with F the contact force at p and q the load per length: without loads both are known from the
+position alone. With t the tangent, d₁ and d₂ the axes of the section, B the bending and B₃ the
+torsional stiffness, and u the curvatures and twist of the unloaded rod,
+
+    r' = t,   t' = κ × t,   d₁' = κ × d₁,   κ = m/B + (1/B₃ − 1/B)(m·t) t + Σ u_i d_i
+
+(S. S. Antman, Nonlinear Problems of Elasticity, ch. 8). An initial value problem: the clamp gives r
+and the axes at s = 0. With loads, Q and M there are what leaves no force and no moment at the tip.
+Beyond its tip the rod is continued as a straight line, so that contacts near the tip have
+derivatives on both sides.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,17 +29,26 @@ from jaxtyping import Float
 from scipy.integrate import DOP853
 
 from vibrissa.mechanics.model import Bent, Clamp, Contact, RodModel
+from vibrissa.numerics.linear import solve_pivoted
+from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.vectors import dot, joined
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
+Wrench = Float[Any, "6"]
 
-STEPS = 24
+STEPS = 10
 """Steps of the method of order 8 by Dormand and Prince (E. Hairer, S. P. Nørsett, G. Wanner,
 Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy): the uniform rod of
-the paper's case agrees with the closed form to 1e-11 L (`tests/verification/test_kirchhoff.py`).
+the paper's case agrees with the closed form to 1e-10 L (`tests/verification/test_kirchhoff.py`).
 """
 _STAGES, _NODES, _WEIGHTS = DOP853.A, DOP853.C, DOP853.B
+DEGREE = 4
+"""Of the polynomials in which a section is given within each step: the stiffness of a round rod
+whose radius changes linearly is one.
+"""
+_POINTS = (np.polynomial.legendre.leggauss(DEGREE + 1)[0] + 1) / 2
+_FIT = np.linalg.inv(np.vander(_POINTS, increasing=True))
 _THINNEST, _STRAIGHT = 1 - 1e-6, 1e-12
 """Taper up to which the steps are graded further, and logarithm of the tip's share of the radius
 below which they are equal, to rounding.
@@ -42,6 +57,10 @@ _CLOSEST_STEPS = 4
 """Newton steps along the rod, from within a step of it: they converge quadratically."""
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
+_LOAD_STEPS, _LOAD_SETTLED = 25, 1e-13
+"""Most Newton steps to the loads' resultants, and the residual [EI/L²] that ends them."""
+_LARGEST_CHANGE = 2.0
+"""Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
 _TINY = 1e-300
 
 
@@ -57,13 +76,70 @@ def graded(taper: Scalar, steps: int = STEPS) -> Float[Any, "nodes"]:
     return jnp.where(tiny, share, jnp.expm1(share * thin) / whole)
 
 
+class Load(Protocol):
+    """Force per length on the rod [EI/L³], world axes."""
+
+    def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
+        """At an arc length and a position [L]; `section` holds whatever varies along the rod."""
+
+
+class Local(NamedTuple):
+    """A rod at an arc length, or polynomials of it, one row per step."""
+
+    bending: Float[Any, "*s"]
+    """B [EI]."""
+    torsion: Float[Any, "*s"]
+    """B₃ [EI]."""
+    rest: Float[Any, "*s 3"] | None = None
+    """u [1/L]: curvatures about d₁ and d₂, and twist."""
+    loaded: Any = None
+    """What the load depends on, (…)."""
+
+
+def fitted(values: Callable[[Any], Any], nodes: Float[Any, "nodes"]) -> Any:
+    """Polynomials (steps, 5, …) of functions of the arc length in each step between nodes."""
+    s = nodes[:-1, None] + jnp.diff(nodes)[:, None] * _POINTS
+
+    def fit(at: Array) -> Array:
+        flat = jnp.reshape(at, (*s.shape, -1))
+        return jnp.einsum("ij,sjk->sik", _FIT, flat).reshape(at.shape)
+
+    return jax.tree.map(fit, values(s))
+
+
+def _at_stages(polynomials: Local, start: Any, width: Any) -> Local:
+    """Polynomials (5, …) of one step at the stages (12, …) of a part of it."""
+    x = start + width * _NODES[: len(_WEIGHTS)]
+
+    def at(coefficients: Array) -> Array:
+        along = x.reshape(-1, *(1,) * (coefficients.ndim - 1))
+        *lower, total = coefficients
+        for coefficient in reversed(lower):
+            total = total * along + coefficient
+        return total
+
+    return jax.tree.map(at, polynomials)
+
+
 class _State(NamedTuple):
     reach: Vector
-    """From the clamp."""
+    """From the clamp point."""
     tangent: Vector
-    across: Vector
-    """d₁."""
     energy: Scalar
+    across: Vector | None = None
+    """d₁, where the rest shape needs it."""
+    load: Wrench | None = None
+    """Q and M, where there are loads."""
+
+
+class _Push(NamedTuple):
+    """What a contact exerts on the rod: F, and p × F with p from the clamp point."""
+
+    force: Vector
+    moment: Vector
+
+
+_NO_PUSH = _Push(np.zeros(3), np.zeros(3))
 
 
 class Line(NamedTuple):
@@ -71,55 +147,70 @@ class Line(NamedTuple):
 
     nodes: Float[Array, "nodes"]
     """Arc lengths [L]."""
-    reach: Float[Array, "nodes 3"]
-    """From the clamp [L]."""
-    tangent: Float[Array, "nodes 3"]
-    bend: Float[Array, "nodes 3"]
-    """t' [1/L]."""
-    curvature: Float[Array, "nodes"]
-    energy: Float[Array, "nodes"]
-    """Between the clamp and each node [EI/L]."""
-    power: Float[Array, "nodes"]
-    """Energy per length [EI/L²]."""
+    states: _State
+    """At the nodes (nodes, …)."""
+    rates: _State
+    """Their derivatives along the rod."""
+    strain: Float[Array, "nodes"]
+    """Elastic curvature [1/L]."""
+
+    @property
+    def reach(self) -> Float[Array, "nodes 3"]:
+        """From the clamp point [L]."""
+        return self.states.reach
+
+    @property
+    def tangent(self) -> Float[Array, "nodes 3"]:
+        """Unit tangents."""
+        return self.states.tangent
 
     def at(self, s: Scalar) -> tuple[Vector, Vector]:
         """Point and tangent at an arc length: quintic between nodes, straight beyond the tip."""
-        place, step, x = self._between(s)
-        values = [
-            scaled
-            for node in (place, place + 1)
-            for scaled in (
-                self.reach[node],
-                step * self.tangent[node],
-                step**2 * self.bend[node],
-            )
-        ]
-        weights, slopes = _quintic(x)
+        place, step, x = self.between(s)
+        values = self._ends(place, step)
+        weights, slopes, _ = _quintic(x)
         point = sum(w * value for w, value in zip(weights, values, strict=True))
         slope = sum(w * value for w, value in zip(slopes, values, strict=True))
         tangent = slope / jnp.sqrt(dot(slope, slope))
         return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
 
+    def bend(self, s: Scalar) -> Vector:
+        """t' [1/L] at an arc length."""
+        place, step, x = self.between(s)
+        values, (_, _, seconds) = self._ends(place, step), _quintic(x)
+        return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
+
+    def _ends(self, place: Array, step: Scalar) -> list[Vector]:
+        return [
+            scaled
+            for node in (place, place + 1)
+            for scaled in (
+                self.states.reach[node],
+                step * self.states.tangent[node],
+                step**2 * self.rates.tangent[node],
+            )
+        ]
+
     def energy_up_to(self, s: Scalar) -> Scalar:
         """Energy of bending and twist between clamp and an arc length [EI/L], cubic between
         nodes.
         """
-        place, step, x = self._between(s)
-        start, rise = self.energy[place], self.energy[place + 1] - self.energy[place]
-        first, last = step * self.power[place], step * self.power[place + 1]
-        bend, turn = 3 * rise - 2 * first - last, first + last - 2 * rise
+        place, step, x = self.between(s)
+        start, end = self.states.energy[place], self.states.energy[place + 1]
+        first, last = step * self.rates.energy[place], step * self.rates.energy[place + 1]
+        bend, turn = 3 * (end - start) - 2 * first - last, first + last - 2 * (end - start)
         energy: Scalar = start + x * (first + x * (bend + x * turn))
         return energy
 
-    def _between(self, s: Scalar) -> tuple[Array, Scalar, Scalar]:
+    def between(self, s: Scalar) -> tuple[Array, Scalar, Scalar]:
         """The node before an arc length, the step that begins there, and the place in it."""
         place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
         step = self.nodes[place + 1] - self.nodes[place]
         return place, step, jnp.clip((s - self.nodes[place]) / step, 0.0, 1.0)
 
 
-def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar]]:
-    """Weights of value, slope and bend at both ends in a quintic, and of its slope."""
+def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
+    """Weights of value, slope and bend at both ends in a quintic, in its slope and in its bend."""
     x2, x3 = x * x, x * x * x
     x4, x5 = x2 * x2, x2 * x3
     return (
@@ -139,7 +230,47 @@ def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar]]:
             -12 * x2 + 28 * x3 - 15 * x4,
             (3 * x2 - 8 * x3 + 5 * x4) / 2,
         ],
+        [
+            -60 * x + 180 * x2 - 120 * x3,
+            -36 * x + 96 * x2 - 60 * x3,
+            (2 - 18 * x + 36 * x2 - 20 * x3) / 2,
+            60 * x - 180 * x2 + 120 * x3,
+            -24 * x + 84 * x2 - 60 * x3,
+            (6 * x - 24 * x2 + 20 * x3) / 2,
+        ],
     )
+
+
+class Inner(NamedTuple):
+    """What this model knows about a bent rod besides what every model provides."""
+
+    line: Line
+    """As if the contact force acted at the tip: the rod up to the contact."""
+    clamp: Clamp
+    push: _Push
+
+
+class Hanging(NamedTuple):
+    """The rod without contact."""
+
+    clamp: Clamp
+    line: Line
+    load: Wrench | None
+
+    def at(self, s: Scalar) -> tuple[Vector, Vector, Vector]:
+        """As in `Free`."""
+        point, tangent = self.line.at(s)
+        return self.clamp.point + point, tangent, self.line.bend(s)
+
+    @property
+    def reactions(self) -> Wrench:
+        """As in `Free`."""
+        return jnp.zeros(6) if self.load is None else -self.load
+
+    @property
+    def energy(self) -> Scalar:
+        """As in `Free`."""
+        return self.line.states.energy[-1]
 
 
 class Kirchhoff(RodModel):
@@ -147,81 +278,240 @@ class Kirchhoff(RodModel):
 
     nodes: Float[Any, "nodes"]
     """Arc lengths [L] at which steps begin and end."""
-    compliance: Float[Any, "steps stages 3"]
-    """1/B₁, 1/B₂, 1/B₃ [1/EI] at `stages`."""
-    rest: Float[Any, "steps stages 3"]
-    """u [1/L] there."""
+    local: Local
+    """Polynomials (steps, 5, …) in each step."""
+    girth: Float[Any, "nodes"] | None = None
+    """Radius at the nodes, over that at the clamp; None if it is the same everywhere."""
+    load: Load | None = None
+    compliance: Float[Any, "6 6"] | None = None
+    """Of the support, clamp axes: displacement [L] and rotation vector under force [EI/L²] and
+    moment [EI/L].
+    """
+
+    lane_width: ClassVar[int] = 16
+    """Rods side by side: the stages of more would leave the core's nearest cache."""
 
     @classmethod
     def of(
         cls,
-        stiffness: Callable[[Any], Any],
+        bending: Callable[[Any], Any],
+        torsion: Callable[[Any], Any],
         rest: Callable[[Any], Any] | None = None,
         nodes: Float[Any, "nodes"] | None = None,
+        *,
+        loaded: Callable[[Any], Any] | None = None,
+        girth: Float[Any, "nodes"] | None = None,
+        load: Load | None = None,
+        compliance: Float[Any, "6 6"] | None = None,
     ) -> "Kirchhoff":
-        """A rod whose B and u (…, 3) are functions of the arc length s [L]."""
+        """A rod whose B, B₃ (…), u (…, 3) and whatever its load depends on are functions of the arc
+        length s [L].
+        """
         nodes = jnp.linspace(0, 1, STEPS + 1) if nodes is None else jnp.asarray(nodes)
-        s = nodes[:-1, None] + jnp.diff(nodes)[:, None] * _NODES
-        u = jnp.zeros((*s.shape, 3)) if rest is None else rest(s)
-        return cls(nodes, 1 / stiffness(s), u)
+        given = (bending, torsion, rest, loaded)
+        local = Local(*(None if of is None else fitted(of, nodes) for of in given))
+        return cls(nodes, local, girth, load, compliance)
 
     @classmethod
     def tapered(cls, taper: Scalar, poisson_ratio: Scalar, steps: int = STEPS) -> "Kirchhoff":
         """A straight round rod whose radius falls linearly by a fraction: B = (1 − τ s)⁴, and B₃ =
         B/(1 + ν).
         """
+        return cls.of(
+            lambda s: (1 - taper * s) ** 4,
+            lambda s: (1 - taper * s) ** 4 / (1 + poisson_ratio),
+            nodes=graded(taper, steps),
+        )
 
-        def stiffness(s: Float[Array, "*s"]) -> Float[Array, "*s 3"]:
-            bending = (1 - taper * s) ** 4
-            return jnp.stack([bending, bending, bending / (1 + poisson_ratio)], axis=-1)
+    @property
+    def loaded(self) -> bool:
+        """As in `RodModel`."""
+        return self.load is not None
 
-        return cls.of(stiffness, nodes=graded(taper, steps))
+    @property
+    def finer(self) -> "Kirchhoff":
+        """As in `RodModel`."""
+        half = self.nodes[:-1] + jnp.diff(self.nodes) / 2
+        nodes = jnp.append(jnp.stack([self.nodes[:-1], half], 1).ravel(), self.nodes[-1])
+        # p(x) at x = (i + y)/2 as a polynomial in y.
+        halved = [_FIT @ np.vander((i + _POINTS) / 2, increasing=True) for i in (0, 1)]
+        local = jax.tree.map(
+            lambda part: jnp.einsum("hij,sj...->shi...", np.array(halved), part).reshape(
+                2 * len(part), *part.shape[1:]
+            ),
+            self.local,
+        )
+        return Kirchhoff(nodes, local, None, self.load, self.compliance)
 
-    def line(self, tangent: Vector, force: Vector, base_moment: Vector) -> Line:
-        """The rod clamped in a direction, under the force F at its contact, where m(0) is the
-        moment inside it at the clamp.
+    def _base(self, clamp: Clamp, wrench: Wrench) -> _State:
+        """The rod where its support has yielded to force and moment about the clamp point, without
+        what the loads do.
         """
-        across = _across(tangent)
+        reach, tangent, across = jnp.zeros(3), clamp.tangent, clamp.across
+        if self.compliance is not None:
+            axes = across, jnp.cross(tangent, across), tangent
+            own = joined(*(dot(part, axis) for part in (wrench[:3], wrench[3:]) for axis in axes))
+            yields = jnp.sum(self.compliance * own, axis=1)
+            reach, angle = (
+                sum(yields[first + i] * axis for i, axis in enumerate(axes)) for first in (0, 3)
+            )
+            tangent, across = turned(angle, tangent), turned(angle, across)
+        curved = self.local.rest is not None
+        return _State(reach, tangent, jnp.zeros(()), across if curved else None)
 
-        def slope(at: _State, compliance: Vector, rest: Vector) -> tuple[_State, Vector]:
-            d3, d1 = at.tangent, at.across
-            d2 = jnp.cross(d3, d1)
-            m = base_moment - jnp.cross(at.reach, force)
-            carried = jnp.stack([dot(m, d1), dot(m, d2), dot(m, d3)])
-            strain = compliance * carried
-            u = rest + strain
-            kappa = u[0] * d1 + u[1] * d2 + u[2] * d3
-            rates = _State(d3, jnp.cross(kappa, d3), jnp.cross(kappa, d1), dot(strain, carried) / 2)
-            return rates, jnp.sqrt(u[0] ** 2 + u[1] ** 2 + _TINY)
+    def _slope(
+        self, origin: Vector, push: _Push, s: Scalar, at: _State, local: Local
+    ) -> tuple[_State, Scalar]:
+        """Derivatives along the rod, and the elastic curvature."""
+        t, load = at.tangent, at.load
+        m = push.moment - jnp.cross(at.reach, push.force)
+        if load is not None:
+            m = m + load[3:]
+        soft = 1 / local.bending
+        about = dot(m, t)
+        twisting = (1 / local.torsion - soft) * about
+        square = dot(m, m)
+        energy = (soft * square + twisting * about) / 2
+        bend, across, rates = soft * jnp.cross(m, t), None, None
+        if at.across is not None:
+            d1, d2 = at.across, jnp.cross(t, at.across)
+            u1, u2, u3 = local.rest
+            bend = bend + u2 * d1 - u1 * d2
+            across = soft * jnp.cross(m, d1) + (twisting + u3) * d2 - u2 * t
+        if load is not None:
+            assert self.load is not None
+            q = self.load.per_length(s, origin + at.reach, t, local.loaded)
+            rates = joined(-q, -jnp.cross(t, load[:3]))
+        strain = soft * jnp.sqrt(jnp.maximum(square - about**2, 0.0) + _TINY)
+        return _State(t, bend, energy, across, rates), strain
 
-        def step(
-            at: _State, section: tuple[Any, Any, Any]
-        ) -> tuple[_State, tuple[_State, _State, Any]]:
-            h, compliance, rest = section
-            first, bent = slope(at, compliance[0], rest[0])
-            slopes = [first]
-            for stage in range(1, len(_WEIGHTS)):
-                moved = _moved(at, h, _STAGES[stage, :stage], slopes)
-                slopes.append(slope(moved, compliance[stage], rest[stage])[0])
-            return _moved(at, h, _WEIGHTS, slopes), (at, first, bent)
+    def _step(
+        self,
+        origin: Vector,
+        push: _Push,
+        at: _State,
+        start: Scalar,
+        h: Scalar,
+        stages: Local,
+    ) -> tuple[_State, _State, Scalar]:
+        """One step from an arc length, and the slope and elastic curvature where it begins; the
+        section is given at the stages.
+        """
+        count = len(_WEIGHTS)
 
-        start, h = _State(jnp.zeros(3), tangent, across, jnp.zeros(())), jnp.diff(self.nodes)
-        last, (nodes, rates, bent) = lax.scan(step, start, (h, self.compliance, self.rest))
-        # The last stage of the last step lies at the tip.
-        end, tip = slope(last, self.compliance[-1, -1], self.rest[-1, -1])
-        nodes, rates = (
-            jax.tree.map(lambda rows, row: jnp.concatenate([rows, row[None]]), rows, row)
-            for rows, row in ((nodes, last), (rates, end))
-        )
-        return Line(
-            jnp.asarray(self.nodes),
-            nodes.reach,
-            nodes.tangent,
-            rates.tangent,
-            jnp.append(bent, tip),
-            nodes.energy,
-            rates.energy,
-        )
+        def moved(weights: Any, slopes: _State) -> _State:
+            def of(value: Array, rates: Array) -> Array:
+                each = weights.reshape(-1, *(1,) * (rates.ndim - 1))
+                return value + h * jnp.sum(each * rates, axis=0)
+
+            return jax.tree.map(of, at, slopes)
+
+        def stage(index: Array, found: tuple[_State, Scalar]) -> tuple[_State, Scalar]:
+            slopes, strain = found
+            local = jax.tree.map(lambda part: part[index], stages)
+            s = start + h * jnp.asarray(_NODES)[index]
+            here = moved(jnp.asarray(_STAGES)[index, :count], slopes)
+            slope, bent = self._slope(origin, push, s, here, local)
+            slopes = jax.tree.map(
+                lambda rows, row: lax.dynamic_update_index_in_dim(rows, row, index, 0),
+                slopes,
+                slope,
+            )
+            return slopes, jnp.where(index == 0, bent, strain)
+
+        # A loop, not a sequence: a fifth of the time to compile, and no slower.
+        none = jax.tree.map(lambda value: jnp.zeros((count, *value.shape)), at)
+        slopes, strain = lax.fori_loop(0, count, stage, (none, jnp.zeros(())))
+        first = jax.tree.map(lambda rows: rows[0], slopes)
+        return moved(_WEIGHTS, slopes), first, strain
+
+    def line(self, clamp: Clamp, push: _Push, load: Wrench | None = None) -> Line:
+        """The rod under a contact force that acts at or beyond its tip; with loads, Q and their
+        moment about the clamp point at s = 0.
+        """
+        wrench = joined(push.force, push.moment)
+        first = self._base(clamp, wrench if load is None else wrench + load)
+        if load is not None:
+            moment = load[3:] - jnp.cross(first.reach, load[:3])
+            first = first._replace(load=joined(load[:3], moment))
+        stages = jax.vmap(lambda local: _at_stages(local, 0.0, 1.0))(self.local)
+
+        def step(at: _State, section: Any) -> tuple[_State, Any]:
+            after, *begin = self._step(clamp.point, push, at, *section)
+            return after, (at, *begin)
+
+        last, rows = lax.scan(step, first, (self.nodes[:-1], jnp.diff(self.nodes), stages))
+        return self._line(clamp.point, push, jnp.asarray(self.nodes), last, rows)
+
+    def _line(self, origin: Vector, push: _Push, nodes: Any, last: _State, rows: Any) -> Line:
+        """A line from states, rates and strains where its steps begin, and its last state."""
+        tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.local)
+        end = last, *self._slope(origin, push, nodes[-1], last, tip)
+        states = jax.tree.map(lambda row, at: jnp.concatenate([row, at[None]]), rows, end)
+        return Line(nodes, *states)
+
+    def _at(self, inner: Inner, s: Scalar) -> _State:
+        """The rod at an arc length, by a step from the node before it."""
+        line, clamp, push = inner
+        place, step, x = line.between(s)
+        before = jax.tree.map(lambda rows: rows[place], line.states)
+        own = jax.tree.map(lambda part: part[place], self.local)
+        start, stages = line.nodes[place], _at_stages(own, 0.0, x)
+        return self._step(clamp.point, push, before, start, x * step, stages)[0]
+
+    def _rest(self, inner: Inner, s: Scalar, here: _State) -> Line:
+        """The rod behind a contact, given there: nodes before the contact all lie at it."""
+        nodes, stop = inner.line.nodes, jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
+
+        def advance(at: _State, section: Any) -> tuple[_State, Any]:
+            (node, start), (following, end), local = section
+            width = following - node
+            stages = _at_stages(local, (start - node) / width, (end - start) / width)
+            after, *begin = self._step(inner.clamp.point, _NO_PUSH, at, start, end - start, stages)
+            return after, (at, *begin)
+
+        both = jnp.stack([nodes, stop], 1)
+        last, rows = lax.scan(advance, here, (both[:-1], both[1:], self.local))
+        return self._line(inner.clamp.point, _NO_PUSH, stop, last, rows)
+
+    def beyond(self, inner: Inner, s: Scalar) -> Line:
+        """The rest of the rod, from the contact at s on."""
+        here = self._at(inner, s)._replace(energy=inner.line.energy_up_to(s))
+        return self._rest(inner, s, here)
+
+    @staticmethod
+    def _resultants(left: Callable[[Any], Any], begin: Any) -> Any:
+        """Resultants of loads that leave nothing at the tip, by Newton's method; with derivatives
+        with respect to what `left` closes over.
+        """
+        slopes = jax.jacfwd(lambda load: (left(load),) * 2, has_aux=True)
+
+        def unfinished(state: tuple[Wrench, Scalar, Array]) -> Array:
+            return (state[1] > _LOAD_SETTLED) & (state[2] < _LOAD_STEPS)
+
+        def refine(state: tuple[Wrench, Scalar, Array]) -> tuple[Wrench, Scalar, Array]:
+            jacobian, value = slopes(state[0])
+            change = solve_pivoted(jacobian, value)
+            size = jnp.max(jnp.abs(change))
+            share = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
+            return state[0] - share * change, size, state[2] + 1
+
+        start = begin, jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
+        load = lax.stop_gradient(lax.while_loop(unfinished, refine, start)[0])
+        jacobian, value = slopes(load)
+        return load - solve_pivoted(lax.stop_gradient(jacobian), value)
+
+    def free(self, clamp: Clamp) -> Hanging:
+        """As in `RodModel`."""
+        if self.load is None:
+            return Hanging(clamp, self.line(clamp, _NO_PUSH), None)
+
+        def left(load: Wrench) -> Wrench:
+            end: Wrench = self.line(clamp, _NO_PUSH, load).states.load[-1]
+            return end
+
+        load = self._resultants(left, jnp.zeros(6))
+        return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load)
 
     def bent(
         self,
@@ -232,64 +522,141 @@ class Kirchhoff(RodModel):
         reached: Vector | None = None,  # noqa: ARG002
     ) -> Bent:
         """As in `RodModel`: the contact is where the rod comes closest to the point."""
-        r, push = point - clamp.point, force * direction
-        line = self.line(clamp.tangent, push, jnp.cross(r, push))
+        r, along = point - clamp.point, force * direction
+        push = _Push(along, jnp.cross(r, along))
+        load = None
+        if self.load is not None:
 
-        def along(s: Scalar) -> Scalar:
-            at, tangent = line.at(s)
-            return dot(at - r, tangent)
+            def left(load: Wrench) -> Wrench:
+                line = self.line(clamp, push, load)
+                rest = self.beyond(Inner(line, clamp, push), _closest(line, r))
+                end: Wrench = rest.states.load[-1]
+                return end
 
-        gaps = line.reach - r
-        s = _zero(along, line, jnp.sum(gaps * line.tangent, 1), jnp.sum(gaps * gaps, 1))
+            load = self._resultants(left, jnp.zeros(6))
+        line = self.line(clamp, push, load)
+        s = _closest(line, r)
         at, tangent = line.at(s)
         first = _across(tangent)
         away = r - at
         misses = joined(dot(away, jnp.cross(tangent, first)), dot(away, first))
         incidence = (1 + dot(tangent, direction)) / 2
-        return Bent(point, r, force, direction, misses, s, incidence, line)
+        inner = Inner(line, clamp, push)
+        return Bent(point, r, force, direction, misses, s, incidence, inner, load)
 
     def tangent(self, bent: Bent) -> Vector:
         """As in `RodModel`."""
-        tangent: Vector = bent.inner.at(bent.arc_length)[1]
+        tangent: Vector = bent.inner.line.at(bent.arc_length)[1]
         return tangent
 
     def energy(self, bent: Bent) -> Scalar:
         """As in `RodModel`; with that of twist."""
-        energy: Scalar = bent.inner.energy_up_to(bent.arc_length)
+        if self.load is None:
+            return bent.inner.line.energy_up_to(bent.arc_length)
+        energy: Scalar = self.beyond(bent.inner, bent.arc_length).states.energy[-1]
         return energy
 
     def largest_curvature(self, bent: Bent) -> Scalar:
         """As in `RodModel`: the largest at a node."""
-        line = bent.inner
-        return jnp.max(jnp.where(line.nodes <= bent.arc_length, line.curvature, 0.0))
+        line = bent.inner.line
+        bend = jnp.sqrt(jnp.sum(line.rates.tangent**2, axis=1))
+        return jnp.max(jnp.where(line.nodes <= bent.arc_length, bend, 0.0))
+
+    def largest_bend(self, bent: Bent) -> Scalar:
+        """As in `RodModel`: the largest at a node."""
+        line = bent.inner.line
+        at = line.strain if self.girth is None else line.strain * self.girth
+        return jnp.max(jnp.where(line.nodes <= bent.arc_length, at, 0.0))
 
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """As in `RodModel`."""
         clamp = bent.point - bent.to_contact
         points: Float[Array, "n 3"] = jax.vmap(
-            lambda part: clamp + bent.inner.at((1 - part) * bent.arc_length)[0]
+            lambda part: clamp + bent.inner.line.at((1 - part) * bent.arc_length)[0]
         )(jnp.asarray(share))
         return points
 
-    def contact(self, force: Vector, moment: Vector, tangent: Vector) -> Contact:
-        """As in `RodModel`: the first place along the rod where the moment in it is least."""
-        push = -force
-        f = jnp.sqrt(dot(push, push))
-        line = self.line(tangent, push, -moment)
+    def tail(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
+        """As in `RodModel`."""
+        rest, s = self.beyond(bent.inner, bent.arc_length), bent.arc_length
+        place = jnp.maximum(1.0 - s, 0.0)
+        clamp = bent.point - bent.to_contact
+        shift = bent.to_contact - bent.inner.line.at(s)[0]
+        points: Float[Array, "n 3"] = jax.vmap(
+            lambda part: clamp + shift + rest.at(s + part * place)[0]
+        )(jnp.asarray(share))
+        return points
+
+    def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
+        """As in `RodModel`: the first place along the rod where the moment in it is least, once
+        that of the loads behind it is taken off.
+        """
+        push = _Push(-force, -moment)
+        f = jnp.sqrt(dot(push.force, push.force))
+        if self.load is not None:
+            return self._loaded_contact(clamp, push)
+        line = self.line(clamp, push)
 
         def falling(s: Scalar) -> Scalar:
             at, along = line.at(s)
-            return dot(jnp.cross(along, push), moment + jnp.cross(at, push)) / (f * f)
+            inside = push.moment - jnp.cross(at, push.force)
+            return -dot(jnp.cross(along, push.force), inside) / (f * f)
 
-        inside = moment + jnp.cross(line.reach, push)
-        slopes = jnp.sum(jnp.cross(line.tangent, push) * inside, 1) / (f * f)
+        inside = push.moment - jnp.cross(line.reach, push.force)
+        slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
         s = _zero(falling, line, slopes, None)
         at, along = line.at(s)
-        d = push / f
+        d = push.force / f
         incidence = (1 + dot(along, d)) / 2
         return Contact(at, d, s, incidence, line.energy_up_to(s))
 
+    def _loaded_contact(self, clamp: Clamp, push: _Push) -> Contact:
+        """Where the moment is that of the loads behind the contact; place and those loads'
+        resultants by Newton's method, beginning with the resultants of the free rod.
+        """
+        line = self.line(clamp, push, jnp.zeros(6))
+        inner, free = Inner(line, clamp, push), self.free(clamp).line.states.load
+        force = push.force + line.states.load[:, :3] - free[:, :3]
+        inside = push.moment - jnp.cross(line.reach, push.force)
+        inside = inside + line.states.load[:, 3:] - free[:, 3:]
+        slopes = -jnp.sum(jnp.cross(line.tangent, force) * inside, 1)
+        begin = _zero(None, line, slopes, None)
+        place, _, x = line.between(begin)
 
+        def parts(unknowns: Float[Array, "7"]) -> tuple[_State, Vector, Vector, Line]:
+            s, tail = unknowns[0], unknowns[1:]
+            here = self._at(inner, s)
+            force = push.force + here.load[:3] - tail[:3]
+            moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
+            rest = here._replace(load=tail, energy=line.energy_up_to(s))
+            return here, force, moment, self._rest(inner, s, rest)
+
+        def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
+            here, force, moment, rest = parts(unknowns)
+            lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
+            return joined(lever, rest.states.load[-1])
+
+        tail = free[place] + x * (free[place + 1] - free[place])
+        unknowns = self._resultants(left, joined(begin, tail))
+        here, force, moment, rest = parts(unknowns)
+        f = jnp.sqrt(dot(force, force))
+        reach = here.reach + jnp.maximum(unknowns[0] - 1.0, 0.0) * here.tangent
+        total = joined(-push.force, -push.moment)
+        load = total + joined(force, jnp.cross(reach, force) + moment)
+        incidence = (1 + dot(here.tangent, force) / f) / 2
+        energy = rest.states.energy[-1]
+        return Contact(reach, force / f, unknowns[0], incidence, energy, load)
+
+
+def _closest(line: Line, r: Vector) -> Scalar:
+    """Arc length at which a line comes closest to a point."""
+
+    def along(s: Scalar) -> Scalar:
+        at, tangent = line.at(s)
+        return dot(at - r, tangent)
+
+    gaps = line.reach - r
+    return _zero(along, line, jnp.sum(gaps * line.tangent, 1), jnp.sum(gaps * gaps, 1))
 def _across(tangent: Vector) -> Vector:
     """A unit vector across a tangent that turns with it smoothly but at one direction (T. Duff et
     al., Journal of Computer Graphics Techniques 6 (2017) 1-8).
@@ -300,25 +667,14 @@ def _across(tangent: Vector) -> Vector:
     return jnp.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x])
 
 
-def _moved(at: _State, h: Scalar, weights: np.ndarray, slopes: list[_State]) -> _State:
-    def sum_of(value: Array, *rates: Array) -> Array:
-        total = value
-        for weight, rate in zip(weights.tolist(), rates, strict=True):
-            if weight:
-                total = total + h * weight * rate
-        return total
-
-    return jax.tree.map(sum_of, at, *slopes)
-
-
 def _zero(
-    function: Callable[[Scalar], Scalar],
+    function: Callable[[Scalar], Scalar] | None,
     line: Line,
     values: Float[Array, "nodes"],
     distance: Float[Array, "nodes"] | None,
 ) -> Scalar:
     """Arc length at which a function with given values at the nodes passes from below to above
-    zero: next to the nearest node, or for the first time.
+    zero: next to the nearest node, or for the first time; without a function by linear interpolation.
     """
     values = lax.stop_gradient(values)
     count = len(values) - 1
@@ -333,6 +689,9 @@ def _zero(
     share = jnp.where((low < 0) & (high >= 0), low / (low - high), jnp.where(place < 0, 0.0, 1.0))
     start, end = (lax.stop_gradient(line.nodes[at]) for at in (inner, inner + 1))
     s = start + share * (end - start)
+
+    if function is None:
+        return s
 
     def newton(_: int, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))

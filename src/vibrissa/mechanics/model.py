@@ -5,7 +5,7 @@ nothing about the object.
 """
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,13 +15,17 @@ from jaxtyping import Bool, Float
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
+Wrench = Float[Any, "6"]
 
 
 class Clamp(NamedTuple):
-    """Clamp point [L] and unit tangent of the rod there."""
+    """Clamp point [L] and axes: the rod leaves along z."""
 
     point: Vector
     tangent: Vector
+    """Unit tangent of the rod: the clamp's z axis."""
+    across: Vector
+    """The clamp's x axis, from which a rod's rest shape and support are oriented."""
 
 
 class Bent(NamedTuple):
@@ -44,11 +48,22 @@ class Bent(NamedTuple):
     """
     inner: Any
     """What else the model knows about it."""
+    load: Wrench | None = None
+    """Resultants of distributed loads, the moment about the clamp."""
+
+    @property
+    def support_force(self) -> Vector:
+        """Support force on the rod [EI/L²]."""
+        force = -self.force * self.direction
+        return force if self.load is None else force - self.load[:3]
 
     @property
     def base_moment(self) -> Vector:
-        """Support moment on the rod: r × F + m0 = 0, since one contact carries no couple."""
-        return -self.force * jnp.cross(self.to_contact, self.direction)
+        """Support moment on the rod [EI/L]: without loads r × F + m0 = 0, since one contact carries
+        no couple.
+        """
+        moment = -self.force * jnp.cross(self.to_contact, self.direction)
+        return moment if self.load is None else moment - self.load[3:]
 
 
 class Contact(NamedTuple):
@@ -62,6 +77,44 @@ class Contact(NamedTuple):
     incidence: Scalar
     """As in `Bent`; at least 1 where no contact explains the reactions."""
     energy: Scalar
+    load: Wrench | None = None
+    """What distributed loads contribute to the reactions."""
+
+
+class Free(Protocol):
+    """A rod without contact."""
+
+    def at(self, s: Scalar) -> tuple[Vector, Vector, Vector | None]:
+        """Point [L], unit tangent t and t' [1/L], None for zero, at an arc length."""
+
+    @property
+    def reactions(self) -> Wrench:
+        """Support force and moment on the rod."""
+
+    @property
+    def energy(self) -> Scalar:
+        """Energy of bending and twist [EI/L]."""
+
+
+class Straight(NamedTuple):
+    """A straight rod that nothing loads."""
+
+    clamp: Clamp
+
+    def at(self, s: Scalar) -> tuple[Vector, Vector, None]:
+        """As in `Free`."""
+        point, tangent, _ = self.clamp
+        return point + s * tangent, tangent, None
+
+    @property
+    def reactions(self) -> Wrench:
+        """As in `Free`."""
+        return jnp.zeros(6)
+
+    @property
+    def energy(self) -> Scalar:
+        """As in `Free`."""
+        return jnp.zeros(())
 
 
 NEUTRAL = 1e-6
@@ -77,6 +130,10 @@ def is_neutral(direction: Vector, tangent: Vector) -> Bool[Array, ""]:
 
 class RodModel(eqx.Module):
     """How a clamped rod bends under one contact force."""
+
+    @abstractmethod
+    def free(self, clamp: Clamp) -> Free:
+        """Return the rod without contact."""
 
     @abstractmethod
     def bent(
@@ -106,13 +163,31 @@ class RodModel(eqx.Module):
         """Largest curvature along the rod [1/L]."""
 
     @abstractmethod
+    def largest_bend(self, bent: Bent) -> Scalar:
+        """Largest change of curvature by load [1/L], times the radius there over that at the
+        clamp.
+        """
+
+    @property
+    def loaded(self) -> bool:
+        """Whether it exerts reactions without contact."""
+        return False
+
+    @property
+    def finer(self) -> "RodModel | None":
+        """The same rod with half the discretisation's steps; None if there is no discretisation."""
+        return None
+
+    @abstractmethod
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """Points between contact (0) and clamp (1), at fixed fractions that space them about
         equally.
         """
 
     @abstractmethod
-    def contact(self, force: Vector, moment: Vector, tangent: Vector) -> Contact:
-        """Return the contact that explains support reactions (on the rod, moment about the clamp)
-        of a rod whose unit tangent at the clamp is given.
-        """
+    def tail(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
+        """Points between contact (0) and tip (1), at fractions of the arc length between them."""
+
+    @abstractmethod
+    def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
+        """Return the contact that explains support reactions (on the rod, moment about the clamp)."""

@@ -7,7 +7,8 @@ are distributed over threads; `VIBRISSA_THREADS=1` uses only one.
 
 A few rows are quicker one after another, and so is any number where each goes its own way through
 much code: side by side every lane waits for the others, and code for lanes takes twice as long to
-compile. Shared arguments can say so by a property `branching`.
+compile. Shared arguments can say so by a property `branching`, and by `lane_width` how many lanes
+side by side their code is worth.
 """
 
 import os
@@ -87,6 +88,7 @@ class Lanes(Generic[Shared, Row]):
         self._known: set[object] = set()
         self._begun: set[object] = set()
         self._shapes: dict[object, Any] = {}
+        self._of_width: dict[int, Callable[..., Any]] = {}
         self._compiling = threading.Lock()
 
     def __call__(self, shared: Shared, *rows: Any) -> Row:
@@ -129,7 +131,8 @@ class Lanes(Generic[Shared, Row]):
         """The kernel for so many rows, how many it takes side by side, and how many in one call."""
         if count <= self._alone or self._width == 1 or _branching(shared):
             return self._one_by_one, 1, self._size_alone
-        return self._side_by_side, self._width, self._width * self._blocks
+        width = min([self._width, *_told(shared, "lane_width")])
+        return self._side_by_side(width), width, width * self._blocks
 
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
         """Call a kernel; while one thread compiles it, others wait."""
@@ -166,13 +169,17 @@ class Lanes(Generic[Shared, Row]):
 
         return self._compiled(one, 1, self._size_alone)
 
-    @cached_property
-    def _side_by_side(self) -> Callable[..., Any]:
+    def _side_by_side(self, width: int) -> Callable[..., Any]:
+        if width not in self._of_width:
+            self._of_width[width] = self._blocked(width)
+        return self._of_width[width]
+
+    def _blocked(self, width: int) -> Callable[..., Any]:
         def block(shared: Shared, *rows: Any) -> Any:
             axes = (None, *(-1,) * len(rows))
             return jax.vmap(self._one, in_axes=axes, out_axes=-1)(shared, *rows)
 
-        return self._compiled(block, self._width, self._blocks)
+        return self._compiled(block, width, self._blocks)
 
     def _compiled(
         self, of_block: Callable[..., Any], width: int, blocks: int
@@ -223,10 +230,17 @@ def lanes(
 
 
 def _branching(shared: Any) -> bool:
-    def tells(part: object) -> bool:
-        return hasattr(part, "branching")
+    return any(_told(shared, "branching"))
 
-    return any(part.branching for part in jax.tree.leaves(shared, is_leaf=tells) if tells(part))
+
+def _told(shared: Any, name: str) -> list[Any]:
+    """What shared arguments say about how to run them."""
+
+    def tells(part: object) -> bool:
+        return hasattr(part, name)
+
+    parts = jax.tree.leaves(shared, is_leaf=tells)
+    return [getattr(part, name) for part in parts if tells(part)]
 
 
 def _filled(rows: AnyArray, size: int) -> AnyArray:

@@ -26,7 +26,7 @@ from .io import (
     write_contacts,
 )
 from .reactions import Reactions
-from .rod import Rod
+from .rod import Loads, RestShape, Rod, Section, Support, Thermal
 from .sensor import Sensor
 from .tolerances import Tolerances
 from .trail import Trail
@@ -46,16 +46,21 @@ __all__ = [
     "ExpectedError",
     "FrictionEstimate",
     "LiveContact",
+    "Loads",
     "Motion",
     "Reactions",
     "Reconstruction",
     "RecordingWarning",
+    "RestShape",
     "Rod",
     "Scan",
+    "Section",
     "Sensor",
     "Setup",
     "Smoothing",
     "Status",
+    "Support",
+    "Thermal",
     "Tolerances",
     "Touch",
     "Trail",

@@ -82,6 +82,8 @@ def assessment(
     and the steepness of the level function.
     """
     # The law of friction itself needs the previous step; where the force lies in the cone does not.
+    # The residual is that of a finer rod, so that it holds the error of the discretisation.
+    scene = scene._replace(rod=scene.rod.finer)
     found = touching(scene, law, state, clamp)
     bent, push = found.bent, found.push
     axis = clamp.tangent
@@ -99,21 +101,13 @@ def assessment(
         scene.rod.largest_curvature(bent),
         scene.rod.largest_bend(bent),
         found.phase,
-        jnp.maximum(jnp.max(jnp.abs(found.residual)), _discretisation(scene.rod, clamp, bent)),
+        jnp.max(jnp.abs(found.residual)),
         jnp.zeros(()),
         found.tangent,
         across,
         push.direction,
     )
     return values, bent, push.steepness
-
-
-def _discretisation(rod: RodModel, clamp: Clamp, bent: Bent) -> Scalar:
-    """How far a rod with half the steps misses the contact point [L]."""
-    if rod.finer is None:
-        return jnp.zeros(())
-    finer = rod.finer.bent(clamp, bent.point, bent.force, bent.direction)
-    return jnp.max(jnp.abs(finer.misses))
 
 
 @lanes(blocks=64, alone=FEW)
@@ -124,7 +118,7 @@ def assess(scene: Scene, state: State, clamp: Clamp, law: Law) -> tuple[Assessme
     bent, steepness = lax.optimization_barrier(  # type: ignore[no-untyped-call]
         (bent, steepness)
     )
-    depth = _depth(scene, bent, steepness)
+    depth = _depth(scene._replace(rod=scene.rod.finer), bent, steepness)
     return values._replace(depth=depth), bent, steepness
 
 
@@ -184,7 +178,7 @@ def deepest(
     The depth is a lower bound, off by up to h²/(8R) for points h ≈ L/6000 apart at the deepest
     place and an object that is round with radius R there, and by h/2 where it is sharp.
     """
-    points = np.asarray(_fine_line(scene.rod, bent))
+    points = np.asarray(_fine_line(scene.rod.finer, bent))
     coarse = levels(scene, points)
     padded = np.pad(coarse, ((0, 0), (1, 1)), constant_values=np.inf)
     lower = (coarse < padded[:, :-2]) & (coarse <= padded[:, 2:])

@@ -8,10 +8,6 @@ the wrench's central axis; only I₁, the distance along it, depends on the rod.
 import jax.numpy as jnp
 
 from vibrissa.inverse.arrays import Scalar, Spread, Wrench
-from vibrissa.mechanics.elastica import Elastica
-
-invert = Elastica().contact
-"""The contact that explains given support reactions, by the rod model."""
 
 
 def towards(

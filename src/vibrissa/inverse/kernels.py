@@ -14,17 +14,20 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Status
 from vibrissa.inverse.arrays import Flag, Scalar, Spread, Vector, Wrench
-from vibrissa.inverse.inverse import invert, single_contact, towards
+from vibrissa.inverse.inverse import single_contact, towards
 from vibrissa.inverse.parameters import Rig, changes
-from vibrissa.mechanics.model import Contact
+from vibrissa.mechanics.elastica import Elastica
+from vibrissa.mechanics.model import Clamp, Contact, RodModel
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
-from vibrissa.numerics.rotation import cross_matrix, rotation_matrix, third_axis
+from vibrissa.numerics.rotation import cross_matrix, first_axis, rotation_matrix, third_axis
 
 SINGLE_CONTACT, TIP, LEAST_FORCE = 1e-3, 1e-6, 1e-14
 """If the noise is unknown: how closely reactions must fit a single contact, and s₁ the rod's length
 [L], and the smallest force that counts as contact [EI/L²]: ten times the rounding errors of scans.
 """
+LEAST_LOADED = 1e-9
+"""The same for a rod that other loads bend: ten times the rounding errors of their resultants."""
 _SINGLE_DEVIATIONS, _TIP_DEVIATIONS, _STEEP_DEVIATIONS, _KIND_DEVIATIONS = 6.0, 5.0, 3.0, 2.0
 """If the noise is known, in standard deviations: largest violation of m0·f0 = 0; up to where s₁ > L
 is noise and the tip is imposed; from where a tangent is too steep; within which a contact counts as
@@ -53,6 +56,7 @@ class Setting(NamedTuple):
     rig: Rig | None = None
     errors: Float[AnyArray, "setup setup"] | None = None
     """Covariance of the setup errors, model units."""
+    rod: RodModel = Elastica()
 
 
 class Sample(NamedTuple):
@@ -114,8 +118,30 @@ class Observed(NamedTuple):
     """m0·f0, in standard deviations."""
 
 
+class _Held(NamedTuple):
+    """A rod at its clamp, and its reactions, from which those of distributed loads are taken off."""
+
+    rod: RodModel
+    clamp: Clamp
+    wrench: Wrench
+    """Of the contact alone."""
+    push: Wrench
+    """How the reactions differ from those of the free rod."""
+    tip: Vector
+    """Of the free rod, seen from the clamp [L]."""
+    load: Wrench | None = None
+    """What the loads contribute to the reactions."""
+
+    def contact(self, wrench: Wrench) -> Contact:
+        """The contact that explains a wrench of its own, under the same loads."""
+        whole = wrench if self.load is None else wrench + self.load
+        return self.rod.contact(whole[:3], whole[3:], self.clamp)
+
+
 class _Probable(NamedTuple):
     """Most probable wrench of a single contact within the rod's length, with derivatives there."""
+
+    held: _Held
 
     wrench: Wrench
     contact: Contact
@@ -127,16 +153,18 @@ class _Probable(NamedTuple):
     pinned: Flag
     """Whether the wrench was moved to the tip."""
     off_straight: Scalar
-    """Distance from a force at the tip of the straight rod, in standard deviations."""
+    """Distance from a force at the tip of the unbent rod, in standard deviations."""
 
 
 def _exact(setting: Setting, sample: Sample) -> Found:
     """Contact of exact reactions."""
-    wrench = _wrench(setting, sample)
-    force, moment = wrench[:3], wrench[3:]
-    contact = invert(force, moment, third_axis(sample.orientation))
+    held = _held(setting, sample)
+    force, moment = held.wrench[:3], held.wrench[3:]
+    contact = held.contact(held.wrench)
     f, m = jnp.sqrt(jnp.sum(force * force)), jnp.sqrt(jnp.sum(moment * moment))
-    touching = jnp.where(f > 0, f > LEAST_FORCE, m > 0)
+    push = jnp.sqrt(jnp.sum(held.push[:3] ** 2))
+    least = LEAST_LOADED if setting.rod.loaded else LEAST_FORCE
+    touching = jnp.where(push > 0, push > least, jnp.sum(held.push[3:] ** 2) > 0)
     single, none = jnp.dot(force, moment) / (f * m), jnp.zeros(())
     return _judged(setting, sample, contact, touching, single, SINGLE_CONTACT, none, none)
 
@@ -151,7 +179,7 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
     """Contact of the most probable single-contact wrench on this rod, with first-order errors."""
     probable = _probable(setting, sample)
     covariance = jnp.asarray(sample.covariance)
-    whitened = solve_lower(cholesky(covariance), _wrench(setting, sample))
+    whitened = solve_lower(cholesky(covariance), probable.held.push)
     chi_square = jnp.sum(whitened**2)
     noise = whole = _carried(probable.slopes, covariance)
     setup = None
@@ -194,22 +222,22 @@ def weak_contacts(setting: Setting, sample: Sample) -> Errors:
     is far from linear in them.
     """
     probable = _probable(setting, sample)
-    tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
+    covariance = jnp.asarray(sample.covariance)
     # In clamp axes, so that the points turn with the clamp.
     both, contact = jnp.kron(jnp.eye(2), rotation_matrix(sample.orientation)), probable.contact
     root = _product(both, cholesky(_product(_product(both.T, covariance), both)))
     steps = math.sqrt(6) * jnp.concatenate([root.T, -root.T])
     found = jax.vmap(_observed, in_axes=(0, None, None))(
-        probable.wrench + steps, tangent, covariance
+        probable.wrench + steps, probable.held, covariance
     )
     reach = jax.vmap(_within_reach)(found.reach) - contact.reach
     # Perpendicular to n̂: a unit vector can only turn.
     along = jnp.sum(found.direction * contact.direction, axis=1, keepdims=True)
     direction = found.direction - along * contact.direction
     of_reach, of_direction = (_product(part.T, part) / len(steps) for part in (reach, direction))
-    # A contact that looks tangential may be one at the tip of a still straight rod, as likely as
+    # A contact that looks tangential may be one at the tip of a still unbent rod, as likely as
     # noise makes one look like the other.
-    towards = tangent - contact.reach
+    towards = probable.held.tip - contact.reach
     of_reach += jnp.exp(-(probable.off_straight**2) / 2) * jnp.outer(towards, towards)
     return Errors(of_reach * setting.length**2, of_direction)
 
@@ -222,8 +250,17 @@ def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
     return _by_setup(_probable(setting, sample), sample, setting.rig)
 
 
-def _wrench(setting: Setting, sample: Sample) -> Wrench:
-    return jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
+def _held(setting: Setting, sample: Sample) -> _Held:
+    wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
+    turn, rod = sample.orientation, setting.rod
+    clamp = Clamp(sample.position / setting.length, third_axis(turn), first_axis(turn))
+    free = rod.free(clamp)
+    tip = free.at(jnp.ones(()))[0] - clamp.point
+    if not rod.loaded:
+        return _Held(rod, clamp, wrench, wrench, tip)
+    load = rod.contact(wrench[:3], wrench[3:], clamp).load
+    load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
+    return _Held(rod, clamp, wrench - load, wrench - free.reactions, tip, load)
 
 
 def _judged(
@@ -273,15 +310,16 @@ def _judged(
 
 
 def _probable(setting: Setting, sample: Sample) -> _Probable:
-    tangent, covariance = third_axis(sample.orientation), jnp.asarray(sample.covariance)
-    measured = _wrench(setting, sample)
+    held, covariance = _held(setting, sample), jnp.asarray(sample.covariance)
+    measured = held.wrench
     single, deviation = single_contact(measured, covariance)
-    straight, off_straight = _straight_tip(single, tangent, covariance)
-    wrench = _within_the_rod(single, straight, off_straight, tangent, covariance)
-    contact = invert(wrench[:3], wrench[3:], tangent)
+    straight, off_straight = _unbent_tip(single, held.tip, covariance)
+    wrench = _within_the_rod(single, straight, off_straight, held, covariance)
+    contact = held.contact(wrench)
     couple = jnp.roll(measured, 3)
-    slopes = jax.jacfwd(_observed)(wrench, tangent, covariance)
+    slopes = jax.jacfwd(_observed)(wrench, held, covariance)
     return _Probable(
+        held,
         wrench,
         contact._replace(reach=_within_reach(contact.reach)),
         deviation,
@@ -291,12 +329,12 @@ def _probable(setting: Setting, sample: Sample) -> _Probable:
     )
 
 
-def _observed(measured: Wrench, tangent: Vector, covariance: Spread) -> Observed:
+def _observed(measured: Wrench, held: _Held, covariance: Spread) -> Observed:
     """Errors pass through the projection onto a single contact, but not through the limit at the
     tip, which would cut them off.
     """
     wrench, deviation = single_contact(measured, covariance)
-    contact = invert(wrench[:3], wrench[3:], tangent)
+    contact = held.contact(wrench)
     return Observed(*contact[:4], deviation)
 
 
@@ -349,7 +387,7 @@ def _within_the_rod(
     wrench: Wrench,
     straight: Wrench,
     off_straight: Scalar,
-    tangent: Vector,
+    held: _Held,
     covariance: Spread,
 ) -> Wrench:
     """The most probable wrench with s₁ ≤ L: a contact beyond the tip by no more than noise explains
@@ -357,7 +395,7 @@ def _within_the_rod(
     """
 
     def log_arc_length(wrench: Wrench) -> tuple[Scalar, Scalar]:
-        value = jnp.log(invert(wrench[:3], wrench[3:], tangent).arc_length)
+        value = jnp.log(held.contact(wrench).arc_length)
         return value, value
 
     def step(last: Any) -> Any:
@@ -377,14 +415,14 @@ def _within_the_rod(
     return jnp.where(beyond, chosen, wrench)
 
 
-def _straight_tip(wrench: Wrench, tangent: Vector, covariance: Spread) -> tuple[Wrench, Scalar]:
-    """Most probable wrench of a force at the tip of a still straight rod, and its distance in
+def _unbent_tip(wrench: Wrench, tip: Vector, covariance: Spread) -> tuple[Wrench, Scalar]:
+    """Most probable wrench of a force at the tip of a still unbent rod, and its distance in
     standard deviations.
 
     Near first contact noise may move s₁ by rod lengths, and the bent rod's equations are no help.
     """
-    # f0 = −F and m0 = −t0 × F, so m0 = t0 × f0.
-    design = jnp.concatenate([jnp.eye(3), cross_matrix(tangent)])
+    # f0 = −F and m0 = −r × F, so m0 = r × f0.
+    design = jnp.concatenate([jnp.eye(3), cross_matrix(tip)])
     root = cholesky(covariance)
     weighted = jax.vmap(solve_lower, (None, 1), 1)(root, design)
     seen = solve_lower(root, wrench)

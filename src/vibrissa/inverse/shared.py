@@ -11,13 +11,16 @@ from vibrissa.inverse.arrays import Spread, Vectors, Wrenches
 from vibrissa.inverse.kernels import Errors, Sample, Setting, sensitivities_of
 from vibrissa.inverse.parameters import prepared, velocities_of
 from vibrissa.inverse.result import Reconstruction
+from vibrissa.mechanics.models import model_of
 from vibrissa.reactions import Reactions, turned_covariance
 from vibrissa.rod import Rod
 
 
 def setting_of(rod: Rod, reactions: Reactions) -> Setting:
     """What all samples share; no contact is too steep, and every sample is in contact."""
-    setting = Setting(rod.length, rod.force_scale, rod.moment_scale, np.inf, 0.0)
+    setting = Setting(
+        rod.length, rod.force_scale, rod.moment_scale, np.inf, 0.0, rod=model_of(rod)
+    )
     if reactions.covariance is None or reactions.setup_errors is None:
         return setting
     known = prepared(rod, reactions.setup_errors)

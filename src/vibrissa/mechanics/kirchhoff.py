@@ -459,6 +459,11 @@ class Kirchhoff(RodModel):
         start, stages = line.nodes[place], _at_stages(own, 0.0, x)
         return self._step(clamp.point, push, before, start, x * step, stages)[0]
 
+    def _place(self, inner: Inner, s: Scalar) -> tuple[Vector, Vector]:
+        """Point and tangent at an arc length, as exact as the nodes; straight beyond the tip."""
+        here = self._at(inner, s)
+        return here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent, here.tangent
+
     def _rest(self, inner: Inner, s: Scalar, here: _State) -> Line:
         """The rod behind a contact, given there: nodes before the contact all lie at it."""
         nodes, stop = inner.line.nodes, jnp.clip(jnp.maximum(inner.line.nodes, s), 0.0, 1.0)
@@ -535,19 +540,19 @@ class Kirchhoff(RodModel):
 
             load = self._resultants(left, jnp.zeros(6))
         line = self.line(clamp, push, load)
-        s = _closest(line, r)
-        at, tangent = line.at(s)
-        first = _across(tangent)
-        away = r - at
+        inner, s = Inner(line, clamp, push), _closest(line, r)
+        at, tangent = self._place(inner, s)
+        first, away = _across(tangent), r - at
         misses = joined(dot(away, jnp.cross(tangent, first)), dot(away, first))
+        # From the closest point of what is interpolated to that of what is as exact as the nodes.
+        along = dot(away, tangent)
+        s, tangent = s + along, tangent + along * line.bend(s)
         incidence = (1 + dot(tangent, direction)) / 2
-        inner = Inner(line, clamp, push)
         return Bent(point, r, force, direction, misses, s, incidence, inner, load)
 
     def tangent(self, bent: Bent) -> Vector:
         """As in `RodModel`."""
-        tangent: Vector = bent.inner.line.at(bent.arc_length)[1]
-        return tangent
+        return self._place(bent.inner, bent.arc_length)[1]
 
     def energy(self, bent: Bent) -> Scalar:
         """As in `RodModel`; with that of twist."""
@@ -605,7 +610,11 @@ class Kirchhoff(RodModel):
         inside = push.moment - jnp.cross(line.reach, push.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
         s = _zero(falling, line, slopes, None)
-        at, along = line.at(s)
+        at, along = self._place(Inner(line, clamp, push), s)
+        # From what is interpolated to what is as exact as the nodes.
+        lever, inside = jnp.cross(along, push.force) / f, push.moment - jnp.cross(at, push.force)
+        step = dot(lever, inside) / (f * dot(lever, lever))
+        s, at, along = s + step, at + step * along, along + step * line.bend(s)
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
         return Contact(at, d, s, incidence, line.energy_up_to(s))

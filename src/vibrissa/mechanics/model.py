@@ -28,6 +28,10 @@ class Clamp(NamedTuple):
     """The clamp's x axis, from which a rod's rest shape and support are oriented."""
 
 
+AT_ORIGIN = Clamp(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+"""A clamp at the origin of axes that are its own."""
+
+
 class Bent(NamedTuple):
     """A rod under one force at a point; the point lies on the rod where `misses` is zero."""
 
@@ -174,9 +178,9 @@ class RodModel(eqx.Module):
         return False
 
     @property
-    def finer(self) -> "RodModel | None":
-        """The same rod with half the discretisation's steps; None if there is no discretisation."""
-        return None
+    def finer(self) -> "RodModel":
+        """The same rod, where it is divided into steps with half their length."""
+        return self
 
     @abstractmethod
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:

@@ -17,8 +17,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
 from vibrissa.inverse.arrays import Flags
-from vibrissa.inverse.inverse import invert
+from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.imperfect import Imperfect, contact_near, rod_end
+from vibrissa.mechanics.model import AT_ORIGIN
 from vibrissa.numerics.lanes import AnyArray, lanes
 
 COUPLE, TORSION, TIP, TANGENT = range(4)
@@ -68,7 +69,7 @@ def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
 def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
     """Constraints for rods given by their base wrenches, clamp axes, of this length."""
     wrench = jnp.asarray(rod.wrench)
-    ideal = invert(wrench[:3], wrench[3:], jnp.array([0.0, 0.0, 1.0])).arc_length
+    ideal = Elastica().contact(wrench[:3], wrench[3:], AT_ORIGIN).arc_length
     off_ideal = jnp.any(rod.load != 0) | jnp.any(rod.curvature != 0) | (rod.taper != 0)
     arc_length = jnp.where(off_ideal, contact_near(rod, ideal), ideal)
 

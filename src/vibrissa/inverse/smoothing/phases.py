@@ -22,7 +22,7 @@ from scipy.ndimage import (
 )
 from scipy.special import chdtri
 
-from vibrissa.inverse.inverse import invert, single_contact
+from vibrissa.inverse.inverse import single_contact
 from vibrissa.inverse.smoothing.kalman import RATE, WRENCH, Gaussian, States
 from vibrissa.inverse.smoothing.manifold import LOADS
 from vibrissa.inverse.smoothing.model import (
@@ -39,6 +39,8 @@ from vibrissa.inverse.smoothing.model import (
     Samples,
     Series,
 )
+from vibrissa.mechanics.elastica import Elastica
+from vibrissa.mechanics.model import AT_ORIGIN
 from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.runs import runs
 
@@ -109,7 +111,7 @@ def _raw(
 ) -> tuple[Array, Array]:
     def arc_length(wrench: Array) -> Array:
         single, _ = single_contact(wrench, covariance)
-        return invert(single[:3], single[3:], jnp.array([0.0, 0.0, 1.0])).arc_length
+        return Elastica().contact(single[:3], single[3:], AT_ORIGIN).arc_length
 
     value, slope = jax.value_and_grad(arc_length)(wrench)
     return value, jnp.sqrt(slope @ covariance @ slope)

@@ -13,20 +13,28 @@ from scipy.spatial.transform import Rotation
 import vibrissa as vb
 from vibrissa.contact import FRICTIONLESS, Scene, State, touching
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.kirchhoff import Kirchhoff
+from vibrissa.mechanics.kirchhoff import Kirchhoff, Push
 from vibrissa.mechanics.model import Clamp
 
 AXIS = jnp.array([0.0, 0.0, 1.0])
 BOWL = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 
 
-def uniform(s: np.ndarray) -> np.ndarray:
-    return np.ones((*s.shape, 3))
+ORIGIN = Clamp(jnp.zeros(3), AXIS, jnp.array([1.0, 0.0, 0.0]))
 
 
 def tapered(share: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Stiffnesses of a round rod whose radius falls to `share` of that at the clamp, ν = 0.3."""
-    return lambda s: (1 - (1 - share) * s[..., None]) ** 4 * np.array([1, 1, 1 / 1.3])
+    """Bending stiffness of a round rod whose radius falls to `share` of that at the clamp."""
+    return lambda s: (1 - (1 - share) * s) ** 4
+
+
+def rod_of(bending: Callable, rest: Callable | None, steps: int) -> Kirchhoff:
+    """A rod with ν = 0.3."""
+    nodes = np.linspace(0, 1, steps + 1)
+    return Kirchhoff.of(bending, lambda s: bending(s) / 1.3, rest, nodes)
+
+
+uniform = tapered(1.0)
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +49,12 @@ def test_the_uniform_rod_is_that_of_the_closed_form(scan: vb.Scan) -> None:
     """
     worst = []
     for steps in (8, 16, 32):
-        rod = Kirchhoff.of(uniform, nodes=np.linspace(0, 1, steps + 1))
+        rod = rod_of(uniform, None, steps)
         found, exact = (
             jax.vmap(model.contact, (0, 0, None))(
-                scan.reactions.force[scan.in_contact], scan.reactions.moment[scan.in_contact], AXIS
+                scan.reactions.force[scan.in_contact],
+                scan.reactions.moment[scan.in_contact],
+                ORIGIN,
             )
             for model in (rod, Elastica())
         )
@@ -60,8 +70,8 @@ def test_line_energy_and_curvature_are_those_of_the_closed_form(scan: vb.Scan) -
     """Points between contact and clamp, at the fractions of each model; curvature at a node."""
     at = (0, 15)
     force = np.linalg.norm(scan.reactions.force[at])
-    clamp = Clamp(jnp.asarray(scan.trail.position[at]), AXIS)
-    rod = Kirchhoff.of(uniform, nodes=np.linspace(0, 1, 33))
+    clamp = ORIGIN._replace(point=jnp.asarray(scan.trail.position[at]))
+    rod = rod_of(uniform, None, 32)
     bent = jax.jit(lambda *state: rod.bent(clamp, *state))(
         jnp.asarray(scan.point[at]), force, jnp.asarray(scan.normal[at])
     )
@@ -88,7 +98,7 @@ def test_equilibria_of_the_closed_form_meet_the_same_conditions(scan: vb.Scan) -
         scene = Scene(BOWL, 1.0, 0.0, model)
 
         def residual(x: jax.Array) -> jax.Array:
-            found = touching(scene, FRICTIONLESS, State.of(x), Clamp(clamp, AXIS))
+            found = touching(scene, FRICTIONLESS, State.of(x), ORIGIN._replace(point=clamp))
             return jnp.asarray(found.residual)
 
         return residual(state), jnp.linalg.det(jax.jacfwd(residual)(state))
@@ -97,7 +107,7 @@ def test_equilibria_of_the_closed_form_meet_the_same_conditions(scan: vb.Scan) -
     of_rows = jax.jit(jax.vmap(conditions, (None, 0, 0)))
     both = [
         of_rows(model, states, places)
-        for model in (Kirchhoff.of(uniform, nodes=np.linspace(0, 1, 33)), Elastica())
+        for model in (rod_of(uniform, None, 32), Elastica())
     ]
     assert abs(both[0][0]).max() < 1e-11
     np.testing.assert_array_equal(np.sign(both[0][1]), np.sign(both[1][1]))
@@ -114,7 +124,7 @@ def shot(
     def slope(s: float, y: np.ndarray) -> np.ndarray:
         turn = Rotation.from_quat(y[3:7])
         tangent = turn.apply([0, 0, 1])
-        own = rest(np.array(s)) + turn.inv().apply(y[7:]) / stiffness(np.array(s))
+        own = rest(np.array(s)) + turn.inv().apply(y[7:]) / stiffness(s) * [1, 1, 1.3]
         x, y_, z, w = y[3:7]
         a, b, c = own
         spin = [w * a + y_ * c - z * b, w * b + z * a - x * c, w * c + x * b - y_ * a]
@@ -150,7 +160,7 @@ def test_rods_of_varying_section_and_rest_shape_are_those_of_an_independent_inte
 ) -> None:
     """At random wrenches that a contact on the rod makes."""
     stiffness, rest = CURVED[name]
-    rod = Kirchhoff.of(stiffness, lambda s: jnp.asarray(rest(s)), np.linspace(0, 1, 33))
+    rod = rod_of(stiffness, lambda s: jnp.asarray(rest(s)), 32)
     contact = jax.jit(lambda *wrench: rod.contact(*wrench))  # noqa: PLW0108 (no hash)
     random, count = np.random.default_rng(7), 0
     for _ in range(4):
@@ -162,7 +172,7 @@ def test_rods_of_varying_section_and_rest_shape_are_those_of_an_independent_inte
         except IndexError:
             continue  # the moment falls all along the rod
         count += 1
-        found = contact(jnp.asarray(force), jnp.asarray(moment), AXIS)
+        found = contact(jnp.asarray(force), jnp.asarray(moment), ORIGIN)
         np.testing.assert_allclose(found.arc_length, place, atol=1e-9)
         np.testing.assert_allclose(found.reach, point, atol=1e-9)
         np.testing.assert_allclose(
@@ -178,7 +188,7 @@ def test_steps_graded_as_the_radius_resolve_a_thin_tip() -> None:
     push = 0.8 * (1 - taper) ** 1.5 * jnp.array([0.9, 0.3, -0.3])
 
     def end(at: jax.Array) -> tuple[jax.Array, jax.Array]:
-        line = fine.line(AXIS, push, jnp.cross(at, push))
+        line = fine.line(ORIGIN, Push(push, jnp.cross(at, push)))
         return (line.reach[-1] - at,) * 2
 
     newton, tip = jax.jit(jax.jacfwd(end, has_aux=True)), AXIS
@@ -186,7 +196,7 @@ def test_steps_graded_as_the_radius_resolve_a_thin_tip() -> None:
         slopes, gap = newton(tip)
         tip = tip - jnp.linalg.solve(slopes, gap)
     assert abs(gap).max() < 1e-13 and tip[2] < 0.999
-    found = jax.jit(lambda wrench: rod.contact(wrench[0], wrench[1], AXIS))(
+    found = jax.jit(lambda wrench: rod.contact(wrench[0], wrench[1], ORIGIN))(
         jnp.stack([-push, -jnp.cross(tip, push)])
     )
     np.testing.assert_allclose(found.reach, tip, atol=1e-8)

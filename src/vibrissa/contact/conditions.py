@@ -1,11 +1,11 @@
 """The forward problem as a root of the inverse map (mechanics.md, "Contact conditions").
 
 The unknowns are the contact point p on the object, the magnitude f of the contact force, and
-whatever the contact law adds. The line of action of the force fixes the lever arm, and with it the
-whole rod. For any rod and any law these conditions remain:
+whatever the contact law and the rod add. The line of action of the force fixes the lever arm, and
+with it the whole rod. For any rod and any law these conditions remain:
 
     g(p) = 0                 the point lies on the object,
-    misses = 0               the rod lies in the plane of clamp axis and force, and meets the point,
+    misses = 0               the rod passes through the point,
     min(1 − s₁, away) = 0    tip contact, or the rod tangent to the object,
 
 and those of the law. With friction a state depends on the previous one.
@@ -58,7 +58,7 @@ def touching(
     along its own axis stays in that plane.
     """
     push = law.push(scene, state)
-    bent = scene.rod.bent(clamp, state.point, state.force, push.direction, side)
+    bent = scene.rod.bent(clamp, state.point, state.force, push.direction, state.own, side)
     tangent = scene.rod.tangent(bent)
     left, away = 1 - bent.arc_length, law.away(bent, tangent, push.normal)
     rubs, beyond = law.rubs(scene, state, push.normal, bent, tangent, before)

@@ -38,8 +38,8 @@ class Step(NamedTuple):
     residual: Scalar
     """Largest residual before the step."""
     determinant: Scalar
-    """Of the Jacobian of point and force before the step: its sign changes where an equilibrium
-    without friction gains or loses stability. NaN with more unknowns.
+    """Of the Jacobian before the step: its sign changes where an equilibrium without friction gains
+    or loses stability.
     """
 
 
@@ -51,10 +51,8 @@ def signed(determinant: Scalar, xp: Any = jnp) -> Scalar:
 def solved_linear(
     matrix: Float[Any, "n n"], right: Float[Array, "n"]
 ) -> tuple[Float[Array, "n"], Scalar]:
-    """Solution of a small system, and its determinant if it is 4×4."""
-    if matrix.shape[0] == 4:
-        return solve_4x4(matrix, right)
-    return solve_pivoted(matrix, right), jnp.full((), jnp.nan)
+    """Solution of a small system, and its determinant."""
+    return (solve_4x4 if matrix.shape[0] == 4 else solve_pivoted)(matrix, right)
 
 
 def step_from(

@@ -50,27 +50,30 @@ class Scene(NamedTuple):
 
 class State(NamedTuple):
     """What is solved for: contact point [L], magnitude of the contact force [EI/L²], and what the
-    law adds.
+    law and the rod add.
     """
 
     point: Vector
     force: Scalar
     lean: Float[Any, "lean"]
+    own: Float[Any, "own"] = np.zeros(0)
+    """The rod's own unknowns (`RodModel`)."""
 
     @property
     def flat(self) -> Float[Array, "unknowns"]:
         """As one vector, for Newton's method."""
-        return joined(self.point, self.force, self.lean)
+        return joined(self.point, self.force, self.lean, self.own)
 
     @property
     def flat_rows(self) -> Float[np.ndarray, "n unknowns"]:
         """The same for many states, one per row."""
-        return np.column_stack([self.point, self.force, self.lean])
+        return np.column_stack([self.point, self.force, self.lean, self.own])
 
     @classmethod
-    def of(cls, flat: Float[Array, "unknowns"]) -> "State":
-        """Undo `flat`."""
-        return cls(flat[:3], flat[3], flat[4:])
+    def of(cls, flat: Float[Array, "unknowns"], own: int = 0) -> "State":
+        """Undo `flat`, given how many unknowns are the rod's own."""
+        last = len(flat) - own
+        return cls(flat[:3], flat[3], flat[4:last], flat[last:])
 
 
 class Reached(NamedTuple):

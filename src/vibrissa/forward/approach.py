@@ -53,6 +53,8 @@ class Clearance(NamedTuple):
     point: Float[Any, "3"]
     tangent: Float[Any, "3"]
     """Of the rod there."""
+    own: Float[Any, "own"]
+    """The rod's own unknowns."""
 
 
 class _Looked(NamedTuple):
@@ -116,7 +118,8 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     found = jax.tree.map(partial(jnp.where, end.value <= begin.value), end, begin)
     steepness = jnp.sqrt(jnp.sum(found.gradient * found.gradient))
     cosine = dot(found.gradient, found.tangent) / steepness
-    distance, place = found.value / steepness, (found.point, found.tangent)
+    distance = found.value / steepness
+    place = found.point, found.tangent, -free.reactions[: scene.rod.unknowns]
     return Clearance(distance, found.arc_length, sampled[0], cosine, *place)
 
 
@@ -127,10 +130,13 @@ def clearances(scene: Scene, clamp: Clamp) -> Clearance:
 
 
 @lanes(alone=FEW)
-def free_points(scene: Scene, clamp: Clamp) -> Float[Array, "n 3"]:
-    """The free rod at several clamp poses: points at equally spaced arc lengths [L]."""
+def free_rods(scene: Scene, clamp: Clamp) -> tuple[Float[Array, "n 3"], Float[Array, "own"]]:
+    """The free rod at several clamp poses: points at equally spaced arc lengths [L], and its own
+    unknowns.
+    """
     free = scene.rod.free(clamp)
-    return jax.vmap(lambda s: free.at(s)[0])(np.linspace(0, 1, _FREE_POINTS))
+    points = jax.vmap(lambda s: free.at(s)[0])(np.linspace(0, 1, _FREE_POINTS))
+    return points, -free.reactions[: scene.rod.unknowns]
 
 
 class Meeting(NamedTuple):
@@ -144,6 +150,8 @@ class Meeting(NamedTuple):
     """Of the rod, which is still free."""
     cosine: Scalar
     """Cosine between normal and rod: −1 is head-on."""
+    own: Float[Any, "own"]
+    """The rod's own unknowns."""
 
     @property
     def phase(self) -> Float[Any, "*k"]:
@@ -172,13 +180,13 @@ def meetings_on(
     fraction = roots(distance, (np.zeros(count), np.ones(count)), (before, after))
     clamp = stretches.clamps(fraction[:, None])
     at = clearances(scene, clamp)
-    return Meeting(fraction, at.point, at.arc_length, at.tangent, at.cosine)
+    return Meeting(fraction, at.point, at.arc_length, at.tangent, at.cosine, at.own)
 
 
 def begun(meeting: Meeting, unknowns: int) -> Reached:
     """States at first contact (k, …), still without force."""
     count = len(meeting.fraction)
-    state = State(meeting.point, np.zeros(count), np.zeros((count, unknowns)))
+    state = State(meeting.point, np.zeros(count), np.zeros((count, unknowns)), meeting.own)
     return Reached(state, meeting.arc_length, meeting.tangent)
 
 

@@ -94,7 +94,7 @@ def stepped(
     """
     fractions = np.column_stack([start.fraction, fraction])
     clamps = jax.tree.map(lambda part: part[:, None], way).clamps(fractions[..., None])
-    legs = entering(law, clamps)._replace(
+    legs = entering(scene, law, clamps)._replace(
         reached=start.reached,
         sign=np.where(start.figure > 0, 1.0, -1.0),
         fanned=np.ones(len(fraction), dtype=bool),

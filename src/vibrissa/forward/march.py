@@ -73,8 +73,10 @@ class Steps(NamedTuple):
 
 class _Carry(NamedTuple):
     last: Reached
-    differences: list[Float[Any, "four"]]
-    """Backward differences of point and force; those of order 0 are the values themselves."""
+    differences: list[Float[Any, "expected"]]
+    """Backward differences of point, force and the rod's own unknowns; those of order 0 are the
+    values themselves.
+    """
     age: Array
     """Positions since the contact began; differences of higher order are not known yet: zero."""
     mode: Array
@@ -163,31 +165,33 @@ def once(
     """One Newton step; everything but the state is from before the step."""
 
     def conditions(x: Float[Array, "unknowns"]) -> tuple[Any, Any]:
-        found = touching(scene, law, State.of(x), clamp, before, side)
+        found = touching(scene, law, State.of(x, scene.rod.unknowns), clamp, before, side)
         return found.residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
 
     step, (arc_length, tangent, phase, beyond) = step_from(conditions, state.flat)
     figure = step.determinant if law.branch else beyond
-    reached = Reached(State.of(step.x), arc_length, tangent)
+    reached = Reached(State.of(step.x, scene.rod.unknowns), arc_length, tangent)
     return Solved(reached, step.residual, figure, phase)
 
 
-def nowhere(law: Law, *shape: int, fill: float = np.nan) -> Reached:
+def nowhere(scene: Scene, law: Law, *shape: int, fill: float = np.nan) -> Reached:
     """Stands for what is reached where there is no contact."""
 
     def full(*width: int) -> Float[np.ndarray, "..."]:
         return np.full((*shape, *width), fill)
 
-    return Reached(State(full(3), full(), full(law.unknowns)), full(), full(3))
+    state = State(full(3), full(), full(law.unknowns), full(scene.rod.unknowns))
+    return Reached(state, full(), full(3))
 
 
-def entering(law: Law, clamps: Clamp) -> Legs:
+def entering(scene: Scene, law: Law, clamps: Clamp) -> Legs:
     """Legs of lanes at clamps (k, n, 3) that enter in contact at the first one; what they have
     reached there is still to be filled in.
     """
     count, n = clamps.point.shape[:2]
     never, first = np.zeros((count, n), dtype=bool), np.zeros(count, dtype=int)
-    reached, meeting = (nowhere(law, *shape, fill=0.0) for shape in ((count,), (count, n)))
+    shapes = (count,), (count, n)
+    reached, meeting = (nowhere(scene, law, *shape, fill=0.0) for shape in shapes)
     modes, signs = np.full(count, int(Mode.CONTACT)), np.full(count, STABLE)
     return Legs(clamps, never, never.copy(), meeting, first, modes, reached, signs, first > 0)
 
@@ -201,7 +205,7 @@ def march(scene: Scene, law: Law, legs: Legs) -> Steps:
 
 def march_ahead(scene: Scene, law: Law, clamps: Clamp) -> None:
     """Compile in the background what the march through clamps (k, n, 3) needs."""
-    walk, padded = _sized(entering(law, clamps))
+    walk, padded = _sized(entering(scene, law, clamps))
     walk.ahead((scene, law, np.asarray(0)), padded)
 
 
@@ -231,7 +235,7 @@ def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
     lane, position = np.indices((rows, _SHORTEST_TRAIL))
     which = np.clip(lane * room + position - 1, 0, count - 1)
     clamps = jax.tree.map(lambda part: np.broadcast_to(part, (*which.shape, 3)), clamp)
-    legs = entering(law, clamps)
+    legs = entering(scene, law, clamps)
     legs = legs._replace(
         met=np.ones(which.shape, dtype=bool),
         meeting=legs.meeting._replace(state=chosen(seeds, which)),
@@ -259,7 +263,8 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     steps = nothing._replace(mode=jnp.full(size, int(Mode.WAITING)))
     waiting = jnp.asarray(int(Mode.WAITING))
     begin = jax.tree.map(lambda part: part[legs.start], legs.clamp)
-    carry = _Carry(legs.reached, [jnp.zeros(4)] * _ORDERS, jnp.zeros((), dtype=int), waiting)
+    none = jnp.zeros(4 + scene.rod.unknowns)
+    carry = _Carry(legs.reached, [none] * _ORDERS, jnp.zeros((), dtype=int), waiting)
 
     def advance(index: Array, state: tuple[_Carry, Steps]) -> tuple[_Carry, Steps]:
         carry, row = _advance(scene, law, legs, begin, index, state[0])
@@ -289,7 +294,7 @@ def _advance(
     foretold = list(accumulate(carry.differences))
     expected = _expected(law, carry, foretold)
     # The tangential force starts from its last value, as sliding may stop or turn.
-    guess = State(expected[:3], expected[3], last.state.lean)
+    guess = State(expected[:3], expected[3], last.state.lean, expected[4:])
     meeting = jax.tree.map(lambda part: part[index], legs.meeting)
     guess = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting.state, guess)
     before = jax.tree.map(lambda met, other: jnp.where(entering, met, other), meeting, last)
@@ -333,7 +338,7 @@ def _advance(
 
     fresh = entering | given
     age = jnp.where(fresh, 0, carry.age + 1)
-    here = joined(reached.state.point, reached.state.force)
+    here = joined(reached.state.point, reached.state.force, reached.state.own)
     changes = [jnp.where(age > order, here - at, 0.0) for order, at in enumerate(foretold[:-1])]
     following = _Carry(reached, [here, *changes], age, mode)
     following = jax.tree.map(
@@ -347,9 +352,9 @@ def _length(vector: Float[Array, "n"]) -> Scalar:
 
 
 def _expected(
-    law: Law, carry: _Carry, foretold: list[Float[Array, "four"]]
-) -> Float[Array, "four"]:
-    """Point and force, extrapolated; without friction to the order that would have predicted the
+    law: Law, carry: _Carry, foretold: list[Float[Array, "expected"]]
+) -> Float[Array, "expected"]:
+    """Point, force and the rod's own unknowns, extrapolated; without friction to the order that would have predicted the
     last position best: its error there is the difference of the next order.
     """
     expected, least = foretold[_UNTESTED], jnp.asarray(jnp.inf)

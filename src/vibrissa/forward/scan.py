@@ -101,7 +101,7 @@ def scan(
     # Kernels that every scan needs are compiled in parallel.
     march_ahead(scene, law, chosen(path.clamps, np.s_[: SINGLE + 1]))
     some = Clamp(*(part.reshape(-1, 3)[: FEW + 1] for part in path.clamps))
-    assess.ahead(scene, nowhere(law, len(some.point)).state, some, law)
+    assess.ahead(scene, nowhere(scene, law, len(some.point)).state, some, law)
 
     # Whole blocks of lanes, and work for every thread.
     share = min(_TRAILS, WIDTH * -(-count // (WIDTH * threads())))

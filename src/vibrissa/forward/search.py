@@ -14,7 +14,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State
-from vibrissa.forward.approach import free_points
+from vibrissa.forward.approach import free_rods
 from vibrissa.forward.assess import (
     DEPTH_TOLERANCE,
     Assessment,
@@ -157,7 +157,7 @@ def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "
     best = None
     for pair in np.unique(pairs[near], axis=0):
         own = near & (pairs == pair).all(axis=1)
-        starts = State(seeds.point[own], seeds.force[own], np.full((int(own.sum()), 1), 0.5))
+        starts = chosen(seeds, own)._replace(lean=np.full((int(own.sum()), 1), 0.5))
         held = partial(_held_by, scene, clamp, pair)
         state = _distinct(held, clamp, starts).state
         state = chosen(state, (state.lean[:, 0] > 0) & (state.lean[:, 0] < 1))
@@ -208,7 +208,7 @@ def seeds_around(
     first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent))])
     first /= np.linalg.norm(first)
     second = np.cross(tangent, first)
-    line = chosen(free_points(scene, Clamp(*(part[None] for part in clamp))), 0)
+    line, own_unknowns = chosen(free_rods(scene, Clamp(*(part[None] for part in clamp))), 0)
     # A Fibonacci spiral over the directions within 105° of the tangent.
     order = np.arange(_DIRECTIONS) + 0.5
     azimuth, cosine = np.pi * (1 + np.sqrt(5)) * order, 1 - _CONE * order / _DIRECTIONS
@@ -241,7 +241,9 @@ def seeds_around(
     bending = np.minimum(3 * aside / reach**3, forces[-1])
     places = np.concatenate([np.tile(points, (len(forces), 1)), beside])
     pushes = np.concatenate([np.repeat(forces, len(points)), bending])
-    return State(places, pushes, np.zeros((len(places), 0)))
+    count = len(places)
+    owned = np.broadcast_to(own_unknowns, (count, len(own_unknowns)))
+    return State(places, pushes, np.zeros((count, 0)), owned)
 
 
 def _along(

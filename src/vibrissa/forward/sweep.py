@@ -111,7 +111,7 @@ class _Walk:
         self.pending: list[_Start] = []
         nothing = np.full(shape, np.nan)
         free = np.full(shape, int(Mode.FREE))
-        steps = Steps(nowhere(law, *shape), free, *(nothing.copy() for _ in range(3)))
+        steps = Steps(nowhere(scene, law, *shape), free, *(nothing.copy() for _ in range(3)))
         self.found = Sweep(steps, np.zeros(shape, dtype=np.int64))
 
     def begin(self) -> None:
@@ -169,7 +169,7 @@ class _Walk:
     def _marched(
         self, starts: list[_Start], lanes: Int[np.ndarray, "k"], first: Int[np.ndarray, "k"]
     ) -> Steps:
-        legs = entering(self._law, chosen(self._path.clamps, lanes))
+        legs = entering(self._scene, self._law, chosen(self._path.clamps, lanes))
         place = np.full(len(self._clear), -1)
         place[lanes] = np.arange(len(starts))
         here = place[self._meetings.lane] >= 0
@@ -178,7 +178,7 @@ class _Walk:
         states = begun(chosen(self._meetings.at, here), self._law.unknowns)
         for whole, part in zip(jax.tree.leaves(legs.meeting), jax.tree.leaves(states), strict=True):
             whole[at] = part
-        nothing = nowhere(self._law, fill=0.0)
+        nothing = nowhere(self._scene, self._law, fill=0.0)
         reached = [start.reached or nothing for start in starts]
         legs = legs._replace(
             clear=self._clear[lanes],
@@ -209,7 +209,7 @@ class _Walk:
     def _settle(self, lane: int, index: int, outcome: Outcome, patience: int) -> None:
         steps, at = self.found.steps, (lane, index)
         self.by_hand[at] = True
-        reached = outcome.reached or nowhere(self._law)
+        reached = outcome.reached or nowhere(self._scene, self._law)
         for whole, part in zip(
             jax.tree.leaves(steps.reached), jax.tree.leaves(reached), strict=True
         ):

@@ -97,22 +97,22 @@ near [L] it must be to continue the branch.
 """
 _FORCE_WEIGHT, _LARGE_FORCE = 0.1, 5.0
 """Make force [EI/L²] and fraction of the stretch comparable with the contact point's path."""
-_ONWARD = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class _Corrected(NamedTuple):
-    """Newton's method on a plane across the branch: y = (p, f, fraction), the next step, the
-    largest residual before it, and phase difference, arc length, tangent and Jacobian there.
+    """Newton's method on a plane across the branch: y = (p, f, the rod's own unknowns, fraction),
+    the next step, the largest residual before it, and phase difference, arc length, tangent and
+    Jacobian there.
     """
 
-    y: Float[Array, "five"]
-    step: Float[Array, "five"]
+    y: Float[Array, "unknowns+1"]
+    step: Float[Array, "unknowns+1"]
     miss: Float[Array, ""]
     iteration: Array
     phase: Float[Array, ""]
     arc_length: Float[Array, ""]
     tangent: Float[Array, "3"]
-    jacobian: Float[Array, "four five"]
+    jacobian: Float[Array, "unknowns unknowns+1"]
 
 
 def _correct(
@@ -122,9 +122,9 @@ def _correct(
     weighted coordinates; 0 only evaluates the guess. `reached` is r of the previous state.
     """
 
-    def conditions(y: Float[Array, "five"]) -> tuple[Any, Any]:
-        clamp = stretch.clamp(y[4])
-        found = touching(scene, FRICTIONLESS, State.of(y[:4]), clamp, side=reached)
+    def conditions(y: Float[Array, "..."]) -> tuple[Any, Any]:
+        clamp, state = stretch.clamp(y[-1]), State.of(y[:-1], scene.rod.unknowns)
+        found = touching(scene, FRICTIONLESS, state, clamp, side=reached)
         told = found.phase, found.bent.arc_length, found.tangent
         return found.residual, (found.residual, told)
 
@@ -136,14 +136,15 @@ def _correct(
         y = at.y - at.step
         jacobian, (residual, told) = jax.jacfwd(conditions, has_aux=True)(y)
         right = jnp.append(residual, jnp.dot(normal, (y - guess) * weights))
-        step = solve_pivoted(jnp.concatenate([jacobian / weights, normal[None]]), right) / weights
+        step, _ = solve_pivoted(jnp.concatenate([jacobian / weights, normal[None]]), right)
+        step = step / weights
         phase, arc_length, tangent = told
         miss, done = jnp.max(jnp.abs(right)), at.iteration + 1
         return _Corrected(y, step, miss, done, phase, arc_length, tangent, jacobian)
 
-    zero = jnp.zeros(())
+    zero, blank = jnp.zeros(()), jnp.zeros((len(guess) - 1, len(guess)))
     start = _Corrected(
-        guess, jnp.zeros(5), zero, jnp.zeros((), int), zero, zero, jnp.zeros(3), jnp.zeros((4, 5))
+        guess, jnp.zeros(len(guess)), zero, jnp.zeros((), int), zero, zero, jnp.zeros(3), blank
     )
     end = lax.while_loop(unfinished, refine, start)
     size = jnp.max(jnp.abs(end.step * weights))
@@ -166,7 +167,9 @@ class Branch(Way):
 
     def _weighted(self, force: float) -> None:
         of_force = _FORCE_WEIGHT / max(1.0, force / _LARGE_FORCE)
-        self._weights = np.array([1.0, 1.0, 1.0, of_force, max(self._stretch.motion, 1e-6)])
+        loads = [of_force] * (1 + self._scene.rod.unknowns)
+        self._weights = np.array([1.0, 1.0, 1.0, *loads, max(self._stretch.motion, 1e-6)])
+        self._to_fraction = np.append(np.zeros(3 + len(loads)), 1.0)
 
     def enter(self, reached: Reached) -> Place | None:
         """As in `Way`."""
@@ -175,21 +178,21 @@ class Branch(Way):
 
     def met(self, meeting: Meeting) -> Place | None:
         """As in `Way`."""
-        return self._at(np.array([*meeting.point, 0.0, meeting.fraction]))
+        return self._at(np.array([*meeting.point, 0.0, *meeting.own, meeting.fraction]))
 
     def settled(self, found: Settled, fraction: float) -> Place | None:
         """As in `Way`."""
         return self._at(_flat(found.state, fraction))
 
-    def _at(self, y: Float[np.ndarray, "five"]) -> Place | None:
+    def _at(self, y: Float[np.ndarray, "..."]) -> Place | None:
         """Place at y as given, its tangent pointing forward on the stretch."""
-        return self._place(self._solved(y, _ONWARD, y, 0), None)
+        return self._place(self._solved(y, self._to_fraction, y, 0), None)
 
     def _solved(
         self, guess: Any, normal: Any, origin: Any, most: int = _MOST_ITERATIONS
     ) -> _Corrected:
         """As `_correct`; where nothing else fixes the bending plane, it stays that of `origin`."""
-        reached = origin[:3] - self._stretch.at(origin[4:]).point
+        reached = origin[:3] - self._stretch.at(origin[-1:]).point
         found = _corrected(
             self._scene, self._stretch, guess, normal, self._weights, reached, np.asarray(most)
         )
@@ -200,13 +203,13 @@ class Branch(Way):
         if not np.all(np.isfinite(found.jacobian)):
             return None
         tangent = np.linalg.svd(found.jacobian / self._weights)[2][-1]
-        onward = tangent[4] if ahead is None else tangent @ ahead
+        onward = tangent[-1] if ahead is None else tangent @ ahead
         y = found.y
-        state = State(y[:3], y[3], y[:0])
+        state = State(y[:3], y[3], y[:0], y[4:-1])
         return Place(
-            float(y[4]),
+            float(y[-1]),
             Reached(state, found.arc_length, found.tangent),
-            float(signed(np.linalg.det(found.jacobian[:, :4]), np)),
+            float(signed(np.linalg.det(found.jacobian[:, :-1]), np)),
             float(found.phase),
             tangent if onward > 0 else -tangent,
         )
@@ -218,7 +221,7 @@ class Branch(Way):
 
     def _at_fraction(self, guess: Any, fraction: float, ahead: Any = None) -> Place | None:
         """Equilibrium at a given fraction of the stretch."""
-        found = self._on_plane(np.append(guess[:4], fraction), _ONWARD, guess)
+        found = self._on_plane(np.append(guess[:-1], fraction), self._to_fraction, guess)
         return None if found is None else self._place(found, ahead)
 
     def _along(self, start: Place, step: float) -> Place | None:
@@ -261,8 +264,8 @@ class Branch(Way):
                     return End("snapped", here)
                 here, step = beyond, _FIRST_STEP
             following = self._along(here, step)
-            if following is not None and following.onward[4] <= 0:
-                return End("snapped", self._root(here, step, lambda place: place.onward[4]))
+            if following is not None and following.onward[-1] <= 0:
+                return End("snapped", self._root(here, step, lambda place: place.onward[-1]))
             if following is not None and following.fraction >= 1:
                 following, step = self._arrival(here, following, step)
             if following is not None and following.reached.state.force < 0:
@@ -292,7 +295,7 @@ class Branch(Way):
     def _arrival(self, here: Place, following: Place, step: float) -> tuple[Place | None, float]:
         """The place at the end of the stretch, between two others, and the step to it."""
         y, beyond = _of(here), _of(following)
-        between = y + (beyond - y) * (1 - y[4]) / (beyond[4] - y[4])
+        between = y + (beyond - y) * (1 - y[-1]) / (beyond[-1] - y[-1])
         end = self._at_fraction(between, 1.0, here.onward)
         if end is None:
             return None, step
@@ -323,7 +326,7 @@ class Branch(Way):
             y = _of(here) + share * (_of(following) - _of(here))
             lost = following.figure > 0
             kind = EventKind.LATERAL_INSTABILITY if lost else EventKind.LATERAL_RECOVERY
-            happened.append((kind, float(y[4]), y[:3]))
+            happened.append((kind, float(y[-1]), y[:3]))
 
 
 def _phase_change(following: Place) -> EventKind:
@@ -331,11 +334,11 @@ def _phase_change(following: Place) -> EventKind:
     return EventKind.TIP_TO_TANGENTIAL if rises else EventKind.TANGENTIAL_TO_TIP
 
 
-def _flat(state: State, fraction: float) -> Float[np.ndarray, "five"]:
-    return np.array([*state.point, state.force, fraction])
+def _flat(state: State, fraction: float) -> Float[np.ndarray, "..."]:
+    return np.array([*state.point, state.force, *state.own, fraction])
 
 
-def _of(place: Place) -> Float[np.ndarray, "five"]:
+def _of(place: Place) -> Float[np.ndarray, "..."]:
     return _flat(place.reached.state, place.fraction)
 
 
@@ -362,7 +365,7 @@ class Rubbing(Way):
 
     def met(self, meeting: Meeting) -> Place | None:
         """As in `Way`."""
-        state = State(meeting.point, np.zeros(()), np.zeros(self._law.unknowns))
+        state = State(meeting.point, np.zeros(()), np.zeros(self._law.unknowns), meeting.own)
         reached = Reached(state, meeting.arc_length, meeting.tangent)
         return Place(float(meeting.fraction), reached, -float(self._scene.friction), np.nan)
 

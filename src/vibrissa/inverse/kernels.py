@@ -163,8 +163,9 @@ def _exact(setting: Setting, sample: Sample) -> Found:
     contact = held.contact(held.wrench)
     f, m = jnp.sqrt(jnp.sum(force * force)), jnp.sqrt(jnp.sum(moment * moment))
     push = jnp.sqrt(jnp.sum(held.push[:3] ** 2))
-    least = LEAST_LOADED if setting.rod.loaded else LEAST_FORCE
-    touching = jnp.where(push > 0, push > least, jnp.sum(held.push[3:] ** 2) > 0)
+    touching = jnp.where(push > 0, push > LEAST_FORCE, jnp.sum(held.push[3:] ** 2) > 0)
+    if setting.rod.loaded:
+        touching = push > LEAST_LOADED
     single, none = jnp.dot(force, moment) / (f * m), jnp.zeros(())
     return _judged(setting, sample, contact, touching, single, SINGLE_CONTACT, none, none)
 

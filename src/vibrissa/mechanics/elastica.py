@@ -25,7 +25,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
 
-from vibrissa.mechanics.model import Bent, Clamp, Contact, RodModel, Straight, is_neutral
+from vibrissa.mechanics.model import Bent, Clamp, Contact, Own, RodModel, Straight, is_neutral
 from vibrissa.numerics.carlson import carlson_rf_rd
 from vibrissa.numerics.trigonometry import cosine, sine
 from vibrissa.numerics.vectors import dot, joined
@@ -150,9 +150,10 @@ class Elastica(RodModel):
         point: Vector,
         force: Scalar,
         direction: Vector,
+        own: Own = (),  # noqa: ARG002
         reached: Vector | None = None,
     ) -> Bent:
-        """As in `RodModel`."""
+        """As in `RodModel`; the point may lie out of the rod's plane, and away along the force."""
         r, d, t0 = point - clamp.point, direction, clamp.tangent
         plane = base_plane(d, d * dot(r, t0) - r * dot(d, t0), t0)
         rod = contact_on_rod(plane, force, self.inflections)

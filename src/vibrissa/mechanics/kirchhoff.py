@@ -28,7 +28,7 @@ from jax import Array, lax
 from jaxtyping import Float
 from scipy.integrate import DOP853
 
-from vibrissa.mechanics.model import Bent, Clamp, Contact, RodModel
+from vibrissa.mechanics.model import Bent, Clamp, Contact, Own, RodModel
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.vectors import dot, joined
@@ -132,14 +132,14 @@ class _State(NamedTuple):
     """Q and M, where there are loads."""
 
 
-class _Push(NamedTuple):
+class Push(NamedTuple):
     """What a contact exerts on the rod: F, and p × F with p from the clamp point."""
 
     force: Vector
     moment: Vector
 
 
-_NO_PUSH = _Push(np.zeros(3), np.zeros(3))
+_NO_PUSH = Push(np.zeros(3), np.zeros(3))
 
 
 class Line(NamedTuple):
@@ -247,7 +247,7 @@ class Inner(NamedTuple):
     line: Line
     """As if the contact force acted at the tip: the rod up to the contact."""
     clamp: Clamp
-    push: _Push
+    push: Push
 
 
 class Hanging(NamedTuple):
@@ -360,7 +360,7 @@ class Kirchhoff(RodModel):
         return _State(reach, tangent, jnp.zeros(()), across if curved else None)
 
     def _slope(
-        self, origin: Vector, push: _Push, s: Scalar, at: _State, local: Local
+        self, origin: Vector, push: Push, s: Scalar, at: _State, local: Local
     ) -> tuple[_State, Scalar]:
         """Derivatives along the rod, and the elastic curvature."""
         t, load = at.tangent, at.load
@@ -388,7 +388,7 @@ class Kirchhoff(RodModel):
     def _step(
         self,
         origin: Vector,
-        push: _Push,
+        push: Push,
         at: _State,
         start: Scalar,
         h: Scalar,
@@ -425,7 +425,7 @@ class Kirchhoff(RodModel):
         first = jax.tree.map(lambda rows: rows[0], slopes)
         return moved(_WEIGHTS, slopes), first, strain
 
-    def line(self, clamp: Clamp, push: _Push, load: Wrench | None = None) -> Line:
+    def line(self, clamp: Clamp, push: Push, load: Wrench | None = None) -> Line:
         """The rod under a contact force that acts at or beyond its tip; with loads, Q and their
         moment about the clamp point at s = 0.
         """
@@ -443,7 +443,7 @@ class Kirchhoff(RodModel):
         last, rows = lax.scan(step, first, (self.nodes[:-1], jnp.diff(self.nodes), stages))
         return self._line(clamp.point, push, jnp.asarray(self.nodes), last, rows)
 
-    def _line(self, origin: Vector, push: _Push, nodes: Any, last: _State, rows: Any) -> Line:
+    def _line(self, origin: Vector, push: Push, nodes: Any, last: _State, rows: Any) -> Line:
         """A line from states, rates and strains where its steps begin, and its last state."""
         tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.local)
         end = last, *self._slope(origin, push, nodes[-1], last, tip)
@@ -485,37 +485,40 @@ class Kirchhoff(RodModel):
         return self._rest(inner, s, here)
 
     @staticmethod
-    def _resultants(left: Callable[[Any], Any], begin: Any) -> Any:
-        """Resultants of loads that leave nothing at the tip, by Newton's method; with derivatives
-        with respect to what `left` closes over.
+    def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
+        """Resultants of loads that leave nothing at the tip, by Newton's method, `left(resultants,
+        given)`; with derivatives with respect to what is given.
         """
-        slopes = jax.jacfwd(lambda load: (left(load),) * 2, has_aux=True)
+        fixed = lax.stop_gradient(given)
+        slopes = jax.jacfwd(lambda load: (left(load, fixed),) * 2, has_aux=True)
 
-        def unfinished(state: tuple[Wrench, Scalar, Array]) -> Array:
-            return (state[1] > _LOAD_SETTLED) & (state[2] < _LOAD_STEPS)
+        def unfinished(state: tuple[Any, Any, Scalar, Array]) -> Array:
+            return (state[2] > _LOAD_SETTLED) & (state[3] < _LOAD_STEPS)
 
-        def refine(state: tuple[Wrench, Scalar, Array]) -> tuple[Wrench, Scalar, Array]:
+        def refine(state: tuple[Any, Any, Scalar, Array]) -> tuple[Any, Any, Scalar, Array]:
             jacobian, value = slopes(state[0])
-            change = solve_pivoted(jacobian, value)
+            change, _ = solve_pivoted(jacobian, value)
             size = jnp.max(jnp.abs(change))
             share = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
-            return state[0] - share * change, size, state[2] + 1
+            return state[0] - share * change, jacobian, size, state[3] + 1
 
-        start = begin, jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
-        load = lax.stop_gradient(lax.while_loop(unfinished, refine, start)[0])
-        jacobian, value = slopes(load)
-        return load - solve_pivoted(lax.stop_gradient(jacobian), value)
+        count = len(begin)
+        blank = jnp.zeros((count, count)), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
+        start = lax.stop_gradient(begin), *blank
+        load, jacobian, *_ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
+        # One more step, which carries the derivatives (implicit function theorem).
+        return load - solve_pivoted(jacobian, left(load, given))[0]
 
     def free(self, clamp: Clamp) -> Hanging:
         """As in `RodModel`."""
         if self.load is None:
             return Hanging(clamp, self.line(clamp, _NO_PUSH), None)
 
-        def left(load: Wrench) -> Wrench:
+        def left(load: Wrench, clamp: Clamp) -> Wrench:
             end: Wrench = self.line(clamp, _NO_PUSH, load).states.load[-1]
             return end
 
-        load = self._resultants(left, jnp.zeros(6))
+        load = self._resultants(left, jnp.zeros(6), clamp)
         return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load)
 
     def bent(
@@ -524,21 +527,15 @@ class Kirchhoff(RodModel):
         point: Vector,
         force: Scalar,
         direction: Vector,
+        own: Own = (),
         reached: Vector | None = None,  # noqa: ARG002
     ) -> Bent:
-        """As in `RodModel`: the contact is where the rod comes closest to the point."""
+        """As in `RodModel`: the contact is where the rod comes closest to the point. Loads leave no
+        force and no moment at the tip: their resultants at the clamp are the model's own unknowns.
+        """
         r, along = point - clamp.point, force * direction
-        push = _Push(along, jnp.cross(r, along))
-        load = None
-        if self.load is not None:
-
-            def left(load: Wrench) -> Wrench:
-                line = self.line(clamp, push, load)
-                rest = self.beyond(Inner(line, clamp, push), _closest(line, r))
-                end: Wrench = rest.states.load[-1]
-                return end
-
-            load = self._resultants(left, jnp.zeros(6))
+        push = Push(along, jnp.cross(r, along))
+        load = own if self.loaded else None
         line = self.line(clamp, push, load)
         inner, s = Inner(line, clamp, push), _closest(line, r)
         at, tangent = self._place(inner, s)
@@ -548,6 +545,8 @@ class Kirchhoff(RodModel):
         along = dot(away, tangent)
         s, tangent = s + along, tangent + along * line.bend(s)
         incidence = (1 + dot(tangent, direction)) / 2
+        if load is not None:
+            misses = joined(misses, self.beyond(inner, s).states.load[-1])
         return Bent(point, r, force, direction, misses, s, incidence, inner, load)
 
     def tangent(self, bent: Bent) -> Vector:
@@ -596,7 +595,7 @@ class Kirchhoff(RodModel):
         """As in `RodModel`: the first place along the rod where the moment in it is least, once
         that of the loads behind it is taken off.
         """
-        push = _Push(-force, -moment)
+        push = Push(-force, -moment)
         f = jnp.sqrt(dot(push.force, push.force))
         if self.load is not None:
             return self._loaded_contact(clamp, push)
@@ -619,7 +618,7 @@ class Kirchhoff(RodModel):
         incidence = (1 + dot(along, d)) / 2
         return Contact(at, d, s, incidence, line.energy_up_to(s))
 
-    def _loaded_contact(self, clamp: Clamp, push: _Push) -> Contact:
+    def _loaded_contact(self, clamp: Clamp, push: Push) -> Contact:
         """Where the moment is that of the loads behind the contact; place and those loads'
         resultants by Newton's method, beginning with the resultants of the free rod.
         """
@@ -632,24 +631,24 @@ class Kirchhoff(RodModel):
         begin = _zero(None, line, slopes, None)
         place, _, x = line.between(begin)
 
-        def parts(unknowns: Float[Array, "7"]) -> tuple[_State, Vector, Vector, Line]:
-            s, tail = unknowns[0], unknowns[1:]
+        def parts(unknowns: Float[Array, "7"], inner: Inner) -> tuple[_State, Vector, Vector, Line]:
+            (line, _, push), s, tail = inner, unknowns[0], unknowns[1:]
             here = self._at(inner, s)
+            here = here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
             force = push.force + here.load[:3] - tail[:3]
             moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
             rest = here._replace(load=tail, energy=line.energy_up_to(s))
             return here, force, moment, self._rest(inner, s, rest)
 
-        def left(unknowns: Float[Array, "7"]) -> Float[Array, "7"]:
-            here, force, moment, rest = parts(unknowns)
+        def left(unknowns: Float[Array, "7"], inner: Inner) -> Float[Array, "7"]:
+            here, force, moment, rest = parts(unknowns, inner)
             lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
             return joined(lever, rest.states.load[-1])
 
         tail = free[place] + x * (free[place + 1] - free[place])
-        unknowns = self._resultants(left, joined(begin, tail))
-        here, force, moment, rest = parts(unknowns)
-        f = jnp.sqrt(dot(force, force))
-        reach = here.reach + jnp.maximum(unknowns[0] - 1.0, 0.0) * here.tangent
+        unknowns = self._resultants(left, joined(begin, tail), inner)
+        here, force, moment, rest = parts(unknowns, inner)
+        f, reach = jnp.sqrt(dot(force, force)), here.reach
         total = joined(-push.force, -push.moment)
         load = total + joined(force, jnp.cross(reach, force) + moment)
         incidence = (1 + dot(here.tangent, force) / f) / 2

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
+Own = Float[Any, "own"] | tuple[()]
 
 
 class Clamp(NamedTuple):
@@ -41,9 +42,9 @@ class Bent(NamedTuple):
     force: Scalar
     direction: Vector
     """Unit vector of the force on the rod."""
-    misses: Float[Any, "two"]
-    """How far [L] the point lies out of the rod's plane, and how far the rod is from it along the
-    force.
+    misses: Float[Any, "misses"]
+    """How far [L] the rod passes from the point, in two directions, and one more for each of the
+    model's own unknowns: zero in equilibrium.
     """
     arc_length: Scalar
     """Of the contact from the clamp [L]."""
@@ -135,6 +136,13 @@ def is_neutral(direction: Vector, tangent: Vector) -> Bool[Array, ""]:
 class RodModel(eqx.Module):
     """How a clamped rod bends under one contact force."""
 
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns of its own the model adds: none where the contact force alone
+        determines the reactions, else the resultants of other loads.
+        """
+        return 6 if self.loaded else 0
+
     @abstractmethod
     def free(self, clamp: Clamp) -> Free:
         """Return the rod without contact."""
@@ -146,9 +154,11 @@ class RodModel(eqx.Module):
         point: Vector,
         force: Scalar,
         direction: Vector,
+        own: Own = (),
         reached: Vector | None = None,
     ) -> Bent:
-        """Return the rod under a force of given magnitude and direction at a point.
+        """Return the rod under a force of given magnitude and direction at a point; `own` are
+        unknowns of the model itself, `unknowns` in number.
 
         `reached` is r of a previous state: a force along the clamp's axis leaves the rod in the
         bending plane it had there; without it, in the plane of the point itself.

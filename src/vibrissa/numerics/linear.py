@@ -65,14 +65,16 @@ def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Ar
     return joined(*values) / dot(first, across)
 
 
-def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Solution by Gauss-Jordan elimination with partial pivoting, one loop over the columns; not
+def solve_pivoted(
+    matrix: Float[Array, "n n"], right: Float[Array, "n"]
+) -> tuple[Float[Array, "n"], Float[Array, ""]]:
+    """Solution and determinant by Gauss-Jordan elimination with partial pivoting, one loop over the columns; not
     finite where the matrix is singular.
     """
     rows = jnp.arange(len(right))
 
-    def eliminate(column: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        matrix, right = state
+    def eliminate(column: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        matrix, right, determinant = state
         own = rows == column
         entries = jnp.sum(jnp.where(own, matrix, 0.0), axis=1)
         best = rows == jnp.argmax(jnp.where(rows >= column, jnp.abs(entries), -1.0))
@@ -87,9 +89,10 @@ def solve_pivoted(matrix: Float[Array, "n n"], right: Float[Array, "n"]) -> Floa
             left = jnp.where(best[of], other, part) - factor[of] * chosen
             return jnp.where(own[of], chosen / pivot, left)
 
-        return without(matrix), without(right)
+        swapped = jnp.where(jnp.any(best & own), 1.0, -1.0)
+        return without(matrix), without(right), determinant * swapped * pivot
 
-    return lax.fori_loop(0, len(right), eliminate, (matrix, right))[1]
+    return lax.fori_loop(0, len(right), eliminate, (matrix, right, jnp.ones(())))[1:]
 
 
 def cholesky(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:

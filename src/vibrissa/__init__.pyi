@@ -26,7 +26,7 @@ from .io import (
     write_contacts,
 )
 from .reactions import Reactions
-from .rod import Loads, RestShape, Rod, Section, Support, Thermal
+from .rod import Loads, RestShape, Rod, Section, Support, Thermal, rods
 from .sensor import Sensor
 from .tolerances import Tolerances
 from .trail import Trail
@@ -78,6 +78,7 @@ __all__ = [
     "read_contacts",
     "read_recording",
     "reconstruct",
+    "rods",
     "scan",
     "shape",
     "smooth",

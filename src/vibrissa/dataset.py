@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from vibrissa.contacts import ContactKind, Status
+from vibrissa.rod import rod_to_json
 from vibrissa.rod.rod import Quantity
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ def dataset_of(title: str, result: Any, variables: Iterable[Variable]) -> "xarra
         if values is not None and values.size:
             about = {"units": rod.unit_of(quantity), "long_name": long_name}
             data[name] = (*rows, *extra.split()), values, about
+    # A variable: attributes of HDF5 are limited to 64 kB, which a tabulated rod exceeds.
+    data["rod"] = (), np.array(rod_to_json(rod)), {"long_name": "description of the rod, JSON"}
     used = {axis for axes, _, _ in data.values() for axis in axes}
     attributes = {
         "Conventions": "CF-1.11",

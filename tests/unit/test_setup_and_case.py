@@ -485,9 +485,13 @@ SETUP_DAMAGE = {
     "kind of rod": (
         '"cylinder"',
         '"cone"',
-        ["rod", "'cone'", "allowed is cylinder, uniform or unit"],
+        ["rod", "'cone'", "allowed is cylinder, tapered, table, uniform or unit"],
     ),
-    "no kind": ('kind = "cylinder"\n', "", ["rod.kind: missing", "cylinder, uniform or unit"]),
+    "no kind": (
+        'kind = "cylinder"\n',
+        "",
+        ["rod.kind: missing", "cylinder, tapered, table, uniform or unit"],
+    ),
     "no sign": (
         'wrench = "on_sensor"\n',
         "",
@@ -861,7 +865,7 @@ MISSPELT = {
     "a key": (
         ("length = 0.05", "lenght = 0.05"),
         "rod.lenght: unknown key; did you mean 'length'? allowed are kind, length, radius, "
-        "youngs_modulus, density, yield_strain; "
+        "youngs_modulus, density, poisson_ratio, inner_radius, yield_strain, thermal, rest, loads, support, temperature; "
         "rod.length: missing; allowed is a number greater than 0",
     ),
     "a table": (
@@ -873,7 +877,7 @@ MISSPELT = {
     "kind": (
         ('kind = "cylinder"', 'knid = "cylinder"'),
         "rod.knid: unknown key; did you mean 'kind'? "
-        "rod.kind: missing; allowed is cylinder, uniform or unit",
+        "rod.kind: missing; allowed is cylinder, tapered, table, uniform or unit",
     ),
     "nothing near": (
         ("radius = 0.03", "radius = 0.03\ncolour = 1"),
@@ -882,7 +886,7 @@ MISSPELT = {
     "a key, and wrong values before and after it": (
         ("length = 0.05\nradius = 0.25e-3", "length = -1\nradus = 1\nyoungs_modulus = 0 #"),
         "rod.radus: unknown key; did you mean 'radius'? allowed are kind, length, radius, "
-        "youngs_modulus, density, yield_strain; "
+        "youngs_modulus, density, poisson_ratio, inner_radius, yield_strain, thermal, rest, loads, support, temperature; "
         "rod.radius: missing; allowed is a number greater than 0; "
         "rod.length = -1: allowed is a number greater than 0 (and 1 more)",
     ),

@@ -75,7 +75,7 @@ def default_names(rod: Rod) -> tuple[str, ...]:
 def _all(rod: Rod) -> list[Parameter]:
     """Every parameter of a bench with this rod, in a fixed order: rod, clamp, object, sensor."""
     length = rod.unit_of("length")
-    inertia = math.inf if rod.radius is None else math.pi / 4 * rod.radius**4
+    inertia = rod.second_moment or math.inf
     table = (
         (STIFFNESS[0], "stiffness", "Pa", 1.0, 1 / inertia, _ONE),
         (STIFFNESS[1], "stiffness", "N m2" if rod.units == "SI" else "1", 1.0, 1.0, _ONE),

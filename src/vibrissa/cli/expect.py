@@ -35,7 +35,7 @@ def expect(
         loaded = vb.load_case(case, progress=report.count)
         if loaded.rod.units != "SI":
             raise vb.io.InputError(
-                f"{case}: rod.kind = 'unit'; allowed are cylinder and uniform: a sensor has units"
+                f"{case}: rod.kind = 'unit'; allowed is any other kind: a sensor has units"
             )
         report("scanning")
         try:

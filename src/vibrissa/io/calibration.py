@@ -16,7 +16,9 @@ from scipy.spatial.transform import Rotation
 from vibrissa.files import InputError, readable, writable
 from vibrissa.io.calibration_report import summary
 from vibrissa.io.config import NO_TURN, ORIGIN, Finite, NotNegative, Table, number
+from vibrissa.io.rod import rod_of
 from vibrissa.libraries import extra_library
+from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
 
 if TYPE_CHECKING:
@@ -140,8 +142,7 @@ def source_document(path: str | Path) -> Any:
     document = library.parse(readable(Path(path)).read_text(encoding="utf-8"))
     if document["rod"]["kind"] == "unit":
         raise InputError(
-            f"{path}: rod.kind = 'unit' cannot hold a calibrated rod; "
-            "allowed are cylinder and uniform"
+            f"{path}: rod.kind = 'unit' cannot hold a calibrated rod; allowed is any other kind"
         )
     return document
 
@@ -206,12 +207,8 @@ def write_calibration(
 
 
 def _set_numbers(document: Any, calibration: "Calibration[Any]") -> None:
-    rod, sensor = calibration.setup.rod, calibration.setup.sensor
-    if document["rod"]["kind"] == "cylinder":
-        stiffness = {"youngs_modulus": rod.bending_stiffness / (np.pi / 4 * rod.radius**4)}
-    else:
-        stiffness = {"bending_stiffness": rod.bending_stiffness}
-    _change(document["rod"], length=rod.length, **stiffness)
+    sensor = calibration.setup.sensor
+    _scale_rod(document["rod"], calibration.setup.rod)
     names = ("clamp_position", "clamp_orientation", "gain")
     _change(document["sensor"], **{name: getattr(sensor, name) for name in names})
     if "object" in document and {"object_position", "object_orientation"} & set(calibration.free):
@@ -220,6 +217,23 @@ def _set_numbers(document: Any, calibration: "Calibration[Any]") -> None:
         before = Rotation.from_quat(table.get("rotation", NO_TURN))
         place = rotation.apply(table.get("translation", ORIGIN)) + move
         _change(table, rotation=(rotation * before).as_quat(), translation=place)
+
+
+_STIFFNESS_KEYS = (*_STIFFNESS, "torsional_stiffness")
+_LENGTH_KEYS = ("length", "arc_length")
+
+
+def _scale_rod(table: Any, rod: Rod) -> None:
+    """Change what the table of a rod says about stiffness and length by as much as the rod it
+    describes, perhaps at a temperature, differs from the given one.
+    """
+    before = rod_of(table.unwrap())
+    for keys, ratio in (
+        (_STIFFNESS_KEYS, rod.bending_stiffness / before.bending_stiffness),
+        (_LENGTH_KEYS, rod.length / before.length),
+    ):
+        given = {key: np.asarray(table[key], dtype=float) for key in keys if key in table}
+        _change(table, **{key: ratio * value for key, value in given.items()})
 
 
 _LEFT_OUT = {"gain": (1.0,) * _CHANNELS, "rotation": NO_TURN, "translation": ORIGIN}

@@ -12,7 +12,6 @@ from vibrissa.io.config import (
     Finite,
     NotNegative,
     Quaternion,
-    RodTable,
     Site,
     Table,
     Vector,
@@ -22,6 +21,7 @@ from vibrissa.io.config import (
     table_of,
 )
 from vibrissa.io.objects import ObjectTable
+from vibrissa.io.rod import RodTable
 from vibrissa.numerics.progress import Progress
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
@@ -111,7 +111,8 @@ class CaseFile(Table):
 
     @model_validator(mode="after")
     def _fits(self) -> "CaseFile":
-        if self.contact.finite_radius and getattr(self.rod, "radius", None) is None:
+        given = {"radius", "base_radius"} & self.rod.model_fields_set  # type: ignore[attr-defined]
+        if self.contact.finite_radius and not given:
             raise ValueError(
                 "contact.finite_radius = true: rod.radius is missing; "
                 "allowed is a number greater than 0"

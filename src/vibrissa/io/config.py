@@ -13,7 +13,6 @@ from pydantic_core import ErrorDetails
 
 from vibrissa.files import InputError, readable
 from vibrissa.numerics.progress import Progress
-from vibrissa.rod import Rod
 
 
 def number(description: str, **bounds: Any) -> Any:
@@ -118,22 +117,6 @@ def one_of(tables: Iterable[type[Table]]) -> Any:
     return Annotated[Union[choice], Field(discriminator="kind", description=description)]  # noqa: UP007
 
 
-# A wire of circular section, a rod of given stiffness (SI), and the model's units, L = EI = 1.
-_RODS: dict[str, Callable[..., Any]] = {"cylinder": Rod.cylinder, "uniform": Rod, "unit": Rod.unit}
-_ROD = dict.fromkeys(
-    (
-        "length",
-        "radius",
-        "youngs_modulus",
-        "bending_stiffness",
-        "density",
-        "linear_density",
-        "yield_strain",
-    ),
-    Positive,
-)
-
-
 def load(path: str | Path, model: type[Table], progress: Progress | None = None) -> Any:
     """Read a TOML file and return what its tables describe; `progress` is for meshes.
 
@@ -220,6 +203,3 @@ def _resolved(
         name = node.get("$ref", "").rpartition("/")[2]
         node = schema["$defs"][name] if name else node["anyOf"][0]
     return node
-
-
-RodTable = one_of(table_of(noun, _ROD, kind) for kind, noun in _RODS.items())

@@ -19,7 +19,6 @@ from vibrissa.io.config import (
     NotNegative,
     Positive,
     Quaternion,
-    RodTable,
     Site,
     Table,
     Vector,
@@ -30,6 +29,7 @@ from vibrissa.io.config import (
 )
 from vibrissa.io.objects import ObjectTable
 from vibrissa.io.recordings.table import RecordingTable
+from vibrissa.io.rod import RodTable
 from vibrissa.numerics.progress import Progress
 from vibrissa.rod import Rod
 from vibrissa.sensor import LowPass, Mount, Sensor

@@ -11,7 +11,7 @@ from vibrissa.contacts import ContactKind
 from vibrissa.files import InputError, readable, reading
 from vibrissa.mechanics.elastic_line import force_of, sampled_line
 from vibrissa.reactions import Reactions
-from vibrissa.rod import Rod
+from vibrissa.rod import Rod, rod_from_json
 from vibrissa.trail import Trail
 
 if TYPE_CHECKING:
@@ -105,12 +105,7 @@ def _of(data: "xarray.Dataset") -> StoredSweep:
     def part(name: str) -> Any:
         return data[name].to_numpy() if name in data else None
 
-    is_model = data["contact_point"].attrs["units"] == "1"
-    rod = Rod(
-        float(data.attrs["rod_length"]),
-        float(data.attrs["rod_bending_stiffness"]),
-        units="model" if is_model else "SI",
-    )
+    rod = _rod(data)
     trail = Trail(part("clamp_position"), part("clamp_orientation"))
     reactions = Reactions(trail, part("support_force"), part("support_moment"), part("time"))
     direction = part("force_direction")
@@ -128,4 +123,16 @@ def _of(data: "xarray.Dataset") -> StoredSweep:
         covariance=part("contact_point_covariance"),
         incidence=part("incidence"),
         offset=float(data.attrs.get("contact_offset", 0.0)),
+    )
+
+
+def _rod(data: "xarray.Dataset") -> Rod:
+    if "rod" in data:
+        return rod_from_json(str(data["rod"].item()))
+    # Older files hold uniform, straight rods only.
+    is_model = data["contact_point"].attrs["units"] == "1"
+    return Rod(
+        float(data.attrs["rod_length"]),
+        float(data.attrs["rod_bending_stiffness"]),
+        units="model" if is_model else "SI",
     )

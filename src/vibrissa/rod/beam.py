@@ -35,8 +35,10 @@ def first_frequency(bending: Along, mass: Along, breaks: tuple[float, ...]) -> f
         for element, part in enumerate(parts):
             at = slice(2 * element, 2 * element + 4)
             matrix[at, at] += part
-    least = eigh(stiffness[2:, 2:], inertia[2:, 2:], eigvals_only=True, subset_by_index=[0, 0])
-    return float(np.sqrt(least[0]))
+    # The largest 1/ω² is free of the rounding that the smallest ω² has beside large ones.
+    held, last = stiffness[2:, 2:], size - 3
+    found = eigh(inertia[2:, 2:], held, eigvals_only=True, subset_by_index=[last, last])
+    return float(1 / np.sqrt(found[0]))
 
 
 def sag(bending: Along, mass: Along, breaks: tuple[float, ...]) -> float:

@@ -73,12 +73,12 @@ class Loads(Described):
 
     def per_length(
         self,
-        arc_length: Float[Any, ""],
+        arc_length: Figure,
         position: Vector,
         tangent: Vector,
         *,
-        radius: Any,
-        linear_density: Any,
+        radius: Figure | None,
+        linear_density: Figure | None,
     ) -> Vector:
         """Force per length (3,) [N/m] on the rod at a place, in world axes.
 
@@ -93,7 +93,7 @@ class Loads(Described):
         """
         total = jnp.zeros(3)
         if self.gravity is not None:
-            total = total + linear_density * jnp.asarray(self.gravity)
+            total = total + jnp.asarray(linear_density) * jnp.asarray(self.gravity)
         if self.wind is not None:
             wind = self.wind(position) if callable(self.wind) else jnp.asarray(self.wind)
             total = total + self.drag(wind, tangent, radius)

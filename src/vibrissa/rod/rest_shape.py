@@ -16,8 +16,8 @@ from vibrissa.rod.centre_line import curvature_along
 from vibrissa.rod.section import increasing, kinks
 from vibrissa.rod.tree import Described, Figure, array, known, tree
 
-Along = Float[Any, "*s"]
-Components = Float[Any, "*s 3"]
+Along = Float[Any, "..."]
+Components = Float[Any, "... 3"]
 
 _NEWTON_STEPS = 7  # from the start below: rounding for arc lengths up to 1e12/a
 
@@ -40,7 +40,7 @@ class RestShape(Described):
         """Raise ValueError if a table or points do not cover a rod of this length [m]."""
 
     @abstractmethod
-    def at(self, s: Along) -> Components:
+    def at(self, s: ArrayLike) -> Components:
         """U (…, 3) [1/m] at arc lengths (…) [m]; traceable by JAX."""
 
     @abstractmethod
@@ -149,7 +149,7 @@ class Polynomial(RestShape):
     coefficients: Float[Any, "k"]
     roll: Figure = 0.0
 
-    def at(self, s: Along) -> Components:
+    def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`."""
         s = jnp.asarray(s, float)
         kappa = jnp.zeros_like(s)
@@ -171,7 +171,7 @@ class Parabola(RestShape):
     a: Figure
     roll: Figure = 0.0
 
-    def at(self, s: Along) -> Components:
+    def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`: with 2ax = sinh v, the arc length is 4as = sinh v cosh v + v, or sinh
         y + y = 8as for y = 2v.
         """
@@ -206,7 +206,7 @@ class Table(RestShape):
         """As in `RestShape`."""
         _covers(self.extent, length, "arc_length", _TABLE_FITS)
 
-    def at(self, s: Along) -> Components:
+    def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`; the last values hold beyond the extent."""
         x, knots = jnp.asarray(s) / self.extent, np.array(self.knots)
         u = [jnp.interp(x, knots, column) for column in jnp.asarray(self.curvature).T]
@@ -232,7 +232,7 @@ class Spline(RestShape):
         """As in `RestShape`."""
         _covers(self.extent, length, "points", _POINTS_FIT)
 
-    def at(self, s: Along) -> Components:
+    def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`; the last values hold beyond the extent."""
         x, knots = jnp.clip(jnp.asarray(s) / self.extent, 0.0, 1.0), jnp.asarray(self.knots)
         cell = jnp.clip(jnp.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)

@@ -21,7 +21,7 @@ from vibrissa.rod.support import Support
 from vibrissa.rod.thermal import Thermal
 from vibrissa.rod.tree import Described, Figure, known, tree
 
-Along = Float[Any, "*s"]
+Along = Float[Any, "..."]
 
 FIRST_CLAMPED_ROOT = 1.8751040687119611
 """First root of cos β cosh β = −1, clamped-free beam (Euler–Bernoulli)."""
@@ -365,17 +365,17 @@ class Rod(Described):
             return None
         return math.pi / 4 * (self.radius**4 - self.inner_radius**4)
 
-    def bending_at(self, x: Along) -> Along:
+    def bending_at(self, x: ArrayLike) -> Along:
         """EI [EI at the clamp] at fractions x of the length (…); traceable by JAX."""
-        return jnp.ones(jnp.shape(x)) if self.section is None else self.section.bending_at(x)
+        return jnp.ones(np.shape(x)) if self.section is None else self.section.bending_at(x)
 
-    def torsion_at(self, x: Along) -> Along:
+    def torsion_at(self, x: ArrayLike) -> Along:
         """GJ [EI at the clamp] at fractions of the length (…)."""
         if self.section is None:
-            return jnp.ones(jnp.shape(x)) / (1 + self.poisson_ratio)
+            return jnp.ones(np.shape(x)) / (1 + self.poisson_ratio)
         return self.section.torsion_at(x, self.poisson_ratio)
 
-    def radius_at(self, x: Along) -> Along:
+    def radius_at(self, x: ArrayLike) -> Along:
         """Outer radius [m] at fractions of the length (…).
 
         Raises
@@ -386,10 +386,10 @@ class Rod(Described):
         if self.radius is None:
             raise ValueError("radius = None; needed is the rod's radius")
         if self.section is None:
-            return self.radius * jnp.ones(jnp.shape(x))
+            return self.radius * jnp.ones(np.shape(x))
         return self.radius * self.section.radius_at(x)
 
-    def linear_density_at(self, x: Along) -> Along:
+    def linear_density_at(self, x: ArrayLike) -> Along:
         """Mass per length [kg/m] at fractions of the length (…).
 
         Raises
@@ -400,7 +400,7 @@ class Rod(Described):
         if self.linear_density is None:
             raise ValueError("linear_density = None; needed is the rod's density")
         if self.section is None:
-            return self.linear_density * jnp.ones(jnp.shape(x))
+            return self.linear_density * jnp.ones(np.shape(x))
         return self.linear_density * self.section.linear_density_at(x)
 
     @property

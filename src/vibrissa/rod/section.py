@@ -13,7 +13,7 @@ from vibrissa.geometry.checks import finite, finite_array
 from vibrissa.rod.tree import Described, Figure, array, known, tree
 
 Values = Float[Any, "k"]
-Along = Float[Any, "*s"]
+Along = Float[Any, "..."]
 
 _COLLINEAR = 1e-12
 """Share of a column's largest value within which an entry lies on the line through its neighbours:
@@ -90,19 +90,19 @@ class Section(Described):
         """Whether mass along the rod is known relative to that at the clamp."""
         return self.bending is None or self.linear_density is not None
 
-    def bending_at(self, x: Along) -> Along:
+    def bending_at(self, x: ArrayLike) -> Along:
         """EI [EI at the clamp] at fractions of the length; any shape."""
         if self.bending is not None:
             return self._at(self.bending, x)
         return self._moment(x, 4)
 
-    def torsion_at(self, x: Along, poisson_ratio: Figure) -> Along:
+    def torsion_at(self, x: ArrayLike, poisson_ratio: Figure) -> Along:
         """GJ [EI at the clamp]: EI/(1 + ν) for a round section."""
         if self.torsion is not None:
             return self._at(self.torsion, x)
         return self.bending_at(x) / (1 + poisson_ratio)
 
-    def radius_at(self, x: Along) -> Along:
+    def radius_at(self, x: ArrayLike) -> Along:
         """Outer radius [that at the clamp].
 
         Raises
@@ -114,7 +114,7 @@ class Section(Described):
             raise ValueError("radius = None: the table of this rod needs a column radius")
         return self._at(self.radius, x)
 
-    def linear_density_at(self, x: Along) -> Along:
+    def linear_density_at(self, x: ArrayLike) -> Along:
         """Mass per length [that at the clamp].
 
         Raises
@@ -130,14 +130,14 @@ class Section(Described):
             )
         return self._moment(x, 2)
 
-    def _moment(self, x: Along, power: int) -> Along:
+    def _moment(self, x: ArrayLike, power: int) -> Along:
         """Powers of the outer less those of the inner radius, relative to the clamp's."""
         if self.bore is None:
             return self._at(self.radius, x) ** power
         outer, inner = self._at(self.radius, x), self._at(self.bore, x)
         return (outer**power - inner**power) / (1 - self.bore[0] ** power)
 
-    def _at(self, values: Any, x: Along) -> jax.Array:
+    def _at(self, values: Any, x: ArrayLike) -> jax.Array:
         return jnp.interp(jnp.asarray(x), np.array(self.knots), values)
 
 

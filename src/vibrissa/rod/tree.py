@@ -25,7 +25,7 @@ class Described:
 
     def __eq__(self, other: object) -> bool:
         """Whether all values are equal."""
-        return type(other) is type(self) and self._key() == other._key()  # type: ignore[attr-defined]
+        return type(other) is type(self) and self._key() == other._key()
 
     def __hash__(self) -> int:
         """By value."""

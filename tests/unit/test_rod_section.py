@@ -1,0 +1,146 @@
+"""How section, stiffness and mass vary along a rod."""
+
+import jax
+import numpy as np
+import pytest
+
+import vibrissa as vb
+
+X = np.linspace(0, 1, 11)
+CONE = vb.Rod.tapered(
+    length=0.05, base_radius=1e-4, tip_radius=2e-5, youngs_modulus=3e9, density=1200.0
+)
+
+
+def test_stiffness_and_mass_of_a_truncated_cone() -> None:
+    radius = 1e-4 - 8e-5 * X
+    bending = CONE.bending_stiffness * CONE.bending_at(X)
+    np.testing.assert_allclose(bending, 3e9 * np.pi / 4 * radius**4, rtol=1e-13)
+    np.testing.assert_allclose(CONE.torsion_at(X), CONE.bending_at(X) / 1.3, rtol=1e-15)
+    np.testing.assert_allclose(CONE.radius_at(X), radius, rtol=1e-14)
+    np.testing.assert_allclose(CONE.linear_density_at(X), 1200 * np.pi * radius**2, rtol=1e-13)
+    assert CONE.bending_at(np.zeros((2, 3))).shape == (2, 3)
+
+
+def test_a_hollow_rod_has_no_stiffness_and_no_mass_in_its_bore() -> None:
+    tube = vb.Rod.cylinder(
+        length=0.1, radius=2e-4, inner_radius=1e-4, youngs_modulus=2e11, density=7850.0
+    )
+    assert tube.bending_stiffness == pytest.approx(2e11 * np.pi / 4 * 15e-16, rel=1e-13)
+    assert tube.linear_density == pytest.approx(7850 * np.pi * 3e-8, rel=1e-13)
+    drilled = vb.Rod.tapered(
+        length=0.1, base_radius=2e-4, tip_radius=1.5e-4, inner_radius=1e-4, youngs_modulus=2e11
+    )
+    outer = 2e-4 - 0.5e-4 * X
+    bending = drilled.bending_stiffness * drilled.bending_at(X)
+    np.testing.assert_allclose(bending, 2e11 * np.pi / 4 * (outer**4 - 1e-16), rtol=1e-12)
+
+
+def test_a_table_is_linear_in_the_radius_and_splitting_it_changes_nothing() -> None:
+    coarse = {"arc_length": (0, 0.02, 0.05), "radius": (1e-3, 0.8e-3, 0.0)}
+    fine = {
+        "arc_length": (0, 0.005, 0.02, 0.03, 0.05),
+        "radius": (1e-3, 0.95e-3, 0.8e-3, 0.8e-3 * 2 / 3, 0.0),
+    }
+    one, two = (vb.Rod.from_table(**table, youngs_modulus=1e9) for table in (coarse, fine))
+    np.testing.assert_allclose(one.radius_at([0.2, 0.7]), [0.9e-3, 0.4e-3], rtol=1e-14)
+    assert one == two
+    assert hash(one) == hash(two)
+    assert one.breaks == pytest.approx([0.4])
+    assert vb.Rod.from_table(arc_length=(0, 0.1), radius=(1e-3, 1e-3), youngs_modulus=1e9).plain
+
+
+def test_a_table_of_stiffness_is_linear_in_it() -> None:
+    rod = vb.Rod.from_table(
+        arc_length=(0, 0.03, 0.1),
+        bending_stiffness=(2e-3, 1e-3, 0.5e-3),
+        torsional_stiffness=(1e-3, 1e-3, 1e-3),
+    )
+    np.testing.assert_allclose(2e-3 * rod.bending_at([0, 0.3, 0.65]), [2e-3, 1e-3, 0.75e-3])
+    np.testing.assert_allclose(2e-3 * rod.torsion_at(X), 1e-3)
+    with pytest.raises(ValueError, match=r"^radius = None"):
+        rod.radius_at(0.5)
+    with pytest.raises(ValueError, match=r"^linear_density = None"):
+        rod.linear_density_at(0.5)
+    assert rod.own_sag() is None
+
+
+def test_the_taper_can_be_differentiated() -> None:
+    def bending(taper: float) -> jax.Array:
+        return vb.Rod(1.0, 1.0, section=vb.Section.taper(taper)).bending_at(0.5)
+
+    assert jax.grad(bending)(0.3) == pytest.approx(-4 * 0.5 * (1 - 0.15) ** 3, rel=1e-14)
+    slope = jax.grad(lambda rod: rod.bending_stiffness * rod.radius_at(1.0))(CONE)
+    assert slope.radius == pytest.approx(CONE.bending_stiffness * 0.2, rel=1e-14)
+
+
+def test_first_frequency_of_tapered_beams() -> None:
+    """Complete cone: 8.71926 (H. H. Mabie, C. B. Rogers, J. Acoust. Soc. Am. 51 (1972) 1771); taper
+    0 as for the uniform beam.
+    """
+
+    def root(taper: float) -> float:
+        section = vb.Section.taper(taper)
+        rod = vb.Rod(1.0, 1.0, linear_density=1.0, section=section, units="model")
+        return 2 * np.pi * rod.first_natural_frequency()
+
+    assert root(1.0) == pytest.approx(8.71926, rel=1e-6)
+    uniform = vb.Rod(1.0, 1.0, linear_density=1.0, units="model")
+    assert root(0.0) == pytest.approx(2 * np.pi * uniform.first_natural_frequency(), rel=1e-8)
+
+
+def test_sag_of_a_cone_under_its_own_weight() -> None:
+    """By w'' = M/EI with M = ρ A₀ g L² (1 − x)⁴/12 and EI = EI₀ (1 − x)⁴: a third."""
+    cone = vb.Rod.tapered(
+        length=0.05, base_radius=1e-4, tip_radius=0.0, youngs_modulus=3e9, density=1200.0
+    )
+    whole = vb.Rod.cylinder(length=0.05, radius=1e-4, youngs_modulus=3e9, density=1200.0)
+    assert cone.own_sag() == pytest.approx(whole.own_sag() / 3, rel=1e-12)
+    unweighed = vb.Rod.cylinder(length=0.05, radius=1e-4, youngs_modulus=25e6 * 1200.0)
+    heavier = vb.Rod.cylinder(
+        length=0.05, radius=1e-4, youngs_modulus=25e6 * 1200.0, density=1200.0
+    )
+    assert unweighed.own_sag() == pytest.approx(heavier.own_sag(), rel=1e-12)
+
+
+TABLE = {"arc_length": (0, 0.1), "radius": (1e-3, 1e-4), "youngs_modulus": 1e9}
+TUBE = {"length": 0.1, "radius": 1e-3, "youngs_modulus": 1e9}
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: vb.Section.taper(1.1), "taper = 1.1; allowed"),
+        (lambda: vb.Section.taper(float("nan")), "taper = nan; allowed"),
+        (
+            lambda: vb.Rod.tapered(length=1, base_radius=1, tip_radius=-1, youngs_modulus=1),
+            "tip_radius = -1; allowed",
+        ),
+        (lambda: vb.Rod.cylinder(**TUBE, inner_radius=1e-3), "inner_radius = 0.001; allowed"),
+        (lambda: vb.Rod.cylinder(**TUBE, poisson_ratio=0.6), "poisson_ratio = 0.6; allowed"),
+        (
+            lambda: vb.Rod.from_table(**TABLE | {"arc_length": (0, 0.1, 0.1)}),
+            r"arc_length\[2\] = 0.1; allowed is a number greater than 0.1",
+        ),
+        (lambda: vb.Rod.from_table(**TABLE | {"arc_length": (0.1, 0.2)}), "the first 0"),
+        (lambda: vb.Rod.from_table(**TABLE | {"radius": (1, 1, 1)}), "radius has shape"),
+        (
+            lambda: vb.Rod.from_table(**TABLE | {"radius": (0, 1)}),
+            r"radius\[0\] = 0.0; allowed is a number greater than 0",
+        ),
+        (
+            lambda: vb.Rod.from_table(**TABLE | {"radius": (1, np.nan)}),
+            r"radius\[1\] = nan; allowed are finite",
+        ),
+        (lambda: vb.Rod.from_table(**TABLE, inner_radius=(1e-4, 1e-4)), r"inner_radius\[1\]"),
+        (lambda: vb.Rod.from_table(arc_length=(0, 1), radius=(1, 1)), "youngs_modulus = None"),
+        (
+            lambda: vb.Rod.from_table(arc_length=(0, 1), bending_stiffness=(1, 1)),
+            "torsional_stiffness = None",
+        ),
+        (lambda: vb.Rod.from_table(**TABLE, bending_stiffness=(1, 1)), "youngs_modulus = 1"),
+    ],
+)
+def test_impossible_sections_are_named(make: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()  # type: ignore[operator]

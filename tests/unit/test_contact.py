@@ -9,7 +9,7 @@ import pytest
 
 import vibrissa as vb
 from vibrissa.contact import FRICTIONLESS, Held, Law, Leaning, Scene, State, root, touching
-from vibrissa.mechanics.model import Clamp
+from vibrissa.mechanics.model import AT_ORIGIN
 
 OBJECT = vb.surfaces.EllipticParaboloid(a=0.5, b=1.0, h=0.4)
 ROD = vb.Rod(length=0.9, bending_stiffness=1.3)
@@ -33,7 +33,7 @@ def _solved(
     rod: vb.Rod, point: jnp.ndarray, start: jnp.ndarray, law: Law = FRICTIONLESS
 ) -> jnp.ndarray:
     """Contact point and force in the units of the rod."""
-    scene, clamp = Scene(OBJECT, rod.length), Clamp(point / rod.length, jnp.asarray(AXIS))
+    scene, clamp = Scene(OBJECT, rod.length), AT_ORIGIN._replace(point=point / rod.length)
     x = root(lambda x: touching(scene, law, State.of(x), clamp).residual, start)
     return jnp.append(x[:3] * rod.length, x[3] * rod.force_scale)
 
@@ -97,7 +97,7 @@ def test_a_tip_between_two_halves_is_pushed_as_by_one_plane() -> None:
     """Two copies of a tilted plane: whatever their shares, the force is along their normal."""
     plane = vb.surfaces.Implicit(lambda p: 0.75 - p @ jnp.array([0.6, 0.0, 0.8]))
     both = vb.surfaces.Union([plane, plane])
-    clamp = Clamp(jnp.zeros(3), jnp.asarray(AXIS))
+    clamp = AT_ORIGIN
     start = jnp.array([0.15, 0.0, 0.85, 0.3])
     single = Scene(plane, 1.0)
 

@@ -153,7 +153,7 @@ def test_is_straight_beyond_the_contact_along_the_contact_tangent(bent: Bent) ->
 
 @ALL
 def test_bent_part_runs_from_contact_to_clamp_on_the_rod(bent: Bent) -> None:
-    clamp = Clamp(jnp.zeros(3), jnp.asarray(T0))
+    clamp = Clamp(jnp.zeros(3), jnp.asarray(T0), jnp.asarray(T0))
     force, n = jnp.asarray(bent.force), jnp.asarray(bent.n)
     model = Elastica()
     pushed = model.bent(clamp, jnp.asarray(bent.reach), force, n)

@@ -58,7 +58,7 @@ def test_the_uniform_rod_is_that_of_the_closed_form(scan: vb.Scan) -> None:
             )
             for model in (rod, Elastica())
         )
-        errors = [abs(a - b).max() for a, b in zip(found, exact, strict=True)]
+        errors = [abs(a - b).max() for a, b in zip(found[:5], exact[:5], strict=True)]
         worst.append([float(errors[0]), float(errors[2])])
         assert errors[1] == 0
         assert errors[4] < 60 * worst[-1][0]
@@ -105,10 +105,7 @@ def test_equilibria_of_the_closed_form_meet_the_same_conditions(scan: vb.Scan) -
 
     places = jnp.asarray(scan.trail.position[rows])
     of_rows = jax.jit(jax.vmap(conditions, (None, 0, 0)))
-    both = [
-        of_rows(model, states, places)
-        for model in (rod_of(uniform, None, 32), Elastica())
-    ]
+    both = [of_rows(model, states, places) for model in (rod_of(uniform, None, 32), Elastica())]
     assert abs(both[0][0]).max() < 1e-11
     np.testing.assert_array_equal(np.sign(both[0][1]), np.sign(both[1][1]))
 

@@ -170,9 +170,7 @@ def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
     return jnp.minimum(jnp.minimum(levels[0], first - jnp.where(rises, 0.0, near)), beyond)
 
 
-def deepest(
-    scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]
-) -> Deepest:
+def deepest(scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]) -> Deepest:
     """Deepest of many points of each rod: the second contact that was left out, if there is one.
 
     The depth is a lower bound, off by up to h²/(8R) for points h ≈ L/6000 apart at the deepest

@@ -354,8 +354,8 @@ def _length(vector: Float[Array, "n"]) -> Scalar:
 def _expected(
     law: Law, carry: _Carry, foretold: list[Float[Array, "expected"]]
 ) -> Float[Array, "expected"]:
-    """Point, force and the rod's own unknowns, extrapolated; without friction to the order that would have predicted the
-    last position best: its error there is the difference of the next order.
+    """Point, force and the rod's own unknowns, extrapolated; without friction to the order that
+    would have predicted the last position best: its error there is the difference of the next.
     """
     expected, least = foretold[_UNTESTED], jnp.asarray(jnp.inf)
     for order in range(_UNTESTED, _ORDERS - 1) if law.branch else ():

@@ -246,9 +246,7 @@ def seeds_around(
     return State(places, pushes, np.zeros((count, 0)), owned)
 
 
-def _along(
-    line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "*k"]
-) -> Float[np.ndarray, "*k 3"]:
+def _along(line: Float[np.ndarray, "n 3"], s: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k 3"]:
     """Points at arc lengths of a line given at equally spaced ones; straight beyond its end."""
     knots = np.linspace(0, 1, len(line))
     within = np.stack([np.interp(s, knots, column) for column in line.T], axis=-1)

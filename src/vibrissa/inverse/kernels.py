@@ -119,7 +119,7 @@ class Observed(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """A rod at its clamp, and its reactions, from which those of distributed loads are taken off."""
+    """A rod at its clamp, and its reactions without those of distributed loads."""
 
     rod: RodModel
     clamp: Clamp

@@ -18,9 +18,7 @@ from vibrissa.rod import Rod
 
 def setting_of(rod: Rod, reactions: Reactions) -> Setting:
     """What all samples share; no contact is too steep, and every sample is in contact."""
-    setting = Setting(
-        rod.length, rod.force_scale, rod.moment_scale, np.inf, 0.0, rod=model_of(rod)
-    )
+    setting = Setting(rod.length, rod.force_scale, rod.moment_scale, np.inf, 0.0, rod=model_of(rod))
     if reactions.covariance is None or reactions.setup_errors is None:
         return setting
     known = prepared(rod, reactions.setup_errors)

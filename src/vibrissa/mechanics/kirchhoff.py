@@ -17,8 +17,9 @@ Beyond its tip the rod is continued as a straight line, so that contacts near th
 derivatives on both sides.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,7 +29,7 @@ from jax import Array, lax
 from jaxtyping import Float
 from scipy.integrate import DOP853
 
-from vibrissa.mechanics.model import Bent, Clamp, Contact, Own, RodModel
+from vibrissa.mechanics.model import Bent, Clamp, Contact, Free, Own, RodModel
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.vectors import dot, joined
@@ -76,9 +77,10 @@ def graded(taper: Scalar, steps: int = STEPS) -> Float[Any, "nodes"]:
     return jnp.where(tiny, share, jnp.expm1(share * thin) / whole)
 
 
-class Load(Protocol):
+class Load(eqx.Module):
     """Force per length on the rod [EI/L³], world axes."""
 
+    @abstractmethod
     def per_length(self, s: Scalar, position: Vector, tangent: Vector, section: Any) -> Vector:
         """At an arc length and a position [L]; `section` holds whatever varies along the rod."""
 
@@ -250,7 +252,7 @@ class Inner(NamedTuple):
     push: Push
 
 
-class Hanging(NamedTuple):
+class Hanging(Free):
     """The rod without contact."""
 
     clamp: Clamp
@@ -665,6 +667,8 @@ def _closest(line: Line, r: Vector) -> Scalar:
 
     gaps = line.reach - r
     return _zero(along, line, jnp.sum(gaps * line.tangent, 1), jnp.sum(gaps * gaps, 1))
+
+
 def _across(tangent: Vector) -> Vector:
     """A unit vector across a tangent that turns with it smoothly but at one direction (T. Duff et
     al., Journal of Computer Graphics Techniques 6 (2017) 1-8).

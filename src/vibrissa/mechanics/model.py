@@ -5,7 +5,7 @@ nothing about the object.
 """
 
 from abc import abstractmethod
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -86,22 +86,25 @@ class Contact(NamedTuple):
     """What distributed loads contribute to the reactions."""
 
 
-class Free(Protocol):
+class Free(eqx.Module):
     """A rod without contact."""
 
+    @abstractmethod
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector | None]:
         """Point [L], unit tangent t and t' [1/L], None for zero, at an arc length."""
 
     @property
+    @abstractmethod
     def reactions(self) -> Wrench:
         """Support force and moment on the rod."""
 
     @property
+    @abstractmethod
     def energy(self) -> Scalar:
         """Energy of bending and twist [EI/L]."""
 
 
-class Straight(NamedTuple):
+class Straight(Free):
     """A straight rod that nothing loads."""
 
     clamp: Clamp

@@ -2,22 +2,20 @@
 
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, fitted, graded
+from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, Load, graded
 from vibrissa.mechanics.model import RodModel
 from vibrissa.rod import Rod
 
 Vector = Float[Any, "3"]
 
 
-class _Load(eqx.Module):
+class _Load(Load):
     """A rod's loads in its own units."""
 
     loads: Any
@@ -76,9 +74,7 @@ def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
         None if rest is None else curvature,
         nodes,
         loaded=loaded,
-        girth=None
-        if rod.uniform or rod.radius is None
-        else rod.radius_at(nodes) / rod.radius,
+        girth=None if rod.uniform or rod.radius is None else rod.radius_at(nodes) / rod.radius,
         load=load,
         compliance=compliance,
     )

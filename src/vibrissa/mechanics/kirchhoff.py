@@ -177,7 +177,7 @@ class Line(NamedTuple):
         return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
 
     def bend(self, s: Scalar) -> Vector:
-        """t' [1/L] at an arc length."""
+        """Slope t' of the tangent [1/L] at an arc length."""
         place, step, x = self.between(s)
         values, (_, _, seconds) = self._ends(place, step), _quintic(x)
         return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
@@ -686,7 +686,7 @@ def _zero(
     distance: Float[Array, "nodes"] | None,
 ) -> Scalar:
     """Arc length at which a function with given values at the nodes passes from below to above
-    zero: next to the nearest node, or for the first time; without a function by linear interpolation.
+    zero: next to the nearest node, or for the first time; without a function, interpolated.
     """
     values = lax.stop_gradient(values)
     count = len(values) - 1

@@ -207,4 +207,6 @@ class RodModel(eqx.Module):
 
     @abstractmethod
     def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
-        """Return the contact that explains support reactions (on the rod, moment about the clamp)."""
+        """Return the contact that explains support reactions: force and moment on the rod, the
+        moment about the clamp.
+        """

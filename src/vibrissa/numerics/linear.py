@@ -68,8 +68,8 @@ def solve_3x3(matrix: Float[Array, "3 3"], right: Float[Array, "3"]) -> Float[Ar
 def solve_pivoted(
     matrix: Float[Array, "n n"], right: Float[Array, "n"]
 ) -> tuple[Float[Array, "n"], Float[Array, ""]]:
-    """Solution and determinant by Gauss-Jordan elimination with partial pivoting, one loop over the columns; not
-    finite where the matrix is singular.
+    """Solution and determinant by Gauss-Jordan elimination with partial pivoting, one loop over the
+    columns; not finite where the matrix is singular.
     """
     rows = jnp.arange(len(right))
 

@@ -1,6 +1,6 @@
 """The forward problem's entry point."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -220,7 +220,8 @@ class _Hanging(NamedTuple):
 def _hanging(scene: Scene, clamps: Clamp, rows: Int[np.ndarray, "k"]) -> _Hanging:
     if not scene.rod.loaded:
         rows = rows[:0]
-    reactions, energy = _free(scene, chosen(clamps, rows))
+    found: Any = _free(scene, chosen(clamps, rows))
+    reactions, energy = found
     return _Hanging(rows, reactions[:, :3], reactions[:, 3:], energy)
 
 

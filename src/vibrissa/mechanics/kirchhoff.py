@@ -92,8 +92,8 @@ class Local(NamedTuple):
     """B [EI]."""
     torsion: Float[Any, "*s"]
     """B₃ [EI]."""
-    rest: Float[Any, "*s 3"] | None = None
-    """u [1/L]: curvatures about d₁ and d₂, and twist."""
+    rest: Any = None
+    """u (…, 3) [1/L]: curvatures about d₁ and d₂, and twist; None for a straight rod."""
     loaded: Any = None
     """What the load depends on, (…)."""
 
@@ -128,10 +128,10 @@ class _State(NamedTuple):
     """From the clamp point."""
     tangent: Vector
     energy: Scalar
-    across: Vector | None = None
-    """d₁, where the rest shape needs it."""
-    load: Wrench | None = None
-    """Q and M, where there are loads."""
+    across: Any = None
+    """d₁ (3,), where the rest shape needs it."""
+    load: Any = None
+    """Q and M (6,), where there are loads."""
 
 
 class Push(NamedTuple):
@@ -192,17 +192,6 @@ class Line(NamedTuple):
                 step**2 * self.rates.tangent[node],
             )
         ]
-
-    def energy_up_to(self, s: Scalar) -> Scalar:
-        """Energy of bending and twist between clamp and an arc length [EI/L], cubic between
-        nodes.
-        """
-        place, step, x = self.between(s)
-        start, end = self.states.energy[place], self.states.energy[place + 1]
-        first, last = step * self.rates.energy[place], step * self.rates.energy[place + 1]
-        bend, turn = 3 * (end - start) - 2 * first - last, first + last - 2 * (end - start)
-        energy: Scalar = start + x * (first + x * (bend + x * turn))
-        return energy
 
     def between(self, s: Scalar) -> tuple[Array, Scalar, Scalar]:
         """The node before an arc length, the step that begins there, and the place in it."""
@@ -453,18 +442,14 @@ class Kirchhoff(RodModel):
         return Line(nodes, *states)
 
     def _at(self, inner: Inner, s: Scalar) -> _State:
-        """The rod at an arc length, by a step from the node before it."""
+        """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
         line, clamp, push = inner
         place, step, x = line.between(s)
         before = jax.tree.map(lambda rows: rows[place], line.states)
         own = jax.tree.map(lambda part: part[place], self.local)
         start, stages = line.nodes[place], _at_stages(own, 0.0, x)
-        return self._step(clamp.point, push, before, start, x * step, stages)[0]
-
-    def _place(self, inner: Inner, s: Scalar) -> tuple[Vector, Vector]:
-        """Point and tangent at an arc length, as exact as the nodes; straight beyond the tip."""
-        here = self._at(inner, s)
-        return here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent, here.tangent
+        here, *_ = self._step(clamp.point, push, before, start, x * step, stages)
+        return here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
 
     def _rest(self, inner: Inner, s: Scalar, here: _State) -> Line:
         """The rod behind a contact, given there: nodes before the contact all lie at it."""
@@ -483,8 +468,7 @@ class Kirchhoff(RodModel):
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on."""
-        here = self._at(inner, s)._replace(energy=inner.line.energy_up_to(s))
-        return self._rest(inner, s, here)
+        return self._rest(inner, s, self._at(inner, s))
 
     @staticmethod
     def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
@@ -540,8 +524,8 @@ class Kirchhoff(RodModel):
         load = own if self.loaded else None
         line = self.line(clamp, push, load)
         inner, s = Inner(line, clamp, push), _closest(line, r)
-        at, tangent = self._place(inner, s)
-        first, away = _across(tangent), r - at
+        here = self._at(inner, s)
+        first, away, tangent = _across(here.tangent), r - here.reach, here.tangent
         misses = joined(dot(away, jnp.cross(tangent, first)), dot(away, first))
         # From the closest point of what is interpolated to that of what is as exact as the nodes.
         along = dot(away, tangent)
@@ -553,12 +537,12 @@ class Kirchhoff(RodModel):
 
     def tangent(self, bent: Bent) -> Vector:
         """As in `RodModel`."""
-        return self._place(bent.inner, bent.arc_length)[1]
+        return self._at(bent.inner, bent.arc_length).tangent
 
     def energy(self, bent: Bent) -> Scalar:
         """As in `RodModel`; with that of twist."""
         if self.load is None:
-            return bent.inner.line.energy_up_to(bent.arc_length)
+            return self._at(bent.inner, bent.arc_length).energy
         energy: Scalar = self.beyond(bent.inner, bent.arc_length).states.energy[-1]
         return energy
 
@@ -611,14 +595,15 @@ class Kirchhoff(RodModel):
         inside = push.moment - jnp.cross(line.reach, push.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
         s = _zero(falling, line, slopes, None)
-        at, along = self._place(Inner(line, clamp, push), s)
+        here = self._at(Inner(line, clamp, push), s)
+        at, along = here.reach, here.tangent
         # From what is interpolated to what is as exact as the nodes.
         lever, inside = jnp.cross(along, push.force) / f, push.moment - jnp.cross(at, push.force)
         step = dot(lever, inside) / (f * dot(lever, lever))
         s, at, along = s + step, at + step * along, along + step * line.bend(s)
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
-        return Contact(at, d, s, incidence, line.energy_up_to(s))
+        return Contact(at, d, s, incidence, here.energy)
 
     def _loaded_contact(self, clamp: Clamp, push: Push) -> Contact:
         """Where the moment is that of the loads behind the contact; place and those loads'
@@ -634,13 +619,11 @@ class Kirchhoff(RodModel):
         place, _, x = line.between(begin)
 
         def parts(unknowns: Float[Array, "7"], inner: Inner) -> tuple[_State, Vector, Vector, Line]:
-            (line, _, push), s, tail = inner, unknowns[0], unknowns[1:]
+            push, s, tail = inner.push, unknowns[0], unknowns[1:]
             here = self._at(inner, s)
-            here = here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
             force = push.force + here.load[:3] - tail[:3]
             moment = push.moment - jnp.cross(here.reach, push.force) + here.load[3:] - tail[3:]
-            rest = here._replace(load=tail, energy=line.energy_up_to(s))
-            return here, force, moment, self._rest(inner, s, rest)
+            return here, force, moment, self._rest(inner, s, here._replace(load=tail))
 
         def left(unknowns: Float[Array, "7"], inner: Inner) -> Float[Array, "7"]:
             here, force, moment, rest = parts(unknowns, inner)

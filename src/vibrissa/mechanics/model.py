@@ -82,8 +82,8 @@ class Contact(NamedTuple):
     incidence: Scalar
     """As in `Bent`; at least 1 where no contact explains the reactions."""
     energy: Scalar
-    load: Wrench | None = None
-    """What distributed loads contribute to the reactions."""
+    load: Any = None
+    """What distributed loads contribute to the reactions (6,), if there are any."""
 
 
 class Free(eqx.Module):

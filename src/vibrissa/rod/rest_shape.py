@@ -1,6 +1,6 @@
 """The shape of the rod at rest: curvature and twist along it."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ calibrated stays within, wrong units do not.
 """
 
 
-class RestShape(Described):
+class RestShape(Described, ABC):
     """Curvatures u of the unloaded rod: u₁, u₂ about the axes d₁, d₂ of the section and the twist
     u₃ about its tangent d₃, with d_i' = (Σ u_j d_j) × d_i. At the clamp, d₁, d₂, d₃ are the clamp's
     axes x, y, z. A pytree: its values may be JAX numbers.

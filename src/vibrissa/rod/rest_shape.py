@@ -55,11 +55,17 @@ class RestShape(Described, ABC):
         return Polynomial(np.zeros(0))
 
     @staticmethod
-    def arc(radius: float, roll: Figure = 0.0) -> "RestShape":
+    def arc(radius: Figure, roll: Figure = 0.0) -> "RestShape":
         """A circular arc of a radius [m] in the plane of clamp +z and e = (cos roll, sin roll, 0),
         bending towards e.
+
+        Raises
+        ------
+        ValueError
+            If the radius is not positive and finite, or the roll not finite.
         """
-        return RestShape.polynomial((1 / positive(radius, "radius"),), roll)
+        radius = positive(radius, "radius") if known(radius) else radius
+        return RestShape.polynomial((1 / radius,), roll)
 
     @staticmethod
     def polynomial(coefficients: ArrayLike, roll: Figure = 0.0) -> "RestShape":

@@ -46,6 +46,30 @@ def _written(
     )
 
 
+ROD = 'kind = "cylinder"\nlength = 0.05\nradius = 0.25e-3\nyoungs_modulus = 206e9\n'
+
+
+@pytest.mark.parametrize(
+    "rod",
+    [
+        ROD.replace("cylinder", "tapered").replace("radius", "base_radius") + "tip_radius = 1e-4",
+        'kind = "table"\narc_length = [0, 0.02, 0.05]\nradius = [3e-4, 3e-4, 2e-4]\n'
+        "youngs_modulus = 2e9",
+        'kind = "table"\narc_length = [0, 0.05]\nbending_stiffness = [1e-3, 2e-3]\n'
+        "torsional_stiffness = [1e-3, 1e-3]",
+        ROD + "temperature = 60\n[rod.thermal]\nmodulus_slope = -3e-4\nexpansion = 1e-5",
+    ],
+)
+def test_rods_of_any_kind_get_their_stiffness_and_length(
+    found: vb.Calibration, tmp_path: Path, rod: str
+) -> None:
+    assert ROD in SETUP
+    loaded = vb.load_setup(_written(found, tmp_path, SETUP.replace(ROD, rod + "\n"))).rod
+    calibrated = found.setup.rod
+    assert loaded.bending_stiffness == pytest.approx(calibrated.bending_stiffness, rel=1e-14)
+    assert loaded.length == pytest.approx(calibrated.length, rel=1e-14)
+
+
 def test_the_file_holds_what_was_found(found: vb.Calibration, tmp_path: Path) -> None:
     loaded = vb.load_setup(_written(found, tmp_path))
     assert loaded.rod.length == found.setup.rod.length

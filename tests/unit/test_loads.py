@@ -7,7 +7,7 @@ import pytest
 
 import vibrissa as vb
 
-HERE, UP = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
+HERE, UP = np.zeros(3), np.array([0.0, 0.0, 1.0])
 WIRE = vb.Rod.cylinder(length=0.05, radius=2e-4, youngs_modulus=2e11, density=7850.0)
 
 

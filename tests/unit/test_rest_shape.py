@@ -1,5 +1,7 @@
 """The rod's shape without load."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -87,6 +89,9 @@ def test_components_are_linear_between_entries_and_know_their_kinks() -> None:
         arc_length=(0, 0.03, 0.04, 0.05), radius=(3e-4, 2e-4, 2e-4, 1e-4), youngs_modulus=1e9
     )
     assert rod.curved(rest).breaks == pytest.approx([0.6, 0.8])
+    # A calibrated length moves what is at a fraction of it, not what is at an arc length.
+    longer = replace(rod.curved(rest), length=0.051)
+    assert longer.breaks == pytest.approx([0.03 / 0.051, 0.6, 0.8])
 
 
 def test_twist_turns_the_plane_of_bending() -> None:

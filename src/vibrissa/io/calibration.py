@@ -228,12 +228,12 @@ def _scale_rod(table: Any, rod: Rod) -> None:
     describes, perhaps at a temperature, differs from the given one.
     """
     before = rod_of(table.unwrap())
-    for keys, ratio in (
-        (_STIFFNESS_KEYS, rod.bending_stiffness / before.bending_stiffness),
-        (_LENGTH_KEYS, rod.length / before.length),
+    for keys, new, old in (
+        (_STIFFNESS_KEYS, rod.bending_stiffness, before.bending_stiffness),
+        (_LENGTH_KEYS, rod.length, before.length),
     ):
         given = {key: np.asarray(table[key], dtype=float) for key in keys if key in table}
-        _change(table, **{key: ratio * value for key, value in given.items()})
+        _change(table, **{key: new * (value / old) for key, value in given.items()})
 
 
 _LEFT_OUT = {"gain": (1.0,) * _CHANNELS, "rotation": NO_TURN, "translation": ORIGIN}

@@ -1,6 +1,6 @@
 """The shape of the rod at rest: curvature and twist along it."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,11 +21,13 @@ Components = Float[Any, "... 3"]
 
 _NEWTON_STEPS = 7  # from the start below: rounding for arc lengths up to 1e12/a
 
-_TABLE_FITS, _POINTS_FIT = 1e-6, 0.01
-"""Share of the length by which a table (rounding) and measured points may be shorter or longer."""
+_FITS = 0.05
+"""Share of the rod's length by which a table or points may be shorter or longer: a length that was
+calibrated stays within, wrong units do not.
+"""
 
 
-class RestShape(Described):
+class RestShape(Described, ABC):
     """Curvatures u of the unloaded rod: u₁, u₂ about the axes d₁, d₂ of the section and the twist
     u₃ about its tangent d₃, with d_i' = (Σ u_j d_j) × d_i. At the clamp, d₁, d₂, d₃ are the clamp's
     axes x, y, z. A pytree: its values may be JAX numbers.
@@ -33,7 +35,7 @@ class RestShape(Described):
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Fractions of the rod's length, between 0 and 1, where u has a kink."""
+        """Fractions of the shape's own extent, between 0 and 1, where u has a kink."""
         return ()
 
     def check(self, length: float) -> None:
@@ -53,11 +55,17 @@ class RestShape(Described):
         return Polynomial(np.zeros(0))
 
     @staticmethod
-    def arc(radius: float, roll: Figure = 0.0) -> "RestShape":
+    def arc(radius: Figure, roll: Figure = 0.0) -> "RestShape":
         """A circular arc of a radius [m] in the plane of clamp +z and e = (cos roll, sin roll, 0),
         bending towards e.
+
+        Raises
+        ------
+        ValueError
+            If the radius is not positive and finite, or the roll not finite.
         """
-        return RestShape.polynomial((1 / positive(radius, "radius"),), roll)
+        radius = positive(radius, "radius") if known(radius) else radius
+        return RestShape.polynomial((1 / radius,), roll)
 
     @staticmethod
     def polynomial(coefficients: ArrayLike, roll: Figure = 0.0) -> "RestShape":
@@ -90,8 +98,8 @@ class RestShape(Described):
 
     @staticmethod
     def from_components(arc_length: ArrayLike, curvature: ArrayLike) -> "RestShape":
-        """A table of u (k, 3) [1/m] at arc lengths (k,) [m] from 0 to the rod's length, linear
-        between entries.
+        """A table of u (k, 3) [1/m] at arc lengths (k,) [m] from 0 to the rod's length (to 5 %),
+        linear between entries.
 
         Raises
         ------
@@ -106,8 +114,8 @@ class RestShape(Described):
 
     @staticmethod
     def from_points(points: ArrayLike) -> "RestShape":
-        """The curve through points (k, 3) [m] in clamp axes, the first at the clamp: a spline of
-        degree 5 (3 for fewer than six points), without twist.
+        """The curve through points (k, 3) [m] in clamp axes, the first at the clamp, as long as the
+        rod (to 5 %): a spline of degree 5 (3 for fewer than six points), without twist.
 
         The curve is turned so that it leaves along clamp +z, by at most 5°: a tilt of the rod in
         its mount belongs to the clamp's orientation. Curvature amplifies noise of the points:
@@ -129,11 +137,10 @@ def _roll(roll: Figure) -> Figure:
     return finite(roll, "roll") if known(roll) else roll
 
 
-def _covers(extent: float, length: float, name: str, allowed: float) -> None:
-    if abs(extent - length) > allowed * length:
+def _covers(extent: float, length: float, name: str) -> None:
+    if abs(extent - length) > _FITS * length:
         raise ValueError(
-            f"{name}: {extent:g} long, the rod {length:g}; allowed is the rod's length "
-            f"to {100 * allowed:g} %"
+            f"{name}: {extent:g} long, the rod {length:g}; allowed is the rod's length to 5 %"
         )
 
 
@@ -204,7 +211,7 @@ class Table(RestShape):
 
     def check(self, length: float) -> None:
         """As in `RestShape`."""
-        _covers(self.extent, length, "arc_length", _TABLE_FITS)
+        _covers(self.extent, length, "arc_length")
 
     def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`; the last values hold beyond the extent."""
@@ -230,7 +237,7 @@ class Spline(RestShape):
 
     def check(self, length: float) -> None:
         """As in `RestShape`."""
-        _covers(self.extent, length, "points", _POINTS_FIT)
+        _covers(self.extent, length, "points")
 
     def at(self, s: ArrayLike) -> Components:
         """As in `RestShape`; the last values hold beyond the extent."""

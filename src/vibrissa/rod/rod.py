@@ -15,7 +15,7 @@ from vibrissa.rod.beam import first_frequency, sag
 from vibrissa.rod.centre_line import check_free
 from vibrissa.rod.dimensions import round_section, round_table, stiffness_table, taper_between
 from vibrissa.rod.loads import Loads
-from vibrissa.rod.rest_shape import Polynomial, RestShape
+from vibrissa.rod.rest_shape import Polynomial, RestShape, Table
 from vibrissa.rod.section import Section, increasing
 from vibrissa.rod.support import Support
 from vibrissa.rod.thermal import Thermal
@@ -348,12 +348,16 @@ class Rod(Described):
         """Fractions of the length, between 0 and 1, where the section or the rest shape has a kink;
         increasing.
         """
-        parts = (part.breaks for part in (self.section, self.rest) if part is not None)
-        places = sorted(place for part in parts for place in part)
+        places = [] if self.section is None else list(self.section.breaks)
+        if isinstance(self.rest, Table):
+            given = known(self.rest.extent, self.length)
+            share = float(self.rest.extent / self.length) if given else 1.0
+            places += [share * place for place in self.rest.breaks]
+        places.sort()
         return tuple(
             place
             for before, place in zip([0.0, *places], places, strict=False)
-            if place - before > _SAME_PLACE
+            if place - before > _SAME_PLACE and place < 1
         )
 
     @property

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.integrate import DOP853
 
 from vibrissa.mechanics.model import Bent, Clamp, Contact, Free, Own, RodModel
@@ -48,7 +48,7 @@ DEGREE = 4
 """Of the polynomials in which a section is given within each step: the stiffness of a round rod
 whose radius changes linearly is one.
 """
-_POINTS = (np.polynomial.legendre.leggauss(DEGREE + 1)[0] + 1) / 2
+_POINTS, _QUADRATURE = (np.array(np.polynomial.legendre.leggauss(DEGREE + 1)) + [[1], [0]]) / 2
 _FIT = np.linalg.inv(np.vander(_POINTS, increasing=True))
 _THINNEST, _STRAIGHT = 1 - 1e-6, 1e-12
 """Taper up to which the steps are graded further, and logarithm of the tip's share of the radius
@@ -56,6 +56,10 @@ below which they are equal, to rounding.
 """
 _CLOSEST_STEPS = 4
 """Newton steps along the rod, from within a step of it: they converge quadratically."""
+_LARGEST_TURN = 1.5
+"""Angle [rad] by which a rod may turn in one step; a row whose rod turned further says so by its
+residual.
+"""
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
 _LOAD_STEPS, _LOAD_SETTLED = 25, 1e-13
@@ -319,6 +323,17 @@ class Kirchhoff(RodModel):
         """As in `RodModel`."""
         return self.load is not None
 
+    def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
+        """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""
+        h = jnp.diff(self.nodes)
+        place = (self.nodes[:-1, None] + h[:, None] * _POINTS).ravel()
+        bending = jnp.einsum("sj,ij->si", self.local.bending, np.vander(_POINTS, increasing=True))
+        weight = (h[:, None] * _QUADRATURE).ravel() / bending.ravel()
+        lever = jnp.clip(s[:, None], 1e-3, 1.0) - place
+        own = jnp.sum(weight * jnp.maximum(lever, 0.0) ** 2, axis=1)
+        uniform = jnp.sum(weight * bending.ravel() * jnp.maximum(lever, 0.0) ** 2, axis=1)
+        return uniform / own
+
     @property
     def finer(self) -> "Kirchhoff":
         """As in `RodModel`."""
@@ -351,17 +366,17 @@ class Kirchhoff(RodModel):
         return _State(reach, tangent, jnp.zeros(()), across if curved else None)
 
     def _slope(
-        self, origin: Vector, push: Push, s: Scalar, at: _State, local: Local
+        self, origin: Vector, push: Push, s: Scalar, at: _State, local: Local, h: Scalar = 0.0
     ) -> tuple[_State, Scalar]:
         """Derivatives along the rod, and the elastic curvature."""
         t, load = at.tangent, at.load
         m = push.moment - jnp.cross(at.reach, push.force)
         if load is not None:
             m = m + load[3:]
-        soft = 1 / local.bending
-        about = dot(m, t)
-        twisting = (1 / local.torsion - soft) * about
-        square = dot(m, m)
+        square, about = dot(m, m), dot(m, t)
+        # Behind a contact the force may curl up a thin tip: no further than a step resolves.
+        soft = 1 / jnp.maximum(local.bending, h * jnp.sqrt(square + _TINY) / _LARGEST_TURN)
+        twisting = (1 / local.torsion - 1 / local.bending) * about
         energy = (soft * square + twisting * about) / 2
         bend, across, rates = soft * jnp.cross(m, t), None, None
         if at.across is not None:
@@ -402,7 +417,7 @@ class Kirchhoff(RodModel):
             local = jax.tree.map(lambda part: part[index], stages)
             s = start + h * jnp.asarray(_NODES)[index]
             here = moved(jnp.asarray(_STAGES)[index, :count], slopes)
-            slope, bent = self._slope(origin, push, s, here, local)
+            slope, bent = self._slope(origin, push, s, here, local, h)
             slopes = jax.tree.map(
                 lambda rows, row: lax.dynamic_update_index_in_dim(rows, row, index, 0),
                 slopes,
@@ -594,7 +609,7 @@ class Kirchhoff(RodModel):
 
         inside = push.moment - jnp.cross(line.reach, push.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
-        s = _zero(falling, line, slopes, None)
+        s = _zero(falling, line, slopes)
         here = self._at(Inner(line, clamp, push), s)
         at, along = here.reach, here.tangent
         # From what is interpolated to what is as exact as the nodes.
@@ -615,7 +630,7 @@ class Kirchhoff(RodModel):
         inside = push.moment - jnp.cross(line.reach, push.force)
         inside = inside + line.states.load[:, 3:] - free[:, 3:]
         slopes = -jnp.sum(jnp.cross(line.tangent, force) * inside, 1)
-        begin = _zero(None, line, slopes, None)
+        begin = _zero(None, line, slopes)
         place, _, x = line.between(begin)
 
         def parts(unknowns: Float[Array, "7"], inner: Inner) -> tuple[_State, Vector, Vector, Line]:
@@ -642,14 +657,19 @@ class Kirchhoff(RodModel):
 
 
 def _closest(line: Line, r: Vector) -> Scalar:
-    """Arc length at which a line comes closest to a point."""
+    """Arc length at which a line comes closest to a point: the first time that it comes about as
+    close as ever, since behind a contact the force may curl it up.
+    """
 
     def along(s: Scalar) -> Scalar:
         at, tangent = line.at(s)
         return dot(at - r, tangent)
 
     gaps = line.reach - r
-    return _zero(along, line, jnp.sum(gaps * line.tangent, 1), jnp.sum(gaps * gaps, 1))
+    distance = jnp.sqrt(jnp.sum(gaps * gaps, 1))
+    near = jnp.minimum(distance[:-1], distance[1:])
+    as_near = near <= 2 * jnp.min(distance) + jnp.diff(line.nodes)
+    return _zero(along, line, jnp.sum(gaps * line.tangent, 1), as_near)
 
 
 def _across(tangent: Vector) -> Vector:
@@ -666,32 +686,26 @@ def _zero(
     function: Callable[[Scalar], Scalar] | None,
     line: Line,
     values: Float[Array, "nodes"],
-    distance: Float[Array, "nodes"] | None,
+    allowed: Bool[Array, "steps"] | bool = True,
 ) -> Scalar:
     """Arc length at which a function with given values at the nodes passes from below to above
-    zero: next to the nearest node, or for the first time; without a function, interpolated.
+    zero for the first time, within an allowed step or beyond the tip; without a function,
+    interpolated.
     """
-    values = lax.stop_gradient(values)
-    count = len(values) - 1
-    rises = (values[:-1] < 0) & (values[1:] >= 0)
-    if distance is None:
-        place = jnp.where(rises.any(), jnp.argmax(rises), count)
-    else:
-        nearest = jnp.argmin(lax.stop_gradient(distance))
-        place = nearest - (values[nearest] > 0)
-    inner = jnp.clip(place, 0, count - 1)
-    low, high = values[inner], values[inner + 1]
-    share = jnp.where((low < 0) & (high >= 0), low / (low - high), jnp.where(place < 0, 0.0, 1.0))
-    start, end = (lax.stop_gradient(line.nodes[at]) for at in (inner, inner + 1))
-    s = start + share * (end - start)
-
+    values, nodes = lax.stop_gradient((values, line.nodes))
+    rises = (values[:-1] < 0) & (values[1:] >= 0) & allowed
+    place, within = jnp.argmax(rises), rises.any()
+    low, high = values[place], values[place + 1]
+    start, end = nodes[place], nodes[place + 1]
+    first = jnp.where(within, start + low / (low - high) * (end - start), 1.0)
     if function is None:
-        return s
+        return first
+    least, most = jnp.where(within, start, 0.0), jnp.where(within, end, _FARTHEST)
 
     def newton(_: int, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
-        return jnp.clip(s - value / rate, 0.0, _FARTHEST)
+        return jnp.clip(s - value / rate, least, most)
 
-    s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, s))
+    s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, first))
     value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
     return s - value / lax.stop_gradient(rate)

@@ -190,6 +190,12 @@ class RodModel(eqx.Module):
         """Whether it exerts reactions without contact."""
         return False
 
+    def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
+        """Stiffness against a small force across the rod at arc lengths, over that of a uniform rod
+        of the same stiffness at the clamp.
+        """
+        return jnp.ones_like(s)
+
     @property
     def finer(self) -> "RodModel":
         """The same rod, where it is divided into steps with half their length."""

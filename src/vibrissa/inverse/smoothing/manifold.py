@@ -38,10 +38,13 @@ from vibrissa.mechanics import model
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
 from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Push
 from vibrissa.mechanics.model import AT_ORIGIN, Clamp, RodModel
+from vibrissa.mechanics.models import model_of
 from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import first_axis, rotation_matrix, third_axis, turned
 from vibrissa.numerics.vectors import dot, joined
+from vibrissa.rod import Rod
+from vibrissa.trail import Trail
 
 Scalar = Float[Array, ""]
 Tree = TypeVar("Tree")
@@ -57,10 +60,16 @@ _NEWTON_STEPS = 6
 """Enough to reach rounding from the start below if s₁ > 0.02; one more carries the derivatives."""
 _LEAST_MOMENT = 1e-6
 """Added in squares, so that directions are differentiable without load: far below any noise."""
-_MOST_STEPS, _SETTLED = 15, 1e-9
+_MOST_STEPS, _SETTLED = 15, 1e-6
 """Most Newton steps to the reactions of any other rod, where five usually suffice, and the last one
 [EI/L²]: the next would be its square.
 """
+
+
+_RESOLUTION = 6
+"""Steps along any other rod: 1e-6 in wrench and point on strongly bent tapered rods."""
+_LEAST_AHEAD = 0.2
+"""How far the tip must be ahead of the clamp [L], for the moment to tell the lateral force."""
 
 
 class Pose(NamedTuple):
@@ -117,9 +126,7 @@ def linear_at(
 _LINEAR = lanes()(lambda rod, pose, x: linear_at(x, rod, pose))
 
 
-def linearised(
-    rod: RodModel, pose: Pose | None, x: Float[np.ndarray, "n coordinates"]
-) -> Linear:
+def linearised(rod: RodModel, pose: Pose | None, x: Float[np.ndarray, "n coordinates"]) -> Linear:
     """The manifold linearised about the coordinates of many samples."""
     loaded = np.any(x != AT_REST, axis=1)
     # Rods at rest are all alike: the first row stands for them.
@@ -128,6 +135,60 @@ def linearised(
     poses = jax.tree.map(lambda part: part[some], pose)
     found: Linear = _LINEAR(rod, poses, np.concatenate([[AT_REST], x[loaded]]))
     return jax.tree.map(lambda part: part[rows], found)
+
+
+def smoothed_model(rod: Rod) -> RodModel:
+    """How a rod bends, as precisely as the noise of sensors asks for.
+
+    Raises
+    ------
+    ValueError
+        If the unloaded rod does not lead away from the clamp.
+    """
+    found = model_of(rod, _RESOLUTION)
+    if rod.rest is not None:
+        _, ahead = _free(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+        _check_ahead(ahead)
+    return found
+
+
+def poses_of(rod: RodModel, trail: Trail, length: float) -> Pose | None:
+    """Poses of one trail (n, …), if the rod is loaded.
+
+    Raises
+    ------
+    ValueError
+        If a load bends the rod back to the clamp.
+    """
+    if not rod.loaded:
+        return None
+    position = trail.position / length
+    free, ahead = _free(rod, position, trail.orientation)
+    _check_ahead(ahead)
+    return Pose(position, trail.orientation, free)
+
+
+@lanes()
+def _free(
+    rod: RodModel, position: Float[Array, "3"], orientation: Float[Array, "4"]
+) -> tuple[Float[Array, "6"], Scalar]:
+    """Reactions of the rod without contact, clamp axes, and how far its tip is ahead of the clamp
+    [L].
+    """
+    turn = rotation_matrix(orientation)
+    clamp = Clamp(position, third_axis(orientation), first_axis(orientation))
+    free = rod.free(clamp)
+    tip, *_ = free.at(jnp.ones(()))
+    return _turned(turn.T, free.reactions), dot(tip - position, clamp.tangent)
+
+
+def _check_ahead(ahead: Float[np.ndarray, "n"]) -> None:
+    least = float(np.min(ahead))
+    if not least > _LEAST_AHEAD:
+        raise ValueError(
+            f"without contact the rod's tip is {least:.3g} rod lengths ahead of the clamp; "
+            f"smoothing needs more than {_LEAST_AHEAD}"
+        )
 
 
 def finite(rows: Any) -> Bool[np.ndarray, "n"]:

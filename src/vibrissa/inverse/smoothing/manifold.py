@@ -39,7 +39,7 @@ from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
 from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Push
 from vibrissa.mechanics.model import AT_ORIGIN, Clamp, RodModel
 from vibrissa.mechanics.models import model_of
-from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import first_axis, rotation_matrix, third_axis, turned
 from vibrissa.numerics.vectors import dot, joined
@@ -182,7 +182,7 @@ def _free(
     return _turned(turn.T, free.reactions), dot(tip - position, clamp.tangent)
 
 
-def _check_ahead(ahead: Float[np.ndarray, "n"]) -> None:
+def _check_ahead(ahead: AnyArray) -> None:
     least = float(np.min(ahead))
     if not least > _LEAST_AHEAD:
         raise ValueError(
@@ -316,7 +316,7 @@ def _of_reactions(
     its reactions, and the excess of the loads' resultants over the free rod's.
     """
     wrench = joined(-unknowns[:2], -x[2], x[:2], unknowns[2])
-    clamp, turn, load, excess = AT_ORIGIN, jnp.eye(3), None, 0.0
+    clamp, turn, load, excess = AT_ORIGIN, jnp.eye(3), None, jnp.zeros(())
     if pose is not None:
         at = pose.orientation
         clamp, turn = Clamp(pose.position, third_axis(at), first_axis(at)), rotation_matrix(at)
@@ -333,8 +333,8 @@ def _of_reactions(
     n = force / f
     incidence = (1 + dot(tangent, n)) / 2
     energy = rod.energy(model.Bent(reach, reach, f, n, left, s1, incidence, inner, load))
-    seen = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
-    return left, Bent(wrench, incidence, *seen, energy)
+    to_contact, direction = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
+    return left, Bent(wrench, incidence, to_contact, direction, energy)
 
 
 def _turned(matrix: Float[Array, "3 3"], wrench: Float[Array, "6"]) -> Float[Array, "6"]:

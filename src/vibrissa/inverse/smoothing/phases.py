@@ -7,7 +7,10 @@ from itertools import accumulate
 from types import ModuleType
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jaxtyping import Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import (
@@ -19,16 +22,15 @@ from scipy.ndimage import (
 )
 from scipy.special import chdtri
 
-from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse.kernels import Sample, Setting, arc_lengths_of
-from vibrissa.inverse.shared import under_friction
+from vibrissa.inverse.inverse import single_contact
 from vibrissa.inverse.smoothing.kalman import RATE, WRENCH, Gaussian, States
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, LOADS
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, COORDINATES, LOADS, TILT, linearised
 from vibrissa.inverse.smoothing.model import (
     FREE,
     JUMP,
     KINK,
     TANGENTIAL,
+    TILT_SPREAD,
     TINY,
     TIP,
     Codes,
@@ -38,7 +40,9 @@ from vibrissa.inverse.smoothing.model import (
     Samples,
     Series,
 )
-from vibrissa.mechanics.model import RodModel
+from vibrissa.mechanics.elastica import Elastica
+from vibrissa.mechanics.model import AT_ORIGIN, RodModel
+from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.runs import runs
 
 DETECTION_SAMPLES = 5
@@ -52,6 +56,10 @@ _CHANGE_COST = 6.0
 _FREEDOM_COST = 0.1
 _MOST_DEVIATION = 0.05
 """In rod lengths: arc lengths less certain than this do not tell the phase."""
+_LEAST_FORCE = 5.0
+"""Force of a sample, in standard deviations, below which its arc length is not looked for."""
+_NEAREST_STEPS, _NEAREST_STEP = 5, 0.3
+"""Gauss-Newton steps from arc lengths up to half the rod away, and the largest of them [L]."""
 _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
 _APART = 12
@@ -102,6 +110,47 @@ def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="constant") * size)
 
 
+@lanes()
+def _closed(
+    _: None, wrench: Float[Array, "wrench"], covariance: Float[Array, "wrench wrench"]
+) -> tuple[Array, Array]:
+    def arc_length(wrench: Array) -> Array:
+        single, _ = single_contact(wrench, covariance)
+        return Elastica().contact(single[:3], single[3:], AT_ORIGIN).arc_length
+
+    value, slope = jax.value_and_grad(arc_length)(wrench)
+    return value, jnp.sqrt(slope @ covariance @ slope)
+
+
+def _nearest(
+    rod: RodModel, series: Series, wrench: Float[np.ndarray, "n wrench"], near: Samples
+) -> tuple[Samples, Samples]:
+    """The most probable coordinates of each sample that tells of a contact, by Gauss-Newton from an
+    arc length: curved rods may explain the same reactions by several.
+    """
+    value, deviation = np.full((2, len(wrench)), np.inf)
+    rows = np.sum(series.whiten(wrench)[:, :3] ** 2, axis=1) > _LEAST_FORCE**2
+    if not rows.any():
+        return value, deviation
+    pose = jax.tree.map(lambda part: part[rows], series.pose)
+    given, whitening, prior = wrench[rows], series.whitening[rows], np.zeros(COORDINATES)
+    prior[TILT] = TILT_SPREAD**-2
+    x = np.column_stack([given[:, 3:5], -given[:, 2], near[rows], np.zeros(len(given))])
+    for _ in range(_NEAREST_STEPS):
+        linear = linearised(rod, pose, x)
+        away = whitening @ (given - linear.value.wrench)[..., None]
+        slope = whitening @ linear.slope.wrench
+        normal = np.swapaxes(slope, 1, 2) @ slope + np.diag(prior)
+        inverse = np.linalg.inv(np.where(np.isfinite(normal), normal, np.eye(COORDINATES)))
+        change = (inverse @ (np.swapaxes(slope, 1, 2) @ away - (prior * x)[..., None]))[..., 0]
+        x = x + np.nan_to_num(np.clip(change, -_NEAREST_STEP, _NEAREST_STEP))
+        x[:, ARC_LENGTH] = np.clip(x[:, ARC_LENGTH], 0.05, 1.5)
+    spread = np.sqrt(inverse[:, ARC_LENGTH, ARC_LENGTH])
+    settled = np.abs(change[:, ARC_LENGTH]) < np.maximum(spread, 1e-6)
+    value[rows], deviation[rows] = x[:, ARC_LENGTH], np.where(settled, spread, np.inf)
+    return value, deviation
+
+
 def raw_arc_lengths(fit: Fit) -> tuple[Samples, Samples]:
     """Arc length of each sample by itself, given the drift of the zero: also beyond the tip, and of
     several the one nearest to the fit's; and its standard deviation, infinite where it says
@@ -115,17 +164,11 @@ def _raw(
 ) -> tuple[Samples, Samples]:
     unwhitening = np.linalg.inv(series.whitening)
     wrench = series.wrench - (unwhitening @ drift[..., None])[..., 0]
-    covariance = unwhitening @ np.swapaxes(unwhitening, 1, 2)
-    count = len(wrench)
-    position, orientation = np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-    if series.pose is not None:
-        position, orientation, free = series.pose
-        both = np.kron(np.eye(2), rotation_matrices(orientation))
-        wrench = (both @ (wrench + free)[..., None])[..., 0]
-        covariance = both @ covariance @ np.swapaxes(both, 1, 2)
-    setting = under_friction(Setting(1.0, 1.0, 1.0, np.inf, 0.0, rod=rod), None)
-    sample = Sample(wrench[:, :3], wrench[:, 3:], position, orientation, covariance)
-    value, deviation = arc_lengths_of(setting, sample, near)
+    if isinstance(rod, Elastica):
+        found: Any = _closed(None, wrench, unwhitening @ np.swapaxes(unwhitening, 1, 2))
+    else:
+        found = _nearest(rod, series, wrench, near)
+    value, deviation = found
     tells = series.sound & np.isfinite(value) & (deviation < _MOST_DEVIATION) & (deviation > 0)
     return np.where(tells, value, 1.0), np.where(tells, deviation, np.inf)
 

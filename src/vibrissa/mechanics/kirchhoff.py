@@ -584,6 +584,34 @@ class Kirchhoff(RodModel):
         )(jnp.asarray(share))
         return points
 
+    def drawn(self, bent: Bent, s: Float[Any, "n"]) -> Float[Array, "n 3"]:
+        """Points at arc lengths from clamp to tip."""
+        inner, s1 = bent.inner, bent.arc_length
+        rest, clamp = self.beyond(inner, s1), bent.point - bent.to_contact
+
+        def at(s: Scalar) -> Vector:
+            return clamp + jnp.where(s <= s1, inner.line.at(s)[0], rest.at(s)[0])
+
+        points: Float[Array, "n 3"] = jax.vmap(at)(jnp.asarray(s))
+        return points
+
+    def along(self, bent: Bent, s: Float[Any, "n"]) -> tuple[Array, ...]:
+        """Tangent, moment and force in the rod (n, 3), B and B₃ (n,), up to the contact."""
+        inner = bent.inner
+
+        def at(s: Scalar) -> tuple[Array, ...]:
+            place, _, x = inner.line.between(s)
+            own = jax.tree.map(lambda part: part[place], (self.local.bending, self.local.torsion))
+            stiff = [jnp.polyval(part[::-1], x) for part in own]
+            here, push = self._at(inner, s), inner.push
+            m, n = push.moment - jnp.cross(here.reach, push.force), push.force
+            if here.load is not None:
+                m, n = m + here.load[3:], n + here.load[:3]
+            return (here.tangent, m, n, *stiff)
+
+        found: tuple[Array, ...] = jax.vmap(at)(jnp.asarray(s))
+        return found
+
     def tail(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """As in `RodModel`."""
         rest, s = self.beyond(bent.inner, bent.arc_length), bent.arc_length

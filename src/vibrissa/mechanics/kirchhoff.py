@@ -688,7 +688,7 @@ def _zero(
     if function is None:
         return s
 
-    def newton(_: int, s: Scalar) -> Scalar:
+    def newton(_: Any, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
         return jnp.clip(s - value / rate, 0.0, _FARTHEST)
 

@@ -20,6 +20,7 @@ from vibrissa.rod import Rod
 if TYPE_CHECKING:
     import xarray
 
+    from vibrissa.inverse.candidates import Candidates
     from vibrissa.inverse.friction import FrictionEstimate
     from vibrissa.inverse.smoothing.result import Smoothing
 
@@ -197,6 +198,15 @@ class Reconstruction:
         if not self.shared_names:
             return np.zeros((*self.kind.shape, 6, 0))
         return sensitivities(self) @ prepared(self.rod, self.reactions.setup_errors).factor
+
+    @cached_property
+    def candidates(self) -> "list[Candidates]":
+        """All contacts that explain the reactions, of each row that is `NOT_UNIQUE` because the rod
+        is curved.
+        """
+        from vibrissa.inverse.candidates import candidates  # noqa: PLC0415
+
+        return candidates(self)
 
     @property
     def in_contact(self) -> Flags:

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.integrate import DOP853
 
 from vibrissa.mechanics.model import Bent, Clamp, Contact, Free, Own, RodModel
@@ -38,7 +38,7 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
 
-STEPS = 10
+STEPS = 12
 """Steps of the method of order 8 by Dormand and Prince (E. Hairer, S. P. Nørsett, G. Wanner,
 Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy): the uniform rod of
 the paper's case agrees with the closed form to 1e-10 L (`tests/verification/test_kirchhoff.py`).
@@ -48,7 +48,7 @@ DEGREE = 4
 """Of the polynomials in which a section is given within each step: the stiffness of a round rod
 whose radius changes linearly is one.
 """
-_POINTS = (np.polynomial.legendre.leggauss(DEGREE + 1)[0] + 1) / 2
+_POINTS, _QUADRATURE = (np.array(np.polynomial.legendre.leggauss(DEGREE + 1)) + [[1], [0]]) / 2
 _FIT = np.linalg.inv(np.vander(_POINTS, increasing=True))
 _THINNEST, _STRAIGHT = 1 - 1e-6, 1e-12
 """Taper up to which the steps are graded further, and logarithm of the tip's share of the radius
@@ -56,6 +56,12 @@ below which they are equal, to rounding.
 """
 _CLOSEST_STEPS = 4
 """Newton steps along the rod, from within a step of it: they converge quadratically."""
+_LARGEST_TURN = 1.5
+"""Angle [rad] by which a rod may turn in one step; a row whose rod turned further says so by its
+residual.
+"""
+_CANDIDATES = 3
+"""Most contacts that are looked for: each crosses the force's line of action once more."""
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
 _LOAD_STEPS, _LOAD_SETTLED = 25, 1e-13
@@ -279,6 +285,7 @@ class Kirchhoff(RodModel):
     moment [EI/L].
     """
 
+    accuracy: ClassVar[float] = 1e-8
     lane_width: ClassVar[int] = 16
     """Rods side by side: the stages of more would leave the core's nearest cache."""
 
@@ -319,6 +326,17 @@ class Kirchhoff(RodModel):
         """As in `RodModel`."""
         return self.load is not None
 
+    def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
+        """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""
+        h = jnp.diff(self.nodes)
+        place = (self.nodes[:-1, None] + h[:, None] * _POINTS).ravel()
+        bending = jnp.einsum("sj,ij->si", self.local.bending, np.vander(_POINTS, increasing=True))
+        weight = (h[:, None] * _QUADRATURE).ravel() / bending.ravel()
+        lever = jnp.clip(s[:, None], 1e-3, 1.0) - place
+        own = jnp.sum(weight * jnp.maximum(lever, 0.0) ** 2, axis=1)
+        uniform = jnp.sum(weight * bending.ravel() * jnp.maximum(lever, 0.0) ** 2, axis=1)
+        return uniform / own
+
     @property
     def finer(self) -> "Kirchhoff":
         """As in `RodModel`."""
@@ -351,17 +369,17 @@ class Kirchhoff(RodModel):
         return _State(reach, tangent, jnp.zeros(()), across if curved else None)
 
     def _slope(
-        self, origin: Vector, push: Push, s: Scalar, at: _State, local: Local
+        self, origin: Vector, push: Push, s: Scalar, at: _State, local: Local, h: Scalar = 0.0
     ) -> tuple[_State, Scalar]:
         """Derivatives along the rod, and the elastic curvature."""
         t, load = at.tangent, at.load
         m = push.moment - jnp.cross(at.reach, push.force)
         if load is not None:
             m = m + load[3:]
-        soft = 1 / local.bending
-        about = dot(m, t)
-        twisting = (1 / local.torsion - soft) * about
-        square = dot(m, m)
+        square, about = dot(m, m), dot(m, t)
+        # Behind a contact the force may curl up a thin tip: no further than a step resolves.
+        soft = 1 / jnp.maximum(local.bending, h * jnp.sqrt(square + _TINY) / _LARGEST_TURN)
+        twisting = (1 / local.torsion - 1 / local.bending) * about
         energy = (soft * square + twisting * about) / 2
         bend, across, rates = soft * jnp.cross(m, t), None, None
         if at.across is not None:
@@ -402,7 +420,7 @@ class Kirchhoff(RodModel):
             local = jax.tree.map(lambda part: part[index], stages)
             s = start + h * jnp.asarray(_NODES)[index]
             here = moved(jnp.asarray(_STAGES)[index, :count], slopes)
-            slope, bent = self._slope(origin, push, s, here, local)
+            slope, bent = self._slope(origin, push, s, here, local, h)
             slopes = jax.tree.map(
                 lambda rows, row: lax.dynamic_update_index_in_dim(rows, row, index, 0),
                 slopes,
@@ -577,14 +595,21 @@ class Kirchhoff(RodModel):
         )(jnp.asarray(share))
         return points
 
-    def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
-        """As in `RodModel`: the first place along the rod where the moment in it is least, once
-        that of the loads behind it is taken off.
+    @property
+    def candidates(self) -> int:
+        """As in `RodModel`: a straight rod would have to be bent to and fro to have several."""
+        return 1 if self.local.rest is None else _CANDIDATES
+
+    def contact(
+        self, force: Vector, moment: Vector, clamp: Clamp, which: Int[Any, ""] | int = 0
+    ) -> Contact:
+        """As in `RodModel`: a place along the rod where the moment in it is least, once that of the
+        loads behind it is taken off.
         """
         push = Push(-force, -moment)
         f = jnp.sqrt(dot(push.force, push.force))
         if self.load is not None:
-            return self._loaded_contact(clamp, push)
+            return self._loaded_contact(clamp, push, which)
         line = self.line(clamp, push)
 
         def falling(s: Scalar) -> Scalar:
@@ -594,7 +619,7 @@ class Kirchhoff(RodModel):
 
         inside = push.moment - jnp.cross(line.reach, push.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
-        s = _zero(falling, line, slopes, None)
+        s = _zero(falling, line, slopes, which)
         here = self._at(Inner(line, clamp, push), s)
         at, along = here.reach, here.tangent
         # From what is interpolated to what is as exact as the nodes.
@@ -603,9 +628,10 @@ class Kirchhoff(RodModel):
         s, at, along = s + step, at + step * along, along + step * line.bend(s)
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
-        return Contact(at, d, s, incidence, here.energy)
+        off = push.moment - jnp.cross(at, push.force)
+        return Contact(at, d, s, incidence, here.energy, jnp.sqrt(dot(off, off)) / f)
 
-    def _loaded_contact(self, clamp: Clamp, push: Push) -> Contact:
+    def _loaded_contact(self, clamp: Clamp, push: Push, which: Int[Any, ""] | int) -> Contact:
         """Where the moment is that of the loads behind the contact; place and those loads'
         resultants by Newton's method, beginning with the resultants of the free rod.
         """
@@ -615,7 +641,7 @@ class Kirchhoff(RodModel):
         inside = push.moment - jnp.cross(line.reach, push.force)
         inside = inside + line.states.load[:, 3:] - free[:, 3:]
         slopes = -jnp.sum(jnp.cross(line.tangent, force) * inside, 1)
-        begin = _zero(None, line, slopes, None)
+        begin = _zero(None, line, slopes, which)
         place, _, x = line.between(begin)
 
         def parts(unknowns: Float[Array, "7"], inner: Inner) -> tuple[_State, Vector, Vector, Line]:
@@ -638,18 +664,24 @@ class Kirchhoff(RodModel):
         load = total + joined(force, jnp.cross(reach, force) + moment)
         incidence = (1 + dot(here.tangent, force) / f) / 2
         energy = rest.states.energy[-1]
-        return Contact(reach, force / f, unknowns[0], incidence, energy, load)
+        gap = jnp.sqrt(dot(moment, moment)) / f
+        return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load)
 
 
 def _closest(line: Line, r: Vector) -> Scalar:
-    """Arc length at which a line comes closest to a point."""
+    """Arc length at which a line comes closest to a point: the first time that it comes about as
+    close as ever, since behind a contact the force may curl it up.
+    """
 
     def along(s: Scalar) -> Scalar:
         at, tangent = line.at(s)
         return dot(at - r, tangent)
 
     gaps = line.reach - r
-    return _zero(along, line, jnp.sum(gaps * line.tangent, 1), jnp.sum(gaps * gaps, 1))
+    distance = jnp.sqrt(jnp.sum(gaps * gaps, 1))
+    near = jnp.minimum(distance[:-1], distance[1:])
+    as_near = near <= 2 * jnp.min(distance) + jnp.diff(line.nodes)
+    return _zero(along, line, jnp.sum(gaps * line.tangent, 1), allowed=as_near)
 
 
 def _across(tangent: Vector) -> Vector:
@@ -666,32 +698,32 @@ def _zero(
     function: Callable[[Scalar], Scalar] | None,
     line: Line,
     values: Float[Array, "nodes"],
-    distance: Float[Array, "nodes"] | None,
+    which: Int[Any, ""] | int = 0,
+    *,
+    allowed: Any = True,
 ) -> Scalar:
-    """Arc length at which a function with given values at the nodes passes from below to above
-    zero: next to the nearest node, or for the first time; without a function, interpolated.
+    """Arc length at which a function with given values at the nodes passes from below to above zero
+    for the first time, or for a later one, within an allowed step or beyond the tip; without a
+    function, interpolated. NaN if it does not any more.
     """
-    values = lax.stop_gradient(values)
-    count = len(values) - 1
-    rises = (values[:-1] < 0) & (values[1:] >= 0)
-    if distance is None:
-        place = jnp.where(rises.any(), jnp.argmax(rises), count)
-    else:
-        nearest = jnp.argmin(lax.stop_gradient(distance))
-        place = nearest - (values[nearest] > 0)
-    inner = jnp.clip(place, 0, count - 1)
-    low, high = values[inner], values[inner + 1]
-    share = jnp.where((low < 0) & (high >= 0), low / (low - high), jnp.where(place < 0, 0.0, 1.0))
-    start, end = (lax.stop_gradient(line.nodes[at]) for at in (inner, inner + 1))
-    s = start + share * (end - start)
-
+    values, nodes = lax.stop_gradient((values, line.nodes))
+    rises = (values[:-1] < 0) & (values[1:] >= 0) & allowed
+    count = jnp.cumsum(rises)
+    place, within = jnp.argmax(rises & (count == which + 1)), count[-1] > which
+    # The first may also lie beyond the tip, and the last where the function still rises there.
+    sought = within | (which == 0) | ((count[-1] == which) & (values[-1] < 0))
+    low, high = values[place], values[place + 1]
+    start, end = nodes[place], nodes[place + 1]
+    first = jnp.where(within, start + low / (low - high) * (end - start), 1.0)
+    first = jnp.where(sought, first, jnp.nan)
     if function is None:
-        return s
+        return first
+    least, most = jnp.where(within, start, 0.0), jnp.where(within, end, _FARTHEST)
 
     def newton(_: Any, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
-        return jnp.clip(s - value / rate, 0.0, _FARTHEST)
+        return jnp.clip(s - value / rate, least, most)
 
-    s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, s))
+    s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, first))
     value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
     return s - value / lax.stop_gradient(rate)

@@ -1,5 +1,6 @@
 """The model of a rod: the closed form where the rod allows it, else the spatial rod."""
 
+from itertools import pairwise
 from typing import Any
 
 import jax.numpy as jnp
@@ -8,11 +9,20 @@ from jax import Array
 from jaxtyping import Float
 
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, Load, graded
+from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, Load
 from vibrissa.mechanics.model import RodModel
 from vibrissa.rod import Rod
+from vibrissa.rod.tree import known
 
 Vector = Float[Any, "3"]
+
+_FINE = 4097
+"""Places at which the thickness is looked at."""
+_SHARED = 6
+"""Numbers of steps are multiples of it: rods with as many steps share compiled code."""
+_ROUNDING = 1e-9
+_THINNEST = 1e-4
+"""Thickness below which it does not count as thinner: such a tip carries no force."""
 
 
 class _Load(Load):
@@ -81,16 +91,21 @@ def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
 
 
 def _nodes(rod: Rod, steps: int) -> Any:
-    """Where steps begin and end: at every kink of a table, and closer where the rod is thin."""
-    breaks = [0.0, *rod.breaks, 1.0]
-    if len(breaks) == 2:
-        tip = rod.bending_at(jnp.ones(())) ** 0.25
-        return graded(1 - tip, steps)
-    thickness = np.asarray(rod.bending_at(np.array(breaks))) ** 0.25
-    spans = np.diff(breaks) / np.maximum(np.minimum(thickness[1:], thickness[:-1]), 1e-3)
-    counts = np.maximum(1, np.rint(steps * spans / spans.sum())).astype(int)
-    parts = [
-        np.linspace(first, last, count, endpoint=False)
-        for first, last, count in zip(breaks, breaks[1:], counts, strict=False)
-    ]
-    return np.append(np.concatenate(parts), 1.0)
+    """Where steps begin and end: at every kink of a table, `steps` over the length and half as many
+    more for each e-fold of thickness, where it changes.
+    """
+    if rod.section is None or not known(rod.bending_at(np.ones(()))):
+        return np.linspace(0, 1, steps + 1)
+    s = np.linspace(0, 1, _FINE)
+    thickness = np.asarray(rod.bending_at(s)) ** 0.25
+    efolds = abs(np.diff(np.log(np.maximum(thickness, _THINNEST))))
+    work = np.append(0.0, np.cumsum(steps * np.diff(s) + steps / 2 * efolds))
+    work *= np.ceil(work[-1] / _SHARED) * _SHARED / work[-1]
+    ends = [0.0, *rod.breaks, 1.0]
+    parts = [np.zeros(1)]
+    for first, last in pairwise(ends):
+        done, due = np.interp((first, last), s, work)
+        count = max(1, int(np.ceil(due - done - _ROUNDING)))
+        inner = np.interp(np.linspace(done, due, count + 1)[1:-1], work, s)
+        parts += [inner, np.array([last])]
+    return np.concatenate(parts)

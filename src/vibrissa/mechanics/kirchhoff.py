@@ -203,7 +203,9 @@ class Line(NamedTuple):
         """The node before an arc length, the step that begins there, and the place in it."""
         place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
         step = self.nodes[place + 1] - self.nodes[place]
-        return place, step, jnp.clip((s - self.nodes[place]) / step, 0.0, 1.0)
+        # Behind a contact at the tip all nodes are one.
+        whole = jnp.where(step > 0, step, 1.0)
+        return place, step, jnp.clip((s - self.nodes[place]) / whole, 0.0, 1.0)
 
 
 def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
@@ -748,7 +750,7 @@ def _zero(
         return first
     least, most = jnp.where(within, start, 0.0), jnp.where(within, end, _FARTHEST)
 
-    def newton(_: int, s: Scalar) -> Scalar:
+    def newton(_: Any, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
         return jnp.clip(s - value / rate, least, most)
 

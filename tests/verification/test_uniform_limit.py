@@ -137,7 +137,9 @@ LEANING = ("force", "moment", "force_direction", "plane_normal")
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
-@pytest.mark.parametrize("noise", [None, NOISE], ids=["exact", "noisy"])
+@pytest.mark.parametrize(
+    "noise", [None, pytest.param(NOISE, marks=pytest.mark.slow)], ids=["exact", "noisy"]
+)
 def test_reconstructions_agree_in_every_field(
     smooth: Both, rough: Both, friction: float, noise: np.ndarray | None
 ) -> None:

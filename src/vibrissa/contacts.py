@@ -185,6 +185,7 @@ class Status(IntEnum):
     AMBIGUOUS = 15
     RINGING = 16
     TOUCHES_TWICE = 17
+    FALLS_OVER = 18
 
     @property
     def text(self) -> str:
@@ -250,6 +251,10 @@ _TEXTS = {
     ),
     Status.RINGING: (
         "The rod swings freely after it was released; these loads are its inertia, not a contact."
+    ),
+    Status.FALLS_OVER: (
+        "Without contact the rod has no stable shape under its weight and the wind here; take a "
+        "stiffer or shorter rod, or smaller loads."
     ),
     Status.TOUCHES_TWICE: (
         "No single contact has this force and moment, while the rest of the sweep agrees with "

@@ -55,6 +55,8 @@ class Clearance(NamedTuple):
     """Of the rod there."""
     own: Float[Any, "own"]
     """The rod's own unknowns."""
+    sound: Bool[Any, ""]
+    """Whether it has a stable shape."""
 
 
 class _Looked(NamedTuple):
@@ -119,8 +121,9 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     steepness = jnp.sqrt(jnp.sum(found.gradient * found.gradient))
     cosine = dot(found.gradient, found.tangent) / steepness
     distance = found.value / steepness
-    place = found.point, found.tangent, -free.reactions[: scene.rod.unknowns]
-    return Clearance(distance, found.arc_length, sampled[0], cosine, *place)
+    own, sound = -free.reactions[: scene.rod.unknowns], jnp.asarray(free.sound)
+    place = found.point, found.tangent
+    return Clearance(distance, found.arc_length, sampled[0], cosine, *place, own, sound)
 
 
 @lanes(blocks=8, alone=FEW)

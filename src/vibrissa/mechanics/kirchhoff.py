@@ -26,11 +26,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.integrate import DOP853
 
-from vibrissa.mechanics.model import Bent, Clamp, Contact, Free, Own, RodModel
-from vibrissa.numerics.linear import solve_pivoted
+from vibrissa.mechanics.model import Bent, Clamp, Contact, Flag, Free, Own, RodModel
+from vibrissa.numerics.linear import solve_3x3, solve_pivoted
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.vectors import dot, joined
 
@@ -64,8 +64,10 @@ _CANDIDATES = 3
 """Most contacts that are looked for: each crosses the force's line of action once more."""
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
-_LOAD_STEPS, _LOAD_SETTLED = 25, 1e-13
-"""Most Newton steps to the loads' resultants, and the residual [EI/L²] that ends them."""
+_LOAD_STEPS, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-13, 1e-8
+"""Most Newton steps to the loads' resultants, the size [EI/L²] of one that ends them, and up to
+which they count as found.
+"""
 _LARGEST_CHANGE = 2.0
 """Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
 _TINY = 1e-300
@@ -254,7 +256,13 @@ class Hanging(Free):
 
     clamp: Clamp
     line: Line
-    load: Wrench | None
+    load: Wrench | None = None
+    settled: Any = True
+
+    @property
+    def sound(self) -> Flag:
+        """As in `Free`."""
+        return self.settled
 
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector]:
         """As in `Free`."""
@@ -493,7 +501,8 @@ class Kirchhoff(RodModel):
     @staticmethod
     def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
         """Resultants of loads that leave nothing at the tip, by Newton's method, `left(resultants,
-        given)`; with derivatives with respect to what is given.
+        given)`; with derivatives with respect to what is given. Also whether they were found, and a
+        rod that only they bend is stable.
         """
         fixed = lax.stop_gradient(given)
         slopes = jax.jacfwd(lambda load: (left(load, fixed),) * 2, has_aux=True)
@@ -511,21 +520,22 @@ class Kirchhoff(RodModel):
         count = len(begin)
         blank = jnp.zeros((count, count)), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
         start = lax.stop_gradient(begin), *blank
-        load, jacobian, *_ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
+        load, jacobian, size, _ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
         # One more step, which carries the derivatives (implicit function theorem).
-        return load - solve_pivoted(jacobian, left(load, given))[0]
+        load = load - solve_pivoted(jacobian, left(load, given))[0]
+        return load, (size < _LOAD_FOUND) & _stands(jacobian[-6:, -6:])
 
     def free(self, clamp: Clamp) -> Hanging:
         """As in `RodModel`."""
         if self.load is None:
-            return Hanging(clamp, self.line(clamp, _NO_PUSH), None)
+            return Hanging(clamp, self.line(clamp, _NO_PUSH))
 
         def left(load: Wrench, clamp: Clamp) -> Wrench:
             end: Wrench = self.line(clamp, _NO_PUSH, load).states.load[-1]
             return end
 
-        load = self._resultants(left, jnp.zeros(6), clamp)
-        return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load)
+        load, sound = self._resultants(left, jnp.zeros(6), clamp)
+        return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, sound)
 
     def bent(
         self,
@@ -687,7 +697,7 @@ class Kirchhoff(RodModel):
             return joined(lever, rest.states.load[-1])
 
         tail = free[place] + x * (free[place + 1] - free[place])
-        unknowns = self._resultants(left, joined(begin, tail), inner)
+        unknowns, _ = self._resultants(left, joined(begin, tail), inner)
         here, force, moment, rest = parts(unknowns, inner)
         f, reach = jnp.sqrt(dot(force, force)), here.reach
         total = joined(-push.force, -push.moment)
@@ -696,6 +706,19 @@ class Kirchhoff(RodModel):
         energy = rest.states.energy[-1]
         gap = jnp.sqrt(dot(moment, moment)) / f
         return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load)
+
+
+def _stands(jacobian: Float[Array, "6 6"]) -> Bool[Array, ""]:
+    """Whether a rod without contact is stable, by the derivatives of force and moment left at its
+    tip with respect to their resultants at the clamp: without loads those are one, and on the way
+    to instability an eigenvalue of the moment's part passes zero, or two at once. All real parts
+    are positive by the criterion of Routh and Hurwitz.
+    """
+    by_force = [solve_3x3(jacobian[:3, :3], jacobian[:3, 3 + i]) for i in range(3)]
+    a, b, c = (jacobian[3:, 3 + i] - jacobian[3:, :3] @ by_force[i] for i in range(3))
+    trace, determinant = a[0] + b[1] + c[2], dot(a, jnp.cross(b, c))
+    minors = jnp.cross(a, b)[2] + jnp.cross(b, c)[0] + jnp.cross(c, a)[1]
+    return (trace > 0) & (determinant > 0) & (trace * minors > determinant)
 
 
 def _closest(line: Line, r: Vector) -> Scalar:

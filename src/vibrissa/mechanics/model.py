@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
+Flag = Bool[Any, ""] | bool
 Own = Float[Any, "own"] | tuple[()]
 
 
@@ -90,6 +91,11 @@ class Contact(NamedTuple):
 
 class Free(eqx.Module):
     """A rod without contact."""
+
+    @property
+    def sound(self) -> Flag:
+        """Whether it has such a shape, and a stable one."""
+        return True
 
     @abstractmethod
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector | None]:

@@ -54,6 +54,7 @@ def model_of(rod: Rod, steps: int = STEPS) -> RodModel:
 def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
     """A rod as the spatial model, also where the closed form would do."""
     length, nodes = rod.length, _nodes(rod, steps)
+    _thick(rod)
     rest, loads = rod.rest, rod.loads
 
     def curvature(x: Any) -> Any:
@@ -88,6 +89,20 @@ def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
         load=load,
         compliance=compliance,
     )
+
+
+def _thick(rod: Rod) -> None:
+    """Raise ValueError where a rod has no thickness."""
+    knots = np.array([0.0, *rod.breaks, 1.0])
+    if not known(rod.bending_at(knots)):
+        return
+    thickness = np.asarray(rod.bending_at(knots)) ** 0.25
+    for x, share in zip(knots, thickness, strict=True):
+        if share < _THINNEST:
+            raise ValueError(
+                f"rod: at {x:g} of its length the rod is {share:g} times as thick as at its clamp, "
+                f"and bears no contact; allowed is at least {_THINNEST:g}"
+            )
 
 
 def _nodes(rod: Rod, steps: int) -> Any:

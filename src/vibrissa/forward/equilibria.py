@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -211,7 +212,10 @@ def _described(
     shape, inflections, line = _shape(scene.rod, clamp, seen)
     if inflections >= len(_FORCES):
         return None
-    if -float(scene.surface.levels(line * rod.length).min()) / rod.length > DEPTH_TOLERANCE:
+    levels = scene.surface.levels(line * rod.length) / rod.length
+    if scene.slims:
+        levels = levels + np.asarray(jax.vmap(scene.slack)(jnp.linspace(0, 1, _LINE_POINTS)))
+    if -float(levels.min()) > DEPTH_TOLERANCE:
         return None
     tangential = (1 - s1) > away
     point = np.asarray(state.point)

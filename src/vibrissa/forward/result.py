@@ -67,8 +67,8 @@ class Scan:
     friction
         Coefficient of friction, as given.
     offset
-        The rod's radius if its skin touches, or 0 if its centre line does; `point` is on the object
-        either way.
+        The rod's radius at the clamp if its skin touches, or 0 if its centre line does; `point` is
+        on the object either way.
     second_contact
         (…, 3) where the rod also touches the object or passes through it, on rows whose status says
         so; NaN on the others.
@@ -142,11 +142,19 @@ class Scan:
             raise ValueError("radius = None: a bending strain needs the rod's radius")
         return self.rod.radius * self.largest_bend
 
+    @property
+    def centre(self) -> Float[np.ndarray, "*trail n 3"]:
+        """Points (…, 3) of the rod's centre line at the contact."""
+        if self.offset == 0:
+            return self.point
+        radius = np.asarray(self.rod.radius_at(self.arc_length / self.rod.length))
+        return self.point + radius[..., None] * self.normal
+
     @cached_property
     def slip(self) -> Slip:
         """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
         return slip_along(
-            self.point + self.offset * self.normal,
+            self.centre,
             self.arc_length,
             self.contact_tangent,
             self.plane_normal,
@@ -246,7 +254,7 @@ class Scan:
         ValueError
             If `count` is less than 2.
         """
-        point = self.point + self.offset * self.normal
+        point = self.centre
         contact = self.in_contact, point, self.force_direction, self.arc_length
         return elastic_lines(self.rod, Held(self.reactions, *contact), rows, count)
 

@@ -102,6 +102,8 @@ class Local(NamedTuple):
     """B₃ [EI]."""
     rest: Any = None
     """u (…, 3) [1/L]: curvatures about d₁ and d₂, and twist; None for a straight rod."""
+    girth: Any = None
+    """Radius (…) over that at the clamp; None if it is the same everywhere, or unknown."""
     loaded: Any = None
     """What the load depends on, (…)."""
 
@@ -287,8 +289,6 @@ class Kirchhoff(RodModel):
     """Arc lengths [L] at which steps begin and end."""
     local: Local
     """Polynomials (steps, 5, …) in each step."""
-    girth: Float[Any, "nodes"] | None = None
-    """Radius at the nodes, over that at the clamp; None if it is the same everywhere."""
     load: Load | None = None
     compliance: Float[Any, "6 6"] | None = None
     """Of the support, clamp axes: displacement [L] and rotation vector under force [EI/L²] and
@@ -308,7 +308,7 @@ class Kirchhoff(RodModel):
         nodes: Float[Any, "nodes"] | None = None,
         *,
         loaded: Callable[[Any], Any] | None = None,
-        girth: Float[Any, "nodes"] | None = None,
+        girth: Callable[[Any], Any] | None = None,
         load: Load | None = None,
         compliance: Float[Any, "6 6"] | None = None,
     ) -> "Kirchhoff":
@@ -316,9 +316,9 @@ class Kirchhoff(RodModel):
         length s [L].
         """
         nodes = jnp.linspace(0, 1, STEPS + 1) if nodes is None else jnp.asarray(nodes)
-        given = (bending, torsion, rest, loaded)
+        given = (bending, torsion, rest, girth, loaded)
         local = Local(*(None if of is None else fitted(of, nodes) for of in given))
-        return cls(nodes, local, girth, load, compliance)
+        return cls(nodes, local, load, compliance)
 
     @classmethod
     def tapered(cls, taper: Scalar, poisson_ratio: Scalar, steps: int = STEPS) -> "Kirchhoff":
@@ -335,6 +335,18 @@ class Kirchhoff(RodModel):
     def loaded(self) -> bool:
         """As in `RodModel`."""
         return self.load is not None
+
+    @property
+    def uniform(self) -> bool:
+        """As in `RodModel`."""
+        return self.local.girth is None
+
+    def slimmer(self, s: Scalar) -> Scalar:
+        """As in `RodModel`."""
+        place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
+        start, end = self.nodes[place], self.nodes[place + 1]
+        x = jnp.clip((s - start) / (end - start), 0.0, 1.0)
+        return 1 - jnp.polyval(self.local.girth[place][::-1], x)
 
     def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
         """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""
@@ -360,7 +372,7 @@ class Kirchhoff(RodModel):
             ),
             self.local,
         )
-        return Kirchhoff(nodes, local, None, self.load, self.compliance)
+        return Kirchhoff(nodes, local, self.load, self.compliance)
 
     def _base(self, clamp: Clamp, wrench: Wrench) -> _State:
         """The rod where its support has yielded to force and moment about the clamp point, without
@@ -585,7 +597,10 @@ class Kirchhoff(RodModel):
     def largest_bend(self, bent: Bent) -> Scalar:
         """As in `RodModel`: the largest at a node."""
         line = bent.inner.line
-        at = line.strain if self.girth is None else line.strain * self.girth
+        at = line.strain
+        if self.local.girth is not None:
+            girth = self.local.girth
+            at = at * jnp.append(girth[:, 0], jnp.sum(girth[-1]))
         return jnp.max(jnp.where(line.nodes <= bent.arc_length, at, 0.0))
 
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:

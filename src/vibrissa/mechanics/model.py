@@ -201,6 +201,15 @@ class RodModel(eqx.Module):
         """Whether it exerts reactions without contact."""
         return False
 
+    @property
+    def uniform(self) -> bool:
+        """Whether the radius is the same everywhere."""
+        return True
+
+    def slimmer(self, s: Scalar) -> Scalar:
+        """Share of the clamp's radius by which the rod is thinner at an arc length."""
+        return jnp.zeros_like(s)
+
     def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
         """Stiffness against a small force across the rod at arc lengths, over that of a uniform rod
         of the same stiffness at the clamp.

@@ -85,7 +85,9 @@ def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
         None if rest is None else curvature,
         nodes,
         loaded=loaded,
-        girth=None if rod.uniform or rod.radius is None else rod.radius_at(nodes) / rod.radius,
+        girth=None
+        if rod.uniform or rod.radius is None
+        else lambda x: rod.radius_at(x) / rod.radius,
         load=load,
         compliance=compliance,
     )

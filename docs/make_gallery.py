@@ -231,9 +231,7 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
         "wire_in_wind": _case(
             "wire_in_wind", ((-0.032, -0.032, -0.142), (0.032, 0.032, -0.078)), 10, (12, -70)
         ),
-        "follicle": _case(
-            "follicle", ((-0.03, -0.015, 0.005), (-0.008, 0.02, 0.04)), 7, (20, -60)
-        ),
+        "follicle": _case("follicle", ((-0.03, -0.02, 0.0), (-0.006, 0.02, 0.04)), 7, (20, -48)),
     }
     chosen = {name: exhibit for name, exhibit in every.items() if not names or name in names}
     # Only where it is wanted: the mesh takes its time to be read.

@@ -82,7 +82,7 @@ EFFECTS = {
         lambda rise: WIRE.at(temperature=REFERENCE + rise),
     ),
     "support": Effect(
-        "yield of the support [mrad per N mm]",
+        "support yields [mrad per N mm]",
         (0.1, 0.3, 1.0, 3.0, 10.0),
         lambda soft: WIRE.on(vb.Support.pivot((1 / soft,) * 3)),
     ),
@@ -157,7 +157,12 @@ def _draw(found: dict[str, list[dict[str, Any]]]) -> None:
         sizes = [row["size"] for row in rows]
         for key, paint, marker in (("largest", LARGEST, "o"), ("median", MEDIAN, "s")):
             axes.loglog(
-                sizes, [row[key] for row in rows], marker + "-", color=paint, markersize=4, label=key
+                sizes,
+                [row[key] for row in rows],
+                marker + "-",
+                color=paint,
+                markersize=4,
+                label=key,
             )
         if name == "wind":
             tared = [row["median"] for row in found["tared_wind"]]
@@ -167,7 +172,7 @@ def _draw(found: dict[str, list[dict[str, Any]]]) -> None:
         axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
         axes.xaxis.set_minor_locator(mpl.ticker.NullLocator())
         axes.grid(visible=True, color="0.9", linewidth=0.5)
-        axes.set_ylim(1e-4, 1e2)
+        axes.set_ylim(3e-3, 1e2)
     for axes in panels[:, 0]:
         axes.set_ylabel("error of the contact [% of $L$]")
     handles, names = panels[0, 0].get_legend_handles_labels()

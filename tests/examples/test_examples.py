@@ -142,9 +142,11 @@ def test_the_whisker_is_that_of_the_catalogue() -> None:
 
 def test_the_wire_hangs_in_the_wind() -> None:
     """Drag of a cylinder at Re = 67 has the coefficient 1.5 ± 10 % (C. Wieselsberger, NACA TN 84)."""
-    case, scan = swept("wire_in_wind")
+    _, scan = swept("wire_in_wind")
     drag, weight = np.split(-scan.reactions.force[0, 0], [2])
-    assert weight == pytest.approx([-7850 * np.pi * 0.1e-3**2 * 0.1 * 9.81])
+    # Drag across the leaning wire also lifts it.
+    own = 7850 * np.pi * 0.1e-3**2 * 0.1 * 9.81
+    assert 0.9 * own < -weight[0] < own
     np.testing.assert_allclose(drag / np.linalg.norm(drag), [0.6, 0.8], atol=0.02)
     still = 1.204 / 2 * 5**2 * 2e-4 * 0.1
     assert np.linalg.norm(drag) / still == pytest.approx(1.5, rel=0.1)
@@ -154,7 +156,7 @@ def test_the_wire_hangs_in_the_wind() -> None:
 
 
 def test_the_follicle_yields() -> None:
-    case, scan = swept("follicle")
+    _, scan = swept("follicle")
     rows = scan.in_contact
     moved = scan.elastic_lines(rows, 2)[:, 0] - scan.trail.position[rows]
     turn = Rotation.from_quat(scan.trail.orientation[rows])

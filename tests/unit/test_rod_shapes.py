@@ -196,3 +196,18 @@ def test_file_keeps_rod_and_shapes(tmp_path: Path) -> None:
     lines = found.elastic_lines(everything, 40)
     np.testing.assert_allclose(stored.elastic_lines(everything, 40), lines, atol=1e-12)
     assert len(list(drawn_rods(stored, everything, 40))) == len(lines)
+
+
+def test_speed_is_judged_by_the_frequency_of_the_tapered_rod() -> None:
+    uniform = vb.Rod.cylinder(length=LENGTH, radius=RADIUS, youngs_modulus=MODULUS, density=DENSITY)
+    check = scan().quasi_static(0.01)
+    assert check.natural_frequency == rod().first_natural_frequency()
+    assert check.natural_frequency > 1.2 * uniform.first_natural_frequency()
+    assert check.holds
+
+
+def test_description_tells_what_differs() -> None:
+    said = repr(rod())
+    for part in ("Section", "Polynomial", "Loads(gravity=", "Support(kind='pivot'"):
+        assert part in said
+    assert str(scan().to_dataset()["rod"].item()).startswith('{"is": "Rod"')

@@ -183,7 +183,7 @@ class Line(NamedTuple):
         weights, slopes, _ = _quintic(x)
         point = sum(w * value for w, value in zip(weights, values, strict=True))
         slope = sum(w * value for w, value in zip(slopes, values, strict=True))
-        tangent = slope / jnp.sqrt(dot(slope, slope))
+        tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
         return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
 
     def bend(self, s: Scalar) -> Vector:

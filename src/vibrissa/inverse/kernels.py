@@ -260,15 +260,33 @@ def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
     return _by_setup(_probable(setting, sample), sample, setting.rig)
 
 
-def _held(setting: Setting, sample: Sample) -> _Held:
+@lanes()
+def arc_lengths_of(setting: Setting, sample: Sample, near: Scalar) -> tuple[Scalar, Scalar]:
+    """Arc length of the most probable single contact, also beyond the tip, and its standard
+    deviation; of several contacts, that of the one nearest to an arc length.
+    """
+    held, covariance = _held(setting, sample, near), jnp.asarray(sample.covariance)
+
+    def arc_length(wrench: Wrench) -> Scalar:
+        single, _ = single_contact(wrench, covariance)
+        return held.contact(single).arc_length
+
+    value, slope = jax.value_and_grad(arc_length)(held.wrench)
+    return value, jnp.sqrt(slope @ covariance @ slope)
+
+
+def _held(setting: Setting, sample: Sample, near: Scalar | None = None) -> _Held:
+    """Of several contacts that may be the true one, the first or the nearest."""
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
     rod, clamp = setting.rod, _clamp_of(setting, sample)
     free = rod.free(clamp)
     tip = free.at(jnp.ones(()))[0] - clamp.point
     which, several = jnp.zeros((), dtype=int), jnp.zeros((), dtype=bool)
     if rod.candidates > 1:
-        fits = _explain(setting, sample, candidates_at(setting, sample))
-        which, several = jnp.argmax(fits), jnp.sum(fits) > 1
+        found = candidates_at(setting, sample)
+        fits = _explain(setting, sample, found)
+        away = 0.0 if near is None else jnp.abs(found.arc_length - near)
+        which, several = jnp.argmin(jnp.where(fits, away, jnp.inf)), jnp.sum(fits) > 1
     if not rod.loaded:
         return _Held(rod, clamp, wrench, wrench, tip, None, which, several)
     load = rod.contact(wrench[:3], wrench[3:], clamp, which).load

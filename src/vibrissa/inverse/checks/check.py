@@ -30,7 +30,8 @@ def check_setup(found: Reconstruction) -> SetupCheck:
     Returns
     -------
     SetupCheck
-        Empty if noise or time are unknown, or too little of the sweep is in contact.
+        Empty if noise or time are unknown, too little of the sweep is in contact, or the rod is not
+        uniform, straight, unloaded and rigidly held.
 
     Notes
     -----

@@ -55,9 +55,13 @@ to which it then extends.
 # Readings that no rod produces lead to unbounded numbers; non-finite ones are left out.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def judged(found: Reconstruction) -> SetupCheck:
-    """Findings of one trail: none if noise or time are unknown, or too little is in contact."""
+    """Findings of one trail: none if noise or time are unknown, too little is in contact, or the rod
+    is not uniform, straight, unloaded and rigidly held.
+    """
     reactions = found.reactions
-    if reactions.covariance is not None and reactions.time is not None:
+    known = reactions.covariance is not None and reactions.time is not None
+    # The conditions are those of a uniform straight rod, rigidly held.
+    if known and found.rod.plain:
         averaged = stretches_of(found)
         (turn, arm, _), factor, _ = prepared(found.rod, reactions.setup_errors)
         tolerated = np.zeros((ERRORS, factor.shape[1]))

@@ -41,9 +41,12 @@ from vibrissa.inverse.smoothing.manifold import (
     AT_REST,
     LOADS,
     Linear,
+    Pose,
     chosen,
     finite,
     linear_at,
+    poses_of,
+    smoothed_model,
 )
 from vibrissa.inverse.smoothing.model import (
     FREE,
@@ -60,6 +63,7 @@ from vibrissa.inverse.smoothing.model import (
 )
 from vibrissa.inverse.smoothing.phases import DETECTION_SAMPLES, load_chi_square
 from vibrissa.inverse.smoothing.result import LiveContact
+from vibrissa.mechanics.model import RodModel
 from vibrissa.numerics.compiled import compiled
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -100,6 +104,7 @@ class _Settings(NamedTuple):
     incidence_variance: Float[Any, ""]
     """Of k² about ½ in tangential contact; infinite if friction may change it."""
     rig: Rig
+    rod: RodModel
 
 
 class _Hypotheses(NamedTuple):
@@ -123,7 +128,7 @@ class CausalSmoother:
     Parameters
     ----------
     rod
-        Uniform straight rod.
+        Any whose tip is ahead of its clamp.
     covariance
         Of a sample's (force, moment) on the rod about the clamp, **clamp axes** (6, 6), units of
         the rod.
@@ -149,7 +154,8 @@ class CausalSmoother:
     Raises
     ------
     ValueError
-        If a value is not allowed, or the covariance is not positive definite.
+        If a value is not allowed, or the covariance is not positive definite; if the unloaded rod
+        does not lead away from the clamp.
 
     Notes
     -----
@@ -204,6 +210,7 @@ class CausalSmoother:
             jump,
             np.asarray(np.inf if spread is None else spread**2),
             rig,
+            smoothed_model(rod),
         )
         self._settings = jax.tree.map(jnp.asarray, settings)
         self._given, self._model_error = given, not_negative(model_error, "model_error")
@@ -256,7 +263,7 @@ class CausalSmoother:
         ------
         ValueError
             If the reactions are of several trails or have no time, or the first does not come after
-            the previous sample.
+            the previous sample; if a load bends the rod back to the clamp.
         """
         rod, time, trail = self._rod, reactions.time, reactions.trail
         if time is None or time.ndim != 1:
@@ -269,10 +276,12 @@ class CausalSmoother:
                 f"at {self._time}"
             )
         wrench, _ = in_clamp_axes(reactions, rod)
+        pose = poses_of(self._settings.rod, trail, rod.length)
+        wrench = wrench if pose is None else wrench - pose.free
         since = np.diff(time, prepend=time[0] if self._time is None else self._time)
-        samples, told = (wrench, since, velocities_of(rod, reactions)), []
+        samples, told = (wrench, since, velocities_of(rod, reactions), pose), []
         for first in range(0, len(time), _BATCH):
-            part = tuple(values[first : first + _BATCH] for values in samples)
+            part = jax.tree.map(lambda values, at=first: values[at : at + _BATCH], samples)
             count, part = np.asarray(len(part[0])), kalman.filled(part, _BATCH)
             self._state, report = _advanced(self._settings, self._state, part, count)
             told.append(report)
@@ -314,15 +323,15 @@ def _with_columns(mean: Float[np.ndarray, "*n state"]) -> Float[np.ndarray, "*n 
 @compiled
 def _advanced(settings: _Settings, state: _Hypotheses, samples: Any, count: Int[Any, ""]) -> Any:
     """The first `count` samples, taken one by one: wrenches in clamp axes and model units, times
-    since the previous one, velocities of the clamp.
+    since the previous one, velocities of the clamp, and its poses if the rod is loaded.
     """
     return kalman.scanned(partial(_one, settings), state, samples, count)
 
 
 def _one(
-    settings: _Settings, hypotheses: _Hypotheses, sample: tuple[Array, Array, Array]
+    settings: _Settings, hypotheses: _Hypotheses, sample: tuple[Array, Array, Array, Pose | None]
 ) -> tuple[_Hypotheses, _Found]:
-    wrench, duration, velocity = sample
+    wrench, duration, velocity, pose = sample
     sound = jnp.all(jnp.isfinite(wrench))
     recent = jnp.vstack([hypotheses.recent[1:], settings.whitening @ wrench])
     wrench = jnp.where(sound, wrench, 0.0)
@@ -342,7 +351,7 @@ def _one(
         mean = mean.at[ARC_LENGTH, 0].set(jnp.clip(mean[ARC_LENGTH, 0], 0.05, 1.0))
         # The sample linearised about the prediction, its squared distance from it, and its setup
         # errors.
-        linear = linear_at(mean[PLACE, 0])
+        linear = linear_at(mean[PLACE, 0], settings.rod, pose)
         target, slope = observed(linear, wrench, settings.whitening, jnp)
         value, slope = linear.value, slope * (kind != FREE)
         by_setup = changes(settings.rig, value.wrench, value.reach, value.direction, velocity)
@@ -367,7 +376,7 @@ def _one(
     strange = jnp.where(jumped, 0.0, hypotheses.strange + 1) * (jnp.min(excess) > OUTLIER)
     shares = probability.at[FREE].set(0.0) / jnp.maximum(jnp.sum(probability[1:]), TINY)
     mean, covariance = _mixture(shares, states)
-    linear = linear_at(mean[PLACE, 0])
+    linear = linear_at(mean[PLACE, 0], settings.rod, pose)
     value = linear.value
     zero = Gaussian(probability @ states.mean[:, DRIFT, 0], states.covariance[FREE, DRIFT, DRIFT])
     seen = jnp.isfinite(recent).all(axis=1)

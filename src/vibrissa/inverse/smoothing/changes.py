@@ -208,7 +208,7 @@ def _with_tangential_phases(fit: Fit) -> Fit:
     """Tangential contact is tried within each stretch of tip contact, around where the samples by
     themselves put the contact most clearly short of the tip.
     """
-    value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
+    value, deviation = raw_arc_lengths(fit)
     for run in runs(fit.labels.phase == TIP):
         rows = slice(*run)
         edges = rows.start + _clearly_short(value[rows], deviation[rows] ** -2)

@@ -210,7 +210,7 @@ def _elsewhere(found: Reconstruction, fit: Fit, touching: Flags) -> Flags:
     """Rows of stretches over which the single samples, taken together, put the contact elsewhere on
     the rod than smoothing does.
     """
-    value, deviation = raw_arc_lengths(fit.series, fit.states.zero.mean)
+    value, deviation = raw_arc_lengths(fit)
     weight = np.where(fit.weight == 1, deviation**-2.0, 0.0)
     assert found.covariance is not None
     # What setup errors do to the points, they may do to the arc lengths.

@@ -41,6 +41,7 @@ from vibrissa.inverse.smoothing.model import (
     together_for,
 )
 from vibrissa.inverse.smoothing.phases import first_labels
+from vibrissa.mechanics.model import RodModel
 
 OUTLIER = 28.0
 """Squared residual, six degrees of freedom, that noise exceeds once in ten thousand samples; larger
@@ -72,12 +73,16 @@ _OF_LENGTH = ARC_LENGTH - 1
 
 
 def first_guess(
-    series: Series, zero: Gaussian, false_alarm: float, incidence_spread: float | None
+    rod: RodModel,
+    series: Series,
+    zero: Gaussian,
+    false_alarm: float,
+    incidence_spread: float | None,
 ) -> Fit:
     """Phases, and coordinates from moving averages of the wrench over 40 ms; the states are not
     known yet.
     """
-    phase, arc_length = first_labels(series, zero, false_alarm)
+    phase, arc_length = first_labels(rod, series, zero, false_alarm)
     steady = median_filter(series.wrench, (_MEDIAN, 1), mode="nearest")
     size = max(1, round(_AVERAGE / series.step))
     load = uniform_filter1d(steady, size, axis=0, mode="nearest")
@@ -86,7 +91,7 @@ def first_guess(
     # A series that begins in contact may begin with any load.
     labels.link[0] = JUMP if touching[0] else GO_ON
     x = np.column_stack([load[:, 3:5], -load[:, 2], arc_length, np.zeros(len(phase))])
-    linear = linearised(np.where(touching[:, None], x, AT_REST))
+    linear = linearised(rod, series.pose, np.where(touching[:, None], x, AT_REST))
     # Unknown rates: thirty times the range over the longest contact.
     longest = max(_longest_of(series.time, labels) or 1.0, series.step)
     most = float(np.ptp(linear.x[touching, :LOADS], axis=0).max()) if touching.any() else 1.0
@@ -96,7 +101,7 @@ def first_guess(
     weight = _robust(np.sum(residual**2, axis=1))
     unknown: Any = None
     return Fit(
-        series, labels, linear, linear, weight, unknown, rates, _START, zero, incidence_spread
+        series, labels, linear, linear, weight, unknown, rates, _START, zero, incidence_spread, rod
     )
 
 
@@ -129,7 +134,7 @@ def _coordinates(states: States) -> Coordinates:
 
 def _stepped(fit: Fit, new: Coordinates) -> Fit:
     """About the new coordinates, or about the old ones where no rod has the new."""
-    there = linearised(new)
+    there = fit.linearised(new)
     return fit._replace(linear=chosen(finite(there), there, fit.linear))
 
 
@@ -257,7 +262,9 @@ def averaged(fit: Fit, candidates: list[Labels]) -> Fit:
     covariance = fit.states.covariance.copy()
     between = np.einsum("kni,knj->nij", away, away) / count
     covariance[:, PLACE, PLACE] = np.mean(squares, axis=0) + between
-    return fit._replace(linear=linearised(mean), states=fit.states._replace(covariance=covariance))
+    return fit._replace(
+        linear=fit.linearised(mean), states=fit.states._replace(covariance=covariance)
+    )
 
 
 def _with_drift(fit: Fit, factor: float) -> Fit:

@@ -18,6 +18,12 @@ plane perpendicular to t0. The fifth coordinate is that tilt ε:
     m0 = (m_x, m_y, ε m),    F = γ t0 × m0 + F_z (t0 − ε m̂),    m = ‖(m_x, m_y)‖,
 
 which keeps m0·F = 0, as in any single contact.
+
+The same coordinates describe the contacts of any other rod: of its reactions m_x, m_y and F_z are
+given, and the other three are those that leave no moment in it at s₁. Loads add their resultants
+to the unknowns, and what they leave at the tip to the equations; the coordinates are then those of
+the reactions in excess of the free rod's, which are zero without contact. The tilt turns the whole
+rod about m̂ × t0.
 """
 
 from typing import Any, NamedTuple, TypeVar
@@ -28,8 +34,17 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float
 
+from vibrissa.mechanics import model
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
+from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Push
+from vibrissa.mechanics.model import AT_ORIGIN, Clamp, RodModel
+from vibrissa.mechanics.models import model_of
 from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.linear import solve_pivoted
+from vibrissa.numerics.rotation import first_axis, rotation_matrix, third_axis, turned
+from vibrissa.numerics.vectors import dot, joined
+from vibrissa.rod import Rod
+from vibrissa.trail import Trail
 
 Scalar = Float[Array, ""]
 Tree = TypeVar("Tree")
@@ -45,13 +60,35 @@ _NEWTON_STEPS = 6
 """Enough to reach rounding from the start below if s₁ > 0.02; one more carries the derivatives."""
 _LEAST_MOMENT = 1e-6
 """Added in squares, so that directions are differentiable without load: far below any noise."""
+_MOST_STEPS, _SETTLED = 15, 1e-6
+"""Most Newton steps to the reactions of any other rod, where five usually suffice, and the last one
+[EI/L²]: the next would be its square.
+"""
+
+
+_RESOLUTION = 6
+"""Steps along any other rod: 1e-6 in wrench and point on strongly bent tapered rods."""
+_LEAST_AHEAD = 0.2
+"""How far the tip must be ahead of the clamp [L], for the moment to tell the lateral force."""
+
+
+class Pose(NamedTuple):
+    """Where a loaded rod's clamp is, as loads are given in world axes, and what it exerts there
+    without contact; one row per sample.
+    """
+
+    position: Float[Any, "*n 3"]
+    """Of the clamp [L]."""
+    orientation: Float[Any, "*n 4"]
+    free: Float[Any, "*n wrench"]
+    """Reactions without contact, clamp axes."""
 
 
 class Bent(NamedTuple):
     """What the coordinates imply; or its derivatives, with the coordinates as last axis."""
 
     wrench: Float[Any, "*n wrench"]
-    """Support reactions (f0, m0)."""
+    """Support reactions (f0, m0), in excess of those without contact."""
     incidence: Float[Any, "*n"]
     """(1 + t·d)/2 with t the rod's tangent at the contact and d the force's direction: k² of a
     uniform straight rod.
@@ -74,21 +111,84 @@ class Linear(NamedTuple):
     """Derivatives with respect to the coordinates."""
 
 
-def linear_at(x: Float[Array, "coordinates"]) -> Linear:
-    """The manifold linearised about one sample's coordinates."""
+def linear_at(
+    x: Float[Array, "coordinates"], rod: RodModel | None = None, pose: Pose | None = None
+) -> Linear:
+    """The manifold linearised about one sample's coordinates; by default that of a uniform straight
+    rod.
+    """
+    if isinstance(rod, Kirchhoff):
+        return _spatial_at(x, rod, pose)
     slope, value = jax.jacfwd(lambda x: (bent(x),) * 2, has_aux=True)(x)
     return Linear(x, value, slope)
 
 
-_LINEAR = lanes()(lambda _, x: linear_at(x))
+_LINEAR = lanes()(lambda rod, pose, x: linear_at(x, rod, pose))
 
 
-def linearised(x: Float[np.ndarray, "n coordinates"]) -> Linear:
+def linearised(rod: RodModel, pose: Pose | None, x: Float[np.ndarray, "n coordinates"]) -> Linear:
     """The manifold linearised about the coordinates of many samples."""
     loaded = np.any(x != AT_REST, axis=1)
     # Rods at rest are all alike: the first row stands for them.
-    found: Linear = _LINEAR(None, np.concatenate([[AT_REST], x[loaded]]))
-    return jax.tree.map(lambda part: part[loaded * np.cumsum(loaded)], found)
+    some = np.append(0, np.flatnonzero(loaded))
+    rows = np.where(loaded, np.cumsum(loaded), 0)
+    poses = jax.tree.map(lambda part: part[some], pose)
+    found: Linear = _LINEAR(rod, poses, np.concatenate([[AT_REST], x[loaded]]))
+    return jax.tree.map(lambda part: part[rows], found)
+
+
+def smoothed_model(rod: Rod) -> RodModel:
+    """How a rod bends, as precisely as the noise of sensors asks for.
+
+    Raises
+    ------
+    ValueError
+        If the unloaded rod does not lead away from the clamp.
+    """
+    found = model_of(rod, _RESOLUTION)
+    if rod.rest is not None:
+        _, ahead = _free(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+        _check_ahead(ahead)
+    return found
+
+
+def poses_of(rod: RodModel, trail: Trail, length: float) -> Pose | None:
+    """Poses of one trail (n, …), if the rod is loaded.
+
+    Raises
+    ------
+    ValueError
+        If a load bends the rod back to the clamp.
+    """
+    if not rod.loaded:
+        return None
+    position = trail.position / length
+    free, ahead = _free(rod, position, trail.orientation)
+    _check_ahead(ahead)
+    return Pose(position, trail.orientation, free)
+
+
+@lanes()
+def _free(
+    rod: RodModel, position: Float[Array, "3"], orientation: Float[Array, "4"]
+) -> tuple[Float[Array, "6"], Scalar]:
+    """Reactions of the rod without contact, clamp axes, and how far its tip is ahead of the clamp
+    [L].
+    """
+    turn = rotation_matrix(orientation)
+    clamp = Clamp(position, third_axis(orientation), first_axis(orientation))
+    free = rod.free(clamp)
+    tip, *_ = free.at(jnp.ones(()))
+    return _turned(turn.T, free.reactions), dot(tip - position, clamp.tangent)
+
+
+def _check_ahead(ahead: Float[np.ndarray, "n"]) -> None:
+    least = float(np.min(ahead))
+    if not least > _LEAST_AHEAD:
+        raise ValueError(
+            f"without contact the rod's tip is {least:.3g} rod lengths ahead of the clamp; "
+            f"smoothing needs more than {_LEAST_AHEAD}"
+        )
 
 
 def finite(rows: Any) -> Bool[np.ndarray, "n"]:
@@ -160,3 +260,82 @@ def _section(moment: Scalar, axial: Scalar, gamma: Scalar) -> ContactOnRod:
     # 1 − cos δ = 2 cos² a₀, without cancellation where the force points along the rod.
     toward = jnp.where(cosine > 0, sine**2 / (1 + jnp.abs(cosine)), 1 - cosine)
     return contact_on_rod(BasePlane(sine / jnp.sqrt(2 * toward), moment / f), f)
+
+
+def _spatial_at(x: Float[Array, "coordinates"], rod: Kirchhoff, pose: Pose | None) -> Linear:
+    """The manifold of any rod, linearised: Newton's method and the implicit function theorem."""
+
+    def missing(unknowns: Array) -> tuple[Array, Array]:
+        left, _ = _of_reactions(unknowns, x, rod, pose)
+        return left, left
+
+    def refined(state: tuple[Array, Scalar, Scalar]) -> tuple[Array, Scalar, Scalar]:
+        unknowns, _, count = state
+        jacobian, left = jax.jacfwd(missing, has_aux=True)(unknowns)
+        change, _ = solve_pivoted(jacobian, left)
+        return unknowns - change, jnp.max(jnp.abs(change)), count + 1
+
+    def unfinished(state: tuple[Array, Scalar, Scalar]) -> Bool[Array, ""]:
+        return (state[1] > _SETTLED) & (state[2] < _MOST_STEPS)
+
+    # Without axial force, on a straight rod.
+    lateral = joined(-x[1], x[0]) / x[ARC_LENGTH]
+    start = joined(lateral, jnp.zeros(1 + rod.unknowns)), jnp.asarray(jnp.inf), jnp.zeros(())
+    unknowns, change, _ = lax.while_loop(unfinished, refined, start)
+    unknowns = jnp.where(change <= _SETTLED, unknowns, jnp.nan)
+
+    def solved(both: Array) -> tuple[tuple[Array, Bent], Bent]:
+        left, bent = _of_reactions(both[:-COORDINATES], both[-COORDINATES:], rod, pose)
+        return (left, bent), bent
+
+    slopes, value = jax.jacfwd(solved, has_aux=True)(joined(unknowns, x))
+    by_unknowns, by_x = slopes[0][:, :-COORDINATES], slopes[0][:, -COORDINATES:]
+    moved = jnp.stack([solve_pivoted(by_unknowns, -part)[0] for part in by_x.T], axis=1)
+    slope = jax.tree.map(
+        lambda part: part[..., :-COORDINATES] @ moved + part[..., -COORDINATES:], slopes[1]
+    )
+
+    def tilted(at: Array) -> tuple[Bent, Bent]:
+        near = jax.tree.map(lambda value, slope: value + slope @ (at - x), value, slope)
+        axis = joined(at[1], -at[0], 0.0) / jnp.sqrt(dot(at[:2], at[:2]) + _LEAST_MOMENT**2)
+        force, moment, reach, direction = (
+            turned(at[TILT] * axis, part)
+            for part in (near.wrench[:3], near.wrench[3:], near.reach, near.direction)
+        )
+        whole = near._replace(wrench=joined(force, moment), reach=reach, direction=direction)
+        return whole, whole
+
+    slope, value = jax.jacfwd(tilted, has_aux=True)(x)
+    return Linear(x, value, slope)
+
+
+def _of_reactions(
+    unknowns: Float[Array, "unknowns"], x: Float[Array, "coordinates"], rod: Kirchhoff, pose: Any
+) -> tuple[Float[Array, "unknowns"], Bent]:
+    """What a rod's equations leave, and the rod. Unknown are the lateral force and the torsion in
+    its reactions, and the excess of the loads' resultants over the free rod's.
+    """
+    wrench = joined(-unknowns[:2], -x[2], x[:2], unknowns[2])
+    clamp, turn, load, excess = AT_ORIGIN, jnp.eye(3), None, 0.0
+    if pose is not None:
+        at = pose.orientation
+        clamp, turn = Clamp(pose.position, third_axis(at), first_axis(at)), rotation_matrix(at)
+        excess = unknowns[3:]
+        load = excess - _turned(turn, pose.free)
+    push = -_turned(turn, wrench) - excess
+    force, s1 = push[:3], x[ARC_LENGTH]
+    inner = Inner(rod.line(clamp, Push(force, push[3:]), load), clamp, Push(force, push[3:]))
+    reach, tangent = inner.line.at(s1)
+    left = push[3:] - jnp.cross(reach, force)
+    if rod.loaded:
+        left = joined(left, rod.beyond(inner, s1).states.load[-1])
+    f = jnp.sqrt(dot(force, force) + _LEAST_MOMENT**2)
+    n = force / f
+    incidence = (1 + dot(tangent, n)) / 2
+    energy = rod.energy(model.Bent(reach, reach, f, n, left, s1, incidence, inner, load))
+    seen = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
+    return left, Bent(wrench, incidence, *seen, energy)
+
+
+def _turned(matrix: Float[Array, "3 3"], wrench: Float[Array, "6"]) -> Float[Array, "6"]:
+    return joined(*(jnp.sum(matrix * part, axis=1) for part in (wrench[:3], wrench[3:])))

@@ -34,10 +34,13 @@ from vibrissa.inverse.smoothing.manifold import (
     LOADS,
     TILT,
     Linear,
+    Pose,
     chosen,
     finite,
     linearised,
+    poses_of,
 )
+from vibrissa.mechanics.model import RodModel
 from vibrissa.numerics.runs import runs
 from vibrissa.tolerances import PARAMETERS, SetupErrors
 
@@ -97,12 +100,14 @@ class Series(NamedTuple):
 
     time: Samples
     wrench: Float[np.ndarray, "n wrench"]
-    """(f0, m0); zero where the sample is bad."""
+    """(f0, m0) in excess of the free rod's; zero where the sample is bad."""
     whitening: Float[np.ndarray, "n wrench wrench"]
     """W with W Σ Wᵀ = 1."""
     sound: Flags
     ringing: Flags
     """Where the rod swings freely."""
+    pose: Pose | None = None
+    """Of a loaded rod's clamp."""
 
     @property
     def step(self) -> float:
@@ -120,11 +125,13 @@ class Series(NamedTuple):
         return self.whiten(self.wrench)
 
 
-def series_of(found: Reconstruction, time: Samples) -> Series:
+def series_of(found: Reconstruction, time: Samples, rod: RodModel) -> Series:
     """Rows of one trail with known noise. Rows in which the free rod swings show no load, and
     little of the zero's drift.
     """
     wrench, covariance = in_clamp_axes(found.reactions, found.rod)
+    pose = poses_of(rod, found.reactions.trail, found.rod.length)
+    wrench = wrench if pose is None else wrench - pose.free
     sound, ringing = finite(wrench), found.status == Status.RINGING
     weight = np.where(ringing, _FAINT, 1.0)[:, None, None]
     return Series(
@@ -133,6 +140,7 @@ def series_of(found: Reconstruction, time: Samples) -> Series:
         weight * whitening_of(covariance),
         sound & (found.status != Status.TOUCHES_TWICE),
         ringing,
+        pose,
     )
 
 
@@ -229,6 +237,7 @@ class Fit(NamedTuple):
     """The sensor's zero where the series begins, in standard deviations of a sample."""
     incidence_spread: float | None
     """Standard deviation of k² about ½ in tangential contact; None if friction may change it."""
+    rod: RodModel
 
     def rows(self, rows: slice) -> "Fit":
         """Some of the samples; the zero as known from the samples before them."""
@@ -239,7 +248,11 @@ class Fit(NamedTuple):
         """Linearised about other coordinates."""
         tip = linear.x.copy()
         tip[:, ARC_LENGTH] = 1
-        return self._replace(linear=linear, at_tip=linearised(tip))
+        return self._replace(linear=linear, at_tip=self.linearised(tip))
+
+    def linearised(self, x: Coordinates) -> Linear:
+        """The manifold about coordinates of each sample."""
+        return linearised(self.rod, self.series.pose, x)
 
     def with_phases(self, labels: Labels) -> "Fit":
         """With other labels, each sample linearised about coordinates of its phase."""

@@ -7,10 +7,7 @@ from itertools import accumulate
 from types import ModuleType
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jaxtyping import Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import (
@@ -22,9 +19,11 @@ from scipy.ndimage import (
 )
 from scipy.special import chdtri
 
-from vibrissa.inverse.inverse import single_contact
+from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.inverse.kernels import Sample, Setting, arc_lengths_of
+from vibrissa.inverse.shared import under_friction
 from vibrissa.inverse.smoothing.kalman import RATE, WRENCH, Gaussian, States
-from vibrissa.inverse.smoothing.manifold import LOADS
+from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, LOADS
 from vibrissa.inverse.smoothing.model import (
     FREE,
     JUMP,
@@ -39,9 +38,7 @@ from vibrissa.inverse.smoothing.model import (
     Samples,
     Series,
 )
-from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.model import AT_ORIGIN
-from vibrissa.numerics.lanes import lanes
+from vibrissa.mechanics.model import RodModel
 from vibrissa.numerics.runs import runs
 
 DETECTION_SAMPLES = 5
@@ -105,35 +102,40 @@ def _running_sum(values: np.ndarray, size: int) -> np.ndarray:
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="constant") * size)
 
 
-@lanes()
-def _raw(
-    _: None, wrench: Float[Array, "wrench"], covariance: Float[Array, "wrench wrench"]
-) -> tuple[Array, Array]:
-    def arc_length(wrench: Array) -> Array:
-        single, _ = single_contact(wrench, covariance)
-        return Elastica().contact(single[:3], single[3:], AT_ORIGIN).arc_length
-
-    value, slope = jax.value_and_grad(arc_length)(wrench)
-    return value, jnp.sqrt(slope @ covariance @ slope)
-
-
-def raw_arc_lengths(
-    series: Series, drift: Float[np.ndarray, "*n wrench"]
-) -> tuple[Samples, Samples]:
-    """Arc length of each sample by itself, also beyond the tip, and its standard deviation,
-    infinite where it says nothing.
+def raw_arc_lengths(fit: Fit) -> tuple[Samples, Samples]:
+    """Arc length of each sample by itself, given the drift of the zero: also beyond the tip, and of
+    several the one nearest to the fit's; and its standard deviation, infinite where it says
+    nothing.
     """
+    return _raw(fit.rod, fit.series, fit.states.zero.mean, fit.linear.x[:, ARC_LENGTH])
+
+
+def _raw(
+    rod: RodModel, series: Series, drift: Float[np.ndarray, "*n wrench"], near: Samples
+) -> tuple[Samples, Samples]:
     unwhitening = np.linalg.inv(series.whitening)
     wrench = series.wrench - (unwhitening @ drift[..., None])[..., 0]
-    value, deviation = _raw(None, wrench, unwhitening @ np.swapaxes(unwhitening, 1, 2))
+    covariance = unwhitening @ np.swapaxes(unwhitening, 1, 2)
+    count = len(wrench)
+    position, orientation = np.zeros((count, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    if series.pose is not None:
+        position, orientation, free = series.pose
+        both = np.kron(np.eye(2), rotation_matrices(orientation))
+        wrench = (both @ (wrench + free)[..., None])[..., 0]
+        covariance = both @ covariance @ np.swapaxes(both, 1, 2)
+    setting = under_friction(Setting(1.0, 1.0, 1.0, np.inf, 0.0, rod=rod), None)
+    sample = Sample(wrench[:, :3], wrench[:, 3:], position, orientation, covariance)
+    value, deviation = arc_lengths_of(setting, sample, near)
     tells = series.sound & np.isfinite(value) & (deviation < _MOST_DEVIATION) & (deviation > 0)
     return np.where(tells, value, 1.0), np.where(tells, deviation, np.inf)
 
 
-def first_labels(series: Series, zero: Gaussian, false_alarm: float) -> tuple[Codes, Samples]:
+def first_labels(
+    rod: RodModel, series: Series, zero: Gaussian, false_alarm: float
+) -> tuple[Codes, Samples]:
     """Phase and rough arc length (model units) of each sample, given what is known of the zero."""
     phase, arc_length = np.full(len(series.time), FREE), np.ones(len(series.time))
-    value, deviation = raw_arc_lengths(series, zero.mean)
+    value, deviation = _raw(rod, series, zero.mean, arc_length)
     for run in runs(detected(series, zero, false_alarm)):
         rows = slice(*run)
         phase[rows], average = _phases_of(value[rows], deviation[rows])

@@ -20,6 +20,7 @@ from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, 
 from vibrissa.inverse.smoothing.estimate import by_itself, contacts_of
 from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
 from vibrissa.inverse.smoothing.kalman import INTENSITIES, WRENCH, Gaussian
+from vibrissa.inverse.smoothing.manifold import smoothed_model
 from vibrissa.inverse.smoothing.model import (
     FREE,
     GO_ON,
@@ -188,12 +189,13 @@ def _smoothed_segment(
     """One series: guess phases, fit the motion, find jumps and phases in it, place starts and ends,
     judge the rest.
     """
-    series = series_of(found, time)
+    rod = smoothed_model(found.rod)
+    series = series_of(found, time, rod)
     spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
-    fit = fitted(first_guess(series, zero, false_alarm, spread), local=False)
+    fit = fitted(first_guess(rod, series, zero, false_alarm, spread), local=False)
     stages.end_one()
     # Again, now that the drift of the zero is known.
-    guess = first_guess(series, fit.states.zero, false_alarm, spread)
+    guess = first_guess(rod, series, fit.states.zero, false_alarm, spread)
     fit = fit._replace(labels=guess.labels, linear=guess.linear)
     fit = fitted(fit._replace(labels=with_snaps(fit)))
     stages.end_one()

@@ -237,8 +237,8 @@ _TEXTS = {
     ),
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
     Status.NOT_UNIQUE: (
-        "More than one contact explains the channels that were used; add channels, such as the "
-        "lateral forces."
+        "More than one contact explains the reactions that were used: `candidates` lists those on "
+        "a curved rod, and smoothing follows one; of fewer than six channels, add some."
     ),
     Status.SETUP_CONTRADICTED: (
         "The sweep contradicts the setup by more than the error bar of this contact; see the "

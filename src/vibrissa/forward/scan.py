@@ -26,8 +26,6 @@ from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
 from vibrissa.trail import Trail
 
-_RESIDUAL_TOLERANCE = 1e-9
-"""Allowed residual of the contact conditions: a thousand times what Newton's method leaves."""
 _TRAILS = 512
 """Most trails that a thread takes at once: enough that the fixed cost of each share matters little,
 in some 30 MB of memory.
@@ -168,7 +166,15 @@ def _fields(
             second = np.append(second, [own.point - offset / scene.length * normal], axis=0)
             places, lost[place], status[place] = np.append(places, place), False, Status.PENETRATING
     figure, friction = steps.figure[places], float(scene.friction)
-    worst = _worst(rod, friction, chosen(clamps.tangent, places), values, figure, status[places])
+    worst = _worst(
+        rod,
+        scene.rod.accuracy,
+        friction,
+        chosen(clamps.tangent, places),
+        values,
+        figure,
+        status[places],
+    )
     status[places] = worst
     kind = np.where(values.phase > 0, ContactKind.TANGENTIAL, ContactKind.TIP)
 
@@ -253,6 +259,7 @@ def _motion(
 
 def _worst(
     rod: Rod,
+    accuracy: float,
     friction: float,
     axis: Float[np.ndarray, "k 3"],
     values: Assessment,
@@ -267,8 +274,8 @@ def _worst(
     if rod.yield_strain is not None and rod.radius is not None:
         strain = values.largest_bend * rod.radius / rod.length
         findings.append((strain > rod.yield_strain, Status.OVERSTRAINED))
-    sound = (values.residual <= _RESIDUAL_TOLERANCE) & (values.force >= 0)
-    sound &= values.arc_length <= 1 + _RESIDUAL_TOLERANCE
+    sound = (values.residual <= accuracy) & (values.force >= 0)
+    sound &= values.arc_length <= 1 + accuracy
     findings.append((~sound, Status.NOT_CONVERGED))
     for wrong, finding in findings:
         status = np.where(wrong, np.maximum(status, int(finding)), status)

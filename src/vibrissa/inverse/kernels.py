@@ -57,6 +57,8 @@ class Setting(NamedTuple):
     errors: Float[AnyArray, "setup setup"] | None = None
     """Covariance of the setup errors, model units."""
     rod: RodModel = Elastica()
+    leaning: float = math.inf
+    """Largest cosine between force and rod in a contact before the tip."""
 
 
 class Sample(NamedTuple):
@@ -129,13 +131,17 @@ class _Held(NamedTuple):
     """How the reactions differ from those of the free rod."""
     tip: Vector
     """Of the free rod, seen from the clamp [L]."""
-    load: Wrench | None = None
-    """What the loads contribute to the reactions."""
+    load: Any = None
+    """What the loads contribute to the reactions (6,), if there are any."""
+    which: Int[Any, ""] | int = 0
+    """Which of several contacts is meant, in order along the rod."""
+    several: Flag | bool = False
+    """Whether others explain the reactions too."""
 
     def contact(self, wrench: Wrench) -> Contact:
         """The contact that explains a wrench of its own, under the same loads."""
         whole = wrench if self.load is None else wrench + self.load
-        return self.rod.contact(whole[:3], whole[3:], self.clamp)
+        return self.rod.contact(whole[:3], whole[3:], self.clamp, self.which)
 
 
 class _Probable(NamedTuple):
@@ -167,7 +173,8 @@ def _exact(setting: Setting, sample: Sample) -> Found:
     if setting.rod.loaded:
         touching = push > LEAST_LOADED
     single, none = jnp.dot(force, moment) / (f * m), jnp.zeros(())
-    return _judged(setting, sample, contact, touching, single, SINGLE_CONTACT, none, none)
+    several = jnp.asarray(held.several)
+    return _judged(setting, sample, contact, touching, several, single, SINGLE_CONTACT, none, none)
 
 
 exact_contacts = lanes(alone=True)(_exact)
@@ -193,6 +200,7 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
         sample,
         probable.contact,
         chi_square > setting.threshold,
+        jnp.asarray(probable.held.several),
         probable.single / jnp.sqrt(whole.single),
         _SINGLE_DEVIATIONS,
         deviation,
@@ -253,15 +261,61 @@ def sensitivities_of(setting: Setting, sample: Sample) -> Observed:
 
 def _held(setting: Setting, sample: Sample) -> _Held:
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
-    turn, rod = sample.orientation, setting.rod
-    clamp = Clamp(sample.position / setting.length, third_axis(turn), first_axis(turn))
+    rod, clamp = setting.rod, _clamp_of(setting, sample)
     free = rod.free(clamp)
     tip = free.at(jnp.ones(()))[0] - clamp.point
+    which, several = jnp.zeros((), dtype=int), jnp.zeros((), dtype=bool)
+    if rod.candidates > 1:
+        fits = _explain(setting, sample, candidates_at(setting, sample))
+        which, several = jnp.argmax(fits), jnp.sum(fits) > 1
     if not rod.loaded:
-        return _Held(rod, clamp, wrench, wrench, tip)
-    load = rod.contact(wrench[:3], wrench[3:], clamp).load
+        return _Held(rod, clamp, wrench, wrench, tip, None, which, several)
+    load = rod.contact(wrench[:3], wrench[3:], clamp, which).load
     load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
-    return _Held(rod, clamp, wrench - load, wrench - free.reactions, tip, load)
+    apart = wrench - load, wrench - free.reactions
+    return _Held(rod, clamp, *apart, tip, load, which, several)
+
+
+def candidates_at(setting: Setting, sample: Sample) -> Contact:
+    """All contacts (k,) at which the reactions leave no moment in the rod, in order along it; an
+    arc length of NaN if there are fewer.
+    """
+    wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
+    clamp = _clamp_of(setting, sample)
+
+    def one(which: Array) -> Contact:
+        return setting.rod.contact(wrench[:3], wrench[3:], clamp, which)
+
+    found: Contact = lax.map(one, jnp.arange(setting.rod.candidates))
+    return found
+
+
+def _clamp_of(setting: Setting, sample: Sample) -> Clamp:
+    turn = sample.orientation
+    return Clamp(sample.position / setting.length, third_axis(turn), first_axis(turn))
+
+
+def _explain(setting: Setting, sample: Sample, found: Contact) -> Bool[Array, "k"]:
+    """Which contacts may be the true one: on the rod, and pushed as an object with friction can
+    push: across the rod, or backwards at its tip.
+    """
+    off = jnp.asarray(SINGLE_CONTACT)
+    if sample.covariance is not None:
+        force = jnp.sqrt(jnp.sum((sample.force / setting.force) ** 2))
+        variance = jnp.trace(jnp.asarray(sample.covariance))
+        off = jnp.maximum(off, _SINGLE_DEVIATIONS * jnp.sqrt(variance) / force)
+    at_tip = jnp.abs(found.arc_length - 1) < jnp.maximum(off, TIP)
+    across = jnp.abs(2 * found.incidence - 1) < setting.leaning
+    pushed = jnp.where(at_tip, found.incidence < setting.steepest, across)
+    # Comparisons with NaN are false.
+    return pushed & (found.gap < off) & (found.arc_length < 1 + jnp.maximum(off, TIP))
+
+
+@lanes(alone=True)
+def candidates_of(setting: Setting, sample: Sample) -> tuple[Contact, Bool[Array, "k"]]:
+    """All contacts (k,) with no moment in the rod, and which of them may be the true one."""
+    found = candidates_at(setting, sample)
+    return found, _explain(setting, sample, found)
 
 
 def _judged(
@@ -269,6 +323,7 @@ def _judged(
     sample: Sample,
     contact: Contact,
     touching: Flag,
+    several: Flag,
     single: Scalar,
     most: float,
     deviation: Scalar,
@@ -291,6 +346,7 @@ def _judged(
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
         (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
+        (several, Status.NOT_UNIQUE),
     )
     conditions, codes = zip(*findings, strict=True)
     tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation

@@ -1,6 +1,5 @@
 """The inverse problem's entry point. It sees the rod and the reactions, nothing else."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,18 +21,12 @@ from vibrissa.inverse.kernels import (
 )
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.ringing import without_ringing
-from vibrissa.inverse.shared import pose_errors, samples_of, setting_of
+from vibrissa.inverse.shared import pose_errors, samples_of, setting_of, under_friction
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
-_STEEPEST = 0.8
-"""Steepest incidence accepted if the friction is unknown: friction allows up to (1 + sin atan μ)/2,
-and this is μ = 0.75.
-"""
 _MANY = 50_000
 """Number of force components above which the larger calls pay off (measured)."""
-_MARGIN = 1e-6
-"""Added to the steepest incidence under friction, for rounding."""
 
 
 def reconstruct(
@@ -103,8 +96,8 @@ def reconstruct(
             rod, reactions, channels, friction=friction, false_alarm=false_alarm
         )
         return _reconstruction(rod, reactions, friction, some)
-    setting = setting_of(rod, reactions)._replace(
-        steepest=_steepest(friction), threshold=float(chdtri(6, false_alarm))
+    setting = under_friction(setting_of(rod, reactions), friction)._replace(
+        threshold=float(chdtri(6, false_alarm))
     )
     samples = samples_of(rod, reactions)
     found: Any
@@ -125,16 +118,6 @@ def reconstruct(
     if reactions.time is not None and result.kind.ndim == 1 and result.kind.size > 1:
         result = without_ringing(result)
     return result if reactions.covariance is None else checked(result)
-
-
-def _steepest(friction: float | None) -> float:
-    """Largest incidence that friction explains: the rod's tangent is at most 90° from −n, with n
-    the object's outward normal, and the force leans by up to atan μ from n.
-
-    For small μ it is no less than for unknown friction: tangential contacts lie right on the limit,
-    and noise puts them on either side of it.
-    """
-    return max(_STEEPEST, (1 + math.sin(math.atan(friction or 0.0))) / 2 + _MARGIN)
 
 
 def _reconstruction(

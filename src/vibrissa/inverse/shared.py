@@ -2,6 +2,7 @@
 the setup's parameters, and covariances that include them.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,36 @@ def setting_of(rod: Rod, reactions: Reactions) -> Setting:
         return setting
     known = prepared(rod, reactions.setup_errors)
     return setting._replace(rig=known.rig, errors=known.covariance)
+
+
+_STEEPEST = 0.8
+"""Steepest incidence accepted if the friction is unknown: friction allows up to (1 + sin atan μ)/2,
+and this is μ = 0.75.
+"""
+_UNKNOWN_FRICTION = 0.75
+_MARGIN = 1e-6
+"""Added to the steepest incidence under friction, for rounding."""
+_LEAN_MARGIN = 0.1
+"""Cosine by which noise may make a force lean out of the cone of friction."""
+
+
+def under_friction(setting: Setting, friction: float | None) -> Setting:
+    """The same, where friction of a coefficient, or of one that is not known, bounds how contacts
+    may lean.
+    """
+    known = _UNKNOWN_FRICTION if friction is None else friction
+    leaning = math.sin(math.atan(known)) + _LEAN_MARGIN
+    return setting._replace(steepest=_steepest(friction), leaning=leaning)
+
+
+def _steepest(friction: float | None) -> float:
+    """Largest incidence that friction explains: the rod's tangent is at most 90° from −n, with n
+    the object's outward normal, and the force leans by up to atan μ from n.
+
+    For small μ it is no less than for unknown friction: tangential contacts lie right on the limit,
+    and noise puts them on either side of it.
+    """
+    return max(_STEEPEST, (1 + math.sin(math.atan(friction or 0.0))) / 2 + _MARGIN)
 
 
 def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sample:

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from vibrissa.mechanics.model import Bent, Clamp, Contact, Own, RodModel, Straight, is_neutral
 from vibrissa.numerics.carlson import carlson_rf_rd
@@ -206,7 +206,13 @@ class Elastica(RodModel):
         rest = jnp.maximum(1 - bent.arc_length, 0.0) * share[:, None]
         return bent.point + rest * self.tangent(bent)
 
-    def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
+    def contact(
+        self,
+        force: Vector,
+        moment: Vector,
+        clamp: Clamp,
+        which: Int[Any, ""] | int = 0,  # noqa: ARG002
+    ) -> Contact:
         """As in `RodModel`: r = (m0 × F)/f² − I₁ d with F = −f0 = f d (paper, eqs. 14-16).
 
         The first term gives the wrench's central axis; only I₁, how far along it, depends on the
@@ -222,7 +228,7 @@ class Elastica(RodModel):
         held = jnp.where(modulus < _LARGEST_MODULUS, 1.0, jnp.sqrt(_LARGEST_MODULUS / modulus))
         rod = contact_on_rod(BasePlane(plane.sin_a0 * held, plane.lever_arm * held), f)
         reach = jnp.cross(moment, F) / (f * f) - rod.advance * d
-        return Contact(reach, d, rod.arc_length, modulus, bending_energy(rod, f))
+        return Contact(reach, d, rod.arc_length, modulus, bending_energy(rod, f), jnp.zeros(()))
 
 
 @lru_cache(maxsize=8)

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from scipy.integrate import DOP853
 
 from vibrissa.mechanics.model import Bent, Clamp, Contact, Free, Own, RodModel
@@ -38,7 +38,7 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
 
-STEPS = 10
+STEPS = 12
 """Steps of the method of order 8 by Dormand and Prince (E. Hairer, S. P. Nørsett, G. Wanner,
 Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy): the uniform rod of
 the paper's case agrees with the closed form to 1e-10 L (`tests/verification/test_kirchhoff.py`).
@@ -60,6 +60,8 @@ _LARGEST_TURN = 1.5
 """Angle [rad] by which a rod may turn in one step; a row whose rod turned further says so by its
 residual.
 """
+_CANDIDATES = 3
+"""Most contacts that are looked for: each crosses the force's line of action once more."""
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
 _LOAD_STEPS, _LOAD_SETTLED = 25, 1e-13
@@ -201,7 +203,9 @@ class Line(NamedTuple):
         """The node before an arc length, the step that begins there, and the place in it."""
         place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
         step = self.nodes[place + 1] - self.nodes[place]
-        return place, step, jnp.clip((s - self.nodes[place]) / step, 0.0, 1.0)
+        # Behind a contact at the tip all nodes are one.
+        whole = jnp.where(step > 0, step, 1.0)
+        return place, step, jnp.clip((s - self.nodes[place]) / whole, 0.0, 1.0)
 
 
 def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
@@ -283,6 +287,7 @@ class Kirchhoff(RodModel):
     moment [EI/L].
     """
 
+    accuracy: ClassVar[float] = 1e-8
     lane_width: ClassVar[int] = 16
     """Rods side by side: the stages of more would leave the core's nearest cache."""
 
@@ -581,6 +586,34 @@ class Kirchhoff(RodModel):
         )(jnp.asarray(share))
         return points
 
+    def drawn(self, bent: Bent, s: Float[Any, "n"]) -> Float[Array, "n 3"]:
+        """Points at arc lengths from clamp to tip."""
+        inner, s1 = bent.inner, bent.arc_length
+        rest, clamp = self.beyond(inner, s1), bent.point - bent.to_contact
+
+        def at(s: Scalar) -> Vector:
+            return clamp + jnp.where(s <= s1, inner.line.at(s)[0], rest.at(s)[0])
+
+        points: Float[Array, "n 3"] = jax.vmap(at)(jnp.asarray(s))
+        return points
+
+    def along(self, bent: Bent, s: Float[Any, "n"]) -> tuple[Array, ...]:
+        """Tangent, moment and force in the rod (n, 3), B and B₃ (n,), up to the contact."""
+        inner = bent.inner
+
+        def at(s: Scalar) -> tuple[Array, ...]:
+            place, _, x = inner.line.between(s)
+            own = jax.tree.map(lambda part: part[place], (self.local.bending, self.local.torsion))
+            stiff = [jnp.polyval(part[::-1], x) for part in own]
+            here, push = self._at(inner, s), inner.push
+            m, n = push.moment - jnp.cross(here.reach, push.force), push.force
+            if here.load is not None:
+                m, n = m + here.load[3:], n + here.load[:3]
+            return (here.tangent, m, n, *stiff)
+
+        found: tuple[Array, ...] = jax.vmap(at)(jnp.asarray(s))
+        return found
+
     def tail(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """As in `RodModel`."""
         rest, s = self.beyond(bent.inner, bent.arc_length), bent.arc_length
@@ -592,14 +625,21 @@ class Kirchhoff(RodModel):
         )(jnp.asarray(share))
         return points
 
-    def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
-        """As in `RodModel`: the first place along the rod where the moment in it is least, once
-        that of the loads behind it is taken off.
+    @property
+    def candidates(self) -> int:
+        """As in `RodModel`: a straight rod would have to be bent to and fro to have several."""
+        return 1 if self.local.rest is None else _CANDIDATES
+
+    def contact(
+        self, force: Vector, moment: Vector, clamp: Clamp, which: Int[Any, ""] | int = 0
+    ) -> Contact:
+        """As in `RodModel`: a place along the rod where the moment in it is least, once that of the
+        loads behind it is taken off.
         """
         push = Push(-force, -moment)
         f = jnp.sqrt(dot(push.force, push.force))
         if self.load is not None:
-            return self._loaded_contact(clamp, push)
+            return self._loaded_contact(clamp, push, which)
         line = self.line(clamp, push)
 
         def falling(s: Scalar) -> Scalar:
@@ -609,7 +649,7 @@ class Kirchhoff(RodModel):
 
         inside = push.moment - jnp.cross(line.reach, push.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
-        s = _zero(falling, line, slopes)
+        s = _zero(falling, line, slopes, which)
         here = self._at(Inner(line, clamp, push), s)
         at, along = here.reach, here.tangent
         # From what is interpolated to what is as exact as the nodes.
@@ -618,9 +658,10 @@ class Kirchhoff(RodModel):
         s, at, along = s + step, at + step * along, along + step * line.bend(s)
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
-        return Contact(at, d, s, incidence, here.energy)
+        off = push.moment - jnp.cross(at, push.force)
+        return Contact(at, d, s, incidence, here.energy, jnp.sqrt(dot(off, off)) / f)
 
-    def _loaded_contact(self, clamp: Clamp, push: Push) -> Contact:
+    def _loaded_contact(self, clamp: Clamp, push: Push, which: Int[Any, ""] | int) -> Contact:
         """Where the moment is that of the loads behind the contact; place and those loads'
         resultants by Newton's method, beginning with the resultants of the free rod.
         """
@@ -630,7 +671,7 @@ class Kirchhoff(RodModel):
         inside = push.moment - jnp.cross(line.reach, push.force)
         inside = inside + line.states.load[:, 3:] - free[:, 3:]
         slopes = -jnp.sum(jnp.cross(line.tangent, force) * inside, 1)
-        begin = _zero(None, line, slopes)
+        begin = _zero(None, line, slopes, which)
         place, _, x = line.between(begin)
 
         def parts(unknowns: Float[Array, "7"], inner: Inner) -> tuple[_State, Vector, Vector, Line]:
@@ -653,7 +694,8 @@ class Kirchhoff(RodModel):
         load = total + joined(force, jnp.cross(reach, force) + moment)
         incidence = (1 + dot(here.tangent, force) / f) / 2
         energy = rest.states.energy[-1]
-        return Contact(reach, force / f, unknowns[0], incidence, energy, load)
+        gap = jnp.sqrt(dot(moment, moment)) / f
+        return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load)
 
 
 def _closest(line: Line, r: Vector) -> Scalar:
@@ -669,7 +711,7 @@ def _closest(line: Line, r: Vector) -> Scalar:
     distance = jnp.sqrt(jnp.sum(gaps * gaps, 1))
     near = jnp.minimum(distance[:-1], distance[1:])
     as_near = near <= 2 * jnp.min(distance) + jnp.diff(line.nodes)
-    return _zero(along, line, jnp.sum(gaps * line.tangent, 1), as_near)
+    return _zero(along, line, jnp.sum(gaps * line.tangent, 1), allowed=as_near)
 
 
 def _across(tangent: Vector) -> Vector:
@@ -686,23 +728,29 @@ def _zero(
     function: Callable[[Scalar], Scalar] | None,
     line: Line,
     values: Float[Array, "nodes"],
-    allowed: Bool[Array, "steps"] | bool = True,
+    which: Int[Any, ""] | int = 0,
+    *,
+    allowed: Any = True,
 ) -> Scalar:
-    """Arc length at which a function with given values at the nodes passes from below to above
-    zero for the first time, within an allowed step or beyond the tip; without a function,
-    interpolated.
+    """Arc length at which a function with given values at the nodes passes from below to above zero
+    for the first time, or for a later one, within an allowed step or beyond the tip; without a
+    function, interpolated. NaN if it does not any more.
     """
     values, nodes = lax.stop_gradient((values, line.nodes))
     rises = (values[:-1] < 0) & (values[1:] >= 0) & allowed
-    place, within = jnp.argmax(rises), rises.any()
+    count = jnp.cumsum(rises)
+    place, within = jnp.argmax(rises & (count == which + 1)), count[-1] > which
+    # The first may also lie beyond the tip, and the last where the function still rises there.
+    sought = within | (which == 0) | ((count[-1] == which) & (values[-1] < 0))
     low, high = values[place], values[place + 1]
     start, end = nodes[place], nodes[place + 1]
     first = jnp.where(within, start + low / (low - high) * (end - start), 1.0)
+    first = jnp.where(sought, first, jnp.nan)
     if function is None:
         return first
     least, most = jnp.where(within, start, 0.0), jnp.where(within, end, _FARTHEST)
 
-    def newton(_: int, s: Scalar) -> Scalar:
+    def newton(_: Any, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
         return jnp.clip(s - value / rate, least, most)
 

@@ -5,13 +5,13 @@ nothing about the object.
 """
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -82,6 +82,8 @@ class Contact(NamedTuple):
     incidence: Scalar
     """As in `Bent`; at least 1 where no contact explains the reactions."""
     energy: Scalar
+    gap: Scalar
+    """How far the rod passes there from the force's line of action [L]: zero for a contact."""
     load: Any = None
     """What distributed loads contribute to the reactions (6,), if there are any."""
 
@@ -138,6 +140,9 @@ def is_neutral(direction: Vector, tangent: Vector) -> Bool[Array, ""]:
 
 class RodModel(eqx.Module):
     """How a clamped rod bends under one contact force."""
+
+    accuracy: ClassVar[float] = 1e-9
+    """Residual of the contact conditions up to which a state counts as solved."""
 
     @property
     def unknowns(self) -> int:
@@ -212,7 +217,15 @@ class RodModel(eqx.Module):
         """Points between contact (0) and tip (1), at fractions of the arc length between them."""
 
     @abstractmethod
-    def contact(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
+    def contact(
+        self, force: Vector, moment: Vector, clamp: Clamp, which: Int[Any, ""] | int = 0
+    ) -> Contact:
         """Return the contact that explains support reactions: force and moment on the rod, the
-        moment about the clamp.
+        moment about the clamp. Of several, the first along the rod or a later one (`which`); with
+        an arc length of NaN if there is none.
         """
+
+    @property
+    def candidates(self) -> int:
+        """How many contacts there may be that explain the same reactions."""
+        return 1

@@ -1,5 +1,6 @@
 """The model of a rod: the closed form where the rod allows it, else the spatial rod."""
 
+from itertools import pairwise
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,6 +18,9 @@ Vector = Float[Any, "3"]
 
 _FINE = 4097
 """Places at which the thickness is looked at."""
+_SHARED = 6
+"""Numbers of steps are multiples of it: rods with as many steps share compiled code."""
+_ROUNDING = 1e-9
 _THINNEST = 1e-4
 """Thickness below which it does not count as thinner: such a tip carries no force."""
 
@@ -98,11 +102,12 @@ def nodes_of(rod: Rod, steps: int = STEPS) -> Any:
     thickness = np.asarray(rod.bending_at(s)) ** 0.25
     efolds = abs(np.diff(np.log(np.maximum(thickness, _THINNEST))))
     work = np.append(0.0, np.cumsum(steps * np.diff(s) + steps / 2 * efolds))
+    work *= np.ceil(work[-1] / _SHARED) * _SHARED / work[-1]
     ends = [0.0, *rod.breaks, 1.0]
     parts = [np.zeros(1)]
-    for first, last in zip(ends, ends[1:], strict=False):
+    for first, last in pairwise(ends):
         done, due = np.interp((first, last), s, work)
-        count = max(1, int(np.ceil(due - done)))
+        count = max(1, int(np.ceil(due - done - _ROUNDING)))
         inner = np.interp(np.linspace(done, due, count + 1)[1:-1], work, s)
         parts += [inner, np.array([last])]
     return np.concatenate(parts)

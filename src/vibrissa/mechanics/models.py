@@ -51,10 +51,12 @@ def model_of(rod: Rod, steps: int = STEPS) -> RodModel:
     return Elastica() if rod.plain else spatial(rod, steps)
 
 
-def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
-    """A rod as the spatial model, also where the closed form would do."""
-    length, nodes = rod.length, _nodes(rod, steps)
+def spatial(rod: Rod, steps: int = STEPS, nodes: Float[Any, "nodes"] | None = None) -> Kirchhoff:
+    """A rod as the spatial model, also where the closed form would do; with given nodes, which a
+    traced rod does not show.
+    """
     _thick(rod)
+    length, nodes = rod.length, nodes_of(rod, steps) if nodes is None else nodes
     rest, loads = rod.rest, rod.loads
 
     def curvature(x: Any) -> Any:
@@ -107,7 +109,7 @@ def _thick(rod: Rod) -> None:
             )
 
 
-def _nodes(rod: Rod, steps: int) -> Any:
+def nodes_of(rod: Rod, steps: int = STEPS) -> Any:
     """Where steps begin and end: at every kink of a table, `steps` over the length and half as many
     more for each e-fold of thickness, where it changes.
     """

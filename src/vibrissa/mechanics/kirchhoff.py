@@ -345,8 +345,8 @@ class Kirchhoff(RodModel):
         """As in `RodModel`."""
         place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
         start, end = self.nodes[place], self.nodes[place + 1]
-        x = jnp.clip((s - start) / (end - start), 0.0, 1.0)
-        return 1 - jnp.polyval(self.local.girth[place][::-1], x)
+        # Beyond the tip it would go on as before.
+        return 1 - jnp.polyval(self.local.girth[place][::-1], (s - start) / (end - start))
 
     def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
         """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""

@@ -55,8 +55,8 @@ to which it then extends.
 # Readings that no rod produces lead to unbounded numbers; non-finite ones are left out.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def judged(found: Reconstruction) -> SetupCheck:
-    """Findings of one trail: none if noise or time are unknown, too little is in contact, or the rod
-    is not uniform, straight, unloaded and rigidly held.
+    """Findings of one trail: none if noise or time are unknown, too little is in contact, or the
+    rod is not uniform, straight, unloaded and rigidly held.
     """
     reactions = found.reactions
     known = reactions.covariance is not None and reactions.time is not None

@@ -316,7 +316,8 @@ def _of_reactions(
     its reactions, and the excess of the loads' resultants over the free rod's.
     """
     wrench = joined(-unknowns[:2], -x[2], x[:2], unknowns[2])
-    clamp, turn, load, excess = AT_ORIGIN, jnp.eye(3), None, 0.0
+    clamp, turn, load = AT_ORIGIN, jnp.eye(3), None
+    excess: Any = 0.0
     if pose is not None:
         at = pose.orientation
         clamp, turn = Clamp(pose.position, third_axis(at), first_axis(at)), rotation_matrix(at)
@@ -333,8 +334,8 @@ def _of_reactions(
     n = force / f
     incidence = (1 + dot(tangent, n)) / 2
     energy = rod.energy(model.Bent(reach, reach, f, n, left, s1, incidence, inner, load))
-    seen = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
-    return left, Bent(wrench, incidence, *seen, energy)
+    seen, direction = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
+    return left, Bent(wrench, incidence, seen, direction, energy)
 
 
 def _turned(matrix: Float[Array, "3 3"], wrench: Float[Array, "6"]) -> Float[Array, "6"]:

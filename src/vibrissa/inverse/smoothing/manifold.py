@@ -163,7 +163,8 @@ def poses_of(rod: RodModel, trail: Trail, length: float) -> Pose | None:
     if not rod.loaded:
         return None
     position = trail.position / length
-    free, ahead = _free(rod, position, trail.orientation)
+    found: Any = _free(rod, position, trail.orientation)
+    free, ahead = found
     _check_ahead(ahead)
     return Pose(position, trail.orientation, free)
 

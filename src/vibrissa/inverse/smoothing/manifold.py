@@ -147,8 +147,8 @@ def smoothed_model(rod: Rod) -> RodModel:
     """
     found = model_of(rod, _RESOLUTION)
     if rod.rest is not None:
-        _, ahead = _free(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
-        _check_ahead(ahead)
+        free: Any = _free(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+        _check_ahead(free[1])
     return found
 
 

@@ -105,11 +105,44 @@ def _accuracy() -> dict[str, str]:
     return {name: str(value) for name, value in numbers.items()} | {"recordings_table": table}
 
 
+_EFFECTS = {
+    "wind": "wind across [m/s], sensor tared without it",
+    "tared_wind": "wind across [m/s], sensor tared in it",
+    "weight": "weight of a level wire, by its diameter [mm], tared",
+    "temperature": "warmer than calibrated [K]",
+    "support": "the support turns [mrad per N mm]",
+    "taper": "tip thinner [%]",
+    "curvature": "tip off the straight line at rest [mm], tared",
+}
+
+
+def _real_rods() -> dict[str, str]:
+    """What docs/make_real_rods.py measured."""
+    numbers = _measured("real_rods")
+    head = ("what is ignored", "size", "median error [% of L]", "largest [% of L]")
+    head += ("rows not OK [%]", "warned")
+    rows = [
+        (
+            _EFFECTS[name] if number == 0 else "",
+            f"{row['size']:g}",
+            f"{row['median']:.2g}",
+            f"{row['largest']:.2g}",
+            f"{100 * row['marked']:.0f}",
+            "yes" if row["warnings"] else "no",
+        )
+        for name, found in numbers.items()
+        for number, row in enumerate(found)
+    ]
+    worst = max(row["corrected"] for found in numbers.values() for row in found)
+    return {"real_rods_table": _table(head, rows), "real_rods_corrected": f"{worst / 100:.0e}"}
+
+
 VALUES: dict[str, str] = {
     name: str(value)
     for name, value in (
         _accuracy()
         | _measured("comparison")
+        | _real_rods()
         | {
             "contact_kinds": _names(ContactKind),
             "event_kinds": _names(EventKind),

@@ -68,6 +68,17 @@ def _two_drops(point: Array) -> Array:
     return -0.12 * jnp.logaddexp(*(-distance / 0.12 for distance in distances))
 
 
+def _case(
+    name: str,
+    box: tuple[tuple[float, float, float], tuple[float, float, float]],
+    every: int,
+    view: tuple[float, float],
+) -> Exhibit:
+    """A case of the examples."""
+    case = vb.load_case(CASES / f"{name}.toml")
+    return Exhibit(lambda: case.surface, box, case.trail, every, view, case.rod)
+
+
 def _mug() -> Exhibit:
     """The case of the mug, which is a mesh."""
     case = vb.load_case(CASES / "mug.toml")
@@ -212,6 +223,15 @@ def exhibits(names: list[str]) -> dict[str, Exhibit]:
             every=16,
             friction=0.25,
         ),
+    }
+    every |= {
+        "rat_whisker": _case(
+            "rat_whisker", ((-0.022, -0.022, 0.03), (0.022, 0.022, 0.075)), 10, (8, -65)
+        ),
+        "wire_in_wind": _case(
+            "wire_in_wind", ((-0.032, -0.032, -0.142), (0.032, 0.032, -0.078)), 10, (12, -70)
+        ),
+        "follicle": _case("follicle", ((-0.03, -0.02, 0.0), (-0.006, 0.02, 0.04)), 7, (20, -48)),
     }
     chosen = {name: exhibit for name, exhibit in every.items() if not names or name in names}
     # Only where it is wanted: the mesh takes its time to be read.

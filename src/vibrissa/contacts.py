@@ -185,6 +185,7 @@ class Status(IntEnum):
     AMBIGUOUS = 15
     RINGING = 16
     TOUCHES_TWICE = 17
+    FALLS_OVER = 18
 
     @property
     def text(self) -> str:
@@ -237,8 +238,8 @@ _TEXTS = {
     ),
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
     Status.NOT_UNIQUE: (
-        "More than one contact explains the reactions that were used: on a curved rod, `candidates` "
-        "lists them and smoothing follows one along the sweep; of fewer than six channels, add some."
+        "More than one contact explains the reactions that were used: `candidates` lists those on "
+        "a curved rod, and smoothing follows one; of fewer than six channels, add some."
     ),
     Status.SETUP_CONTRADICTED: (
         "The sweep contradicts the setup by more than the error bar of this contact; see the "
@@ -250,6 +251,10 @@ _TEXTS = {
     ),
     Status.RINGING: (
         "The rod swings freely after it was released; these loads are its inertia, not a contact."
+    ),
+    Status.FALLS_OVER: (
+        "Without contact the rod has no stable shape under its weight and the wind here; take a "
+        "stiffer or shorter rod, or smaller loads."
     ),
     Status.TOUCHES_TWICE: (
         "No single contact has this force and moment, while the rest of the sweep agrees with "

@@ -15,8 +15,8 @@ from vibrissa.rod import Rod
 KIND_COLOURS = {ContactKind.TIP: "#c1121f", ContactKind.TANGENTIAL: "#1d5fa8"}
 """Tip contact red, tangential contact blue (paper, figure 3)."""
 KIND_NAMES = {ContactKind.TIP: "tip contact", ContactKind.TANGENTIAL: "tangential contact"}
-STRAIGHT, FREE = "#000000", "#999999"
-"""Colours of the straight part of a rod in contact, and of a rod without contact."""
+BEHIND, FREE = "#000000", "#999999"
+"""Colours of a rod behind its contact, and of a rod without contact."""
 AXES_95 = 2.7955
 """Square root of the 95 % quantile of χ² with three degrees of freedom."""
 _MISSED = 0.01
@@ -53,16 +53,18 @@ def drawn_rods(
 ) -> Iterator[tuple[tuple[int, ...], DrawnRod]]:
     """Rods at some rows, with `count` points each, and their rows.
 
-    A reconstruction that no rod explains has lines that miss the clamp: those are left out.
+    A reconstruction that no rod explains has lines that are NaN or miss the clamp, by more than
+    its support yields: those are left out.
     """
     s = np.linspace(0, what.rod.length, count)[:-1]
     clamps = what.reactions.trail.position
-    for at in map(tuple, np.argwhere(rows).tolist()):
+    places = list(map(tuple, np.argwhere(rows).tolist()))
+    for at, line in zip(places, what.elastic_lines(rows, count), strict=True):
         kind = ContactKind(int(what.kind[at]))
-        rest = FREE if kind is ContactKind.NONE else STRAIGHT
+        rest = FREE if kind is ContactKind.NONE else BEHIND
         bent = s < np.nan_to_num(what.arc_length[at])
-        line = what.elastic_line((at[0], at[1]) if len(at) > 1 else at[0], count)
-        if np.linalg.norm(line[0] - clamps[at]) < _MISSED * what.rod.length:
+        missed = np.linalg.norm(line[0] - clamps[at]) if what.rod.plain else 0.0
+        if missed < _MISSED * what.rod.length and np.isfinite(line).all():
             yield at, DrawnRod(line, bent, KIND_COLOURS.get(kind, rest), rest)
 
 

@@ -174,7 +174,7 @@ def test_friction_shows_the_force_beside_the_normal(scan: vb.Scan) -> None:
 def test_a_recording_shows_its_forces_on_the_unbent_rod(scan: vb.Scan) -> None:
     axes = plot.scene(scan.reactions, rod=scan.rod, rods=6)
     largest = np.linalg.norm(scan.reactions.force, axis=-1).max()
-    assert named(axes) == ["unbent rod", f"force on the clamp, up to {largest:.3g} EI/L²"]
+    assert named(axes) == ["free rod", f"force on the clamp, up to {largest:.3g} EI/L²"]
 
 
 def test_an_object_alone_is_drawn() -> None:
@@ -216,7 +216,7 @@ def test_a_sweep_that_misses_the_object_shows_both_or_the_rods_alone() -> None:
     for far in (0.8, 8.0):
         path = vb.Trail.line(start=(far + 0.4, 0, 0.5), stop=(far, 0, 0.5), count=9)
         axes = plot.scene(vb.scan(vb.Rod.unit(), BALL, path))
-        assert named(axes) == ["unbent rod"]
+        assert named(axes) == ["free rod"]
         bodies = [one for one in axes.collections if isinstance(one, Poly3DCollection)]
         assert len(bodies) == (far < 1)
 

@@ -9,7 +9,11 @@ from jax import Array
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from vibrissa.calibration.form import Form, Shape, adjusted, shape_of
 from vibrissa.geometry.rotation import rotation_matrices, turning_axis_to
+from vibrissa.mechanics.elastica import Elastica
+from vibrissa.mechanics.model import RodModel
+from vibrissa.mechanics.models import spatial
 from vibrissa.numerics.compiled import compiled
 from vibrissa.numerics.rotation import rotation_matrix
 from vibrissa.rod import Rod
@@ -56,10 +60,20 @@ class Step(NamedTuple):
     turn: Float[Any, "*rows 3"]
     """Rotation vector of the object about `Bench.pivot`, world axes."""
     standoff: Float[Any, "*rows 1"]
+    taper: Float[Any, "*rows t"]
+    """None where the closed form is used, like the next two."""
+    rest: Float[Any, "*rows r"]
+    """Rest curvature, along and across the direction in which the rod is given to be bent."""
+    support: Float[Any, "*rows s"]
+    """ln of a pivot's stiffnesses, about the clamp's axes."""
 
 
-LOGARITHMIC = ("stiffness", "length", "gain")
-NO_STEP = Step(*(np.zeros(size) for size in (1, 1, 3, 3, 6, 3, 3, 1)))
+LOGARITHMIC = ("stiffness", "length", "gain", "support")
+_SIZES = (1, 1, 3, 3, 6, 3, 3, 1)
+_OF_FORM = (1, 2, 3)
+NO_STEP = Step(*(np.zeros(size) for size in (*_SIZES, 0, 0, 0)))
+"""Of a rod in closed form."""
+_NO_STEP_OF_ANY = Step(*(np.zeros(size) for size in (*_SIZES, *_OF_FORM)))
 
 
 class Bench(NamedTuple):
@@ -82,6 +96,10 @@ class Bench(NamedTuple):
     pivot: Float[Any, "3"]
     standoff: Float[Any, ""]
     """Distance of the centre line from the object as given, at the contact."""
+    shape: Shape
+    """What may change about the rod's form."""
+    form: Form | None = None
+    """The rod as given, in a form that may change; None for the closed form."""
 
     @property
     def center(self) -> Float[np.ndarray, "3"]:
@@ -97,9 +115,28 @@ class Bench(NamedTuple):
         """The object at its present pose."""
         return Placed(surface, self.turn, self.move)
 
+    @property
+    def model(self) -> RodModel:
+        """How the rod bends, in its own units."""
+        if self.form is None:
+            return Elastica()
+        rod = replace(self.form.rod, length=self.length, bending_stiffness=self.stiffness)
+        return spatial(self.shape.applied(rod), nodes=self.form.nodes)
+
+    @property
+    def loaded(self) -> bool:
+        """Whether the rod carries loads along it."""
+        return self.form is not None and self.form.rod.loads is not None
+
+    @property
+    def no_step(self) -> Step:
+        """A step that changes nothing."""
+        return NO_STEP if self.form is None else _NO_STEP_OF_ANY
+
     def rod(self, given: Rod) -> Rod:
         """The rod with these values."""
-        return replace(given, length=float(self.length), bending_stiffness=float(self.stiffness))
+        rod = replace(given, length=float(self.length), bending_stiffness=float(self.stiffness))
+        return rod if self.form is None else adjusted(rod, self.shape)
 
     def setup(self, given: SetupType, surface: Surface | None) -> SetupType:
         """The setup with these values; what a file said about an earlier calibration is dropped."""
@@ -116,14 +153,14 @@ class Bench(NamedTuple):
 
     def numbers(self, given: Sensor) -> Step:
         """EI, L, clamp point, rotation of the clamp from the given one, gains, shift and rotation
-        of the object, standoff.
+        of the object, standoff, taper, rest curvature and its roll, stiffnesses of a pivot.
         """
         turned = rotation_matrices(given.clamp_orientation).T @ np.asarray(self.axes)
         tilt, turn = Rotation.from_matrix(np.stack([turned, self.turn])).as_rotvec()
         one, gain = np.atleast_1d, np.asarray(given.gain * self.gain)
         return Step(
             one(self.stiffness), one(self.length), self.clamp, tilt, gain, self.shift, turn,
-            one(self.standoff),
+            one(self.standoff), one(self.shape.taper), self.shape.polar, self.shape.support,
         )  # fmt: skip
 
     def unrolled(self, given: Sensor) -> "Bench":
@@ -133,8 +170,8 @@ class Bench(NamedTuple):
         return self._replace(axes=axes @ rotation_matrices(shortest))
 
 
-def bench_of(rod: Rod, sensor: Sensor) -> Bench:
-    """The bench as a setup states it."""
+def bench_of(rod: Rod, sensor: Sensor, form: Form | None = None) -> Bench:
+    """The bench as a setup states it, with a rod whose form may change if that is given."""
     return Bench(
         stiffness=np.asarray(rod.bending_stiffness),
         length=np.asarray(rod.length),
@@ -146,6 +183,8 @@ def bench_of(rod: Rod, sensor: Sensor) -> Bench:
         turn=np.eye(3),
         pivot=np.zeros(3),
         standoff=np.asarray(0.0),
+        shape=shape_of(rod),
+        form=form,
     )
 
 
@@ -160,6 +199,7 @@ def moved(bench: Bench, step: Step) -> Bench:
         shift=bench.shift + step.shift,
         turn=_rotation(step.turn) @ bench.turn,
         standoff=bench.standoff + step.standoff[0],
+        shape=bench.shape.moved(step.taper, step.rest, step.support),
     )
 
 

@@ -2,17 +2,19 @@
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from vibrissa.calibration.arrays import Vectors
+from vibrissa.calibration.arrays import Square, Vectors, Wrenches
 from vibrissa.calibration.bench import Bench, SetupType, bench_of
-from vibrissa.calibration.equilibrium import State
+from vibrissa.calibration.equilibrium import Pose, State, free_readings
 from vibrissa.calibration.fit import check_equilibria, disturbed, fitted, unevenness
+from vibrissa.calibration.form import REST, form_of
 from vibrissa.calibration.held_out import first_contacts, held_out
 from vibrissa.calibration.parameters import (
     Parameter,
@@ -93,7 +95,10 @@ def calibrate(
     free
         What to calibrate: `youngs_modulus` (for rods with a radius) or `bending_stiffness`,
         `length`, `clamp_position`, `clamp_orientation`, `object_position`, `object_orientation`,
-        `standoff`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`.
+        `standoff`, `gain` (each channel) or `force_gain` and `torque_gain`, `tare` and `drift`; of
+        the rod's form `taper` (by which fraction the radius falls to the tip) or `tip_radius`,
+        `rest_curvature` (the same all along) with `rest_roll` (towards which side), and
+        `support_stiffness` (of a pivot, about each of the clamp's axes).
         What is not named is held, or bounded by its tolerance. By default the stiffness, `length`,
         `clamp_position`, `clamp_orientation`, `tare` and `drift`. The tare of each recording is
         always fitted, as its error would otherwise be missing from those of the other parameters.
@@ -163,10 +168,10 @@ def calibrate(
             sweeps, setup, names, chosen, deviations, coefficient, known or Tolerances(), steps
         )
     else:
-        start = bench_of(setup.rod, setup.sensor)
+        start = bench_of(setup.rod, setup.sensor, form_of(setup.rod, names))
         given = start.numbers(setup.sensor)
         rows = gathered(sweeps, setup.sensor)
-        priors = [deviations.get(one.group, math.inf) / one.slope(given) for one in chosen]
+        priors = [deviations.get(one.group, math.inf) / abs(one.slope(given)) for one in chosen]
         problem = Problem(
             surface, rows, start, chosen, np.array(priors), "drift" in names, coefficient,
             np.zeros(len(rows.time), dtype=bool), steps=steps,
@@ -189,7 +194,8 @@ def _calibrated(
 ) -> Calibration[SetupType]:
     """Fit; hold what the solution shows to be open, and continue without it."""
     allowed, rod = known or Tolerances(), setup.rod
-    states = _states(problem, problem.start, np.zeros((problem.rows.recordings, 1, WRENCH)), rod)
+    offsets = _first_offsets(problem)
+    states = _states(problem, problem.start, offsets[:, None], rod)
     pivot = _pivot(problem.surface, np.asarray(states.point))
     problem = replace(problem, start=problem.start._replace(pivot=pivot))
     size = abs(object_size(problem.surface, problem.start, states.point))
@@ -203,7 +209,7 @@ def _calibrated(
     spreads, scales = np.append(problem.prior, list(more.values())), problem.scales
     problem = replace(problem, prior=np.clip(spreads, _EXACT * scales, _UNKNOWN * scales))
     chosen, held = problem.free, dict[str, tuple[str, ...]]()
-    linear = _best(problem, states, rod)
+    linear = _best(problem, states, rod, offsets)
     while True:
         # What is open before refinement stays open: refining it first would be wasted.
         opened = undetermined(linear)
@@ -237,11 +243,12 @@ def _refined(linear: Linear) -> Linear:
     return linear
 
 
-def _best(problem: Problem, states: State, rod: Rod) -> Linear:
+def _best(problem: Problem, states: State, rod: Rod, offsets: Wrenches) -> Linear:
     """Fit from the start; if that leaves more than noise, also from a shorter and a longer rod:
     tangential contact does not show the rod's length.
     """
     values = np.zeros(len(problem.known))
+    problem.offsets(values)[:, 0] = offsets
     found = _seeded_anew(fitted(problem, Point(values, states)), rod)
     length = [index for index, one in enumerate(problem.free) if one.group == "length"]
     if not length or found.spread < _GOOD_SPREAD:
@@ -281,6 +288,19 @@ def _check_explained(linear: Linear) -> None:
     check_equilibria(linear)
 
 
+def _first_offsets(problem: Problem) -> Wrenches:
+    """Offsets of recordings whose tare was taken at rest: what loads along the rod do there."""
+    rows, bench = problem.rows, problem.start
+    offsets = np.zeros((rows.recordings, WRENCH))
+    if bench.loaded:
+        for recording in range(rows.recordings):
+            rest = np.flatnonzero(~rows.contact & (rows.recording == recording))
+            pose = jax.tree.map(lambda part: part[rest], rows.pose)  # noqa: B023
+            free = free_readings((bench, np.ones(1)), pose)
+            offsets[recording] = np.mean(rows.wrench[rest] - free.wrench, axis=0)
+    return offsets
+
+
 def _states(
     problem: Problem, bench: Bench, offsets: Float[np.ndarray, "recordings trends 6"], rod: Rod
 ) -> State:
@@ -303,7 +323,15 @@ def _states(
     normal, direction = surface.normal(points), -force / magnitude[:, None]
     along = np.sum(direction * normal, axis=1, keepdims=True)
     leaning = (direction - along * normal) / np.maximum(along, _STEEPEST)
-    return State(points, magnitude, leaning if problem.friction > 0 else 0 * leaning)
+    own = None
+    if bench.loaded:
+        # From the resultants of the free rod's loads.
+        pose = Pose(rows.pose.position[contact], axes)
+        own = -free_readings((bench, np.ones(1)), pose).reactions
+        resultant = -(force + own[:, :3])
+        magnitude = np.linalg.norm(resultant, axis=1)
+        direction = resultant / magnitude[:, None]
+    return State(points, magnitude, leaning if problem.friction > 0 else 0 * leaning, own)
 
 
 def _pivot(surface: Surface, points: Vectors) -> Float[np.ndarray, "3"]:
@@ -317,6 +345,20 @@ def _pivot(surface: Surface, points: Vectors) -> Float[np.ndarray, "3"]:
         return _pivot(surface.surface, points)
     center = getattr(surface, "center", None)
     return np.median(points, axis=0) if center is None else np.asarray(center)
+
+
+def _turned(free: list[Parameter], bench: Bench) -> Callable[[Square], Square]:
+    """Turns a matrix over steps, of which two are of the rest curvature in fixed directions, into
+    one over steps along and across the direction found.
+    """
+    names = [one.name for one in free]
+    if not {*REST} <= {*names}:
+        return lambda matrix: matrix
+    places = [names.index(name) for name in REST]
+    roll = bench.shape.polar[1] - bench.shape.roll
+    turn = np.eye(len(names))
+    turn[np.ix_(places, places)] = [[np.cos(roll), np.sin(roll)], [-np.sin(roll), np.cos(roll)]]
+    return lambda matrix: turn @ matrix @ turn.T
 
 
 def _result(
@@ -339,10 +381,12 @@ def _result(
     errors = covariance(linear, weight, found.inflation, unsure(linear, rod, allowed))
     bench = linear.bench.unrolled(setup.sensor) if _ROLL in held else linear.bench
     numbers = bench.numbers(setup.sensor)
+    turned = _turned(problem.free, bench)
+    information = linear.information(linear.weights(1.0))[:count, :count]
     estimates, own, identified = concluded(
         setup, chosen, problem.free, held, bench,
-        covariance=np.ascontiguousarray(errors[:count, :count]),
-        alone=1 / np.sqrt(np.diag(linear.information(linear.weights(1.0)))[:count]),
+        covariance=turned(np.ascontiguousarray(errors[:count, :count])),
+        alone=1 / np.sqrt(np.diag(turned(information))),
         slopes=np.array([one.slope(numbers) for one in problem.free]),
     )  # fmt: skip
     # A drift that was not free is zero, with no error.

@@ -13,7 +13,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
-from vibrissa.calibration.bench import NO_STEP, Bench, Step, moved
+from vibrissa.calibration.bench import Bench, Step, moved
 from vibrissa.contact import Leaning, Scene, Touching, implicit, iterated, touching
 from vibrissa.contact import State as Unknowns
 from vibrissa.geometry.rotation import cross_matrices
@@ -43,6 +43,8 @@ class State(NamedTuple):
     """Magnitude of the contact force."""
     leaning: Float[Any, "*n 3"]
     """Tangential force over the normal force."""
+    own: Float[Any, "*n 6"] | None = None
+    """The rod's own unknowns: force and moment about the clamp of the loads along it, if any."""
 
 
 class Reading(NamedTuple):
@@ -73,24 +75,34 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
     surface, given = shared
     unit = given.stiffness / given.length**2
     guess = jnp.append(start.point / given.length, start.force / unit)
+    count = 0 if start.own is None else 6
+    if start.own is not None:
+        guess = jnp.concatenate([guess, start.own / _units(given)])
     x = iterated(
-        lambda x: _touching(surface, given, Unknowns.of(x), start.leaning, pose).residual, guess
+        lambda x: _touching(surface, given, Unknowns.of(x, count), start.leaning, pose).residual,
+        guess,
     )
 
     def read(
         x: Float[Array, "unknowns"], step: Step, leaning: Float[Array, "3"]
     ) -> tuple[Any, tuple[Any, ...]]:
         bench = moved(given, step)
-        found = _touching(surface, bench, Unknowns.of(x), leaning, pose)
+        found = _touching(surface, bench, Unknowns.of(x, count), leaning, pose)
         point, magnitude = x[:3] * bench.length, x[3] * bench.stiffness / bench.length**2
-        force = -magnitude * (pose.axes.T @ found.push.direction)
-        arm = pose.axes.T @ (point - pose.position) - bench.wrench_point
-        wrench = bench.gain * jnp.concatenate([force, jnp.cross(arm, force)])
-        return (found.residual, wrench), (found.residual, wrench, point, magnitude)
+        if found.bent.load is None:
+            force = -magnitude * (pose.axes.T @ found.push.direction)
+            arm = pose.axes.T @ (point - pose.position) - bench.wrench_point
+            wrench = bench.gain * jnp.concatenate([force, jnp.cross(arm, force)])
+        else:
+            reactions = jnp.append(found.bent.support_force, found.bent.base_moment)
+            wrench = _read(bench, pose, reactions)
+        own = x[4:] * _units(bench) if count else None
+        told = found.residual, wrench, point, magnitude, own
+        return (found.residual, wrench), told
 
-    ((by_x, *rest), (wrench_by_x, *direct)), (residual, wrench, point, magnitude) = jax.jacfwd(
+    ((by_x, *rest), (wrench_by_x, *direct)), (residual, wrench, point, magnitude, own) = jax.jacfwd(
         read, argnums=(0, 1, 2), has_aux=True
-    )(x, jax.tree.map(jnp.asarray, NO_STEP), start.leaning)
+    )(x, jax.tree.map(jnp.asarray, given.no_step), start.leaning)
     by_step, by_leaning = jax.tree.map(
         lambda part, change: part + wrench_by_x @ change, direct, implicit(by_x, rest)
     )
@@ -102,18 +114,66 @@ def readings(shared: tuple[Surface, Bench], start: State, pose: Pose) -> Reading
         # An object only pushes: where it would have to pull, the rod does not touch.
         & (magnitude > 0)
     )
-    return Reading(State(point, magnitude, start.leaning), sound, wrench, by_step, by_leaning)
+    state = State(point, magnitude, start.leaning, own)
+    return Reading(state, sound, wrench, by_step, by_leaning)
+
+
+class Free(NamedTuple):
+    """The rod free of contact."""
+
+    wrench: Float[Any, "*n 6"]
+    """What its loads make the sensor read, as in `Reading`."""
+    by_step: Step
+    reactions: Float[Any, "*n 6"]
+    """Support reactions on the rod, world axes."""
+    line: Float[Any, "*n k 3"]
+    """Points of it, in the world."""
+
+
+@lanes(width=16)
+def free_readings(shared: tuple[Bench, Float[Array, "k"]], pose: Pose) -> Free:
+    """Readings of rows without contact, and points of the rod there, at fractions of its length."""
+    given, share = shared
+
+    def read(step: Step) -> tuple[Any, tuple[Any, ...]]:
+        bench = moved(given, step)
+        free = bench.model.free(_clamp(bench, pose))
+        reactions = free.reactions
+        points = jax.vmap(lambda s: free.at(s)[0])(share) * bench.length
+        wrench = _read(bench, pose, reactions)
+        return wrench, (wrench, reactions * _units(bench), points)
+
+    by_step, (wrench, reactions, points) = jax.jacfwd(read, has_aux=True)(
+        jax.tree.map(jnp.asarray, given.no_step)
+    )
+    return Free(wrench, by_step, reactions, points)
+
+
+def _units(bench: Bench) -> Float[Array, "6"]:
+    force, moment = bench.stiffness / bench.length**2, bench.stiffness / bench.length
+    return jnp.concatenate([jnp.full(3, force), jnp.full(3, moment)])
+
+
+def _read(bench: Bench, pose: Pose, reactions: Float[Array, "6"]) -> Float[Array, "6"]:
+    """What the sensor reads of reactions about the clamp, world axes and model units."""
+    given = reactions * _units(bench)
+    force, moment = pose.axes.T @ given[:3], pose.axes.T @ given[3:]
+    moment = moment + jnp.cross(bench.clamp - bench.wrench_point, force)
+    return bench.gain * jnp.concatenate([force, moment])
+
+
+def _clamp(bench: Bench, pose: Pose) -> Clamp:
+    return Clamp(
+        (pose.position + pose.axes @ bench.clamp) / bench.length,
+        pose.axes @ bench.axes[:, 2],
+        pose.axes @ bench.axes[:, 0],
+    )
 
 
 def _touching(
     surface: Surface, bench: Bench, x: Unknowns, leaning: Float[Array, "3"], pose: Pose
 ) -> Touching:
     """The contact conditions, with the rod held off the object as given by the standoff."""
-    scene = Scene(bench.placed(surface), jnp.asarray(bench.length))
-    clamp = Clamp(
-        (pose.position + pose.axes @ bench.clamp) / bench.length,
-        pose.axes @ bench.axes[:, 2],
-        pose.axes @ bench.axes[:, 0],
-    )
-    found = touching(scene, Leaning(leaning), x, clamp)
+    scene = Scene(bench.placed(surface), jnp.asarray(bench.length), rod=bench.model)
+    found = touching(scene, Leaning(leaning), x, _clamp(bench, pose))
     return found._replace(residual=found.residual.at[0].add(-bench.standoff / bench.length))

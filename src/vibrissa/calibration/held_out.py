@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from vibrissa.calibration.arrays import Numbers
+from vibrissa.calibration.equilibrium import free_readings
 from vibrissa.calibration.parameters import Parameter
 from vibrissa.calibration.problem import Linear
 from vibrissa.calibration.statistics import UNDETERMINED
@@ -128,11 +130,12 @@ def predicted_by_others(
 
 
 def first_contacts(surface: Surface, linear: Linear) -> Float[np.ndarray, "recordings"]:
-    """By how much the straight rod contradicts the loads: how far it is from the object where they
+    """By how much the free rod contradicts the loads: how far it is from the object where they
     begin, or how deep inside just before.
     """
     rows, bench = linear.problem.rows, linear.bench
-    along = np.linspace(0.0, 1.0, _NODES)[1:, None] * bench.length * bench.axes[:, 2]
+    share = np.linspace(0.0, 1.0, _NODES)[1:]
+    along = share[:, None] * bench.length * bench.axes[:, 2]
     missed = np.zeros(rows.recordings)
     for recording, own in enumerate(rows.contacts):
         before = np.flatnonzero(
@@ -142,6 +145,9 @@ def first_contacts(surface: Surface, linear: Linear) -> Float[np.ndarray, "recor
             pair = [before[-1], own[0]]
             turned = np.einsum("nij,mj->nmi", rows.pose.axes[pair], along + bench.clamp)
             points = rows.pose.position[pair, None] + turned
+            if bench.form is not None:
+                pose = jax.tree.map(lambda part: part[pair], rows.pose)  # noqa: B023
+                points = free_readings((bench, share), pose).line
             free, touching = np.min(surface.distances(points), axis=1) - bench.standoff
             missed[recording] = max(0.0, touching, -free)
     return missed

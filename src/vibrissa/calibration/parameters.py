@@ -8,14 +8,18 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from vibrissa.calibration.bench import LOGARITHMIC, NO_STEP, Step
+from vibrissa.calibration.bench import LOGARITHMIC, Bench, Step
+from vibrissa.calibration.form import REST, SUPPORT, TAPER
 from vibrissa.geometry.checks import positive
 from vibrissa.rod import Rod
 from vibrissa.tolerances import Tolerances
 
 STIFFNESS = ("youngs_modulus", "bending_stiffness")
+_OF_RADIUS = (STIFFNESS[0], TAPER[1])
 _OFFSETS = ("tare", "drift")
 _DEFAULT = ("length", "clamp_position", "clamp_orientation", *_OFFSETS)
+_STRAIGHT = 1e-9
+"""Curvature, relative to the rod's length, below which its direction is nothing."""
 _ONE: dict[str, tuple[int, ...]] = {"": (0,)}
 _AXES = {f"_{axis}": (entry,) for entry, axis in enumerate("xyz")}
 _CHANNELS = {
@@ -42,8 +46,8 @@ class Parameter:
         The numbers of a `Step` that it changes together.
     scale
         A step that would be a gross change, to compare parameters of different units.
-    factor
-        Ratio of its value to the bench's number.
+    factor, offset
+        Its value is the factor times the bench's number, plus the offset.
     """
 
     name: str
@@ -53,14 +57,18 @@ class Parameter:
     entries: tuple[int, ...]
     scale: float
     factor: float
+    offset: float = 0.0
 
     def value(self, numbers: Step) -> float:
         """Its value, from the numbers of a bench."""
-        return self.factor * float(getattr(numbers, self.field)[self.entries[0]])
+        return self.offset + self.factor * float(getattr(numbers, self.field)[self.entries[0]])
 
     def slope(self, numbers: Step) -> float:
         """Change of the value for a unit step."""
-        return self.value(numbers) if self.field in LOGARITHMIC else 1.0
+        if self.name == REST[1]:
+            # A step is one of the curvature across the direction in which the rod is bent.
+            return 1 / max(abs(float(numbers.rest[0])), _STRAIGHT * self.scale)
+        return self.value(numbers) if self.field in LOGARITHMIC else self.factor
 
     def column(self, derivatives: Step) -> Float[np.ndarray, "n 6"]:
         """Its derivatives, from those by the numbers of a step (n, 6, entries)."""
@@ -80,6 +88,10 @@ def _all(rod: Rod) -> list[Parameter]:
         (STIFFNESS[0], "stiffness", "Pa", 1.0, 1 / inertia, _ONE),
         (STIFFNESS[1], "stiffness", "N m2" if rod.units == "SI" else "1", 1.0, 1.0, _ONE),
         ("length", "length", length, 1.0, 1.0, _ONE),
+        (TAPER[0], "taper", "1", 1.0, 1.0, _ONE),
+        (REST[0], "rest", rod.unit_of("curvature"), 1 / rod.length, 1.0, _ONE),
+        (REST[1], "rest", "rad", 1 / rod.length, 1.0, {"": (1,)}),
+        (SUPPORT, "support", "N m/rad" if rod.units == "SI" else "1", 1.0, 1.0, _AXES),
         ("clamp_position", "clamp", length, rod.length, 1.0, _AXES),
         ("clamp_orientation", "tilt", "rad", 1.0, 1.0, _AXES),
         ("object_position", "shift", length, rod.length, 1.0, _AXES),
@@ -89,11 +101,16 @@ def _all(rod: Rod) -> list[Parameter]:
         ("force_gain", "gain", "1", 1.0, 1.0, {"": (0, 1, 2)}),
         ("torque_gain", "gain", "1", 1.0, 1.0, {"": (3, 4, 5)}),
     )
-    return [
+    found = [
         Parameter(group + suffix, group, unit, field, entries, scale, factor)
         for group, field, unit, scale, factor, each in table[rod.radius is None :]
         for suffix, entries in each.items()
     ]
+    if rod.radius is not None:
+        tip = Parameter(TAPER[1], TAPER[1], length, "taper", (0,), 1.0, -rod.radius, rod.radius)
+        place = next(at for at, one in enumerate(found) if one.name == TAPER[0])
+        found.insert(place + 1, tip)
+    return found
 
 
 def parameters(names: Iterable[str], rod: Rod) -> list[Parameter]:
@@ -108,7 +125,7 @@ def parameters(names: Iterable[str], rod: Rod) -> list[Parameter]:
     allowed = (*dict.fromkeys(one.group for one in known), *_OFFSETS)
     for name in wanted:
         if name not in allowed:
-            needs = " (youngs_modulus needs the rod's radius)" if name == STIFFNESS[0] else ""
+            needs = f" ({name} needs the rod's radius)" if name in _OF_RADIUS else ""
             raise ValueError(
                 f"free: {name!r} is no parameter; allowed are {', '.join(allowed)}{needs}"
             )
@@ -166,9 +183,9 @@ def uncertain(rod: Rod, tolerances: Tolerances) -> dict[Parameter, float]:
     }
 
 
-def stepped(free: list[Parameter], values: Float[np.ndarray, "parameters"]) -> Step:
+def stepped(free: list[Parameter], values: Float[np.ndarray, "parameters"], bench: Bench) -> Step:
     """Steps of parameters, as one step of the bench."""
-    step = Step(*map(np.copy, NO_STEP))
+    step = Step(*map(np.copy, bench.no_step))
     for one, value in zip(free, values, strict=True):
         getattr(step, one.field)[list(one.entries)] += value
     return step

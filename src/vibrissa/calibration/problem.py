@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from vibrissa.calibration.arrays import Chosen, Information, Numbers, Unknowns, Wrenches
 from vibrissa.calibration.bench import Bench, moved_at_once
-from vibrissa.calibration.equilibrium import Reading, State, readings
+from vibrissa.calibration.equilibrium import Reading, State, free_readings, readings
 from vibrissa.calibration.parameters import Parameter, stepped
 from vibrissa.calibration.rows import Rows
 from vibrissa.numerics.progress import Guess
@@ -124,7 +124,7 @@ class Problem:
 
     def bench(self, values: Unknowns) -> Bench:
         """The bench after steps of the parameters, the first of the unknowns."""
-        step = stepped(self.free, values[: len(self.free)])
+        step = stepped(self.free, values[: len(self.free)], self.start)
         return jax.tree.map(np.asarray, moved_at_once(self.start, step))
 
     def offsets(self, values: Unknowns) -> Float[np.ndarray, "recordings trends 6"]:
@@ -153,7 +153,8 @@ class Linear:
     problem, point, bench
         The problem, the point, and the bench there.
     reading
-        Of all rows; 0 for those without contact or equilibrium.
+        Of all rows; 0 for those without equilibrium, and at rest but for what loads along the rod
+        do.
     sound
         (n,) rows at rest or with an equilibrium.
     predicted
@@ -265,6 +266,15 @@ class Linear:
         return left, Point(np.append(steps[keep], others), states)
 
 
+def _weigh(reading: Reading, bench: Bench, rows: Rows) -> None:
+    """Add what loads along the rod make the sensor read at rest."""
+    rest = np.flatnonzero(~rows.contact)
+    free = free_readings((bench, np.ones(1)), jax.tree.map(lambda part: part[rest], rows.pose))
+    reading.wrench[rest] = free.wrench
+    for whole, part in zip(reading.by_step, free.by_step, strict=True):
+        whole[rest] = part
+
+
 def by_rows(matrix: Float[np.ndarray, "n i j"], vector: Float[np.ndarray, "n j"]) -> np.ndarray:
     """Each row's matrix times its vector (n, i)."""
     return np.einsum("nij,nj->ni", matrix, vector)
@@ -284,6 +294,8 @@ def linearised(problem: Problem, point: Point) -> Linear:
         return whole
 
     reading: Reading = jax.tree.map(everywhere, found)
+    if bench.loaded:
+        _weigh(reading, bench, rows)
     step, ours = reading.by_step, np.eye(rows.recordings)[rows.recording]
     parameters = np.stack([one.column(step) for one in problem.free], axis=2)
     offsets = np.einsum("nr,nt,ij->nirtj", ours, problem.trends, np.eye(WRENCH))

@@ -87,7 +87,7 @@ def concluded(
     start, deviations = bench_of(setup.rod, setup.sensor), np.sqrt(np.diag(covariance))
     given, found = (one.numbers(setup.sensor) for one in (start, bench))
     names, scales = tuple(one.name for one in free), np.array([one.scale for one in free])
-    known = dict(zip(names, slopes * deviations, strict=True))
+    known = dict(zip(names, abs(slopes) * deviations, strict=True))
     apart = {one: tuple(other for other in held[one] if other not in held) for one in held}
     estimates = {
         one.name: Estimate(
@@ -101,10 +101,11 @@ def concluded(
         )
         for one in chosen
     }
+    signs = np.sign(slopes)
     values, vectors = np.linalg.eigh(covariance / np.outer(scales, scales))
     identified = Identifiability(
         names=names,
-        correlation=covariance / np.outer(deviations, deviations),
+        correlation=covariance / np.outer(deviations, deviations) * np.outer(signs, signs),
         directions=vectors.T[::-1],
         deviations=np.sqrt(np.maximum(values[::-1], 0.0)),
         alone=alone,

@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from vibrissa.calibration.arrays import Columns, Vectors, Wrenches
 from vibrissa.calibration.bench import Bench
+from vibrissa.calibration.form import REST, TAPER
 from vibrissa.calibration.imperfections import imperfect_moves
 from vibrissa.calibration.parameters import uncertain
 from vibrissa.calibration.problem import Linear, by_rows
@@ -110,15 +111,17 @@ def suspects(linear: Linear, rod: Rod, tolerances: Tolerances) -> list[Suspect]:
                 "taper", imperfect[..., :1], 1.0, 0.05, 0.0,
                 lambda value: f"the rod seems to taper, with a radius about {abs(value[0]):.0%}"
                 f" {'smaller' if value[0] > 0 else 'larger'} at the tip",
-                "calibration takes the rod to be uniform", linear=False,
+                "describe it, or free taper", TAPER, linear=False,
             ),
             Suspect(
                 "rest_curvature", imperfect[..., 1:], length, 0.04, 0.0,
                 lambda value: "the rod seems to be bent at rest, with a sagitta of about "
                 + length_text(float(np.linalg.norm(value)) * length**2 / 8, rod),
-                "calibration takes the rod to be straight", linear=False,
+                "describe it, or free rest_curvature and rest_roll", REST, linear=False,
             ),
         ]  # fmt: skip
+        # What the rod as it is described does not have does nothing.
+        found = [one for one in found if np.any(one.columns)]
     free = {one.group for one in problem.free}
     return [one for one in found if free.isdisjoint(one.freed)]
 
@@ -185,6 +188,8 @@ def _friction(linear: Linear) -> Wrenches:
 def _imperfections(linear: Linear) -> Columns:
     """Changes per unit of taper, and of curvature towards both of the clamp's axes."""
     bench, reading = linear.bench, linear.reading
+    if bench.form is not None:
+        return np.concatenate([reading.by_step.taper, reading.by_step.rest], axis=2)
     to_sensor = sensor_matrix(bench.axes, (bench.clamp - bench.wrench_point) / bench.length)
     units = np.repeat([bench.length**2, bench.length], 3) / bench.stiffness / bench.gain
     wrench = reading.wrench[reading.sound] * units @ np.linalg.inv(to_sensor).T

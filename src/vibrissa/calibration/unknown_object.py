@@ -183,7 +183,7 @@ def _result(
     within: dict[Parameter, float],
 ) -> Calibration[SetupType]:
     start = bench_of(setup.rod, setup.sensor)
-    step: Step = stepped(fit.free, fit.solution.size)
+    step: Step = stepped(fit.free, fit.solution.size, start)
     # Errors of gains are relative, steps logarithmic.
     step = step._replace(gain=np.log1p(step.gain))
     bench = jax.tree.map(np.asarray, moved_at_once(start, step))

@@ -40,6 +40,10 @@ _STARTS = {
     "tilt": math.radians(4.0),
     "turn": math.radians(4.0),
     "gain": 0.05,
+    # Whoever frees these does not know them.
+    "taper": math.inf,
+    "rest": math.inf,
+    "support": math.inf,
 }
 """Without tolerances: a little more than a start may be off by, in the parameters' scales."""
 _UNPREDICTED = 2.0

@@ -13,6 +13,8 @@ and those of the law. With friction a state depends on the previous one.
 
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Float
 
 from vibrissa.contact.laws import Law, Push
@@ -61,6 +63,10 @@ def touching(
     bent = scene.rod.bent(clamp, state.point, state.force, push.direction, state.own, side)
     tangent = scene.rod.tangent(bent)
     left, away = 1 - bent.arc_length, law.away(bent, tangent, push.normal)
+    if scene.slims:
+        # The skin leans against the centre line as the rod gets thinner.
+        slack, lean = jax.jvp(scene.slack, (bent.arc_length,), (jnp.ones(()),))
+        push, away = push._replace(gaps=push.gaps + slack), away - lean / 2
     rubs, beyond = law.rubs(scene, state, push.normal, bent, tangent, before)
     placed = law.placed(left, away)
     residual = joined(push.gaps, bent.misses, placed, rubs)

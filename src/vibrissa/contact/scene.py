@@ -11,7 +11,7 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.model import RodModel
 from vibrissa.numerics.vectors import joined
-from vibrissa.surfaces import Surface
+from vibrissa.surfaces import Offset, Surface
 
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
@@ -34,6 +34,17 @@ class Scene(NamedTuple):
     def part_levels(self, point: Vector) -> Float[Array, "parts"]:
         """Level functions of the object's parts in model units."""
         return self.surface.part_levels(point * self.length) / self.length
+
+    @property
+    def slims(self) -> bool:
+        """Whether the skin of a rod touches whose radius is not the same everywhere."""
+        return isinstance(self.surface, Offset) and not self.rod.uniform
+
+    def slack(self, s: Scalar) -> Scalar:
+        """How much thinner the rod is at an arc length than the object's offset takes it to be
+        [L].
+        """
+        return self.rod.slimmer(s) * (self.surface.radius / self.length)  # type: ignore[attr-defined]
 
     @property
     def branching(self) -> bool:

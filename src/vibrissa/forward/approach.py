@@ -49,12 +49,14 @@ class Clearance(NamedTuple):
     at_clamp: Scalar
     """Level function at the clamp."""
     cosine: Scalar
-    """Cosine between the object's normal there and the rod: −1 is head-on."""
+    """Cosine between the object's normal there and the rod's skin: −1 is head-on."""
     point: Float[Any, "3"]
     tangent: Float[Any, "3"]
     """Of the rod there."""
     own: Float[Any, "own"]
     """The rod's own unknowns."""
+    sound: Bool[Any, ""]
+    """Whether it has a stable shape."""
 
 
 class _Looked(NamedTuple):
@@ -65,6 +67,8 @@ class _Looked(NamedTuple):
     gradient: Float[Array, "3"]
     point: Float[Array, "3"]
     tangent: Float[Array, "3"]
+    leaning: Scalar
+    """How fast the rod gets thinner there."""
 
 
 class _Refined(NamedTuple):
@@ -89,6 +93,7 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
     free = scene.rod.free(clamp)
     samples = np.linspace(0, 1, _SAMPLES + 1)
     sampled = scene.each(scene.level, jax.vmap(lambda s: free.at(s)[0])(samples))
+    sampled = sampled + (jax.vmap(scene.slack)(jnp.asarray(samples)) if scene.slims else 0.0)
     start = jnp.argmin(sampled) / _SAMPLES
     sloped = jax.value_and_grad(scene.level)
 
@@ -96,7 +101,11 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
         s = state.following
         point, tangent, curved = free.at(s)
         (value, gradient), (first, bend) = jax.jvp(sloped, (point,), (tangent,))
-        here = _Looked(s, value, gradient, point, tangent)
+        leaning = jnp.zeros(())
+        if scene.slims:
+            slack, leaning = jax.jvp(scene.slack, (s,), (jnp.ones(()),))
+            value, first = value + slack, first + leaning
+        here = _Looked(s, value, gradient, point, tangent, leaning)
         begin = jax.tree.map(partial(jnp.where, state.looks == 0), here, state.begin)
         second = dot(bend, tangent)
         second = second if curved is None else second + dot(gradient, curved)
@@ -112,15 +121,16 @@ def clearance(scene: Scene, clamp: Clamp) -> Clearance:
         return (state.looks == 0) | (moves & (state.looks <= _REFINEMENTS))
 
     ends = jnp.maximum(start - 1 / _SAMPLES, 0.0), jnp.minimum(start + 1 / _SAMPLES, 1.0)
-    unknown = _Looked(start, sampled[0], *(clamp.tangent,) * 3)
+    unknown = _Looked(start, sampled[0], *(clamp.tangent,) * 3, jnp.zeros(()))
     first = _Refined(start, *ends, unknown, unknown, jnp.zeros((), dtype=int))
     *_, begin, end, _ = lax.while_loop(moving, refine, first)
     found = jax.tree.map(partial(jnp.where, end.value <= begin.value), end, begin)
     steepness = jnp.sqrt(jnp.sum(found.gradient * found.gradient))
-    cosine = dot(found.gradient, found.tangent) / steepness
+    cosine = dot(found.gradient, found.tangent) / steepness + found.leaning
     distance = found.value / steepness
-    place = found.point, found.tangent, -free.reactions[: scene.rod.unknowns]
-    return Clearance(distance, found.arc_length, sampled[0], cosine, *place)
+    own, sound = -free.reactions[: scene.rod.unknowns], jnp.asarray(free.sound)
+    place = found.point, found.tangent
+    return Clearance(distance, found.arc_length, sampled[0], cosine, *place, own, sound)
 
 
 @lanes(blocks=8, alone=FEW)

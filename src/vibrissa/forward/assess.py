@@ -3,6 +3,7 @@
 from functools import reduce
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -10,7 +11,7 @@ from jaxtyping import Float
 
 from vibrissa.contact import Law, Reached, Scene, State, touching
 from vibrissa.forward.path import chosen
-from vibrissa.mechanics.model import Bent, Clamp, RodModel, is_neutral
+from vibrissa.mechanics.model import Bent, Clamp, is_neutral
 from vibrissa.numerics.lanes import FEW, lanes
 
 Scalar = Float[Any, ""]
@@ -141,7 +142,8 @@ def _depth(scene: Scene, bent: Bent, steepness: Scalar) -> Scalar:
         ]
     )
     ends = np.cumsum([len(part) for part in bends + tails])
-    found = jnp.split(scene.each(scene.part_levels, points), ends[:-1])
+    levels = scene.each(scene.part_levels, points) + _slack(scene, bent, bends, tails)
+    found = jnp.split(levels, ends[:-1])
     bounds = [by for pair in zip(*near, strict=True) for by in pair]
     least = reduce(jnp.minimum, map(_least, (jnp.min(part, axis=1) for part in found), bounds))
     if len(solids) > 1:
@@ -153,6 +155,17 @@ def _depth(scene: Scene, bent: Bent, steepness: Scalar) -> Scalar:
             others = jnp.min(jnp.where(touched, jnp.inf, part), axis=1)
             least = jnp.minimum(least, jnp.min((others[1:] + others[:-1]) / 2) - by)
     return -least / steepness
+
+
+def _slack(
+    scene: Scene, bent: Bent, bends: list[np.ndarray], tails: list[np.ndarray]
+) -> Float[Array, "n 1"] | float:
+    """How much thinner a rod whose skin touches is at such points than at its clamp."""
+    if not scene.slims:
+        return 0.0
+    s1 = bent.arc_length
+    s = [(1 - share) * s1 for share in bends] + [s1 + share * (1 - s1) for share in tails]
+    return jax.vmap(scene.slack)(jnp.concatenate(s))[:, None]
 
 
 def _least(levels: Float[Array, "n"], near: Scalar) -> Scalar:
@@ -176,8 +189,9 @@ def deepest(scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]) -> Deep
     The depth is a lower bound, off by up to h²/(8R) for points h ≈ L/6000 apart at the deepest
     place and an object that is round with radius R there, and by h/2 where it is sharp.
     """
-    points = np.asarray(_fine_line(scene.rod.finer, bent))
-    coarse = levels(scene, points)
+    line: Any = _fine_line(scene._replace(rod=scene.rod.finer), bent)
+    points, slack = line
+    coarse = levels(scene, points) + slack
     padded = np.pad(coarse, ((0, 0), (1, 1)), constant_values=np.inf)
     lower = (coarse < padded[:, :-2]) & (coarse <= padded[:, 2:])
     lowest = np.argsort(np.where(lower, coarse, np.inf), axis=1, kind="stable")[:, :_LOWEST]
@@ -185,16 +199,29 @@ def deepest(scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]) -> Deep
     between = parabolas(*(np.take_along_axis(points, places + k, axis=1) for k in (-1, 0, 1)))
     between = np.moveaxis(between, 0, 1).reshape(len(points), _BETWEEN * _LOWEST, 3)
     everywhere = np.concatenate([points, between], axis=1)
-    found = np.concatenate([coarse, levels(scene, between)], axis=1)
+    share = np.linspace(-1.0, 1.0, _BETWEEN)[:, None]
+    before, here, after = (
+        np.take_along_axis(slack, places[..., 0] + k, axis=1)[:, None] for k in (-1, 0, 1)
+    )
+    thinner = here + share * np.where(share < 0, here - before, after - here)
+    closer = levels(scene, between) + thinner.reshape(len(points), -1)
+    found = np.concatenate([coarse, closer], axis=1)
     rows, place = np.arange(len(found)), np.argmin(found, axis=1)
     return Deepest(everywhere[rows, place], -found[rows, place] / steepness)
 
 
 @lanes(width=16, blocks=_AT_ONCE // 16)
-def _fine_line(rod: RodModel, bent: Bent) -> Float[Array, "n 3"]:
-    """Many points of a rod from tip to clamp, the contact only once."""
-    bend, tail = rod.points(bent, _FINE_BEND), rod.tail(bent, _FINE_TAIL)
-    return jnp.concatenate([tail[:0:-1], bend])
+def _fine_line(scene: Scene, bent: Bent) -> tuple[Float[Array, "n 3"], Float[Array, "n"]]:
+    """Many points of a rod from tip to clamp, the contact only once, and how much thinner the rod
+    is there.
+    """
+    bend, tail = scene.rod.points(bent, _FINE_BEND), scene.rod.tail(bent, _FINE_TAIL)
+    points = jnp.concatenate([tail[:0:-1], bend])
+    slack = _slack(scene, bent, [_FINE_BEND], [_FINE_TAIL])
+    if isinstance(slack, float):
+        return points, jnp.zeros(len(points))
+    bends, tails = jnp.split(slack[:, 0], [len(_FINE_BEND)])
+    return points, jnp.concatenate([tails[:0:-1], bends])
 
 
 def levels(scene: Scene, points: Float[np.ndarray, "k n 3"]) -> Float[np.ndarray, "k n"]:

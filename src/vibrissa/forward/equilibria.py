@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,18 +13,21 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.brief import brief
-from vibrissa.contact import FRICTIONLESS, Scene, State, touching
+from vibrissa.contact import FRICTIONLESS, Scene, State, Touching, touching
 from vibrissa.contacts import ContactKind
 from vibrissa.forward.assess import DEPTH_TOLERANCE
 from vibrissa.forward.path import chosen, clamp_of
 from vibrissa.forward.scan import touched_surface
 from vibrissa.forward.search import eased, seeds_around, solutions
-from vibrissa.forward.second_variation import NODES, least_second_variation
+from vibrissa.forward.second_variation import NODES, Shape, least_second_variation
 from vibrissa.geometry.checks import finite_array
 from vibrissa.geometry.rotation import Orientation, unit_quaternions
 from vibrissa.mechanics.elastic_line import directors, elastic_line
 from vibrissa.mechanics.elastica import Elastica
-from vibrissa.mechanics.model import Clamp
+from vibrissa.mechanics.kirchhoff import Kirchhoff
+from vibrissa.mechanics.model import Clamp, RodModel
+from vibrissa.mechanics.models import model_of
+from vibrissa.numerics.lanes import lanes
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Offset, Surface
@@ -124,59 +129,108 @@ def equilibria(
         raise ValueError(
             f"position = {clamp.tolist()}: the clamp is inside the object; allowed is outside"
         )
-    pose, scene = Trail(clamp[None], turn[None]), Scene(touched, rod.length)
-    base = clamp_of(clamp / rod.length, turn)
+    pose, base = Trail(clamp[None], turn[None]), clamp_of(clamp / rod.length, turn)
     found: list[Equilibrium] = []
-    for inflections, forces in enumerate(_FORCES):
-        bent = scene._replace(rod=Elastica(inflections))
-        seeds = eased(bent, base, seeds_around(bent, base, [], forces))
-        state = solutions(bent, base, FRICTIONLESS, seeds).state
-        for row in range(len(state.force)):
-            equilibrium = _described(rod, bent, pose, base, chosen(state, row), inflections)
+    for model, forces in _models(rod):
+        scene = Scene(touched, rod.length, rod=model)
+        seeds = eased(scene, base, seeds_around(scene, base, [], forces))
+        state = solutions(scene, base, FRICTIONLESS, seeds).state
+        count = len(state.force)
+        seen = _seen(scene, state, Clamp(*(np.tile(part, (count, 1)) for part in base)))
+        for row in range(count):
+            equilibrium = _described(rod, scene, pose, base, *chosen((state, seen), row))
             if equilibrium is not None:
                 found.append(equilibrium)
     return sorted(found, key=lambda equilibrium: equilibrium.energy)
 
 
+def _models(rod: Rod) -> list[tuple[RodModel, tuple[float, ...]]]:
+    """Models of the rod, and the forces with which to search for equilibria: in closed form each
+    number of inflections is one of its own.
+    """
+    if not rod.plain:
+        return [(model_of(rod), tuple(chain(*_FORCES)))]
+    return [(Elastica(count), forces) for count, forces in enumerate(_FORCES)]
+
+
+class _Seen(NamedTuple):
+    """A solution, and the shape of a rod that is not known in closed form."""
+
+    found: Touching
+    energy: Float[Any, ""]
+    along: Any = None
+    """As `Kirchhoff.along` returns it."""
+    line: Float[Any, "401 3"] | None = None
+
+
+@lanes(width=1, blocks=64)
+def _seen(scene: Scene, state: State, clamp: Clamp) -> _Seen:
+    rod, found = scene.rod, touching(scene, FRICTIONLESS, state, clamp)
+    seen = _Seen(found, rod.energy(found.bent))
+    if not isinstance(rod, Kirchhoff):
+        return seen
+    nodes = np.linspace(0, 1, NODES) * jnp.minimum(found.bent.arc_length, 1.0)
+    return seen._replace(
+        along=rod.along(found.bent, nodes),
+        line=rod.drawn(found.bent, np.linspace(0, 1, _LINE_POINTS)),
+    )
+
+
+def _shape(model: RodModel, clamp: Clamp, seen: _Seen) -> tuple[Shape, int, np.ndarray]:
+    """A rod's shape up to the contact, its inflections, and points from clamp to tip."""
+    bent = seen.found.bent
+    if isinstance(model, Elastica):
+        n, s1 = bent.direction, float(bent.arc_length)
+        side = np.asarray(model.side(bent)) * (-1.0) ** model.inflections
+        given = (n, side, float(bent.force), float(bent.incidence), s1)
+        tangent, curvature, normal = directors(*given, np.linspace(0, s1, NODES))
+        one, force = np.ones(NODES), np.broadcast_to(bent.force * n, (NODES, 3))
+        shape = Shape(tangent, -curvature[:, None] * normal, force, one, one)
+        line = elastic_line(bent.to_contact, *given, np.linspace(0, 1, _LINE_POINTS))
+        return shape, model.inflections, clamp.point + line
+    assert isinstance(model, Kirchhoff) and seen.line is not None
+    support = model.compliance
+    if support is not None:
+        axes = np.stack([clamp.across, np.cross(clamp.tangent, clamp.across), clamp.tangent], 1)
+        support = axes @ np.asarray(support)[3:, 3:] @ axes.T
+    tangent, moment, force, bending, torsion = seen.along
+    shape = Shape(tangent, moment, force, bending, torsion, support)
+    inner = shape.moment[:-1]
+    inflections = int(np.sum(np.sum(inner[1:] * inner[:-1], axis=1) < 0))
+    return shape, inflections, seen.line
+
+
 def _described(
-    rod: Rod, scene: Scene, pose: Trail, clamp: Clamp, state: State, inflections: int
+    rod: Rod, scene: Scene, pose: Trail, clamp: Clamp, state: State, seen: _Seen
 ) -> Equilibrium | None:
     """The solution in the user's terms, or None if it is not admissible."""
-    state, at = (jax.tree.map(jnp.asarray, part) for part in (state, clamp))
-    found = touching(scene, FRICTIONLESS, state, at)
-    bent, n = found.bent, np.asarray(found.push.normal)
+    found, bent, n = seen.found, seen.found.bent, seen.found.push.normal
     s1, away = float(bent.arc_length), 0.5 - float(bent.incidence)
-    met = np.abs(np.asarray(found.residual)).max() < _CONVERGED
+    met = np.abs(found.residual).max() < _CONVERGED
     if not (met and s1 <= 1 + _CONVERGED and away >= -_CONVERGED):
         return None
-    side = np.asarray(Elastica().side(bent)) * (-1.0) ** inflections
-    shape = (n, side, float(state.force), float(bent.incidence), s1)
-    reach = np.asarray(bent.to_contact)
-    line = clamp.point + elastic_line(reach, *shape, np.linspace(0, 1, _LINE_POINTS))
-    if -float(scene.surface.levels(line * rod.length).min()) / rod.length > DEPTH_TOLERANCE:
+    shape, inflections, line = _shape(scene.rod, clamp, seen)
+    if inflections >= len(_FORCES):
+        return None
+    levels = scene.surface.levels(line * rod.length) / rod.length
+    if scene.slims:
+        levels = levels + np.asarray(jax.vmap(scene.slack)(jnp.linspace(0, 1, _LINE_POINTS)))
+    if -float(levels.min()) > DEPTH_TOLERANCE:
         return None
     tangential = (1 - s1) > away
-    tangent, curvature, plane_normal = directors(*shape, np.linspace(0, s1, NODES))
     point = np.asarray(state.point)
     variation = least_second_variation(
-        scene,
-        point,
-        float(state.force),
-        tangent,
-        curvature,
-        plane_normal,
-        s1,
-        tangential=tangential,
+        scene, point, float(state.force), shape, s1, tangential=tangential
     )
     contact = point * rod.length
-    force, moment = -float(state.force) * n, np.asarray(bent.base_moment)
+    force, moment = np.asarray(bent.support_force), np.asarray(bent.base_moment)
     return Equilibrium(
         kind=ContactKind.TANGENTIAL if tangential else ContactKind.TIP,
         point=scene.surface.foot(contact) if isinstance(scene.surface, Offset) else contact,
         normal=n,
         arc_length=s1 * rod.length,
         reactions=Reactions(pose, force[None] * rod.force_scale, moment[None] * rod.moment_scale),
-        energy=float(scene.rod.energy(bent)) * rod.moment_scale,
+        energy=float(seen.energy) * rod.moment_scale,
         stable=variation > 0,
         second_variation=variation * rod.force_scale,
         inflections=inflections,

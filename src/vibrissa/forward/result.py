@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,7 +12,7 @@ from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.forward.events import Event, EventKind
 from vibrissa.forward.slip import Slip, led, slip_along
 from vibrissa.forward.validity import QuasiStatic, quasi_static
-from vibrissa.mechanics.elastic_line import sampled_line
+from vibrissa.mechanics.shape import Held, elastic_lines
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
@@ -67,8 +67,8 @@ class Scan:
     friction
         Coefficient of friction, as given.
     offset
-        The rod's radius if its skin touches, or 0 if its centre line does; `point` is on the object
-        either way.
+        The rod's radius at the clamp if its skin touches, or 0 if its centre line does; `point` is
+        on the object either way.
     second_contact
         (…, 3) where the rod also touches the object or passes through it, on rows whose status says
         so; NaN on the others.
@@ -142,11 +142,19 @@ class Scan:
             raise ValueError("radius = None: a bending strain needs the rod's radius")
         return self.rod.radius * self.largest_bend
 
+    @property
+    def centre(self) -> Float[np.ndarray, "*trail n 3"]:
+        """Points (…, 3) of the rod's centre line at the contact."""
+        if self.offset == 0:
+            return self.point
+        radius = np.asarray(self.rod.radius_at(self.arc_length / self.rod.length))
+        return self.point + radius[..., None] * self.normal
+
     @cached_property
     def slip(self) -> Slip:
         """Axial, longitudinal and lateral slip of each step (mechanics.md, "Slip")."""
         return slip_along(
-            self.point + self.offset * self.normal,
+            self.centre,
             self.arc_length,
             self.contact_tangent,
             self.plane_normal,
@@ -210,7 +218,7 @@ class Scan:
         self, index: "int | tuple[int, int]", count: int = 200
     ) -> Float[np.ndarray, "count 3"]:
         """The rod's shape at a position: `count` points equally spaced in arc length from clamp to
-        tip.
+        tip. A support that yields moves the first of them off the clamp point.
 
         Parameters
         ----------
@@ -226,33 +234,29 @@ class Scan:
         IndexError
             If there is no such position.
         """
-        if count < 2:
-            raise ValueError(f"count = {count}; allowed is at least 2")
-        clamp, axis = self.trail.position[index], self.trail.axis[index]
-        if clamp.ndim != 1:
+        if self.trail.position[index].ndim != 1:
             raise ValueError(
                 f"index = {index}; allowed is (trail, i), as the scan holds several trails"
             )
-        length = self.rod.length
-        if self.kind[index] == ContactKind.NONE:
-            if not self.solved[index]:
-                raise ValueError(
-                    f"index = {index}: this position was not solved: "
-                    f"{Status(int(self.status[index])).text}"
-                )
-            return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
-        force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
-        reach = (self.point[index] + self.offset * self.normal[index] - clamp) / length
-        return sampled_line(
-            clamp,
-            axis,
-            length,
-            reach,
-            self.force_direction[index],
-            force,
-            float(self.arc_length[index]) / length,
-            count,
-        )
+        if not self.solved[index]:
+            raise ValueError(
+                f"index = {index}: this position was not solved: "
+                f"{Status(int(self.status[index])).text}"
+            )
+        return self.elastic_lines(index, count)[0]
+
+    def elastic_lines(self, rows: Any, count: int = 200) -> Float[np.ndarray, "k count 3"]:
+        """The rod's shapes at some rows, chosen by index, slice or mask, one after another; NaN
+        where unsolved. Many at once take less time.
+
+        Raises
+        ------
+        ValueError
+            If `count` is less than 2.
+        """
+        point = self.centre
+        contact = self.in_contact, point, self.force_direction, self.arc_length
+        return elastic_lines(self.rod, Held(self.reactions, *contact), rows, count)
 
     def to_dataset(self) -> "xarray.Dataset":
         """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""

@@ -166,6 +166,9 @@ def _fields(
             second = np.append(second, [own.point - offset / scene.length * normal], axis=0)
             places, lost[place], status[place] = np.append(places, place), False, Status.PENETRATING
     figure, friction = steps.figure[places], float(scene.friction)
+    skin = np.full(len(places), offset)
+    if scene.slims:
+        skin = np.asarray(rod.radius_at(values.arc_length))
     worst = _worst(
         rod,
         scene.rod.accuracy,
@@ -195,7 +198,7 @@ def _fields(
 
     return {
         "kind": spread(kind.astype(np.int8), ContactKind.NONE),
-        "point": spread(values.point * rod.length - offset * values.normal),
+        "point": spread(values.point * rod.length - skin[:, None] * values.normal),
         "normal": spread(values.normal),
         "force_direction": spread(values.direction),
         "motion": spread(_motion(kind, figure, friction), Motion.NONE),

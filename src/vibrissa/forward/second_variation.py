@@ -1,17 +1,20 @@
 """Whether an equilibrium is stable: the sign of the second variation of the energy under the
 constraint of contact.
 
-The rod is described by its unit tangents t(s), and η = u e_n + v e_b is a small variation of them,
-u in the bending plane and v out of it, both zero at the clamp. With the contact force F = f n and
-the Lagrange multiplier |t'|² − F·t of the constraint |t| = 1,
+Let θ(s) turn the rod's sections by a small rotation vector, so that δt = θ × t and δr = ∫ δt ds.
+With m and n the moment and force in the rod, C its compliance's inverse, B for bending and B₃ for
+twist, and F = f n̂ the contact force,
 
-    δ²Π = ∫ u'² + (F·t) u² + v'² + (F·t − κ²) v² ds − f δrᵀ G δr,    δr = ∫ η ds,    n·δr = 0,
+    δ²Π = ∫ θ'·C θ' − m·(θ × θ') − n·(θ × (θ × t)) ds − f δrᵀ G δr,    n̂·δr = 0,
 
-over 0 ≤ s ≤ s₁. G is the Hessian of the distance from the object; in tangential contact, where the
-rod may touch at another of its points, less h hᵀ/(tᵀGt) with h·η = tᵀG δr + n·η(s₁), as it is the
-least distance along the rod that stays zero. The rest of the rod beyond the contact is free and
-contributes nothing negative. Linear finite elements; the sign of the least eigenvalue decides.
+over 0 ≤ s ≤ s₁, with θ(0) = 0 at a rigid clamp. G is the Hessian of the distance from the object;
+in tangential contact, where the rod may touch at another of its points, less h hᵀ/(tᵀGt) with
+h·θ = tᵀG δr + n̂·δt(s₁), as it is the least distance along the rod that stays zero. The rest of the
+rod beyond the contact is free and contributes nothing negative, unless loads do. Linear finite
+elements; twist is eliminated, and the sign of the least eigenvalue decides.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +24,11 @@ from jax import Array
 from jaxtyping import Float
 
 from vibrissa.contact import Scene
+from vibrissa.geometry.rotation import cross_matrices
 
-_ELEMENTS = 96
+_ELEMENTS = 160
+_RIGID = 1e-9
+"""Compliance [L/EI] added to that of a support which does not turn about every axis."""
 
 
 @jax.jit
@@ -43,96 +49,115 @@ def distance_hessian(
     return values[:3] / steepness, values[3:].reshape(3, 3) / steepness
 
 
+class Shape(NamedTuple):
+    """A rod at equally spaced nodes from clamp to contact, model units."""
+
+    tangent: Float[np.ndarray, "nodes 3"]
+    moment: Float[np.ndarray, "nodes 3"]
+    """m, which the rod ahead exerts on the rod behind."""
+    force: Float[np.ndarray, "nodes 3"]
+    """n, the same."""
+    bending: Float[np.ndarray, "nodes"]
+    torsion: Float[np.ndarray, "nodes"]
+    support: Float[np.ndarray, "3 3"] | None = None
+    """Rotational compliance of the clamp, world axes; None if it is rigid."""
+
+
 def least_second_variation(
     scene: Scene,
     point: Float[np.ndarray, "3"],
     force: float,
-    tangent: Float[np.ndarray, "nodes 3"],
-    curvature: Float[np.ndarray, "nodes"],
-    plane_normal: Float[np.ndarray, "3"],
+    shape: Shape,
     arc_length: float,
     *,
     tangential: bool,
 ) -> float:
-    """Least eigenvalue of the second variation per ∫ |η|² ds [EI/L²]; negative where the
+    """Least eigenvalue of the second variation per ∫ |δt|² ds [EI/L²]; negative where the
     equilibrium is unstable.
 
     Parameters
     ----------
     scene, point, force
         Object, contact point [L] and magnitude f [EI/L²] of the contact force.
-    tangent, curvature
-        t and signed curvature [1/L] about `plane_normal` at equally spaced nodes from clamp to
-        contact.
-    plane_normal, arc_length
-        Unit normal of the bending plane, and s₁ [L].
+    shape, arc_length
+        The rod up to the contact, and s₁ [L].
     tangential
         Whether the contact may move along the rod.
     """
     n, hessian = distance_hessian(scene, point)
-    count = len(tangent)
-    h = arc_length / (count - 1)
-    in_plane = np.cross(plane_normal, tangent)
-    along = force * tangent @ n
-    stiffness, mass = _second_differences(count, h), _mass(np.ones(count), h)
-    zero = np.zeros((count, count))
-    form = np.block(
-        [[stiffness + _mass(along, h), zero], [zero, stiffness + _mass(along - curvature**2, h)]]
-    )
-    norm = np.block([[mass, zero], [zero, mass]])
-    # δr as a linear map of the nodal values, each element's mean times its length.
-    share = np.full(count, h)
-    share[[0, -1]] = h / 2
-    moves = np.concatenate(
-        [share * in_plane.T, np.tile(share, (3, 1)) * plane_normal[:, None]], axis=1
-    )
-    effective = hessian
-    form = form - force * moves.T @ effective @ moves
+    t, count = shape.tangent, len(shape.tangent)
+    h, one = arc_length / (count - 1), np.eye(3)
+    outer = t[:, :, None] * t[:, None, :]
+    stiff = shape.bending[:, None, None] * (one - outer) + shape.torsion[:, None, None] * outer
+    leaning = shape.force[:, :, None] * t[:, None, :]
+    along = np.einsum("ni,ni->n", shape.force, t)
+    geometric = along[:, None, None] * one - (leaning + np.swapaxes(leaning, 1, 2)) / 2
+    form, norm = np.zeros((2, count, 3, count, 3))
+    first, second = np.arange(count - 1), np.arange(1, count)
+
+    def middle(values: Float[np.ndarray, "nodes *k"]) -> Float[np.ndarray, "elements *k"]:
+        return (values[1:] + values[:-1]) / 2
+
+    for a, b, sign, share in (
+        (first, first, 1, 2),
+        (second, second, 1, 2),
+        (first, second, -1, 1),
+        (second, first, -1, 1),
+    ):
+        form[a, :, b, :] += sign * middle(stiff) / h + share * h / 6 * middle(geometric)
+        norm[a, :, b, :] += share * h / 6 * middle(one - outer)
+    # ∫ m·(θ × θ') over an element is m·(θ_a × θ_b).
+    turning = cross_matrices(middle(shape.moment)) / 2
+    form[first, :, second, :] += turning
+    form[second, :, first, :] -= turning
+    if shape.support is not None:
+        form[0, :, 0, :] += np.linalg.inv(shape.support + _RIGID * one)
+    # In axes of the section, twist last; δr and δt depend on the others only.
+    axes = _across(t)
+    turn = np.zeros((count, 3, count, 3))
+    turn[np.arange(count), :, np.arange(count), :] = np.stack([*axes, t], axis=2)
+    turned = turn.reshape(3 * count, 3 * count)
+    whole, mass = (turned.T @ part.reshape(turned.shape) @ turned for part in (form, norm))
+    free = np.ones((count, 3), dtype=bool)
+    free[0] = shape.support is not None
+    bends, twists = (np.flatnonzero(free & kind) for kind in ([1, 1, 0], [0, 0, 1]))
+    coupling = whole[np.ix_(twists, bends)]
+    relaxed = scipy.linalg.solve(whole[np.ix_(twists, twists)], coupling, assume_a="sym")
+    energy = whole[np.ix_(bends, bends)] - coupling.T @ relaxed
+    weight = np.full(count, h)
+    weight[[0, -1]] = h / 2
+    tilts = np.cross(np.stack(axes, axis=1), t[:, None])  # δt by each unknown
+    moves = (weight[:, None, None] * tilts)[free[:, :2]].T
+    energy = energy - force * moves.T @ hessian @ moves
     if tangential:
-        t = tangent[-1]
-        bend = float(t @ hessian @ t)
+        bend = float(t[-1] @ hessian @ t[-1])
         if bend > 0:
-            end = np.zeros(2 * count)
-            end[count - 1], end[-1] = n @ in_plane[-1], n @ plane_normal
-            shift = t @ hessian @ moves + end
-            form = form + force * np.outer(shift, shift) / bend
-    free = np.ones(2 * count, dtype=bool)
-    free[[0, count]] = False
-    form, norm, constraint = form[np.ix_(free, free)], norm[np.ix_(free, free)], (n @ moves)[free]
+            shift = t[-1] @ hessian @ moves
+            shift[-2:] += tilts[-1] @ n
+            energy = energy + force * np.outer(shift, shift) / bend
     # An orthonormal basis of the variations that keep contact, by a Householder reflection.
-    reflection = constraint.copy()
-    reflection[0] += np.copysign(np.linalg.norm(constraint), constraint[0])
+    reflection = n @ moves
+    reflection[0] += np.copysign(np.linalg.norm(reflection), reflection[0])
     basis = (
-        np.eye(len(constraint)) - 2 * np.outer(reflection, reflection) / (reflection @ reflection)
+        np.eye(len(reflection)) - 2 * np.outer(reflection, reflection) / (reflection @ reflection)
     )[:, 1:]
     return float(
         scipy.linalg.eigh(
-            basis.T @ form @ basis,
-            basis.T @ norm @ basis,
+            basis.T @ energy @ basis,
+            basis.T @ mass[np.ix_(bends, bends)] @ basis,
             eigvals_only=True,
             subset_by_index=[0, 0],
         )[0]
     )
 
 
-def _second_differences(count: int, h: float) -> Float[np.ndarray, "n n"]:
-    matrix = (
-        np.diag(np.full(count, 2 / h))
-        - np.diag(np.full(count - 1, 1 / h), 1)
-        - np.diag(np.full(count - 1, 1 / h), -1)
-    )
-    matrix[0, 0] = matrix[-1, -1] = 1 / h
-    return matrix
-
-
-def _mass(weight: Float[np.ndarray, "n"], h: float) -> Float[np.ndarray, "n n"]:
-    """∫ w φᵢ φⱼ ds of linear elements, w linear in each."""
-    left, right = weight[:-1], weight[1:]
-    matrix = np.diag(np.append(h * (3 * left + right) / 12, 0)) + np.diag(
-        np.append(0, h * (left + 3 * right) / 12)
-    )
-    coupling = h * (left + right) / 12
-    return np.asarray(matrix + np.diag(coupling, 1) + np.diag(coupling, -1))
+def _across(
+    tangent: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Two unit vectors across each tangent."""
+    first = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent), axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(tangent, first)
 
 
 NODES = _ELEMENTS + 1

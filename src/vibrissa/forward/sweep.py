@@ -45,7 +45,8 @@ class Sweep:
 def sweep(scene: Scene, path: Path, law: Law, tally: Tally) -> Sweep:
     """Equilibria at all positions of the path, which are tallied, and the events between them."""
     straight = along_path(scene, path)
-    inside = straight.at_clamp < 0
+    # Where a rod has no shape of its own, nothing can be followed.
+    inside = (straight.at_clamp < 0) | ~straight.sound
     clear = (straight.distance >= CLEAR) & ~inside
     meetings = first_meetings(scene, path, clear, straight.distance)
     walk = _Walk(scene, path, law, clear, inside, meetings, tally)
@@ -53,6 +54,8 @@ def sweep(scene: Scene, path: Path, law: Law, tally: Tally) -> Sweep:
     while walk.pending:
         walk.march()
     found = walk.found
+    found.steps.mode[~straight.sound] = int(Mode.LOST)
+    found.status[~straight.sound] = int(Status.FALLS_OVER)
     found.happenings += _smooth_happenings(scene, path, law, found.steps, meetings, walk.by_hand)
     found.happenings = _in_order(found.happenings)
     return found

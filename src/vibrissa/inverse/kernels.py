@@ -137,6 +137,8 @@ class _Held(NamedTuple):
     """Which of several contacts is meant, in order along the rod."""
     several: Flag | bool = False
     """Whether others explain the reactions too."""
+    sound: Flag | bool = True
+    """Whether the free rod has a stable shape."""
 
     def contact(self, wrench: Wrench) -> Contact:
         """The contact that explains a wrench of its own, under the same loads."""
@@ -173,8 +175,7 @@ def _exact(setting: Setting, sample: Sample) -> Found:
     if setting.rod.loaded:
         touching = push > LEAST_LOADED
     single, none = jnp.dot(force, moment) / (f * m), jnp.zeros(())
-    several = jnp.asarray(held.several)
-    return _judged(setting, sample, contact, touching, several, single, SINGLE_CONTACT, none, none)
+    return _judged(setting, sample, contact, touching, held, single, SINGLE_CONTACT, none, none)
 
 
 exact_contacts = lanes(alone=True)(_exact)
@@ -200,7 +201,7 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
         sample,
         probable.contact,
         chi_square > setting.threshold,
-        jnp.asarray(probable.held.several),
+        probable.held,
         probable.single / jnp.sqrt(whole.single),
         _SINGLE_DEVIATIONS,
         deviation,
@@ -291,7 +292,7 @@ def _held(setting: Setting, sample: Sample, near: Scalar | None = None) -> _Held
     load = rod.contact(wrench[:3], wrench[3:], clamp, which).load
     load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
     apart = wrench - load, wrench - free.reactions
-    return _Held(rod, clamp, *apart, tip, load, which, several)
+    return _Held(rod, clamp, *apart, tip, load, which, several, free.sound)
 
 
 def candidates_at(setting: Setting, sample: Sample) -> Contact:
@@ -341,7 +342,7 @@ def _judged(
     sample: Sample,
     contact: Contact,
     touching: Flag,
-    several: Flag,
+    held: _Held,
     single: Scalar,
     most: float,
     deviation: Scalar,
@@ -357,6 +358,7 @@ def _judged(
     # The most serious finding wins.
     findings = (
         (bad, Status.BAD_DATA),
+        (~jnp.asarray(held.sound), Status.FALLS_OVER),
         (couple, Status.NOT_SINGLE_CONTACT),
         (unsolved, Status.NO_CURVATURE_ZERO),
         (none, Status.OK),
@@ -364,7 +366,7 @@ def _judged(
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
         (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
-        (several, Status.NOT_UNIQUE),
+        (jnp.asarray(held.several), Status.NOT_UNIQUE),
     )
     conditions, codes = zip(*findings, strict=True)
     tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation

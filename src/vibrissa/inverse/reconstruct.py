@@ -91,6 +91,11 @@ def reconstruct(
     share(false_alarm, "false_alarm")
     if friction is not None:
         friction = not_negative(friction, "friction")
+    if channels is not None and not rod.plain:
+        raise ValueError(
+            f"channels = {tuple(channels)}: allowed with a rod that is not uniform, straight, "
+            "unloaded and rigidly held are all six"
+        )
     if channels is not None:
         some = found_by_channels(
             rod, reactions, channels, friction=friction, false_alarm=false_alarm

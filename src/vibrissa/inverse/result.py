@@ -13,7 +13,7 @@ from vibrissa.contacts import ContactKind, Contacts, Status
 from vibrissa.inverse.arrays import Codes, Covariances, Flags, Scalars, Vectors
 from vibrissa.inverse.checks.findings import SetupCheck
 from vibrissa.inverse.parameters import prepared
-from vibrissa.mechanics.elastic_line import force_of, sampled_line
+from vibrissa.mechanics.shape import Held, elastic_lines
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
@@ -217,28 +217,31 @@ class Reconstruction:
         self, index: "int | tuple[int, int]", count: int = 200
     ) -> Float[np.ndarray, "count 3"]:
         """The rod's shape at a sample: `count` points equally spaced in arc length from clamp to
-        tip; straight without contact, NaN where the reactions are not those of a bent rod.
+        tip; the free rod without contact, NaN where the reactions are not those of a bent rod.
 
         Raises
         ------
         ValueError
             If `count` is less than 2, or `index` does not name one sample.
         """
-        if count < 2:
-            raise ValueError(f"count = {count}; allowed is at least 2")
-        trail, length = self.reactions.trail, self.rod.length
-        clamp, axis = trail.position[index], trail.axis[index]
-        if clamp.ndim != 1:
+        if self.reactions.trail.position[index].ndim != 1:
             raise ValueError(
                 f"index = {index}; allowed is (trail, i), as the reactions hold several trails"
             )
-        reach, direction = (self.point[index] - clamp) / length, self.force_direction[index]
-        # The force that matches point and arc length, which noise and the limit at the tip may have
-        # moved away from the measured one.
-        touches, incidence = self.kind[index] != ContactKind.NONE, float(self.modulus[index])
-        force = force_of(incidence, reach, direction, axis) if touches else 0.0
-        s1 = float(self.arc_length[index]) / length
-        return sampled_line(clamp, axis, length, reach, direction, force, s1, count)
+        return self.elastic_lines(index, count)[0]
+
+    def elastic_lines(self, rows: Any, count: int = 200) -> Float[np.ndarray, "k count 3"]:
+        """The rod's shapes at some rows, as `elastic_line`, chosen by index, slice or mask, one
+        after another. Many at once take less time.
+
+        Raises
+        ------
+        ValueError
+            If `count` is less than 2.
+        """
+        contact = self.in_contact, self.point, self.force_direction, self.arc_length
+        held = Held(self.reactions, *contact, self.modulus)
+        return elastic_lines(self.rod, held, rows, count)
 
     def to_dataset(self) -> "xarray.Dataset":
         """All fields as an `xarray.Dataset` with CF-style units and flag meanings."""

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind
 from vibrissa.files import InputError, readable, reading
-from vibrissa.mechanics.elastic_line import force_of, sampled_line
+from vibrissa.mechanics.shape import Held, elastic_lines
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod, rod_from_json
 from vibrissa.trail import Trail
@@ -52,23 +52,11 @@ class StoredSweep:
         """Whether a contact was found (…)."""
         return self.kind != ContactKind.NONE
 
-    def elastic_line(
-        self, index: "int | tuple[int, ...]", count: int = 200
-    ) -> Float[np.ndarray, "count 3"]:
-        """The rod's shape at a position, as `vibrissa.Scan.elastic_line`; straight without
-        contact.
-        """
-        trail, length = self.reactions.trail, self.rod.length
-        clamp, axis = trail.position[index], trail.axis[index]
-        if self.kind[index] == ContactKind.NONE:
-            return sampled_line(clamp, axis, length, length * axis, axis, 0.0, 1.0, count)
-        direction = self.force_direction[index]
-        reach = (self.point[index] + self.offset * self.normal[index] - clamp) / length
-        force = float(np.linalg.norm(self.reactions.force[index])) / self.rod.force_scale
-        if self.incidence is not None:
-            force = force_of(float(self.incidence[index]), reach, direction, axis)
-        s1 = float(self.arc_length[index]) / length
-        return sampled_line(clamp, axis, length, reach, direction, force, s1, count)
+    def elastic_lines(self, rows: Any, count: int = 200) -> Float[np.ndarray, "k count 3"]:
+        """The rod's shapes at some rows, as `vibrissa.Scan.elastic_lines`."""
+        point = self.point + self.offset * self.normal
+        contact = self.in_contact, point, self.force_direction, self.arc_length, self.incidence
+        return elastic_lines(self.rod, Held(self.reactions, *contact), rows, count)
 
 
 def is_sweep(path: Path) -> bool:

@@ -26,11 +26,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.integrate import DOP853
 
-from vibrissa.mechanics.model import Bent, Clamp, Contact, Free, Own, RodModel
-from vibrissa.numerics.linear import solve_pivoted
+from vibrissa.mechanics.model import Bent, Clamp, Contact, Flag, Free, Own, RodModel
+from vibrissa.numerics.linear import solve_3x3, solve_pivoted
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.vectors import dot, joined
 
@@ -64,8 +64,10 @@ _CANDIDATES = 3
 """Most contacts that are looked for: each crosses the force's line of action once more."""
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
-_LOAD_STEPS, _LOAD_SETTLED = 25, 1e-13
-"""Most Newton steps to the loads' resultants, and the residual [EI/L²] that ends them."""
+_LOAD_STEPS, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-13, 1e-8
+"""Most Newton steps to the loads' resultants, the size [EI/L²] of one that ends them, and up to
+which they count as found.
+"""
 _LARGEST_CHANGE = 2.0
 """Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
 _TINY = 1e-300
@@ -100,6 +102,8 @@ class Local(NamedTuple):
     """B₃ [EI]."""
     rest: Any = None
     """u (…, 3) [1/L]: curvatures about d₁ and d₂, and twist; None for a straight rod."""
+    girth: Any = None
+    """Radius (…) over that at the clamp; None if it is the same everywhere, or unknown."""
     loaded: Any = None
     """What the load depends on, (…)."""
 
@@ -179,7 +183,7 @@ class Line(NamedTuple):
         weights, slopes, _ = _quintic(x)
         point = sum(w * value for w, value in zip(weights, values, strict=True))
         slope = sum(w * value for w, value in zip(slopes, values, strict=True))
-        tangent = slope / jnp.sqrt(dot(slope, slope))
+        tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
         return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
 
     def bend(self, s: Scalar) -> Vector:
@@ -203,7 +207,9 @@ class Line(NamedTuple):
         """The node before an arc length, the step that begins there, and the place in it."""
         place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
         step = self.nodes[place + 1] - self.nodes[place]
-        return place, step, jnp.clip((s - self.nodes[place]) / step, 0.0, 1.0)
+        # Behind a contact at the tip all nodes are one.
+        whole = jnp.where(step > 0, step, 1.0)
+        return place, step, jnp.clip((s - self.nodes[place]) / whole, 0.0, 1.0)
 
 
 def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
@@ -252,7 +258,13 @@ class Hanging(Free):
 
     clamp: Clamp
     line: Line
-    load: Wrench | None
+    load: Wrench | None = None
+    settled: Any = True
+
+    @property
+    def sound(self) -> Flag:
+        """As in `Free`."""
+        return self.settled
 
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector]:
         """As in `Free`."""
@@ -277,8 +289,6 @@ class Kirchhoff(RodModel):
     """Arc lengths [L] at which steps begin and end."""
     local: Local
     """Polynomials (steps, 5, …) in each step."""
-    girth: Float[Any, "nodes"] | None = None
-    """Radius at the nodes, over that at the clamp; None if it is the same everywhere."""
     load: Load | None = None
     compliance: Float[Any, "6 6"] | None = None
     """Of the support, clamp axes: displacement [L] and rotation vector under force [EI/L²] and
@@ -298,7 +308,7 @@ class Kirchhoff(RodModel):
         nodes: Float[Any, "nodes"] | None = None,
         *,
         loaded: Callable[[Any], Any] | None = None,
-        girth: Float[Any, "nodes"] | None = None,
+        girth: Callable[[Any], Any] | None = None,
         load: Load | None = None,
         compliance: Float[Any, "6 6"] | None = None,
     ) -> "Kirchhoff":
@@ -306,9 +316,9 @@ class Kirchhoff(RodModel):
         length s [L].
         """
         nodes = jnp.linspace(0, 1, STEPS + 1) if nodes is None else jnp.asarray(nodes)
-        given = (bending, torsion, rest, loaded)
+        given = (bending, torsion, rest, girth, loaded)
         local = Local(*(None if of is None else fitted(of, nodes) for of in given))
-        return cls(nodes, local, girth, load, compliance)
+        return cls(nodes, local, load, compliance)
 
     @classmethod
     def tapered(cls, taper: Scalar, poisson_ratio: Scalar, steps: int = STEPS) -> "Kirchhoff":
@@ -325,6 +335,18 @@ class Kirchhoff(RodModel):
     def loaded(self) -> bool:
         """As in `RodModel`."""
         return self.load is not None
+
+    @property
+    def uniform(self) -> bool:
+        """As in `RodModel`."""
+        return self.local.girth is None
+
+    def slimmer(self, s: Scalar) -> Scalar:
+        """As in `RodModel`."""
+        place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
+        start, end = self.nodes[place], self.nodes[place + 1]
+        # Beyond the tip it would go on as before.
+        return 1 - jnp.polyval(self.local.girth[place][::-1], (s - start) / (end - start))
 
     def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
         """As in `RodModel`: (s³/3) / ∫ (s − σ)²/B dσ."""
@@ -350,7 +372,7 @@ class Kirchhoff(RodModel):
             ),
             self.local,
         )
-        return Kirchhoff(nodes, local, None, self.load, self.compliance)
+        return Kirchhoff(nodes, local, self.load, self.compliance)
 
     def _base(self, clamp: Clamp, wrench: Wrench) -> _State:
         """The rod where its support has yielded to force and moment about the clamp point, without
@@ -491,7 +513,8 @@ class Kirchhoff(RodModel):
     @staticmethod
     def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
         """Resultants of loads that leave nothing at the tip, by Newton's method, `left(resultants,
-        given)`; with derivatives with respect to what is given.
+        given)`; with derivatives with respect to what is given. Also whether they were found, and a
+        rod that only they bend is stable.
         """
         fixed = lax.stop_gradient(given)
         slopes = jax.jacfwd(lambda load: (left(load, fixed),) * 2, has_aux=True)
@@ -509,21 +532,22 @@ class Kirchhoff(RodModel):
         count = len(begin)
         blank = jnp.zeros((count, count)), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
         start = lax.stop_gradient(begin), *blank
-        load, jacobian, *_ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
+        load, jacobian, size, _ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
         # One more step, which carries the derivatives (implicit function theorem).
-        return load - solve_pivoted(jacobian, left(load, given))[0]
+        load = load - solve_pivoted(jacobian, left(load, given))[0]
+        return load, (size < _LOAD_FOUND) & _stands(jacobian[-6:, -6:])
 
     def free(self, clamp: Clamp) -> Hanging:
         """As in `RodModel`."""
         if self.load is None:
-            return Hanging(clamp, self.line(clamp, _NO_PUSH), None)
+            return Hanging(clamp, self.line(clamp, _NO_PUSH))
 
         def left(load: Wrench, clamp: Clamp) -> Wrench:
             end: Wrench = self.line(clamp, _NO_PUSH, load).states.load[-1]
             return end
 
-        load = self._resultants(left, jnp.zeros(6), clamp)
-        return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load)
+        load, sound = self._resultants(left, jnp.zeros(6), clamp)
+        return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, sound)
 
     def bent(
         self,
@@ -573,7 +597,10 @@ class Kirchhoff(RodModel):
     def largest_bend(self, bent: Bent) -> Scalar:
         """As in `RodModel`: the largest at a node."""
         line = bent.inner.line
-        at = line.strain if self.girth is None else line.strain * self.girth
+        at = line.strain
+        if self.local.girth is not None:
+            girth = self.local.girth
+            at = at * jnp.append(girth[:, 0], jnp.sum(girth[-1]))
         return jnp.max(jnp.where(line.nodes <= bent.arc_length, at, 0.0))
 
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
@@ -583,6 +610,34 @@ class Kirchhoff(RodModel):
             lambda part: clamp + bent.inner.line.at((1 - part) * bent.arc_length)[0]
         )(jnp.asarray(share))
         return points
+
+    def drawn(self, bent: Bent, s: Float[Any, "n"]) -> Float[Array, "n 3"]:
+        """Points at arc lengths from clamp to tip."""
+        inner, s1 = bent.inner, bent.arc_length
+        rest, clamp = self.beyond(inner, s1), bent.point - bent.to_contact
+
+        def at(s: Scalar) -> Vector:
+            return clamp + jnp.where(s <= s1, inner.line.at(s)[0], rest.at(s)[0])
+
+        points: Float[Array, "n 3"] = jax.vmap(at)(jnp.asarray(s))
+        return points
+
+    def along(self, bent: Bent, s: Float[Any, "n"]) -> tuple[Array, ...]:
+        """Tangent, moment and force in the rod (n, 3), B and B₃ (n,), up to the contact."""
+        inner = bent.inner
+
+        def at(s: Scalar) -> tuple[Array, ...]:
+            place, _, x = inner.line.between(s)
+            own = jax.tree.map(lambda part: part[place], (self.local.bending, self.local.torsion))
+            stiff = [jnp.polyval(part[::-1], x) for part in own]
+            here, push = self._at(inner, s), inner.push
+            m, n = push.moment - jnp.cross(here.reach, push.force), push.force
+            if here.load is not None:
+                m, n = m + here.load[3:], n + here.load[:3]
+            return (here.tangent, m, n, *stiff)
+
+        found: tuple[Array, ...] = jax.vmap(at)(jnp.asarray(s))
+        return found
 
     def tail(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """As in `RodModel`."""
@@ -657,7 +712,7 @@ class Kirchhoff(RodModel):
             return joined(lever, rest.states.load[-1])
 
         tail = free[place] + x * (free[place + 1] - free[place])
-        unknowns = self._resultants(left, joined(begin, tail), inner)
+        unknowns, _ = self._resultants(left, joined(begin, tail), inner)
         here, force, moment, rest = parts(unknowns, inner)
         f, reach = jnp.sqrt(dot(force, force)), here.reach
         total = joined(-push.force, -push.moment)
@@ -666,6 +721,19 @@ class Kirchhoff(RodModel):
         energy = rest.states.energy[-1]
         gap = jnp.sqrt(dot(moment, moment)) / f
         return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load)
+
+
+def _stands(jacobian: Float[Array, "6 6"]) -> Bool[Array, ""]:
+    """Whether a rod without contact is stable, by the derivatives of force and moment left at its
+    tip with respect to their resultants at the clamp: without loads those are one, and on the way
+    to instability an eigenvalue of the moment's part passes zero, or two at once. All real parts
+    are positive by the criterion of Routh and Hurwitz.
+    """
+    by_force = [solve_3x3(jacobian[:3, :3], jacobian[:3, 3 + i]) for i in range(3)]
+    a, b, c = (jacobian[3:, 3 + i] - jacobian[3:, :3] @ by_force[i] for i in range(3))
+    trace, determinant = a[0] + b[1] + c[2], dot(a, jnp.cross(b, c))
+    minors = jnp.cross(a, b)[2] + jnp.cross(b, c)[0] + jnp.cross(c, a)[1]
+    return (trace > 0) & (determinant > 0) & (trace * minors > determinant)
 
 
 def _closest(line: Line, r: Vector) -> Scalar:
@@ -720,7 +788,7 @@ def _zero(
         return first
     least, most = jnp.where(within, start, 0.0), jnp.where(within, end, _FARTHEST)
 
-    def newton(_: int, s: Scalar) -> Scalar:
+    def newton(_: Any, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
         return jnp.clip(s - value / rate, least, most)
 

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
+Flag = Bool[Any, ""] | bool
 Own = Float[Any, "own"] | tuple[()]
 
 
@@ -90,6 +91,11 @@ class Contact(NamedTuple):
 
 class Free(eqx.Module):
     """A rod without contact."""
+
+    @property
+    def sound(self) -> Flag:
+        """Whether it has such a shape, and a stable one."""
+        return True
 
     @abstractmethod
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector | None]:
@@ -194,6 +200,15 @@ class RodModel(eqx.Module):
     def loaded(self) -> bool:
         """Whether it exerts reactions without contact."""
         return False
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the radius is the same everywhere."""
+        return True
+
+    def slimmer(self, s: Scalar) -> Scalar:
+        """Share of the clamp's radius by which the rod is thinner at an arc length."""
+        return jnp.zeros_like(s)
 
     def lateral_stiffness(self, s: Float[Any, "n"]) -> Float[Any, "n"]:
         """Stiffness against a small force across the rod at arc lengths, over that of a uniform rod

@@ -51,9 +51,12 @@ def model_of(rod: Rod, steps: int = STEPS) -> RodModel:
     return Elastica() if rod.plain else spatial(rod, steps)
 
 
-def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
-    """A rod as the spatial model, also where the closed form would do."""
-    length, nodes = rod.length, _nodes(rod, steps)
+def spatial(rod: Rod, steps: int = STEPS, nodes: Float[Any, "nodes"] | None = None) -> Kirchhoff:
+    """A rod as the spatial model, also where the closed form would do; with given nodes, which a
+    traced rod does not show.
+    """
+    _thick(rod)
+    length, nodes = rod.length, nodes_of(rod, steps) if nodes is None else nodes
     rest, loads = rod.rest, rod.loads
 
     def curvature(x: Any) -> Any:
@@ -84,13 +87,29 @@ def spatial(rod: Rod, steps: int = STEPS) -> Kirchhoff:
         None if rest is None else curvature,
         nodes,
         loaded=loaded,
-        girth=None if rod.uniform or rod.radius is None else rod.radius_at(nodes) / rod.radius,
+        girth=None
+        if rod.uniform or rod.radius is None
+        else lambda x: rod.radius_at(x) / rod.radius,
         load=load,
         compliance=compliance,
     )
 
 
-def _nodes(rod: Rod, steps: int) -> Any:
+def _thick(rod: Rod) -> None:
+    """Raise ValueError where a rod has no thickness."""
+    knots = np.array([0.0, *rod.breaks, 1.0])
+    if not known(rod.bending_at(knots)):
+        return
+    thickness = np.asarray(rod.bending_at(knots)) ** 0.25
+    for x, share in zip(knots, thickness, strict=True):
+        if share < _THINNEST:
+            raise ValueError(
+                f"rod: at {x:g} of its length the rod is {share:g} times as thick as at its clamp, "
+                f"and bears no contact; allowed is at least {_THINNEST:g}"
+            )
+
+
+def nodes_of(rod: Rod, steps: int = STEPS) -> Any:
     """Where steps begin and end: at every kink of a table, `steps` over the length and half as many
     more for each e-fold of thickness, where it changes.
     """

@@ -15,15 +15,16 @@ from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import COLUMN, length_label, no_contact, status_words
 
 MARKERS = dict(zip(EventKind, "osDvX^<P>d*", strict=True))
-# At these the rod is straight.
-_STRAIGHT = (EventKind.FIRST_CONTACT, EventKind.DETACH, EventKind.HEAD_ON)
+# At these the rod is as without contact.
+_FREE = (EventKind.FIRST_CONTACT, EventKind.DETACH, EventKind.HEAD_ON)
 _EVENT_COLOUR = "#c1121f"
 
 
 @checked
 def reactions_along(scan: Scan) -> list[Axes]:
     """Contact force and arc length along one trail (n, …), with its events; dashed where the branch
-    is laterally unstable, dotted where a row's status is not OK for another reason.
+    is laterally unstable, dotted where a row's status is not OK for another reason. Of a rod that
+    weight or wind load, the support force.
 
     They are drawn over the clamp's coordinate that changes most, in the direction of the sweep, or
     over the share of the trail if the clamp turns back. Curves break off at snaps.
@@ -35,18 +36,25 @@ def reactions_along(scan: Scan) -> list[Axes]:
     """
     if scan.kind.ndim != 1:
         raise ValueError(f"scan has the shape {scan.kind.shape}; allowed is one trail (n,)")
-    force = np.where(scan.in_contact, np.linalg.norm(scan.reactions.force, axis=-1), np.nan)
-    if not np.isfinite(force).any():
+    if not scan.in_contact.any():
         raise no_contact(scan.status, "positions")
+    force = np.linalg.norm(scan.reactions.force, axis=-1)
+    free, at = np.isfinite(force) & ~scan.in_contact, [one.parameter for one in scan.events]
+    # That of the rod's own loads.
+    least = np.zeros(len(at))
+    if scan.rod.loads is not None and free.any():
+        least = np.interp(at, scan.trail.parameter[free], force[free])
+    force = np.where(scan.in_contact, force, np.nan)
     factor = length_factor(scan.rod)
     reach = np.array([factor * np.linalg.norm(event.point - event.clamp) for event in scan.events])
     place, label = _abscissa(scan)
     figure, panels = plt.subplots(
         2, 1, figsize=(COLUMN * 1.4, COLUMN * 1.3), sharex=True, layout="constrained"
     )
-    _draw(panels[0], scan, place, force, np.zeros(len(reach)))
+    _draw(panels[0], scan, place, force, least)
     _draw(panels[1], scan, place, factor * scan.arc_length, reach)
-    panels[0].set_ylabel("$f$ [N]" if scan.rod.units == "SI" else "$f$ [$EI/L^2$]")
+    unit = "N" if scan.rod.units == "SI" else "$EI/L^2$"
+    panels[0].set_ylabel(f"{'$f$' if scan.rod.loads is None else 'support force'} [{unit}]")
     panels[1].set(xlabel=label, ylabel=length_label("s_1", scan.rod))
     if place[0] > place[-1]:
         panels[1].invert_xaxis()
@@ -72,21 +80,21 @@ def _draw(
     scan: Scan,
     place: Float[np.ndarray, "n"],
     values: Float[np.ndarray, "n"],
-    straight: Float[np.ndarray, "events"],
+    free: Float[np.ndarray, "events"],
 ) -> None:
-    """A curve in the style of its rows' statuses, with the events on it; `straight` are its values
-    at those events at which the rod is straight.
+    """A curve in the style of its rows' statuses, with the events on it; `free` are its values
+    at those events at which the rod is as without contact.
     """
     along, known = scan.trail.parameter, np.isfinite(values)
     at = np.array([event.parameter for event in scan.events])
     marked = [
-        _value(event, along, values, end) for event, end in zip(scan.events, straight, strict=True)
+        _value(event, along, values, end) for event, end in zip(scan.events, free, strict=True)
     ]
     # The curve begins and ends where the contact does, and breaks off where the rod snaps.
-    ends = np.array([event.kind in _STRAIGHT for event in scan.events], dtype=bool)
+    ends = np.array([event.kind in _FREE for event in scan.events], dtype=bool)
     snaps = np.array([event.kind == EventKind.SNAP for event in scan.events], dtype=bool)
     vertices = np.concatenate([along[known], at[ends], at[snaps]])
-    course = np.concatenate([values[known], straight[ends], np.full(snaps.sum(), np.nan)])
+    course = np.concatenate([values[known], free[ends], np.full(snaps.sum(), np.nan)])
     order = np.argsort(vertices, kind="stable")
     vertices, course = vertices[order], course[order]
     rows = np.flatnonzero(known)
@@ -112,11 +120,11 @@ def _draw(
 
 
 def _value(
-    event: Event, along: Float[np.ndarray, "n"], values: Float[np.ndarray, "n"], straight: float
+    event: Event, along: Float[np.ndarray, "n"], values: Float[np.ndarray, "n"], free: float
 ) -> float:
     """What a curve is at an event: as far as it is known, between its neighbours; before a snap."""
-    if event.kind in _STRAIGHT:
-        return straight
+    if event.kind in _FREE:
+        return free
     after = int(np.searchsorted(along, event.parameter))
     pair = np.clip([after - 1, after], 0, len(along) - 1)
     pair = pair[:1] if event.kind == EventKind.SNAP else pair

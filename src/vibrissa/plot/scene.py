@@ -12,6 +12,7 @@ from vibrissa.drawing import FREE, drawn_rods
 from vibrissa.forward import Scan
 from vibrissa.forward.events import Event
 from vibrissa.inverse import Reconstruction
+from vibrissa.mechanics.shape import free_lines
 from vibrissa.plot import space
 from vibrissa.plot.arguments import checked
 from vibrissa.plot.style import no_contact, status_words
@@ -56,10 +57,10 @@ def scene(
 ) -> Axes3D:
     """Object, rods, contact points with their uncertainty, trails and events.
 
-    Rods are red in tip contact, blue in tangential contact, black where they are straight, grey
-    without contact, and faint behind the object. Contacts whose status is not OK are crosses. Known
+    Rods are red in tip contact, blue in tangential contact, black behind the contact, grey without
+    contact, and faint behind the object. Contacts whose status is not OK are crosses. Known
     uncertainties are drawn as the principal axes of 95 % ellipsoids. A recording is shown as forces
-    on the straight rod.
+    on the free rod.
 
     Parameters
     ----------
@@ -257,19 +258,20 @@ def _forces(
     path: Float[np.ndarray, "trail n 3"],
     drawn: Bool[np.ndarray, "*trail n"],
 ) -> Shown:
-    """Forces on the straight rod."""
+    """Forces on the free rod."""
     if not np.isfinite(what.force).all(axis=-1).any():
         raise ValueError(
             f"nothing to draw: none of {what.trail.position[..., 0].size} forces is known"
         )
     largest = float(np.nanmax(np.linalg.norm(what.force, axis=-1)))
     clamps = what.trail.position[drawn]
-    tips = clamps + rod.length * what.trail.axis[drawn]
-    straight = space.Segments(np.stack([clamps, tips], axis=1), np.full(len(tips), FREE))
+    free = free_lines(rod, what.trail, 2 if rod.plain else _SAMPLES, drawn)
+    pieces = np.stack([free[:, :-1], free[:, 1:]], axis=2).reshape(-1, 2, 3)
+    unbent = space.Segments(pieces, np.full(len(pieces), FREE))
     # A sensor at rest reads exactly zero only in a simulation.
     forces = -_ARROW * rod.length * what.force[drawn] / max(largest, np.finfo(float).tiny)
     name = f"force on the clamp, up to {largest:.3g} {'N' if rod.units == 'SI' else 'EI/L²'}"
-    return Shown(path, rods=straight, arrows=(space.Arrows(clamps, forces, space.FORCE, name),))
+    return Shown(path, rods=unbent, arrows=(space.Arrows(clamps, forces, space.FORCE, name),))
 
 
 def known(contacts: Contacts, rows: Bool[np.ndarray, "*rows"]) -> Contacts:

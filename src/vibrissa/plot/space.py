@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from vibrissa.contacts import Contacts, Status
-from vibrissa.drawing import FREE, KIND_COLOURS, KIND_NAMES, STRAIGHT, half_axes, length_factor
+from vibrissa.drawing import BEHIND, FREE, KIND_COLOURS, KIND_NAMES, half_axes, length_factor
 from vibrissa.forward.events import Event
 from vibrissa.plot.events import MARKERS
 from vibrissa.plot.style import COLUMN, corners_of, length_label
@@ -143,7 +143,7 @@ class Stage:
             if part.any():
                 style = {"linewidths": rods.width, "alpha": alpha, "capstyle": "round"}
                 self._strokes(rods.ends[part], rods.colours[part], layer, **style)
-        for colour, name in ((STRAIGHT, "straight part"), (FREE, "unbent rod")):
+        for colour, name in ((BEHIND, "behind the contact"), (FREE, "free rod")):
             if np.any(rods.colours == colour):
                 self.explain(name, color=colour, linewidth=0.7)
 

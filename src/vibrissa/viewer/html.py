@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from vibrissa.contacts import ContactKind, Status
-from vibrissa.drawing import FREE, KIND_COLOURS, STRAIGHT
+from vibrissa.drawing import BEHIND, FREE, KIND_COLOURS
 from vibrissa.viewer.colours import Legend, Painter
 from vibrissa.viewer.content import Content, Instant, Rows
 
@@ -33,7 +33,7 @@ def legend_html(legend: Legend, instants: Sequence[Instant], notes: Sequence[str
         for colour, text in (
             (KIND_COLOURS[ContactKind.TIP], "bent, tip contact"),
             (KIND_COLOURS[ContactKind.TANGENTIAL], "bent, tangential contact"),
-            (STRAIGHT, "straight part"),
+            (BEHIND, "behind the contact"),
             (FREE, "without contact"),
         ):
             lines.append(_swatch(colour, text, round_=False))

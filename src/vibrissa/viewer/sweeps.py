@@ -6,14 +6,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from vibrissa.contacts import ContactKind, Contacts, Status
-from vibrissa.drawing import STRAIGHT, Swept, drawn_rods, length_factor, length_unit
+from vibrissa.drawing import BEHIND, Swept, drawn_rods, length_factor, length_unit
 from vibrissa.forward import Scan, scan
-from vibrissa.geometry.rotation import multiplied, rotation_matrices, third_axis
+from vibrissa.geometry.rotation import multiplied, rotation_matrices
 from vibrissa.io import Case, Setup
 from vibrissa.io.setup import ConstantPoseTable
+from vibrissa.mechanics.shape import free_lines
 from vibrissa.rod import Rod
 from vibrissa.surfaces import Surface
 from vibrissa.surfaces.outline import box_of, outline
+from vibrissa.trail import Trail
 from vibrissa.viewer.content import SAMPLES, UNKNOWN, Content, Instant, Pose, Rows
 
 _INSTANTS = 240
@@ -120,8 +122,10 @@ def of_setup(setup: Setup) -> Content:
         sensor[0] + rotation_matrices(sensor[1]) @ setup.sensor.clamp_position,
         multiplied(sensor[1], setup.sensor.clamp_orientation),
     )
-    line = clamp[0] + np.array([[0.0], [rod.length]]) * third_axis(clamp[1])
-    rod_only = Instant("as mounted", {STRAIGHT: factor * line[None]}, Rows.none())
+    pose = Trail(clamp[0][None], clamp[1][None])
+    (line,) = factor * free_lines(rod, pose, 2 if rod.plain else SAMPLES)
+    pieces = np.stack([line[:-1], line[1:]], axis=1)
+    rod_only = Instant("as mounted", {BEHIND: pieces}, Rows.none())
     poses = (
         Pose("sensor", factor * sensor[0], sensor[1]),
         Pose("clamp", factor * clamp[0], clamp[1]),
@@ -186,7 +190,7 @@ def _since(
 
 
 def rods_known(what: Swept) -> Bool[np.ndarray, "*trail n"]:
-    """Rows whose rod can be drawn: it is straight where a reconstruction finds no contact."""
+    """Rows whose rod can be drawn: it is free where a reconstruction finds no contact."""
     solved = np.isfinite(what.energy)
     free = ~what.in_contact
     if isinstance(what, Scan):

@@ -147,8 +147,8 @@ def smoothed_model(rod: Rod) -> RodModel:
     """
     found = model_of(rod, _RESOLUTION)
     if rod.rest is not None:
-        _, ahead = _free(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
-        _check_ahead(ahead)
+        free: Any = _free(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+        _check_ahead(free[1])
     return found
 
 
@@ -163,7 +163,8 @@ def poses_of(rod: RodModel, trail: Trail, length: float) -> Pose | None:
     if not rod.loaded:
         return None
     position = trail.position / length
-    free, ahead = _free(rod, position, trail.orientation)
+    found: Any = _free(rod, position, trail.orientation)
+    free, ahead = found
     _check_ahead(ahead)
     return Pose(position, trail.orientation, free)
 
@@ -173,17 +174,21 @@ def _free(
     rod: RodModel, position: Float[Array, "3"], orientation: Float[Array, "4"]
 ) -> tuple[Float[Array, "6"], Scalar]:
     """Reactions of the rod without contact, clamp axes, and how far its tip is ahead of the clamp
-    [L].
+    [L], NaN for a rod that falls over.
     """
     turn = rotation_matrix(orientation)
     clamp = Clamp(position, third_axis(orientation), first_axis(orientation))
     free = rod.free(clamp)
     tip, *_ = free.at(jnp.ones(()))
-    return _turned(turn.T, free.reactions), dot(tip - position, clamp.tangent)
+    return _turned(turn.T, free.reactions), jnp.where(
+        free.sound, dot(tip - position, clamp.tangent), jnp.nan
+    )
 
 
 def _check_ahead(ahead: AnyArray) -> None:
     least = float(np.min(ahead))
+    if np.isnan(least):
+        raise ValueError("without contact the rod falls over under its loads: it has no shape")
     if not least > _LEAST_AHEAD:
         raise ValueError(
             f"without contact the rod's tip is {least:.3g} rod lengths ahead of the clamp; "
@@ -316,7 +321,8 @@ def _of_reactions(
     its reactions, and the excess of the loads' resultants over the free rod's.
     """
     wrench = joined(-unknowns[:2], -x[2], x[:2], unknowns[2])
-    clamp, turn, load, excess = AT_ORIGIN, jnp.eye(3), None, jnp.zeros(())
+    clamp, turn, load = AT_ORIGIN, jnp.eye(3), None
+    excess: Any = 0.0
     if pose is not None:
         at = pose.orientation
         clamp, turn = Clamp(pose.position, third_axis(at), first_axis(at)), rotation_matrix(at)
@@ -333,8 +339,8 @@ def _of_reactions(
     n = force / f
     incidence = (1 + dot(tangent, n)) / 2
     energy = rod.energy(model.Bent(reach, reach, f, n, left, s1, incidence, inner, load))
-    to_contact, direction = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
-    return left, Bent(wrench, incidence, to_contact, direction, energy)
+    seen, direction = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
+    return left, Bent(wrench, incidence, seen, direction, energy)
 
 
 def _turned(matrix: Float[Array, "3 3"], wrench: Float[Array, "6"]) -> Float[Array, "6"]:

@@ -333,12 +333,14 @@ def _of_reactions(
     inner = Inner(rod.line(clamp, Push(force, push[3:]), load), clamp, Push(force, push[3:]))
     reach, tangent = inner.line.at(s1)
     left = push[3:] - jnp.cross(reach, force)
-    if rod.loaded:
-        left = joined(left, rod.beyond(inner, s1).states.load[-1])
     f = jnp.sqrt(dot(force, force) + _LEAST_MOMENT**2)
     n = force / f
     incidence = (1 + dot(tangent, n)) / 2
-    energy = rod.energy(model.Bent(reach, reach, f, n, left, s1, incidence, inner, load))
+    if rod.loaded:
+        rest = rod.beyond(inner, s1).states
+        left, energy = joined(left, rest.load[-1]), rest.energy[-1]
+    else:
+        energy = rod.energy(model.Bent(reach, reach, f, n, left, s1, incidence, inner))
     seen, direction = (jnp.sum(turn.T * part, axis=1) for part in (reach, n))
     return left, Bent(wrench, incidence, seen, direction, energy)
 

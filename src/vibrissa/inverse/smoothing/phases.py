@@ -24,7 +24,14 @@ from scipy.special import chdtri
 
 from vibrissa.inverse.inverse import single_contact
 from vibrissa.inverse.smoothing.kalman import RATE, WRENCH, Gaussian, States
-from vibrissa.inverse.smoothing.manifold import ARC_LENGTH, COORDINATES, LOADS, TILT, linearised
+from vibrissa.inverse.smoothing.manifold import (
+    ARC_LENGTH,
+    COORDINATES,
+    LOADS,
+    TILT,
+    finite,
+    linearised,
+)
 from vibrissa.inverse.smoothing.model import (
     FREE,
     JUMP,
@@ -60,6 +67,8 @@ _LEAST_FORCE = 5.0
 """Force of a sample, in standard deviations, below which its arc length is not looked for."""
 _NEAREST_STEPS, _NEAREST_STEP = 5, 0.3
 """Gauss-Newton steps from arc lengths up to half the rod away, and the largest of them [L]."""
+_SETTLED = 0.2
+"""The last of them, in standard deviations: the next is far smaller."""
 _FALSE_JUMPS = 1e-3
 """Expected number of jumps found in a recording that has none."""
 _APART = 12
@@ -128,27 +137,29 @@ def _nearest(
     """The most probable coordinates of each sample that tells of a contact, by Gauss-Newton from an
     arc length: curved rods may explain the same reactions by several.
     """
-    value, deviation = np.full((2, len(wrench)), np.inf)
-    rows = np.sum(series.whiten(wrench)[:, :3] ** 2, axis=1) > _LEAST_FORCE**2
-    if not rows.any():
-        return value, deviation
-    pose = jax.tree.map(lambda part: part[rows], series.pose)
-    given, whitening, prior = wrench[rows], series.whitening[rows], np.zeros(COORDINATES)
+    deviation = np.full(len(wrench), np.inf)
+    x = np.column_stack([wrench[:, 3:5], -wrench[:, 2], near, np.zeros(len(wrench))])
+    rows = np.flatnonzero(np.sum(series.whiten(wrench)[:, :3] ** 2, axis=1) > _LEAST_FORCE**2)
+    prior = np.zeros(COORDINATES)
     prior[TILT] = TILT_SPREAD**-2
-    x = np.column_stack([given[:, 3:5], -given[:, 2], near[rows], np.zeros(len(given))])
     for _ in range(_NEAREST_STEPS):
-        linear = linearised(rod, pose, x)
-        away = whitening @ (given - linear.value.wrench)[..., None]
+        pose = jax.tree.map(lambda part, rows=rows: part[rows], series.pose)
+        linear = linearised(rod, pose, x[rows])
+        known = finite(linear)
+        rows, linear = rows[known], jax.tree.map(lambda part, known=known: part[known], linear)
+        whitening = series.whitening[rows]
+        away = whitening @ (wrench[rows] - linear.value.wrench)[..., None]
         slope = whitening @ linear.slope.wrench
-        normal = np.swapaxes(slope, 1, 2) @ slope + np.diag(prior)
-        inverse = np.linalg.inv(np.where(np.isfinite(normal), normal, np.eye(COORDINATES)))
-        change = (inverse @ (np.swapaxes(slope, 1, 2) @ away - (prior * x)[..., None]))[..., 0]
-        x = x + np.nan_to_num(np.clip(change, -_NEAREST_STEP, _NEAREST_STEP))
-        x[:, ARC_LENGTH] = np.clip(x[:, ARC_LENGTH], 0.05, 1.5)
-    spread = np.sqrt(inverse[:, ARC_LENGTH, ARC_LENGTH])
-    settled = np.abs(change[:, ARC_LENGTH]) < np.maximum(spread, 1e-6)
-    value[rows], deviation[rows] = x[:, ARC_LENGTH], np.where(settled, spread, np.inf)
-    return value, deviation
+        inverse = np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope + np.diag(prior))
+        pull = np.swapaxes(slope, 1, 2) @ away - (prior * x[rows])[..., None]
+        change = np.clip((inverse @ pull)[..., 0], -_NEAREST_STEP, _NEAREST_STEP)
+        x[rows] += change
+        x[rows, ARC_LENGTH] = np.clip(x[rows, ARC_LENGTH], 0.05, 1.5)
+        spread = np.sqrt(inverse[:, ARC_LENGTH, ARC_LENGTH])
+        settled = np.abs(change[:, ARC_LENGTH]) < _SETTLED * spread
+        deviation[rows[settled]] = spread[settled]
+        rows = rows[~settled]
+    return x[:, ARC_LENGTH], deviation
 
 
 def raw_arc_lengths(fit: Fit) -> tuple[Samples, Samples]:

@@ -374,7 +374,7 @@ class Kirchhoff(RodModel):
         )
         return Kirchhoff(nodes, local, self.load, self.compliance)
 
-    def _base(self, clamp: Clamp, wrench: Wrench) -> _State:
+    def base(self, clamp: Clamp, wrench: Wrench) -> _State:
         """The rod where its support has yielded to force and moment about the clamp point, without
         what the loads do.
         """
@@ -461,7 +461,7 @@ class Kirchhoff(RodModel):
         moment about the clamp point at s = 0.
         """
         wrench = joined(push.force, push.moment)
-        first = self._base(clamp, wrench if load is None else wrench + load)
+        first = self.base(clamp, wrench if load is None else wrench + load)
         if load is not None:
             moment = load[3:] - jnp.cross(first.reach, load[:3])
             first = first._replace(load=joined(load[:3], moment))
@@ -542,11 +542,12 @@ class Kirchhoff(RodModel):
         if self.load is None:
             return Hanging(clamp, self.line(clamp, _NO_PUSH))
 
-        def left(load: Wrench, clamp: Clamp) -> Wrench:
-            end: Wrench = self.line(clamp, _NO_PUSH, load).states.load[-1]
+        def left(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> Wrench:
+            model, clamp = given
+            end: Wrench = model.line(clamp, _NO_PUSH, load).states.load[-1]
             return end
 
-        load, sound = self._resultants(left, jnp.zeros(6), clamp)
+        load, sound = self._resultants(left, jnp.zeros(6), (self, clamp))
         return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, sound)
 
     def bent(

@@ -70,6 +70,8 @@ which they count as found.
 """
 _LARGEST_CHANGE = 2.0
 """Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
+_ROUNDING = 1e-9
+"""By which a contact at the tip may seem to lie before it [L]."""
 _TINY = 1e-300
 
 
@@ -593,7 +595,7 @@ class Kirchhoff(RodModel):
         """As in `RodModel`: the largest at a node."""
         line = bent.inner.line
         bend = jnp.sqrt(jnp.sum(line.rates.tangent**2, axis=1))
-        return jnp.max(jnp.where(line.nodes <= bent.arc_length, bend, 0.0))
+        return jnp.max(jnp.where(line.nodes <= bent.arc_length + _ROUNDING, bend, 0.0))
 
     def largest_bend(self, bent: Bent) -> Scalar:
         """As in `RodModel`: the largest at a node."""
@@ -602,7 +604,7 @@ class Kirchhoff(RodModel):
         if self.local.girth is not None:
             girth = self.local.girth
             at = at * jnp.append(girth[:, 0], jnp.sum(girth[-1]))
-        return jnp.max(jnp.where(line.nodes <= bent.arc_length, at, 0.0))
+        return jnp.max(jnp.where(line.nodes <= bent.arc_length + _ROUNDING, at, 0.0))
 
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """As in `RodModel`."""

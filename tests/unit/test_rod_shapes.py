@@ -167,8 +167,12 @@ def test_exact_reconstruction_has_the_shape_of_the_scan() -> None:
 
 @pytest.mark.slow
 def test_noisy_shapes_pass_their_contact_within_its_ellipsoid() -> None:
-    held = rod()
-    exact, rng = scan().reactions, np.random.default_rng(3)
+    tapered = vb.Rod.tapered(
+        length=LENGTH, base_radius=RADIUS, tip_radius=TIP, youngs_modulus=MODULUS
+    )
+    held = tapered.on(vb.Support.pivot(PIVOT))
+    exact = vb.scan(held, SPHERE, scan().trail).reactions
+    rng = np.random.default_rng(3)
     units = np.repeat([held.force_scale, held.moment_scale], 3)
     covariance = np.diag((2e-3 * units) ** 2)
     noise = rng.multivariate_normal(np.zeros(6), covariance, size=len(exact.force))

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 import vibrissa as vb
 from vibrissa.inverse import check_setup
-from vibrissa.inverse.checks.constraints import constraints_of
+from vibrissa.inverse.checks.constraints import Stated, constraints_of
 from vibrissa.mechanics.imperfect import Imperfect
 
 EFFECTS = Path(__file__).parents[3] / "shared" / "recordings" / "effects"
@@ -94,7 +94,7 @@ def test_constraints_are_those_of_an_integrated_rod() -> None:
         moment = moment - np.linalg.solve(slope, left)
     wrench = -np.concatenate([force + load, moment])[None]
     bent_rod = Imperfect(wrench, np.array([taper]), bend[None], load[None])
-    found = constraints_of(1.0, bent_rod)
+    found = constraints_of(Stated(1.0), bent_rod)
     np.testing.assert_allclose(found.value[0, :3], 0, atol=1e-4)
     np.testing.assert_allclose(found.reach[0], at_tip(moment)[:3], atol=1e-3)
 

@@ -84,16 +84,10 @@ def assert_close(errors: dict[str, float]) -> None:
     assert {name: size for name, size in errors.items() if size > CLOSE} == {}
 
 
-def without_depth(errors: Both) -> list[vb.Scan]:
-    return [replace(scan, depth=np.zeros(TRAILS.shape)) for scan in errors]
-
-
 def test_scans_without_friction_agree_in_every_field_and_event(smooth: Both) -> None:
-    """But the depth at tip contacts, below."""
-    errors = off(*without_depth(smooth))
+    errors = off(*smooth)
     assert len(errors) == 14
     assert_close(errors)
-    assert_close(off(*smooth, rows=smooth[0].kind == vb.ContactKind.TANGENTIAL))
     assert np.count_nonzero(smooth[0].in_contact) > 80
     first, second = (scan.events for scan in smooth)
     assert [at.kind for at in first] == [at.kind for at in second]
@@ -101,11 +95,6 @@ def test_scans_without_friction_agree_in_every_field_and_event(smooth: Both) -> 
         np.testing.assert_allclose(ours.parameter, theirs.parameter, atol=CLOSE)
         np.testing.assert_allclose(ours.point, theirs.point, atol=CLOSE)
         np.testing.assert_allclose(ours.clamp, theirs.clamp, atol=CLOSE)
-
-
-@pytest.mark.xfail(reason="the depth of a spatial rod in tip contact is NaN", raises=AssertionError)
-def test_depths_at_tip_contacts_agree(smooth: Both) -> None:
-    assert_close(off(*smooth))
 
 
 def test_scans_with_friction_agree_where_contact_begins_alike(rough: Both) -> None:
@@ -123,13 +112,12 @@ def test_scans_with_friction_agree_where_contact_begins_alike(rough: Both) -> No
         ]
         assert [at.kind for at in rest[0]] == [at.kind for at in rest[1]]
     assert any(alike)
-    scans = without_depth(rough)
-    assert_close(off(*scans, rows=np.repeat(np.array(alike)[:, None], TRAILS.count, axis=1)))
-    everywhere = off(*scans)
+    assert_close(off(*rough, rows=np.repeat(np.array(alike)[:, None], TRAILS.count, axis=1)))
+    everywhere = off(*rough)
     assert everywhere["force_direction"] < 5e-3
     assert max(size for name, size in everywhere.items() if name not in LEANING) < 1e-4
     later = np.indices(TRAILS.shape)[1] > TRAILS.count * 0.6
-    assert_close(off(*scans, rows=later))
+    assert_close(off(*rough, rows=later))
 
 
 LEANING = ("force", "moment", "force_direction", "plane_normal")

@@ -1,14 +1,14 @@
 """How a taper and a rest curvature of the rod would change the readings.
 
-Neither is a parameter of the model. To first order, each moves the contact under a given force; the
-readings change as if the clamp were moved by as much.
+For a rod that is taken to be straight and uniform. To first order, each moves the contact under a
+given force; the readings change as if the clamp were moved by as much.
 """
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrissa.calibration.arrays import Wrenches
-from vibrissa.inverse.checks.constraints import TANGENT, TIP, constraints_of, holding
+from vibrissa.inverse.checks.constraints import TANGENT, TIP, Stated, constraints_of, holding
 from vibrissa.mechanics.imperfect import Imperfect
 
 
@@ -19,7 +19,7 @@ def imperfect_moves(wrench: Wrenches) -> Float[np.ndarray, "n 3 3"]:
     """
     count = len(wrench)
     ideal = Imperfect(wrench, np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3)))
-    here = constraints_of(np.ones(()), ideal)
+    here = constraints_of(Stated(np.ones(())), ideal)
     tip = here.value[:, TIP] < -here.value[:, TANGENT]
     constraints, point = here.by_rod
     slopes = constraints[holding(tip)].reshape(count, 3, -1)

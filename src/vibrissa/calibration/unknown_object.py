@@ -20,6 +20,7 @@ from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import reconstruct
 from vibrissa.inverse.checks.case import Case, Solution, case_of, solved
+from vibrissa.inverse.checks.judgement import described, unjudged
 from vibrissa.inverse.checks.rig import (
     ERRORS,
     FRICTION,
@@ -98,6 +99,8 @@ def calibrated_without_object(
                 f"free: {one.group!r} needs the object, and surface = None; allowed are parameters "
                 "of rod, clamp and sensor, tare and drift"
             )
+    if note := unjudged(setup.rod):
+        raise ValueError(f"surface = None: {note.partition(': ')[2]}; allowed is a known object")
     cases = []
     for index, sweep in enumerate(sweeps):
         cases.append(_case(index, sweep, setup, friction))
@@ -122,7 +125,8 @@ def _case(index: int, reactions: Reactions, setup: SetupLike, friction: float) -
         )
     averaged = stretches_of(reconstruct(rod, reactions, friction=friction, check=False))
     turn = rotation_matrices(sensor.clamp_orientation)
-    case = averaged and case_of(averaged, sensor_matrix(turn, sensor.arm / rod.length), friction)
+    to_sensor = sensor_matrix(turn, sensor.arm / rod.length)
+    case = averaged and case_of(averaged, to_sensor, friction, rod=described(rod))
     if case is None:
         raise CalibrationError(
             f"recordings[{index}]: too little of it is in contact, or its signal too weak, to say "

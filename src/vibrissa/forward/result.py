@@ -45,6 +45,9 @@ class Scan:
     reactions
         Support reactions, on the rod, moment about the clamp; zero without contact, NaN where
         unsolved.
+    contact_force
+        What the object exerts on the rod (…, 3): without distributed loads, the support force with
+        the other sign.
     energy
         Bending energy (…) [J].
     largest_curvature
@@ -84,6 +87,7 @@ class Scan:
     motion: Int[np.ndarray, "*trail n"]
     arc_length: Float[np.ndarray, "*trail n"]
     reactions: Reactions
+    contact_force: Float[np.ndarray, "*trail n 3"]
     energy: Float[np.ndarray, "*trail n"]
     largest_curvature: Float[np.ndarray, "*trail n"]
     largest_bend: Float[np.ndarray, "*trail n"]
@@ -177,7 +181,7 @@ class Scan:
         NaN where either position has no contact, and across a snap, for which statics gives both
         ends but not the path.
         """
-        force = -self.reactions.force
+        force = self.contact_force
         push = np.einsum("...i,...i->...", force, self.normal)
         friction = force - push[..., None] * self.normal
         friction = (friction[..., 1:, :] + friction[..., :-1, :]) / 2

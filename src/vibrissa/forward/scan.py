@@ -206,6 +206,7 @@ def _fields(
         "force": known(values.support * rod.force_scale, free.force * rod.force_scale),
         "moment": known(values.moment * rod.moment_scale, free.moment * rod.moment_scale),
         "energy": known(values.energy * rod.moment_scale, free.energy * rod.moment_scale),
+        "contact_force": known(rod.force_scale * values.force[:, None] * values.direction),
         "largest_curvature": known(values.largest_curvature / rod.length),
         "largest_bend": known(values.largest_bend / rod.length),
         "contact_tangent": spread(values.tangent),

@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from scipy.special import chdtri
 
 from vibrissa.geometry.rotation import rotation_vectors
-from vibrissa.inverse.arrays import Codes, Flags, Scalars
+from vibrissa.inverse.arrays import Codes, Flags, Frames, Scalars, Vectors
 from vibrissa.inverse.checks.findings import length_text
 from vibrissa.inverse.kernels import Sample, exact_contacts
 from vibrissa.inverse.result import Reconstruction
@@ -89,7 +89,8 @@ class ClampWork:
     Attributes
     ----------
     work, energy
-        [J]; the work is zero where the contact begins.
+        [J]; the work is zero where the contact begins, and the energy includes that of a support
+        that yields.
     ratio, ratio_deviation
         Work over energy during the first loading, up to nine tenths of the largest energy, and its
         standard deviation, as below: 1 without friction, more with it.
@@ -166,7 +167,8 @@ class _Load:
 
 def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     """Work and energy of each contact of one trail that begins with the rod free and lasts long
-    enough to be judged; rows are in order, time stamps are not needed.
+    enough to be judged; rows are in order, time stamps are not needed. None for a rod with loads
+    along it, whose work is not seen in the reactions.
 
     Raises
     ------
@@ -175,6 +177,8 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     """
     if reactions.force.ndim != 2:
         raise ValueError(f"reactions of shape {reactions.force.shape}: allowed is one trail (n, …)")
+    if rod.loads is not None:
+        return []
     load = _load(reactions)
     found, before = list[ClampWork](), 0
     for start, stop in load.spans:
@@ -288,6 +292,11 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
     trail = reactions.trail[middle]
     rows = Sample(force, moment, trail.position, trail.orientation)
     energy = np.nan_to_num(exact_contacts(setting_of(rod, reactions), rows).energy)
+    if rod.support is not None:
+        turn = trail.rotation
+        wrench = np.concatenate([_in_axes(turn, force), _in_axes(turn, moment)], axis=1)
+        compliance = np.asarray(rod.support.compliance)
+        energy = energy + np.einsum("ni,ij,nj->n", wrench, compliance, wrench) / 2
     # Start well before the first row that stands out of the noise: the load began there.
     begin = max(before, start - (stop - start) // _EARLIER)
     work = np.cumsum(load.work[begin:stop])[start - begin :]
@@ -310,6 +319,11 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
         deviation=deviation,
         energy_deviation=float(np.hypot(scatter / largest, _by_setup(reactions))),
     )
+
+
+def _in_axes(turn: Frames, vectors: Vectors) -> Vectors:
+    """Vectors (n, 3) of the world in other axes, given as columns."""
+    return np.asarray(np.einsum("nij,ni->nj", turn, vectors))
 
 
 def _by_setup(reactions: Reactions) -> float:

@@ -174,8 +174,8 @@ def write_calibration(
     Raises
     ------
     InputError
-        If a file cannot be read or written, the setup's rod is in the model's units, or tomlkit is
-        not installed.
+        If a file cannot be read or written, the setup's rod is in the model's units or cannot hold
+        a taper that was found, or tomlkit is not installed.
     """
     from vibrissa import __version__  # noqa: PLC0415
 
@@ -208,6 +208,7 @@ def write_calibration(
 
 def _set_numbers(document: Any, calibration: "Calibration[Any]") -> None:
     sensor = calibration.setup.sensor
+    _set_form(document["rod"], calibration)
     _scale_rod(document["rod"], calibration.setup.rod)
     names = ("clamp_position", "clamp_orientation", "gain")
     _change(document["sensor"], **{name: getattr(sensor, name) for name in names})
@@ -217,6 +218,33 @@ def _set_numbers(document: Any, calibration: "Calibration[Any]") -> None:
         before = Rotation.from_quat(table.get("rotation", NO_TURN))
         place = rotation.apply(table.get("translation", ORIGIN)) + move
         _change(table, rotation=(rotation * before).as_quat(), translation=place)
+
+
+def _set_form(table: Any, calibration: "Calibration[Any]") -> None:
+    """Write taper, rest curvature and a pivot's stiffness, if found."""
+    rod = calibration.setup.rod
+    found = {name for name, one in calibration.estimates.items() if one.determined}
+    # Lengths in the file are those at the rod's own temperature, and so before it stretches.
+    stretch = rod_of(table.unwrap()).length / _own_length(table)
+    if found & {"taper", "tip_radius"}:
+        if table["kind"] not in ("cylinder", "tapered"):
+            raise InputError(
+                f"rod.kind = {table['kind']!r} cannot hold a taper; allowed are cylinder and "
+                "tapered"
+            )
+        if table["kind"] == "cylinder":
+            table["kind"] = "tapered"
+            table["base_radius"] = table.pop("radius")
+        table["tip_radius"] = float(rod.radius_at(1.0)) / stretch
+    if "rest_curvature" in found:
+        curvature, roll = float(rod.rest.coefficients[0]) * stretch, float(rod.rest.roll)
+        table["rest"] = {"kind": "polynomial", "coefficients": [curvature], "roll": roll}
+    if any(name.startswith("support_stiffness") for name in found):
+        table["support"]["stiffness"] = np.asarray(rod.support.stiffness).tolist()
+
+
+def _own_length(table: Any) -> float:
+    return float(table["length"] if "length" in table else table["arc_length"][-1])
 
 
 _STIFFNESS_KEYS = (*_STIFFNESS, "torsional_stiffness")

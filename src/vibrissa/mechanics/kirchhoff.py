@@ -70,6 +70,8 @@ which they count as found.
 """
 _LARGEST_CHANGE = 2.0
 """Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
+_ROUNDING = 1e-9
+"""By which a contact at the tip may seem to lie before it [L]."""
 _TINY = 1e-300
 
 
@@ -374,7 +376,7 @@ class Kirchhoff(RodModel):
         )
         return Kirchhoff(nodes, local, self.load, self.compliance)
 
-    def _base(self, clamp: Clamp, wrench: Wrench) -> _State:
+    def base(self, clamp: Clamp, wrench: Wrench) -> _State:
         """The rod where its support has yielded to force and moment about the clamp point, without
         what the loads do.
         """
@@ -461,7 +463,7 @@ class Kirchhoff(RodModel):
         moment about the clamp point at s = 0.
         """
         wrench = joined(push.force, push.moment)
-        first = self._base(clamp, wrench if load is None else wrench + load)
+        first = self.base(clamp, wrench if load is None else wrench + load)
         if load is not None:
             moment = load[3:] - jnp.cross(first.reach, load[:3])
             first = first._replace(load=joined(load[:3], moment))
@@ -542,11 +544,12 @@ class Kirchhoff(RodModel):
         if self.load is None:
             return Hanging(clamp, self.line(clamp, _NO_PUSH))
 
-        def left(load: Wrench, clamp: Clamp) -> Wrench:
-            end: Wrench = self.line(clamp, _NO_PUSH, load).states.load[-1]
+        def left(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> Wrench:
+            model, clamp = given
+            end: Wrench = model.line(clamp, _NO_PUSH, load).states.load[-1]
             return end
 
-        load, sound = self._resultants(left, jnp.zeros(6), clamp)
+        load, sound = self._resultants(left, jnp.zeros(6), (self, clamp))
         return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, sound)
 
     def bent(
@@ -592,7 +595,7 @@ class Kirchhoff(RodModel):
         """As in `RodModel`: the largest at a node."""
         line = bent.inner.line
         bend = jnp.sqrt(jnp.sum(line.rates.tangent**2, axis=1))
-        return jnp.max(jnp.where(line.nodes <= bent.arc_length, bend, 0.0))
+        return jnp.max(jnp.where(line.nodes <= bent.arc_length + _ROUNDING, bend, 0.0))
 
     def largest_bend(self, bent: Bent) -> Scalar:
         """As in `RodModel`: the largest at a node."""
@@ -601,7 +604,7 @@ class Kirchhoff(RodModel):
         if self.local.girth is not None:
             girth = self.local.girth
             at = at * jnp.append(girth[:, 0], jnp.sum(girth[-1]))
-        return jnp.max(jnp.where(line.nodes <= bent.arc_length, at, 0.0))
+        return jnp.max(jnp.where(line.nodes <= bent.arc_length + _ROUNDING, at, 0.0))
 
     def points(self, bent: Bent, share: Float[np.ndarray, "n"]) -> Float[Array, "n 3"]:
         """As in `RodModel`."""

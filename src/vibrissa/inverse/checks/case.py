@@ -37,6 +37,7 @@ from vibrissa.inverse.checks.rig import (
 )
 from vibrissa.inverse.checks.stretches import Stretches
 from vibrissa.inverse.smoothing.manifold import chosen, finite
+from vibrissa.rod import Rod
 
 _FEWEST = 12
 """Stretches in contact below which a sweep is not judged."""
@@ -280,16 +281,17 @@ def case_of(
     to_sensor: Spread,
     friction: float | None,
     tolerated: Directions = NO_DIRECTIONS,
+    rod: Rod | None = None,
 ) -> Case | None:
-    """Case without errors, for the stated friction coefficient, if any; None if there are too few
-    stretches.
+    """Case without errors, for the stated friction coefficient, if any, and a rod other than a
+    straight uniform one; None if there are too few stretches.
     """
     contact, rest = averaged.chosen(averaged.contact), averaged.chosen(~averaged.contact)
     if len(contact.time) < _FEWEST:
         return None
     before = rest.chosen(rest.time < contact.time[0])
     at_rest = before if len(before.time) else contact.chosen(slice(1))
-    bench = Bench(contact, to_sensor, float(at_rest.time.mean()), at_rest.turn[0])
+    bench = Bench(contact, to_sensor, float(at_rest.time.mean()), at_rest.turn[0], rod=rod)
     sample = np.einsum("kii,k->ki", contact.noise, contact.last - contact.first).mean(axis=0)
     spread = spreads_of(np.sqrt(sample), float(np.ptp(contact.time)), friction)
     none = np.zeros(ERRORS)

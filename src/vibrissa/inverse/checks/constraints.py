@@ -4,7 +4,8 @@ A straight uniform rod under a single contact force bends in a plane, so m·n̂ 
 carries no couple) and m·t = 0 (no torsion). It also obeys either s₁ = L (tip) or t·n̂ = 0
 (tangential contact without friction: incidence ½). All are taken where the ideal rod's curvature
 vanishes; that of the tip as g (L − s₁), with g = ‖t × n‖ the slope of the moment there, which is
-linear in the noise through first contact.
+linear in the noise through first contact. Any other rod without loads obeys them as well: there is
+no moment at the contact of a single force.
 """
 
 from typing import Any, NamedTuple
@@ -20,10 +21,21 @@ from vibrissa.inverse.arrays import Flags
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.imperfect import Imperfect, contact_near, rod_end
 from vibrissa.mechanics.model import AT_ORIGIN
+from vibrissa.mechanics.models import spatial
 from vibrissa.numerics.lanes import AnyArray, lanes
+from vibrissa.rod import Rod
 
 COUPLE, TORSION, TIP, TANGENT = range(4)
 """Rows of the constraints."""
+
+
+class Stated(NamedTuple):
+    """A rod as it is described."""
+
+    length: Any
+    """In units of the stated one."""
+    rod: Rod | None = None
+    """None for a straight uniform one."""
 
 
 class Slopes(NamedTuple):
@@ -66,14 +78,15 @@ def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
 
 
 @lanes(width=96, blocks=1)
-def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
-    """Constraints for rods given by their base wrenches, clamp axes, of this length."""
-    wrench = jnp.asarray(rod.wrench)
-    ideal = Elastica().contact(wrench[:3], wrench[3:], AT_ORIGIN).arc_length
+def constraints_of(stated: Stated, rod: Imperfect) -> Constraints:
+    """Constraints for rods given by their base wrenches, clamp axes."""
+    wrench, (length, described) = jnp.asarray(rod.wrench), stated
+    model = Elastica() if described is None else spatial(described)
+    ideal = model.contact(wrench[:3], wrench[3:], AT_ORIGIN).arc_length
     off_ideal = jnp.any(rod.load != 0) | jnp.any(rod.curvature != 0) | (rod.taper != 0)
-    arc_length = jnp.where(off_ideal, contact_near(rod, ideal), ideal)
+    arc_length = jnp.where(off_ideal, contact_near(rod, ideal, described), ideal)
 
-    here = rod_end(rod, arc_length)
+    here = rod_end(rod, arc_length, described)
     t, f = here.tangent, jnp.sqrt(jnp.sum(here.force**2))
     rate = -jnp.cross(t, here.force)
     g = jnp.sqrt(jnp.sum(rate**2))
@@ -83,7 +96,7 @@ def constraints_of(length: Float[Array, ""], rod: Imperfect) -> Constraints:
     flat, unravel = ravel_pytree(rod)
 
     def seen(numbers: Array) -> Any:
-        end = rod_end(unravel(numbers), arc_length)
+        end = rod_end(unravel(numbers), arc_length, described)
         couple, torsion, off = axes @ end.moment
         square = end.tangent @ end.force / jnp.sqrt(jnp.sum(end.force**2))
         value = jnp.stack([couple, torsion, g * (length - arc_length) + off, square])

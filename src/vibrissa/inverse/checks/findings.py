@@ -60,6 +60,8 @@ class SetupCheck:
     misread
         Whether the numbers contradict each other as a whole, as with wrong units, signs or axes, so
         that no contact can be trusted.
+    note
+        Why the setup is not checked, where it could be but for its rod; else empty.
     """
 
     shift: Vectors
@@ -70,6 +72,7 @@ class SetupCheck:
     named: tuple[tuple[str, ...], ...] = ()
     warnings: tuple[str, ...] = ()
     misread: bool = False
+    note: str = ""
 
     __repr__ = brief
 

@@ -26,6 +26,10 @@ from vibrissa.inverse.result import Reconstruction
 from vibrissa.numerics.runs import runs
 from vibrissa.rod import Rod
 
+_THINNEST = 0.01
+"""Of the stiffness at the clamp, that at the tip: a thinner one bends too sharply for the steps of
+`imperfect`.
+"""
 _HOPELESS = 0.5
 """Fraction of what the best explains, below which a cause is not worth solving for."""
 _POOR = 3.0
@@ -52,16 +56,33 @@ to which it then extends.
 """
 
 
+def described(rod: Rod) -> Rod | None:
+    """A rod other than the straight uniform one, about which causes are then linearised."""
+    return None if rod.plain else rod
+
+
+def unjudged(rod: Rod) -> str:
+    """Why a rod is not checked; empty if it is."""
+    if rod.loads is not None:
+        return "the setup is not checked: this is not possible for a rod with loads along it"
+    if float(rod.bending_at(1.0)) < _THINNEST:
+        return (
+            "the setup is not checked: this is not possible for a rod whose bending stiffness "
+            f"falls to less than {_THINNEST:.0%} of that at the clamp"
+        )
+    return ""
+
+
 # Readings that no rod produces lead to unbounded numbers; non-finite ones are left out.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def judged(found: Reconstruction) -> SetupCheck:
-    """Findings of one trail: none if noise or time are unknown, too little is in contact, or the
-    rod is not uniform, straight, unloaded and rigidly held.
-    """
-    reactions = found.reactions
+    """Findings of one trail: none if noise or time are unknown, or too little is in contact."""
+    reactions, rod = found.reactions, found.rod
     known = reactions.covariance is not None and reactions.time is not None
-    # The conditions are those of a uniform straight rod, rigidly held.
-    if known and found.rod.plain:
+    if known and (note := unjudged(rod)):
+        none = np.zeros(len(found.kind), dtype=bool)
+        return SetupCheck(np.zeros_like(found.point), found.friction or 0.0, none, note=note)
+    if known:
         averaged = stretches_of(found)
         (turn, arm, _), factor, _ = prepared(found.rod, reactions.setup_errors)
         tolerated = np.zeros((ERRORS, factor.shape[1]))
@@ -70,7 +91,7 @@ def judged(found: Reconstruction) -> SetupCheck:
         tolerated[: GAIN.stop] = factor[: GAIN.stop]
         tolerated[POSITION] = turn @ factor[POSITION]
         to_sensor = sensor_matrix(turn.T, turn.T @ arm)
-        case = averaged and case_of(averaged, to_sensor, found.friction, tolerated)
+        case = averaged and case_of(averaged, to_sensor, found.friction, tolerated, described(rod))
         if case:
             return _of_case(found, case)
     nowhere = np.zeros(len(found.kind), dtype=bool)
@@ -171,7 +192,9 @@ def _apart(found: Reconstruction, first: Weighed, *, contradicted: bool) -> Flag
     apart = binary_propagation(square > least, mask=square > _PERHAPS)
     if 0 < np.mean(apart) < _MOST_APART:
         stretches, to_sensor = case.bench.stretches, case.bench.to_sensor
-        rest = case_of(stretches.chosen(~apart), to_sensor, found.friction, case.tolerated)
+        rest = case_of(
+            stretches.chosen(~apart), to_sensor, found.friction, case.tolerated, case.bench.rod
+        )
         if rest and not _of_case(found, rest).warnings:
             for start, stop in runs(apart):
                 # Including those between neighbours.

@@ -14,9 +14,17 @@ from jaxtyping import Float
 
 from vibrissa.geometry.rotation import cross_matrices
 from vibrissa.inverse.arrays import Frame, Frames, Scalars, Spread, Vector, Wrench, Wrenches
-from vibrissa.inverse.checks.constraints import TANGENT, TIP, Constraints, Slopes, constraints_of
+from vibrissa.inverse.checks.constraints import (
+    TANGENT,
+    TIP,
+    Constraints,
+    Slopes,
+    Stated,
+    constraints_of,
+)
 from vibrissa.inverse.checks.stretches import Stretches
 from vibrissa.mechanics.imperfect import Imperfect
+from vibrissa.rod import Rod
 
 STIFFNESS, LENGTH, TAPER, FRICTION = 0, 1, 14, 32
 POSITION, ROTATION, GAIN, CURVATURE, LOAD, DRIFT, ZERO = (
@@ -104,6 +112,8 @@ class Bench(NamedTuple):
     """From clamp to world axes when the zero was taken."""
     rubbing: Scalars | float = 0.0
     """t·n̂ for a friction coefficient of 1."""
+    rod: Rod | None = None
+    """As it is described; None for a straight uniform one."""
 
     @property
     def to_clamp(self) -> Spread:
@@ -146,7 +156,7 @@ class Bench(NamedTuple):
         count, taper = len(wrench), min(errors[TAPER], _MOST_TAPER)
         bend = np.tile(errors[CURVATURE], (count, 1))
         rods = Imperfect(wrench, np.full(count, taper), bend, self._axes @ errors[LOAD])
-        here: Constraints = constraints_of(np.exp(errors[LENGTH]), rods)
+        here: Constraints = constraints_of(Stated(np.exp(errors[LENGTH]), self.rod), rods)
         value = here.value.copy()
         value[:, TANGENT] -= errors[FRICTION] * self.rubbing
         return here._replace(value=value)

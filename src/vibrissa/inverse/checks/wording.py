@@ -78,7 +78,7 @@ def causes_line(rod: Rod, here: Weighed) -> str:
     signal = np.abs(case.slopes.constraints @ SUSPECTS[best.name] @ best.size) / case.deviations
     signal[~here.tip, TIP], signal[here.tip, TANGENT] = 0.0, 0.0
     seen = _seen(rod, here, int(np.argmax(np.sum(signal**2, axis=0))))
-    order = sorted(together, key=lambda one: list(SUSPECTS).index(one.name))[:_SHOWN]
+    order = sorted(together[:_SHOWN], key=lambda one: list(SUSPECTS).index(one.name))
     causes = [_named(rod, one.name, unit_of(rod, one.name)[1] * one.size) for one in order]
     share, place = 0.5, "in the median"
     if max(one.shift(share) for one in together) < MATTERS:

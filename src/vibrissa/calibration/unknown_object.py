@@ -18,7 +18,6 @@ from vibrissa.calibration.rows import CalibrationError
 from vibrissa.calibration.statistics import Fitness, opened
 from vibrissa.calibration.verdict import moved, unpredicted
 from vibrissa.geometry.rotation import rotation_matrices
-from vibrissa.inverse import reconstruct
 from vibrissa.inverse.checks.case import Case, Solution, case_of, solved
 from vibrissa.inverse.checks.judgement import described, unjudged
 from vibrissa.inverse.checks.rig import (
@@ -33,6 +32,7 @@ from vibrissa.inverse.checks.rig import (
     sensor_matrix,
 )
 from vibrissa.inverse.checks.stretches import stretches_of
+from vibrissa.inverse.reconstruct import reconstruct
 from vibrissa.numerics.progress import Guess
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod

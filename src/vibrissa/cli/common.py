@@ -204,6 +204,7 @@ def brief(cause: str) -> str:
 def doubt_contacts(found: vb.Reconstruction) -> None:
     """Warn if most contacts of a recording are bad, known no better than to half the rod's length,
     or if there is none: units, sign and clamp come first, then what the contacts say of the setup.
+    Say if that cannot be told.
     """
     import numpy as np  # noqa: PLC0415
 
@@ -224,6 +225,8 @@ def doubt_contacts(found: vb.Reconstruction) -> None:
         if share > 1 / 2:
             likely = brief([*causes, "loads that hardly exceed the stated noise"][0])
             warn(f"contacts are known to {share:.2g} rod lengths only; likeliest cause: {likely}")
+    if found.setup_check is not None and found.setup_check.note:
+        say(f"vibrissa: note: {found.setup_check.note}", err=True)
 
 
 def show(summary: dict[str, Any], text: Callable[[dict[str, Any]], str], *, as_json: bool) -> None:

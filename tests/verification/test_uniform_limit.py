@@ -86,7 +86,7 @@ def assert_close(errors: dict[str, float]) -> None:
 
 def test_scans_without_friction_agree_in_every_field_and_event(smooth: Both) -> None:
     errors = off(*smooth)
-    assert len(errors) == 14
+    assert len(errors) == 15
     assert_close(errors)
     assert np.count_nonzero(smooth[0].in_contact) > 80
     first, second = (scan.events for scan in smooth)

@@ -204,7 +204,7 @@ def deepest(scene: Scene, bent: Bent, steepness: Float[np.ndarray, "k"]) -> Deep
         np.take_along_axis(slack, places[..., 0] + k, axis=1)[:, None] for k in (-1, 0, 1)
     )
     thinner = here + share * np.where(share < 0, here - before, after - here)
-    closer = levels(scene, between) + thinner.reshape(len(points), -1)
+    closer = levels(scene, between) + thinner.reshape(len(points), _BETWEEN * _LOWEST)
     found = np.concatenate([coarse, closer], axis=1)
     rows, place = np.arange(len(found)), np.argmin(found, axis=1)
     return Deepest(everywhere[rows, place], -found[rows, place] / steepness)

@@ -15,7 +15,10 @@ from vibrissa.mechanics.model import AT_ORIGIN
 UNIT = vb.Rod.unit()
 ROWS = 128
 AXIS = jnp.array([0.0, 0.0, 1.0])
-BENT, INVERT = jax.jit(jax.vmap(bent)), jax.jit(lambda *wrench: Elastica().contact(*wrench, AT_ORIGIN))
+BENT, INVERT = (
+    jax.jit(jax.vmap(bent)),
+    jax.jit(lambda *wrench: Elastica().contact(*wrench, AT_ORIGIN)),
+)
 SLOPE = jax.jit(jax.jacfwd(lambda x: bent(x).wrench))
 
 

@@ -8,17 +8,13 @@ import numpy as np
 import pytest
 
 import vibrissa as vb
-from vibrissa.inverse.smoothing.manifold import Bent, bent
+from vibrissa.inverse.smoothing.manifold import Bent, bent, linearised, poses_of, smoothed_model
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.model import AT_ORIGIN
 
 UNIT = vb.Rod.unit()
 ROWS = 128
-AXIS = jnp.array([0.0, 0.0, 1.0])
-BENT, INVERT = (
-    jax.jit(jax.vmap(bent)),
-    jax.jit(lambda *wrench: Elastica().contact(*wrench, AT_ORIGIN)),
-)
+BENT, INVERT = jax.jit(jax.vmap(bent)), jax.jit(Elastica().contact)
 SLOPE = jax.jit(jax.jacfwd(lambda x: bent(x).wrench))
 
 
@@ -60,7 +56,7 @@ def test_the_inverse_map_leads_back(x: tuple[float, ...]) -> None:
     value = one(x)
     force, moment = value.wrench[:3], value.wrench[3:]
     assert abs(force @ moment) < 1e-15
-    back = INVERT(force, moment)
+    back = INVERT(force, moment, AT_ORIGIN)
     # A tilt enters f only by its square, which the coordinates leave out.
     tolerance = 1e-6 if x[4] == 0 else 1e-5
     assert back.arc_length == pytest.approx(x[3], abs=tolerance)
@@ -87,3 +83,50 @@ def test_first_contact_is_regular() -> None:
     expected = np.zeros((6, 5))
     expected[0, 1], expected[1, 0], expected[2, 2], expected[3, 0], expected[4, 1] = 1, -1, -1, 1, 1
     np.testing.assert_allclose(slope, expected, atol=1e-6)
+
+
+LENGTH = 0.05
+WHISKER = (
+    vb.Rod.tapered(
+        length=LENGTH, base_radius=0.1e-3, tip_radius=0.05e-3, youngs_modulus=6e9, density=5000.0
+    )
+    .curved(vb.RestShape.arc(0.1, roll=0.7))
+    .loaded(vb.Loads(gravity=(0, 0, -9.81)))
+    .on(vb.Support.pivot(stiffness=(2e-4, 3e-4, 1e-3)))
+)
+
+
+def test_contacts_of_any_rod_are_found_from_their_coordinates() -> None:
+    """Tapered, curved, heavy, softly held and tilted: the scan's reactions in excess of the free
+    rod's, and its contacts, to the smoother's resolution; derivatives by finite differences.
+    """
+    ball = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
+    position = np.linspace([0.04, 0.01, 0], [-0.02, 0.01, 0], 41)
+    turned = np.array([0.1, -0.1, 0.05, 1.0])
+    scan = vb.scan(WHISKER, ball, vb.Trail(position, np.tile(turned, (41, 1))))
+    trail, rod = scan.trail[scan.in_contact], smoothed_model(WHISKER)
+    pose = poses_of(rod, trail, LENGTH)
+    assert pose is not None
+    units = np.repeat([WHISKER.force_scale, WHISKER.moment_scale], 3)
+    total = scan.reactions.wrench[scan.in_contact].reshape(-1, 2, 3) @ trail.rotation
+    wrench = total.reshape(-1, 6) / units - pose.free
+    s1 = scan.arc_length[scan.in_contact] / LENGTH
+    assert len(s1) > 10 and s1.min() < 0.95
+    x = np.column_stack([wrench[:, 3:5], -wrench[:, 2], s1, np.zeros(len(s1))])
+    found = linearised(rod, pose, x).value
+    reach = (scan.point[scan.in_contact] - trail.position)[:, None] @ trail.rotation / LENGTH
+    np.testing.assert_allclose(found.wrench, wrench, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.reach, reach[:, 0], rtol=0, atol=1e-6)
+    x[:, 4], step = 2e-3, 1e-5
+    slope = linearised(rod, pose, x).slope
+    for k, unit in enumerate(step * np.eye(5)):
+        up, down = (linearised(rod, pose, x + way).value for way in (unit, -unit))
+        for name in ("wrench", "reach", "direction", "incidence"):
+            change = (getattr(up, name) - getattr(down, name)) / (2 * step)
+            np.testing.assert_allclose(getattr(slope, name)[..., k], change, rtol=1e-5, atol=1e-5)
+
+
+def test_a_rod_that_leads_back_to_its_clamp_is_refused() -> None:
+    wire = vb.Rod.cylinder(length=LENGTH, radius=0.25e-3, youngs_modulus=206e9, density=7850.0)
+    with pytest.raises(ValueError, match=r"tip is 0\.0.* rod lengths ahead of the clamp"):
+        smoothed_model(wire.curved(vb.RestShape.arc(LENGTH / 3)))

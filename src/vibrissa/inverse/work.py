@@ -206,13 +206,13 @@ def work_warnings(found: Reconstruction) -> tuple[list[str], bool, bool]:
     Parameters
     ----------
     found
-        Contacts of a recording. Without time stamps or noise, with only a few rows, or with a rod
-        that is loaded or yields at its clamp, there are no lines: `clamp_work` gives the figures.
+        Contacts of a recording. Without time stamps or noise, with only a few rows, or with loads
+        along the rod, there are no lines: `clamp_work` gives the figures.
     """
     if found.reactions.time is None or found.reactions.covariance is None:
         return [], False, False
-    # Supports and loads take up work, too.
-    if found.rod.support is not None or found.rod.loads is not None:
+    # Loads bend the rod while its clamp turns on the spot.
+    if found.rod.loads is not None:
         return [], False, False
     told = {line: how for trail in found.trails for line, *how in _told(trail.rod, trail.reactions)}
     untrusted, gross = (any(how[kind] for how in told.values()) for kind in (0, 1))

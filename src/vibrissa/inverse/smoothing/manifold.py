@@ -302,7 +302,9 @@ def _spatial_at(x: Float[Array, "coordinates"], rod: Kirchhoff, pose: Pose | Non
 
     def tilted(at: Array) -> tuple[Bent, Bent]:
         near = jax.tree.map(lambda value, slope: value + slope @ (at - x), value, slope)
-        axis = joined(at[1], -at[0], 0.0) / jnp.sqrt(dot(at[:2], at[:2]) + _LEAST_MOMENT**2)
+        axis = jnp.stack([at[1], -at[0], 0 * at[0]]) / jnp.sqrt(
+            dot(at[:2], at[:2]) + _LEAST_MOMENT**2
+        )
         force, moment, reach, direction = (
             turned(at[TILT] * axis, part)
             for part in (near.wrench[:3], near.wrench[3:], near.reach, near.direction)

@@ -143,6 +143,8 @@ def _nearest(
     prior = np.zeros(COORDINATES)
     prior[TILT] = TILT_SPREAD**-2
     for _ in range(_NEAREST_STEPS):
+        if not rows.size:
+            break
         pose = jax.tree.map(lambda part, rows=rows: part[rows], series.pose)
         linear = linearised(rod, pose, x[rows])
         known = finite(linear)

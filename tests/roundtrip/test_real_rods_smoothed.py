@@ -1,0 +1,103 @@
+"""Simulated sweeps with rods that are tapered, curved, heavy or softly held, smoothed: errors and
+their ellipsoids.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import vibrissa as vb
+from vibrissa.live.smoothing import SmoothingStage
+
+LENGTH, RATE, REST, COUNT = 0.05, 50.0, 50, 325
+BOWL = vb.surfaces.EllipticParaboloid(a=0.5 / LENGTH, b=1.0 / LENGTH, h=0.4 * LENGTH)
+BALL = vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03)
+TAPERED = vb.Rod.tapered(
+    length=LENGTH, base_radius=0.25e-3, tip_radius=0.1e-3, youngs_modulus=206e9
+)
+HEAVY = vb.Rod.cylinder(length=LENGTH, radius=0.1e-3, youngs_modulus=6e9, density=7000.0)
+WIRE = vb.Rod.cylinder(length=LENGTH, radius=0.25e-3, youngs_modulus=206e9)
+SWEEPS = {
+    "tapered": (TAPERED, BOWL),
+    "curved": (TAPERED.curved(vb.RestShape.arc(0.1, roll=0.7)), BALL),
+    "heavy": (HEAVY.loaded(vb.Loads(gravity=(0, 0, -9.81))), BALL),
+    "soft": (WIRE.on(vb.Support.pivot(stiffness=(0.1, 0.15, 0.5))), BOWL),
+}
+INSIDE = chi2.isf(0.05, 3)
+
+
+@cache
+def swept(name: str) -> tuple[vb.Scan, vb.Reconstruction]:
+    """One second at rest, then along −x with an inclined clamp; the sensor has not been tared, as
+    that would take the rod's weight off.
+    """
+    rod, surface = SWEEPS[name]
+    way = np.maximum(np.arange(REST + COUNT) - REST, 0) / RATE
+    position = np.array([0.065, 0.012, 0.0]) - 0.02 * way[:, None] * [1, 0, 0]
+    turned = np.tile([0.05, -0.05, 0.02, 1.0], (len(way), 1))
+    scan = vb.scan(rod, surface, vb.Trail(position, turned))
+    true = vb.Reactions(
+        scan.trail,
+        scan.reactions.force,
+        scan.reactions.moment,
+        time=np.arange(len(way)) / RATE,
+    )
+    sensor = vb.Sensor(
+        np.array([0.0, 0.0, 0.025]),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        "on_sensor",
+        tare_seconds=0.0,
+        force_noise=2e-3 * rod.force_scale,
+        torque_noise=8e-4 * rod.moment_scale,
+        position_noise=1e-5,
+    )
+    raw = sensor.measure(true, np.random.default_rng(1))
+    return scan, vb.reconstruct(rod, sensor.reactions(raw))
+
+
+def inner(scan: vb.Scan) -> np.ndarray:
+    """Rows of the contact without its first and last twentieth."""
+    rows = np.flatnonzero(scan.in_contact)
+    return rows[len(rows) // 20 : -(len(rows) // 20)]
+
+
+def distances(found: vb.Reconstruction, scan: vb.Scan, rows: np.ndarray) -> np.ndarray:
+    """Squared errors of the points in units of the stated covariances."""
+    assert found.covariance is not None
+    error = found.point[rows] - scan.point[rows]
+    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance[rows]), error)
+
+
+@pytest.mark.parametrize("name", SWEEPS)
+def test_points_are_better_than_raw_ones_and_within_their_ellipsoids(name: str) -> None:
+    scan, found = swept(name)
+    smooth, rows = vb.smooth(found), inner(scan)
+    assert len(rows) > 60 and set(scan.kind[rows]) == {
+        vb.ContactKind.TIP,
+        vb.ContactKind.TANGENTIAL,
+    }
+    raw, better = (
+        np.linalg.norm(part.point[rows] - scan.point[rows], axis=1) for part in (found, smooth)
+    )
+    assert np.median(better) < np.nanmedian(raw) / 1.5
+    assert np.mean(smooth.status[rows] == vb.Status.OK) > 0.95
+    assert smooth.in_contact[:REST].sum() == 0
+    # Neighbouring errors are nearly the same: as for the straight rod.
+    distance = distances(smooth, scan, rows)
+    assert np.mean(distance < INSIDE) > 0.8
+    assert np.mean(distance) > 0.5
+
+
+def test_a_live_stream_of_a_curved_tapered_rod_is_smoothed() -> None:
+    scan, found = swept("curved")
+    live, rows = SmoothingStage(found.rod).push(found), inner(scan)
+    raw, better = (
+        np.linalg.norm(part.point[rows] - scan.point[rows], axis=1) for part in (found, live)
+    )
+    known = np.isfinite(better)
+    assert known.mean() > 0.9
+    assert np.median(better[known]) < np.nanmedian(raw)
+    assert np.mean(distances(live, scan, rows[known]) < INSIDE) > 0.8
+    assert live.in_contact[:REST].sum() <= 1

@@ -117,7 +117,8 @@ def test_contacts_of_any_rod_are_found_from_their_coordinates() -> None:
     reach = (scan.point[scan.in_contact] - trail.position)[:, None] @ trail.rotation / LENGTH
     np.testing.assert_allclose(found.wrench, wrench, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.reach, reach[:, 0], rtol=0, atol=1e-6)
-    x[:, 4], step = 2e-3, 1e-5
+    # At the tip derivatives by arc length are one-sided.
+    x[:, 3], x[:, 4], step = np.minimum(x[:, 3], 0.99), 2e-3, 1e-5
     slope = linearised(rod, pose, x).slope
     for k, unit in enumerate(step * np.eye(5)):
         up, down = (linearised(rod, pose, x + way).value for way in (unit, -unit))

@@ -161,7 +161,8 @@ def calibrate(
     listed = [recordings] if isinstance(recordings, Reactions | RawRecording) else list(recordings)
     known = getattr(setup, "tolerances", None) if tolerances is None else tolerances
     coefficient = not_negative(friction, "friction")
-    sweeps = sweeps_of(listed, setup.sensor)
+    sensor = setup.sensor.carrying(setup.rod)
+    sweeps = sweeps_of(listed, sensor)
     steps = Guess(progress, _USUAL_STEPS)
     if surface is None:
         result = calibrated_without_object(
@@ -170,7 +171,7 @@ def calibrate(
     else:
         start = bench_of(setup.rod, setup.sensor, form_of(setup.rod, names))
         given = start.numbers(setup.sensor)
-        rows = gathered(sweeps, setup.sensor)
+        rows = gathered(sweeps, sensor)
         priors = [deviations.get(one.group, math.inf) / abs(one.slope(given)) for one in chosen]
         problem = Problem(
             surface, rows, start, chosen, np.array(priors), "drift" in names, coefficient,

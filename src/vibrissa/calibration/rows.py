@@ -12,11 +12,13 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy.ndimage import uniform_filter1d
 
-from vibrissa.calibration.arrays import Chosen, Numbers, Wrenches
+from vibrissa.calibration.arrays import Chosen, Numbers, Vectors, Wrenches
 from vibrissa.calibration.equilibrium import Pose
 from vibrissa.geometry.rotation import rotation_matrices
+from vibrissa.mechanics.free import free_reactions
 from vibrissa.reactions import Reactions
 from vibrissa.sensor import RawRecording, Sensor
+from vibrissa.trail import Trail
 
 _WINDOW = 9
 """Samples over which the force is averaged before it is judged. In deviations of one sample, |mean|
@@ -155,6 +157,15 @@ def _samples(index: int, given: Reactions, sensor: Sensor) -> Rows:
     )
 
 
+def _own_force(clamp: Trail, sensor: Sensor) -> Vectors:
+    """Force of the loads along the rod without contact, sensor axes."""
+    if sensor.rod is None:
+        return np.zeros((clamp.count, 3))
+    axes = rotation_matrices(sensor.frame(clamp).orientation)
+    own: Vectors = np.einsum("nji,nj->ni", axes, free_reactions(sensor.rod, clamp)[:, :3])
+    return own
+
+
 def _rows(index: int, given: Reactions, sensor: Sensor) -> Rows:
     def needs(enough: object, text: str) -> None:
         if not enough:
@@ -182,7 +193,7 @@ def _rows(index: int, given: Reactions, sensor: Sensor) -> Rows:
             "force_noise and torque_noise",
         )
         noise = np.broadcast_to(np.diag(variance), noise.shape)
-    force = np.where(finite[:, None], samples.wrench[:, :3], 0.0)
+    force = np.where(finite[:, None], samples.wrench[:, :3] - _own_force(given.trail, sensor), 0.0)
     deviation = np.sqrt(np.trace(noise[:, :3, :3], axis1=1, axis2=2) / 3)
     strength = np.linalg.norm(uniform_filter1d(force, _WINDOW, axis=0), axis=1) / deviation
     needs(

@@ -109,7 +109,7 @@ class Setup:
     rod
         The rod, SI units.
     sensor
-        Mount, and sign, frame and noise of the wrench.
+        Mount, and sign, frame and noise of the wrench. It is told of the rod if loads act along it.
     surface
         The scanned object, or None.
     recording
@@ -131,6 +131,9 @@ class Setup:
     pose: PoseTable | None = None
     calibration: CalibrationTable | None = None
     tolerances: Tolerances | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensor", self.sensor.carrying(self.rod))
 
     @property
     def parameter_covariance(self) -> Float[np.ndarray, "parameters parameters"] | None:

@@ -108,7 +108,7 @@ class Processor:
         seconds = self.sensor.tare_seconds
         self._seconds = TARE_SECONDS if seconds is None else seconds
         self._errors = self.sensor.setup_errors(self.tolerances)
-        self._sensor = self.sensor.updated(
+        self._sensor = self.sensor.carrying(self.rod).updated(
             tare_seconds=self._seconds, rest_intervals=(), estimate_drift=False
         )
         self._tare = self._sensor.updated(tare_seconds=0.0).tare(_unloaded(1))
@@ -158,8 +158,9 @@ class Processor:
         end, sensor = rest.stamp[0] + self._seconds * 1e9, self._sensor
         if not rest.valid[0] or rest.stamp[-1] < end:
             return
-        # Without a mount's weight, the tare needs no pose.
-        posed = ConstantPose().at(rest.stamp) if sensor.mount is None else self._posed(rest)
+        # Without weights the tare needs no pose.
+        weightless = sensor.mount is None and sensor.rod is None
+        posed = ConstantPose().at(rest.stamp) if weightless else self._posed(rest)
         raw = self._raw(rest, posed)
         self._take_tare(sensor.tare(raw), raw.time)
         shown = ", ".join(f"{value:.6g}" for value in self._tare.offset)
@@ -204,7 +205,8 @@ class Processor:
         posed, zero, unsure = self._posed(samples), self._zero, False
         raw = self._raw(samples, posed)
         found = self._found(raw, posed.known)
-        tared = raw.wrench - self._tare.readings(self._sensor, raw.time, raw.orientation)
+        free = self._tare.readings(self._sensor, raw.time, raw.orientation)
+        tared = raw.wrench - free - self._sensor.rod_readings(raw)
         if zero is not None:
             if samples.anew[0]:
                 zero.restart()

@@ -163,7 +163,7 @@ def inspect_raw(
     sensor
         What the log's numbers mean: ranges, resolution, noise, tare.
     rod
-        For checking units: contacts lie on it.
+        For checking units: contacts lie on it. The sensor reads its loads at rest.
     poses
         Stamps (m,), positions (m, 3) and orientations (m, 4) as recorded, if those of the rows were
         interpolated between them: used for the pose noise.
@@ -173,6 +173,7 @@ def inspect_raw(
     ValueError
         If no row has a stamp, or none has a pose.
     """
+    sensor = sensor.carrying(rod)
     # Infinite numbers, and those that loggers write for missing ones, do not come from a sensor.
     given = RawRecording(
         *(np.where(np.abs(part) < _LARGEST, part, np.nan) for part in astuple(raw))
@@ -245,8 +246,10 @@ def _loaded(found: Inspection, stated: Sensor, rod: Rod) -> Inspection:
     tare, misfit = found.tare, np.nan
     if tare is None or found.unusable:
         return found
-    reactions = found.sensor.reactions(found.cleaned, tare)
-    faults = list(wrench_unit_faults(found.cleaned, reactions, rod, stated, tare))
+    own = found.sensor.rod_readings(found.cleaned)
+    raw, stated = found.cleaned.with_wrench(found.cleaned.wrench - own), stated.updated(rod=None)
+    reactions = found.sensor.reactions(raw, tare)
+    faults = list(wrench_unit_faults(raw, reactions, rod, stated, tare))
     faults = faults or list(mount_faults(reactions, rod))
     if reactions.covariance is not None:
         misfits = contact_misfits(reactions.wrench, reactions.covariance)

@@ -5,6 +5,7 @@ at the clamp, and back.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -20,10 +21,20 @@ from vibrissa.geometry.rotation import (
     rotation_matrices,
     unit_quaternions,
 )
+from vibrissa.mechanics.free import free_reactions
 from vibrissa.reactions import Reactions
+from vibrissa.rod import Rod
 from vibrissa.sensor.figures import Mount, Noise, Response, TarePolicy, Vector
 from vibrissa.sensor.noise import NO_STEP
-from vibrissa.sensor.raw import Covariance, Covariances, Quaternions, RawRecording, Wrench, Wrenches
+from vibrissa.sensor.raw import (
+    Covariance,
+    Covariances,
+    Quaternions,
+    RawRecording,
+    Vectors,
+    Wrench,
+    Wrenches,
+)
 from vibrissa.sensor.rest import rest_for_tare
 from vibrissa.sensor.tare import Tare, fitted_tare
 from vibrissa.tolerances import SetupErrors, Tolerances
@@ -69,6 +80,9 @@ class Sensor:
         Gain, cross-talk, range and low-pass filter.
     tare_policy
         Where the zero is taken, and its drift.
+    rod
+        The rod in the clamp, if loads act along it: the sensor reads them at rest, too, so that
+        they are not part of the zero. None otherwise; `vibrissa.Setup` enters its own rod.
 
     Raises
     ------
@@ -88,6 +102,7 @@ class Sensor:
     noise: Noise
     response: Response
     tare_policy: TarePolicy
+    rod: Rod | None
 
     def __init__(
         self,
@@ -101,6 +116,7 @@ class Sensor:
         noise: Noise = Noise(),  # noqa: B008, as it cannot be changed
         response: Response = Response(),  # noqa: B008
         tare_policy: TarePolicy = TarePolicy(),  # noqa: B008
+        rod: Rod | None = None,
         **figures: Any,
     ) -> None:
         given, fields = locals(), vars(self)
@@ -113,7 +129,7 @@ class Sensor:
         fields["clamp_position"] = finite_array(clamp_position, "clamp_position", last=3, ndim=1)
         fields["clamp_orientation"] = finite_array(turn, "clamp_orientation", ndim=1)
         point = finite_array(wrench_point, "wrench_point", last=3, ndim=1)
-        fields |= {"wrench_point": tuple(point.tolist()), "mount": mount}
+        fields |= {"wrench_point": tuple(point.tolist()), "mount": mount, "rod": rod}
         for name, kind in _PARTS.items():
             own = {key: figures.pop(key) for key in kind.__dataclass_fields__ if key in figures}
             fields[name] = replace(given[name], **own)
@@ -164,10 +180,21 @@ class Sensor:
         """Return the sensor with other attributes or figures, by their own names."""
         return replace(self, **changes)
 
+    def carrying(self, rod: Rod) -> Sensor:
+        """Return the sensor with this rod in its clamp."""
+        return self.updated(rod=None if rod.loads is None else rod)
+
     def frame(self, clamp: Trail) -> Trail:
         """Poses of the sensor frame (…, n) for these poses of the clamp."""
         turn = multiplied(clamp.orientation, inverse(self.clamp_orientation))
         return Trail(clamp.position - rotation_matrices(turn) @ self.clamp_position, turn)
+
+    def _clamp(self, position: Vectors, orientation: Quaternions) -> Trail:
+        """Poses of the clamp (n,) for these of the sensor frame."""
+        return Trail(
+            position + rotation_matrices(orientation) @ self.clamp_position,
+            multiplied(orientation, self.clamp_orientation),
+        )
 
     def to_reactions(self, orientation: Quaternions) -> Covariances:
         """Matrices (n, 6, 6) from readings to reactions: undo gain and cross-talk, rotate to world
@@ -192,6 +219,24 @@ class Sensor:
         weight = (self.mount or Mount()).weight(axes, self.clamp_position)
         # The weight loads the sensor as a contact does: reactions are what supports it.
         return -self.to_readings(orientation) @ np.kron(np.eye(2), axes) @ weight
+
+    def rod_readings(self, raw: RawRecording) -> Wrenches:
+        """Readings (n, 6) of the loads along `rod` without contact; NaN without a pose.
+
+        Raises
+        ------
+        ValueError
+            If the rod has no stable shape without contact.
+        """
+        shown = np.zeros_like(raw.wrench)
+        if self.rod is not None:
+            known = np.isfinite(np.hstack([raw.position, raw.orientation])).all(axis=1)
+            orientation = raw.orientation[known]
+            clamp = self._clamp(raw.position[known], orientation)
+            own = _free_reactions(self.rod, clamp.position.tobytes(), clamp.orientation.tobytes())
+            shown[known] = np.einsum("nij,nj->ni", self.to_readings(orientation), own)
+            shown[~known] = np.nan
+        return shown
 
     def tare(self, raw: RawRecording) -> Tare:
         """What the sensor reads without contact, from rest that is given or detected
@@ -248,10 +293,7 @@ class Sensor:
             if noise.orientation_noise:
                 errors["rotation_covariance"] = np.eye(3) * noise.orientation_noise**2
                 errors["rotation_center"] = raw.position
-        clamp = Trail(
-            raw.position + rotation_matrices(raw.orientation) @ self.clamp_position,
-            multiplied(raw.orientation, self.clamp_orientation),
-        )
+        clamp = self._clamp(raw.position, raw.orientation)
         errors["setup_errors"] = self.setup_errors(tolerances)
         return Reactions(clamp, wrench[:, :3], wrench[:, 3:], time=raw.time, **errors)
 
@@ -339,6 +381,13 @@ class Sensor:
         steps = np.maximum(noise.resolution, NO_STEP)
         read = np.round(np.clip(read, -limits, limits) / steps) * steps
         return RawRecording(time, position, orientation, read[:, :3], read[:, 3:])
+
+
+@lru_cache(maxsize=4)
+def _free_reactions(rod: Rod, position: bytes, orientation: bytes) -> Wrenches:
+    """One recording is looked at several times."""
+    turns = np.frombuffer(orientation).reshape(-1, 4)
+    return free_reactions(rod, Trail(np.frombuffer(position).reshape(-1, 3), turns))
 
 
 def carried(maps: Covariances, covariance: Covariance) -> Covariance:

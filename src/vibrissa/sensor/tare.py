@@ -177,8 +177,9 @@ def fitted_tare(
 
 
 def without_given(sensor: "Sensor", raw: RawRecording) -> Wrenches:
-    """Readings (n, 6) with known drift and mount weight subtracted."""
+    """Readings (n, 6) with known drift, mount weight and loads along the rod subtracted."""
     readings = raw.wrench - (raw.time - raw.time[0])[:, None] * sensor.tare_policy.drift
+    readings = readings - sensor.rod_readings(raw)
     if sensor.mount is None or sensor.mount.estimated:
         return readings
     return readings - sensor.weight_readings(raw.orientation) @ sensor.mount.moments

@@ -36,6 +36,7 @@ from jaxtyping import Bool, Float
 
 from vibrissa.mechanics import model
 from vibrissa.mechanics.elastica import BasePlane, ContactOnRod, contact_on_rod
+from vibrissa.mechanics.free import check_stands, free_rods
 from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Push
 from vibrissa.mechanics.model import AT_ORIGIN, Clamp, RodModel
 from vibrissa.mechanics.models import model_of
@@ -147,8 +148,7 @@ def smoothed_model(rod: Rod) -> RodModel:
     """
     found = model_of(rod, _RESOLUTION)
     if rod.rest is not None:
-        free: Any = _free(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
-        _check_ahead(free[1])
+        _check_ahead(free_rods(found, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]])).ahead)
     return found
 
 
@@ -163,32 +163,15 @@ def poses_of(rod: RodModel, trail: Trail, length: float) -> Pose | None:
     if not rod.loaded:
         return None
     position = trail.position / length
-    found: Any = _free(rod, position, trail.orientation)
-    free, ahead = found
-    _check_ahead(ahead)
-    return Pose(position, trail.orientation, free)
-
-
-@lanes()
-def _free(
-    rod: RodModel, position: Float[Array, "3"], orientation: Float[Array, "4"]
-) -> tuple[Float[Array, "6"], Scalar]:
-    """Reactions of the rod without contact, clamp axes, and how far its tip is ahead of the clamp
-    [L], NaN for a rod that falls over.
-    """
-    turn = rotation_matrix(orientation)
-    clamp = Clamp(position, third_axis(orientation), first_axis(orientation))
-    free = rod.free(clamp)
-    tip, *_ = free.at(jnp.ones(()))
-    return _turned(turn.T, free.reactions), jnp.where(
-        free.sound, dot(tip - position, clamp.tangent), jnp.nan
-    )
+    free = free_rods(rod, position, trail.orientation)
+    _check_ahead(free.ahead)
+    parts = free.reactions.reshape(-1, 2, 3) @ trail.rotation
+    return Pose(position, trail.orientation, parts.reshape(-1, 6))
 
 
 def _check_ahead(ahead: AnyArray) -> None:
+    check_stands(ahead)
     least = float(np.min(ahead))
-    if np.isnan(least):
-        raise ValueError("without contact the rod falls over under its loads: it has no shape")
     if not least > _LEAST_AHEAD:
         raise ValueError(
             f"without contact the rod's tip is {least:.3g} rod lengths ahead of the clamp; "

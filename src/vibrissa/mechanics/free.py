@@ -1,0 +1,58 @@
+"""The rod without contact, at many poses of the clamp."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from vibrissa.mechanics.model import Clamp, RodModel
+from vibrissa.mechanics.models import model_of
+from vibrissa.numerics.lanes import lanes
+from vibrissa.numerics.rotation import first_axis, third_axis
+from vibrissa.numerics.vectors import dot
+from vibrissa.rod import Rod
+from vibrissa.trail import Trail
+
+
+class FreeRod(NamedTuple):
+    """What holds the free rod, and where its tip is; NaN if it falls over under its loads."""
+
+    reactions: Float[Any, "*n wrench"]
+    """About the clamp, world axes and the model's units."""
+    ahead: Float[Any, "*n"]
+    """How far the tip is ahead of the clamp along the clamp's axis [L]."""
+
+
+@lanes()
+def free_rods(
+    rod: RodModel, position: Float[Array, "3"], orientation: Float[Array, "4"]
+) -> FreeRod:
+    """The free rod for clamps at these positions [L] with these orientations."""
+    clamp = Clamp(position, third_axis(orientation), first_axis(orientation))
+    free = rod.free(clamp)
+    tip, *_ = free.at(jnp.ones(()))
+    ahead = dot(tip - position, clamp.tangent)
+    return FreeRod(*(jnp.where(free.sound, part, jnp.nan) for part in (free.reactions, ahead)))
+
+
+def free_reactions(rod: Rod, trail: Trail) -> Float[np.ndarray, "n 6"]:
+    """Reactions on the rod without contact, world axes, about the clamp [N], [N m].
+
+    Raises
+    ------
+    ValueError
+        If the rod has no stable shape without contact.
+    """
+    if rod.loads is None:
+        return np.zeros((trail.count, 6))
+    found: Any = free_rods(model_of(rod), trail.position / rod.length, trail.orientation)
+    check_stands(found.ahead)
+    return found.reactions * np.repeat([rod.force_scale, rod.moment_scale], 3)
+
+
+def check_stands(ahead: Float[Any, "n"]) -> None:
+    """Refuse a rod that falls over in any of the poses."""
+    if np.isnan(ahead).any():
+        raise ValueError("without contact the rod falls over under its loads: it has no shape")

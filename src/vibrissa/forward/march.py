@@ -90,9 +90,10 @@ _BETTER = 2.0
 """Factor by which a higher order has to do better: after a kink all orders do equally badly, and
 the highest overshoots most.
 """
-TOLERANCE = {True: 1e-9, False: 1e-11}
-"""Largest residual from which the next Newton step, converging quadratically, is the last: on a
-branch; and with friction, where errors in what is passed on, computed before that step, add up.
+RUBBING = 1e-11
+"""Largest residual from which the next Newton step, converging quadratically, is the last with
+friction, where errors in what is passed on, computed before that step, add up; on a branch it is
+the rod's own.
 """
 SHARP = 1e-13
 """The same for an event, whose figure is computed before the last step: what rounding leaves."""
@@ -114,6 +115,11 @@ _FAN, _SHORTEST_TRAIL = 1 + POINTS, 256
 """Positions of lanes that only locate an event, and room for those of a trail."""
 SINGLE = 8
 """Up to this many lanes are walked one after another; more are quicker side by side."""
+
+
+def tolerance_of(scene: Scene, law: Law) -> float:
+    """Largest residual from which the next Newton step is the last."""
+    return scene.rod.last_step if law.branch else RUBBING
 
 
 class Solved(NamedTuple):
@@ -307,10 +313,11 @@ def _advance(
         for k in (1, 2, 3)
     ]
     side = before.state.point - come_from[0].point
-    tolerance = jnp.where(legs.fanned, SHARP, TOLERANCE[law.branch])
+    usual = tolerance_of(scene, law)
+    tolerance = jnp.where(legs.fanned, SHARP, usual)
     found = solved(scene, law, guess, clamp, before, side, active, tolerance)
 
-    converged = found.residual <= TOLERANCE[law.branch]
+    converged = found.residual <= usual
     state = found.reached.state
     moved = _length(state.point - last.state.point)
     missed = jnp.min(joined(*(_length(state.point - order[:3]) for order in foretold[:-1])))

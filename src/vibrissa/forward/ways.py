@@ -21,7 +21,7 @@ from vibrissa.forward.approach import Meeting, clearances
 from vibrissa.forward.assess import Assessment, assess, reached_by
 from vibrissa.forward.events import EventKind
 from vibrissa.forward.locate import Indicator, Place, located, stepped
-from vibrissa.forward.march import JUMP, JUMP_FLOOR, TOLERANCE
+from vibrissa.forward.march import JUMP, JUMP_FLOOR, tolerance_of
 from vibrissa.forward.path import Stretch, chosen
 from vibrissa.forward.search import Settled
 from vibrissa.numerics.compiled import compiled
@@ -388,7 +388,7 @@ class Rubbing(Way):
             following, residual = chosen(found, (0, 0))
             moved = np.linalg.norm(following.reached.state.point - here.reached.state.point)
             far = moved > JUMP_FLOOR * step + JUMP * motion * step
-            if not residual <= TOLERANCE[self._law.branch] or far:
+            if not residual <= tolerance_of(self._scene, self._law) or far:
                 step /= 2
                 continue
             if following.reached.state.force < 0:

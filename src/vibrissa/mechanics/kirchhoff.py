@@ -17,6 +17,7 @@ Beyond its tip the rod is continued as a straight line, so that contacts near th
 derivatives on both sides.
 """
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
@@ -29,6 +30,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 from scipy.integrate import DOP853
 
+from vibrissa.geometry.checks import positive
 from vibrissa.mechanics.model import Bent, Clamp, Contact, Flag, Free, Own, RodModel
 from vibrissa.numerics.linear import solve_3x3, solve_pivoted
 from vibrissa.numerics.rotation import turned
@@ -38,10 +40,12 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
 
-STEPS = 12
+ACCURACY, _ORDER = 1e-10, 8
+STEPS = 10
 """Steps of the method of order 8 by Dormand and Prince (E. Hairer, S. P. Nørsett, G. Wanner,
-Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy): the uniform rod of
-the paper's case agrees with the closed form to 1e-10 L (`tests/verification/test_kirchhoff.py`).
+Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy) for an error of
+`ACCURACY` [L]: with them the uniform rod of the paper's case agrees with the closed form to 1e-10
+(`tests/verification/test_uniform_limit.py`).
 """
 _STAGES, _NODES, _WEIGHTS = DOP853.A, DOP853.C, DOP853.B
 DEGREE = 4
@@ -73,6 +77,17 @@ _LARGEST_CHANGE = 2.0
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
 _TINY = 1e-300
+
+
+def steps_for(accuracy: float) -> int:
+    """Steps that leave errors of about this size [L]: they fall with the eighth power.
+
+    Raises
+    ------
+    ValueError
+        If the accuracy is not a positive number.
+    """
+    return math.ceil(STEPS * (ACCURACY / positive(accuracy, "accuracy")) ** (1 / _ORDER))
 
 
 def graded(taper: Scalar, steps: int = STEPS) -> Float[Any, "nodes"]:
@@ -253,6 +268,8 @@ class Inner(NamedTuple):
     """As if the contact force acted at the tip: the rod up to the contact."""
     clamp: Clamp
     push: Push
+    tangent: Vector | None = None
+    """Of the rod at the contact, where that is known."""
 
 
 class Hanging(Free):
@@ -298,7 +315,8 @@ class Kirchhoff(RodModel):
     """
 
     accuracy: ClassVar[float] = 1e-8
-    lane_width: ClassVar[int] = 16
+    last_step: ClassVar[float] = 1e-7  # the step leaves less than the error of the discretisation
+    lane_width: ClassVar[int] = 8
     """Rods side by side: the stages of more would leave the core's nearest cache."""
 
     @classmethod
@@ -485,7 +503,7 @@ class Kirchhoff(RodModel):
 
     def _at(self, inner: Inner, s: Scalar) -> _State:
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
-        line, clamp, push = inner
+        line, clamp, push, _ = inner
         place, step, x = line.between(s)
         before = jax.tree.map(lambda rows: rows[place], line.states)
         own = jax.tree.map(lambda part: part[place], self.local)
@@ -578,11 +596,13 @@ class Kirchhoff(RodModel):
         incidence = (1 + dot(tangent, direction)) / 2
         if load is not None:
             misses = joined(misses, self.beyond(inner, s).states.load[-1])
+        inner = inner._replace(tangent=tangent)
         return Bent(point, r, force, direction, misses, s, incidence, inner, load)
 
     def tangent(self, bent: Bent) -> Vector:
         """As in `RodModel`."""
-        return self._at(bent.inner, bent.arc_length).tangent
+        tangent: Vector = bent.inner.tangent
+        return tangent
 
     def energy(self, bent: Bent) -> Scalar:
         """As in `RodModel`; with that of twist."""

@@ -149,6 +149,8 @@ class RodModel(eqx.Module):
 
     accuracy: ClassVar[float] = 1e-9
     """Residual of the contact conditions up to which a state counts as solved."""
+    last_step: ClassVar[float] = 1e-9
+    """Residual from which one more Newton step, converging quadratically, leaves rounding."""
 
     @property
     def unknowns(self) -> int:

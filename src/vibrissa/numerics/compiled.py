@@ -40,7 +40,8 @@ def set_up_loops() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_backend_extra_options" not in flags:
         ours = f"xla_cpu_small_while_loop_byte_threshold={_LARGEST_LOOP}"
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={ours}".strip()
+        # First: a word that is no flag ends what XLA reads.
+        os.environ["XLA_FLAGS"] = f"--xla_backend_extra_options={ours} {flags}".strip()
 
 
 def set_up_cache() -> None:

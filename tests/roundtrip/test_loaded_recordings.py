@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import vibrissa as vb
-from vibrissa.io import write_recording
+from vibrissa.io.recordings.write import COLUMNS
 from vibrissa.live import Callback, ConstantPose, Processor, ReplaySource, stream
 from vibrissa.sensor import RawRecording
 
@@ -70,8 +70,11 @@ def test_read_reconstructed_and_calibrated(tmp_path: Path) -> None:
     scan, _ = swept()
     setup = vb.Setup(ROD, SENSOR)
     assert setup.sensor.rod == ROD
-    write_recording(tmp_path / "heavy.csv", measured())
-    reactions = vb.read_recording(tmp_path / "heavy.csv", setup)
+    # With all digits: a rod as soft as this one feels micronewtons.
+    raw, path = measured(), tmp_path / "heavy.csv"
+    rows = np.column_stack([raw.time, raw.position, raw.orientation, raw.force, raw.torque])
+    np.savetxt(path, rows, delimiter=",", header=",".join(COLUMNS), comments="")
+    reactions = vb.read_recording(path, setup)
     found = vb.reconstruct(ROD, reactions)
     assert np.mean(found.in_contact[:REST]) < 0.02
     assert np.median(errors(found, scan)) < 2e-3 * LENGTH

@@ -12,13 +12,11 @@ COLUMNS = ("time", "px", "py", "pz", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "
 [N m] with sign and frame as in the setup.
 """
 
-_FORMATS = ("%.6f", *["%.9g"] * 13)
-"""A converter of 24 bits has 7.2 digits."""
+_FORMATS = ("%.4f", *["%.6f"] * 3, *["%.9f"] * 4, *["%.5f"] * 3, *["%.7f"] * 3)
 
 
 def write_recording(path: str | Path, raw: RawRecording) -> Path:
-    """Write a recording as `read_recording` reads it, with stamps rounded to 1 µs and all
-    else to nine digits.
+    """Write a recording as `read_recording` reads it, rounded to 0.1 ms, 1 µm, 10 µN and 0.1 µN m.
 
     Raises
     ------

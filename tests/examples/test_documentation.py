@@ -110,7 +110,7 @@ def test_readme_writes_into_one_folder_and_can_be_run_again(
         words
         for kind, body in _blocks("README.md")
         if kind == "sh"
-        for words in _commands(body)
+        for words in commands_of(body)
         if words[0] not in ("live", "simulate-sensor")
     ]
     assert len(commands) >= 6

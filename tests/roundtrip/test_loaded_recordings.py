@@ -66,7 +66,7 @@ def test_weight_is_not_part_of_the_zero(turning: float) -> None:
     assert np.abs(bare.force[:REST]).max() < 1e-6 * weight
 
 
-def test_read_reconstructed_and_calibrated(tmp_path: Path) -> None:
+def test_read_and_reconstructed(tmp_path: Path) -> None:
     scan, _ = swept()
     setup = vb.Setup(ROD, SENSOR)
     assert setup.sensor.rod == ROD

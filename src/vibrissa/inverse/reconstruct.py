@@ -89,10 +89,10 @@ def reconstruct(
 
     Notes
     -----
-    The contact is the first zero of the curvature, in closed form. With friction, point and arc
-    length stay exact, and `normal` is the direction of the force instead of the object's normal,
-    which lies within atan μ of it. `estimate_friction` finds normals and μ from the
-    contacts of a sweep.
+    The contact is where the rod, known from its clamp on, first carries no moment; for a uniform
+    straight rod in closed form. With friction, point and arc length stay exact, and `normal` is the
+    direction of the force instead of the object's normal, which lies within atan μ of it.
+    `estimate_friction` finds normals and μ from the contacts of a sweep.
     """
     share(false_alarm, "false_alarm")
     if friction is not None:

@@ -1,5 +1,5 @@
 """Tapered, curved, heavy and softly held rods: the first call, microseconds an equilibrium and an
-inverse sample in batches, how both grow with the accuracy asked for, and a chain of rigid links
+inverse sample in batches, how the former grows with the accuracy asked for, and a chain of rigid links
 stepped to rest by MuJoCo on the same poses.
 
     python benchmarks/real_rods.py [NAME ...]
@@ -81,10 +81,8 @@ def row(name: str, accuracy: float) -> str:
     contacts = scan.in_contact
     forward = best_of(3, lambda: vb.scan(rod, BALL, trails, accuracy=accuracy), contacts.sum())
     samples = touching(scan)
-    vb.reconstruct(rod, samples, accuracy=accuracy)
-    inverse = best_of(
-        5, lambda: vb.reconstruct(rod, samples, accuracy=accuracy), len(samples.force)
-    )
+    vb.reconstruct(rod, samples)
+    inverse = best_of(5, lambda: vb.reconstruct(rod, samples), len(samples.force))
     largest = np.nanmax(scan.residual[contacts & (scan.status == vb.Status.OK)])
     return (
         f"| {name} | {accuracy:g} | {contacts.mean():.0%} | {len(scan.events)} | "

@@ -65,8 +65,8 @@ def scan(
         are neglected, both of first order in the radius.
     accuracy
         Error of contacts [L] that decides into how many steps a rod is divided that has no closed
-        form; 1e-8 takes six tenths of the steps of 1e-10. Each row's own error is part of its
-        residual, and a row beyond 1e-8 is `NOT_CONVERGED`.
+        form; 1e-8 takes six tenths of the steps that 1e-10 takes. Each row's own error is part of
+        its residual, and a row beyond 1e-8 is `NOT_CONVERGED`.
     progress
         `progress(done, total)` is called now and then with the steps done and their total.
 

@@ -41,7 +41,7 @@ Vector = Float[Any, "3"]
 Wrench = Float[Any, "6"]
 
 ACCURACY, _ORDER = 1e-10, 8
-STEPS = 10
+STEPS = 12
 """Steps of the method of order 8 by Dormand and Prince (E. Hairer, S. P. Nørsett, G. Wanner,
 Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy) for an error of
 `ACCURACY` [L]: with them the uniform rod of the paper's case agrees with the closed form to 1e-10

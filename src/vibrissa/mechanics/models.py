@@ -18,11 +18,11 @@ Vector = Float[Any, "3"]
 
 _FINE = 4097
 """Places at which the thickness is looked at."""
-_SHARED = 2
+_SHARED = 6
 """Numbers of steps are multiples of it: rods with as many steps share compiled code."""
-_PER_EFOLD = 0.7
-"""Steps for each e-fold of thickness, as a share of those over the length: with them a whisker
-whose tip is a twentieth as thick as its base is as exact as a wire (`benchmarks/real_rods.py`).
+_PER_EFOLD = 0.5
+"""Steps for each e-fold of thickness, as a share of those over the length: under the same moment a
+thinner part bends more.
 """
 _ROUNDING = 1e-9
 _THINNEST = 1e-4

@@ -182,7 +182,8 @@ class Sensor:
 
     def carrying(self, rod: Rod) -> Sensor:
         """Return the sensor with this rod in its clamp."""
-        return self.updated(rod=None if rod.loads is None else rod)
+        carried = None if rod.loads is None else rod
+        return self if carried is self.rod else self.updated(rod=carried)
 
     def frame(self, clamp: Trail) -> Trail:
         """Poses of the sensor frame (…, n) for these poses of the clamp."""

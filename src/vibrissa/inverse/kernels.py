@@ -28,6 +28,8 @@ SINGLE_CONTACT, TIP, LEAST_FORCE = 1e-3, 1e-6, 1e-14
 """
 LEAST_LOADED = 1e-9
 """The same for a rod that other loads bend: ten times the rounding errors of their resultants."""
+_RESOLVED = TIP
+"""Largest estimated error of the discretisation [L]: kinds and places are right to as much."""
 _SINGLE_DEVIATIONS, _TIP_DEVIATIONS, _STEEP_DEVIATIONS, _KIND_DEVIATIONS = 6.0, 5.0, 3.0, 2.0
 """If the noise is known, in standard deviations: largest violation of m0·f0 = 0; up to where s₁ > L
 is noise and the tip is imposed; from where a tangent is too steep; within which a contact counts as
@@ -131,6 +133,8 @@ class _Held(NamedTuple):
     """How the reactions differ from those of the free rod."""
     tip: Vector
     """Of the free rod, seen from the clamp [L]."""
+    measured: Contact
+    """What the wrench itself says."""
     load: Any = None
     """What the loads contribute to the reactions (6,), if there are any."""
     which: Int[Any, ""] | int = 0
@@ -168,7 +172,7 @@ def _exact(setting: Setting, sample: Sample) -> Found:
     """Contact of exact reactions."""
     held = _held(setting, sample)
     force, moment = held.wrench[:3], held.wrench[3:]
-    contact = held.contact(held.wrench)
+    contact = held.measured
     f, m = jnp.sqrt(jnp.sum(force * force)), jnp.sqrt(jnp.sum(moment * moment))
     push = jnp.sqrt(jnp.sum(held.push[:3] ** 2))
     touching = jnp.where(push > 0, push > LEAST_FORCE, jnp.sum(held.push[3:] ** 2) > 0)
@@ -282,17 +286,18 @@ def _held(setting: Setting, sample: Sample, near: Scalar | None = None) -> _Held
     free = rod.free(clamp)
     tip = free.at(jnp.ones(()))[0] - clamp.point
     which, several = jnp.zeros((), dtype=int), jnp.zeros((), dtype=bool)
+    found = candidates_at(setting, sample)
     if rod.candidates > 1:
-        found = candidates_at(setting, sample)
         fits = _explain(setting, sample, found)
         away = 0.0 if near is None else jnp.abs(found.arc_length - near)
         which, several = jnp.argmin(jnp.where(fits, away, jnp.inf)), jnp.sum(fits) > 1
+    measured = jax.tree.map(lambda part: part[which], found)
     if not rod.loaded:
-        return _Held(rod, clamp, wrench, wrench, tip, None, which, several)
-    load = rod.contact(wrench[:3], wrench[3:], clamp, which).load
+        return _Held(rod, clamp, wrench, wrench, tip, measured, None, which, several)
+    load = measured.load
     load = jnp.where(jnp.all(jnp.isfinite(load)), load, free.reactions)
     apart = wrench - load, wrench - free.reactions
-    return _Held(rod, clamp, *apart, tip, load, which, several, free.sound)
+    return _Held(rod, clamp, *apart, tip, measured, load, which, several, free.sound)
 
 
 def candidates_at(setting: Setting, sample: Sample) -> Contact:
@@ -300,13 +305,7 @@ def candidates_at(setting: Setting, sample: Sample) -> Contact:
     arc length of NaN if there are fewer.
     """
     wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
-    clamp = _clamp_of(setting, sample)
-
-    def one(which: Array) -> Contact:
-        return setting.rod.contact(wrench[:3], wrench[3:], clamp, which)
-
-    found: Contact = lax.map(one, jnp.arange(setting.rod.candidates))
-    return found
+    return setting.rod.contacts(wrench[:3], wrench[3:], _clamp_of(setting, sample))
 
 
 def _clamp_of(setting: Setting, sample: Sample) -> Clamp:
@@ -326,8 +325,12 @@ def _explain(setting: Setting, sample: Sample, found: Contact) -> Bool[Array, "k
     at_tip = jnp.abs(found.arc_length - 1) < jnp.maximum(off, TIP)
     across = jnp.abs(2 * found.incidence - 1) < setting.leaning
     pushed = jnp.where(at_tip, found.incidence < setting.steepest, across)
-    # Comparisons with NaN are false.
-    return pushed & (found.gap < off) & (found.arc_length < 1 + jnp.maximum(off, TIP))
+    # Comparisons with NaN are false. Behind the contact a thin end would be rolled up and cross the
+    # force's line time and again.
+    known = (found.gap < off) & jnp.isfinite(found.error)
+    s = found.arc_length
+    again = jnp.any(jnp.tril(jnp.abs(s[:, None] - s) < TIP, -1), axis=1)
+    return pushed & known & ~again & (found.arc_length < 1 + jnp.maximum(off, TIP))
 
 
 @lanes(alone=True)
@@ -355,6 +358,9 @@ def _judged(
     unsolved = touching & ~jnp.isfinite(s1)
     unknown = bad | couple | unsolved
     none = unknown | ~touching
+    # Friction does not push a rod back along itself either, except at its tip.
+    before_tip = s1 < 1 - TIP - _TIP_DEVIATIONS * deviation
+    backwards = incidence + _STEEP_DEVIATIONS * steepness < 1 - setting.steepest
     # The most serious finding wins.
     findings = (
         (bad, Status.BAD_DATA),
@@ -362,11 +368,13 @@ def _judged(
         (couple, Status.NOT_SINGLE_CONTACT),
         (unsolved, Status.NO_CURVATURE_ZERO),
         (none, Status.OK),
+        (jnp.asarray(held.several) & (jnp.abs(single) <= most), Status.NOT_UNIQUE),
+        (jnp.asarray(contact.error) > _RESOLVED, Status.NOT_CONVERGED),
         (incidence >= 1, Status.NO_CURVATURE_ZERO),
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
+        (before_tip & backwards, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
         (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
-        (jnp.asarray(held.several), Status.NOT_UNIQUE),
     )
     conditions, codes = zip(*findings, strict=True)
     tip = s1 > 1 - TIP - _KIND_DEVIATIONS * deviation

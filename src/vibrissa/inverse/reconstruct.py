@@ -22,6 +22,8 @@ from vibrissa.inverse.kernels import (
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.ringing import without_ringing
 from vibrissa.inverse.shared import pose_errors, samples_of, setting_of, under_friction
+from vibrissa.mechanics.kirchhoff import ACCURACY, steps_for
+from vibrissa.mechanics.models import model_of
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 
@@ -37,6 +39,7 @@ def reconstruct(
     false_alarm: float = 1e-3,
     channels: Sequence[str] | None = None,
     check: bool = True,
+    accuracy: float = ACCURACY,
 ) -> Reconstruction:
     """Contact points, normals and arc lengths from support reactions (paper, section II;
     mechanics.md).
@@ -69,6 +72,10 @@ def reconstruct(
         noise and time (`check_setup`): contradictions are listed in `Reconstruction.warnings`, each
         also issued as a `RecordingWarning`, and rows that they move out of their ellipsoid are
         `SETUP_CONTRADICTED`.
+    accuracy
+        Error of contacts [L] that decides into how many steps a rod is divided that has no closed
+        form, as in `scan`. Each row's error is estimated; if the estimate, which is tens to
+        hundreds of times the error, exceeds 1e-6, the row is `NOT_CONVERGED`.
 
     Returns
     -------
@@ -79,7 +86,7 @@ def reconstruct(
     ------
     ValueError
         If `false_alarm` is not between 0 and 1, the coefficient is negative or not finite, or
-        channels are unknown, given twice, or fewer than three.
+        channels are unknown, given twice, or fewer than three, or the accuracy is not positive.
 
     Notes
     -----
@@ -102,7 +109,7 @@ def reconstruct(
         )
         return _reconstruction(rod, reactions, friction, some)
     setting = under_friction(setting_of(rod, reactions), friction)._replace(
-        threshold=float(chdtri(6, false_alarm))
+        threshold=float(chdtri(6, false_alarm)), rod=model_of(rod, steps_for(accuracy))
     )
     samples = samples_of(rod, reactions)
     found: Any

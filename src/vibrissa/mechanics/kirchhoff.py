@@ -48,6 +48,10 @@ Solving Ordinary Differential Equations I, sec. II.5; coefficients from SciPy) f
 (`tests/verification/test_uniform_limit.py`).
 """
 _STAGES, _NODES, _WEIGHTS = DOP853.A, DOP853.C, DOP853.B
+_THIRD, _FIFTH, _SHARE = DOP853.E3[:-1], DOP853.E5[:-1], 0.1
+"""Differences to the two formulas of lower order that the method holds, of which its estimate of
+the error is made (ibid., sec. II.10).
+"""
 DEGREE = 4
 """Of the polynomials in which a section is given within each step: the stiffness of a round rod
 whose radius changes linearly is one.
@@ -64,8 +68,12 @@ _LARGEST_TURN = 1.5
 """Angle [rad] by which a rod may turn in one step; a row whose rod turned further says so by its
 residual.
 """
-_CANDIDATES = 3
-"""Most contacts that are looked for: each crosses the force's line of action once more."""
+_CANDIDATES = 6
+"""Most contacts that are looked for: each crosses the force's line of action once more. A whisker
+that the force rolls up has up to five.
+"""
+_FULL_TURN = 2 * math.pi
+"""By which bending turns a rod that meets itself."""
 _FARTHEST = 4.0
 """Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
 _LOAD_STEPS, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-13, 1e-8
@@ -76,6 +84,8 @@ _LARGEST_CHANGE = 2.0
 """Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
 _ROUNDING = 1e-9
 """By which a contact at the tip may seem to lie before it [L]."""
+_TOO_LARGE = 50.0
+"""By which the method's estimate exceeds errors up to 1e-5 (measured: 90 or more)."""
 _TINY = 1e-300
 
 
@@ -182,6 +192,8 @@ class Line(NamedTuple):
     """Their derivatives along the rod."""
     strain: Float[Array, "nodes"]
     """Elastic curvature [1/L]."""
+    error: Float[Array, "nodes"]
+    """Estimated error of reach and tangent, added up from the line's first node."""
 
     @property
     def reach(self) -> Float[Array, "nodes 3"]:
@@ -208,6 +220,16 @@ class Line(NamedTuple):
         place, step, x = self.between(s)
         values, (_, _, seconds) = self._ends(place, step), _quintic(x)
         return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
+
+    def error_at(self, s: Scalar) -> Scalar:
+        """Estimated error at an arc length: that of the node behind it; infinite where the rod is
+        rolled up before.
+        """
+        place, _, _ = self.between(s)
+        turns = (self.strain[1:] + self.strain[:-1]) / 2 * jnp.diff(self.nodes)
+        turned = jnp.sum(jnp.where(jnp.arange(len(turns)) < place, turns, 0.0))
+        error: Scalar = jnp.where(turned < _FULL_TURN, self.error[place + 1], jnp.inf)
+        return error
 
     def _ends(self, place: Array, step: Scalar) -> list[Vector]:
         return [
@@ -444,18 +466,18 @@ class Kirchhoff(RodModel):
         start: Scalar,
         h: Scalar,
         stages: Local,
-    ) -> tuple[_State, _State, Scalar]:
-        """One step from an arc length, and the slope and elastic curvature where it begins; the
-        section is given at the stages.
+    ) -> tuple[_State, _State, Scalar, Scalar]:
+        """One step from an arc length; the slope and elastic curvature where it begins, and its
+        estimated error. The section is given at the stages.
         """
         count = len(_WEIGHTS)
 
-        def moved(weights: Any, slopes: _State) -> _State:
-            def of(value: Array, rates: Array) -> Array:
-                each = weights.reshape(-1, *(1,) * (rates.ndim - 1))
-                return value + h * jnp.sum(each * rates, axis=0)
+        def weighted(weights: Any, rates: Array) -> Array:
+            each = weights.reshape(-1, *(1,) * (rates.ndim - 1))
+            return h * jnp.sum(each * rates, axis=0)
 
-            return jax.tree.map(of, at, slopes)
+        def moved(weights: Any, slopes: _State) -> _State:
+            return jax.tree.map(lambda value, rates: value + weighted(weights, rates), at, slopes)
 
         def stage(index: Array, found: tuple[_State, Scalar]) -> tuple[_State, Scalar]:
             slopes, strain = found
@@ -474,7 +496,10 @@ class Kirchhoff(RodModel):
         none = jax.tree.map(lambda value: jnp.zeros((count, *value.shape)), at)
         slopes, strain = lax.fori_loop(0, count, stage, (none, jnp.zeros(())))
         first = jax.tree.map(lambda rows: rows[0], slopes)
-        return moved(_WEIGHTS, slopes), first, strain
+        known = lax.stop_gradient(jnp.concatenate([slopes.reach, slopes.tangent], axis=1))
+        third, fifth = (jnp.sum(weighted(of, known) ** 2) for of in (_THIRD, _FIFTH))
+        error = fifth / (_TOO_LARGE * jnp.sqrt(fifth + _SHARE**2 * third + _TINY))
+        return moved(_WEIGHTS, slopes), first, strain, error
 
     def line(self, clamp: Clamp, push: Push, load: Wrench | None = None) -> Line:
         """The rod under a contact force that acts at or beyond its tip; with loads, Q and their
@@ -495,11 +520,14 @@ class Kirchhoff(RodModel):
         return self._line(clamp.point, push, jnp.asarray(self.nodes), last, rows)
 
     def _line(self, origin: Vector, push: Push, nodes: Any, last: _State, rows: Any) -> Line:
-        """A line from states, rates and strains where its steps begin, and its last state."""
+        """A line from states, rates and strains where its steps begin, their errors, and its last
+        state.
+        """
         tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.local)
         end = last, *self._slope(origin, push, nodes[-1], last, tip)
-        states = jax.tree.map(lambda row, at: jnp.concatenate([row, at[None]]), rows, end)
-        return Line(nodes, *states)
+        *begin, errors = rows
+        states = jax.tree.map(lambda row, at: jnp.concatenate([row, at[None]]), tuple(begin), end)
+        return Line(nodes, *states, jnp.append(0.0, jnp.cumsum(errors)))
 
     def _at(self, inner: Inner, s: Scalar) -> _State:
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
@@ -684,11 +712,21 @@ class Kirchhoff(RodModel):
         """As in `RodModel`: a place along the rod where the moment in it is least, once that of the
         loads behind it is taken off.
         """
-        push = Push(-force, -moment)
-        f = jnp.sqrt(dot(push.force, push.force))
+        return self._crossings(clamp, Push(-force, -moment))(which)
+
+    def contacts(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
+        """As in `RodModel`."""
+        crossing = self._crossings(clamp, Push(-force, -moment))
+        found: Contact = lax.map(crossing, jnp.arange(self.candidates))
+        return found
+
+    def _crossings(self, clamp: Clamp, push: Push) -> Callable[[Any], Contact]:
+        """The contact where the rod crosses the force's line of action, for the first time or a later
+        one.
+        """
         if self.load is not None:
-            return self._loaded_contact(clamp, push, which)
-        line = self.line(clamp, push)
+            return self._loaded_crossings(clamp, push)
+        line, f = self.line(clamp, push), jnp.sqrt(dot(push.force, push.force))
 
         def falling(s: Scalar) -> Scalar:
             at, along = line.at(s)
@@ -697,19 +735,28 @@ class Kirchhoff(RodModel):
 
         inside = push.moment - jnp.cross(line.reach, push.force)
         slopes = -jnp.sum(jnp.cross(line.tangent, push.force) * inside, 1) / (f * f)
-        s = _zero(falling, line, slopes, which)
-        here = self._at(Inner(line, clamp, push), s)
+        return lambda which: self._crossing(
+            Inner(line, clamp, push), _zero(falling, line, slopes, which)
+        )
+
+    def _crossing(self, inner: Inner, s: Scalar) -> Contact:
+        """The contact near an arc length, without loads."""
+        line, _, push, _ = inner
+        f, here = jnp.sqrt(dot(push.force, push.force)), self._at(inner, s)
         at, along = here.reach, here.tangent
-        # From what is interpolated to what is as exact as the nodes.
         lever, inside = jnp.cross(along, push.force) / f, push.moment - jnp.cross(at, push.force)
+        # Before the next step: where rod and force are parallel, that step goes anywhere.
+        gap = jnp.sqrt(dot(inside, inside)) / f
+        # From what is interpolated to what is as exact as the nodes.
         step = dot(lever, inside) / (f * dot(lever, lever))
         s, at, along = s + step, at + step * along, along + step * line.bend(s)
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
-        off = push.moment - jnp.cross(at, push.force)
-        return Contact(at, d, s, incidence, here.energy, jnp.sqrt(dot(off, off)) / f)
+        # Where rod and force cross at a small angle, the crossing moves further than the rod.
+        error = line.error_at(s) / jnp.sqrt(dot(lever, lever))
+        return Contact(at, d, s, incidence, here.energy, gap, error=error)
 
-    def _loaded_contact(self, clamp: Clamp, push: Push, which: Int[Any, ""] | int) -> Contact:
+    def _loaded_crossings(self, clamp: Clamp, push: Push) -> Callable[[Any], Contact]:
         """Where the moment is that of the loads behind the contact; place and those loads'
         resultants by Newton's method, beginning with the resultants of the free rod.
         """
@@ -719,8 +766,6 @@ class Kirchhoff(RodModel):
         inside = push.moment - jnp.cross(line.reach, push.force)
         inside = inside + line.states.load[:, 3:] - free[:, 3:]
         slopes = -jnp.sum(jnp.cross(line.tangent, force) * inside, 1)
-        begin = _zero(None, line, slopes, which)
-        place, _, x = line.between(begin)
 
         def parts(unknowns: Float[Array, "7"], inner: Inner) -> tuple[_State, Vector, Vector, Line]:
             push, s, tail = inner.push, unknowns[0], unknowns[1:]
@@ -734,16 +779,23 @@ class Kirchhoff(RodModel):
             lever = -dot(jnp.cross(here.tangent, force), moment) / dot(force, force)
             return joined(lever, rest.states.load[-1])
 
-        tail = free[place] + x * (free[place + 1] - free[place])
-        unknowns, _ = self._resultants(left, joined(begin, tail), inner)
-        here, force, moment, rest = parts(unknowns, inner)
-        f, reach = jnp.sqrt(dot(force, force)), here.reach
-        total = joined(-push.force, -push.moment)
-        load = total + joined(force, jnp.cross(reach, force) + moment)
-        incidence = (1 + dot(here.tangent, force) / f) / 2
-        energy = rest.states.energy[-1]
-        gap = jnp.sqrt(dot(moment, moment)) / f
-        return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load)
+        def crossing(which: Any) -> Contact:
+            begin = _zero(None, line, slopes, which)
+            place, _, x = line.between(begin)
+            tail = free[place] + x * (free[place + 1] - free[place])
+            unknowns, _ = self._resultants(left, joined(begin, tail), inner)
+            here, force, moment, rest = parts(unknowns, inner)
+            f, reach = jnp.sqrt(dot(force, force)), here.reach
+            total = joined(-push.force, -push.moment)
+            load = total + joined(force, jnp.cross(reach, force) + moment)
+            incidence = (1 + dot(here.tangent, force) / f) / 2
+            energy = rest.states.energy[-1]
+            gap = jnp.sqrt(dot(moment, moment)) / f
+            lever = jnp.cross(here.tangent, force) / f
+            error = (line.error_at(unknowns[0]) + rest.error[-1]) / jnp.sqrt(dot(lever, lever))
+            return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load, error)
+
+        return crossing
 
 
 def _stands(jacobian: Float[Array, "6 6"]) -> Bool[Array, ""]:
@@ -809,7 +861,9 @@ def _zero(
     first = jnp.where(sought, first, jnp.nan)
     if function is None:
         return first
-    least, most = jnp.where(within, start, 0.0), jnp.where(within, end, _FARTHEST)
+    # Beyond the tip; a first one that is nearly there may also turn out to lie before it.
+    earliest = jnp.where(which == 0, 0.0, 1.0)
+    least, most = jnp.where(within, start, earliest), jnp.where(within, end, _FARTHEST)
 
     def newton(_: Any, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
@@ -817,4 +871,5 @@ def _zero(
 
     s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, first))
     value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
-    return s - value / lax.stop_gradient(rate)
+    s = s - value / lax.stop_gradient(rate)
+    return jnp.where(within | (s >= earliest), s, jnp.nan)

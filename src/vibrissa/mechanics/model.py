@@ -8,6 +8,7 @@ from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -87,6 +88,8 @@ class Contact(NamedTuple):
     """How far the rod passes there from the force's line of action [L]: zero for a contact."""
     load: Any = None
     """What distributed loads contribute to the reactions (6,), if there are any."""
+    error: Any = 0.0
+    """Estimate of what the division into steps does to the place [L], from above."""
 
 
 class Free(eqx.Module):
@@ -241,6 +244,13 @@ class RodModel(eqx.Module):
         moment about the clamp. Of several, the first along the rod or a later one (`which`); with
         an arc length of NaN if there is none.
         """
+
+    def contacts(self, force: Vector, moment: Vector, clamp: Clamp) -> Contact:
+        """Return all `candidates` (k, …), in order along the rod."""
+        alone: Contact = jax.tree.map(
+            lambda part: jnp.asarray(part)[None], self.contact(force, moment, clamp)
+        )
+        return alone
 
     @property
     def candidates(self) -> int:

@@ -700,14 +700,15 @@ class Kirchhoff(RodModel):
         s = _zero(falling, line, slopes, which)
         here = self._at(Inner(line, clamp, push), s)
         at, along = here.reach, here.tangent
-        # From what is interpolated to what is as exact as the nodes.
         lever, inside = jnp.cross(along, push.force) / f, push.moment - jnp.cross(at, push.force)
+        # Before the next step: where rod and force are parallel, that step goes anywhere.
+        gap = jnp.sqrt(dot(inside, inside)) / f
+        # From what is interpolated to what is as exact as the nodes.
         step = dot(lever, inside) / (f * dot(lever, lever))
         s, at, along = s + step, at + step * along, along + step * line.bend(s)
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
-        off = push.moment - jnp.cross(at, push.force)
-        return Contact(at, d, s, incidence, here.energy, jnp.sqrt(dot(off, off)) / f)
+        return Contact(at, d, s, incidence, here.energy, gap)
 
     def _loaded_contact(self, clamp: Clamp, push: Push, which: Int[Any, ""] | int) -> Contact:
         """Where the moment is that of the loads behind the contact; place and those loads'
@@ -809,7 +810,9 @@ def _zero(
     first = jnp.where(sought, first, jnp.nan)
     if function is None:
         return first
-    least, most = jnp.where(within, start, 0.0), jnp.where(within, end, _FARTHEST)
+    # A later one must not be an earlier one again.
+    least = jnp.where(within, start, jnp.where(which == 0, 0.0, nodes[-1]))
+    most = jnp.where(within, end, _FARTHEST)
 
     def newton(_: Any, s: Scalar) -> Scalar:
         value, rate = jax.jvp(function, (s,), (jnp.ones(()),))

@@ -721,9 +721,7 @@ class Kirchhoff(RodModel):
         return found
 
     def _crossings(self, clamp: Clamp, push: Push) -> Callable[[Any], Contact]:
-        """The contact where the rod crosses the force's line of action, for the first time or a later
-        one.
-        """
+        """The contact at a crossing of the rod and the force's line of action, in order."""
         if self.load is not None:
             return self._loaded_crossings(clamp, push)
         line, f = self.line(clamp, push), jnp.sqrt(dot(push.force, push.force))

@@ -18,7 +18,7 @@ from vibrissa.inverse.inverse import single_contact, towards
 from vibrissa.inverse.parameters import Rig, changes
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.model import Clamp, Contact, RodModel
-from vibrissa.numerics.lanes import AnyArray, lanes
+from vibrissa.numerics.lanes import FEW, AnyArray, lanes
 from vibrissa.numerics.linear import cholesky, solve_3x3, solve_lower
 from vibrissa.numerics.rotation import cross_matrix, first_axis, rotation_matrix, third_axis
 
@@ -182,12 +182,12 @@ def _exact(setting: Setting, sample: Sample) -> Found:
     return _judged(setting, sample, contact, touching, held, single, SINGLE_CONTACT, none, none)
 
 
-exact_contacts = lanes(alone=True)(_exact)
+exact_contacts = lanes(alone=FEW, by_call=True)(_exact)
 many_exact_contacts = lanes(width=128, blocks=128)(_exact)
 """The same for tens of thousands of rows, in larger calls."""
 
 
-@lanes(alone=True)
+@lanes(alone=FEW, by_call=True)
 def noisy_contacts(setting: Setting, sample: Sample) -> Found:
     """Contact of the most probable single-contact wrench on this rod, with first-order errors."""
     probable = _probable(setting, sample)
@@ -226,7 +226,7 @@ def noisy_contacts(setting: Setting, sample: Sample) -> Found:
     )
 
 
-@lanes(alone=True)
+@lanes(alone=FEW, by_call=True)
 def weak_contacts(setting: Setting, sample: Sample) -> Errors:
     """Errors of the same contact by second moments: mean squared errors of r and n̂ under noise,
     from points √6 deviations to either side along each axis of its ellipsoid.
@@ -333,7 +333,7 @@ def _explain(setting: Setting, sample: Sample, found: Contact) -> Bool[Array, "k
     return pushed & known & ~again & (found.arc_length < 1 + jnp.maximum(off, TIP))
 
 
-@lanes(alone=True)
+@lanes(alone=FEW, by_call=True)
 def candidates_of(setting: Setting, sample: Sample) -> tuple[Contact, Bool[Array, "k"]]:
     """All contacts (k,) with no moment in the rod, and which of them may be the true one."""
     found = candidates_at(setting, sample)

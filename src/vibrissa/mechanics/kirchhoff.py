@@ -18,6 +18,7 @@ derivatives on both sides.
 """
 
 import math
+import sys
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
@@ -32,6 +33,7 @@ from scipy.integrate import DOP853
 
 from vibrissa.geometry.checks import positive
 from vibrissa.mechanics.model import Bent, Clamp, Contact, Flag, Free, Own, RodModel
+from vibrissa.numerics.lanes import FEW
 from vibrissa.numerics.linear import solve_3x3, solve_pivoted
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.vectors import dot, joined
@@ -372,6 +374,13 @@ class Kirchhoff(RodModel):
             lambda s: (1 - taper * s) ** 4 / (1 + poisson_ratio),
             nodes=graded(taper, steps),
         )
+
+    @property
+    def bulky(self) -> int:
+        """Up to how many rows, as in `vibrissa.numerics.lanes`: under loads they are not quicker side
+        by side.
+        """
+        return sys.maxsize if self.loaded else FEW
 
     @property
     def loaded(self) -> bool:

@@ -8,7 +8,9 @@ are distributed over threads; `VIBRISSA_THREADS=1` uses only one.
 A few rows are quicker one after another, and so is any number where each goes its own way through
 much code: side by side every lane waits for the others, and code for lanes takes twice as long to
 compile. Shared arguments can say so by a property `branching`, and by `lane_width` how many lanes
-side by side their code is worth.
+side by side their code is worth. Large code takes several times as long to compile within the loop
+over rows as without: where a function asks for it, and shared arguments have a property `bulky`,
+each row is a call.
 """
 
 import os
@@ -82,7 +84,9 @@ class Lanes(Generic[Shared, Row]):
         width: int = WIDTH,
         blocks: int = BLOCKS,
         alone: int = 0,
+        by_call: bool = False,
     ) -> None:
+        self._by_call = by_call
         self._one, self._width, self._blocks = one, width, blocks
         self._alone = alone
         self._known: set[object] = set()
@@ -96,6 +100,8 @@ class Lanes(Generic[Shared, Row]):
         count = len(jax.tree.leaves(rows)[0])
         if count == 0:
             return self._nothing(shared, rows)
+        if self._by_call and count <= max(_told(shared, "bulky"), default=0):
+            return self._called(shared, rows, count)
         kernel, width, size = self._kernel(shared, count)
 
         def call(first: int) -> Row:
@@ -111,12 +117,23 @@ class Lanes(Generic[Shared, Row]):
             lambda *parts: np.moveaxis(np.concatenate(parts, axis=-1), -1, 0), *found
         )
 
+    def _called(self, shared: Shared, rows: Any, count: int) -> Row:
+        shared, found = jax.tree.map(jnp.asarray, shared), list[Row]()
+        for first in range(0, count, FEW):
+            last = min(first + FEW, count)
+            some = jax.tree.map(lambda leaf, rows=slice(first, last): leaf[rows], rows)
+            # A fixed number of rows, so that it is compiled once.
+            part = jax.tree.map(lambda leaf: jnp.asarray(_filled(leaf, FEW)), some)
+            found.append(self._guarded(self._single, shared, part, 0))
+            others = range(1, last - first)
+            found += in_threads(lambda row, part=part: self._single(shared, part, row), others)
+        return jax.tree.map(lambda *parts: np.stack(parts), *found)
+
     def ahead(self, shared: Shared, *rows: Any) -> None:
         """Compile in a separate thread what a call with such rows will need: XLA leaves the other
         cores free for other work.
         """
-        kernel, *_ = self._kernel(shared, len(jax.tree.leaves(rows)[0]))
-        known = (kernel, jax.tree.structure((shared, rows)))
+        known = (self, len(jax.tree.leaves(rows)[0]), jax.tree.structure((shared, rows)))
         if known not in self._begun and threads() > 1:
             self._begun.add(known)
             threading.Thread(target=self._quietly, args=(shared, *rows)).start()
@@ -169,6 +186,16 @@ class Lanes(Generic[Shared, Row]):
 
         return self._compiled(one, 1, self._size_alone)
 
+    @cached_property
+    def _single(self) -> Callable[..., Any]:
+        """The function of one of several rows."""
+
+        def single(shared: Shared, rows: Any, index: int) -> Row:
+            return self._one(shared, *jax.tree.map(lambda leaf: leaf[index], rows))
+
+        single.__name__ = self._one.__name__
+        return compiled(single)
+
     def _side_by_side(self, width: int) -> Callable[..., Any]:
         if width not in self._of_width:
             self._of_width[width] = self._blocked(width)
@@ -215,7 +242,7 @@ class Lanes(Generic[Shared, Row]):
 
 
 def lanes(
-    *, width: int = WIDTH, blocks: int = BLOCKS, alone: int = 0
+    *, width: int = WIDTH, blocks: int = BLOCKS, alone: int = 0, by_call: bool = False
 ) -> Callable[[Callable[..., Row]], Lanes[Any, Row]]:
     """Turn a function of (shared, *row) into one of (shared, *rows).
 
@@ -225,8 +252,11 @@ def lanes(
         Lanes per block, and blocks per call; a width of 1 takes rows one after another.
     alone
         Up to this many rows are taken one after another, by a scalar kernel.
+    by_call
+        Whether rows are called one by one where shared arguments are `bulky`: up to the number of
+        rows which that property says.
     """
-    return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone)
+    return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone, by_call=by_call)
 
 
 def _branching(shared: Any) -> bool:

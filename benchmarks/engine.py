@@ -48,6 +48,8 @@ class Wire:
         Density; 0 for no weight.
     down
         Direction of its weight (3,), world axes.
+    poisson_ratio
+        As for `vibrissa.Rod`, for its stiffness in torsion; None if it cannot twist.
     """
 
     length: float = 0.05
@@ -57,6 +59,7 @@ class Wire:
     sagitta: tuple[float, float] = (0.0, 0.0)
     density: float = 0.0
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    poisson_ratio: float | None = None
 
     @property
     def stiffness(self) -> float:
@@ -65,7 +68,7 @@ class Wire:
 
     @property
     def weight(self) -> float:
-        """Weight of the whole wire over EI/L²."""
+        """Weight of the whole wire over EI/L², if it did not taper."""
         return (
             self.density
             * np.pi
@@ -189,22 +192,27 @@ def _text(lengths: object) -> str:
 
 def _model(wire: Wire, bodies: list[Body], friction: float, segments: int) -> str:
     """MJCF: the object, the clamp as a mocap body, a half segment fixed to it, then the joints:
-    pairs of hinges with the stiffness and the bend of a length h.
+    hinges with the stiffness and the bend of a length h.
     """
     h, r, unit = 1 / segments, (SKIN + bodies[0].rounding) / wire.length, wire.length
     # A parabola of sagitta b over L has the curvature 8 b/L²; bending towards +x is a turn about
     # +y, towards +y one about -x.
     bend = 8 * np.array(wire.sagitta) / wire.length * h
+    hinges = [("1 0 0", 1.0, -bend[1]), ("0 1 0", 1.0, bend[0])]
+    if wire.poisson_ratio is not None:
+        hinges.append(("0 0 1", 1 / (1 + wire.poisson_ratio), 0.0))
     links = ""
     for i in range(segments):
         length = h / 2 if i == segments - 1 else h
         k = (1 - (1 - wire.tip) * (i + 0.5) * h) ** 4 / h
-        weighs = f'mass="{_MASS * length}"'
-        joints = "".join(
-            f'<joint type="hinge" axis="{axis}" stiffness="{k}" armature="{k}" damping="{k}" springref="{at}"/>'
-            for axis, at in (("1 0 0", -bend[1]), ("0 1 0", bend[0]))
-        )
-        links += f'<body pos="0 0 {h}">{joints}<geom type="capsule" size="{r}" fromto="0 0 0 0 0 {length}" {weighs}/>'
+        middle = (i + 0.5) * h + length / 2
+        weighs = f'mass="{_MASS * length * (1 - (1 - wire.tip) * middle) ** 2}"'
+        joints = [
+            f'<joint type="hinge" axis="{axis}" stiffness="{part * k}" armature="{part * k}" damping="{part * k}" springref="{at}"/>'
+            for axis, part, at in hinges
+        ]
+        # Hinges turn one after another: in alternating order, what that does cancels but for h².
+        links += f'<body pos="0 0 {h}">{"".join(joints[:: (-1) ** i])}<geom type="capsule" size="{r}" fromto="0 0 0 0 0 {length}" {weighs}/>'
     objects = "".join(
         f'<geom type="{body.kind}" size="{_text(np.array(body.size) / unit)}" pos="{_text(np.array(body.place) / unit)}" '
         f'quat="{_text(np.roll((body.turn or Rotation.identity()).as_quat(), 1))}" contype="2" conaffinity="1"/>'

@@ -377,9 +377,7 @@ class Kirchhoff(RodModel):
 
     @property
     def bulky(self) -> int:
-        """Up to how many rows, as in `vibrissa.numerics.lanes`: under loads they are not quicker side
-        by side.
-        """
+        """Up to how many rows, as in `vibrissa.numerics.lanes`: lanes do not help loaded rods."""
         return sys.maxsize if self.loaded else FEW
 
     @property
@@ -535,8 +533,10 @@ class Kirchhoff(RodModel):
         tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.local)
         end = last, *self._slope(origin, push, nodes[-1], last, tip)
         *begin, errors = rows
-        states = jax.tree.map(lambda row, at: jnp.concatenate([row, at[None]]), tuple(begin), end)
-        return Line(nodes, *states, jnp.append(0.0, jnp.cumsum(errors)))
+        states, rates, strain = jax.tree.map(
+            lambda row, at: jnp.concatenate([row, at[None]]), tuple(begin), end
+        )
+        return Line(nodes, states, rates, strain, jnp.append(0.0, jnp.cumsum(errors)))
 
     def _at(self, inner: Inner, s: Scalar) -> _State:
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""

@@ -125,8 +125,8 @@ class Lanes(Generic[Shared, Row]):
             # A fixed number of rows, so that it is compiled once.
             part = jax.tree.map(lambda leaf: jnp.asarray(_filled(leaf, FEW)), some)
             found.append(self._guarded(self._single, shared, part, 0))
-            others = range(1, last - first)
-            found += in_threads(lambda row, part=part: self._single(shared, part, row), others)
+            call = partial(self._single, shared, part)
+            found += in_threads(call, range(1, last - first))
         return jax.tree.map(lambda *parts: np.stack(parts), *found)
 
     def ahead(self, shared: Shared, *rows: Any) -> None:

@@ -253,8 +253,8 @@ _TEXTS = {
         "The rod swings freely after it was released; these loads are its inertia, not a contact."
     ),
     Status.FALLS_OVER: (
-        "Without contact the rod has no stable shape under its weight and the wind here; take a "
-        "stiffer or shorter rod, or smaller loads."
+        "No stable shape of the rod without contact was found under its weight and the wind here; "
+        "take a stiffer or shorter rod, or smaller loads."
     ),
     Status.TOUCHES_TWICE: (
         "No single contact has this force and moment, while the rest of the sweep agrees with "

@@ -34,7 +34,7 @@ from scipy.integrate import DOP853
 from vibrissa.geometry.checks import positive
 from vibrissa.mechanics.model import Bent, Clamp, Contact, Flag, Free, Own, RodModel
 from vibrissa.numerics.lanes import FEW
-from vibrissa.numerics.linear import solve_3x3, solve_pivoted
+from vibrissa.numerics.linear import solve_pivoted
 from vibrissa.numerics.rotation import turned
 from vibrissa.numerics.vectors import dot, joined
 
@@ -82,6 +82,8 @@ _LOAD_STEPS, _LOAD_SETTLED, _LOAD_FOUND = 25, 1e-13, 1e-8
 """Most Newton steps to the loads' resultants, the size [EI/L²] of one that ends them, and up to
 which they count as found.
 """
+_HARDLY_BENT = 0.5
+"""Largest elastic curvature [1/L] of a rod on which the moments at tip and clamp are alike."""
 _LARGEST_CHANGE = 2.0
 """Of the resultants in one such step [EI/L²]: a rod as soft as a rope still finds its shape."""
 _ROUNDING = 1e-9
@@ -569,9 +571,10 @@ class Kirchhoff(RodModel):
 
     @staticmethod
     def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
-        """Resultants of loads that leave nothing at the tip, by Newton's method, `left(resultants,
-        given)`; with derivatives with respect to what is given. Also whether they were found, and a
-        rod that only they bend is stable.
+        """Resultants of loads that leave nothing at the tip, by Newton's method: the first entries of
+        `left(resultants, given)`, as many as there are resultants; with derivatives with respect to
+        what is given. Also whether they were found, and the derivatives of all that is left with
+        respect to them.
         """
         fixed = lax.stop_gradient(given)
         slopes = jax.jacfwd(lambda load: (left(load, fixed),) * 2, has_aux=True)
@@ -581,31 +584,33 @@ class Kirchhoff(RodModel):
 
         def refine(state: tuple[Any, Any, Scalar, Array]) -> tuple[Any, Any, Scalar, Array]:
             jacobian, value = slopes(state[0])
-            change, _ = solve_pivoted(jacobian, value)
+            change, _ = solve_pivoted(jacobian[:count], value[:count])
             size = jnp.max(jnp.abs(change))
             share = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
             return state[0] - share * change, jacobian, size, state[3] + 1
 
         count = len(begin)
-        blank = jnp.zeros((count, count)), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
+        size = jax.eval_shape(left, begin, fixed).size
+        blank = jnp.zeros((size, count)), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
         start = lax.stop_gradient(begin), *blank
         load, jacobian, size, _ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
         # One more step, which carries the derivatives (implicit function theorem).
-        load = load - solve_pivoted(jacobian, left(load, given))[0]
-        return load, (size < _LOAD_FOUND) & _stands(jacobian[-6:, -6:])
+        load = load - solve_pivoted(jacobian[:count], left(load, given)[:count])[0]
+        return load, size < _LOAD_FOUND, jacobian
 
     def free(self, clamp: Clamp) -> Hanging:
         """As in `RodModel`."""
         if self.load is None:
             return Hanging(clamp, self.line(clamp, _NO_PUSH))
 
-        def left(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> Wrench:
+        def left(load: Wrench, given: tuple[Kirchhoff, Clamp]) -> Float[Array, "9"]:
             model, clamp = given
-            end: Wrench = model.line(clamp, _NO_PUSH, load).states.load[-1]
-            return end
+            states = model.line(clamp, _NO_PUSH, load).states
+            return joined(states.load[-1], states.tangent[-1])
 
-        load, sound = self._resultants(left, jnp.zeros(6), (self, clamp))
-        return Hanging(clamp, self.line(clamp, _NO_PUSH, load), load, sound)
+        load, found, slopes = self._resultants(left, jnp.zeros(6), (self, clamp))
+        line = self.line(clamp, _NO_PUSH, load)
+        return Hanging(clamp, line, load, found & _stands(slopes, line))
 
     def bent(
         self,
@@ -790,7 +795,7 @@ class Kirchhoff(RodModel):
             begin = _zero(None, line, slopes, which)
             place, _, x = line.between(begin)
             tail = free[place] + x * (free[place + 1] - free[place])
-            unknowns, _ = self._resultants(left, joined(begin, tail), inner)
+            unknowns, *_ = self._resultants(left, joined(begin, tail), inner)
             here, force, moment, rest = parts(unknowns, inner)
             f, reach = jnp.sqrt(dot(force, force)), here.reach
             total = joined(-push.force, -push.moment)
@@ -805,17 +810,26 @@ class Kirchhoff(RodModel):
         return crossing
 
 
-def _stands(jacobian: Float[Array, "6 6"]) -> Bool[Array, ""]:
-    """Whether a rod without contact is stable, by the derivatives of force and moment left at its
-    tip with respect to their resultants at the clamp: without loads those are one, and on the way
-    to instability an eigenvalue of the moment's part passes zero, or two at once. All real parts
-    are positive by the criterion of Routh and Hurwitz.
+def _stands(slopes: Float[Array, "9 6"], line: Line) -> Bool[Array, ""]:
+    """Whether a rod without contact is stable: whether small moments across its tip turn it their
+    own way. Given are the derivatives of force and moment at the tip, and of its tangent, with
+    respect to force and moment at the clamp.
+
+    Under more than its second critical load an upright column answers in that way again; but while
+    the rod is hardly bent, its clamp then has to hold against the moment's sense.
     """
-    by_force = [solve_3x3(jacobian[:3, :3], jacobian[:3, 3 + i]) for i in range(3)]
-    a, b, c = (jacobian[3:, 3 + i] - jacobian[3:, :3] @ by_force[i] for i in range(3))
-    trace, determinant = a[0] + b[1] + c[2], dot(a, jnp.cross(b, c))
-    minors = jnp.cross(a, b)[2] + jnp.cross(b, c)[0] + jnp.cross(c, a)[1]
-    return (trace > 0) & (determinant > 0) & (trace * minors > determinant)
+    tangent, none = line.tangent[-1], jnp.zeros(3)
+    across = _across(tangent)
+    moments = across, jnp.cross(tangent, across)
+    at_clamp = [solve_pivoted(slopes[:6], joined(none, moment))[0] for moment in moments]
+
+    def positive(answers: list[Vector]) -> Bool[Array, ""]:
+        (a, b), (c, d) = ([dot(moment, answer) for answer in answers] for moment in moments)
+        return (a > 0) & (a * d > ((b + c) / 2) ** 2)
+
+    turns = [jnp.cross(tangent, slopes[6:] @ answer) for answer in at_clamp]
+    hardly = jnp.max(line.strain) < _HARDLY_BENT
+    return positive(turns) & (positive([answer[3:] for answer in at_clamp]) | ~hardly)
 
 
 def _closest(line: Line, r: Vector) -> Scalar:

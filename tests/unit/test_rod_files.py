@@ -36,7 +36,7 @@ HEAVY = vb.Rod.cylinder(length=0.05, radius=2e-4, youngs_modulus=2e11, density=7
 WHISKER = vb.Rod.tapered(
     length=0.05,
     base_radius=1e-4,
-    tip_radius=0,
+    tip_radius=1e-6,
     youngs_modulus=3e9,
     density=1200.0,
     poisson_ratio=0.4,
@@ -53,7 +53,7 @@ KINDS = {
         ),
     ),
     "a taper": (
-        'kind = "tapered"\nlength = 0.05\nbase_radius = 1e-4\ntip_radius = 0\n'
+        'kind = "tapered"\nlength = 0.05\nbase_radius = 1e-4\ntip_radius = 1e-6\n'
         "youngs_modulus = 3e9\ndensity = 1200\npoisson_ratio = 0.4",
         WHISKER,
     ),

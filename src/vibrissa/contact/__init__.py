@@ -5,7 +5,7 @@ Lengths in L, forces in EI/L².
 from vibrissa.contact.conditions import Touching, touching
 from vibrissa.contact.laws import COULOMB, FRICTIONLESS, Held, Law, Leaning
 from vibrissa.contact.newton import implicit, iterated, root, signed, step_from
-from vibrissa.contact.scene import Reached, Scene, State
+from vibrissa.contact.scene import Reached, Scene, Skin, State
 
 __all__ = [
     "COULOMB",
@@ -15,6 +15,7 @@ __all__ = [
     "Leaning",
     "Reached",
     "Scene",
+    "Skin",
     "State",
     "Touching",
     "implicit",

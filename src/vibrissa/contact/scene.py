@@ -17,6 +17,10 @@ Scalar = Float[Any, ""]
 Vector = Float[Any, "3"]
 
 
+class Skin(Offset):
+    """An object as the centre line of a rod sees it: grown by the rod's radius at its clamp."""
+
+
 class Scene(NamedTuple):
     """The object, the rod's length, which converts its units to the model's, the coefficient of
     friction between the two, and the rod.
@@ -38,7 +42,7 @@ class Scene(NamedTuple):
     @property
     def slims(self) -> bool:
         """Whether the skin of a rod touches whose radius is not the same everywhere."""
-        return isinstance(self.surface, Offset) and not self.rod.uniform
+        return isinstance(self.surface, Skin) and not self.rod.uniform
 
     def slack(self, s: Scalar) -> Scalar:
         """How much thinner the rod is at an arc length than the object's offset takes it to be

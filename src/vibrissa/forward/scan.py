@@ -7,7 +7,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from vibrissa.contact import COULOMB, FRICTIONLESS, Law, Scene
+from vibrissa.contact import COULOMB, FRICTIONLESS, Law, Scene, Skin
 from vibrissa.contacts import ContactKind, Motion, Status
 from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assess, assessed
 from vibrissa.forward.events import Event, Happening
@@ -142,11 +142,11 @@ def scan(
     )
 
 
-def touched_surface(rod: Rod, surface: Surface) -> Offset:
+def touched_surface(rod: Rod, surface: Surface) -> Skin:
     """The object as seen by the centre line of the rod."""
     if rod.radius is None:
         raise ValueError("rod.radius = None; allowed with finite_radius is a number greater than 0")
-    return Offset(surface, rod.radius)
+    return Skin(surface, rod.radius)
 
 
 def _fields(

@@ -349,7 +349,9 @@ def eased(scene: Scene, clamp: Clamp, seeds: State) -> State:
     radius, starts = scene.surface.radius, seeds
     doublings = max(0, int(np.log2(_THICKEST * scene.length / radius)))
     for doubling in range(doublings, 0, -1):
-        thicker = scene._replace(surface=Offset(scene.surface.surface, radius * 2.0**doubling))
+        thicker = scene._replace(
+            surface=type(scene.surface)(scene.surface.surface, radius * 2.0**doubling)
+        )
         # From all seeds at the thickest, then on from what they found.
         starts = solutions(thicker, clamp, FRICTIONLESS, starts).state
     both: State = jax.tree.map(lambda *parts: np.concatenate(parts), starts, seeds)

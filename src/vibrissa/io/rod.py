@@ -21,6 +21,7 @@ from vibrissa.io.config import (
     several,
     table_of,
 )
+from vibrissa.mechanics.models import check_thick
 from vibrissa.rod import Loads, RestShape, Rod, Support, Thermal
 
 
@@ -87,7 +88,9 @@ class DescribedTable(Table):
             rod = rod.on(given["support"])
         if "rest" in given:
             rod = rod.curved(given["rest"])
-        return rod.at(given["temperature"]) if "temperature" in given else rod
+        rod = rod.at(given["temperature"]) if "temperature" in given else rod
+        check_thick(rod)
+        return rod
 
 
 _DESCRIBED: dict[str, Any] = {

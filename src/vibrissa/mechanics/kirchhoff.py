@@ -571,9 +571,9 @@ class Kirchhoff(RodModel):
 
     @staticmethod
     def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
-        """Resultants of loads that leave nothing at the tip, by Newton's method: the first entries of
-        `left(resultants, given)`, as many as there are resultants; with derivatives with respect to
-        what is given. Also whether they were found, and the derivatives of all that is left with
+        """Resultants of loads that leave nothing at the tip, by Newton's method: the first entries
+        of `left(resultants, given)`, as many as there are resultants; with derivatives with respect
+        to what is given. Also whether they were found, and the derivatives of all that is left with
         respect to them.
         """
         fixed = lax.stop_gradient(given)

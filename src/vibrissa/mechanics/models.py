@@ -59,7 +59,7 @@ def spatial(rod: Rod, steps: int = STEPS, nodes: Float[Any, "nodes"] | None = No
     """A rod as the spatial model, also where the closed form would do; with given nodes, which a
     traced rod does not show.
     """
-    _thick(rod)
+    check_thick(rod)
     length, nodes = rod.length, nodes_of(rod, steps) if nodes is None else nodes
     rest, loads = rod.rest, rod.loads
 
@@ -99,8 +99,8 @@ def spatial(rod: Rod, steps: int = STEPS, nodes: Float[Any, "nodes"] | None = No
     )
 
 
-def _thick(rod: Rod) -> None:
-    """Raise ValueError where a rod has no thickness."""
+def check_thick(rod: Rod) -> None:
+    """Raise ValueError where a rod has no thickness, as at the tip of a cone."""
     knots = np.array([0.0, *rod.breaks, 1.0])
     if not known(rod.bending_at(knots)):
         return

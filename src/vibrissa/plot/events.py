@@ -46,13 +46,18 @@ def reactions_along(scan: Scan) -> list[Axes]:
         least = np.interp(at, scan.trail.parameter[free], force[free])
     force = np.where(scan.in_contact, force, np.nan)
     factor = length_factor(scan.rod)
-    reach = np.array([factor * np.linalg.norm(event.point - event.clamp) for event in scan.events])
+    rod, touching = scan.rod, np.flatnonzero(scan.in_contact)
+    reach = np.array([np.linalg.norm(event.point - event.clamp) for event in scan.events])
+    if not (rod.rest is None and rod.loads is None and rod.support is None):
+        # The free rod is not straight: that of the nearest contact.
+        apart = abs(scan.trail.parameter[touching] - np.reshape(at, (-1, 1)))
+        reach = scan.arc_length[touching[np.argmin(apart, axis=1)]] if at else reach
     place, label = _abscissa(scan)
     figure, panels = plt.subplots(
         2, 1, figsize=(COLUMN * 1.4, COLUMN * 1.3), sharex=True, layout="constrained"
     )
     _draw(panels[0], scan, place, force, least)
-    _draw(panels[1], scan, place, factor * scan.arc_length, reach)
+    _draw(panels[1], scan, place, factor * scan.arc_length, factor * reach)
     unit = "N" if scan.rod.units == "SI" else "$EI/L^2$"
     panels[0].set_ylabel(f"{'$f$' if scan.rod.loads is None else 'support force'} [{unit}]")
     panels[1].set(xlabel=label, ylabel=length_label("s_1", scan.rod))

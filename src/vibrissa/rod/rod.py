@@ -209,7 +209,8 @@ class Rod(Described):
         thermal: Thermal | None = None,
     ) -> "Rod":
         """Return a rod of circular section whose radius changes linearly from clamp to tip, where 0
-        is a cone; the inner radius is the same all along. SI units, as `cylinder`.
+        is a cone, which bears no contact at its tip: scans and reconstructions want 1e-4 of the
+        base radius. The inner radius is the same all along. SI units, as `cylinder`.
         """
         size = round_section("base_radius", base_radius, inner_radius, youngs_modulus, density)
         section = taper_between(size["radius"], tip_radius, size["inner_radius"])

@@ -1,0 +1,86 @@
+"""Rods that hang in the wind, bent by their loads alone, against SciPy's integration from the free
+tip to the clamp.
+"""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import vibrissa as vb
+
+LENGTH, RADIUS, DENSITY, STEEL = 0.08, 1e-4, 8000.0, 2e11
+WIRE = vb.Rod.cylinder(length=LENGTH, radius=RADIUS, youngs_modulus=STEEL, density=DENSITY)
+FAR = vb.surfaces.Sphere(center=(0, 0, 10 * LENGTH), radius=0.01)
+
+
+def drag(speed: float) -> float:
+    """Drag per length [N/m] of the wire across a wind: the law that `vb.Loads` names."""
+    reynolds = 1.204 * speed * 2 * RADIUS / 1.825e-5
+    coefficient = 1.18 + 6.8 / reynolds**0.89 + 1.96 / reynolds**0.5
+    coefficient -= 4e-4 * reynolds / (1 + 3.64e-7 * reynolds**2)
+    return 1.204 * RADIUS * coefficient * speed**2
+
+
+def held(tip: float, wind: float) -> np.ndarray:
+    """Angle, forces along y and z and moment [N m] at the clamp of a wire along z in a wind along y
+    whose tip is turned by an angle towards y.
+    """
+    stiffness = WIRE.bending_stiffness
+
+    def slope(_: float, at: np.ndarray) -> list[float]:
+        angle, along_y, along_z, moment = at
+        y, z = np.sin(angle), np.cos(angle)
+        # Across the rod.
+        load = drag(abs(wind * z)) if abs(wind * z) > 0 else 0.0
+        push = np.sign(wind * z) * load * np.array([z, -y])
+        return [-moment / stiffness, push[0], push[1], z * along_y - y * along_z]
+
+    end = solve_ivp(slope, (0, LENGTH), [tip, 0, 0, 0], "DOP853", rtol=1e-11, atol=1e-14)
+    return end.y[:, -1]
+
+
+@pytest.mark.parametrize("wind", [15.0, 30.0, 40.0, 60.0, 100.0])
+def test_a_wire_that_strong_wind_bends_far_stands(wind: float) -> None:
+    """Up to 69° at the tip: the clamp's forces and moment, for the one shape that there is."""
+    angles = np.linspace(0, np.pi, 200)
+    left = np.array([held(angle, wind)[0] for angle in angles])
+    (place,) = np.flatnonzero(left[:-1] * left[1:] < 0)
+    tip = brentq(lambda angle: held(angle, wind)[0], angles[place], angles[place + 1], xtol=1e-14)
+    _, along_y, along_z, moment = held(tip, wind)
+    rod = WIRE.loaded(vb.Loads(wind=(0, wind, 0)))
+    scan = vb.scan(rod, FAR, vb.Trail.line(start=(0, 0, 0), stop=(0, 1e-3, 0), count=2))
+    assert np.all(scan.status == vb.Status.OK)
+    force = scan.reactions.force[0]
+    np.testing.assert_allclose(-force, [0, along_y, along_z], atol=1e-8 * abs(along_y))
+    np.testing.assert_allclose(abs(scan.reactions.moment[0, 0]), abs(moment), rtol=1e-8)
+
+
+@pytest.mark.parametrize("ratio", [7.80, 8.5, 12.0, 20.0, 60.0])
+def test_an_upright_wire_falls_over_from_its_critical_weight_on(ratio: float) -> None:
+    """The critical weight is 7.837 EI/L² (A. G. Greenhill 1881); far beyond it the upright shape
+    is not stable again.
+    """
+    stiffness, mass = WIRE.bending_stiffness, DENSITY * np.pi * RADIUS**2
+    gravity = ratio * stiffness / LENGTH**3 / mass
+    rod = WIRE.loaded(vb.Loads(gravity=(0, 0, -gravity)))
+    trail = vb.Trail.line(start=(0, 0, 0), stop=(0, 1e-3, 0), count=2)
+    scan = vb.scan(rod, FAR, trail)
+    expected = vb.Status.OK if ratio < 7.837 else vb.Status.FALLS_OVER
+    assert np.all(scan.status == expected)
+
+
+def test_an_offset_of_the_object_is_the_same_for_every_rod() -> None:
+    """A ball of 28 mm grown by 2 mm is one of 30 mm, also for a rod that tapers."""
+    rod = vb.Rod.tapered(
+        length=LENGTH, base_radius=0.15e-3, tip_radius=0.05e-3, youngs_modulus=STEEL
+    )
+    trail = vb.Trail.line(start=(0.05, 0.01, 0), stop=(-0.05, 0.01, 0), count=31)
+    center = (0, 0, 0.09)
+    whole = vb.scan(rod, vb.surfaces.Sphere(center=center, radius=0.03), trail)
+    small = vb.surfaces.Sphere(center=center, radius=0.028)
+    grown = vb.scan(rod, vb.surfaces.Offset(small, 0.002), trail)
+    assert whole.in_contact.sum() > 10
+    for name in ("force", "moment"):
+        found, expected = (getattr(one.reactions, name) for one in (grown, whole))
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())

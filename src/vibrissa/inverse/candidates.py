@@ -11,7 +11,8 @@ import jax
 import numpy as np
 
 from vibrissa.contacts import ContactKind, Contacts, Status
-from vibrissa.inverse.kernels import TIP, candidates_of
+from vibrissa.inverse.arrays import Codes
+from vibrissa.inverse.kernels import TIP, Setting, candidates_of
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import samples_of, setting_of, under_friction
 
@@ -25,14 +26,21 @@ class Candidates(NamedTuple):
     """(k,) in order along the rod; normals are the direction of the force."""
 
 
+def open_rows(found: Reconstruction) -> tuple[Setting, Codes, Any]:
+    """Rows that are `NOT_UNIQUE` because the rod is curved, as samples, with what they share."""
+    setting = under_friction(setting_of(found.rod, found.reactions), found.friction)
+    rows = np.flatnonzero(found.status == Status.NOT_UNIQUE)
+    rows = rows if setting.rod.candidates > 1 else rows[:0]
+    samples = samples_of(found.rod, found.reactions)
+    return setting, rows, jax.tree.map(lambda part: part[rows], samples)
+
+
 def candidates(found: Reconstruction) -> list[Candidates]:
     """All contacts of the rows that are `NOT_UNIQUE` because the rod is curved."""
     rod, reactions = found.rod, found.reactions
-    setting = under_friction(setting_of(rod, reactions), found.friction)
-    rows = np.flatnonzero(found.status == Status.NOT_UNIQUE)
-    if setting.rod.candidates == 1 or not rows.size:
+    setting, rows, samples = open_rows(found)
+    if not rows.size:
         return []
-    samples = jax.tree.map(lambda part: part[rows], samples_of(rod, reactions))
     seen: Any = candidates_of(setting, samples)
     contact, fits = seen
     base = reactions.trail.position.reshape(-1, 3)[rows]

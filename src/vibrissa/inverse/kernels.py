@@ -322,15 +322,23 @@ def _explain(setting: Setting, sample: Sample, found: Contact) -> Bool[Array, "k
         force = jnp.sqrt(jnp.sum((sample.force / setting.force) ** 2))
         variance = jnp.trace(jnp.asarray(sample.covariance))
         off = jnp.maximum(off, _SINGLE_DEVIATIONS * jnp.sqrt(variance) / force)
-    at_tip = jnp.abs(found.arc_length - 1) < jnp.maximum(off, TIP)
-    across = jnp.abs(2 * found.incidence - 1) < setting.leaning
-    pushed = jnp.where(at_tip, found.incidence < setting.steepest, across)
+    return explaining(found, setting.steepest, setting.leaning, jnp.maximum(off, TIP))
+
+
+def explaining(
+    found: Contact, steepest: float, leaning: float, off: Scalar | float
+) -> Bool[Array, "k"]:
+    """Which of several contacts an object can have made whose friction bounds incidence and leaning
+    as in `Setting`; places and gaps [L] may be off by so much.
+    """
+    s = found.arc_length
+    across = jnp.abs(2 * found.incidence - 1) < leaning
+    pushed = jnp.where(jnp.abs(s - 1) < off, found.incidence < steepest, across)
     # Comparisons with NaN are false. Behind the contact a thin end would be rolled up and cross the
     # force's line time and again.
     known = (found.gap < off) & jnp.isfinite(found.error)
-    s = found.arc_length
     again = jnp.any(jnp.tril(jnp.abs(s[:, None] - s) < TIP, -1), axis=1)
-    return pushed & known & ~again & (found.arc_length < 1 + jnp.maximum(off, TIP))
+    return pushed & known & ~again & (s < 1 + off)
 
 
 @lanes(alone=FEW, by_call=True)
@@ -338,6 +346,20 @@ def candidates_of(setting: Setting, sample: Sample) -> tuple[Contact, Bool[Array
     """All contacts (k,) with no moment in the rod, and which of them may be the true one."""
     found = candidates_at(setting, sample)
     return found, _explain(setting, sample, found)
+
+
+@lanes(alone=FEW, by_call=True)
+def deviations_of_candidates(setting: Setting, sample: Sample) -> Float[Array, "k"]:
+    """Standard deviations of the arc lengths (k,) of `candidates_of` [L], for known noise."""
+    wrench = jnp.concatenate([sample.force / setting.force, sample.moment / setting.moment])
+    clamp, covariance = _clamp_of(setting, sample), jnp.asarray(sample.covariance)
+
+    def arc_lengths(wrench: Wrench) -> Float[Array, "k"]:
+        found: Array = setting.rod.contacts(wrench[:3], wrench[3:], clamp).arc_length
+        return found
+
+    slopes = jax.jacfwd(arc_lengths)(wrench)
+    return jnp.sqrt(jnp.sum(_product(slopes, covariance) * slopes, axis=1))
 
 
 def _judged(

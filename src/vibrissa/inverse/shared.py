@@ -26,7 +26,7 @@ def setting_of(rod: Rod, reactions: Reactions) -> Setting:
     return setting._replace(rig=known.rig, errors=known.covariance)
 
 
-_STEEPEST = 0.8
+STEEPEST = 0.8
 """Steepest incidence accepted if the friction is unknown: friction allows up to (1 + sin atan μ)/2,
 and this is μ = 0.75.
 """
@@ -41,9 +41,13 @@ def under_friction(setting: Setting, friction: float | None) -> Setting:
     """The same, where friction of a coefficient, or of one that is not known, bounds how contacts
     may lean.
     """
+    return setting._replace(steepest=_steepest(friction), leaning=leaning_under(friction))
+
+
+def leaning_under(friction: float | None) -> float:
+    """Largest cosine between force and rod before the tip, with the margin for noise."""
     known = _UNKNOWN_FRICTION if friction is None else friction
-    leaning = math.sin(math.atan(known)) + _LEAN_MARGIN
-    return setting._replace(steepest=_steepest(friction), leaning=leaning)
+    return math.sin(math.atan(known)) + _LEAN_MARGIN
 
 
 def _steepest(friction: float | None) -> float:
@@ -53,7 +57,7 @@ def _steepest(friction: float | None) -> float:
     For small μ it is no less than for unknown friction: tangential contacts lie right on the limit,
     and noise puts them on either side of it.
     """
-    return max(_STEEPEST, (1 + math.sin(math.atan(friction or 0.0))) / 2 + _MARGIN)
+    return max(STEEPEST, (1 + math.sin(math.atan(friction or 0.0))) / 2 + _MARGIN)
 
 
 def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sample:
@@ -65,7 +69,7 @@ def samples_of(rod: Rod, reactions: Reactions, *, moving: bool = False) -> Sampl
     rows = Sample(*(part.reshape(-1, part.shape[-1]) for part in parts))
     if reactions.covariance is None:
         return rows
-    covariance = np.broadcast_to(reactions.covariance / _squares(rod), (*trail.shape, 6, 6))
+    covariance = np.broadcast_to(reactions.covariance / squares(rod), (*trail.shape, 6, 6))
     rows = rows._replace(covariance=covariance.reshape(-1, 6, 6))
     if moving or reactions.setup_errors is not None:
         rows = rows._replace(velocity=velocities_of(rod, reactions).reshape(-1, 6))
@@ -78,14 +82,14 @@ def in_clamp_axes(
     """Wrenches of one trail in clamp axes and model units, and their covariances if known."""
     turn = reactions.trail.rotation
     wrench = (reactions.wrench.reshape(-1, 2, 3) @ turn).reshape(-1, 6)
-    scaled = wrench / np.sqrt(np.diag(_squares(rod)))
+    scaled = wrench / np.sqrt(np.diag(squares(rod)))
     if reactions.covariance is None:
         return scaled, None
     both = np.kron(np.eye(2), turn)
-    return scaled, np.swapaxes(both, 1, 2) @ (reactions.covariance / _squares(rod)) @ both
+    return scaled, np.swapaxes(both, 1, 2) @ (reactions.covariance / squares(rod)) @ both
 
 
-def _squares(rod: Rod) -> Spread:
+def squares(rod: Rod) -> Spread:
     """Units of a wrench's covariance."""
     units = np.repeat([rod.force_scale, rod.moment_scale], 3)
     return np.outer(units, units)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
@@ -20,9 +21,9 @@ from scipy.special import chdtri
 from vibrissa.geometry.rotation import rotation_vectors
 from vibrissa.inverse.arrays import Codes, Flags, Frames, Scalars, Vectors
 from vibrissa.inverse.checks.findings import length_text
-from vibrissa.inverse.kernels import Sample, exact_contacts
+from vibrissa.inverse.kernels import Sample, candidates_of, exact_contacts
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.shared import setting_of
+from vibrissa.inverse.shared import setting_of, squares, under_friction
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
 from vibrissa.tolerances import PARAMETERS
@@ -168,7 +169,7 @@ class _Load:
 def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
     """Work and energy of each contact of one trail that begins with the rod free and lasts long
     enough to be judged; rows are in order, time stamps are not needed. None for a rod with loads
-    along it, whose work is not seen in the reactions.
+    along it, whose work is not seen in the reactions, or where more than one contact explains them.
 
     Raises
     ------
@@ -189,7 +190,8 @@ def clamp_work(rod: Rod, reactions: Reactions) -> list[ClampWork]:
         # If the clamp stands still, it is the object that moves and does work.
         moves = load.way(rod, (start, stop)) > _LEAST_WAY * rod.length
         if begins and missing <= _LARGEST_GAP * (stop - start) and moves:
-            found.append(_of_contact(rod, load, before, start, stop))
+            work = _of_contact(rod, load, before, start, stop)
+            found += [] if work is None else [work]
         before = stop
     return found
 
@@ -278,8 +280,8 @@ def _load(reactions: Reactions) -> _Load:
     return _Load(rows, given, loaded, [one for one in spans if one[1] - one[0] >= _FEWEST])
 
 
-def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> ClampWork:
-    """For the rows [start, stop), free since the row `before`."""
+def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> ClampWork | None:
+    """For the rows [start, stop), free since the row `before`; None if their energy is open."""
     reactions = load.reactions
     size = max(1, (stop - start) // _BLOCKS)
     count = (stop - start) // size
@@ -290,8 +292,16 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
     middle = start + np.arange(count) * size + size // 2
     force, moment = (means(part[start:]) for part in (reactions.force, reactions.moment))
     trail = reactions.trail[middle]
-    rows = Sample(force, moment, trail.position, trail.orientation)
-    energy = np.nan_to_num(exact_contacts(setting_of(rod, reactions), rows).energy)
+    covariance = reactions.covariance
+    if covariance is not None:
+        covariance = np.broadcast_to(covariance / squares(rod), (len(load.rows), 6, 6))[middle]
+    rows = Sample(force, moment, trail.position, trail.orientation, covariance)
+    setting = under_friction(setting_of(rod, reactions), None)
+    if setting.rod.candidates > 1:
+        seen: Any = candidates_of(setting, rows)
+        if np.any(np.sum(seen[1], axis=1) > 1):
+            return None
+    energy = np.nan_to_num(exact_contacts(setting, rows).energy)
     if rod.support is not None:
         turn = trail.rotation
         wrench = np.concatenate([_in_axes(turn, force), _in_axes(turn, moment)], axis=1)

@@ -36,6 +36,7 @@ from vibrissa.inverse.checks.rig import (
     spreads_of,
 )
 from vibrissa.inverse.checks.stretches import Stretches
+from vibrissa.inverse.shared import leaning_under
 from vibrissa.inverse.smoothing.manifold import chosen, finite
 from vibrissa.rod import Rod
 
@@ -291,7 +292,8 @@ def case_of(
         return None
     before = rest.chosen(rest.time < contact.time[0])
     at_rest = before if len(before.time) else contact.chosen(slice(1))
-    bench = Bench(contact, to_sensor, float(at_rest.time.mean()), at_rest.turn[0], rod=rod)
+    tared, leaning = float(at_rest.time.mean()), leaning_under(friction)
+    bench = Bench(contact, to_sensor, tared, at_rest.turn[0], rod=rod, leaning=leaning)
     sample = np.einsum("kii,k->ki", contact.noise, contact.last - contact.first).mean(axis=0)
     spread = spreads_of(np.sqrt(sample), float(np.ptp(contact.time)), friction)
     none = np.zeros(ERRORS)

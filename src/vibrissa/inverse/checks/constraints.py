@@ -18,6 +18,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float
 
 from vibrissa.inverse.arrays import Flags
+from vibrissa.inverse.kernels import explaining
+from vibrissa.inverse.shared import STEEPEST
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.imperfect import Imperfect, contact_near, rod_end
 from vibrissa.mechanics.model import AT_ORIGIN
@@ -27,6 +29,10 @@ from vibrissa.rod import Rod
 
 COUPLE, TORSION, TIP, TANGENT = range(4)
 """Rows of the constraints."""
+_OFF = 0.05
+"""How far [L] from the tip, or from the line of the force, noise and a rod that is not quite as
+described may put a contact.
+"""
 
 
 class Stated(NamedTuple):
@@ -36,6 +42,8 @@ class Stated(NamedTuple):
     """In units of the stated one."""
     rod: Rod | None = None
     """None for a straight uniform one."""
+    leaning: Any = np.inf
+    """Largest cosine between force and rod before the tip."""
 
 
 class Slopes(NamedTuple):
@@ -80,9 +88,11 @@ def holding(tip: Flags) -> Bool[np.ndarray, "n 4"]:
 @lanes(width=96, blocks=1)
 def constraints_of(stated: Stated, rod: Imperfect) -> Constraints:
     """Constraints for rods given by their base wrenches, clamp axes."""
-    wrench, (length, described) = jnp.asarray(rod.wrench), stated
+    wrench, (length, described, leaning) = jnp.asarray(rod.wrench), stated
     model = Elastica() if described is None else spatial(described)
-    ideal = model.contact(wrench[:3], wrench[3:], AT_ORIGIN).arc_length
+    found = model.contacts(wrench[:3], wrench[3:], AT_ORIGIN)
+    which = jnp.argmax(explaining(found, STEEPEST, leaning, _OFF))
+    ideal = found.arc_length[which]
     off_ideal = jnp.any(rod.load != 0) | jnp.any(rod.curvature != 0) | (rod.taper != 0)
     arc_length = jnp.where(off_ideal, contact_near(rod, ideal, described), ideal)
 

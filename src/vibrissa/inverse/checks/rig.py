@@ -114,6 +114,8 @@ class Bench(NamedTuple):
     """t·n̂ for a friction coefficient of 1."""
     rod: Rod | None = None
     """As it is described; None for a straight uniform one."""
+    leaning: float = np.inf
+    """Largest cosine between force and rod before the tip."""
 
     @property
     def to_clamp(self) -> Spread:
@@ -156,7 +158,9 @@ class Bench(NamedTuple):
         count, taper = len(wrench), min(errors[TAPER], _MOST_TAPER)
         bend = np.tile(errors[CURVATURE], (count, 1))
         rods = Imperfect(wrench, np.full(count, taper), bend, self._axes @ errors[LOAD])
-        here: Constraints = constraints_of(Stated(np.exp(errors[LENGTH]), self.rod), rods)
+        here: Constraints = constraints_of(
+            Stated(np.exp(errors[LENGTH]), self.rod, self.leaning), rods
+        )
         value = here.value.copy()
         value[:, TANGENT] -= errors[FRICTION] * self.rubbing
         return here._replace(value=value)

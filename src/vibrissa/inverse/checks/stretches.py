@@ -97,7 +97,8 @@ def stretches_of(found: Reconstruction) -> Stretches | None:
     reactions, trail = found.reactions, found.reactions.trail
     wrench, covariance = in_clamp_axes(reactions, found.rod)
     assert covariance is not None
-    sound = np.isfinite(wrench).all(axis=1) & (found.status != Status.BAD_DATA)
+    known = ~np.isin(found.status, (Status.BAD_DATA, Status.NOT_UNIQUE))
+    sound = np.isfinite(wrench).all(axis=1) & known
     time = np.arange(float(len(wrench))) if reactions.time is None else reactions.time
     touching = (uniform_filter1d((found.in_contact & sound).astype(float), _WINDOW) > 0.5) & sound
     if min(np.count_nonzero(found.in_contact), np.count_nonzero(touching)) < _FEWEST:

@@ -178,7 +178,8 @@ def _judged(found: Reconstruction, fit: Fit, known: Flags) -> tuple[Codes, Flags
     labels, given = fit.labels, found.status
     touching, kept = labels.touching & fit.series.sound, np.isin(given, _KEPT)
     # Evidence against the setup is judged anew, relative to the smoothed errors.
-    flagged = ~np.isin(given, (Status.OK, Status.SETUP_CONTRADICTED, *_KEPT))
+    none = Status.OK, Status.SETUP_CONTRADICTED, Status.NOT_UNIQUE
+    flagged = ~np.isin(given, (*none, *_KEPT))
     status = np.where(kept | (touching & flagged & (fit.weight < 1)), given, Status.OK)
     rows = touching & ~kept
     total = _sums(stretches(labels), rows)

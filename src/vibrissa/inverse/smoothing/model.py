@@ -108,6 +108,8 @@ class Series(NamedTuple):
     """Where the rod swings freely."""
     pose: Pose | None = None
     """Of a loaded rod's clamp."""
+    near: Samples | None = None
+    """Arc length near which a sample's contact is looked for, if there are several [L]."""
 
     @property
     def step(self) -> float:
@@ -125,7 +127,9 @@ class Series(NamedTuple):
         return self.whiten(self.wrench)
 
 
-def series_of(found: Reconstruction, time: Samples, rod: RodModel) -> Series:
+def series_of(
+    found: Reconstruction, time: Samples, rod: RodModel, near: Samples | None = None
+) -> Series:
     """Rows of one trail with known noise. Rows in which the free rod swings show no load, and
     little of the zero's drift.
     """
@@ -141,6 +145,7 @@ def series_of(found: Reconstruction, time: Samples, rod: RodModel) -> Series:
         sound & (found.status != Status.TOUCHES_TWICE),
         ringing,
         pose,
+        near,
     )
 
 

@@ -191,7 +191,8 @@ def first_labels(
 ) -> tuple[Codes, Samples]:
     """Phase and rough arc length (model units) of each sample, given what is known of the zero."""
     phase, arc_length = np.full(len(series.time), FREE), np.ones(len(series.time))
-    value, deviation = _raw(rod, series, zero.mean, arc_length)
+    near = arc_length if series.near is None else series.near
+    value, deviation = _raw(rod, series, zero.mean, near)
     for run in runs(detected(series, zero, false_alarm)):
         rows = slice(*run)
         phase[rows], average = _phases_of(value[rows], deviation[rows])

@@ -16,6 +16,7 @@ from vibrissa.inverse.checks.check import with_contradictions, with_delay
 from vibrissa.inverse.parameters import prepared
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
+from vibrissa.inverse.smoothing.branches import SURE, branch_of
 from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
 from vibrissa.inverse.smoothing.estimate import by_itself, contacts_of
 from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
@@ -126,13 +127,22 @@ def _smoothed(
 ) -> tuple[dict[str, Any], Smoothing]:
     """Contacts of one trail, segment by segment, and what is reported besides."""
     count, zero, likelihood = len(found.kind), TARED, 0.0
+    branch = branch_of(found)
+    known = (found.status == Status.NOT_UNIQUE) & (branch.probability >= SURE)
+    found = replace(found, status=np.where(known, Status.OK, found.status).astype(np.int8))
     time = np.arange(count, dtype=float) if found.reactions.time is None else found.reactions.time
     segments, pieces, intensities = _segments_of(found.kind == ContactKind.NONE), [], []
     for number, (segment, kept) in enumerate(segments):
         stages = Stages(tally, kept.stop - kept.start, _STAGES)
         try:
             piece, fit = _smoothed_segment(
-                found[segment], time[segment], zero, false_alarm, model_error, stages
+                found[segment],
+                time[segment],
+                branch.arc_length[segment],
+                zero,
+                false_alarm,
+                model_error,
+                stages,
             )
         except (NoMotionError, np.linalg.LinAlgError):
             size = segment.stop - segment.start
@@ -160,7 +170,11 @@ def _smoothed(
     touches = _touches(*map(rows.pop, ("labels", "edges", "change_deviation")))
     drift, weight, tilt = map(rows.pop, ("drift", "weight", "tilt"))
     intensity = np.median(intensities, axis=0)
-    return rows, Smoothing(touches, intensity, drift, weight, tilt, model_error, likelihood)
+    open_ = (found.status == Status.NOT_UNIQUE) & (rows["status"] == Status.OK)
+    rows["status"] = np.where(open_, Status.NOT_UNIQUE, rows["status"])
+    return rows, Smoothing(
+        touches, intensity, drift, weight, tilt, model_error, likelihood, branch.probability
+    )
 
 
 def _segments_of(resting: Flags) -> list[tuple[slice, slice]]:
@@ -181,6 +195,7 @@ def _segments_of(resting: Flags) -> list[tuple[slice, slice]]:
 def _smoothed_segment(
     found: Reconstruction,
     time: Samples,
+    near: Samples,
     zero: Gaussian,
     false_alarm: float,
     model_error: float,
@@ -190,7 +205,7 @@ def _smoothed_segment(
     judge the rest.
     """
     rod = smoothed_model(found.rod)
-    series = series_of(found, time, rod)
+    series = series_of(found, time, rod, near)
     spread = incidence_spread_of(found.friction, found.reactions.setup_errors)
     fit = fitted(first_guess(rod, series, zero, false_alarm, spread), local=False)
     stages.end_one()

@@ -1,0 +1,70 @@
+"""A hook whose tip pushes towards its stem: two contacts explain the reactions. Smoothing follows
+the one from which the sweep goes on, and says so where nothing tells.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import vibrissa as vb
+from vibrissa.inverse.smoothing.branches import branch_of
+
+LENGTH, RATE, REST, COUNT = 0.05, 50.0, 60, 200
+HOOK = vb.Rod.cylinder(length=LENGTH, radius=0.25e-3, youngs_modulus=206e9).curved(
+    vb.RestShape.arc(radius=0.4 * LENGTH)
+)
+TIP = 0.4 * LENGTH * np.array([1 - np.cos(2.5), 0, np.sin(2.5)])
+
+
+@cache
+def swept(rise: float, way: float) -> tuple[vb.Scan, vb.Reactions]:
+    """The hook led towards a ball ahead of its tip, after a second of rest; the readings."""
+    ball = vb.surfaces.Sphere(center=TIP + LENGTH * np.array([0.305, 0, rise]), radius=0.3 * LENGTH)
+    start, stop = LENGTH * np.array([[0, 0, -0.03], [way, 0, 0.03]])
+    moving = np.linspace(start, stop, COUNT)
+    scan = vb.scan(HOOK, ball, vb.Trail(np.vstack([np.tile(start, (REST, 1)), moving])))
+    true = vb.Reactions(
+        scan.trail,
+        scan.reactions.force,
+        scan.reactions.moment,
+        time=np.arange(REST + COUNT) / RATE,
+    )
+    sensor = vb.Sensor(
+        np.zeros(3),
+        np.array([0.0, 0, 0, 1]),
+        "on_sensor",
+        tare_seconds=0.0,
+        force_noise=5e-4 * HOOK.force_scale,
+        torque_noise=2e-4 * HOOK.moment_scale,
+        position_noise=1e-5,
+    )
+    return scan, sensor.reactions(sensor.measure(true, np.random.default_rng(1)))
+
+
+@pytest.mark.parametrize("sweep", [(0.05, 0.05), (0.08, 0.02)])
+def test_smoothing_follows_the_contact_that_continues(sweep: tuple[float, float]) -> None:
+    """In the first sweep the second half has one contact only; in the other nowhere there is."""
+    scan, readings = swept(*sweep)
+    found = vb.reconstruct(HOOK, readings)
+    open_rows = found.status == vb.Status.NOT_UNIQUE
+    assert open_rows.sum() > 40 and found.warnings == []
+    smooth = vb.smooth(found)
+    (told,) = smooth.smoothing
+    assert np.all(told.branch_probability[~open_rows] == 1)
+    assert np.all(told.branch_probability[open_rows] > 0.5)
+    doubtful = told.branch_probability < 0.95
+    touching = scan.in_contact & smooth.in_contact
+    sure = touching & (smooth.status == vb.Status.OK)
+    assert not np.any(sure & doubtful) and np.mean(sure[touching]) > 0.6
+    off = np.linalg.norm(smooth.point - scan.point, axis=1)
+    assert off[sure].max() < 0.02 * LENGTH
+
+
+def test_a_touch_of_which_nothing_tells_stays_open() -> None:
+    """A few rows alone: either contact continues itself."""
+    scan, readings = swept(0.08, 0.02)
+    rows = np.flatnonzero(scan.in_contact)[20:24]
+    found = vb.reconstruct(HOOK, readings, check=False)[rows[0] : rows[-1] + 1]
+    probability = branch_of(found).probability
+    assert np.all(found.status == vb.Status.NOT_UNIQUE) and np.all(probability < 0.9)

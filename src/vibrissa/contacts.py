@@ -208,12 +208,12 @@ _TEXTS = {
         "reactions are not those of a single contact."
     ),
     Status.HEAD_ON: (
-        "The contact force acts along the clamp's axis: nothing determines to which side the rod "
-        "buckles or stays bent; offset or tilt the clamp."
+        "The contact force acts along the axis of a clamp that holds a straight rod: nothing "
+        "determines to which side the rod buckles or stays bent; offset or tilt the clamp."
     ),
     Status.NOT_CONVERGED: (
-        "The equations could not be solved to their tolerance; refine the trail or check the "
-        "level function's smoothness."
+        "The equations could not be solved to their tolerance; refine the trail, check the level "
+        "function's smoothness, or ask for a smaller `accuracy`."
     ),
     Status.NO_EQUILIBRIUM: (
         "No admissible equilibrium with a single contact was found; the rod may be jammed, or "
@@ -221,25 +221,27 @@ _TEXTS = {
     ),
     Status.CLAMP_INSIDE: "The clamp lies inside the object; move the trail out of it.",
     Status.NOT_SINGLE_CONTACT: (
-        "Force and moment do not belong to one contact force (m0·f0 ≠ 0 beyond the noise); check "
-        "the tare, the mount, or for a second contact."
+        "Force and moment do not belong to one contact force (m0·f0 ≠ 0 beyond the noise, once "
+        "known loads are taken off); check the tare, the mount, or for a second contact."
     ),
     Status.BEYOND_TIP: (
-        "The first zero of the curvature lies beyond the rod's tip; check the rod's length and "
-        "stiffness, the tare and the mount."
+        "The rod is first free of moment beyond its tip; check the rod's length and stiffness, the "
+        "tare and the mount."
     ),
     Status.NO_CURVATURE_ZERO: (
-        "The curvature has no zero for these reactions, so no single contact explains them; "
-        "check the rod, the tare and the sign of the wrench."
+        "Nowhere along the rod is it free of moment under these reactions, so no single contact "
+        "explains them; check the rod, the tare and the sign of the wrench."
     ),
     Status.STEEP_TANGENT: (
-        "At the contact the rod would come out of the object (k² > 0.8, more than any friction "
-        "explains); check the sign of the wrench and the rod."
+        "Force and rod meet at an angle that no friction explains: the rod would come out of the "
+        "object, or be pushed back along itself before its tip; check the sign of the wrench and "
+        "the rod."
     ),
     Status.BAD_DATA: "The row holds numbers that are not finite; check the recording.",
     Status.NOT_UNIQUE: (
         "More than one contact explains the reactions that were used: `candidates` lists those on "
-        "a curved rod, and smoothing follows one; of fewer than six channels, add some."
+        "a curved rod, and smoothing follows the one that continues the sweep; of fewer than six "
+        "channels, add some."
     ),
     Status.SETUP_CONTRADICTED: (
         "The sweep contradicts the setup by more than the error bar of this contact; see the "

@@ -120,7 +120,11 @@ class _Recording:
         low, high = _WITH_FRICTION
         gross = not low / high < worst.ratio < high
         likely = self.likely(_WITH_FRICTION if gross else _FRICTIONLESS)
-        if gross and not any(self.fits(reading) for reading in likely):
+        right = [reading for reading in likely if self.fits(reading)]
+        if not gross:
+            # A taper or a wrong stiffness is off by as much: the setup check tells those apart.
+            likely = right
+        elif not right:
             likely = self.other_stiffness(worst.ratio) or likely
         if not likely:
             return None

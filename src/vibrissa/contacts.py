@@ -208,8 +208,8 @@ _TEXTS = {
         "reactions are not those of a single contact."
     ),
     Status.HEAD_ON: (
-        "The contact force acts along the axis of a clamp that holds a straight rod: nothing "
-        "determines to which side the rod buckles or stays bent; offset or tilt the clamp."
+        "The contact force acts along the clamp's axis and a straight rod: nothing determines to "
+        "which side the rod buckles or stays bent; offset or tilt the clamp."
     ),
     Status.NOT_CONVERGED: (
         "The equations could not be solved to their tolerance; refine the trail, check the level "

@@ -326,7 +326,7 @@ def _explain(setting: Setting, sample: Sample, found: Contact) -> Bool[Array, "k
 
 
 def explaining(
-    found: Contact, steepest: float, leaning: float, off: Scalar | float
+    found: Contact, steepest: Scalar | float, leaning: Scalar | float, off: Scalar | float
 ) -> Bool[Array, "k"]:
     """Which of several contacts an object can have made whose friction bounds incidence and leaning
     as in `Setting`; places and gaps [L] may be off by so much.

@@ -190,7 +190,7 @@ class Lanes(Generic[Shared, Row]):
     def _single(self) -> Callable[..., Any]:
         """The function of one of several rows."""
 
-        def single(shared: Shared, rows: Any, index: int) -> Row:
+        def single(shared: Shared, rows: Any, index: Array | int) -> Row:
             return self._one(shared, *jax.tree.map(lambda leaf: leaf[index], rows))
 
         single.__name__ = self._one.__name__

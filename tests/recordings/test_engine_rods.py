@@ -89,11 +89,7 @@ def test_inspect_says_that_contacts_are_not_sound(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rod, given = SCENES[name].plain, sensor(name)
-    raw = logged(name, 0)
-    table = np.column_stack([raw.time, raw.position, raw.orientation, raw.wrench])
-    header = "time,px,py,pz,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
-    # With all digits: `write_recording` rounds readings as weak as those of the heavy wire.
-    np.savetxt(tmp_path / "sweep.csv", table, "%.12g", ",", header=header, comments="")
+    vb.io.write_recording(tmp_path / "sweep.csv", logged(name, 0))
     (tmp_path / "setup.toml").write_text(f"""
         rod = {{ kind = "cylinder", length = {rod.length}, radius = {rod.radius}, youngs_modulus = {STEEL} }}
         [sensor]

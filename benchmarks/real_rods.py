@@ -81,8 +81,10 @@ def row(name: str, accuracy: float) -> str:
     contacts = scan.in_contact
     forward = best_of(3, lambda: vb.scan(rod, BALL, trails, accuracy=accuracy), contacts.sum())
     samples = touching(scan)
-    vb.reconstruct(rod, samples)
-    inverse = best_of(5, lambda: vb.reconstruct(rod, samples), len(samples.force))
+    vb.reconstruct(rod, samples, accuracy=accuracy)
+    inverse = best_of(
+        5, lambda: vb.reconstruct(rod, samples, accuracy=accuracy), len(samples.force)
+    )
     largest = np.nanmax(scan.residual[contacts & (scan.status == vb.Status.OK)])
     return (
         f"| {name} | {accuracy:g} | {contacts.mean():.0%} | {len(scan.events)} | "

@@ -292,12 +292,13 @@ def _of_contact(rod: Rod, load: _Load, before: int, start: int, stop: int) -> Cl
     middle = start + np.arange(count) * size + size // 2
     force, moment = (means(part[start:]) for part in (reactions.force, reactions.moment))
     trail = reactions.trail[middle]
-    covariance = reactions.covariance
-    if covariance is not None:
-        covariance = np.broadcast_to(covariance / squares(rod), (len(load.rows), 6, 6))[middle]
-    rows = Sample(force, moment, trail.position, trail.orientation, covariance)
+    rows = Sample(force, moment, trail.position, trail.orientation)
     setting = under_friction(setting_of(rod, reactions), None)
     if setting.rod.candidates > 1:
+        noise = reactions.covariance
+        if noise is not None:
+            noise = np.broadcast_to(noise / squares(rod), (len(load.rows), 6, 6))[middle]
+            rows = rows._replace(covariance=noise)
         seen: Any = candidates_of(setting, rows)
         if np.any(np.sum(seen[1], axis=1) > 1):
             return None

@@ -133,7 +133,8 @@ class Lanes(Generic[Shared, Row]):
         """Compile in a separate thread what a call with such rows will need: XLA leaves the other
         cores free for other work.
         """
-        known = (self, len(jax.tree.leaves(rows)[0]), jax.tree.structure((shared, rows)))
+        kernel, *_ = self._kernel(shared, len(jax.tree.leaves(rows)[0]))
+        known = (kernel, jax.tree.structure((shared, rows)))
         if known not in self._begun and threads() > 1:
             self._begun.add(known)
             threading.Thread(target=self._quietly, args=(shared, *rows)).start()

@@ -13,10 +13,10 @@ from vibrissa.contacts import Status
 from vibrissa.inverse.candidates import open_rows
 from vibrissa.inverse.kernels import candidates_of, deviations_of_candidates
 from vibrissa.inverse.result import Reconstruction
-from vibrissa.inverse.smoothing.model import Samples
+from vibrissa.inverse.smoothing.model import Flags, Samples
 from vibrissa.numerics.runs import runs
 
-SURE = 0.95
+_SURE = 0.95
 """Probability from which a contact counts as the one that continues."""
 _LEAP = 1e-3
 """Probability that a contact leaps along the rod between two samples."""
@@ -39,12 +39,14 @@ class Branch(NamedTuple):
     """Of the most probable contact [L]; 1 where the row lists one at most."""
     probability: Samples
     """That it is the true one of those listed; 1 where there is no other."""
+    sure: Flags
+    """Rows that list several, one of which is that probable."""
 
 
 def branch_of(found: Reconstruction) -> Branch:
     """The contacts that continue each other along one trail (n, …)."""
     count, length = len(found.kind), found.rod.length
-    branch = Branch(np.ones(count), np.ones(count))
+    branch = Branch(np.ones(count), np.ones(count), np.zeros(count, dtype=bool))
     setting, rows, samples = open_rows(found)
     if not rows.size:
         return branch
@@ -74,6 +76,7 @@ def branch_of(found: Reconstruction) -> Branch:
                 best = int(np.argmax(weight))
                 branch.arc_length[row] = place.arc_length[best]
                 branch.probability[row] = weight[best]
+                branch.sure[row] = weight[best] >= _SURE
     return branch
 
 

@@ -16,7 +16,7 @@ from vibrissa.inverse.checks.check import with_contradictions, with_delay
 from vibrissa.inverse.parameters import prepared
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.shared import with_shared
-from vibrissa.inverse.smoothing.branches import SURE, branch_of
+from vibrissa.inverse.smoothing.branches import branch_of
 from vibrissa.inverse.smoothing.changes import drawn, reversed_fit, with_onset, with_phases
 from vibrissa.inverse.smoothing.estimate import by_itself, contacts_of
 from vibrissa.inverse.smoothing.fit import MOST_STEPS, as_flank, averaged, first_guess, fitted
@@ -128,8 +128,8 @@ def _smoothed(
     """Contacts of one trail, segment by segment, and what is reported besides."""
     count, zero, likelihood = len(found.kind), TARED, 0.0
     branch = branch_of(found)
-    known = (found.status == Status.NOT_UNIQUE) & (branch.probability >= SURE)
-    found = replace(found, status=np.where(known, Status.OK, found.status).astype(np.int8))
+    status = np.where(branch.sure, Status.OK, found.status).astype(np.int8)
+    found = replace(found, status=status)
     time = np.arange(count, dtype=float) if found.reactions.time is None else found.reactions.time
     segments, pieces, intensities = _segments_of(found.kind == ContactKind.NONE), [], []
     for number, (segment, kept) in enumerate(segments):

@@ -59,6 +59,7 @@ def step_from(
     conditions: Callable[[Unknowns], tuple[Unknowns, Told]],
     x: Unknowns,
     *,
+    like: Callable[[Unknowns], tuple[Unknowns, Any]] | None = None,
     cautious: bool = False,
 ) -> tuple[Step, Told]:
     """Semi-smooth Newton step; the contact point x[:3] moves by at most 0.3 L.
@@ -66,14 +67,17 @@ def step_from(
     A cautious step is at most 0.2 L long, and is taken even where a singular Jacobian leaves the
     state open: such a state is then no root.
 
-    `conditions` returns the residual, and whatever else is wanted at x.
+    `conditions` returns the residual, and whatever else is wanted at x; the Jacobian may be that of
+    others that are nearly `like` it.
     """
 
-    def both(x: Unknowns) -> tuple[Unknowns, tuple[Unknowns, Told]]:
-        residual, told = conditions(x)
+    def both(x: Unknowns) -> tuple[Unknowns, tuple[Unknowns, Any]]:
+        residual, told = (like or conditions)(x)
         return residual, (residual, told)
 
     jacobian, (residual, told) = jax.jacfwd(both, has_aux=True)(x)
+    if like is not None:
+        residual, told = conditions(x)
     step, determinant = solved_linear(jacobian, residual)
     distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
     longest = _CAUTIOUS_STEP if cautious else _LONGEST_STEP

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrissa.contact import Law, Reached, Scene, State, step_from, touching
 from vibrissa.forward.path import chosen
-from vibrissa.mechanics.model import Clamp
+from vibrissa.mechanics.model import Clamp, RodModel
 from vibrissa.numerics.bracket import POINTS
 from vibrissa.numerics.lanes import WIDTH, Lanes, lanes
 from vibrissa.numerics.vectors import joined
@@ -170,11 +170,14 @@ def once(
 ) -> Solved:
     """One Newton step; everything but the state is from before the step."""
 
-    def conditions(x: Float[Array, "unknowns"]) -> tuple[Any, Any]:
-        found = touching(scene, law, State.of(x, scene.rod.unknowns), clamp, before, side)
+    def conditions(x: Float[Array, "unknowns"], rod: RodModel = scene.rod) -> tuple[Any, Any]:
+        own = scene._replace(rod=rod)
+        found = touching(own, law, State.of(x, rod.unknowns), clamp, before, side)
         return found.residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
 
-    step, (arc_length, tangent, phase, beyond) = step_from(conditions, state.flat)
+    rough = scene.rod.rough
+    like = None if rough is None else partial(conditions, rod=rough)
+    step, (arc_length, tangent, phase, beyond) = step_from(conditions, state.flat, like=like)
     figure = step.determinant if law.branch else beyond
     reached = Reached(State.of(step.x, scene.rod.unknowns), arc_length, tangent)
     return Solved(reached, step.residual, figure, phase)

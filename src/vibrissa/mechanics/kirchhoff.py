@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 from scipy.integrate import DOP853
 
@@ -53,6 +54,10 @@ _STAGES, _NODES, _WEIGHTS = DOP853.A, DOP853.C, DOP853.B
 _THIRD, _FIFTH, _SHARE = DOP853.E3[:-1], DOP853.E5[:-1], 0.1
 """Differences to the two formulas of lower order that the method holds, of which its estimate of
 the error is made (ibid., sec. II.10).
+"""
+_ROUGHLY = 3
+"""Steps that are one where only derivatives for Newton's method are wanted: to about 1e-6, so that
+a step of it still gains as many digits.
 """
 DEGREE = 4
 """Of the polynomials in which a section is given within each step: the stiffness of a round rod
@@ -194,8 +199,6 @@ class Line(NamedTuple):
     """At the nodes (nodes, …)."""
     rates: _State
     """Their derivatives along the rod."""
-    strain: Float[Array, "nodes"]
-    """Elastic curvature [1/L]."""
     error: Float[Array, "nodes"]
     """Estimated error of reach and tangent, added up from the line's first node."""
 
@@ -224,16 +227,6 @@ class Line(NamedTuple):
         place, step, x = self.between(s)
         values, (_, _, seconds) = self._ends(place, step), _quintic(x)
         return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
-
-    def error_at(self, s: Scalar) -> Scalar:
-        """Estimated error at an arc length: that of the node behind it; infinite where the rod is
-        rolled up before.
-        """
-        place, _, _ = self.between(s)
-        turns = (self.strain[1:] + self.strain[:-1]) / 2 * jnp.diff(self.nodes)
-        turned = jnp.sum(jnp.where(jnp.arange(len(turns)) < place, turns, 0.0))
-        error: Scalar = jnp.where(turned < _FULL_TURN, self.error[place + 1], jnp.inf)
-        return error
 
     def _ends(self, place: Array, step: Scalar) -> list[Vector]:
         return [
@@ -340,6 +333,9 @@ class Kirchhoff(RodModel):
     moment [EI/L].
     """
 
+    derived: "Kirchhoff | None" = None
+    """The rod in fewer steps, as in `rough`."""
+
     accuracy: ClassVar[float] = 1e-8
     last_step: ClassVar[float] = 1e-7  # the step leaves less than the error of the discretisation
     lane_width: ClassVar[int] = 8
@@ -363,8 +359,14 @@ class Kirchhoff(RodModel):
         """
         nodes = jnp.linspace(0, 1, STEPS + 1) if nodes is None else jnp.asarray(nodes)
         given = (bending, torsion, rest, girth, loaded)
-        local = Local(*(None if of is None else fitted(of, nodes) for of in given))
-        return cls(nodes, local, load, compliance)
+
+        def divided(nodes: Array, derived: Kirchhoff | None = None) -> Kirchhoff:
+            local = Local(*(None if of is None else fitted(of, nodes) for of in given))
+            return cls(nodes, local, load, compliance, derived)
+
+        steps = len(nodes) - 1
+        few = np.linspace(0, steps, math.ceil(steps / _ROUGHLY) + 1).round().astype(int)
+        return divided(nodes, divided(nodes[few]))
 
     @classmethod
     def tapered(cls, taper: Scalar, poisson_ratio: Scalar, steps: int = STEPS) -> "Kirchhoff":
@@ -411,6 +413,11 @@ class Kirchhoff(RodModel):
         return uniform / own
 
     @property
+    def rough(self) -> "Kirchhoff | None":
+        """As in `RodModel`."""
+        return self.derived
+
+    @property
     def finer(self) -> "Kirchhoff":
         """As in `RodModel`."""
         half = self.nodes[:-1] + jnp.diff(self.nodes) / 2
@@ -443,12 +450,10 @@ class Kirchhoff(RodModel):
 
     def _slope(
         self, origin: Vector, push: Push, s: Scalar, at: _State, local: Local, h: Scalar = 0.0
-    ) -> tuple[_State, Scalar]:
-        """Derivatives along the rod, and the elastic curvature."""
+    ) -> _State:
+        """Derivatives along the rod."""
         t, load = at.tangent, at.load
-        m = push.moment - jnp.cross(at.reach, push.force)
-        if load is not None:
-            m = m + load[3:]
+        m = _moment(push, at)
         square, about = dot(m, m), dot(m, t)
         # Behind a contact the force may curl up a thin tip: no further than a step resolves.
         soft = 1 / jnp.maximum(local.bending, h * jnp.sqrt(square + _TINY) / _LARGEST_TURN)
@@ -464,8 +469,7 @@ class Kirchhoff(RodModel):
             assert self.load is not None
             q = self.load.per_length(s, origin + at.reach, t, local.loaded)
             rates = joined(-q, -jnp.cross(t, load[:3]))
-        strain = soft * jnp.sqrt(jnp.maximum(square - about**2, 0.0) + _TINY)
-        return _State(t, bend, energy, across, rates), strain
+        return _State(t, bend, energy, across, rates)
 
     def _step(
         self,
@@ -475,40 +479,31 @@ class Kirchhoff(RodModel):
         start: Scalar,
         h: Scalar,
         stages: Local,
-    ) -> tuple[_State, _State, Scalar, Scalar]:
-        """One step from an arc length; the slope and elastic curvature where it begins, and its
-        estimated error. The section is given at the stages.
+    ) -> tuple[_State, _State, Scalar]:
+        """One step from an arc length; the slope where it begins, and its estimated error. The
+        section is given at the stages.
         """
+        # One array: XLA spends far longer on a loop over many small ones.
+        begin, state_of = ravel_pytree(at)
         count = len(_WEIGHTS)
 
-        def weighted(weights: Any, rates: Array) -> Array:
-            each = weights.reshape(-1, *(1,) * (rates.ndim - 1))
-            return h * jnp.sum(each * rates, axis=0)
+        def weighted(weights: Any, slopes: Array) -> Array:
+            return h * jnp.sum(weights[:, None] * slopes, axis=0)
 
-        def moved(weights: Any, slopes: _State) -> _State:
-            return jax.tree.map(lambda value, rates: value + weighted(weights, rates), at, slopes)
-
-        def stage(index: Array, found: tuple[_State, Scalar]) -> tuple[_State, Scalar]:
-            slopes, strain = found
+        def stage(index: Array, slopes: Array) -> Array:
             local = jax.tree.map(lambda part: part[index], stages)
             s = start + h * jnp.asarray(_NODES)[index]
-            here = moved(jnp.asarray(_STAGES)[index, :count], slopes)
-            slope, bent = self._slope(origin, push, s, here, local, h)
-            slopes = jax.tree.map(
-                lambda rows, row: lax.dynamic_update_index_in_dim(rows, row, index, 0),
-                slopes,
-                slope,
-            )
-            return slopes, jnp.where(index == 0, bent, strain)
+            here = state_of(begin + weighted(jnp.asarray(_STAGES)[index, :count], slopes))
+            slope, _ = ravel_pytree(self._slope(origin, push, s, here, local, h))
+            return lax.dynamic_update_index_in_dim(slopes, slope, index, 0)
 
         # A loop, not a sequence: a fifth of the time to compile, and no slower.
-        none = jax.tree.map(lambda value: jnp.zeros((count, *value.shape)), at)
-        slopes, strain = lax.fori_loop(0, count, stage, (none, jnp.zeros(())))
-        first = jax.tree.map(lambda rows: rows[0], slopes)
-        known = lax.stop_gradient(jnp.concatenate([slopes.reach, slopes.tangent], axis=1))
+        slopes = lax.fori_loop(0, count, stage, jnp.zeros((count, begin.size)))
+        # Reach and tangent come first.
+        known = lax.stop_gradient(slopes[:, :6])
         third, fifth = (jnp.sum(weighted(of, known) ** 2) for of in (_THIRD, _FIFTH))
         error = fifth / (_TOO_LARGE * jnp.sqrt(fifth + _SHARE**2 * third + _TINY))
-        return moved(_WEIGHTS, slopes), first, strain, error
+        return state_of(begin + weighted(_WEIGHTS, slopes)), state_of(slopes[0]), error
 
     def line(self, clamp: Clamp, push: Push, load: Wrench | None = None) -> Line:
         """The rod under a contact force that acts at or beyond its tip; with loads, Q and their
@@ -529,16 +524,32 @@ class Kirchhoff(RodModel):
         return self._line(clamp.point, push, jnp.asarray(self.nodes), last, rows)
 
     def _line(self, origin: Vector, push: Push, nodes: Any, last: _State, rows: Any) -> Line:
-        """A line from states, rates and strains where its steps begin, their errors, and its last
-        state.
-        """
+        """A line from states and rates where its steps begin, their errors, and its last state."""
         tip = jax.tree.map(lambda part: jnp.sum(part[-1], axis=0), self.local)
-        end = last, *self._slope(origin, push, nodes[-1], last, tip)
+        end = last, self._slope(origin, push, nodes[-1], last, tip)
         *begin, errors = rows
-        states, rates, strain = jax.tree.map(
+        states, rates = jax.tree.map(
             lambda row, at: jnp.concatenate([row, at[None]]), tuple(begin), end
         )
-        return Line(nodes, states, rates, strain, jnp.append(0.0, jnp.cumsum(errors)))
+        return Line(nodes, states, rates, jnp.append(0.0, jnp.cumsum(errors)))
+
+    def _strain(self, line: Line, push: Push) -> Float[Array, "nodes"]:
+        """Elastic curvature [1/L] at the nodes."""
+        m = jax.vmap(lambda at: _moment(push, at))(line.states)
+        across = jnp.cross(m, line.tangent)
+        bending = jnp.append(self.local.bending[:, 0], jnp.sum(self.local.bending[-1]))
+        return jnp.sqrt(jnp.sum(across**2, axis=1) + _TINY) / bending
+
+    def _error_at(self, inner: "Inner", s: Scalar) -> Scalar:
+        """Estimated error at an arc length: that of the node behind it; infinite where the rod is
+        rolled up before.
+        """
+        line, strain = inner.line, self._strain(inner.line, inner.push)
+        place, _, _ = line.between(s)
+        turns = (strain[1:] + strain[:-1]) / 2 * jnp.diff(line.nodes)
+        turned = jnp.sum(jnp.where(jnp.arange(len(turns)) < place, turns, 0.0))
+        error: Scalar = jnp.where(turned < _FULL_TURN, line.error[place + 1], jnp.inf)
+        return error
 
     def _at(self, inner: Inner, s: Scalar) -> _State:
         """The rod at an arc length, by a step from the node before it; straight beyond the tip."""
@@ -610,7 +621,8 @@ class Kirchhoff(RodModel):
 
         load, found, slopes = self._resultants(left, jnp.zeros(6), (self, clamp))
         line = self.line(clamp, _NO_PUSH, load)
-        return Hanging(clamp, line, load, found & _stands(slopes, line))
+        strain = jnp.max(self._strain(line, _NO_PUSH))
+        return Hanging(clamp, line, load, found & _stands(slopes, line.tangent[-1], strain))
 
     def bent(
         self,
@@ -662,7 +674,7 @@ class Kirchhoff(RodModel):
     def largest_bend(self, bent: Bent) -> Scalar:
         """As in `RodModel`: the largest at a node."""
         line = bent.inner.line
-        at = line.strain
+        at = self._strain(line, bent.inner.push)
         if self.local.girth is not None:
             girth = self.local.girth
             at = at * jnp.append(girth[:, 0], jnp.sum(girth[-1]))
@@ -765,7 +777,7 @@ class Kirchhoff(RodModel):
         d = push.force / f
         incidence = (1 + dot(along, d)) / 2
         # Where rod and force cross at a small angle, the crossing moves further than the rod.
-        error = line.error_at(s) / jnp.sqrt(dot(lever, lever))
+        error = self._error_at(inner, s) / jnp.sqrt(dot(lever, lever))
         return Contact(at, d, s, incidence, here.energy, gap, error=error)
 
     def _loaded_crossings(self, clamp: Clamp, push: Push) -> Callable[[Any], Contact]:
@@ -804,13 +816,21 @@ class Kirchhoff(RodModel):
             energy = rest.states.energy[-1]
             gap = jnp.sqrt(dot(moment, moment)) / f
             lever = jnp.cross(here.tangent, force) / f
-            error = (line.error_at(unknowns[0]) + rest.error[-1]) / jnp.sqrt(dot(lever, lever))
+            error = (self._error_at(inner, unknowns[0]) + rest.error[-1]) / jnp.sqrt(
+                dot(lever, lever)
+            )
             return Contact(reach, force / f, unknowns[0], incidence, energy, gap, load, error)
 
         return crossing
 
 
-def _stands(slopes: Float[Array, "9 6"], line: Line) -> Bool[Array, ""]:
+def _moment(push: Push, at: _State) -> Vector:
+    """Moment in the rod."""
+    m: Vector = push.moment - jnp.cross(at.reach, push.force)
+    return m if at.load is None else m + at.load[3:]
+
+
+def _stands(slopes: Float[Array, "9 6"], tangent: Vector, strain: Scalar) -> Bool[Array, ""]:
     """Whether a rod without contact is stable: whether small moments across its tip turn it their
     own way. Given are the derivatives of force and moment at the tip, and of its tangent, with
     respect to force and moment at the clamp.
@@ -818,7 +838,7 @@ def _stands(slopes: Float[Array, "9 6"], line: Line) -> Bool[Array, ""]:
     Under more than its second critical load an upright column answers in that way again; but while
     the rod is hardly bent, its clamp then has to hold against the moment's sense.
     """
-    tangent, none = line.tangent[-1], jnp.zeros(3)
+    none = jnp.zeros(3)
     across = _across(tangent)
     moments = across, jnp.cross(tangent, across)
     at_clamp = [solve_pivoted(slopes[:6], joined(none, moment))[0] for moment in moments]
@@ -828,7 +848,7 @@ def _stands(slopes: Float[Array, "9 6"], line: Line) -> Bool[Array, ""]:
         return (a > 0) & (a * d > ((b + c) / 2) ** 2)
 
     turns = [jnp.cross(tangent, slopes[6:] @ answer) for answer in at_clamp]
-    hardly = jnp.max(line.strain) < _HARDLY_BENT
+    hardly = strain < _HARDLY_BENT
     return positive(turns) & (positive([answer[3:] for answer in at_clamp]) | ~hardly)
 
 

@@ -222,6 +222,11 @@ class RodModel(eqx.Module):
         return jnp.ones_like(s)
 
     @property
+    def rough(self) -> "RodModel | None":
+        """Nearly the same rod at less cost, whose derivatives will do for Newton's method."""
+        return None
+
+    @property
     def finer(self) -> "RodModel":
         """The same rod, where it is divided into steps with half their length."""
         return self

@@ -68,3 +68,17 @@ def test_a_touch_of_which_nothing_tells_stays_open() -> None:
     found = vb.reconstruct(HOOK, readings, check=False)[rows[0] : rows[-1] + 1]
     probability = branch_of(found).probability
     assert np.all(found.status == vb.Status.NOT_UNIQUE) and np.all(probability < 0.9)
+
+
+def test_a_frictionless_hook_is_not_averaged_with_contacts_far_from_it() -> None:
+    """The tip pushes at an angle that no frictionless contact on its flank has: what such a rival
+    would need is far from the readings, and must not move the contact at the tip.
+    """
+    scan, readings = swept(0.05, 0.05)
+    smooth = vb.smooth(vb.reconstruct(HOOK, readings, friction=0.0))
+    rows = scan.in_contact & smooth.in_contact
+    assert rows.sum() > 0.95 * scan.in_contact.sum() and np.all(smooth.status[rows] == vb.Status.OK)
+    off = np.linalg.norm(smooth.point - scan.point, axis=1)[rows]
+    assert smooth.covariance is not None
+    deviation = np.sqrt(np.trace(smooth.covariance[rows], axis1=1, axis2=2))
+    assert off.max() < 0.005 * LENGTH and np.all(off < 4 * deviation)

@@ -228,8 +228,11 @@ def _longest_of(time: Samples, labels: Labels) -> float:
 
 
 def as_flank(fit: Fit) -> Fit:
-    """The fit with tip contacts linearised about the coordinates that they would have in tangential
-    contact, so that rivals are compared about their own.
+    """The fit with tip contacts also linearised about the coordinates that they would have in
+    tangential contact, so that rivals are compared about their own.
+
+    In tip contact they stay linearised about theirs: on a strongly curved rod a rival may be so far
+    from the samples that no contact is found there, and its loads are no place to expand about.
     """
     labels, tip = fit.labels, fit.labels.phase == TIP
     if not tip.any():
@@ -240,7 +243,7 @@ def as_flank(fit: Fit) -> Fit:
     for _ in range(_FLANK_STEPS):
         states = smoothed_states(flank, steps_of(flank))
         flank = _stepped(flank, _coordinates(states))
-    return fit.about(chosen(tip, flank.linear, fit.linear))
+    return fit._replace(linear=chosen(tip, flank.linear, fit.linear))
 
 
 def averaged(fit: Fit, candidates: list[Labels]) -> Fit:

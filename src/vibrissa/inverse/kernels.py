@@ -497,29 +497,63 @@ def _within_the_rod(
     held: _Held,
     covariance: Spread,
 ) -> Wrench:
-    """The most probable wrench with s₁ ≤ L: a contact beyond the tip by no more than noise explains
-    is one at the tip.
+    """The most probable wrench of a single contact with s₁ ≤ L: a contact beyond the tip by no more
+    than noise explains is one at the tip.
     """
+    plain = isinstance(held.rod, Elastica)
+    given = wrench if plain else held.wrench
 
-    def log_arc_length(wrench: Wrench) -> tuple[Scalar, Scalar]:
-        value = jnp.log(held.contact(wrench).arc_length)
-        return value, value
+    def conditions(wrench: Wrench) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
+        """Logarithm of s₁, and m0·f0 of what the contact itself does to the clamp."""
+        contact, alone = held.contact(wrench), wrench
+        if held.load is not None:
+            # What the loads do there depends on how the rod is bent.
+            alone = wrench + held.load - contact.load
+        couple = jnp.sum(alone[:3] * alone[3:])
+        values = jnp.stack([jnp.log(contact.arc_length), couple])
+        # A plain rod stays one of a single contact when moved to its tip.
+        values = values[:1] if plain else values
+        return values, values
 
     def step(last: Any) -> Any:
-        done, at, _, _, beyond, _ = last
-        slope, value = jax.jacfwd(log_arc_length, has_aux=True)(at)
-        beyond = jnp.where(done == 0, value > 0, beyond)
-        moved, deviations = towards(wrench, at, value, slope, covariance)
+        done, at, _, _, beyond, _, before = last
+        slopes, values = jax.jacfwd(conditions, has_aux=True)(at)
+        beyond = jnp.where(done == 0, values[0] > 0, beyond)
+        moved, square, of_couple = _meeting(given, at, values, slopes, covariance)
+        # From beyond the tip: at the tip the couple's slope depends on the side.
+        before = jnp.where(done == 0, of_couple, before)
         change = jnp.max(jnp.abs(moved - at)) > _SETTLED * jnp.max(jnp.abs(wrench))
         go_on = beyond & change & (done + 1 < _TIP_STEPS)
-        return done + 1, moved, deviations, value, beyond, go_on
+        return done + 1, moved, square, values[0], beyond, go_on, before
 
     none, yes = jnp.zeros(()), jnp.ones((), dtype=bool)
-    start = jnp.zeros((), dtype=int), wrench, none, none, yes, yes
-    _, limited, deviations, value, beyond, _ = lax.while_loop(lambda last: last[-1], step, start)
-    near = (jnp.abs(value) < TIP) & (jnp.abs(deviations) < _TIP_DEVIATIONS)
+    start = jnp.zeros((), dtype=int), wrench, none, none, yes, yes, none
+    found = lax.while_loop(lambda last: last[-2], step, start)
+    _, limited, square, value, beyond, _, before = found
+    near = (jnp.abs(value) < TIP) & (square - before < _TIP_DEVIATIONS**2)
     chosen = jnp.where(near, limited, jnp.where(off_straight < _TIP_DEVIATIONS, straight, wrench))
     return jnp.where(beyond, chosen, wrench)
+
+
+def _meeting(
+    start: Wrench,
+    at: Wrench,
+    values: Float[Array, "k"],
+    slopes: Float[Array, "k 6"],
+    covariance: Spread,
+) -> tuple[Wrench, Scalar, Scalar]:
+    """A step as in `towards`, under one or two conditions; the square of the change in standard
+    deviations, and of the change that the second condition alone asks for.
+    """
+    if len(values) == 1:
+        moved, deviations = towards(start, at, values[0], slopes[0], covariance)
+        return moved, deviations**2, jnp.zeros(())
+    spread = _product(covariance, slopes.T)
+    (a, b), (_, c) = _product(slopes, spread)
+    x, y = values + jnp.sum(slopes * (start - at), axis=1)
+    # The inverse of a matrix of two rows, by hand: it keeps the lanes together.
+    p, q = (c * x - b * y) / (a * c - b * b), (a * y - b * x) / (a * c - b * b)
+    return start - spread[:, 0] * p - spread[:, 1] * q, x * p + y * q, y * y / c
 
 
 def _unbent_tip(wrench: Wrench, tip: Vector, covariance: Spread) -> tuple[Wrench, Scalar]:

@@ -1,0 +1,118 @@
+"""All equilibria of a tapered rod that is curved at rest, on each kind of surface, against shooting;
+and around a snap those of a sweep among them.
+"""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_random_rods import Whisker, shot
+
+import vibrissa as vb
+from vibrissa.forward.equilibria import Equilibrium
+from vibrissa.surfaces import Surface
+
+WHISKER = Whisker(0.5, (0.5, 0.4), 0.8)
+ROD, LENGTH = WHISKER.rod, WHISKER.rod.length
+CENTER = np.array([0.25, 0.05, 0.85]) * LENGTH
+
+
+def residual(one: Equilibrium, surface: Surface) -> float:
+    """Largest of what shooting with its reactions leaves: place and moment at the contact, force
+    across the normal, slope if tangential, energy.
+    """
+    force, moment = -one.reactions.force[0], -one.reactions.moment[0]
+    force, moment = force / ROD.force_scale, moment / ROD.moment_scale
+    clamp, share = one.reactions.trail.position[0], one.arc_length / LENGTH
+    end = shot(WHISKER, Rotation.identity(), moment, force, share)
+    steps = 1e-6 * LENGTH * np.eye(3)
+    levels = surface.levels(np.concatenate([one.point + steps, one.point - steps]))
+    normal = levels[:3] - levels[3:]
+    normal /= np.linalg.norm(normal)
+    push = force / np.linalg.norm(force)
+    assert one.kind == (vb.ContactKind.TIP if share > 1 - 1e-9 else vb.ContactKind.TANGENTIAL)
+    assert end.tangent @ normal < 1e-4
+    left = (
+        np.linalg.norm(end.place - (one.point - clamp) / LENGTH),
+        np.linalg.norm(end.moment),
+        1e-3 * np.linalg.norm(push - normal),  # by differences
+        (one.kind == vb.ContactKind.TANGENTIAL) * abs(end.tangent @ normal),
+        abs(float(surface.levels(one.point))) / LENGTH,
+        abs(end.energy - one.energy / ROD.moment_scale),
+    )
+    return float(max(left))
+
+
+def ball_of_triangles() -> Surface:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.2 * LENGTH)
+    return vb.surfaces.Mesh(vertices=ball.vertices + CENTER, faces=ball.faces)
+
+
+SURFACES = {
+    "ball": lambda: vb.surfaces.Sphere(center=CENTER, radius=0.2 * LENGTH),
+    "ellipsoid": lambda: vb.surfaces.Ellipsoid(
+        center=CENTER, semi_axes=np.array([0.2, 0.3, 0.15]) * LENGTH
+    ),
+    "cylinder": lambda: vb.surfaces.Cylinder(
+        center=CENTER, axis=(0.2, 1, 0.1), radius=0.2 * LENGTH, length=LENGTH
+    ),
+    "torus": lambda: vb.surfaces.Torus(
+        center=CENTER,
+        axis=(1, 0.3, 0.2),
+        major_radius=0.2 * LENGTH,
+        minor_radius=0.08 * LENGTH,
+    ),
+    "union": lambda: vb.surfaces.Union(
+        [
+            vb.surfaces.Sphere(center=CENTER + np.array(at) * LENGTH, radius=0.15 * LENGTH)
+            for at in ((0, 0, 0), (0, 0.2, 0.1))
+        ]
+    ),
+    "implicit": lambda: vb.surfaces.Implicit(
+        lambda p: ((p - CENTER) @ (p - CENTER)) / (0.2 * LENGTH) - 0.2 * LENGTH + 0.1 * p[1]
+    ),
+    "mesh": ball_of_triangles,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SURFACES)
+def test_each_is_an_equilibrium_of_the_rod_s_equation(name: str) -> None:
+    """The lowest to rounding; unstable ones, at tens of times the force, as errors grow along them."""
+    surface = SURFACES[name]()
+    found = vb.equilibria(ROD, surface, position=(0, 0, 0))
+    assert len(found) >= 4
+    assert found[0].stable and not found[-1].stable
+    for one in found:
+        left, force = residual(one, surface), np.linalg.norm(one.reactions.force) / ROD.force_scale
+        print(f"{name}, {one.kind.name}, force {force:.3g}: {left:.1e}")  # noqa: T201
+        assert left < (1e-10 if force < 3 else 1e-4)
+
+
+def test_a_snap_leaves_one_equilibrium_for_another_that_is_lower() -> None:
+    """Along the flank of a ball: the sweep's states just before and after are stable equilibria; the
+    one that it left is none any more, and the one that it fell into was there before.
+    """
+    ball = vb.surfaces.Sphere(center=(0, 0, 0.95 * LENGTH), radius=0.35 * LENGTH)
+    way = np.linspace(1.2, -1.6, 112)
+    trail = vb.Trail(np.column_stack([way, 0 * way - 0.2, 0 * way]) * LENGTH)
+    scan = vb.scan(ROD, ball, trail)
+    (snap,) = (event for event in scan.events if event.kind == vb.EventKind.SNAP)
+    after = int(np.argmax(trail.position[:, 0] < snap.clamp[0]))
+    before = after - 1
+    found = {row: vb.equilibria(ROD, ball, position=trail.position[row]) for row in (before, after)}
+
+    def near(row: int, point: np.ndarray, within: float) -> list[Equilibrium]:
+        return [one for one in found[row] if np.linalg.norm(one.point - point) < within * LENGTH]
+
+    for row in found:
+        (swept,) = near(row, scan.point[row], 1e-8)
+        left = residual(swept, ball)
+        print(f"row {row}: {left:.1e}, second variation {swept.second_variation:.2g}")  # noqa: T201
+        assert swept.stable and left < 1e-9
+        assert swept.energy == pytest.approx(scan.energy[row], abs=1e-10 * ROD.moment_scale)
+    assert near(after, scan.point[before], 0.2) == []
+    (fallen,) = near(before, scan.point[after], 0.05)
+    assert fallen.stable
+    assert scan.energy[after] < scan.energy[before] - 0.01 * ROD.moment_scale

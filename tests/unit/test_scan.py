@@ -188,3 +188,28 @@ def test_a_scan_is_read_back_from_netcdf_as_it_was(tmp_path: Path) -> None:
             meanings[list(data["event_kind"].attrs["flag_values"]).index(scan.events[0].kind)]
             == "first_contact"
         )
+
+
+CURVED = vb.Rod.unit().curved(vb.RestShape.arc(0.8))
+
+
+def test_a_curved_rod_is_not_met_head_on() -> None:
+    """A force along the clamp's axis bends it to the side to which it is curved."""
+    wall = vb.surfaces.Plane(point=(0, 0, 0.9), normal=(0, 0, -1))
+    trail = vb.Trail.line(start=(0, 0, 0), stop=(0, 0, 0.4), count=9)
+    scan = vb.scan(CURVED, wall, trail)
+    assert np.all(scan.status == STATUS.OK)
+    assert scan.in_contact[3:].all()
+    assert np.all(scan.point[3:, 0] > 0.3)
+
+
+@pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
+def test_a_rod_that_rests_through_the_object_starts_in_contact(place: float) -> None:
+    """The trail begins where the curve at rest passes through a ball, from side to side."""
+    middle = (0.8 * (1 - np.cos(place / 0.8)), 0.01, 0.8 * np.sin(place / 0.8))
+    ball = vb.surfaces.Sphere(center=middle, radius=0.05)
+    scan = vb.scan(CURVED, ball, vb.Trail.line(start=(0, 0, 0), stop=(-0.4, 0, 0), count=9))
+    assert scan.events[0].kind == EVENT.STARTED_IN_CONTACT
+    assert scan.kind[0] != vb.ContactKind.NONE
+    assert np.all(scan.status == STATUS.OK)
+    assert np.isfinite(scan.reactions.force).all()

@@ -18,6 +18,7 @@ from vibrissa.forward.result import Scan
 from vibrissa.forward.search import caught
 from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
+from vibrissa.mechanics.free import check_loads
 from vibrissa.mechanics.kirchhoff import ACCURACY, steps_for
 from vibrissa.mechanics.model import Clamp
 from vibrissa.mechanics.models import model_of
@@ -81,7 +82,8 @@ def scan(
     ------
     ValueError
         If the clamp is inside the object at every position, the coefficient is negative or not
-        finite, `finite_radius` is set for a rod without a radius, or the accuracy is not positive.
+        finite, `finite_radius` is set for a rod without a radius, the accuracy is not positive, or
+        a function of the rod's loads does not return finite numbers.
 
     Notes
     -----
@@ -128,6 +130,7 @@ def scan(
         raise ValueError(
             f"trail.position = {outermost} …: the clamp is inside the object; allowed is outside"
         )
+    check_loads(rod, trail, fields["status"] == Status.FALLS_OVER)
     happenings = [
         (first * share + at.lane, at) for first, part in enumerate(parts) for at in part[1]
     ]

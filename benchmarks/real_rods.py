@@ -1,12 +1,13 @@
 """Tapered, curved, heavy and softly held rods: the first call, microseconds an equilibrium and an
-inverse sample in batches, how the former grows with the accuracy asked for, and a chain of rigid links
-stepped to rest by MuJoCo on the same poses.
+inverse sample in batches, how the former grows with the accuracy asked for, and the same rod brought to
+rest by MuJoCo, as a chain of rigid links, and by PyElastica, as a Cosserat rod.
 
     python benchmarks/real_rods.py [NAME ...]
 
 One core. `first` is in a process of its own without a cache of compiled code, imports included. A
 batch is a hundred trails under a ball, whose positions are nearly all in contact, events and checks
-included. With MuJoCo (group `benchmark`) the row named "both" is stepped to rest too.
+included. With MuJoCo and PyElastica (group `benchmark`) the rod named "both" is stepped to rest too: on
+all poses of one trail, and on three of them (two minutes).
 """
 
 import os
@@ -44,6 +45,8 @@ RODS = {
 TRAILS, COUNT = 100, 201
 ACCURACIES = (1e-6, 1e-8, 1e-10, 1e-12)
 FIRST = "first call"
+SOME = (60, 120, 180)
+"""Poses for PyElastica: early, in the middle and late in the contact."""
 
 
 def trail(y: float) -> vb.Trail:
@@ -119,6 +122,48 @@ def engine() -> str:
     )
 
 
+def elastica() -> str:
+    """PyElastica's rod of 10, 20 and 40 elements at three poses, and how much the last is changed by a
+    hundredth of the stiffness against shear and stretch.
+    """
+    from elastica_rods import relaxed  # noqa: PLC0415
+
+    rod, way, rows = RODS["both"], trail(0.1 * LENGTH), list(SOME)
+    scan = vb.scan(rod, BALL, way)
+    clamps = way.position[rows]
+    # Seen from the clamp, the ball moves.
+    centers, start = BALL.center - clamps, BALL.center - way.position[0]
+
+    def run(elements: int, softness: float = 1.0) -> tuple[str, float]:
+        begin = perf_counter()
+        found = relaxed(rod, centers, BALL.radius, start, elements, softness)
+        each = (perf_counter() - begin) / len(rows)
+        fine = np.linspace(0, LENGTH, 2001)
+        along = LENGTH * (np.arange(elements) + 0.5) / (elements - 0.5)
+        shape = 0.0
+        for row, clamp, nodes in zip(rows, clamps, found.nodes, strict=True):
+            line = scan.elastic_line(row, count=len(fine)) - clamp
+            there = np.array([np.interp(along, fine, part) for part in line.T]).T
+            shape = max(shape, np.linalg.norm(nodes - there, axis=1).max() / LENGTH)
+        off = np.linalg.norm(found.point + clamps - scan.point[rows], axis=1).max() / LENGTH
+        size = np.linalg.norm(scan.contact_force[rows], axis=1) / rod.force_scale
+        force = np.abs(np.linalg.norm(found.force, axis=1) / size - 1).max()
+        rests = "" if found.rests.all() else ", NOT AT REST"
+        words = f"{each:.1f} s a contact, contacts off by {off:.1e} L, shapes by {shape:.1e} L, forces by {force:.1%}{rests}"
+        return f"{elements} elements: {words}", each
+
+    run(4)  # compiles
+    texts, times = zip(*(run(elements) for elements in (10, 20, 40)), strict=True)
+    soft, _ = run(40, softness=100.0)
+    alone = best_of(5, lambda: vb.scan(rod, BALL, way), scan.in_contact.sum())
+    return (
+        "PyElastica (largest of three poses): "
+        + "; ".join(texts)
+        + f"; a hundred times softer against shear and stretch, {soft}; one trail of vb.scan: "
+        f"{alone:.0f} µs, ratio {times[-1] / alone * 1e6:.0f}"
+    )
+
+
 def main() -> None:
     """Print the table."""
     if sys.argv[1:2] == [FIRST]:
@@ -135,10 +180,11 @@ def main() -> None:
     for name in chosen:
         for accuracy in ACCURACIES if name == "both" else (1e-8, 1e-10):
             print(row(name, accuracy), flush=True)
-    try:
-        print(f"\n{engine()}")
-    except ImportError:
-        print("\nMuJoCo is not installed (group `benchmark`): no comparison")
+    for name, compared in (("MuJoCo", engine), ("PyElastica", elastica)):
+        try:
+            print(f"\n{compared()}", flush=True)
+        except ImportError:
+            print(f"\n{name} is not installed (group `benchmark`): no comparison")
 
 
 if __name__ == "__main__":

@@ -201,6 +201,24 @@ def test_a_foreign_log_is_understood(
     assert np.all(abs(noise / 2.05e-3 - 1) < 0.2)
 
 
+def test_what_a_first_setup_says_of_real_rods_is_read_when_uncommented(
+    raw: RawRecording, tmp_path: Path
+) -> None:
+    log, setup = matlab(raw, tmp_path), tmp_path / "setup.toml"
+    assert status_of("init", log, "-o", setup, *MEASURED) == 0
+    head, tail = setup.read_text(encoding="utf-8").split("[sensor]")
+    lines = [line.removeprefix("# ") for line in head.splitlines() if "tapered" not in line]
+    assert all("#" in line for line in lines if " = " in line and "kind" not in line), "units"
+    text = "\n".join(line for line in lines[1:] if "What else" not in line) + "\n[sensor]" + tail
+    setup.write_text(text, encoding="utf-8")
+    rod = vb.load_setup(setup).rod
+    assert rod.rest == vb.RestShape.arc(0.5 * (1 + 15 * 11.5e-6))
+    assert rod.loads == vb.Loads(gravity=(0, 0, -9.81), wind=(0, 0, 0))
+    assert rod.support == vb.Support.pivot((10, 10, 10))
+    assert rod.thermal is not None and rod.thermal.reference == 35.0
+    assert (rod.poisson_ratio, rod.yield_strain) == (0.3, 0.008)
+
+
 def test_poses_in_a_file_of_their_own(
     truth: vb.Reactions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

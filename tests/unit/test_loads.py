@@ -81,6 +81,33 @@ def test_loads_need_what_they_act_on() -> None:
         vb.Rod.unit().loaded(vb.Loads(wind=(1, 0, 0)))
 
 
+FUNCTIONS = {
+    "force": lambda s, p, t: jnp.sqrt(s - 0.02) * p,
+    "wind": lambda p: jnp.log(p[2] - 0.01) * jnp.ones(3),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_function_that_returns_no_numbers_is_named(name: str) -> None:
+    rod = WIRE.loaded(vb.Loads(**{name: FUNCTIONS[name]}))
+    trail = vb.Trail.line(start=(0.03, 0.002, 0), stop=(0, 0.002, 0), count=3)
+    zero = np.zeros((3, 3))
+    message = rf"^{name}: .* returns \[nan.* at the position \[0.03, 0.002, 0.0\] on the rod"
+    with pytest.raises(ValueError, match=message):
+        vb.scan(rod, vb.surfaces.Sphere(center=(0, 0, 0.06), radius=0.02), trail)
+    with pytest.raises(ValueError, match=message):
+        vb.reconstruct(rod, vb.Reactions(trail, zero, zero))
+
+
+def test_a_wind_that_blows_the_rod_over_is_named() -> None:
+    thin = vb.Rod.cylinder(length=0.05, radius=5e-5, youngs_modulus=3e9)
+    trail = vb.Trail.line(start=(0.03, 0.002, 0), stop=(0, 0.002, 0), count=3)
+    ball = vb.surfaces.Sphere(center=(0, 0, 0.06), radius=0.02)
+    scan = vb.scan(thin.loaded(vb.Loads(wind=(50, 0, 0))), ball, trail)
+    assert np.all(scan.status == vb.Status.FALLS_OVER)
+    assert "wind" in vb.Status.FALLS_OVER.text
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

@@ -426,7 +426,7 @@ BAD = {
     ),
     "a pivot in the plane": (
         lambda: vb.Trail.whisk(**WHISK | {"pivot": (0, 0)}),
-        "pivot has shape (2,); allowed is (…, 3)",
+        "pivot has shape (2,); allowed is (3,)",
     ),
     "one way-point": (
         lambda: vb.Trail.spline([(0, 0, 0)], 5),

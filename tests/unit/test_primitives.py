@@ -173,7 +173,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "half extents": (
         lambda: surfaces.Box(CENTER, (1, 1)),
-        "half_extents has shape (2,); allowed is (…, 3)",
+        "half_extents has shape (2,); allowed is (3,)",
     ),
     "center": (
         lambda: surfaces.Box((0, 0, np.nan), HALF),

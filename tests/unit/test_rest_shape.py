@@ -132,6 +132,7 @@ def test_coils_that_stay_apart_are_allowed() -> None:
         (lambda: vb.RestShape.arc(0.1, roll=float("nan")), "roll = nan"),
         (lambda: vb.RestShape.parabola(float("inf")), "a = inf"),
         (lambda: vb.RestShape.polynomial((1, float("nan"))), r"coefficients\[1\] = nan"),
+        (lambda: vb.RestShape.polynomial([]), r"coefficients = \[\]; allowed is at least one"),
         (lambda: vb.RestShape.from_components((0, 1), np.zeros((3, 3))), "curvature has shape"),
         (lambda: vb.RestShape.from_points(np.zeros((3, 3))), "points has shape"),
         (lambda: vb.RestShape.from_points(np.zeros((4, 3))), r"points\[1\] equals"),

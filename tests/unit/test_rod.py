@@ -1,5 +1,7 @@
 """The rod: stiffness, scales and first natural frequency."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -65,6 +67,25 @@ def test_figures_of_a_wire_are_positive(name: str) -> None:
 def test_a_yield_strain_needs_a_radius() -> None:
     with pytest.raises(ValueError, match=r"yield_strain = 0.01: needs radius"):
         vb.Rod(0.05, 1e-3, yield_strain=0.01)
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "noun"),
+    [
+        ("section", 0.5, "Section"),
+        ("rest", 3, "RestShape"),
+        ("loads", (0, 0, -9.81), "Loads"),
+        ("support", 0.1, "Support"),
+        ("thermal", (1e-4, 1e-5), "Thermal"),
+    ],
+)
+def test_a_part_of_another_type_is_named(part: str, value: object, noun: str) -> None:
+    message = rf"^{part} = {re.escape(repr(value))}; allowed is a vibrissa.{noun}, or None$"
+    # As without the tests' own shape checks, which refuse it first.
+    rod = object.__new__(vb.Rod)
+    vars(rod).update(vars(WIRE) | {part: value})
+    with pytest.raises(TypeError, match=message):
+        rod.__post_init__()
 
 
 def test_cannot_be_changed() -> None:

@@ -145,19 +145,36 @@ def test_tables_describe_rods_and_results_keep_them(tmp_path: Path, what: str) -
         (CYLINDER + '[rod.rest]\nkind = "arc"', "rod.rest.radius: missing"),
         (
             CYLINDER + '[rod.rest]\nkind = "arc"\nradius = 1e-3',
-            "rest: the rod touches itself at arc lengths",
+            "rod.rest: the rod touches itself at arc lengths",
         ),
         (CYLINDER + "[rod.loads]\ngravity = [0, 0]", "rod.loads.gravity = "),
-        (CYLINDER + "[rod.loads]\ngravity = [0, 0, -9.81]", "linear_density = None: gravity"),
+        (CYLINDER + "[rod.loads]\ngravity = [0, 0, -9.81]", "rod.linear_density = None: gravity"),
         (
             CYLINDER + '[rod.support]\nkind = "pivot"\nstiffness = 1',
             "rod.support.stiffness = 1: allowed is three numbers greater than 0",
         ),
-        (CYLINDER + "temperature = 30", "temperature = 30.0: thermal = None"),
+        (
+            CYLINDER + f'[rod.support]\nkind = "compliant"\nstiffness = {(-np.eye(6)).tolist()}',
+            "rod.support.stiffness has the eigenvalue",
+        ),
+        (
+            CYLINDER + '[rod.rest]\nkind = "points"\npoints = [[0, 0, 0], [0, 0, 1]]',
+            "rod.rest.points has shape (2, 3); allowed are at least 4 points",
+        ),
+        (CYLINDER + "temperature = 30", "rod.temperature = 30.0: thermal = None"),
+        (
+            CYLINDER + "temperature = 4000\n[rod.thermal]\nmodulus_slope = -3e-4",
+            "rod.temperature = 4000.0: Young's modulus would be -0.194 of that at 20 °C",
+        ),
+        (
+            CYLINDER.replace("cylinder", "tapered").replace("radius", "base_radius")
+            + "tip_radius = 0",
+            "rod: at 1 of its length the rod is 0 times as thick as at its clamp",
+        ),
         ('kind = "tapered"\nlength = 0.05', "rod.base_radius: missing"),
         (
             'kind = "table"\narc_length = [0, 0.02, 0.01]\nradius = [1, 1, 1]\nyoungs_modulus = 1',
-            "arc_length[2] = 0.01; allowed is a number greater than 0.02",
+            "rod.arc_length[2] = 0.01; allowed is a number greater than 0.02",
         ),
     ],
 )

@@ -104,6 +104,7 @@ def test_sag_of_a_cone_under_its_own_weight() -> None:
 
 
 TABLE = {"arc_length": (0, 0.1), "radius": (1e-3, 1e-4), "youngs_modulus": 1e9}
+STIFF = {"arc_length": (0, 1), "bending_stiffness": (1, 1), "torsional_stiffness": (1, 1)}
 TUBE = {"length": 0.1, "radius": 1e-3, "youngs_modulus": 1e9}
 
 
@@ -123,7 +124,10 @@ TUBE = {"length": 0.1, "radius": 1e-3, "youngs_modulus": 1e9}
             r"arc_length\[2\] = 0.1; allowed is a number greater than 0.1",
         ),
         (lambda: vb.Rod.from_table(**TABLE | {"arc_length": (0.1, 0.2)}), "the first 0"),
-        (lambda: vb.Rod.from_table(**TABLE | {"radius": (1, 1, 1)}), "radius has shape"),
+        (
+            lambda: vb.Rod.from_table(**TABLE | {"radius": [[1, 1]]}),
+            r"radius has shape \(1, 2\); allowed is \(2,\)",
+        ),
         (
             lambda: vb.Rod.from_table(**TABLE | {"radius": (0, 1)}),
             r"radius\[0\] = 0.0; allowed is a number greater than 0",
@@ -138,7 +142,18 @@ TUBE = {"length": 0.1, "radius": 1e-3, "youngs_modulus": 1e9}
             lambda: vb.Rod.from_table(arc_length=(0, 1), bending_stiffness=(1, 1)),
             "torsional_stiffness = None",
         ),
-        (lambda: vb.Rod.from_table(**TABLE, bending_stiffness=(1, 1)), "youngs_modulus = 1"),
+        (
+            lambda: vb.Rod.from_table(**TABLE, bending_stiffness=(1, 1)),
+            "youngs_modulus = 1000000000.0; allowed is None where bending_stiffness is given",
+        ),
+        (
+            lambda: vb.Rod.from_table(**STIFF, density=1200),
+            "^density = 1200; allowed is None where bending_stiffness is given",
+        ),
+        (
+            lambda: vb.Rod.from_table(**STIFF, inner_radius=1e-4),
+            "inner_radius = 0.0001; allowed is 0 where bending_stiffness is given",
+        ),
     ],
 )
 def test_impossible_sections_are_named(make: object, message: str) -> None:

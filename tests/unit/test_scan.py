@@ -188,3 +188,41 @@ def test_a_scan_is_read_back_from_netcdf_as_it_was(tmp_path: Path) -> None:
             meanings[list(data["event_kind"].attrs["flag_values"]).index(scan.events[0].kind)]
             == "first_contact"
         )
+
+
+CURVED = vb.Rod.unit().curved(vb.RestShape.arc(0.8))
+
+
+def test_a_curved_rod_is_not_met_head_on() -> None:
+    """A force along the clamp's axis bends it to the side to which it is curved."""
+    wall = vb.surfaces.Plane(point=(0, 0, 0.9), normal=(0, 0, -1))
+    trail = vb.Trail.line(start=(0, 0, 0), stop=(0, 0, 0.4), count=9)
+    scan = vb.scan(CURVED, wall, trail)
+    assert np.all(scan.status == STATUS.OK)
+    assert scan.in_contact[3:].all()
+    assert np.all(scan.point[3:, 0] > 0.3)
+
+
+def test_a_hook_whose_tip_meets_a_wall_squarely_opens() -> None:
+    """A quarter of a circle: the force runs along its tip, not along the clamp's axis."""
+    hook = vb.Rod.unit().curved(vb.RestShape.arc(2 / np.pi))
+    trail = vb.Trail.line(start=(0, 0, 0), stop=(0.3, 0, 0), count=7)
+    square, tilted = (
+        vb.scan(hook, vb.surfaces.Plane(point=(2 / np.pi + 0.1, 0, 0), normal=normal), trail)
+        for normal in ((-1, 0, 0), (-1, 0, 1e-7))
+    )
+    assert np.all(square.status == STATUS.OK)
+    assert square.in_contact[3:].all()
+    np.testing.assert_allclose(square.reactions.force, tilted.reactions.force, atol=1e-6)
+
+
+@pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
+def test_a_rod_that_rests_through_the_object_starts_in_contact(place: float) -> None:
+    """The trail begins where the curve at rest passes through a ball, from side to side."""
+    middle = (0.8 * (1 - np.cos(place / 0.8)), 0.01, 0.8 * np.sin(place / 0.8))
+    ball = vb.surfaces.Sphere(center=middle, radius=0.05)
+    scan = vb.scan(CURVED, ball, vb.Trail.line(start=(0, 0, 0), stop=(-0.4, 0, 0), count=9))
+    assert scan.events[0].kind == EVENT.STARTED_IN_CONTACT
+    assert scan.kind[0] != vb.ContactKind.NONE
+    assert np.all(scan.status == STATUS.OK)
+    assert np.isfinite(scan.reactions.force).all()

@@ -308,7 +308,7 @@ def test_a_missing_library_for_meshes_says_how_to_get_it(
     message = refusal(vb.load_case, written(octahedron(tmp_path), with_object(MESH)))
     assert (
         message
-        == f"file = 'parts/octahedron.obj': {missing} is not installed; meshes need it: python3 -m pip install 'vibrissa[mesh]'"
+        == f"object.file = 'parts/octahedron.obj': {missing} is not installed; meshes need it: python3 -m pip install 'vibrissa[mesh]'"
     )
 
 

@@ -38,7 +38,12 @@ def test_a_rigid_support_is_none() -> None:
     [
         (lambda: vb.Support.pivot((1, 0, 1)), r"stiffness\[1\] = 0"),
         (lambda: vb.Support.pivot((1, 1)), "stiffness has shape"),
-        (lambda: vb.Support.compliant(np.eye(5)), "stiffness has shape"),
+        (lambda: vb.Support.compliant(np.eye(5)), r"stiffness has shape \(5, 5\); .* \(6, 6\)"),
+        (lambda: vb.Support(kind="soft"), "kind = 'soft'; allowed is 'rigid', 'pivot' or"),
+        (lambda: vb.Support(kind="pivot"), r"stiffness has shape \(\); allowed is \(3,\)"),
+        (lambda: vb.Support("pivot", np.zeros(3)), r"stiffness\[0\] = 0"),
+        (lambda: vb.Support("compliant", np.eye(3)), r"stiffness has shape \(3, 3\)"),
+        (lambda: vb.Support("rigid", np.ones(3)), "allowed is None if kind = 'rigid'"),
         (lambda: vb.Support.compliant(np.eye(6) + np.eye(6, k=1)), "allowed is symmetric"),
         (lambda: vb.Support.compliant(np.diag([1, 1, 1, 1, 1, -1])), "positive definite"),
         (lambda: vb.Support.compliant(np.ones((6, 6))), "positive definite"),

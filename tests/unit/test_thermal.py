@@ -57,6 +57,10 @@ def test_impossible_temperatures_are_named() -> None:
         ValueError, match=r"temperature = 4000: Young's modulus would be .* below 3353.33 °C"
     ):
         WIRE.at(temperature=4000)
+    with pytest.raises(ValueError, match=r"temperature = -1000; allowed is at least -273.15 °C"):
+        WIRE.at(temperature=-1000)
+    with pytest.raises(ValueError, match=r"reference = -300.0; allowed is at least -273.15 °C"):
+        vb.Thermal(reference=-300.0)
     with pytest.raises(ValueError, match="temperature = nan"):
         WIRE.at(temperature=float("nan"))
     with pytest.raises(ValueError, match="modulus_slope = inf"):

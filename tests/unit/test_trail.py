@@ -116,7 +116,7 @@ BAD = {
     ),
     "stop": (
         lambda: vb.Trail.line(start=(0, 0, 0), stop=np.zeros(2), count=2),
-        "stop has shape (2,); allowed is (…, 3)",
+        "stop has shape (2,); allowed is (3,)",
     ),
     "count": (
         lambda: vb.Trail.line(start=(0, 0, 0), stop=(1, 0, 0), count=0),

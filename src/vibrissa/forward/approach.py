@@ -15,7 +15,8 @@ from jaxtyping import Bool, Float, Int
 from vibrissa.contact import Reached, Scene, State
 from vibrissa.forward.path import Path, Stretch, chosen
 from vibrissa.geometry.rotation import lengths
-from vibrissa.mechanics.model import Clamp
+from vibrissa.mechanics.elastica import Elastica
+from vibrissa.mechanics.model import NEUTRAL, Clamp
 from vibrissa.numerics.bracket import roots
 from vibrissa.numerics.lanes import FEW, lanes
 from vibrissa.numerics.vectors import dot
@@ -147,6 +148,22 @@ def free_rods(scene: Scene, clamp: Clamp) -> tuple[Float[Array, "n 3"], Float[Ar
     free = scene.rod.free(clamp)
     points = jax.vmap(lambda s: free.at(s)[0])(np.linspace(0, 1, _FREE_POINTS))
     return points, -free.reactions[: scene.rod.unknowns]
+
+
+def neutral(
+    scene: Scene, clamps: Clamp, direction: Float[np.ndarray, "k 3"]
+) -> Bool[np.ndarray, "k"]:
+    """Whether nothing determines to which side rods bend: the force acts along the clamp's axis,
+    and without contact they lie on it.
+    """
+    found = np.linalg.norm(np.cross(clamps.tangent, direction), axis=-1) < NEUTRAL
+    rows = np.flatnonzero(found)
+    if rows.size and not isinstance(scene.rod, Elastica):
+        some = chosen(clamps, rows)
+        points, _ = free_rods(scene, some)
+        off = np.cross(some.tangent[:, None], points - some.point[:, None])
+        found[rows] = np.linalg.norm(off, axis=-1).max(axis=-1) < NEUTRAL
+    return found
 
 
 class Meeting(NamedTuple):

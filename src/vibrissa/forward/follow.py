@@ -7,7 +7,14 @@ from jaxtyping import Float
 
 from vibrissa.contact import Law, Reached, Scene
 from vibrissa.contacts import Status
-from vibrissa.forward.approach import CLEAR, HEAD_ON_COSINE, Meeting, clearances, meetings_on
+from vibrissa.forward.approach import (
+    CLEAR,
+    HEAD_ON_COSINE,
+    Meeting,
+    clearances,
+    meetings_on,
+    neutral,
+)
 from vibrissa.forward.events import EventKind
 from vibrissa.forward.locate import Place
 from vibrissa.forward.march import Mode
@@ -67,7 +74,7 @@ class _Follower:
                 met = self._first_contact(fraction)
                 if met is None:
                     return Outcome(Mode.FREE, happened=self._happened)
-                if met.cosine < HEAD_ON_COSINE:
+                if met.cosine < HEAD_ON_COSINE and self._neutral(met):
                     self._happened.append((EventKind.HEAD_ON, float(met.fraction), met.point))
                     return self._failed(Status.HEAD_ON)
                 self._happened.append((EventKind.FIRST_CONTACT, float(met.fraction), met.point))
@@ -121,6 +128,12 @@ class _Follower:
 
     def _clear(self, fraction: float) -> bool:
         return self._clearance(fraction) >= CLEAR
+
+    def _neutral(self, met: Meeting) -> bool:
+        """Whether a rod that is met along its own tangent is straight."""
+        clamps = self._stretch.clamps(np.array([met.fraction]))
+        along = Clamp(*(part[None] for part in clamps))
+        return bool(neutral(self._scene, along, -met.tangent[None])[0])
 
     def _first_contact(self, fraction: float) -> Meeting | None:
         """Next first contact of the free rod between a fraction and the end, if any."""

@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrissa.contact import COULOMB, FRICTIONLESS, Law, Scene, Skin
 from vibrissa.contacts import ContactKind, Motion, Status
+from vibrissa.forward.approach import neutral
 from vibrissa.forward.assess import DEPTH_TOLERANCE, Assessment, assess, assessed
 from vibrissa.forward.events import Event, Happening
 from vibrissa.forward.march import SINGLE, Mode, march_ahead, nowhere
@@ -17,8 +18,9 @@ from vibrissa.forward.result import Scan
 from vibrissa.forward.search import caught
 from vibrissa.forward.sweep import Sweep, sweep
 from vibrissa.geometry.checks import not_negative
+from vibrissa.mechanics.free import check_loads
 from vibrissa.mechanics.kirchhoff import ACCURACY, steps_for
-from vibrissa.mechanics.model import NEUTRAL, Clamp
+from vibrissa.mechanics.model import Clamp
 from vibrissa.mechanics.models import model_of
 from vibrissa.numerics.lanes import FEW, WIDTH, in_threads, lanes, threads
 from vibrissa.numerics.progress import Progress, Tally
@@ -80,7 +82,8 @@ def scan(
     ------
     ValueError
         If the clamp is inside the object at every position, the coefficient is negative or not
-        finite, `finite_radius` is set for a rod without a radius, or the accuracy is not positive.
+        finite, `finite_radius` is set for a rod without a radius, the accuracy is not positive, or
+        a function of the rod's loads does not return finite numbers.
 
     Notes
     -----
@@ -127,6 +130,7 @@ def scan(
         raise ValueError(
             f"trail.position = {outermost} …: the clamp is inside the object; allowed is outside"
         )
+    check_loads(rod, trail, fields["status"] == Status.FALLS_OVER)
     happenings = [
         (first * share + at.lane, at) for first, part in enumerate(parts) for at in part[1]
     ]
@@ -179,7 +183,7 @@ def _fields(
         rod,
         scene.rod.accuracy,
         friction,
-        chosen(clamps.tangent, places),
+        neutral(scene, chosen(clamps, places), values.direction),
         values,
         figure,
         status[places],
@@ -271,7 +275,7 @@ def _worst(
     rod: Rod,
     accuracy: float,
     friction: float,
-    axis: Float[np.ndarray, "k 3"],
+    neutral: Bool[np.ndarray, "k"],
     values: Assessment,
     figure: Float[np.ndarray, "k"],
     status: Int[np.ndarray, "k"],
@@ -279,8 +283,7 @@ def _worst(
     """The worst finding of each contact."""
     findings = [(values.depth > DEPTH_TOLERANCE, Status.PENETRATING)]
     if friction == 0:
-        sine = np.linalg.norm(np.cross(axis, values.direction), axis=-1)
-        findings += [(figure > 0, Status.LATERALLY_UNSTABLE), (sine < NEUTRAL, Status.HEAD_ON)]
+        findings += [(figure > 0, Status.LATERALLY_UNSTABLE), (neutral, Status.HEAD_ON)]
     if rod.yield_strain is not None and rod.radius is not None:
         strain = values.largest_bend * rod.radius / rod.length
         findings.append((strain > rod.yield_strain, Status.OVERSTRAINED))

@@ -14,7 +14,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from vibrissa.contact import FRICTIONLESS, Held, Law, Scene, State
-from vibrissa.forward.approach import free_rods
+from vibrissa.forward.approach import free_rods, neutral
 from vibrissa.forward.assess import (
     DEPTH_TOLERANCE,
     Assessment,
@@ -25,7 +25,7 @@ from vibrissa.forward.assess import (
 )
 from vibrissa.forward.march import SHARP, from_seeds, solved
 from vibrissa.forward.path import chosen
-from vibrissa.mechanics.model import NEUTRAL, Bent, Clamp
+from vibrissa.mechanics.model import Bent, Clamp
 from vibrissa.numerics.lanes import AnyArray, lanes
 from vibrissa.surfaces import Offset
 
@@ -130,15 +130,16 @@ def stable_equilibria(
     energy = values.energy[rows]
     least = energy.min(initial=np.inf)
     order = np.lexsort((away, np.where(energy < least + ENERGY_MARGIN, least, energy)))
-    sine = np.linalg.norm(np.cross(clamp.tangent, values.direction), axis=1)
+    alike = Clamp(*(np.broadcast_to(part, (len(rows), 3)) for part in clamp))
+    neutrals = neutral(scene, alike, values.direction[rows])
     return [
         Settled(
             chosen(found.state, row),
             chosen(values, row),
             float(found.determinant[row]),
-            bool(sine[row] < NEUTRAL),
+            bool(neutrals[at]),
         )
-        for row in rows[order]
+        for at, row in zip(order, rows[order], strict=True)
     ]
 
 

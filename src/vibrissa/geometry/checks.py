@@ -49,10 +49,10 @@ def finite_array(
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} = {value!r}; allowed is an array of numbers") from error
-    if last is not None and (array.ndim == 0 or array.shape[-1] != last):
-        raise ValueError(f"{name} has shape {array.shape}; allowed is (…, {last})")
-    if ndim is not None and array.ndim != ndim:
-        raise ValueError(f"{name} has shape {array.shape}; allowed are {ndim} axes")
+    if (last is not None and array.shape[-1:] != (last,)) or ndim not in (None, array.ndim):
+        end = "k" if last is None else last
+        allowed = {1: f"({end},)", 2: f"(k, {end})"}.get(ndim or 0, f"(…, {end})")
+        raise ValueError(f"{name} has shape {array.shape}; allowed is {allowed}")
     if not np.all(np.isfinite(array)):
         where = np.argwhere(~np.isfinite(array))[0].tolist()
         raise ValueError(f"{name}{where} = {array[tuple(where)]}; allowed are finite numbers")

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from scipy.special import chdtri
 
-from vibrissa.contacts import ContactKind
+from vibrissa.contacts import ContactKind, Status
 from vibrissa.geometry.checks import not_negative, share
 from vibrissa.inverse.channels import found_by_channels
 from vibrissa.inverse.checks.check import checked
@@ -22,6 +22,7 @@ from vibrissa.inverse.kernels import (
 from vibrissa.inverse.result import Reconstruction
 from vibrissa.inverse.ringing import without_ringing
 from vibrissa.inverse.shared import pose_errors, samples_of, setting_of, under_friction
+from vibrissa.mechanics.free import check_loads
 from vibrissa.mechanics.kirchhoff import ACCURACY, steps_for
 from vibrissa.mechanics.models import model_of
 from vibrissa.reactions import Reactions
@@ -86,7 +87,8 @@ def reconstruct(
     ------
     ValueError
         If `false_alarm` is not between 0 and 1, the coefficient is negative or not finite, or
-        channels are unknown, given twice, or fewer than three, or the accuracy is not positive.
+        channels are unknown, given twice, or fewer than three, the accuracy is not positive, or a
+        function of the rod's loads does not return finite numbers.
 
     Notes
     -----
@@ -124,6 +126,7 @@ def reconstruct(
             for whole, part in zip(found.noise, moments, strict=True):
                 whole[weak] = part
     result = _reconstruction(rod, reactions, friction, found)
+    check_loads(rod, reactions.trail, result.status == Status.FALLS_OVER)
     if not check:
         return result
     # Ringing needs time stamps, and a single trail.

@@ -74,7 +74,8 @@ class Table(BaseModel):
     def arguments(self, site: Site) -> dict[str, Any]:
         """Keys that the file gives, except `kind`: tables built, paths from the site's folder."""
         return {
-            name: _built(getattr(self, name), site) for name in self.model_fields_set - {"kind"}
+            name: _built(getattr(self, name), site, name)
+            for name in self.model_fields_set - {"kind"}
         }
 
     def build(self, site: Site) -> Any:
@@ -85,11 +86,18 @@ class Table(BaseModel):
         return self if noun is None else noun(**self.arguments(site))
 
 
-def _built(value: Any, site: Site) -> Any:
+def _built(value: Any, site: Site, name: str) -> Any:
+    """What a key of this name gives; errors begin with the key."""
     if isinstance(value, Table):
-        return value.build(site)
+        try:
+            return value.build(site)
+        except InputError:
+            raise
+        except ValueError as error:
+            text = str(error)
+            raise ValueError(text if text.startswith(name) else f"{name}.{text}") from error
     if isinstance(value, list):
-        return [_built(part, site) for part in value]
+        return [_built(part, site, f"{name}[{at}]") for at, part in enumerate(value)]
     return site.folder / value if isinstance(value, Path) else value
 
 

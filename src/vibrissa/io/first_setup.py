@@ -16,6 +16,29 @@ _MEANS = {
     "on_sensor": "the readings are what the rod does to the sensor",
     "on_rod": "the readings are what holds the rod: the support reaction",
 }
+_REAL = """\
+# What else the rod is, if it matters; lists are along clamp axes, x first.
+# kind = "tapered"                # with base_radius and tip_radius [m] in place of radius
+# inner_radius = 0.0              # m, of a tube
+# density = 7850                  # kg/m³, for its weight
+# poisson_ratio = 0.3             # 1, for its twist
+# yield_strain = 0.008            # 1
+# temperature = 35.0              # °C, with [rod.thermal]
+# [rod.rest]                      # its shape without load
+# kind = "arc"                    # or polynomial, parabola, points, components
+# radius = 0.5                    # m
+# roll = 0.0                      # rad, from clamp x towards y: the side to which it bends
+# [rod.loads]
+# gravity = [0.0, 0.0, -9.81]     # m/s², world axes
+# wind = [0.0, 0.0, 0.0]          # m/s, world axes
+# [rod.support]                   # a clamp that yields
+# kind = "pivot"                  # or compliant: six rows of N/m, N/rad and N, N m/rad
+# stiffness = [10.0, 10.0, 10.0]  # N m/rad
+# [rod.thermal]
+# modulus_slope = -2.8e-4         # 1/K
+# expansion = 11.5e-6             # 1/K
+# reference = 20.0                # °C, at which the rod is as described
+"""
 _OBJECT = """
 
 # An object of known shape and place, for `vibrissa calibrate`: a ball is best.
@@ -60,7 +83,7 @@ def setup_text(bench: Bench, wrench: WrenchSign, found: Decision, name: str) -> 
         _line("length", bench.length, "m, free length from clamp to tip"),
         _line("radius", bench.radius, "m, half the diameter"),
         _line("youngs_modulus", bench.youngs_modulus, "Pa"),
-        "",
+        _REAL,
         "[sensor]",
     ]
     if bench.preset:

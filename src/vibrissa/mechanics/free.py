@@ -1,19 +1,24 @@
 """The rod without contact, at many poses of the clamp."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vibrissa.mechanics.model import Clamp, RodModel
 from vibrissa.mechanics.models import model_of
+from vibrissa.mechanics.shape import free_lines
 from vibrissa.numerics.lanes import lanes
 from vibrissa.numerics.rotation import first_axis, third_axis
 from vibrissa.numerics.vectors import dot
 from vibrissa.rod import Rod
 from vibrissa.trail import Trail
+
+_PLACES = 33
+"""Along the rod, at which functions of its loads are asked for numbers."""
 
 
 class FreeRod(NamedTuple):
@@ -48,8 +53,27 @@ def free_reactions(rod: Rod, trail: Trail) -> Float[np.ndarray, "n 6"]:
     if rod.loads is None:
         return np.zeros((trail.count, 6))
     found: Any = free_rods(model_of(rod), trail.position / rod.length, trail.orientation)
+    check_loads(rod, trail, np.isnan(found.ahead))
     check_stands(found.ahead)
     return found.reactions * np.repeat([rod.force_scale, rod.moment_scale], 3)
+
+
+def check_loads(rod: Rod, trail: Trail, fallen: Bool[np.ndarray, "*n"]) -> None:
+    """Where a rod falls over, refuse a function of its loads that gives no finite numbers along it.
+
+    Raises
+    ------
+    ValueError
+        If there is one.
+    """
+    if rod.loads is None or not fallen.any():
+        return
+    first = int(np.argmax(fallen))
+    pose = (part.reshape(-1, part.shape[-1])[first] for part in (trail.position, trail.orientation))
+    points = free_lines(replace(rod, loads=None), Trail(*(part[None] for part in pose)), _PLACES)[0]
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    rod.loads.check_finite(np.linspace(0, rod.length, _PLACES), points, tangents)
 
 
 def check_stands(ahead: Float[Any, "n"]) -> None:

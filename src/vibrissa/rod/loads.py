@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from vibrissa.geometry.checks import finite_array, positive
@@ -100,6 +101,26 @@ class Loads(Described):
         if self.force is not None:
             total = total + self.force(arc_length, position, tangent)
         return total
+
+    def check_finite(
+        self,
+        arc_length: Float[np.ndarray, "n"],
+        position: Float[np.ndarray, "n 3"],
+        tangent: Float[np.ndarray, "n 3"],
+    ) -> None:
+        """Raise ValueError if a function gives no finite numbers at one of these places."""
+        places = {"wind": (position,), "force": (arc_length, position, tangent)}
+        for name, given in places.items():
+            function = getattr(self, name)
+            if not callable(function):
+                continue
+            for at, values in enumerate(zip(*given, strict=True)):
+                found = np.asarray(function(*map(jnp.asarray, values)))
+                if not np.isfinite(found).all():
+                    raise ValueError(
+                        f"{name}: {function!r} returns {found.tolist()} at the position "
+                        f"{position[at].tolist()} on the rod; allowed are finite numbers"
+                    )
 
     def drag(self, wind: Vector, tangent: Vector, radius: Any) -> Vector:
         """Drag (3,) [N/m] on a long cylinder: only the velocity v across it counts (the principle

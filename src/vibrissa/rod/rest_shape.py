@@ -75,10 +75,12 @@ class RestShape(Described, ABC):
         Raises
         ------
         ValueError
-            If a coefficient or the roll is not finite.
+            If there is no coefficient, or one or the roll is not finite.
         """
         if known(coefficients):
             coefficients = finite_array(coefficients, "coefficients", ndim=1)
+            if not len(coefficients):
+                raise ValueError("coefficients = []; allowed is at least one number")
         return Polynomial(array(coefficients), _roll(roll))
 
     @staticmethod

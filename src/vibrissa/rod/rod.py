@@ -46,6 +46,13 @@ _SI_UNITS: dict[Quantity, str] = {
     "number": "1",
 }
 _POSITIVE = ("length", "bending_stiffness", "radius", "linear_density", "yield_strain")
+_PARTS: dict[str, type] = {
+    "section": Section,
+    "rest": RestShape,
+    "loads": Loads,
+    "support": Support,
+    "thermal": Thermal,
+}
 
 
 @tree("units")
@@ -95,6 +102,8 @@ class Rod(Described):
     ValueError
         If a value is not in its range, or what is given needs a radius or a density that is not;
         if the rod touches itself at rest.
+    TypeError
+        If section, rest, loads, support or thermal is something else.
     """
 
     length: Figure
@@ -112,6 +121,9 @@ class Rod(Described):
     thermal: Thermal | None = None
 
     def __post_init__(self) -> None:
+        self._check_parts()
+        if self.units not in ("SI", "model"):
+            raise ValueError(f"units = {self.units!r}; allowed is 'SI' or 'model'")
         for name in _POSITIVE:
             value = getattr(self, name)
             given = value is not None or name in ("length", "bending_stiffness")
@@ -141,6 +153,14 @@ class Rod(Described):
             self._check_loads(self.loads)
         if self.rest is not None and known(self.rest, self.length, self.radius):
             self._check_rest(self.rest)
+
+    def _check_parts(self) -> None:
+        for name, part in _PARTS.items():
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, part):
+                raise TypeError(
+                    f"{name} = {value!r}; allowed is a vibrissa.{part.__name__}, or None"
+                )
 
     def _check_bore(self) -> None:
         if not known(self.inner_radius, self.radius):
@@ -265,17 +285,25 @@ class Rod(Described):
             range, or neither or both of material and stiffness are given.
         """
         s = increasing(arc_length)
-        if bending_stiffness is None and torsional_stiffness is None and linear_density is None:
+        stiffness = {
+            "bending_stiffness": bending_stiffness,
+            "torsional_stiffness": torsional_stiffness,
+            "linear_density": linear_density,
+        }
+        table = [name for name, column in stiffness.items() if column is not None]
+        if not table:
             found = round_table(s, radius, inner_radius, youngs_modulus, density)
-        elif youngs_modulus is None and density is None:
-            found = stiffness_table(
-                s, bending_stiffness, torsional_stiffness, linear_density, radius
-            )
         else:
-            raise ValueError(
-                f"youngs_modulus = {youngs_modulus!r}, density = {density!r}; allowed is None "
-                "where bending_stiffness is given"
-            )
+            for name, value in (("youngs_modulus", youngs_modulus), ("density", density)):
+                if value is not None:
+                    raise ValueError(
+                        f"{name} = {value!r}; allowed is None where {table[0]} is given"
+                    )
+            if np.any(inner_radius):
+                raise ValueError(
+                    f"inner_radius = {inner_radius!r}; allowed is 0 where {table[0]} is given"
+                )
+            found = stiffness_table(s, **stiffness, radius=radius)
         return cls(
             float(s[-1]),
             **found,

@@ -18,7 +18,8 @@ _SYMMETRIC = 1e-9  # of the largest entry: rounding of a matrix that was compute
 @dataclass(frozen=True, eq=False, repr=False)
 class Support(Described):
     """The rod's clamp yields: (force, moment) on it = K (displacement, rotation vector), in clamp
-    axes, forces first.
+    axes, forces first. The moment is that about the clamp where it is without load, not where it
+    has moved to.
 
     A pytree: its stiffness may be JAX numbers.
 
@@ -28,10 +29,34 @@ class Support(Described):
         "rigid", "pivot" or "compliant".
     stiffness
         None; (3,) [N m/rad] about the clamp axes; or (6, 6) [N/m, N/rad, N, N m/rad].
+
+    Raises
+    ------
+    ValueError
+        If the kind is none of these, or the stiffness is not one of its kind.
     """
 
     kind: Literal["rigid", "pivot", "compliant"] = "rigid"
-    stiffness: Float[Any, "3"] | Float[Any, "6 6"] | None = None
+    stiffness: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        stiffness: Any = self.stiffness
+        match self.kind:
+            case "rigid":
+                if stiffness is not None:
+                    raise ValueError(
+                        f"stiffness = {stiffness!r}; allowed is None if kind = 'rigid'"
+                    )
+                return
+            case "pivot":
+                if known(stiffness):
+                    stiffness = positive_array(stiffness, "stiffness", last=3)
+            case "compliant":
+                if known(stiffness):
+                    stiffness = _definite(finite_array(stiffness, "stiffness"))
+            case other:
+                raise ValueError(f"kind = {other!r}; allowed is 'rigid', 'pivot' or 'compliant'")
+        object.__setattr__(self, "stiffness", array(stiffness))
 
     @staticmethod
     def rigid() -> "Support":
@@ -48,22 +73,19 @@ class Support(Described):
         ValueError
             If a stiffness is not positive and finite.
         """
-        if known(stiffness):
-            stiffness = positive_array(stiffness, "stiffness", last=3)
-        return Support("pivot", array(stiffness))
+        return Support("pivot", stiffness)
 
     @staticmethod
     def compliant(stiffness: ArrayLike) -> "Support":
-        """A clamp that moves and turns, with a stiffness K (6, 6).
+        """A clamp that moves and turns, with a stiffness K (6, 6); its moment is about the clamp
+        where it is without load.
 
         Raises
         ------
         ValueError
             If K is not symmetric and positive definite.
         """
-        if known(stiffness):
-            stiffness = _definite(finite_array(stiffness, "stiffness", last=6, ndim=2))
-        return Support("compliant", array(stiffness))
+        return Support("compliant", stiffness)
 
     @property
     def compliance(self) -> Float[Any, "6 6"]:
@@ -76,8 +98,8 @@ class Support(Described):
         return jnp.linalg.inv(stiffness)
 
 
-def _definite(matrix: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "6 6"]:
-    if len(matrix) != matrix.shape[1]:
+def _definite(matrix: Float[np.ndarray, "..."]) -> Float[np.ndarray, "6 6"]:
+    if matrix.shape != (6, 6):
         raise ValueError(f"stiffness has shape {matrix.shape}; allowed is (6, 6)")
     skew = float(np.abs(matrix - matrix.T).max())
     if skew > _SYMMETRIC * float(np.abs(matrix).max()):

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from vibrissa.geometry.checks import finite
 from vibrissa.rod.tree import Described, Figure, known, tree
 
+ABSOLUTE_ZERO = -273.15
+"""[°C]"""
+
 
 @tree()
 @dataclass(frozen=True, eq=False, repr=False)
@@ -23,7 +26,7 @@ class Thermal(Described):
     Raises
     ------
     ValueError
-        If a value is not finite.
+        If a value is not finite, or the reference below absolute zero.
     """
 
     modulus_slope: Figure = 0.0
@@ -34,6 +37,7 @@ class Thermal(Described):
         for name in ("modulus_slope", "expansion", "reference"):
             if known(value := getattr(self, name)):
                 object.__setattr__(self, name, finite(value, name))
+        _above_zero(self.reference, "reference")
 
     def factors(self, temperature: Figure) -> tuple[Figure, Figure]:
         """Young's modulus and lengths at a temperature [°C], relative to the reference.
@@ -41,8 +45,9 @@ class Thermal(Described):
         Raises
         ------
         ValueError
-            If one is not positive there.
+            If one is not positive there, or the temperature is below absolute zero.
         """
+        _above_zero(temperature, "temperature")
         rise = (finite(temperature, "temperature") if known(temperature) else temperature) - (
             self.reference
         )
@@ -63,3 +68,8 @@ class Thermal(Described):
         """The same dependence with the temperature as reference."""
         modulus, stretch = self.factors(temperature)
         return Thermal(self.modulus_slope / modulus, self.expansion / stretch, temperature)
+
+
+def _above_zero(temperature: Figure, name: str) -> None:
+    if known(temperature) and finite(temperature, name) < ABSOLUTE_ZERO:
+        raise ValueError(f"{name} = {temperature!r}; allowed is at least {ABSOLUTE_ZERO} °C")

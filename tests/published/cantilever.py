@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import vibrissa as vb
-from vibrissa.mechanics.kirchhoff import Kirchhoff, Line, Push
+from vibrissa.mechanics.kirchhoff import Kirchhoff, Push
+from vibrissa.mechanics.line import Line
 from vibrissa.mechanics.model import AT_ORIGIN
 
 STEPS = 32

@@ -242,11 +242,13 @@ def from_seeds(scene: Scene, law: Law, clamp: Clamp, seeds: State) -> Steps:
     count, room = len(seeds.force), _SHORTEST_TRAIL - 1
     rows = -(-count // room)
     lane, position = np.indices((rows, _SHORTEST_TRAIL))
-    which = np.clip(lane * room + position - 1, 0, count - 1)
+    which = lane * room + position - 1
+    given = (position > 0) & (which < count)
+    which = np.clip(which, 0, count - 1)
     clamps = jax.tree.map(lambda part: np.broadcast_to(part, (*which.shape, 3)), clamp)
     legs = entering(scene, law, clamps)
     legs = legs._replace(
-        met=np.ones(which.shape, dtype=bool),
+        met=given,
         meeting=legs.meeting._replace(state=chosen(seeds, which)),
         mode=np.full(rows, int(Mode.FREE)),
         fanned=np.ones(rows, dtype=bool),
@@ -283,7 +285,8 @@ def _walk(shared: tuple[Scene, Law, Int[Array, ""]], legs: Legs) -> Steps:
     return walked[1]
 
 
-_trails, _fans = lanes(blocks=1, alone=SINGLE)(_walk), lanes()(_walk)
+_trails = lanes(blocks=1, alone=SINGLE, walks=True)(_walk)
+_fans = lanes(walks=True)(_walk)
 
 
 def _put(index: Array, whole: Array, row: Array) -> Array:

@@ -304,7 +304,12 @@ def _part_levels(scene: Scene, point: Float[Array, "3"]) -> Float[Array, "parts"
 
 
 def solutions(scene: Scene, clamp: Clamp, law: Law, seeds: State) -> Solutions:
-    """Distinct converged contacts that push and lie near the clamp, from seeds (k, …)."""
+    """Distinct converged contacts that push and lie near the clamp, from seeds (k, …): where a rod
+    has a rougher one, that one's contacts from the seeds, and its own from those.
+    """
+    rough = scene.rod.rough
+    if rough is not None:
+        seeds = solutions(scene._replace(rod=rough), clamp, law, seeds).state
 
     def newton(seeds: State) -> tuple[Solutions, None]:
         steps = from_seeds(scene, law, clamp, seeds)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, Load
 from vibrissa.mechanics.model import RodModel
+from vibrissa.numerics.compiled import compiled
 from vibrissa.rod import Rod
 from vibrissa.rod.tree import known
 
@@ -60,8 +61,12 @@ def spatial(rod: Rod, steps: int = STEPS, nodes: Float[Any, "nodes"] | None = No
     traced rod does not show.
     """
     check_thick(rod)
-    length, nodes = rod.length, nodes_of(rod, steps) if nodes is None else nodes
-    rest, loads = rod.rest, rod.loads
+    return _spatial(rod, jnp.asarray(nodes_of(rod, steps) if nodes is None else nodes))
+
+
+@compiled
+def _spatial(rod: Rod, nodes: Float[Any, "nodes"]) -> Kirchhoff:
+    length, rest, loads = rod.length, rod.rest, rod.loads
 
     def curvature(x: Any) -> Any:
         assert rest is not None

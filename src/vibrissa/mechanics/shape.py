@@ -18,7 +18,8 @@ from jaxtyping import Bool, Float
 
 from vibrissa.geometry.rotation import first_axis, third_axis
 from vibrissa.mechanics.elastic_line import force_of, sampled_line
-from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Line, Push
+from vibrissa.mechanics.kirchhoff import Inner, Kirchhoff, Push
+from vibrissa.mechanics.line import Line
 from vibrissa.mechanics.model import Clamp
 from vibrissa.mechanics.models import spatial
 from vibrissa.numerics.lanes import FEW, lanes

@@ -85,7 +85,9 @@ class Lanes(Generic[Shared, Row]):
         blocks: int = BLOCKS,
         alone: int = 0,
         by_call: bool = False,
+        walks: bool = False,
     ) -> None:
+        self._told_by = "walk_width" if walks else "lane_width"
         self._by_call = by_call
         self._one, self._width, self._blocks = one, width, blocks
         self._alone = alone
@@ -149,7 +151,9 @@ class Lanes(Generic[Shared, Row]):
         """The kernel for so many rows, how many it takes side by side, and how many in one call."""
         if count <= self._alone or self._width == 1 or _branching(shared):
             return self._one_by_one, 1, self._size_alone
-        width = min([self._width, *_told(shared, "lane_width")])
+        width = min([self._width, *_told(shared, self._told_by)])
+        if width == 1:
+            return self._one_by_one, 1, self._size_alone
         return self._side_by_side(width), width, width * self._blocks
 
     def _guarded(self, kernel: Callable[..., Any], *arguments: Any) -> Any:
@@ -243,7 +247,12 @@ class Lanes(Generic[Shared, Row]):
 
 
 def lanes(
-    *, width: int = WIDTH, blocks: int = BLOCKS, alone: int = 0, by_call: bool = False
+    *,
+    width: int = WIDTH,
+    blocks: int = BLOCKS,
+    alone: int = 0,
+    by_call: bool = False,
+    walks: bool = False,
 ) -> Callable[[Callable[..., Row]], Lanes[Any, Row]]:
     """Turn a function of (shared, *row) into one of (shared, *rows).
 
@@ -255,9 +264,14 @@ def lanes(
         Up to this many rows are taken one after another, by a scalar kernel.
     by_call
         Whether rows are called one by one where shared arguments are `bulky`: up to the number of
-        rows which that property says.
+        which that property says.
+    walks
+        Whether rows iterate, each in its own way: shared arguments say by `walk_width`, not
+        `lane_width`, how many of them side by side are worth it.
     """
-    return lambda one: Lanes(one, width=width, blocks=blocks, alone=alone, by_call=by_call)
+    return lambda one: Lanes(
+        one, width=width, blocks=blocks, alone=alone, by_call=by_call, walks=walks
+    )
 
 
 def _branching(shared: Any) -> bool:

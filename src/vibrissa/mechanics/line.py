@@ -1,0 +1,220 @@
+"""A bent rod as a line through the states where its steps begin and end."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Bool, Float, Int
+
+from vibrissa.numerics.vectors import dot
+
+Scalar = Float[Any, ""]
+Vector = Float[Any, "3"]
+
+_CLOSEST_STEPS = 4
+"""Newton steps along the rod, from within a step of it: they converge quadratically."""
+_FARTHEST = 4.0
+"""Arc length [L] up to which the straight continuation is searched: noise puts contacts there."""
+_TINY = 1e-300
+
+
+class State(NamedTuple):
+    """A rod at an arc length, or rates along it; reach and tangent come first."""
+
+    reach: Vector
+    """From the clamp point."""
+    tangent: Vector
+    energy: Scalar
+    across: Any = None
+    """d₁ (3,), where the rest shape needs it."""
+    load: Any = None
+    """Q and M (6,), where there are loads."""
+
+
+class Line(NamedTuple):
+    """A bent rod at nodes from clamp to tip, and how it goes on between them."""
+
+    nodes: Float[Array, "nodes"]
+    """Arc lengths [L]."""
+    states: State
+    """At the nodes (nodes, …)."""
+    rates: State
+    """Their derivatives along the rod."""
+    error: Float[Array, "nodes"]
+    """Estimated error of reach and tangent, added up from the line's first node."""
+
+    @property
+    def reach(self) -> Float[Array, "nodes 3"]:
+        """From the clamp point [L]."""
+        return self.states.reach
+
+    @property
+    def tangent(self) -> Float[Array, "nodes 3"]:
+        """Unit tangents."""
+        return self.states.tangent
+
+    def at(self, s: Scalar) -> tuple[Vector, Vector]:
+        """Point and tangent at an arc length: quintic between nodes, straight beyond the tip."""
+        place, step, x = self.between(s)
+        values = self._ends(place, step)
+        weights, slopes, _ = _quintic(x)
+        point = sum(w * value for w, value in zip(weights, values, strict=True))
+        slope = sum(w * value for w, value in zip(slopes, values, strict=True))
+        tangent = slope / jnp.sqrt(jnp.maximum(dot(slope, slope), _TINY))
+        return point + jnp.maximum(s - 1.0, 0.0) * tangent, tangent
+
+    def bend(self, s: Scalar) -> Vector:
+        """Slope t' of the tangent [1/L] at an arc length."""
+        place, step, x = self.between(s)
+        values, (_, _, seconds) = self._ends(place, step), _quintic(x)
+        return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
+
+    def carried(self, there: State, here: State) -> "Line":
+        """The line as a rigid body, moved from a state of it to another."""
+        axes = zip(axes_of(there), axes_of(here), strict=True)
+        turn = sum(before[:, None] * after for before, after in axes)
+
+        def turned(rows: Any) -> Any:
+            return None if rows is None else jnp.einsum("ni,ij->nj", rows, turn)
+
+        def moved(rows: State) -> State:
+            return rows._replace(
+                reach=turned(rows.reach), tangent=turned(rows.tangent), across=turned(rows.across)
+            )
+
+        states = moved(self.states._replace(reach=self.states.reach - there.reach))
+        states = states._replace(reach=here.reach + states.reach)
+        return self._replace(states=states, rates=moved(self.rates))
+
+    def _ends(self, place: Array, step: Scalar) -> list[Vector]:
+        return [
+            scaled
+            for node in (place, place + 1)
+            for scaled in (
+                self.states.reach[node],
+                step * self.states.tangent[node],
+                step**2 * self.rates.tangent[node],
+            )
+        ]
+
+    def between(self, s: Scalar) -> tuple[Array, Scalar, Scalar]:
+        """The node before an arc length, the step that begins there, and the place in it."""
+        place = jnp.clip(jnp.sum(self.nodes[1:] <= s), 0, len(self.nodes) - 2)
+        step = self.nodes[place + 1] - self.nodes[place]
+        # Behind a contact at the tip all nodes are one.
+        whole = jnp.where(step > 0, step, 1.0)
+        return place, step, jnp.clip((s - self.nodes[place]) / whole, 0.0, 1.0)
+
+
+def _quintic(x: Scalar) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
+    """Weights of value, slope and bend at both ends in a quintic, in its slope and in its bend."""
+    x2, x3 = x * x, x * x * x
+    x4, x5 = x2 * x2, x2 * x3
+    return (
+        [
+            1 - 10 * x3 + 15 * x4 - 6 * x5,
+            x - 6 * x3 + 8 * x4 - 3 * x5,
+            (x2 - 3 * x3 + 3 * x4 - x5) / 2,
+            10 * x3 - 15 * x4 + 6 * x5,
+            -4 * x3 + 7 * x4 - 3 * x5,
+            (x3 - 2 * x4 + x5) / 2,
+        ],
+        [
+            -30 * x2 + 60 * x3 - 30 * x4,
+            1 - 18 * x2 + 32 * x3 - 15 * x4,
+            (2 * x - 9 * x2 + 12 * x3 - 5 * x4) / 2,
+            30 * x2 - 60 * x3 + 30 * x4,
+            -12 * x2 + 28 * x3 - 15 * x4,
+            (3 * x2 - 8 * x3 + 5 * x4) / 2,
+        ],
+        [
+            -60 * x + 180 * x2 - 120 * x3,
+            -36 * x + 96 * x2 - 60 * x3,
+            (2 - 18 * x + 36 * x2 - 20 * x3) / 2,
+            60 * x - 180 * x2 + 120 * x3,
+            -24 * x + 84 * x2 - 60 * x3,
+            (6 * x - 24 * x2 + 20 * x3) / 2,
+        ],
+    )
+
+
+def axes_of(at: State) -> tuple[Vector, Vector, Vector]:
+    """Three axes that turn with the rod; for a straight one, any that have its tangent."""
+    across = across_of(at.tangent) if at.across is None else at.across
+    return across, jnp.cross(at.tangent, across), at.tangent
+
+
+def rises(values: Float[Array, "nodes"]) -> Bool[Array, "steps"]:
+    """Where values at the nodes pass from below to above zero."""
+    return (values[:-1] < 0) & (values[1:] >= 0)
+
+
+def most_zeros(values: Float[Array, "nodes"]) -> Int[Array, ""]:
+    """How many such places `zero` can find: one may also lie beyond the tip."""
+    return jnp.maximum(jnp.sum(rises(values)) + (values[-1] < 0), 1)
+
+
+def closest(line: Line, r: Vector) -> Scalar:
+    """Arc length at which a line comes closest to a point: the first time that it comes about as
+    close as ever, since behind a contact the force may curl it up.
+    """
+
+    def along(s: Scalar) -> Scalar:
+        at, tangent = line.at(s)
+        return dot(at - r, tangent)
+
+    gaps = line.reach - r
+    distance = jnp.sqrt(jnp.sum(gaps * gaps, 1))
+    near = jnp.minimum(distance[:-1], distance[1:])
+    as_near = near <= 2 * jnp.min(distance) + jnp.diff(line.nodes)
+    return zero(along, line, jnp.sum(gaps * line.tangent, 1), allowed=as_near)
+
+
+def across_of(tangent: Vector) -> Vector:
+    """A unit vector across a tangent that turns with it smoothly but at one direction (T. Duff et
+    al., Journal of Computer Graphics Techniques 6 (2017) 1-8).
+    """
+    x, y, z = tangent
+    sign = jnp.where(z < 0, -1.0, 1.0)
+    a = -1.0 / (sign + z)
+    return jnp.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x])
+
+
+def zero(
+    function: Callable[[Scalar], Scalar] | None,
+    line: Line,
+    values: Float[Array, "nodes"],
+    which: Int[Any, ""] | int = 0,
+    *,
+    allowed: Any = True,
+) -> Scalar:
+    """Arc length at which a function with given values at the nodes passes from below to above zero
+    for the first time, or for a later one, within an allowed step or beyond the tip; without a
+    function, interpolated. NaN if it does not any more.
+    """
+    values, nodes = lax.stop_gradient((values, line.nodes))
+    up = rises(values) & allowed
+    count = jnp.cumsum(up)
+    place, within = jnp.argmax(up & (count == which + 1)), count[-1] > which
+    # The first may also lie beyond the tip, and the last where the function still rises there.
+    sought = within | (which == 0) | ((count[-1] == which) & (values[-1] < 0))
+    low, high = values[place], values[place + 1]
+    start, end = nodes[place], nodes[place + 1]
+    first = jnp.where(within, start + low / (low - high) * (end - start), 1.0)
+    first = jnp.where(sought, first, jnp.nan)
+    if function is None:
+        return first
+    # Beyond the tip; a first one that is nearly there may also turn out to lie before it.
+    earliest = jnp.where(which == 0, 0.0, 1.0)
+    least, most = jnp.where(within, start, earliest), jnp.where(within, end, _FARTHEST)
+
+    def newton(_: Any, s: Scalar) -> Scalar:
+        value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
+        return jnp.clip(s - value / rate, least, most)
+
+    s = lax.stop_gradient(lax.fori_loop(0, _CLOSEST_STEPS, newton, first))
+    value, rate = jax.jvp(function, (s,), (jnp.ones(()),))
+    s = s - value / lax.stop_gradient(rate)
+    return jnp.where(within | (s >= earliest), s, jnp.nan)

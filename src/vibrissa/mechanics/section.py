@@ -1,0 +1,103 @@
+"""The section and rest shape of a rod as polynomials in each of its steps."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+Scalar = Float[Any, ""]
+
+DEGREE = 4
+"""Of the polynomials in which a section is given within each step: the stiffness of a round rod
+whose radius changes linearly is one.
+"""
+POINTS, QUADRATURE = (np.array(np.polynomial.legendre.leggauss(DEGREE + 1)) + [[1], [0]]) / 2
+_FIT = np.linalg.inv(np.vander(POINTS, increasing=True))
+_THINNEST, _STRAIGHT = 1 - 1e-6, 1e-12
+"""Taper up to which the steps are graded further, and logarithm of the tip's share of the radius
+below which they are equal, to rounding.
+"""
+
+
+class Local(NamedTuple):
+    """A rod at an arc length, or polynomials of it, one row per step."""
+
+    bending: Float[Any, "*s"]
+    """B [EI]."""
+    torsion: Float[Any, "*s"]
+    """B₃ [EI]."""
+    rest: Any = None
+    """u (…, 3) [1/L]: curvatures about d₁ and d₂, and twist; None for a straight rod."""
+    girth: Any = None
+    """Radius (…) over that at the clamp; None if it is the same everywhere, or unknown."""
+    loaded: Any = None
+    """What the load depends on, (…)."""
+
+
+def fitted(values: Callable[[Any], Any], nodes: Float[Any, "nodes"]) -> Any:
+    """Polynomials (steps, 5, …) of functions of the arc length in each step between nodes."""
+    s = nodes[:-1, None] + jnp.diff(nodes)[:, None] * POINTS
+
+    def fit(at: Array) -> Array:
+        flat = jnp.reshape(at, (*s.shape, -1))
+        return jnp.einsum("ij,sjk->sik", _FIT, flat).reshape(at.shape)
+
+    return jax.tree.map(fit, values(s))
+
+
+def halved(polynomials: Any) -> Any:
+    """The same where each step is halved: (2 steps, 5, …)."""
+    # p(x) at x = (i + y)/2 as a polynomial in y.
+    both = np.array([_FIT @ np.vander((i + POINTS) / 2, increasing=True) for i in (0, 1)])
+
+    def half(part: Array) -> Array:
+        return jnp.einsum("hij,sj...->shi...", both, part).reshape(2 * len(part), *part.shape[1:])
+
+    return jax.tree.map(half, polynomials)
+
+
+class Stage(NamedTuple):
+    """What a slope depends on at an arc length, or at the stages of steps."""
+
+    softness: Float[Any, "*s"]
+    """1/B [1/EI]."""
+    twisting: Float[Any, "*s"]
+    """1/B₃ − 1/B [1/EI]."""
+    rest: Any
+    loaded: Any
+
+
+def at_stages(polynomials: Local, start: Any, width: Any, nodes: Float[Any, "k"]) -> Stage:
+    """Polynomials (5, …) of one step at the stages (k, …) of a part of it."""
+    x = start + width * nodes
+
+    def at(coefficients: Array) -> Array:
+        along = x.reshape(-1, *(1,) * (coefficients.ndim - 1))
+        *lower, total = coefficients
+        for coefficient in reversed(lower):
+            total = total * along + coefficient
+        return total
+
+    return stage_of(jax.tree.map(at, polynomials))
+
+
+def stage_of(local: Local) -> Stage:
+    """What a slope depends on, from the rod there."""
+    soft = 1 / local.bending
+    return Stage(soft, 1 / local.torsion - soft, local.rest, local.loaded)
+
+
+def graded(taper: Scalar, steps: int) -> Float[Any, "nodes"]:
+    """Nodes whose distances are as the radius of a rod that is thinner by a fraction `taper` at its
+    tip: under the same moment each step bends alike.
+    """
+    share = np.linspace(0, 1, steps + 1)
+    # (1 − (1 − τ)ˣ)/τ, and x for τ → 0.
+    thin = jnp.log1p(-jnp.minimum(taper, _THINNEST))
+    tiny = abs(thin) < _STRAIGHT
+    whole = jnp.where(tiny, 1.0, jnp.expm1(thin))
+    return jnp.where(tiny, share, jnp.expm1(share * thin) / whole)

@@ -1,5 +1,12 @@
 """Which of several contacts that explain a row's reactions continues the sweep, and how sure that
-is: a hidden Markov model whose states are the contacts listed for each row, along a touch.
+is: a hidden Markov model along a touch, whose states are the contacts listed for each row, each on
+the rod's flank or at its tip.
+
+All of them explain the same readings, so a contact counts by how much better than the place's own
+past it predicts where it is listed: a wrong one goes on like its past, and that ratio is the same
+for readings and for places, however noisy. Of two places that both go on, neither is more probable,
+be one steadier than the other. What tells is a row with one contact before or after, a leap, and a
+place that stays at the tip within its errors, where a wrong one is by chance only.
 """
 
 from itertools import pairwise
@@ -18,10 +25,15 @@ from vibrissa.numerics.runs import runs
 
 _SURE = 0.95
 """Probability from which a contact counts as the one that continues."""
-_LEAP = 1e-3
-"""Probability that a contact leaps along the rod between two samples."""
-_MOST, _LEAST = 0.9, 1e-3
-"""Share of the moves between two samples that count as usual, and how far those are at least [L].
+_LEAP = np.log(1e-3)
+"""Logarithm of the probability that a contact leaps along the rod, or comes to its tip or leaves
+it, between two samples.
+"""
+_ANEW = np.log(0.1)
+"""The same that a wrong place turns up anywhere, however near to another one."""
+_MOST, _NOISE, _LEAST = 0.9, 1.645**2, 1e-3
+"""Share of the moves between two samples that count as usual, the square below which that share of
+normal errors lies, and how far those moves are at least [L].
 """
 
 
@@ -61,17 +73,15 @@ def branch_of(found: Reconstruction) -> Branch:
     ):
         listed[int(row)] = Places(place[fits], deviation[fits])
     touches = [
-        [row for row in range(start, stop) if row in listed]
+        known
         for start, stop in runs(found.in_contact)
+        if (known := [row for row in range(start, stop) if row in listed])
     ]
-    pace = _pace([[listed[row].arc_length for row in known] for known in touches])
+    pace = _pace([[listed[row] for row in known] for known in touches])
     for known in touches:
         places = [listed[row] for row in known]
-        moves = [
-            _moves(a, b, pace * (after - before))
-            for (a, b), (before, after) in zip(pairwise(places), pairwise(known), strict=True)
-        ]
-        for row, place, weight in zip(known, places, _marginals(places, moves), strict=True):
+        paces = pace * np.diff(known)
+        for row, place, weight in zip(known, places, marginals(places, paces), strict=True):
             if not alone[row]:
                 best = int(np.argmax(weight))
                 branch.arc_length[row] = place.arc_length[best]
@@ -80,32 +90,72 @@ def branch_of(found: Reconstruction) -> Branch:
     return branch
 
 
-def _pace(touches: list[list[np.ndarray]]) -> float:
+def _pace(touches: list[list[Places]]) -> float:
     """How far a contact moves from one sample to the next at most, whichever it is [L]."""
-    steps = [
-        abs(after[:, None] - before).min(axis=1)
-        for places in touches
-        for before, after in pairwise(places)
-    ]
-    return max(_LEAST, float(np.quantile(np.concatenate(steps), _MOST)) if steps else 0.0)
+    squares = []
+    for before, after in (pair for places in touches for pair in pairwise(places)):
+        away, noise = _apart(before, after)
+        nearest = abs(away).argmin(axis=0), np.arange(away.shape[1])
+        squares.append((away**2 - _NOISE * noise)[nearest])
+    square = np.quantile(np.concatenate(squares), _MOST) if squares else 0.0
+    return float(np.sqrt(max(square, _LEAST**2)))
 
 
-def _moves(before: Places, after: Places, pace: float) -> Float[np.ndarray, "j k"]:
-    """Logarithm of how well one place continues another, relative to a perfect continuation: how
-    sharply either is known does not count.
-    """
+def _apart(before: Places, after: Places) -> tuple[Float[np.ndarray, "j k"], ...]:
+    """From each place to each of the next row, and the variance of that."""
     away = after.arc_length - before.arc_length[:, None]
-    spread = np.sqrt(pace**2 + after.deviation**2 + before.deviation[:, None] ** 2)
-    return np.log((1 - _LEAP) * np.exp(-((away / spread) ** 2) / 2) + _LEAP)
+    return away, after.deviation**2 + before.deviation[:, None] ** 2
 
 
-def _marginals(places: list[Places], moves: list[np.ndarray]) -> list[np.ndarray]:
-    """Probability of each place given all rows (forward-backward)."""
-    ahead, back = ([np.zeros(len(place.arc_length)) for place in places] for _ in range(2))
+def _density(away: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Logarithm of a normal density [1/L]; that of a place anywhere on the rod is 0."""
+    return -(away**2 / variance + np.log(2 * np.pi * variance)) / 2
+
+
+def _at_tip(places: Places, pace: float = 0.0) -> Float[np.ndarray, "k"]:
+    """The same of each listed place, the contact being at the tip or just leaving it."""
+    return _density(places.arc_length - 1, places.deviation**2 + pace**2)
+
+
+def _moves(past: Places, after: Places, pace: float) -> tuple[np.ndarray, Places]:
+    """Logarithm (2j, 2k) of how well a contact on the flank (j) or at the tip (j) predicts the next
+    row's listed places, for one on the flank (k) or at the tip (k) there, relative to each place's
+    own past; and that past with the next row in it, by a Kalman filter.
+    """
+    away, noise = _apart(past, after)
+    onward = _density(away, noise + pace**2)
+    own, last = onward.max(axis=0), onward.argmax(axis=0)
+    each, leaving = np.zeros_like(onward), _at_tip(after, pace) + _LEAP
+    moves = np.block(
+        [
+            [np.logaddexp(onward, _LEAP), _at_tip(after) + _LEAP + each],
+            [np.logaddexp(leaving, _LEAP) + each, _at_tip(after) + each],
+        ]
+    )
+    wrong = np.maximum(own, _ANEW)
+    before = np.where(own > _ANEW, past.deviation[last] ** 2 + pace**2, np.inf)
+    gain = 1 / (1 + after.deviation**2 / before)
+    arc_length = after.arc_length - (1 - gain) * away[last, np.arange(len(last))]
+    return moves - np.tile(wrong, 2), Places(arc_length, after.deviation * np.sqrt(gain))
+
+
+def marginals(places: list[Places], paces: Float[np.ndarray, "m"]) -> list[np.ndarray]:
+    """Probability (k,) of each place of each row of a touch given all rows (forward-backward), by
+    how far a contact usually moves between two rows [L].
+    """
+    moves, past = [], places[0]
+    for after, pace in zip(places[1:], paces, strict=True):
+        move, past = _moves(past, after, pace)
+        moves.append(move)
+    ahead, back = ([np.zeros(2 * len(place.arc_length)) for place in places] for _ in range(2))
+    ahead[0] = np.concatenate([np.zeros_like(places[0].arc_length), _at_tip(places[0])])
     for i, move in enumerate(moves):
         ahead[i + 1] = logsumexp(ahead[i][:, None] + move, axis=0)
         ahead[i + 1] -= logsumexp(ahead[i + 1])
     for i, move in reversed(list(enumerate(moves))):
         back[i] = logsumexp(move + back[i + 1], axis=1)
         back[i] -= logsumexp(back[i])
-    return [np.exp(a + b - logsumexp(a + b)) for a, b in zip(ahead, back, strict=True)]
+    return [
+        np.exp(a + b - logsumexp(a + b)).reshape(2, -1).sum(axis=0)
+        for a, b in zip(ahead, back, strict=True)
+    ]

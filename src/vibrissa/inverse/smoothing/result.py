@@ -76,7 +76,8 @@ class Smoothing:
     branch_probability
         (n,) that of the contacts which explain a sample's reactions (`Reconstruction.candidates`)
         the one followed is the true one, given the whole touch: 1 where there is no other. Rows
-        below 0.95 stay `NOT_UNIQUE`.
+        below 0.95 stay `NOT_UNIQUE`, as those of a touch before the tip do if all its rows have
+        several.
     """
 
     touches: tuple[Touch, ...]

@@ -1,8 +1,10 @@
 """Recordings of a heavy rod: its weight stays in the reactions when the sensor's zero is taken."""
 
+import logging
 from functools import cache
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -80,14 +82,16 @@ def test_read_and_reconstructed(tmp_path: Path) -> None:
     assert np.median(errors(found, scan)) < 2e-3 * LENGTH
 
 
-def test_streamed() -> None:
+def test_streamed(caplog: pytest.LogCaptureFixture) -> None:
+    """Free, lightly and firmly touching: whatever they need was compiled before."""
     scan, _ = swept()
     rows: list[vb.Reconstruction] = []
-    stream(
-        ReplaySource(measured()),
-        Processor(ROD, SENSOR, ConstantPose()),
-        [Callback(lambda _, found: rows.append(found))],
-    )
+    processor = Processor(ROD, SENSOR, ConstantPose())
+    jax.clear_caches()  # of what other tests have compiled
+    processor.warm_up()
+    with jax.log_compiles(), caplog.at_level(logging.WARNING, logger="jax"):
+        stream(ReplaySource(measured()), processor, [Callback(lambda _, row: rows.append(row))])
+    assert [text for text in caplog.messages if text.startswith("Compiling")] == []
     touching = np.concatenate([row.in_contact for row in rows])
     points = np.concatenate([row.point for row in rows])
     both = scan.in_contact & touching

@@ -131,3 +131,6 @@ def test_a_rod_that_leads_back_to_its_clamp_is_refused() -> None:
     wire = vb.Rod.cylinder(length=LENGTH, radius=0.25e-3, youngs_modulus=206e9, density=7850.0)
     with pytest.raises(ValueError, match=r"tip is 0\.0.* rod lengths ahead of the clamp"):
         smoothed_model(wire.curved(vb.RestShape.arc(LENGTH / 3)))
+    # One that hangs may have no shape the other way up: that is judged pose by pose.
+    hair = vb.Rod.cylinder(length=0.15, radius=50e-6, youngs_modulus=3e9, density=1200.0)
+    smoothed_model(hair.curved(vb.RestShape.arc(0.3)).loaded(vb.Loads(gravity=(0, 0, -9.81))))

@@ -77,17 +77,24 @@ def shot(
     return Shot(end[:3], Rotation.from_quat([*xyz, w]).apply([0, 0, 1]), end[7:10], float(end[10]))
 
 
+def unbalanced(
+    whisker: Whisker, level: Level, pose: Rotation, u: np.ndarray, *, tip: bool
+) -> np.ndarray:
+    """What m(0), f, p, s₁ (8,) leave of the conditions of contact (8,)."""
+    p, n = u[4:7], level.normal(u[4:7])
+    end = shot(whisker, pose, u[:3], u[3] * n, u[7])
+    last = u[7] - 1 if tip else end.tangent @ n
+    steepness = np.linalg.norm(level.gradient(p))
+    return np.array([*end.moment, *(end.place - p), level.value(p) / steepness, last])
+
+
 def equilibrium(
     whisker: Whisker, level: Level, pose: Rotation, guess: np.ndarray, *, tip: bool
 ) -> tuple[np.ndarray, Shot]:
     """m(0), f, p, s₁ (8,) from nearby, and the rod."""
 
     def left(u: np.ndarray) -> np.ndarray:
-        p, n = u[4:7], level.normal(u[4:7])
-        end = shot(whisker, pose, u[:3], u[3] * n, u[7])
-        last = u[7] - 1 if tip else end.tangent @ n
-        steepness = np.linalg.norm(level.gradient(p))
-        return np.array([*end.moment, *(end.place - p), level.value(p) / steepness, last])
+        return unbalanced(whisker, level, pose, u, tip=tip)
 
     found = root(left, guess, tol=1e-13, options={"eps": 1e-8}).x
     assert abs(left(found)).max() < 1e-10

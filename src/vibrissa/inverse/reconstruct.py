@@ -135,6 +135,16 @@ def reconstruct(
     return result if reactions.covariance is None else checked(result)
 
 
+def compile_for(rod: Rod, reactions: Reactions) -> None:
+    """Compile whatever `reconstruct` may need for such reactions of all six channels: rows of weak
+    force, which may come late in a stream, take a kernel of their own, the same for any few.
+    """
+    reconstruct(rod, reactions, check=False)
+    if reactions.covariance is not None:
+        one = jax.tree.map(lambda part: part[:1], samples_of(rod, reactions))
+        weak_contacts(setting_of(rod, reactions), one)
+
+
 def _reconstruction(
     rod: Rod, reactions: Reactions, friction: float | None, found: Found
 ) -> Reconstruction:

@@ -1,6 +1,7 @@
 """From samples to contacts: tare, pose, inverse, batch by batch."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from vibrissa.contacts import Status
 from vibrissa.inverse import Reconstruction, reconstruct
+from vibrissa.inverse.reconstruct import compile_for
 from vibrissa.live.poses import ConstantPose, Poses, PoseSource
 from vibrissa.live.report import Report
 from vibrissa.live.samples import (
@@ -21,7 +23,7 @@ from vibrissa.live.samples import (
     rows_of,
 )
 from vibrissa.live.zero import RESTLESS, ZeroWatch
-from vibrissa.reactions import VELOCITY_SPAN, velocities
+from vibrissa.reactions import VELOCITY_SPAN, Reactions, velocities
 from vibrissa.rod import Rod
 from vibrissa.sensor import CHANNELS, RawRecording, Sensor, Tare
 from vibrissa.sensor.raw import Times, Wrench
@@ -132,7 +134,11 @@ class Processor:
     def warm_up(self) -> None:
         """Compile for every batch size that may come, before samples do."""
         for rows in (1, MOST_ROWS):
-            self._found(replace(_unloaded(rows), force=np.ones((rows, 3))), np.zeros(rows, bool))
+            raw = _unloaded(rows)
+            compile_for(self.rod, self._reactions(raw, np.zeros(rows, dtype=bool)))
+            # In this pose, not that of the sensor, a soft rod may fall over.
+            with suppress(ValueError):
+                self._sensor.rod_readings(raw)
 
     def push(self, samples: Samples) -> None:
         """Add samples."""
@@ -227,12 +233,17 @@ class Processor:
 
     def _found(self, raw: RawRecording, known: Flags) -> Reconstruction:
         """Contacts of rows, some of which may lack a pose."""
+        return reconstruct(
+            self.rod, self._reactions(raw, known), friction=self.friction, check=False
+        )
+
+    def _reactions(self, raw: RawRecording, known: Flags) -> Reactions:
         reactions = self._sensor.reactions(raw, self._tare, tolerances=self._errors)
         late = PARAMETERS.index("pose_delay")
         if self._errors is not None and self._errors.covariance[late, late]:
             velocity = self._velocity(raw.time, reactions.trail, known)
             reactions = replace(reactions, velocity=np.tile(velocity, (len(known), 1)))
-        return reconstruct(self.rod, reactions, friction=self.friction, check=False)
+        return reactions
 
     def _velocity(self, time: Times, clamp: Trail, known: Flags) -> Wrench:
         """Velocity of the clamp, one for the batch: from its last pose and one some 50 ms back."""

@@ -1,8 +1,10 @@
 """Contacts smoothed as they come."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vibrissa.geometry.rotation import rotation_matrices
 from vibrissa.inverse import CausalSmoother, Reconstruction
@@ -27,10 +29,14 @@ class SmoothingStage:
         self._rod, self._friction = rod, friction
         self._smoother: CausalSmoother | None = None
         self._last = -np.inf
-        # Compile before samples come: the numbers do not matter.
-        still = np.zeros((1, 3))
-        one = Reactions(Trail(still), still, still, time=np.zeros(1))
-        CausalSmoother(rod, np.eye(6)).update_all(one)
+        # Compile before samples come: the numbers do not matter, but a soft rod has a shape in some
+        # of these poses only.
+        smoother, still = CausalSmoother(rod, np.eye(6)), np.zeros((1, 3))
+        for turn in Rotation.create_group("O").as_quat():
+            with suppress(ValueError):
+                one = Reactions(Trail(still, turn[None]), still, still, time=np.zeros(1))
+                smoother.update_all(one)
+                break
 
     def push(self, found: Reconstruction) -> Reconstruction:
         """Return the batch with kind, point, normal, arc length and their covariances from the

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from vibrissa.mechanics.elastic_line import directors, elastic_line
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.kirchhoff import Kirchhoff
 from vibrissa.mechanics.model import Clamp, RodModel
-from vibrissa.mechanics.models import model_of
+from vibrissa.mechanics.models import spatial
 from vibrissa.numerics.lanes import lanes
 from vibrissa.reactions import Reactions
 from vibrissa.rod import Rod
@@ -149,7 +149,8 @@ def _models(rod: Rod) -> list[tuple[RodModel, tuple[float, ...]]]:
     number of inflections is one of its own.
     """
     if not rod.plain:
-        return [(model_of(rod), tuple(chain(*_FORCES)))]
+        # Far from the start, exact derivatives lead to more of them.
+        return [(replace(spatial(rod), quick=None), tuple(chain(*_FORCES)))]
     return [(Elastica(count), forces) for count, forces in enumerate(_FORCES)]
 
 

@@ -3,6 +3,7 @@
 from itertools import pairwise
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -11,7 +12,6 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, Load
 from vibrissa.mechanics.model import RodModel
-from vibrissa.numerics.compiled import compiled
 from vibrissa.rod import Rod
 from vibrissa.rod.tree import known
 
@@ -64,7 +64,7 @@ def spatial(rod: Rod, steps: int = STEPS, nodes: Float[Any, "nodes"] | None = No
     return _spatial(rod, jnp.asarray(nodes_of(rod, steps) if nodes is None else nodes))
 
 
-@compiled
+@jax.jit
 def _spatial(rod: Rod, nodes: Float[Any, "nodes"]) -> Kirchhoff:
     length, rest, loads = rod.length, rod.rest, rod.loads
 

@@ -449,29 +449,20 @@ class Kirchhoff(RodModel):
         return shape.carried(whole._at(Inner(shape, AT_ORIGIN, _NO_PUSH), s), here)
 
     @staticmethod
-    def _resultants(
-        left: Callable[[Any, Any], Any], begin: Any, given: Any, like: Any = None
-    ) -> Any:
+    def _resultants(left: Callable[[Any, Any], Any], begin: Any, given: Any) -> Any:
         """Resultants of loads that leave nothing at the tip, by Newton's method: the first entries
         of `left(resultants, given)`, as many as there are resultants; with derivatives with respect
         to what is given. Also whether they were found, and the derivatives of all that is left with
         respect to them.
         """
         fixed = lax.stop_gradient(given)
-
-        def slopes(load: Any, given: Any = fixed) -> tuple[Any, Any]:
-            both: tuple[Any, Any] = jax.jacfwd(lambda load: (left(load, given),) * 2, has_aux=True)(
-                load
-            )
-            return both
+        slopes = jax.jacfwd(lambda load: (left(load, fixed),) * 2, has_aux=True)
 
         def unfinished(state: tuple[Any, Any, Scalar, Array]) -> Array:
             return (state[2] > _LOAD_SETTLED) & (state[3] < _LOAD_STEPS)
 
         def refine(state: tuple[Any, Any, Scalar, Array]) -> tuple[Any, Any, Scalar, Array]:
-            jacobian, value = slopes(state[0]) if like is None else slopes(state[0], like)
-            if like is not None:
-                value = left(state[0], fixed)
+            jacobian, value = slopes(state[0])
             change, _ = solve_pivoted(jacobian[:count], value[:count])
             size = jnp.max(jnp.abs(change))
             share = jnp.minimum(1.0, _LARGEST_CHANGE / jnp.maximum(size, _TINY))
@@ -482,8 +473,6 @@ class Kirchhoff(RodModel):
         blank = jnp.zeros((size, count)), jnp.asarray(jnp.inf), jnp.zeros((), dtype=int)
         start = lax.stop_gradient(begin), *blank
         load, jacobian, size, _ = lax.stop_gradient(lax.while_loop(unfinished, refine, start))
-        if like is not None:
-            jacobian = lax.stop_gradient(slopes(load)[0])
         # One more step, which carries the derivatives (implicit function theorem).
         load = load - solve_pivoted(jacobian[:count], left(load, given)[:count])[0]
         return load, size < _LOAD_FOUND, jacobian
@@ -505,8 +494,7 @@ class Kirchhoff(RodModel):
             states = model.line(clamp, _NO_PUSH, load).states
             return joined(states.load[-1], states.tangent[-1])
 
-        like = lax.stop_gradient((self.quick or self, clamp))
-        load, found, slopes = self._resultants(left, jnp.zeros(6), (self, clamp), like)
+        load, found, slopes = self._resultants(left, jnp.zeros(6), (self, clamp))
         line = self.line(clamp, _NO_PUSH, load)
         strain = jnp.max(self._strain(line, _NO_PUSH))
         return Hanging(clamp, line, load, found & _stands(slopes, line.tangent[-1], strain))

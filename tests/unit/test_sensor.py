@@ -263,10 +263,10 @@ BAD = {
         {"gain": (1, 1, 1, 1, 0, 1)},
         "gain = (1, 1, 1, 1, 0, 1); allowed are 6 finite numbers greater than 0",
     ),
-    "gains": ({"gain": (1.0, 1.0)}, "gain has shape (2,); allowed is (…, 6)"),
+    "gains": ({"gain": (1.0, 1.0)}, "gain has shape (2,); allowed is (6,)"),
     "turns": (
         {"clamp_orientation": np.ones((2, 4))},
-        "clamp_orientation has shape (2, 4); allowed are 1 axes",
+        "clamp_orientation has shape (2, 4); allowed is (4,)",
     ),
     "point": (
         {"wrench_point": (0.0, np.nan, 0.0)},

@@ -156,7 +156,7 @@ BAD: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "one exponent": (
         lambda: surfaces.Superquadric(CENTER, AXES, 1.0),
-        "exponents has shape (); allowed is (…, 2)",
+        "exponents has shape (); allowed is (2,)",
     ),
     "semi-axis": (
         lambda: surfaces.Superquadric(CENTER, (1, 1, -1), (1, 1)),

@@ -323,7 +323,7 @@ class Kirchhoff(RodModel):
         square, about = dot(m, m), dot(m, t)
         # Behind a contact the force may curl up a thin tip: no further than a step resolves.
         soft = local.softness
-        soft = soft / jnp.maximum(1.0, (h * soft / _LARGEST_TURN) ** 2 * square)
+        soft = soft / jnp.maximum(1.0, h * soft * jnp.sqrt(square + _TINY) / _LARGEST_TURN)
         twisting = local.twisting * about
         energy = (soft * square + twisting * about) / 2
         bend, across, rates = soft * jnp.cross(m, t), None, None

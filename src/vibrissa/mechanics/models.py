@@ -19,12 +19,11 @@ Vector = Float[Any, "3"]
 
 _FINE = 4097
 """Places at which the thickness is looked at."""
-_SHARED = 4
+_SHARED = 6
 """Numbers of steps are multiples of it: rods with as many steps share compiled code."""
-_PER_EFOLD, _PER_SQUARE = 0.5, 1 / 6
-"""Steps in an e-fold of thickness, as a share of those over the length, since under the same moment
-a thinner part bends more; and how many more are due in all for the square of all e-folds: errors of
-arcs with tips of 0.7 to 0.05 of the base, pushed by a ball, are then alike.
+_PER_EFOLD = 0.5
+"""Steps for each e-fold of thickness, as a share of those over the length: under the same moment a
+thinner part bends more.
 """
 _ROUNDING = 1e-9
 _THINNEST = 1e-4
@@ -120,8 +119,8 @@ def check_thick(rod: Rod) -> None:
 
 
 def nodes_of(rod: Rod, steps: int = STEPS) -> Any:
-    """Where steps begin and end: at every kink of a table, `steps` over the length and more where
-    the thickness changes.
+    """Where steps begin and end: at every kink of a table, `steps` over the length and
+    `_PER_EFOLD` of them more for each e-fold of thickness, where it changes.
     """
     if rod.section is None or not known(rod.bending_at(np.ones(()))):
         return np.linspace(0, 1, steps + 1)
@@ -129,8 +128,7 @@ def nodes_of(rod: Rod, steps: int = STEPS) -> Any:
     thickness = np.asarray(rod.bending_at(s)) ** 0.25
     efolds = abs(np.diff(np.log(np.maximum(thickness, _THINNEST))))
     work = np.append(0.0, np.cumsum(steps * np.diff(s) + _PER_EFOLD * steps * efolds))
-    total = steps * (1 + _PER_SQUARE * efolds.sum() ** 2)
-    work *= np.ceil(total / _SHARED - _ROUNDING) * _SHARED / work[-1]
+    work *= np.ceil(work[-1] / _SHARED) * _SHARED / work[-1]
     ends = [0.0, *rod.breaks, 1.0]
     parts = [np.zeros(1)]
     for first, last in pairwise(ends):

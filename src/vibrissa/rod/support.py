@@ -37,7 +37,7 @@ class Support(Described):
     """
 
     kind: Literal["rigid", "pivot", "compliant"] = "rigid"
-    stiffness: ArrayLike | None = None
+    stiffness: Any = None
 
     def __post_init__(self) -> None:
         stiffness: Any = self.stiffness

@@ -127,7 +127,7 @@ class Sensor:
             fields[name] = given[name]
         turn = unit_quaternions(clamp_orientation, "clamp_orientation")
         fields["clamp_position"] = finite_array(clamp_position, "clamp_position", last=3, ndim=1)
-        fields["clamp_orientation"] = finite_array(turn, "clamp_orientation", ndim=1)
+        fields["clamp_orientation"] = finite_array(turn, "clamp_orientation", last=4, ndim=1)
         point = finite_array(wrench_point, "wrench_point", last=3, ndim=1)
         fields |= {"wrench_point": tuple(point.tolist()), "mount": mount, "rod": rod}
         for name, kind in _PARTS.items():

@@ -137,24 +137,13 @@ class Unloaded(Free):
     def at(self, s: Scalar) -> tuple[Vector, Vector, Vector]:
         """As in `Free`."""
         point, tangent = self.line.at(s)
-        seen = (self._turned(part) for part in (point, tangent, self.line.bend(s)))
-        place, along, bend = seen
+        place, along, bend = map(self._turned, (point, tangent, self.line.bend(s)))
         return self.clamp.point + place, along, bend
 
     def _turned(self, vector: Vector) -> Vector:
         tangent, across = self.clamp.tangent, self.clamp.across
         x, y, z = vector
         return x * across + y * jnp.cross(tangent, across) + z * tangent
-
-    @property
-    def reactions(self) -> Wrench:
-        """As in `Free`."""
-        return jnp.zeros(6)
-
-    @property
-    def energy(self) -> Scalar:
-        """As in `Free`."""
-        return jnp.zeros(())
 
 
 class Hanging(Free):
@@ -206,6 +195,7 @@ class Kirchhoff(RodModel):
     divided: "Kirchhoff | None" = None
     """The rod whose steps were halved to get this one."""
     rough_steps: bool = eqx.field(static=True, default=False)
+    """Whether steps are of order 5, not 8."""
 
     accuracy: ClassVar[float] = 1e-8
     last_step: ClassVar[float] = 1e-8

@@ -105,14 +105,14 @@ class Free(eqx.Module):
         """Point [L], unit tangent t and t' [1/L], None for zero, at an arc length."""
 
     @property
-    @abstractmethod
     def reactions(self) -> Wrench:
-        """Support force and moment on the rod."""
+        """Support force and moment on the rod: none where nothing loads it."""
+        return jnp.zeros(6)
 
     @property
-    @abstractmethod
     def energy(self) -> Scalar:
         """Energy of bending and twist [EI/L]."""
+        return jnp.zeros(())
 
 
 class Straight(Free):
@@ -124,16 +124,6 @@ class Straight(Free):
         """As in `Free`."""
         point, tangent, _ = self.clamp
         return point + s * tangent, tangent, None
-
-    @property
-    def reactions(self) -> Wrench:
-        """As in `Free`."""
-        return jnp.zeros(6)
-
-    @property
-    def energy(self) -> Scalar:
-        """As in `Free`."""
-        return jnp.zeros(())
 
 
 NEUTRAL = 1e-6

@@ -27,6 +27,8 @@ _SINGULAR = 1e-12
 as positive, the unstable sign, so that a branch is always followed from where its direction is
 certain.
 """
+_DIFFERENCE = 1e-8
+"""Change of an unknown by which conditions are differentiated: the root of rounding."""
 _CONVERGED = 1e-11
 _MOST_STEPS = 25
 
@@ -59,7 +61,7 @@ def step_from(
     conditions: Callable[[Unknowns], tuple[Unknowns, Told]],
     x: Unknowns,
     *,
-    like: Callable[[Unknowns], tuple[Unknowns, Any]] | None = None,
+    slopes: Callable[[Unknowns], Float[Array, "unknowns unknowns"]] | None = None,
     cautious: bool = False,
 ) -> tuple[Step, Told]:
     """Semi-smooth Newton step; the contact point x[:3] moves by at most 0.3 L.
@@ -67,17 +69,18 @@ def step_from(
     A cautious step is at most 0.2 L long, and is taken even where a singular Jacobian leaves the
     state open: such a state is then no root.
 
-    `conditions` returns the residual, and whatever else is wanted at x; the Jacobian may be that of
-    others that are nearly `like` it.
+    `conditions` returns the residual, and whatever else is wanted at x; `slopes` its Jacobian or
+    nearly so, by default exact derivatives.
     """
 
-    def both(x: Unknowns) -> tuple[Unknowns, tuple[Unknowns, Any]]:
-        residual, told = (like or conditions)(x)
+    def both(x: Unknowns) -> tuple[Unknowns, tuple[Unknowns, Told]]:
+        residual, told = conditions(x)
         return residual, (residual, told)
 
-    jacobian, (residual, told) = jax.jacfwd(both, has_aux=True)(x)
-    if like is not None:
-        residual, told = conditions(x)
+    if slopes is None:
+        jacobian, (residual, told) = jax.jacfwd(both, has_aux=True)(x)
+    else:
+        jacobian, (residual, told) = slopes(x), conditions(x)
     step, determinant = solved_linear(jacobian, residual)
     distance = jnp.sqrt(jnp.sum(step[:3] ** 2))
     longest = _CAUTIOUS_STEP if cautious else _LONGEST_STEP
@@ -85,6 +88,21 @@ def step_from(
     largest = jnp.max(jnp.abs(residual))
     there = (not cautious) & (largest <= _MET) & ~(distance < _ASTRAY)
     return Step(jnp.where(there, x, x - share * step), largest, signed(determinant)), told
+
+
+def differences(
+    residual: Callable[[Unknowns], Unknowns],
+) -> Callable[[Unknowns], Float[Array, "unknowns unknowns"]]:
+    """Jacobian to some six digits: for a spatial rod as fast as exact derivatives, and a third of
+    the code to compile.
+    """
+
+    def slopes(x: Unknowns) -> Float[Array, "unknowns unknowns"]:
+        changes = _DIFFERENCE * jnp.eye(len(x), len(x) + 1, 1).T
+        first, *others = lax.map(lambda change: residual(x + change), changes)
+        return (jnp.stack(others, 1) - first[:, None]) / _DIFFERENCE
+
+    return slopes
 
 
 def iterated(residual: Callable[[Unknowns], Unknowns], start: Unknowns) -> Unknowns:

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
-from vibrissa.contact import Law, Reached, Scene, State, step_from, touching
+from vibrissa.contact import Law, Reached, Scene, State, differences, step_from, touching
 from vibrissa.forward.path import chosen
 from vibrissa.mechanics.model import Clamp, RodModel
 from vibrissa.numerics.bracket import POINTS
@@ -175,9 +175,12 @@ def once(
         found = touching(own, law, State.of(x, rod.unknowns), clamp, before, side)
         return found.residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
 
-    rough = scene.rod.rough
-    like = None if rough is None else partial(conditions, rod=rough)
-    step, (arc_length, tangent, phase, beyond) = step_from(conditions, state.flat, like=like)
+    rough, slopes = scene.rod.rough, None
+    if rough is not None:
+        # Friction has corners, and at some of them contacts begin.
+        derived = differences if law.branch else jax.jacfwd
+        slopes = derived(lambda x: conditions(x, rough)[0])
+    step, (arc_length, tangent, phase, beyond) = step_from(conditions, state.flat, slopes=slopes)
     figure = step.determinant if law.branch else beyond
     reached = Reached(State.of(step.x, scene.rod.unknowns), arc_length, tangent)
     return Solved(reached, step.residual, figure, phase)

@@ -1,6 +1,7 @@
 """How section, stiffness and mass vary along a rod."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -74,6 +75,26 @@ def test_the_taper_can_be_differentiated() -> None:
     assert slope.radius == pytest.approx(CONE.bending_stiffness * 0.2, rel=1e-14)
 
 
+def test_a_section_by_hand_is_that_of_the_table() -> None:
+    """Its columns may come from JAX, and its radius alone be differentiated beside a bore."""
+    table = vb.Rod.from_table(
+        arc_length=(0, 0.125, 0.5),
+        radius=(0.5, 0.375, 0.0),
+        inner_radius=(0.125, 0.125, 0.0),
+        youngs_modulus=1e9,
+    )
+    by_hand = vb.Section(
+        (0.0, 0.25, 1.0), radius=jnp.array([1, 0.75, 0]), bore=jnp.array([0.25, 0.25, 0])
+    )
+    assert by_hand == table.section
+
+    def bending(tip: float) -> jax.Array:
+        radius = jnp.array([1.0, tip])
+        return vb.Section((0.0, 1.0), radius=radius, bore=np.full(2, 0.5)).bending_at(0.5)
+
+    assert jax.grad(bending)(0.8) == pytest.approx(4 * 0.5 * 0.9**3 / (1 - 0.5**4), rel=1e-13)
+
+
 def test_first_frequency_of_tapered_beams() -> None:
     """Complete cone: 8.71926 (H. H. Mabie, C. B. Rogers, J. Acoust. Soc. Am. 51 (1972) 1771); taper
     0 as for the uniform beam.
@@ -106,6 +127,12 @@ def test_sag_of_a_cone_under_its_own_weight() -> None:
 TABLE = {"arc_length": (0, 0.1), "radius": (1e-3, 1e-4), "youngs_modulus": 1e9}
 STIFF = {"arc_length": (0, 1), "bending_stiffness": (1, 1), "torsional_stiffness": (1, 1)}
 TUBE = {"length": 0.1, "radius": 1e-3, "youngs_modulus": 1e9}
+ENDS, NAN = (0.0, 1.0), float("nan")
+
+
+def section(knots: tuple[float, ...] = ENDS, **columns: object) -> vb.Section:
+    """By hand."""
+    return vb.Section(knots, **{name: np.array(values) for name, values in columns.items()})
 
 
 @pytest.mark.parametrize(
@@ -154,8 +181,44 @@ TUBE = {"length": 0.1, "radius": 1e-3, "youngs_modulus": 1e9}
             lambda: vb.Rod.from_table(**STIFF, inner_radius=1e-4),
             "inner_radius = 0.0001; allowed is 0 where bending_stiffness is given",
         ),
+        (
+            lambda: section(radius=(1, -0.5)),
+            r"radius\[1\] = -0.5; allowed is a number of at least 0",
+        ),
+        (lambda: section(radius=(1, NAN)), r"radius\[1\] = nan; allowed are finite numbers"),
+        (lambda: section(radius=(1, 1, 0.5)), r"radius has shape \(3,\); allowed is \(2,\)"),
+        (
+            lambda: section(radius=(2, 1)),
+            r"radius\[0\] = 2.0; allowed is 1: the column is relative",
+        ),
+        (
+            lambda: section(radius=(1, 0.5), bore=(0.6, 0.6)),
+            r"bore\[1\] = 0.6; allowed is a number of at least 0 and below radius\[1\] = 0.5",
+        ),
+        (lambda: section(radius=(1, 0.5), bore=(-0.1, 0)), r"bore\[0\] = -0.1; allowed"),
+        (lambda: section(radius=(1, 0.5), bore=(0.1, NAN)), r"bore\[1\] = nan; allowed are finite"),
+        (lambda: section(radius=(1, 0.5), bore=0.1), r"bore has shape \(\); allowed is \(2,\)"),
+        (
+            lambda: section((0, 0.5, 1), bending=(1, 0, 1)),
+            r"bending\[1\] = 0.0; allowed is a number greater than 0",
+        ),
+        (lambda: section(bending=(3, 1)), r"bending\[0\] = 3.0; allowed is 1"),
+        (lambda: section(bending=(1, 1), torsion=(0, 1)), r"torsion\[0\] = 0.0; allowed"),
+        (
+            lambda: section(radius=(1, 1), linear_density=(1, -1)),
+            r"linear_density\[1\] = -1.0; allowed",
+        ),
+        (lambda: section(torsion=(1, 1)), "radius = None, bending = None; allowed is a section"),
+        (lambda: section(bending=(1, 1), bore=(0, 0)), r"radius = None, bore = array\(.*; allowed"),
+        (lambda: section((0, 0.5), radius=(1, 1)), r"knots\[1\] = 0.5; allowed is 1: the tip"),
+        (lambda: section((0.1, 1), radius=(1, 1)), r"knots = \[0.1, 1.0\]; .* the first 0"),
+        (
+            lambda: section((0, 0.7, 0.3, 1), radius=(1, 1, 1, 1)),
+            r"knots\[2\] = 0.3; allowed is a number greater than 0.7",
+        ),
+        (lambda: section((0, NAN, 1), radius=(1, 1, 1)), r"knots\[1\] = nan; allowed are finite"),
     ],
 )
-def test_impossible_sections_are_named(make: object, message: str) -> None:
+def test_impossible_sections_are_named(make: object, message: str, no_shape_checks: None) -> None:
     with pytest.raises(ValueError, match=message):
         make()  # type: ignore[operator]

@@ -3,23 +3,35 @@ where the derivatives of shooting's conditions, by differences, are first singul
 """
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
-from shooting import Level, paraboloid
+from shooting import Level, paraboloid, quadric
 from test_random_rods import Whisker, equilibrium, unbalanced
 
 import vibrissa as vb
 
 WHISKER = Whisker(0.5, (0.3, 0.2), 0.0)
 ROD, LENGTH = WHISKER.rod, WHISKER.rod.length
-A, B, HEIGHT = 0.5, 1.0, 0.4
-LEVEL, POSE = paraboloid(A, B, HEIGHT), Rotation.identity()
+POSE = Rotation.identity()
 BESIDE, STEP = 1e-4, 1e-6
+A, B, HEIGHT = 0.5, 1.0, 0.4
+CENTER, SEMI_AXES = np.array([0.0, 0.0, 0.9]), np.array([0.6, 0.4, 0.4])
+SURFACES = {
+    "bowl": (
+        vb.surfaces.EllipticParaboloid(a=A / LENGTH, b=B / LENGTH, h=HEIGHT * LENGTH),
+        paraboloid(A, B, HEIGHT),
+    ),
+    "ellipsoid": (
+        vb.surfaces.Ellipsoid(center=CENTER * LENGTH, semi_axes=SEMI_AXES * LENGTH),
+        quadric(CENTER, SEMI_AXES),
+    ),
+}
 
 
-def determinant(scan: vb.Scan, row: int) -> float:
+def determinant(above: Level, scan: vb.Scan, row: int) -> float:
     """Of the conditions' derivatives by the unknowns, at shooting's equilibrium next to a row."""
     clamp, tip = scan.trail.position[0, row] / LENGTH, scan.kind[0, row] == vb.ContactKind.TIP
-    level = Level(lambda p: LEVEL.value(p + clamp), lambda p: LEVEL.gradient(p + clamp))
+    level = Level(lambda p: above.value(p + clamp), lambda p: above.gradient(p + clamp))
     force = np.linalg.norm(scan.reactions.force[0, row]) / ROD.force_scale
     moment, point = -scan.reactions.moment[0, row] / ROD.moment_scale, scan.point[0, row] / LENGTH
     guess = np.array([*moment, force, *(point - clamp), scan.arc_length[0, row] / LENGTH])
@@ -33,8 +45,9 @@ def determinant(scan: vb.Scan, row: int) -> float:
     return float(np.linalg.det((np.array(ends[::2]) - ends[1::2]) / (2 * STEP)))
 
 
-def test_a_tapered_curved_rod_gives_way_where_shooting_is_singular() -> None:
-    surface = vb.surfaces.EllipticParaboloid(a=A / LENGTH, b=B / LENGTH, h=HEIGHT * LENGTH)
+@pytest.mark.parametrize("name", SURFACES)
+def test_a_tapered_curved_rod_gives_way_where_shooting_is_singular(name: str) -> None:
+    surface, above = SURFACES[name]
     way = np.arange(1.2, -0.3, -0.02)
     position = np.stack([np.column_stack([way, 0 * way + y, 0 * way]) for y in (0, BESIDE)])
     scan = vb.scan(ROD, surface, vb.Trail(position * LENGTH))
@@ -47,7 +60,7 @@ def test_a_tapered_curved_rod_gives_way_where_shooting_is_singular() -> None:
         scan.status[0, rows] == np.repeat([vb.Status.OK, vb.Status.LATERALLY_UNSTABLE], 3)
     )
     assert set(scan.kind[0, rows]) == {vb.ContactKind.TANGENTIAL}
-    values = [determinant(scan, row) for row in rows]
+    values = [determinant(above, scan, row) for row in rows]
     assert np.all(np.diff(np.sign(values)) == [0, 0, -2, 0, 0])
     zeros = np.polynomial.Polynomial.fit(way[rows], values, 5).roots()
     assert np.min(abs(zeros - place)) < 1e-8

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from vibrissa.geometry.checks import finite_array, not_negative, positive
-from vibrissa.rod.section import Section
+from vibrissa.rod.section import Section, check_within, column
 
 _LARGEST_RADIUS = 1e6
 
@@ -71,16 +71,11 @@ def round_table(
                 f"{name} = None; allowed are tables of radius with a youngs_modulus, or of "
                 "bending_stiffness and torsional_stiffness"
             )
-    outer = _column(radius, "radius", s)
+    outer = column(radius, "radius", len(s))  # type: ignore[arg-type]
     inner = finite_array(inner_radius, "inner_radius")
     inner = inner if inner.ndim else np.full(len(s), float(inner))
     inner = finite_array(inner, "inner_radius", last=len(s), ndim=1)
-    for at, (bore, whole) in enumerate(zip(inner, outer, strict=True)):
-        if bore < 0 or (bore >= whole and bore > 0):
-            raise ValueError(
-                f"inner_radius[{at}] = {bore}; allowed is a number of at least 0 and below "
-                f"radius[{at}] = {whole}"
-            )
+    check_within(inner, outer, "inner_radius", "radius")
     found = round_section("radius[0]", outer[0], inner[0], youngs_modulus or 0.0, density)
     bored = inner / outer[0] if inner.any() else None
     return found | {"section": Section.table(s / s[-1], radius=outer / outer[0], bore=bored)}
@@ -103,30 +98,11 @@ def stiffness_table(
                 f"{name} = None; allowed are {len(s)} numbers: a table of stiffness has bending "
                 "and torsion"
             )
-    table = {name: _column(value, name, s) for name, value in given.items() if value is not None}
-    base = {name: float(column[0]) for name, column in table.items()}
+    table = {name: column(one, name, len(s)) for name, one in given.items() if one is not None}
+    base = {name: float(values[0]) for name, values in table.items()}
     scale = base | {"torsional_stiffness": base["bending_stiffness"]}
-    relative = {name: column / scale[name] for name, column in table.items()}
+    relative = {name: values / scale[name] for name, values in table.items()}
     relative["bending"] = relative.pop("bending_stiffness")
     relative["torsion"] = relative.pop("torsional_stiffness")
     del base["torsional_stiffness"]
     return base | {"section": Section.table(s / s[-1], **relative)}
-
-
-def _column(
-    values: ArrayLike | None, name: str, s: Float[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
-    """A column of positive numbers (k,) beside arc lengths; the last may be 0.
-
-    Raises
-    ------
-    ValueError
-        If it has another length, or an entry is not positive and finite.
-    """
-    array = finite_array(values, name, last=len(s), ndim=1)  # type: ignore[arg-type]
-    for at, value in enumerate(array.tolist()):
-        last = at == len(s) - 1
-        if value < 0 or (value == 0 and not last):
-            allowed = "a number of at least 0" if last else "a number greater than 0"
-            raise ValueError(f"{name}[{at}] = {value}; allowed is {allowed}")
-    return array

@@ -15,6 +15,9 @@ from vibrissa.rod.tree import Described, Figure, array, known, tree
 Values = Float[Any, "k"]
 Along = Float[Any, "..."]
 
+_ONE = 1e-9  # rounding of a column that was divided by its first entry, or printed
+_RELATIVE = "the column is relative to the value at the clamp"
+_GIVEN = "allowed is a section given by radius, with or without bore, or by bending"
 _COLLINEAR = 1e-12
 """Share of a column's largest value within which an entry lies on the line through its neighbours:
 the rounding of a table that was split finer.
@@ -42,6 +45,13 @@ class Section(Described):
         (k,) EI and GJ [EI at the clamp].
     linear_density
         (k,) mass per length [that at the clamp], if it is not that of the section of one material.
+
+    Raises
+    ------
+    ValueError
+        If neither radius nor bending is given, or a bore without a radius; if knots do not increase
+        from 0 to 1; if a column has another length or an entry out of range, or does not begin with
+        1 where it is relative to its own value at the clamp.
     """
 
     knots: tuple[float, ...]
@@ -50,6 +60,25 @@ class Section(Described):
     bending: Values | None = None
     torsion: Values | None = None
     linear_density: Values | None = None
+
+    def __post_init__(self) -> None:
+        knots = increasing(self.knots, "knots").tolist()
+        if knots[-1] != 1:
+            raise ValueError(f"knots[{len(knots) - 1}] = {knots[-1]}; allowed is 1: the tip")
+        object.__setattr__(self, "knots", tuple(knots))
+        if self.radius is None and (self.bending is None or self.bore is not None):
+            needs = "bending" if self.bore is None else "bore"
+            raise ValueError(f"radius = None, {needs} = {getattr(self, needs)!r}; {_GIVEN}")
+        for name in ("radius", "bending", "torsion", "linear_density"):
+            if (values := getattr(self, name)) is not None and known(values):
+                values = column(values, name, len(knots))
+                if name != "torsion" and abs(values[0] - 1) > _ONE:
+                    raise ValueError(f"{name}[0] = {values[0]}; allowed is 1: {_RELATIVE}")
+                object.__setattr__(self, name, values)
+        if self.bore is not None and known(self.bore, self.radius):
+            bore = finite_array(self.bore, "bore", last=len(knots), ndim=1)
+            check_within(bore, np.asarray(self.radius), "bore", "radius")
+            object.__setattr__(self, "bore", bore)
 
     @classmethod
     def taper(cls, taper: Figure) -> "Section":
@@ -71,14 +100,14 @@ class Section(Described):
 
         Entries on the line between their neighbours are left out: all inner knots are kinks.
         """
+        at = increasing(place, "knots")
         given = {name: np.asarray(c, float) for name, c in columns.items() if c is not None}
-        place, stacked = np.asarray(place, float), np.stack(list(given.values()), axis=-1)
+        cls(tuple(at.tolist()), **given)  # checks what is left out below
+        stacked = np.stack(list(given.values()), axis=-1)
         if "bending" not in given and np.all(stacked == stacked[0]):
             return None
-        kept = kinks(place, stacked)
-        return cls(
-            tuple(place[kept].tolist()), **{name: column[kept] for name, column in given.items()}
-        )
+        kept = kinks(at, stacked)
+        return cls(tuple(at[kept].tolist()), **{name: part[kept] for name, part in given.items()})
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -154,24 +183,53 @@ def kinks(place: Float[np.ndarray, "k"], columns: Float[np.ndarray, "k c"]) -> l
     return [*kept, len(place) - 1]
 
 
-def increasing(arc_length: ArrayLike) -> Float[np.ndarray, "k"]:
-    """Arc lengths of a table (k,) as an array.
+def increasing(values: ArrayLike, name: str = "arc_length") -> Float[np.ndarray, "k"]:
+    """Arc lengths of a table (k,), or its knots, as an array.
 
     Raises
     ------
     ValueError
         If there are fewer than two, the first is not 0, or they do not increase.
     """
-    s = finite_array(arc_length, "arc_length", ndim=1)
+    s = finite_array(values, name, ndim=1)
     if len(s) < 2 or s[0] != 0:
-        raise ValueError(
-            f"arc_length = {s.tolist()}; allowed are at least two numbers, the first 0"
-        )
+        raise ValueError(f"{name} = {s.tolist()}; allowed are at least two numbers, the first 0")
     steps = np.diff(s)
     if not np.all(steps > 0):
         at = int(np.argmax(steps <= 0)) + 1
         raise ValueError(
-            f"arc_length[{at}] = {s[at]}; allowed is a number greater than {s[at - 1]}: "
-            "arc lengths increase"
+            f"{name}[{at}] = {s[at]}; allowed is a number greater than {s[at - 1]}: "
+            "they increase along the rod"
         )
     return s
+
+
+def column(values: ArrayLike, name: str, count: int) -> Float[np.ndarray, "k"]:
+    """A column of positive numbers (k,) from clamp to tip; the last may be 0.
+
+    Raises
+    ------
+    ValueError
+        If it has another length, or an entry is not positive and finite.
+    """
+    found = finite_array(values, name, last=count, ndim=1)
+    for at, value in enumerate(found.tolist()):
+        last = at == count - 1
+        if value < 0 or (value == 0 and not last):
+            allowed = "a number of at least 0" if last else "a number greater than 0"
+            raise ValueError(f"{name}[{at}] = {value}; allowed is {allowed}")
+    return found
+
+
+def check_within(
+    inner: Float[np.ndarray, "k"], outer: Float[np.ndarray, "k"], name: str, around: str
+) -> None:
+    """Raise ValueError unless each inner radius is at least 0 and below the outer one, or both are
+    0.
+    """
+    for at, (bore, whole) in enumerate(zip(inner.tolist(), outer.tolist(), strict=True)):
+        if bore < 0 or (bore >= whole and bore > 0):
+            raise ValueError(
+                f"{name}[{at}] = {bore}; allowed is a number of at least 0 and below "
+                f"{around}[{at}] = {whole}"
+            )

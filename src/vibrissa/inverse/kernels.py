@@ -380,7 +380,9 @@ def _judged(
     unsolved = touching & ~jnp.isfinite(s1)
     unknown = bad | couple | unsolved
     none = unknown | ~touching
-    # Friction does not push a rod back along itself either, except at its tip.
+    # Friction does not push a rod back along itself either, except at its tip. That tells the
+    # contacts of a curved rod apart; a straight one that touches twice is still nearly right.
+    curved = jnp.asarray(setting.rod.candidates > 1)
     before_tip = s1 < 1 - TIP - _TIP_DEVIATIONS * deviation
     backwards = incidence + _STEEP_DEVIATIONS * steepness < 1 - setting.steepest
     # The most serious finding wins.
@@ -394,7 +396,7 @@ def _judged(
         (jnp.asarray(contact.error) > _RESOLVED, Status.NOT_CONVERGED),
         (incidence >= 1, Status.NO_CURVATURE_ZERO),
         (incidence - _STEEP_DEVIATIONS * steepness > setting.steepest, Status.STEEP_TANGENT),
-        (before_tip & backwards, Status.STEEP_TANGENT),
+        (before_tip & backwards & curved, Status.STEEP_TANGENT),
         (s1 > 1 + TIP + _TIP_DEVIATIONS * deviation, Status.BEYOND_TIP),
         (jnp.abs(single) > most, Status.NOT_SINGLE_CONTACT),
     )

@@ -124,8 +124,8 @@ class Inner(NamedTuple):
     """As if the contact force acted at the tip: the rod up to the contact."""
     clamp: Clamp
     push: Push
-    tangent: Vector | None = None
-    """Of the rod at the contact, where that is known."""
+    here: State | None = None
+    """The rod at the contact, where that is known."""
 
 
 class Unloaded(Free):
@@ -435,7 +435,7 @@ class Kirchhoff(RodModel):
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on: without loads it has its own shape."""
-        here, whole = self._at(inner, s), self.divided or self
+        here, whole = inner.here or self._at(inner, s), self.divided or self
         if self.loaded:
             return self._rest(inner, s, here)
         shape = whole.own_shape
@@ -514,23 +514,24 @@ class Kirchhoff(RodModel):
         misses = joined(dot(away, jnp.cross(tangent, first)), dot(away, first))
         # From the closest point of what is interpolated to that of what is as exact as the nodes.
         along = dot(away, tangent)
-        s, tangent = s + along, tangent + along * line.bend(s)
-        incidence = (1 + dot(tangent, direction)) / 2
+        here = line.along(here, s, along)
+        s, incidence = s + along, (1 + dot(here.tangent, direction)) / 2
+        inner = inner._replace(here=here)
         if load is not None:
             misses = joined(misses, self.beyond(inner, s).states.load[-1])
-        inner = inner._replace(tangent=tangent)
         return Bent(point, r, force, direction, misses, s, incidence, inner, load)
 
     def tangent(self, bent: Bent) -> Vector:
         """As in `RodModel`."""
-        tangent: Vector = bent.inner.tangent
+        tangent: Vector = bent.inner.here.tangent
         return tangent
 
     def energy(self, bent: Bent) -> Scalar:
         """As in `RodModel`; with that of twist."""
         if self.load is None:
-            return self._at(bent.inner, bent.arc_length).energy
-        energy: Scalar = self.beyond(bent.inner, bent.arc_length).states.energy[-1]
+            energy: Scalar = bent.inner.here.energy
+        else:
+            energy = self.beyond(bent.inner, bent.arc_length).states.energy[-1]
         return energy
 
     def largest_curvature(self, bent: Bent) -> Scalar:

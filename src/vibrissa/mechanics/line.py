@@ -71,6 +71,15 @@ class Line(NamedTuple):
         values, (_, _, seconds) = self._ends(place, step), _quintic(x)
         return sum(w * value for w, value in zip(seconds, values, strict=True)) / step**2
 
+    def along(self, here: State, s: Scalar, step: Scalar) -> State:
+        """The state a tiny step further, given at an arc length."""
+        place, _, x = self.between(s)
+        rates = jax.tree.map(
+            lambda rows: rows[place] + x * (rows[place + 1] - rows[place]), self.rates
+        )
+        rates = rates._replace(reach=here.tangent, tangent=self.bend(s))
+        return jax.tree.map(lambda at, rate: at + step * rate, here, rates)
+
     def carried(self, there: State, here: State) -> "Line":
         """The line as a rigid body, moved from a state of it to another."""
         axes = zip(axes_of(there), axes_of(here), strict=True)

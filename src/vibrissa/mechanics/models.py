@@ -3,7 +3,6 @@
 from itertools import pairwise
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -12,6 +11,7 @@ from jaxtyping import Float
 from vibrissa.mechanics.elastica import Elastica
 from vibrissa.mechanics.kirchhoff import STEPS, Kirchhoff, Load
 from vibrissa.mechanics.model import RodModel
+from vibrissa.numerics.compiled import compiled
 from vibrissa.rod import Rod
 from vibrissa.rod.tree import known
 
@@ -61,10 +61,10 @@ def spatial(rod: Rod, steps: int = STEPS, nodes: Float[Any, "nodes"] | None = No
     traced rod does not show.
     """
     check_thick(rod)
-    return _spatial(rod, jnp.asarray(nodes_of(rod, steps) if nodes is None else nodes))
+    places = jnp.asarray(nodes_of(rod, steps) if nodes is None else nodes)
+    return (_compiled if known(rod, places) else _spatial)(rod, places)
 
 
-@jax.jit
 def _spatial(rod: Rod, nodes: Float[Any, "nodes"]) -> Kirchhoff:
     length, rest, loads = rod.length, rod.rest, rod.loads
 
@@ -102,6 +102,10 @@ def _spatial(rod: Rod, nodes: Float[Any, "nodes"]) -> Kirchhoff:
         load=load,
         compliance=compliance,
     )
+
+
+# XLA's options cannot be set within other compiled code.
+_compiled = compiled(_spatial, alone=True)
 
 
 def check_thick(rod: Rod) -> None:

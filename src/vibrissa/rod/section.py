@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -166,8 +165,10 @@ class Section(Described):
         outer, inner = self._at(self.radius, x), self._at(self.bore, x)
         return (outer**power - inner**power) / (1 - self.bore[0] ** power)
 
-    def _at(self, values: Any, x: ArrayLike) -> jax.Array:
-        return jnp.interp(jnp.asarray(x), np.array(self.knots), values)
+    def _at(self, values: Any, x: ArrayLike) -> Along:
+        # NumPy compiles nothing.
+        xp: Any = np if known(values, x) else jnp
+        return xp.interp(xp.asarray(x), np.array(self.knots), xp.asarray(values))
 
 
 def kinks(place: Float[np.ndarray, "k"], columns: Float[np.ndarray, "k c"]) -> list[int]:

@@ -34,8 +34,10 @@ _MOST = 96
 and dense equations with three rows each take milliseconds.
 """
 _MOST_AT_REST = 20
-_FEWEST = 30
-"""Samples in contact below which a sweep is not judged."""
+_FEWEST, _FEWEST_FOR_NOISE = 12, 30
+"""Samples in contact below which a sweep is not judged, and second differences below which noise
+counts as white.
+"""
 _OUTLYING = 4.0
 """Samples farther off the line than this many deviations, by the median, are ignored: noise alone
 gets there once in ten thousand.
@@ -151,7 +153,7 @@ def _white(whitened: Wrenches, rows: Flags) -> Wrench:
     """
     inner = rows[:-2] & rows[1:-1] & rows[2:]
     second = np.diff(whitened, 2, axis=0)[inner] / np.sqrt(6)
-    if len(second) < _FEWEST:
+    if len(second) < _FEWEST_FOR_NOISE:
         return np.ones(6)
     return np.maximum(
         scipy.stats.median_abs_deviation(second, axis=0, scale="normal") ** 2, _LEAST_WHITE

@@ -31,6 +31,13 @@ class Scene(NamedTuple):
     friction: Scalar | float = 0.0
     rod: RodModel = Elastica()
 
+    @property
+    def alone(self) -> "Scene":
+        """The same with a rod that takes no part: points of an object go by far more at a time than
+        spatial rods.
+        """
+        return self._replace(rod=Elastica())
+
     def level(self, point: Vector) -> Scalar:
         """Level function of the object in model units."""
         return self.surface.level(point * self.length) / self.length

@@ -226,7 +226,7 @@ def _fine_line(scene: Scene, bent: Bent) -> tuple[Float[Array, "n 3"], Float[Arr
 
 def levels(scene: Scene, points: Float[np.ndarray, "k n 3"]) -> Float[np.ndarray, "k n"]:
     """Level function of the object at points."""
-    return np.asarray(_level(scene, points.reshape(-1, 3))).reshape(points.shape[:2])
+    return np.asarray(_level(scene.alone, points.reshape(-1, 3))).reshape(points.shape[:2])
 
 
 @lanes(width=1024, blocks=8)

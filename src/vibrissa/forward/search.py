@@ -152,7 +152,7 @@ def caught(scene: Scene, clamps: Clamp) -> list[tuple[Assessment, Float[np.ndarr
 
 def _caught(scene: Scene, clamp: Clamp) -> tuple[Assessment, Float[np.ndarray, "3"]] | None:
     seeds = seeds_around(scene, clamp, [], FORCES)
-    levels = np.asarray(_part_levels(scene, seeds.point))
+    levels = np.asarray(_part_levels(scene.alone, seeds.point))
     pairs = np.sort(np.argsort(levels, axis=1)[:, :2], axis=1)
     near = np.sort(levels, axis=1)[:, 1] < _SECOND_PART
     best = None

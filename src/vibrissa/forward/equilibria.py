@@ -150,7 +150,7 @@ def _models(rod: Rod) -> list[tuple[RodModel, tuple[float, ...]]]:
     """
     if not rod.plain:
         # Far from the start, exact derivatives lead to more of them.
-        return [(replace(spatial(rod), quick=None), tuple(chain(*_FORCES)))]
+        return [(replace(spatial(rod), rough=None), tuple(chain(*_FORCES)))]
     return [(Elastica(count), forces) for count, forces in enumerate(_FORCES)]
 
 

@@ -175,7 +175,7 @@ def once(
         found = touching(own, law, State.of(x, rod.unknowns), clamp, before, side)
         return found.residual, (found.bent.arc_length, found.tangent, found.phase, found.beyond)
 
-    rough, slopes = scene.rod.rough, None
+    rough, slopes = scene.rod.slopes_of, None
     if rough is not None:
         # Friction has corners, and at some of them contacts begin.
         derived = differences if law.branch else jax.jacfwd

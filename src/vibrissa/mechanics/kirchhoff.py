@@ -188,8 +188,8 @@ class Kirchhoff(RodModel):
     moment [EI/L].
     """
 
-    quick: "Kirchhoff | None" = None
-    """The rod in fewer and cheaper steps, as in `rough`."""
+    rough: "Kirchhoff | None" = None
+    """As in `RodModel`: in fewer and cheaper steps."""
     unloaded: Line | None = None
     """The rod's own shape, seen from an unmoved clamp, where nothing but a contact loads it."""
     divided: "Kirchhoff | None" = None
@@ -232,7 +232,7 @@ class Kirchhoff(RodModel):
 
         steps = len(nodes) - 1
         few = np.linspace(0, steps, math.ceil(steps / _ROUGHLY) + 1).round().astype(int)
-        rod = divided(nodes, quick=divided(nodes[few], rough_steps=True))
+        rod = divided(nodes, rough=divided(nodes[few], rough_steps=True))
         return rod if load is not None else replace(rod, unloaded=rod.own_shape)
 
     @classmethod
@@ -280,9 +280,9 @@ class Kirchhoff(RodModel):
         return uniform / own
 
     @property
-    def rough(self) -> "Kirchhoff | None":
+    def slopes_of(self) -> "Kirchhoff | None":
         """As in `RodModel`."""
-        return self.quick
+        return self if self.rough_steps else self.rough
 
     @property
     def finer(self) -> "Kirchhoff":
@@ -415,6 +415,10 @@ class Kirchhoff(RodModel):
         here, *_ = self._step(clamp.point, push, before, start, x * step, stages)
         return here._replace(reach=here.reach + jnp.maximum(s - 1.0, 0.0) * here.tangent)
 
+    def _contact(self, inner: Inner, s: Scalar) -> State:
+        """The rod at the contact, given its arc length."""
+        return self._at(inner, s) if inner.here is None else inner.here
+
     def _rest(self, inner: Inner, s: Scalar, here: State) -> Line:
         """The rod behind a contact, given there, under loads: nodes before the contact all lie at
         it.
@@ -435,7 +439,7 @@ class Kirchhoff(RodModel):
 
     def beyond(self, inner: Inner, s: Scalar) -> Line:
         """The rest of the rod, from the contact at s on: without loads it has its own shape."""
-        here, whole = inner.here or self._at(inner, s), self.divided or self
+        here, whole = self._contact(inner, s), self.divided or self
         if self.loaded:
             return self._rest(inner, s, here)
         shape = whole.own_shape
@@ -529,7 +533,7 @@ class Kirchhoff(RodModel):
     def energy(self, bent: Bent) -> Scalar:
         """As in `RodModel`; with that of twist."""
         if self.load is None:
-            energy: Scalar = bent.inner.here.energy
+            energy: Scalar = self._contact(bent.inner, bent.arc_length).energy
         else:
             energy = self.beyond(bent.inner, bent.arc_length).states.energy[-1]
         return energy

@@ -213,7 +213,14 @@ class RodModel(eqx.Module):
 
     @property
     def rough(self) -> "RodModel | None":
-        """Nearly the same rod at less cost, whose derivatives will do for Newton's method."""
+        """Nearly the same rod at less cost."""
+        return None
+
+    @property
+    def slopes_of(self) -> "RodModel | None":
+        """The rod whose slopes, to a few digits, will do for Newton's method, as that of its
+        `rough`; None if only exact derivatives will.
+        """
         return None
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from calibration_bench import WIRE, recordings, sensor, setup
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import vibrissa as vb
 from vibrissa.inverse import check_setup
@@ -63,6 +64,32 @@ def test_a_turned_clamp_is_named_with_its_angle(tmp_path: Path) -> None:
     (cause,) = (cause for cause in said.causes if cause.name == "clamp_orientation")
     assert "clamp_orientation" in said.named[0]
     np.testing.assert_allclose(np.degrees(cause.estimate), [0.0, 1.0], atol=0.1)
+
+
+@pytest.mark.parametrize("turn", [0.0, 4.0])
+def test_a_sweep_of_few_samples_is_judged_too(turn: float) -> None:
+    """Some twenty samples of a wire under a ball; its clamp turned by so many degrees, unknown to
+    the setup, the moment along the rod is far from 0 in each of them.
+    """
+    rod = vb.Rod.cylinder(length=0.05, radius=0.25e-3, youngs_modulus=206e9)
+    x = 0.1 - 0.13 * np.maximum(np.arange(130) - 50, 0) / 50
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(x), 1))
+    trail = vb.Trail(np.column_stack([x, np.full(len(x), 0.005), np.zeros(len(x))]), upright)
+    scan = vb.scan(rod, vb.surfaces.Sphere(center=(0, 0, 0.0575), radius=0.03), trail)
+    assert 12 < np.count_nonzero(scan.in_contact) < 30
+    time = np.arange(len(x)) / 50
+    mount = Rotation.from_rotvec([[0, turn, 0], [0, 0, 0]], degrees=True).as_quat()
+    noise = {"force_noise": 2e-3 * rod.force_scale, "torque_noise": 8e-4 * rod.moment_scale}
+    true, stated = (
+        vb.Sensor(np.array([0, 0, 0.025]), at, "on_sensor", tare_seconds=0.9, **noise)
+        for at in mount
+    )
+    given = vb.Reactions(scan.trail, scan.reactions.force, scan.reactions.moment, time=time)
+    logged = true.measure(given, np.random.default_rng(1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = vb.reconstruct(rod, stated.reactions(logged))
+    assert bool(found.warnings) == (turn > 0)
 
 
 def test_constraints_are_those_of_an_integrated_rod() -> None:

@@ -107,6 +107,8 @@ def located(
     """
     value, turn = linear.value, trail.rotation
     reach, direction = ((turn @ part[..., None])[..., 0] for part in (value.reach, value.direction))
+    # Hardly loaded rows have a shorter one, which is differentiable there.
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     point = trail.position + rod.length * reach
     by_coordinates, by_setup = (
         np.concatenate([turn @ part.reach, turn @ part.direction], axis=1)

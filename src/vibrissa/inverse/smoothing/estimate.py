@@ -107,8 +107,9 @@ def located(
     """
     value, turn = linear.value, trail.rotation
     reach, direction = ((turn @ part[..., None])[..., 0] for part in (value.reach, value.direction))
-    # Hardly loaded rows have a shorter one, which is differentiable there.
-    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    # Hardly loaded rows have a shorter one, which is differentiable there; those at rest have none.
+    length = np.linalg.norm(direction, axis=-1, keepdims=True)
+    direction = direction / np.where(length > 0, length, 1.0)
     point = trail.position + rod.length * reach
     by_coordinates, by_setup = (
         np.concatenate([turn @ part.reach, turn @ part.direction], axis=1)
